@@ -1,0 +1,5 @@
+from .datasets import ELDDataset as ELDDataset
+from .evaluation import evaluate as evaluate
+from .manifest import verify as verify
+
+__version__: str

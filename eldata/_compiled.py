@@ -1,0 +1,41 @@
+"""How this package compiles its kernels, in one place.
+
+Kernels release the GIL, are compiled on first use for the dtypes that arrive and are kept on disk. They are
+all serial: parallel work is cut into fixed pieces that run on plain threads (:func:`in_threads`). So the
+result does not depend on the number of threads, and numba's own thread pool, which does not survive a fork,
+is never started.
+"""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, TypeVar, cast
+
+import numba
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+Function = TypeVar("Function", bound="Callable[..., object]")
+Piece = TypeVar("Piece")
+Result = TypeVar("Result")
+
+
+def kernel(function: Function) -> Function:
+    """Compile ``function`` with exact IEEE arithmetic (no fast-math), without the GIL, cached on disk."""
+    return cast("Function", numba.njit(nogil=True, cache=True, error_model="numpy")(function))
+
+
+def available_threads() -> int:
+    """Return the number of CPUs that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def in_threads(work: Callable[[Piece], Result], pieces: Sequence[Piece], threads: int | None = None) -> list[Result]:
+    """Return ``[work(piece) for piece in pieces]``, computed by ``threads`` threads (default: one per CPU)."""
+    count = min(len(pieces), available_threads() if threads is None else threads)
+    if count <= 1:
+        return [work(piece) for piece in pieces]
+    with ThreadPoolExecutor(count, thread_name_prefix="eldata") as pool:
+        return list(pool.map(work, pieces))

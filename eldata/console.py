@@ -1,0 +1,118 @@
+"""What every command line of this distribution shares: one clear line for an error, exit codes, no traceback.
+
+Exit codes: 0 all well; 1 problems were found and listed; 2 wrong usage or unusable input; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import traceback
+from contextlib import suppress
+from typing import Any, NoReturn
+
+from eldata.errors import EldataError
+from eldata.files import write_text
+
+OK, PROBLEMS, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser whose errors are one line, and that takes no abbreviated options."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**{"allow_abbrev": False} | options)
+
+    def error(self, message: str) -> NoReturn:
+        """Print one line and exit with 2."""
+        self.exit(UNUSABLE, f"{self.prog}: {' '.join(message.split())}; see {self.prog} --help\n")
+
+
+def add_debug(parser: argparse.ArgumentParser) -> None:
+    """Add ``--debug`` to a subcommand."""
+    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Add ``--json`` to a subcommand."""
+    parser.add_argument("--json", metavar="FILE", help="write what is shown here to FILE, machine-readable")
+
+
+def add_root(parser: argparse.ArgumentParser) -> None:
+    """Add ``--root`` to a subcommand."""
+    parser.add_argument(
+        "--root", metavar="R", help="folder that holds the datasets (default: $ELDATA_ROOT, else ./data)"
+    )
+
+
+def add_cameras(parser: argparse.ArgumentParser) -> None:
+    """Add ``--camera`` to a subcommand."""
+    parser.add_argument(
+        "--camera", action="append", dest="cameras", metavar="NAME", help="only this camera; may be repeated"
+    )
+
+
+def add_jobs(parser: argparse.ArgumentParser) -> None:
+    """Add ``--jobs`` to a subcommand; the default is one process per CPU."""
+    cpus = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    parser.add_argument(
+        "--jobs",
+        type=int,
+        default=cpus,
+        metavar="J",
+        help="worker processes (default: one per CPU, here %(default)s)",
+    )
+
+
+def write_json(path: str, data: Any) -> None:
+    """Write plain types as JSON, whole or not at all."""
+    write_text(path, json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:
+    """Parse arguments, run the subcommand's ``run`` and return the exit code.
+
+    A subcommand sets ``run`` and ``command`` as its parser's defaults. What it raises becomes one line on stderr.
+    """
+    try:
+        arguments = parser.parse_args(argv)
+    except SystemExit as leaving:  # argparse has said why
+        return leaving.code if isinstance(leaving.code, int) else UNUSABLE
+    if not hasattr(arguments, "run"):
+        parser.print_usage(sys.stderr)
+        print(f"{parser.prog}: a command is needed; see {parser.prog} --help", file=sys.stderr)
+        return UNUSABLE
+    try:
+        code: int = arguments.run(arguments)
+        sys.stdout.flush()
+    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 # a person sees one line, --debug shows the rest
+        if arguments.debug:
+            traceback.print_exception(error)
+        code, message = _explained(error)
+        if message:
+            print(f"{parser.prog} {arguments.command}: {' '.join(message.split())}", file=sys.stderr)
+    return code
+
+
+def _explained(error: BaseException) -> tuple[int, str]:
+    """Return exit code and message of what a command raised."""
+    if isinstance(error, EldataError):
+        return UNUSABLE, str(error)
+    if isinstance(error, KeyboardInterrupt):
+        return INTERRUPTED, "interrupted; files are written whole or not at all, so none is left half"
+    if isinstance(error, BrokenPipeError):  # the reader of our output (head, less) has left: not an error
+        _drop_output()
+        return OK, ""
+    if isinstance(error, OSError):
+        _drop_output()
+        where = error.filename or "cannot write to standard output"
+        return UNUSABLE, f"{where}: {error.strerror}"
+    return UNUSABLE, f"unexpected {type(error).__name__}: {error}; --debug shows where"
+
+
+def _drop_output() -> None:
+    # Or the interpreter would try to flush once more at its end, and complain.
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

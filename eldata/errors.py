@@ -1,0 +1,52 @@
+"""The errors that this package raises on purpose.
+
+Each message is written for the person who reads it: which file, which field, what was expected, what was
+found, what to do. The command line prints it as one line; a traceback shows only with ``--debug``.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+class EldataError(Exception):
+    """Base class of every error below."""
+
+
+class ArgumentError(EldataError, ValueError):
+    """An argument is outside of what the function accepts."""
+
+
+class RawFileError(EldataError):
+    """A raw file cannot be used. ``path`` is the file, ``reason`` what is wrong with it."""
+
+    def __init__(self, path: Path | str, reason: str = "") -> None:
+        super().__init__(path, reason)
+        self.path = path
+        self.reason = reason
+
+    def __str__(self) -> str:
+        return f"{self.path}: {self.reason}" if self.reason else str(self.path)
+
+
+class ManifestError(EldataError):
+    """A manifest or a dataset card is malformed."""
+
+
+class DatasetError(EldataError):
+    """A dataset's files do not fit what was asked of them."""
+
+
+class PredictionError(EldataError):
+    """A prediction cannot be scored. ``path`` is the file, ``reason`` what is wrong with it."""
+
+    def __init__(self, path: Path | str, reason: str = "") -> None:
+        super().__init__(path, reason)
+        self.path = path
+        self.reason = reason
+
+    def __str__(self) -> str:
+        return f"{self.path}: {self.reason}" if self.reason else str(self.path)

@@ -1,0 +1,11 @@
+from .cfa import denormalise as denormalise
+from .cfa import normalise as normalise
+from .cfa import pack as pack
+from .cfa import pack_normalised as pack_normalised
+from .cfa import packed_area as packed_area
+from .cfa import packed_shape as packed_shape
+from .cfa import unpack as unpack
+from .dng import write_dng as write_dng
+from .reading import exposure_ratio as exposure_ratio
+from .reading import read_header as read_header
+from .reading import read_raw as read_raw

@@ -1,0 +1,121 @@
+"""Compiled loops of CFA packing.
+
+A site table says where each site of one CFA period goes: rows of (mosaic row, mosaic column, channel, packed
+row, packed column), with ``period`` the CFA's size and ``sub`` the packed image's share of it (1 for Bayer, 2
+for X-Trans). The Bayer loops are written out for their constant stride of two, which the compiler vectorises.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eldata._compiled import kernel
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+@kernel
+def gather(mosaic: NDArray[Any], packed: NDArray[Any], sites: NDArray[np.int64], period: int, sub: int) -> None:
+    """Fill ``packed`` (C, h, w) from ``mosaic``, value by value."""
+    for i in range(packed.shape[1] // sub):
+        for k in range(sites.shape[0]):
+            source = mosaic[i * period + sites[k, 0]]
+            target = packed[sites[k, 2], i * sub + sites[k, 3]]
+            column, x = sites[k, 1], sites[k, 4]
+            if period == 2:
+                for j in range(packed.shape[2]):
+                    target[j] = source[column + 2 * j]
+            else:
+                for j in range(packed.shape[2] // sub):
+                    target[x + j * sub] = source[column + j * period]
+
+
+@kernel
+def scatter(packed: NDArray[Any], mosaic: NDArray[Any], sites: NDArray[np.int64], period: int, sub: int) -> None:
+    """Fill ``mosaic`` from ``packed``: the inverse of :func:`gather`."""
+    for i in range(packed.shape[1] // sub):
+        for k in range(sites.shape[0]):
+            source = packed[sites[k, 2], i * sub + sites[k, 3]]
+            target = mosaic[i * period + sites[k, 0]]
+            column, x = sites[k, 1], sites[k, 4]
+            if period == 2:
+                for j in range(packed.shape[2]):
+                    target[column + 2 * j] = source[j]
+            else:
+                for j in range(packed.shape[2] // sub):
+                    target[column + j * period] = source[x + j * sub]
+
+
+@kernel
+def pack_bayer_normalised(
+    mosaic: NDArray[np.uint16],
+    packed: NDArray[np.float32],
+    channel: NDArray[np.int64],
+    black: NDArray[np.float32],
+    white: np.float32,
+    low: np.float32,
+    high: np.float32,
+    gain: np.float32,
+) -> None:
+    """Pack and normalise a Bayer mosaic: clip(gain * clip((DN - black) / (white - black))) in float32.
+
+    ``channel`` (2, 2) names the packed channel of each site, ``black`` (4,) has one entry a packed channel. A
+    non-negative gain cannot undo the lower clip, so only the upper one is repeated. Dividing, not multiplying by
+    a reciprocal, keeps the published loaders' bits. Both columns of a cell stand in one loop and the limits are
+    comparisons, not min() and max(): that is what the compiler turns into vector code.
+    """
+    for i in range(packed.shape[1]):
+        for y in range(2):
+            source = mosaic[2 * i + y]
+            even = packed[channel[y, 0], i]
+            odd = packed[channel[y, 1], i]
+            black_even, black_odd = black[channel[y, 0]], black[channel[y, 1]]
+            span_even, span_odd = white - black_even, white - black_odd
+            for j in range(packed.shape[2]):
+                value = (np.float32(source[2 * j]) - black_even) / span_even
+                value = value if value > low else low
+                value = value if value < high else high
+                value = value * gain
+                even[j] = value if value < high else high
+                value = (np.float32(source[2 * j + 1]) - black_odd) / span_odd
+                value = value if value > low else low
+                value = value if value < high else high
+                value = value * gain
+                odd[j] = value if value < high else high
+
+
+@kernel
+def pack_xtrans_normalised(
+    mosaic: NDArray[np.uint16],
+    packed: NDArray[np.float32],
+    sites: NDArray[np.int64],
+    black: NDArray[np.float32],
+    white: np.float32,
+    low: np.float32,
+    high: np.float32,
+    gain: np.float32,
+) -> None:
+    """:func:`pack_bayer_normalised` for X-Trans: each row is normalised in one vector loop, then distributed."""
+    width = 2 * (packed.shape[2] // 2) * 3
+    row_black = np.empty((6, width), np.float32)
+    for k in range(sites.shape[0]):
+        row_black[sites[k, 0], sites[k, 1] :: 6] = black[sites[k, 2]]
+    row = np.empty(width, np.float32)
+    for i in range(packed.shape[1] // 2):
+        for y in range(6):
+            source = mosaic[6 * i + y]
+            zero = row_black[y]
+            for j in range(width):
+                value = (np.float32(source[j]) - zero[j]) / (white - zero[j])
+                value = value if value > low else low
+                value = value if value < high else high
+                value = value * gain
+                row[j] = value if value < high else high
+            for k in range(6 * y, 6 * y + 6):  # the sites are listed row by row
+                target = packed[sites[k, 2], 2 * i + sites[k, 3]]
+                column, x = sites[k, 1], sites[k, 4]
+                for j in range(packed.shape[2] // 2):
+                    target[x + 2 * j] = row[column + 6 * j]

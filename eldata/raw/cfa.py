@@ -1,0 +1,356 @@
+"""CFA packing: the mosaic split by CFA position, and normalisation of DN. The one packer of this package.
+
+Packed form
+-----------
+Bayer (2x2, any phase)
+    (4, H/2, W/2) in the order R, G1, B, G2; G1 shares R's rows. No phase is cropped: each channel holds its
+    colour's site of every 2x2 cell.
+X-Trans (6x6, any offset)
+    (9, H/3, W/3) in the order of the SID code [1]_: R, G, B, R, B, G, G, G, G.
+
+The packed area
+---------------
+A mosaic is cropped before packing (:func:`packed_area`): X-Trans first loses the rows at the top and the
+columns at the left (0 to 5 each, the fewest that do) up to where its pattern starts as it does in the SID code,
+so that every X-Trans camera packs to the same geometry; then each CFA loses the rows at the bottom and the
+columns at the right that do not fill a whole period. Within that area packing is a permutation:
+``unpack(pack(x)) == x`` exactly.
+
+References
+----------
+.. [1] C. Chen, Q. Chen, J. Xu and V. Koltun, "Learning to See in the Dark", CVPR 2018, test_Fuji.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
+
+import numpy as np
+
+from eldata.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    Cfa: TypeAlias = Sequence[Sequence[int]] | NDArray[np.integer[Any]]
+
+Clip = Literal["both", "upper", "none"]
+CfaRows = tuple[tuple[int, ...], ...]
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+_CLIP_RANGES: dict[Clip, tuple[float, float]] = {
+    "both": (0.0, 1.0),
+    "upper": (-np.inf, 1.0),
+    "none": (-np.inf, np.inf),
+}
+
+BAYER_CHANNELS = ("R", "G1", "B", "G2")
+XTRANS_CHANNELS = ("R", "G", "B", "R", "B", "G", "G", "G", "G")
+
+_XTRANS: CfaRows = (
+    (0, 2, 1, 2, 0, 1),
+    (1, 1, 0, 1, 1, 2),
+    (1, 1, 2, 1, 1, 0),
+    (2, 0, 1, 0, 2, 1),
+    (1, 1, 2, 1, 1, 0),
+    (1, 1, 0, 1, 1, 2),
+)
+
+# The SID code's order: the packed channel of each site of the 6x6 period above; its packed row is row // 3 and
+# its packed column is column // 3, so that a packed pixel holds just the nine sites of one 3x3 block.
+_XTRANS_CHANNEL: CfaRows = (
+    (0, 2, 1, 2, 0, 1),
+    (5, 6, 3, 5, 6, 4),
+    (7, 8, 4, 7, 8, 3),
+    (2, 0, 1, 0, 2, 1),
+    (5, 6, 4, 5, 6, 3),
+    (7, 8, 3, 7, 8, 4),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class PackedArea:
+    """The part of a mosaic that packing keeps, in mosaic pixels."""
+
+    top: int
+    left: int
+    height: int
+    width: int
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Index of the area: ``mosaic[area.slices]``."""
+        return slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
+
+
+@dataclass(frozen=True, eq=False)
+class _Layout:
+    period: int
+    sub: int
+    top: int
+    left: int
+    sites: NDArray[np.int64]
+    colours: tuple[int, ...]  # channel index in the CFA, and so in black_level_dn, of each packed channel
+
+    @property
+    def channels(self) -> int:
+        return len(self.colours)
+
+
+def _rows(cfa: Cfa) -> CfaRows:
+    return tuple(tuple(int(value) for value in row) for row in cfa)
+
+
+def _as_table(period: int, channel_of: CfaRows) -> NDArray[np.int64]:
+    block = 2 if period == 2 else 3
+    return np.array(
+        [
+            (row, column, channel_of[row][column], row // block, column // block)
+            for row in range(period)
+            for column in range(period)
+        ],
+        dtype=np.int64,
+    )
+
+
+@cache
+def _layout(cfa: CfaRows) -> _Layout:
+    if len(cfa) == 2 and sorted(value for row in cfa for value in row) == [0, 1, 2, 3]:
+        if any(set(row) in ({0, 1}, {2, 3}) for row in cfa):
+            return _Layout(2, 1, 0, 0, _as_table(2, cfa), (0, 1, 2, 3))
+    elif len(cfa) == 6 and all(len(row) == 6 for row in cfa):
+        for top, left in sorted(((y, x) for y in range(6) for x in range(6)), key=sum):
+            shifted = tuple(tuple(cfa[(y + top) % 6][(x + left) % 6] for x in range(6)) for y in range(6))
+            if shifted == _XTRANS:
+                colours = tuple("RGB".index(name) for name in XTRANS_CHANNELS)
+                return _Layout(6, 2, top, left, _as_table(6, _XTRANS_CHANNEL), colours)
+    raise ArgumentError(
+        f"unsupported CFA {cfa}: expected a 2x2 Bayer pattern (0 = R, 1 = G1 in R's row, 2 = B, 3 = G2) or a 6x6 "
+        "X-Trans pattern (0 = R, 1 = G, 2 = B) at any offset"
+    )
+
+
+def packed_channels(cfa: Cfa) -> int:
+    """Return the number of channels of the packed form: 4 for Bayer, 9 for X-Trans."""
+    return _layout(_rows(cfa)).channels
+
+
+def packed_area(shape: tuple[int, int], cfa: Cfa) -> PackedArea:
+    """Return the area of a mosaic of ``shape`` (H, W) that packing keeps (see the module's text).
+
+    Raises
+    ------
+    ArgumentError
+        If the CFA is neither Bayer nor X-Trans, or the mosaic does not hold one whole period.
+    """
+    layout = _layout(_rows(cfa))
+    height = (shape[0] - layout.top) // layout.period * layout.period
+    width = (shape[1] - layout.left) // layout.period * layout.period
+    if height <= 0 or width <= 0:
+        raise ArgumentError(
+            f"a mosaic of {shape[0]} x {shape[1]} pixels does not hold one whole {layout.period} x "
+            f"{layout.period} period of its CFA"
+        )
+    return PackedArea(layout.top, layout.left, height, width)
+
+
+def packed_shape(shape: tuple[int, int], cfa: Cfa) -> tuple[int, int, int]:
+    """Return the packed shape (C, h, w) of a mosaic of ``shape`` (H, W)."""
+    layout = _layout(_rows(cfa))
+    area = packed_area(shape, cfa)
+    scale = layout.period // layout.sub
+    return layout.channels, area.height // scale, area.width // scale
+
+
+def _area_of(mosaic: NDArray[Scalar], cfa: Cfa) -> NDArray[Scalar]:
+    if mosaic.ndim != 2:
+        raise ArgumentError(f"a mosaic has two dimensions (H, W); found shape {mosaic.shape}")
+    return mosaic[packed_area((mosaic.shape[0], mosaic.shape[1]), cfa).slices]
+
+
+def pack(mosaic: NDArray[Scalar], cfa: Cfa) -> NDArray[Scalar]:
+    """Split a mosaic by CFA position.
+
+    Parameters
+    ----------
+    mosaic
+        (H, W), any dtype.
+    cfa
+        The CFA of its pixel (0, 0), as :attr:`eldata.records.Sensor.cfa`.
+
+    Returns
+    -------
+    ndarray
+        (C, h, w), the same dtype and values; C, order and crop as in the module's text.
+
+    Raises
+    ------
+    ArgumentError
+        If the CFA is unsupported or the mosaic smaller than one period.
+    """
+    from eldata.raw._kernels import gather
+
+    layout = _layout(_rows(cfa))
+    area = _area_of(mosaic, cfa)
+    packed = np.empty(packed_shape(mosaic.shape, cfa), dtype=mosaic.dtype)
+    gather(area, packed, layout.sites, layout.period, layout.sub)
+    return packed
+
+
+def unpack(packed: NDArray[Scalar], cfa: Cfa) -> NDArray[Scalar]:
+    """Put packed channels back in their places: the exact inverse of :func:`pack` on its packed area.
+
+    Parameters
+    ----------
+    packed
+        (C, h, w) with C = 4 for Bayer or 9 for X-Trans (then h and w are even), any dtype.
+    cfa
+        The CFA that ``pack`` was given.
+
+    Returns
+    -------
+    ndarray
+        (H, W), the same dtype: ``mosaic[packed_area(mosaic.shape, cfa).slices]``.
+
+    Raises
+    ------
+    ArgumentError
+        If the shape does not fit the CFA.
+    """
+    from eldata.raw._kernels import scatter
+
+    layout = _layout(_rows(cfa))
+    if packed.ndim != 3 or packed.shape[0] != layout.channels or any(n % layout.sub for n in packed.shape[1:]):
+        even = "" if layout.sub == 1 else " with even h and w"
+        raise ArgumentError(f"expected packed data ({layout.channels}, h, w){even}; found shape {packed.shape}")
+    scale = layout.period // layout.sub
+    mosaic = np.empty((packed.shape[1] * scale, packed.shape[2] * scale), dtype=packed.dtype)
+    scatter(packed, mosaic, layout.sites, layout.period, layout.sub)
+    return mosaic
+
+
+def packed_black_level_dn(cfa: Cfa, black_level_dn: Sequence[float]) -> NDArray[np.float32]:
+    """Return the black level of each packed channel, (C,) float32 in DN, from those of the CFA's channels.
+
+    Raises
+    ------
+    ArgumentError
+        If there are not as many levels as the CFA has channels (4 for Bayer, 3 for X-Trans).
+    """
+    colours = _layout(_rows(cfa)).colours
+    if len(black_level_dn) != max(colours) + 1:
+        raise ArgumentError(f"expected {max(colours) + 1} black levels for this CFA, found {len(black_level_dn)}")
+    return np.array([black_level_dn[colour] for colour in colours], dtype=np.float32)
+
+
+def _checked_levels(black: NDArray[np.float32], white_level_dn: float) -> np.float32:
+    if not np.all(np.isfinite(black)) or not np.isfinite(white_level_dn) or not white_level_dn > black.max():
+        raise ArgumentError(
+            f"the white level ({white_level_dn} DN) must lie above every black level ({black.tolist()} DN)"
+        )
+    return np.float32(white_level_dn)
+
+
+def _clip_range(clip: Clip) -> tuple[np.float32, np.float32]:
+    if clip not in _CLIP_RANGES:
+        raise ArgumentError(f"clip must be one of {', '.join(map(repr, _CLIP_RANGES))}; found {clip!r}")
+    low, high = _CLIP_RANGES[clip]
+    return np.float32(low), np.float32(high)
+
+
+def pack_normalised(
+    mosaic: NDArray[np.uint16],
+    cfa: Cfa,
+    black_level_dn: Sequence[float],
+    white_level_dn: float,
+    *,
+    clip: Clip = "both",
+    gain: float = 1.0,
+    out: NDArray[np.float32] | None = None,
+) -> NDArray[np.float32]:
+    """Pack, normalise, clip, amplify and clip again, in one pass.
+
+    ``out = clip(gain * clip((DN - black) / (white - black)))``, in float32 with one division per pixel: bit for
+    bit what the same operations give in numpy.
+
+    Parameters
+    ----------
+    mosaic
+        (H, W) uint16 in DN.
+    cfa, black_level_dn
+        As in :class:`eldata.records.Sensor`.
+    white_level_dn
+        The level that becomes 1.
+    clip
+        ``"both"``: to [0, 1], as the published ELD loader does (negative read noise is lost); ``"upper"``: at 1
+        only; ``"none"``.
+    gain
+        Non-negative factor after the first clip, such as the exposure ratio.
+    out
+        Where to write, C-contiguous float32 of the packed shape. A new array's pages cost more than the packing
+        itself, so a loop that can reuse one should.
+
+    Returns
+    -------
+    ndarray
+        (C, h, w) float32, normalised.
+
+    Raises
+    ------
+    ArgumentError
+        If the mosaic is not uint16, the levels or the gain make no sense, or the CFA is unsupported.
+    """
+    from eldata.raw._kernels import pack_bayer_normalised, pack_xtrans_normalised
+
+    if mosaic.dtype != np.uint16:
+        raise ArgumentError(f"a mosaic in DN is uint16; found {mosaic.dtype}")
+    if not (np.isfinite(gain) and gain >= 0):
+        raise ArgumentError(f"the gain must be finite and not negative; found {gain}")
+    black = packed_black_level_dn(cfa, black_level_dn)
+    white = _checked_levels(black, white_level_dn)
+    low, high = _clip_range(clip)
+    layout = _layout(_rows(cfa))
+    area = _area_of(mosaic, cfa)
+    shape = packed_shape(mosaic.shape, cfa)
+    if out is None:
+        out = np.empty(shape, dtype=np.float32)
+    elif out.shape != shape or out.dtype != np.float32 or not out.flags.c_contiguous or not out.flags.writeable:
+        raise ArgumentError(
+            f"out must be a writeable C-contiguous float32 array of shape {shape}; found {out.dtype} {out.shape}"
+        )
+    factor = np.float32(gain)
+    if layout.period == 2:
+        pack_bayer_normalised(area, out, layout.sites[:, 2].reshape(2, 2), black, white, low, high, factor)
+    else:
+        pack_xtrans_normalised(area, out, layout.sites, black, white, low, high, factor)
+    return out
+
+
+def normalise(
+    packed: NDArray[Any],
+    cfa: Cfa,
+    black_level_dn: Sequence[float],
+    white_level_dn: float,
+    *,
+    clip: Clip = "both",
+) -> NDArray[np.float32]:
+    """Return packed DN as (DN - black) / (white - black), (C, h, w) float32, clipped as named."""
+    black = packed_black_level_dn(cfa, black_level_dn)[:, None, None]
+    white = _checked_levels(black, white_level_dn)
+    return np.clip((packed.astype(np.float32) - black) / (white - black), *_clip_range(clip))
+
+
+def denormalise(
+    packed: NDArray[np.floating[Any]], cfa: Cfa, black_level_dn: Sequence[float], white_level_dn: float
+) -> NDArray[np.uint16]:
+    """Return normalised packed data as DN: uint16, rounded to the nearest, limited to [0, 65535].
+
+    The inverse of :func:`normalise` for DN that it did not clip.
+    """
+    black = packed_black_level_dn(cfa, black_level_dn)[:, None, None].astype(np.float64)
+    dn = packed * (white_level_dn - black) + black
+    return np.clip(np.rint(dn), 0, 65535).astype(np.uint16)

@@ -1,0 +1,411 @@
+"""Files to :class:`~eldata.records.RawFrame`: decoding by LibRaw, EXIF by exifread. The one decoder of this package.
+
+Which figures are taken
+-----------------------
+mosaic
+    LibRaw's visible area, copied; the file is closed before the function returns.
+CFA
+    Asked of LibRaw for the visible area's own first sites. rawpy's ``raw_pattern`` counts from the corner of the
+    full raw image and is out of phase where a margin is odd.
+black level
+    LibRaw's per-channel figure: it already joins the global level, the per-channel offsets and a DNG's repeating
+    pattern, and for bodies without a recorded level it is measured in the masked pixels of that very file.
+white level
+    LibRaw's ``white_level``: the level at which the format saturates, from the file where the file has one (DNG).
+    The per-channel ``camera_white_level_per_channel`` is missing for most cameras, comes from LibRaw's table or
+    maker notes, and even for a DNG overrides what the file says.
+colour matrix
+    A DNG's own ColorMatrix (that for D65 if there are two); else LibRaw's table for the model.
+white balance
+    As shot.
+ISO, exposure time, aperture
+    EXIF, from the EXIF IFD or IFD0, as fractions; where a format has no EXIF that exifread can read (CR3), LibRaw's
+    float32 as the simplest fraction that rounds to it.
+
+What LibRaw does not notice
+---------------------------
+LibRaw opens some truncated files as whole frames. So the extents that a TIFF-based or RAF file declares must lie
+inside of it, the file must hold at least one bit a pixel (no lossless code is shorter), and the last row must not
+be empty. Damage inside of compressed data shows in no field: only a recorded hash finds it (``eldata lock``).
+
+Fork and threads
+----------------
+Each read tells the OpenMP runtime inside rawpy's wheel to use the calling thread alone. So no thread pool is
+left behind for a forked worker to wait for, and reading is safe in DataLoader workers under fork and spawn.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import io
+import struct
+from contextlib import contextmanager
+from fractions import Fraction
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eldata.errors import RawFileError
+from eldata.records import Exposure, RawFrame, RawHeader, Sensor
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    import rawpy
+
+    from eldata.records import Matrix3
+
+    Tags = dict[str, Any]
+
+_TIFF_MAGIC = (b"II*\0", b"MM\0*")
+_RAF_MAGIC = b"FUJIFILMCCD-RAW"
+_CFA_PHOTOMETRIC = 32803
+_TAG_BLACK_LEVEL = 50714
+_D65 = 21
+
+
+def read_header(path: Path | str) -> RawHeader:
+    """Read camera and exposure of a raw file without decoding its pixels.
+
+    The file must be one that LibRaw opens, and hold all that it declares.
+
+    Raises
+    ------
+    RawFileError
+        If the file is missing, empty, truncated or not a raw file.
+    """
+    path = _existing(path)
+    with _opened(path) as raw:
+        return _header(path, raw, _exif_tags(path))
+
+
+def read_raw(path: Path | str) -> RawFrame:
+    """Decode a raw file.
+
+    Returns
+    -------
+    RawFrame
+        The visible mosaic, (H, W) uint16 in DN, with sensor and exposure. Exposure fields that the file does not
+        state are ``None`` (:func:`exposure_ratio` says which).
+
+    Raises
+    ------
+    RawFileError
+        If the file is missing, empty, truncated, not a raw file, already demosaiced (an RGB raw), without a CFA or
+        with one that is neither Bayer nor X-Trans. The message names the file and the reason.
+    """
+    import rawpy
+
+    path = _existing(path)
+    with _opened(path) as raw:
+        tags = _exif_tags(path)
+        raw.unpack()
+        header = _header(path, raw, tags)
+        if raw.raw_type != rawpy.RawType.Flat or raw.num_colors == 1:
+            shape = raw.raw_image.shape
+            kind = "no colour filter array" if len(shape) == 2 else "already demosaiced (an RGB raw)"
+            raise RawFileError(path, f"{kind}: {shape} samples; a mosaic of a Bayer or X-Trans sensor is needed")
+        cfa, index_of = _cfa(path, raw)
+        mosaic = raw.raw_image_visible.copy()
+        black = _black_level(path, raw, index_of)
+        white = float(raw.white_level)
+        if not white > max(black):
+            raise RawFileError(path, f"white level {white:g} DN is not above the black level {black} DN")
+        sensor = Sensor(
+            make=header.make,
+            model=header.model,
+            cfa=cfa,
+            black_level_dn=black,
+            white_level_dn=white,
+            height=mosaic.shape[0],
+            width=mosaic.shape[1],
+            white_balance=_white_balance(raw),
+            xyz_to_camera=_xyz_to_camera(raw, tags),
+        )
+        raw_pixels = raw.sizes.raw_height * raw.sizes.raw_width
+    size = path.stat().st_size
+    if size * 8 < raw_pixels:
+        raise RawFileError(path, f"truncated: {size} bytes cannot hold {raw_pixels} pixels")
+    if min(black) > 0 and not mosaic[-1].any():
+        raise RawFileError(
+            path, f"truncated or damaged: its last row is all 0 DN, far below the black level {black} DN"
+        )
+    return RawFrame(path, mosaic, sensor, header.exposure)
+
+
+def exposure_ratio(reference: RawFrame | RawHeader, noisy: RawFrame | RawHeader) -> Fraction:
+    """Return (ISO * t) of the reference over (ISO * t) of the noisy frame, exactly.
+
+    Raises
+    ------
+    RawFileError
+        If one of the files does not state its ISO or exposure time; the message says which.
+    """
+    return _exposure_product(reference) / _exposure_product(noisy)
+
+
+def _exposure_product(frame: RawFrame | RawHeader) -> Fraction:
+    for name, value in (("ISO", frame.exposure.iso), ("exposure time", frame.exposure.exposure_s)):
+        if value is None:
+            raise RawFileError(frame.path, f"states no {name}: neither EXIF nor IFD0 nor LibRaw has it")
+    return frame.exposure.iso * frame.exposure.exposure_s  # type: ignore[operator] # checked above
+
+
+# --- opening --------------------------------------------------------------------------------------------------
+
+
+def _existing(path: Path | str) -> Path:
+    path = Path(path)
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        raise RawFileError(path, f"cannot be read: {error.strerror}") from error
+    if path.is_dir():
+        raise RawFileError(path, "is a folder, not a raw file")
+    if size == 0:
+        raise RawFileError(path, "is empty (0 bytes): copy or download it again")
+    return path
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[rawpy.RawPy]:
+    import rawpy
+
+    _check_extents(path)
+    _one_thread()
+    # Not rawpy.imread: it warns in every forked process, and _one_thread removes what it warns of.
+    raw = rawpy.RawPy()
+    try:
+        raw.open_file(str(path))
+        raw.set_unpack_params(shot_select=0)
+        yield raw
+    except rawpy.LibRawFileUnsupportedError as error:
+        raise RawFileError(path, "is not a raw file that LibRaw knows") from error
+    except rawpy.LibRawError as error:
+        reason = error.args[0] if error.args else error
+        text = reason.decode(errors="replace") if isinstance(reason, bytes) else str(reason)
+        raise RawFileError(path, f"LibRaw cannot decode it ({text}); is the file whole?") from error
+    finally:
+        raw.close()
+
+
+@cache
+def _set_openmp_threads() -> Callable[[int], None] | None:
+    """Return omp_set_num_threads of the runtime that rawpy's wheel brings, or None if it brings none."""
+    import rawpy
+
+    package = Path(rawpy.__file__).parent
+    for library in sorted((package.parent / "rawpy.libs").glob("libgomp*")):
+        return ctypes.CDLL(str(library)).omp_set_num_threads
+    return None
+
+
+def _one_thread() -> None:
+    set_threads = _set_openmp_threads()
+    if set_threads is not None:
+        set_threads(1)  # a setting of the calling thread, so it is made for each read
+
+
+# --- what the file declares -----------------------------------------------------------------------------------
+
+
+def _check_extents(path: Path) -> None:
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(108)
+    if head.startswith(_TIFF_MAGIC):
+        declared = _tiff_extents(path)
+    elif head.startswith(_RAF_MAGIC) and len(head) == 108:
+        # Offset and length of the JPEG, the CFA header and the CFA data, big-endian.
+        declared = [struct.unpack_from(">II", head, at) for at in (84, 92, 100)]
+    else:
+        declared = []
+    end = max((offset + length for offset, length in declared), default=0)
+    if end > size:
+        raise RawFileError(
+            path,
+            f"truncated: it declares data up to byte {end} but has {size} bytes; copy or download it again",
+        )
+
+
+def _tiff_extents(path: Path) -> list[tuple[int, int]]:
+    import tifffile
+
+    found: list[tuple[int, int, int]] = []
+
+    def collect(pages: Any) -> None:
+        for page in pages:
+            found.extend(
+                (int(page.photometric), offset, length)
+                for offset, length in zip(page.dataoffsets, page.databytecounts, strict=False)
+            )
+            if page.subifds:
+                collect(page.pages)
+
+    logger = tifffile.logger()
+    was_disabled, logger.disabled = logger.disabled, True  # what it would log is raised below
+    try:
+        with tifffile.TiffFile(path) as tiff:
+            collect(tiff.pages)
+    except Exception as error:  # tifffile raises many kinds on a cut-off directory
+        raise RawFileError(path, f"its TIFF directory cannot be read ({error}); is the file whole?") from error
+    finally:
+        logger.disabled = was_disabled
+    # The raw image alone where it is marked as such: some cameras declare previews that they do not write.
+    mosaics = [(offset, length) for photometric, offset, length in found if photometric == _CFA_PHOTOMETRIC]
+    return mosaics or [(offset, length) for _, offset, length in found]
+
+
+# --- EXIF -----------------------------------------------------------------------------------------------------
+
+
+def _exif_tags(path: Path) -> Tags:
+    """Return exifread's tags; empty where the container is one that exifread does not know."""
+    import exifread
+
+    with path.open("rb") as file:
+        head = file.read(92)
+        if head.startswith(_RAF_MAGIC) and len(head) == 92:
+            # A RAF embeds a JPEG with the EXIF.
+            offset, length = struct.unpack_from(">II", head, 84)
+            file.seek(offset)
+            source: Any = io.BytesIO(file.read(length))
+        elif head.startswith(_TIFF_MAGIC):
+            source = file
+        else:
+            return {}
+        try:
+            return exifread.process_file(source, details=False, extract_thumbnail=False)
+        except Exception as error:  # exifread raises many kinds on damaged EXIF
+            raise RawFileError(path, f"its EXIF cannot be read ({error}); is the file whole?") from error
+
+
+def _header(path: Path, raw: rawpy.RawPy, tags: Tags) -> RawHeader:
+    return RawHeader(path, _ascii(tags, "Image Make"), _ascii(tags, "Image Model"), _exposure(tags, raw))
+
+
+def _ascii(tags: Tags, name: str) -> str:
+    tag = tags.get(name)
+    return "" if tag is None else str(tag.values).strip("\0 ")
+
+
+def _exposure(tags: Tags, raw: rawpy.RawPy) -> Exposure:
+    iso = _fraction(tags, "ISOSpeedRatings")
+    if iso is None or iso == 65535:  # 16 bits: EXIF 2.3 states higher speeds elsewhere
+        for name in ("RecommendedExposureIndex", "StandardOutputSensitivity", "ISOSpeed"):
+            iso = _fraction(tags, name) or iso
+    exposure_s, f_number = _fraction(tags, "ExposureTime"), _fraction(tags, "FNumber")
+    if iso is None or exposure_s is None:  # asked only then: rawpy decodes the pixels to answer
+        iso = iso or _simplest_fraction(raw.other.iso_speed)
+        exposure_s = exposure_s or _simplest_fraction(raw.other.shutter_speed)
+        f_number = f_number or _simplest_fraction(raw.other.aperture)
+    return Exposure(iso, exposure_s, f_number)
+
+
+def _fraction(tags: Tags, name: str) -> Fraction | None:
+    """Return a tag's first value, from the EXIF IFD or else from IFD0, if it is a positive number."""
+    for ifd in ("EXIF", "Image"):
+        tag = tags.get(f"{ifd} {name}")
+        if tag is None or not tag.values:
+            continue
+        value = tag.values[0]
+        numerator, denominator = getattr(value, "num", value), getattr(value, "den", 1)
+        if isinstance(numerator, int) and isinstance(denominator, int) and denominator and numerator > 0:
+            return Fraction(numerator, denominator)
+    return None
+
+
+def _simplest_fraction(value: float) -> Fraction | None:
+    """Return the fraction of the smallest denominator (by powers of ten) that rounds to a float32."""
+    if not (np.isfinite(value) and value > 0):
+        return None
+    for digits in range(1, 10):
+        fraction = Fraction(value).limit_denominator(10**digits)
+        if np.float32(float(fraction)) == np.float32(value):
+            return fraction
+    return Fraction(value)
+
+
+# --- sensor ---------------------------------------------------------------------------------------------------
+
+
+def _cfa(path: Path, raw: rawpy.RawPy) -> tuple[tuple[tuple[int, ...], ...], tuple[int, ...]]:
+    """Return the visible area's CFA in our channel indices, and LibRaw's colour index of each of them."""
+    names = raw.color_desc.decode("ascii", "replace")
+    try:
+        pattern = raw.raw_pattern
+    except NotImplementedError as error:
+        raise RawFileError(path, f"unsupported colour filter array ({error})") from error
+    period = 0 if pattern is None else len(pattern)
+    top, left = raw.sizes.top_margin, raw.sizes.left_margin
+    sites = [[raw.raw_color(top + y, left + x) for x in range(period)] for y in range(period)]
+    colours = [[names[index] for index in row] for row in sites]
+    flat = sorted(colour for row in colours for colour in row)
+    if period == 2 and flat == ["B", "G", "G", "R"]:
+        ours = [[{"R": 0, "B": 2}.get(c, 1 if "R" in row else 3) for c in row] for row in colours]
+    elif period == 6 and set(flat) == {"R", "G", "B"}:
+        ours = [["RGB".index(c) for c in row] for row in colours]
+    else:
+        raise RawFileError(
+            path,
+            f"unsupported colour filter array: {period} x {period} of {''.join(flat)}; Bayer or X-Trans is needed",
+        )
+    libraw_index = {
+        mine: theirs
+        for ours_row, row in zip(ours, sites, strict=True)
+        for mine, theirs in zip(ours_row, row, strict=True)
+    }
+    return tuple(map(tuple, ours)), tuple(libraw_index[channel] for channel in sorted(libraw_index))
+
+
+def _black_level(path: Path, raw: rawpy.RawPy, index_of: tuple[int, ...]) -> tuple[float, ...]:
+    levels = raw.black_level_per_channel
+    if len(index_of) == 3 and not _uniform_dng_black(path):
+        raise RawFileError(path, "an X-Trans DNG whose BlackLevel differs by site: LibRaw reports just the smallest")
+    return tuple(float(levels[index]) for index in index_of)
+
+
+def _uniform_dng_black(path: Path) -> bool:
+    import tifffile
+
+    with path.open("rb") as file:
+        if file.read(4) not in _TIFF_MAGIC:
+            return True
+    with tifffile.TiffFile(path) as tiff:
+        for page in tiff.pages:
+            for candidate in (page, *(page.pages or ())):
+                tag = candidate.tags.get(_TAG_BLACK_LEVEL)
+                if tag is not None and tag.count > 1:
+                    values = np.asarray(tag.value).reshape(tag.count, -1)
+                    if (values != values[0]).any():
+                        return False
+    return True
+
+
+def _white_balance(raw: rawpy.RawPy) -> tuple[float, float, float, float] | None:
+    red, green, blue, second_green = raw.camera_whitebalance
+    if not (red > 0 and green > 0 and blue > 0):
+        return None
+    # LibRaw keeps float32: six decimals give back the number that the file states.
+    values = (red, green, blue, second_green if second_green > 0 else green)
+    return tuple(round(float(value) / float(green), 6) for value in values)  # type: ignore[return-value] # of four
+
+
+def _xyz_to_camera(raw: rawpy.RawPy, tags: Tags) -> Matrix3 | None:
+    by_illuminant = {}
+    for matrix_tag, illuminant_tag in (("0xC621", "0xC65A"), ("0xC622", "0xC65B")):
+        matrix = tags.get(f"Image Tag {matrix_tag}")
+        if matrix is not None and len(matrix.values) == 9:
+            illuminant = tags.get(f"Image Tag {illuminant_tag}")
+            by_illuminant[illuminant.values[0] if illuminant is not None else 0] = [
+                float(value) for value in matrix.values
+            ]
+    if by_illuminant:
+        values = np.array(by_illuminant.get(_D65) or list(by_illuminant.values())[-1]).reshape(3, 3)
+    else:
+        values = np.asarray(raw.rgb_xyz_matrix[:3], dtype=np.float64)
+    if not values.any():
+        return None
+    return tuple(tuple(round(float(value), 6) for value in row) for row in values)  # type: ignore[return-value] # 3x3

@@ -1,0 +1,168 @@
+"""What the metrics accept: one image as a numpy array or a torch tensor, cut into bands for the kernels."""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from eldata._compiled import in_threads
+from eldata.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    import torch
+
+Array: TypeAlias = npt.NDArray[np.floating[Any]]
+Image: TypeAlias = "Array | torch.Tensor"
+Block: TypeAlias = npt.NDArray[np.float32] | npt.NDArray[np.float64]
+
+Result = TypeVar("Result")
+
+_BAND_ROWS = 256  # a smaller band repeats more of the margin, a larger one leaves threads idle
+# Images of fewer values are done sooner than threads are started.
+_LEAST_FOR_THREADS = 1 << 22  # for one plain pass, which memory bounds
+_LEAST_FOR_THREADS_WINDOWED = 1 << 18
+
+
+def is_tensor(image: object) -> bool:
+    """Tell whether ``image`` is a torch tensor, without importing torch for those who do not use it."""
+    torch = sys.modules.get("torch")
+    return torch is not None and isinstance(image, torch.Tensor)
+
+
+def host_array(image: Image, name: str) -> Array:
+    """Return ``image`` as a numpy array; a tensor is detached, and copied only from another device.
+
+    bfloat16, which numpy does not know, becomes float32.
+    """
+    if is_tensor(image):
+        tensor: torch.Tensor = image  # type: ignore[assignment]
+        if str(tensor.dtype) == "torch.bfloat16":
+            tensor = tensor.detach().float()
+        array: npt.NDArray[Any] = tensor.numpy(force=True)
+    elif isinstance(image, np.ndarray):
+        array = image
+    else:
+        raise ArgumentError(f"{name} must be a numpy array or a torch tensor, not {type(image).__name__}")
+    if array.dtype.kind in "iu":
+        raise ArgumentError(
+            f"{name} holds integers ({array.dtype}): normalise it to floating point in [0, 1] first, "
+            "for uint16 by dividing by 65535"
+        )
+    if array.dtype.kind != "f" or array.dtype.itemsize > 8:
+        raise ArgumentError(f"{name} must be float16, bfloat16, float32 or float64, not {array.dtype}")
+    if array.ndim == 4:
+        raise ArgumentError(
+            f"{name} is a batch of shape {array.shape}: metrics take one image per call, "
+            "so loop over the batch or index it"
+        )
+    if array.ndim not in {2, 3}:
+        raise ArgumentError(f"{name} must be one image (C, h, w) or (h, w), not of shape {array.shape}")
+    if array.size == 0:
+        raise ArgumentError(f"{name} is empty: its shape is {array.shape}")
+    return array
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """Rows ``start`` to ``stop`` of one channel; the rows beyond ``owned`` belong to the next band too."""
+
+    channel: int
+    start: int
+    stop: int
+    owned: int
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """A prediction and its reference, both (C, h, w), not copied."""
+
+    prediction: Array
+    reference: Array
+    dtype: type[np.float32 | np.float64]
+
+    def bands(self, window: int = 1) -> list[Band]:
+        """Cut the image into bands that together hold each ``window`` of rows once.
+
+        The cut depends on the shape alone, and so do the sums, whatever the number of threads.
+        """
+        channels, height, _ = self.prediction.shape
+        margin = window - 1
+        windows = height - margin
+        count = -(-windows // _BAND_ROWS)
+        edges = [windows * index // count for index in range(count + 1)]
+        return [
+            Band(channel, start, stop + margin, stop - start + (margin if stop == windows else 0))
+            for channel in range(channels)
+            for start, stop in pairwise(edges)
+        ]
+
+    def over_bands(self, work: Callable[[Band], Result], threads: int | None, window: int = 1) -> list[Result]:
+        """Return ``work(band)`` of every band, in order."""
+        least = _LEAST_FOR_THREADS if window == 1 else _LEAST_FOR_THREADS_WINDOWED
+        return in_threads(work, self.bands(window), 1 if self.prediction.size < least else threads)
+
+    def blocks(self, band: Band) -> tuple[Block, Block]:
+        """Return the band's rows of both images, C-contiguous; they are copied only where they must be."""
+        return self._block(self.prediction, band), self._block(self.reference, band)
+
+    def _block(self, image: Array, band: Band) -> Block:
+        block = np.require(image[band.channel, band.start : band.stop], self.dtype, ("C", "A", "E"))
+        block.flags.writeable = False  # always, so that numba compiles each kernel once per dtype
+        return block
+
+
+def pair(prediction: Image, reference: Image, *, smallest: int = 1) -> Pair:
+    """Check both images and return them as a :class:`Pair`.
+
+    Parameters
+    ----------
+    prediction, reference
+        One image each, (C, h, w) or (h, w), of the same shape.
+    smallest
+        The least height and width that will do.
+
+    Raises
+    ------
+    ArgumentError
+        If an image is not one image of floating-point numbers, the shapes differ, or they are too small.
+    """
+    p = host_array(prediction, "the prediction")
+    g = host_array(reference, "the reference")
+    if p.shape != g.shape:
+        raise ArgumentError(f"the prediction and the reference differ in shape: {p.shape} against {g.shape}")
+    if min(p.shape[-2:]) < smallest:
+        raise ArgumentError(
+            f"an image of shape {p.shape} is too small: SSIM's window needs at least {smallest} x {smallest} pixels"
+        )
+    wide = max(p.dtype.itemsize, g.dtype.itemsize) > 4
+    if p.ndim == 2:
+        p, g = p[np.newaxis], g[np.newaxis]
+    return Pair(p, g, np.float64 if wide else np.float32)
+
+
+def check_threads(threads: int | None) -> None:
+    """Raise :class:`ArgumentError` unless ``threads`` is None or at least 1."""
+    if threads is not None and threads < 1:
+        raise ArgumentError(f"threads must be at least 1, or None for every CPU, not {threads}")
+
+
+def check_data_range(data_range: float) -> None:
+    """Raise :class:`ArgumentError` unless ``data_range`` is positive and finite."""
+    if not (data_range > 0 and math.isfinite(data_range)):
+        raise ArgumentError(f"data_range must be positive and finite, not {data_range}")
+
+
+def total(parts: Iterable[float]) -> float:
+    """Add the bands' sums in their order; infinities and NaN pass through without a warning."""
+    result = 0.0
+    for part in parts:
+        result += part
+    return result

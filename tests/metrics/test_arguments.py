@@ -1,0 +1,190 @@
+"""What every metric accepts and refuses."""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import torch
+
+from eldata import metrics
+from eldata.errors import ArgumentError
+from eldata.metrics import _images
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    Metric = Callable[..., Any]
+
+METRICS = [
+    pytest.param(metrics.psnr, id="psnr"),
+    pytest.param(metrics.ssim, id="ssim"),
+    pytest.param(metrics.rescale_factor, id="rescale_factor"),
+    pytest.param(lambda p, g, **k: metrics.score(p, g, rescaling="scalar", **k), id="score"),
+]
+
+
+def images(*shape: int, seed: int = 0) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    rng = np.random.default_rng(seed)
+    reference = rng.random(shape, np.float32)
+    prediction = 0.8 * reference + rng.normal(0, 0.05, shape).astype(np.float32)
+    return prediction, reference
+
+
+def test_public_names() -> None:
+    assert set(metrics.__all__) == {"Score", "psnr", "rescale", "rescale_factor", "score", "ssim"}
+    assert set(metrics.__all__) <= set(dir(metrics))
+
+
+@pytest.mark.parametrize("metric", METRICS)
+@pytest.mark.parametrize("as_tensor", [False, True])
+def test_layout_does_not_matter(metric: Metric, as_tensor: bool) -> None:
+    p, g = images(3, 40, 50)
+    expected = metric(p, g)
+    wide = np.zeros((40, 100, 6), np.float32)  # HWC, every other column of every other channel
+    wide[:, ::2, ::2] = p.transpose(1, 2, 0)
+    strided = wide[:, ::2, ::2].transpose(2, 0, 1)
+    swapped = g.transpose(0, 2, 1).copy().transpose(0, 2, 1)
+    if as_tensor:
+        # torch knows no negative strides
+        strided_t, swapped_t = torch.from_numpy(strided), torch.from_numpy(swapped)
+        assert not strided_t.is_contiguous()
+        assert metric(strided_t, swapped_t) == expected
+        assert metric(strided_t.clone().requires_grad_(), g) == expected
+        assert metric(p, swapped_t) == expected
+    else:
+        reverse = g[:, ::-1].copy()[:, ::-1]
+        assert reverse.strides[1] < 0
+        assert metric(strided, swapped) == expected
+        assert metric(strided, reverse) == expected
+        assert metric(p.astype(">f4"), g) == expected
+        read_only = p.copy()
+        read_only.flags.writeable = False
+        assert metric(read_only, g) == expected
+        shifted = np.frombuffer(b"\0" + p.tobytes(), np.uint8)[1:].view(np.float32).reshape(p.shape)
+        assert not shifted.flags.aligned
+        assert metric(shifted, g) == expected
+
+
+@pytest.mark.parametrize("metric", METRICS)
+def test_precisions_are_taken_exactly(metric: Metric) -> None:
+    p, g = images(2, 30, 31)
+    assert metric(p.astype(np.float64), g) == metric(p, g)
+    assert metric(p, g.astype(np.float64)) == metric(p, g)
+    half = p.astype(np.float16)
+    assert metric(half, g) == metric(half.astype(np.float32), g)
+    assert metric(torch.from_numpy(half), g) == metric(half, g)
+    brain = torch.from_numpy(p).bfloat16()
+    assert metric(brain, g) == metric(brain.float(), g) != metric(p, g)
+
+
+@pytest.mark.parametrize("metric", METRICS)
+def test_plane_is_one_channel(metric: Metric) -> None:
+    p, g = images(1, 20, 21)
+    assert metric(p[0], g[0]) == metric(p, g)
+
+
+@pytest.mark.parametrize("metric", METRICS)
+def test_inputs_stay_as_they_are(metric: Metric) -> None:
+    p, g = images(2, 20, 21)
+    copies = p.copy(), g.copy()
+    metric(p, g)
+    np.testing.assert_array_equal(p, copies[0])
+    np.testing.assert_array_equal(g, copies[1])
+    assert p.flags.writeable
+    assert g.flags.writeable
+
+
+@pytest.mark.parametrize("metric", METRICS)
+@pytest.mark.parametrize("shape", [(4, 611, 331), (700, 300), (3, 260, 257)])
+def test_threads_do_not_change_a_bit(
+    metric: Metric, shape: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    p, g = images(*shape)
+    expected = metric(p, g)  # small images are done in this thread
+    used = set()
+    blocks = _images.Pair.blocks
+
+    def spy(pair: _images.Pair, band: _images.Band) -> tuple[_images.Block, _images.Block]:
+        used.add(threading.current_thread().name)
+        return blocks(pair, band)
+
+    monkeypatch.setattr(_images.Pair, "blocks", spy)
+    monkeypatch.setattr(_images, "_LEAST_FOR_THREADS", 0)
+    monkeypatch.setattr(_images, "_LEAST_FOR_THREADS_WINDOWED", 0)
+    for threads in (2, 3, 4, 64, None):
+        assert metric(p, g, threads=threads) == expected
+    assert any(name.startswith("eldata") for name in used)
+    used.clear()
+    assert metric(p, g, threads=1) == expected
+    assert used == {threading.current_thread().name}
+
+
+@pytest.mark.parametrize("metric", METRICS)
+@pytest.mark.parametrize("where", ["prediction", "reference"])
+def test_nan_gives_nan(metric: Metric, where: str) -> None:
+    p, g = images(2, 30, 31)
+    (p if where == "prediction" else g)[1, 3, 4] = np.nan
+    result = metric(p, g)
+    numbers = [result.psnr_db, result.ssim] if isinstance(result, metrics.Score) else [result]
+    assert np.isnan(numbers).all()
+
+
+@pytest.mark.parametrize("metric", METRICS)
+@pytest.mark.parametrize("value", [np.inf, -np.inf])
+def test_infinity_does_not_crash(metric: Metric, value: float) -> None:
+    p, g = images(2, 30, 31)
+    g[0, 0, 0] = value
+    metric(p, g)
+    metric(g, p)
+
+
+@pytest.mark.parametrize("metric", METRICS)
+def test_refusals(metric: Metric) -> None:
+    p, g = images(2, 30, 31)
+    with pytest.raises(ArgumentError, match=r"\(2, 30, 31\) against \(2, 31, 30\)"):
+        metric(p, g.reshape(2, 31, 30))
+    with pytest.raises(ArgumentError, match=r"\(30, 31\) against \(1, 30, 31\)"):
+        metric(p[0], g[:1])
+    with pytest.raises(ArgumentError, match=r"batch of shape \(1, 2, 30, 31\).*loop"):
+        metric(p[None], g[None])
+    with pytest.raises(ArgumentError, match=r"batch of shape \(1, 2, 30, 31\)"):
+        metric(torch.from_numpy(p[None]), g)
+    with pytest.raises(ArgumentError, match=r"\(C, h, w\) or \(h, w\), not of shape \(31,\)"):
+        metric(p[0, 0], g[0, 0])
+    with pytest.raises(ArgumentError, match="empty"):
+        metric(p[:0], g[:0])
+    with pytest.raises(ArgumentError, match="not list"):
+        metric(p.tolist(), g)
+    for threads in (0, -1):
+        with pytest.raises(ArgumentError, match="threads"):
+            metric(p, g, threads=threads)
+
+
+@pytest.mark.parametrize("metric", METRICS)
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.int64])
+def test_integers_are_refused_with_the_remedy(metric: Metric, dtype: npt.DTypeLike) -> None:
+    whole = np.ones((2, 30, 31), dtype)
+    g = np.ones(whole.shape, np.float32)
+    with pytest.raises(ArgumentError, match=r"the prediction holds integers.*\[0, 1\].*65535"):
+        metric(whole, g)
+    with pytest.raises(ArgumentError, match=r"the reference holds integers"):
+        metric(torch.from_numpy(g), torch.from_numpy(whole))
+
+
+@pytest.mark.parametrize("metric", METRICS)
+@pytest.mark.parametrize("dtype", [bool, np.complex64, np.longdouble, object])
+def test_other_types_are_refused(metric: Metric, dtype: npt.DTypeLike) -> None:
+    g = np.ones((2, 30, 31), np.float32)
+    with pytest.raises(ArgumentError, match="must be float16, bfloat16, float32 or float64"):
+        metric(g.astype(dtype), g)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+@pytest.mark.parametrize("metric", METRICS)
+def test_other_devices(metric: Metric) -> None:
+    p, g = images(2, 30, 31)
+    assert metric(torch.from_numpy(p).cuda().requires_grad_(), torch.from_numpy(g).cuda()) == metric(p, g)

@@ -1,0 +1,144 @@
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from eldata.errors import ArgumentError
+from eldata.metrics import psnr, rescale, rescale_factor
+
+Image = npt.NDArray[np.floating[Any]]
+
+
+def elds_factor(p: Image, g: Image) -> float:
+    """Write the definition out with exactly rounded sums."""
+    use = g.ravel() != 1.0
+    p64 = np.clip(p.ravel()[use].astype(np.float64), 0, 1)
+    g64 = g.ravel()[use].astype(np.float64)
+    return math.fsum(p64 * g64) / math.fsum(p64 * p64)
+
+
+def saturated_pair(shape: tuple[int, ...], dtype: npt.DTypeLike = np.float32) -> tuple[Image, Image]:
+    rng = np.random.default_rng(5)
+    g = np.clip(rng.gamma(1.0, 0.4, shape), 0, 1).astype(dtype)
+    p = (0.9 * g + rng.normal(0, 0.1, shape)).astype(dtype)
+    assert (g == 1).mean() > 0.03
+    assert p.min() < 0
+    assert p.max() > 1
+    return p, g
+
+
+@pytest.mark.parametrize("shape", [(40, 50), (4, 33, 57), (2, 700, 513)])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_factor_is_elds(shape: tuple[int, ...], dtype: npt.DTypeLike) -> None:
+    p, g = saturated_pair(shape, dtype)
+    assert rescale_factor(p, g) == pytest.approx(elds_factor(p, g), rel=1e-13)
+
+
+def test_factor_recovers_a_gain() -> None:
+    rng = np.random.default_rng(6)
+    g = rng.uniform(0, 0.5, (2, 30, 30))
+    assert rescale_factor(g / 1.25, g) == pytest.approx(1.25, rel=1e-14)
+    assert rescale_factor(g, g) == 1.0
+
+
+def test_saturated_entries_are_left_out() -> None:
+    g = np.full((10, 10), 0.25)
+    p = np.full((10, 10), 0.5)
+    g[0], p[0] = 1.0, 0.9
+    g[1, 0] = np.nextafter(1.0, 0.0)  # just below: counts
+    p[1, 0] = 0.0
+    assert rescale_factor(p, g) == 0.5
+    p[0, 0] = np.nan  # left out as well
+    assert rescale_factor(p, g) == 0.5
+
+
+def test_factor_is_least_squares() -> None:
+    p, g = saturated_pair((3, 40, 40))
+    clamped = np.clip(p.astype(np.float64), 0, 1)[g != 1]
+    best = rescale_factor(p, g)
+    errors = [float(((f * clamped - g[g != 1]) ** 2).sum()) for f in (best - 1e-4, best, best + 1e-4)]
+    assert errors[1] == min(errors)
+
+
+@pytest.mark.parametrize("dark", [0.0, -0.5])
+def test_dark_prediction(dark: float) -> None:
+    p, g = np.full((2, 9, 9), dark), np.full((2, 9, 9), 0.5)
+    assert rescale_factor(p, g) == 1.0
+    np.testing.assert_array_equal(rescale(p, g), np.zeros_like(p))
+
+
+def test_fully_saturated_reference() -> None:
+    p, g = np.full((2, 9, 9), 0.5, np.float32), np.ones((2, 9, 9), np.float32)
+    assert rescale_factor(p, g) == 1.0
+    np.testing.assert_array_equal(rescale(p, g), p)
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64, np.dtype(">f4")])
+def test_rescale_numpy(dtype: npt.DTypeLike) -> None:
+    p, g = saturated_pair((3, 30, 40), dtype)
+    before = p.copy()
+    result = rescale(p, g)
+    assert isinstance(result, np.ndarray)
+    assert result.dtype == np.dtype(dtype)
+    expected = np.clip(rescale_factor(p, g) * np.clip(p.astype(np.float64), 0, 1), 0, 1).astype(dtype)
+    np.testing.assert_array_equal(result, expected)
+    np.testing.assert_array_equal(p, before)
+    assert not np.shares_memory(result, p)
+    assert psnr(result, g) > psnr(np.clip(p, 0, 1), g)
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float32, torch.float64])
+def test_rescale_torch(dtype: torch.dtype) -> None:
+    p, g = (torch.from_numpy(image).to(dtype) for image in saturated_pair((3, 30, 40)))
+    p = p.transpose(1, 2).contiguous().transpose(1, 2).requires_grad_()
+    result = rescale(p, g)
+    assert isinstance(result, torch.Tensor)
+    assert (result.dtype, result.shape, result.device) == (p.dtype, p.shape, p.device)
+    assert not result.requires_grad
+    numpy_result = rescale(p.detach().double().numpy(), g.double().numpy())
+    torch.testing.assert_close(result.double(), torch.from_numpy(numpy_result).to(dtype).double())
+
+
+def test_rescale_plane_and_refusal() -> None:
+    p, g = saturated_pair((30, 40))
+    np.testing.assert_array_equal(rescale(p, g), rescale(p[None], g[None])[0])
+    with pytest.raises(ArgumentError, match="differ in shape"):
+        rescale(p, g[:-1])
+    with pytest.raises(ArgumentError, match="normalise"):
+        rescale((p * 255).astype(np.int16), g)
+
+
+def test_rescale_keeps_nan() -> None:
+    p, g = saturated_pair((30, 40))
+    row, column = np.argwhere(g == 1)[0]
+    p[row, column] = np.nan  # does not count for the factor
+    result = rescale(p, g)
+    assert np.isnan(result[row, column])
+    assert np.isnan(result).sum() == 1
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    hnp.arrays(np.float32, st.tuples(*[st.integers(1, 12)] * 3), elements=st.floats(-0.5, 1.5, width=32)),
+    st.integers(0, 2**32 - 1),
+)
+def test_properties(p: npt.NDArray[np.float32], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    g = np.minimum(rng.random(p.shape, np.float32) * 1.3, np.float32(1))
+    factor = rescale_factor(p, g)
+    assert factor >= 0.0
+    if np.clip(p, 0, 1)[g != 1].astype(np.float64).any():
+        assert factor == pytest.approx(elds_factor(p, g), rel=1e-12)
+    else:
+        assert factor == 1.0
+    result = rescale(p, g)
+    assert result.min() >= 0
+    assert result.max() <= 1

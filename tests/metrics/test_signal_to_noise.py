@@ -1,0 +1,68 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from skimage.metrics import peak_signal_noise_ratio
+
+from eldata.errors import ArgumentError
+from eldata.metrics import psnr
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (7, 7), (4, 33, 57), (2, 600, 259), (3, 5, 2000)])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("data_range", [1.0, 255.0, 0.3])
+def test_equals_scikit_image(shape: tuple[int, ...], dtype: npt.DTypeLike, data_range: float) -> None:
+    rng = np.random.default_rng(1)
+    g = (data_range * rng.random(shape)).astype(dtype)
+    p = (g + data_range * rng.normal(0.01, 0.2, shape)).astype(dtype)
+    expected = peak_signal_noise_ratio(  # type: ignore[no-untyped-call]
+        g.astype(np.float64), p.astype(np.float64), data_range=data_range
+    )
+    assert psnr(p, g, data_range=data_range) == pytest.approx(expected, abs=1e-9)
+
+
+def test_known_values() -> None:
+    g = np.full((3, 8, 8), 0.5)
+    assert psnr(g + 0.125, g) == pytest.approx(20 * math.log10(8), abs=1e-12)
+    assert psnr(g, g) == math.inf
+    assert psnr(g + 1e-12, g) < 241
+    assert psnr(g + 1.5, g) == pytest.approx(-20 * math.log10(1.5), abs=1e-12)  # nothing is clipped
+
+
+def test_one_pixel_of_a_large_image_counts() -> None:
+    """Each entry is summed once: at the corners, and on both sides of every cut."""
+    g = np.zeros((2, 1030, 520), np.float32)
+    expected = 10 * math.log10(g.size)
+    for row in (0, 255, 256, 257, 512, 1029):
+        for column in (0, 255, 256, 519):
+            p = g.copy()
+            p[1, row, column] = 1.0
+            assert psnr(p, g) == pytest.approx(expected, abs=1e-12)
+
+
+def test_infinite_error() -> None:
+    g = np.zeros((8, 8))
+    assert psnr(g + np.inf, g) == -math.inf
+
+
+@pytest.mark.parametrize("data_range", [0.0, -1.0, math.inf, math.nan])
+def test_bad_data_range(data_range: float) -> None:
+    with pytest.raises(ArgumentError, match="data_range"):
+        psnr(np.zeros((8, 8)), np.zeros((8, 8)), data_range=data_range)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    hnp.arrays(np.float64, st.tuples(*[st.integers(1, 9)] * 3), elements=st.floats(-2, 2, width=32)),
+    st.floats(0.01, 1),
+)
+def test_symmetric_and_scales(p: npt.NDArray[np.float64], factor: float) -> None:
+    g = np.roll(p, 1, axis=-1) + 0.25
+    assert psnr(p, g) == psnr(g, p)
+    assert psnr(factor * p, factor * g, data_range=factor) == pytest.approx(psnr(p, g), abs=1e-6)

@@ -1,0 +1,158 @@
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from skimage.metrics import structural_similarity
+
+from eldata.errors import ArgumentError
+from eldata.metrics import ssim
+
+Image = npt.NDArray[np.float64]
+
+
+def oracle(p: npt.ArrayLike, g: npt.ArrayLike, data_range: float = 1.0) -> float:
+    p64, g64 = np.asarray(p, np.float64), np.asarray(g, np.float64)
+    axis = 0 if p64.ndim == 3 else None
+    return float(
+        structural_similarity(  # type: ignore[no-untyped-call]
+            g64, p64, data_range=data_range, channel_axis=axis
+        )
+    )
+
+
+def direct(p: Image, g: Image) -> float:
+    """Two-pass statistics of each window of a (h, w) image, without any sliding sum."""
+    x = np.lib.stride_tricks.sliding_window_view(p, (7, 7)).reshape(-1, 49)
+    y = np.lib.stride_tricks.sliding_window_view(g, (7, 7)).reshape(-1, 49)
+    ux, uy = x.mean(1), y.mean(1)
+    dx, dy = x - ux[:, None], y - uy[:, None]
+    vx, vy, vxy = ((a * b).sum(1) / 48 for a, b in ((dx, dx), (dy, dy), (dx, dy)))
+    c1, c2 = 0.01**2, 0.03**2
+    index = (2 * ux * uy + c1) * (2 * vxy + c2) / ((ux**2 + uy**2 + c1) * (vx + vy + c2))
+    return float(index.mean())
+
+
+SHAPES = [
+    (7, 7),
+    (1, 7, 7),
+    (3, 7, 40),
+    (3, 40, 7),
+    (2, 8, 13),
+    (4, 33, 57),
+    (262, 262),  # exactly one band and one strip
+    (263, 263),  # one more of each
+    (2, 530, 519),
+    (3, 9, 2000),
+    (1, 1300, 11),
+]
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_equals_scikit_image(shape: tuple[int, ...], dtype: npt.DTypeLike) -> None:
+    rng = np.random.default_rng(2)
+    g = rng.random(shape).astype(dtype)
+    p = (0.7 * g + rng.normal(0.1, 0.1, shape)).astype(dtype)
+    assert ssim(p, g) == pytest.approx(oracle(p, g), abs=1e-12)
+
+
+@pytest.mark.parametrize("data_range", [0.2, 255.0, 16383.0])
+def test_data_range(data_range: float) -> None:
+    rng = np.random.default_rng(3)
+    g = data_range * rng.random((2, 30, 41))
+    p = g + data_range * rng.normal(0, 0.2, g.shape)
+    assert ssim(p, g, data_range=data_range) == pytest.approx(oracle(p, g, data_range), abs=1e-12)
+
+
+def hard_cases() -> dict[str, tuple[Image, Image]]:
+    rng = np.random.default_rng(4)
+    shape = (600, 300)
+    step = np.where(np.arange(600)[:, None] < 150, 1.0, 1e-4) * np.ones(shape)  # bright, then dark rows
+    spikes = np.full(shape, 1e-3)
+    spikes[::50, ::50] = 1.0
+    flat = np.full(shape, 0.5)
+    faint = rng.normal(0, 1, shape)
+    return {
+        "flat": (flat + 2e-4 * faint, flat + 2e-4 * rng.normal(0, 1, shape)),
+        "flat, same noise": (flat + 2e-4 * faint, flat + 1e-4 * faint),
+        "flat at 1": (np.ones(shape) - 1e-6 * abs(faint), np.ones(shape)),
+        "bright and dark": (step * (1 + 1e-3 * faint), step),
+        "spikes": (spikes + 1e-5 * faint, spikes),
+        "anticorrelated": (flat + 0.1 * faint, flat - 0.1 * faint),
+    }
+
+
+@pytest.mark.parametrize("name", hard_cases())
+def test_cancellation_and_drift(name: str) -> None:
+    """The sums slide over 262 rows; compare with statistics computed window by window about their mean."""
+    p, g = hard_cases()[name]
+    assert ssim(p, g) == pytest.approx(direct(p, g), abs=2e-12)
+
+
+def test_images_with_a_closed_form() -> None:
+    """Constants: only the luminance term. A quarter and a half: exact in rationals."""
+    x, y, c1 = Fraction(1, 4), Fraction(1, 2), Fraction(1, 10**4)
+    expected = (2 * x * y + c1) / (x * x + y * y + c1)
+    assert ssim(np.full((3, 300, 300), 0.25), np.full((3, 300, 300), 0.5)) == pytest.approx(
+        float(expected), abs=1e-13
+    )
+    assert ssim(np.zeros((9, 9)), np.ones((9, 9))) == pytest.approx(1e-4 / (1 + 1e-4), abs=1e-15)
+
+
+@pytest.mark.parametrize("level", [0.0, 0.3, 1.0])
+def test_identical_constants(level: float) -> None:
+    image = np.full((2, 300, 20), level, np.float32)
+    assert ssim(image, image) == 1.0
+
+
+def test_every_window_counts_alike() -> None:
+    """Brighten one pixel: the loss is the same wherever all 49 windows around it are inside."""
+    g = np.zeros((2, 540, 530))
+    losses = []
+    for row, column in ((6, 6), (255, 255), (256, 300), (261, 262), (266, 268), (533, 523)):
+        p = g.copy()
+        p[1, row, column] = 1.0
+        losses.append(1 - ssim(p, g))
+    assert losses == pytest.approx([losses[0]] * 6, rel=1e-9)
+    corner = g.copy()
+    corner[0, -1, -1] = 1.0  # one window of 49
+    assert (1 - ssim(corner, g)) * 49 == pytest.approx(losses[0], rel=1e-9)
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    hnp.arrays(
+        np.float64,
+        st.tuples(st.integers(1, 2), st.integers(7, 18), st.integers(7, 18)),
+        elements=st.floats(0, 1, width=32),
+    ),
+    st.integers(0, 2**32 - 1),
+)
+def test_properties(p: Image, seed: int) -> None:
+    g = np.random.default_rng(seed).random(p.shape)
+    assert ssim(p, p) == 1.0
+    value = ssim(p, g)
+    assert -1.0 <= value <= 1.0
+    assert value == pytest.approx(ssim(g, p), abs=1e-13)
+    assert value == pytest.approx(oracle(p, g), abs=1e-11)
+    assert value == pytest.approx(ssim(p[:, ::-1], g[:, ::-1]), abs=1e-11)
+    assert value == pytest.approx(ssim(p.transpose(0, 2, 1), g.transpose(0, 2, 1)), abs=1e-11)
+
+
+@pytest.mark.parametrize("shape", [(6, 7), (7, 6), (3, 6, 100), (3, 100, 1)])
+def test_too_small(shape: tuple[int, ...]) -> None:
+    with pytest.raises(ArgumentError, match="at least 7 x 7"):
+        ssim(np.zeros(shape), np.zeros(shape))
+
+
+@pytest.mark.parametrize("data_range", [0.0, -1.0, math.inf, math.nan])
+def test_bad_data_range(data_range: float) -> None:
+    with pytest.raises(ArgumentError, match="data_range"):
+        ssim(np.zeros((8, 8)), np.zeros((8, 8)), data_range=data_range)

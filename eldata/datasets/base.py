@@ -1,0 +1,197 @@
+"""What every dataset of pairs shares: records from the manifest, pixels decoded on demand."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, TypedDict
+
+import torch
+from torch.utils.data import Dataset
+
+from eldata.errors import ArgumentError, DatasetError
+from eldata.manifest.catalogue import Manifest, data_root, load_manifest, shipped_manifest
+from eldata.manifest.pairs import select_pairs
+from eldata.manifest.verify import RATIO_TOLERANCE
+from eldata.raw.levels import LEVELS, Levels, packed_frame
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator
+
+    import pandas as pd
+
+    from eldata.raw.cfa import Clip
+    from eldata.records import PairRecord
+
+
+class Sample(TypedDict):
+    """One pair, as torch's default collate accepts it.
+
+    ``input`` and ``target`` are (C, h, w) float32, normalised, the input multiplied by ``ratio``, which is the files'
+    own exposure ratio; ``nominal_ratio`` is the manifest's. ``iso`` and ``exposure_s`` (seconds) are the noisy file's.
+    """
+
+    input: torch.Tensor
+    target: torch.Tensor
+    ratio: float
+    nominal_ratio: float
+    iso: float
+    exposure_s: float
+    camera: str
+    scene: str
+    split: str
+    path: str
+    reference: str
+    flags: str
+
+
+class PairDataset(Dataset[Sample]):
+    """Pairs of a manifest: ``dataset[i]`` is a :class:`Sample`.
+
+    Parameters
+    ----------
+    root
+        The dataset's own folder, such as ``data/ELD``. Default: the card's folder below ``$ELDATA_ROOT`` or ``./data``.
+    manifest
+        A manifest's CSV file, or the name of a shipped one.
+    cameras, scenes, isos, ratios
+        Which pairs; ``None`` means all. See :func:`eldata.manifest.pairs.select_pairs`.
+    levels
+        White level: ``"published"`` (16383 for every camera) or ``"metadata"`` (the file's own).
+    clip
+        ``"both"``: the normalised frame is clipped to [0, 1] before and after the input is multiplied by the ratio,
+        as published; ``"upper"``: at 1 only, so that negative read noise is kept; ``"none"``.
+
+    Raises
+    ------
+    DatasetError
+        If the folder, or that of a chosen camera, is not there.
+    ArgumentError
+        If a camera, scene, ISO, ratio, ``levels`` or ``clip`` is unknown; the message lists the known ones.
+    ManifestError
+        If the manifest is malformed.
+
+    Notes
+    -----
+    Frames of different cameras differ in size: with more than one camera use ``batch_size=1``. The files are decoded
+    anew on each access, in DataLoader workers under fork as under spawn.
+    """
+
+    def __init__(
+        self,
+        root: Path | str | None,
+        manifest: Path | str,
+        *,
+        cameras: Collection[str] | None = None,
+        scenes: Collection[str | int] | None = None,
+        isos: Collection[int] | None = None,
+        ratios: Collection[float | Fraction] | None = None,
+        levels: Levels = "published",
+        clip: Clip = "both",
+    ) -> None:
+        if levels not in LEVELS:
+            raise ArgumentError(f"levels must be one of {', '.join(map(repr, LEVELS))}; found {levels!r}")
+        if clip not in ("both", "upper", "none"):
+            raise ArgumentError(f"clip must be one of 'both', 'upper', 'none'; found {clip!r}")
+        loaded = _manifest(manifest)
+        self.name = loaded.name
+        self.root = data_root() / loaded.card.folder if root is None else Path(root)
+        self.levels: Levels = levels
+        self.clip: Clip = clip
+        self.records: tuple[PairRecord, ...] = select_pairs(
+            loaded.records, cameras=cameras, scenes=scenes, isos=isos, ratios=ratios
+        )
+        self._check_folders(loaded)
+
+    def _check_folders(self, manifest: Manifest) -> None:
+        if not self.root.is_dir():
+            raise DatasetError(
+                f"{self.root}: there is no such folder; give the folder of {manifest.card.title}, which holds "
+                f"{', '.join(manifest.card.cameras)} (where to get it: {manifest.card.homepage})"
+            )
+        tops = {record.path.split("/")[0]: record.camera for record in self.records}
+        present = [camera for top, camera in tops.items() if (self.root / top).is_dir()]
+        for top, camera in tops.items():
+            if camera not in present:
+                hint = f"choose those you have with cameras={present!r}" if present else "is this the right folder?"
+                raise DatasetError(f"{self.root}: has no folder {top!r} for camera {camera}; {hint}")
+
+    @property
+    def frame(self) -> pd.DataFrame:
+        """The records as a pandas DataFrame, one row a pair, numbers as floats."""
+        import pandas as pd
+
+        rows = [
+            {key: float(value) if isinstance(value, Fraction) else value for key, value in asdict(record).items()}
+            for record in self.records
+        ]
+        return pd.DataFrame(rows)
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+    def __iter__(self) -> Iterator[Sample]:
+        return (self[index] for index in range(len(self)))
+
+    def __getitem__(self, index: int) -> Sample:
+        """Decode one pair.
+
+        Raises
+        ------
+        RawFileError
+            If a file is missing, damaged or without exposure data.
+        DatasetError
+            If the files' exposure ratio is more than a tenth off the manifest's, or their sizes differ.
+        """
+        from eldata.files import inside
+        from eldata.raw.reading import exposure_ratio, read_raw
+
+        record = self.records[index]
+        noisy = read_raw(inside(self.root, record.path))
+        reference = read_raw(inside(self.root, record.reference))
+        ratio = exposure_ratio(reference, noisy)
+        if abs(ratio - record.ratio) > RATIO_TOLERANCE * record.ratio:
+            raise DatasetError(
+                f"{noisy.path}: expected an exposure ratio of {float(record.ratio):g} to {record.reference}, found "
+                f"{float(ratio):g}; are both the frames that their names say? (eldata verify finds all such files)"
+            )
+        if noisy.mosaic.shape != reference.mosaic.shape or noisy.sensor.cfa != reference.sensor.cfa:
+            raise DatasetError(
+                f"{noisy.path}: {noisy.mosaic.shape} pixels, CFA {noisy.sensor.cfa}, but its reference "
+                f"{record.reference} has {reference.mosaic.shape}, {reference.sensor.cfa}"
+            )
+        amplified = packed_frame(noisy, levels=self.levels, clip=self.clip, gain=float(ratio))
+        target = packed_frame(reference, levels=self.levels, clip=self.clip)
+        return Sample(
+            input=torch.from_numpy(amplified),
+            target=torch.from_numpy(target),
+            ratio=float(ratio),
+            nominal_ratio=float(record.ratio),
+            iso=float(noisy.exposure.iso or 0),
+            exposure_s=float(noisy.exposure.exposure_s or 0),
+            camera=record.camera,
+            scene=record.scene,
+            split=record.split,
+            path=record.path,
+            reference=record.reference,
+            flags=";".join(record.flags),
+        )
+
+    def __repr__(self) -> str:
+        def counted(values: Collection[object]) -> str:
+            return ", ".join(map(str, dict.fromkeys(values)))
+
+        return (
+            f"{type(self).__name__}({str(self.root)!r}, {len(self)} pairs, "
+            f"cameras: {counted([r.camera for r in self.records])}; "
+            f"{len({(r.camera, r.scene) for r in self.records})} scenes; "
+            f"ISO {counted([r.iso for r in self.records])}; ratios {counted([r.ratio for r in self.records])}; "
+            f"levels={self.levels!r}, clip={self.clip!r})"
+        )
+
+
+def _manifest(manifest: Path | str) -> Manifest:
+    if isinstance(manifest, str) and "/" not in manifest and not manifest.endswith(".csv"):
+        return shipped_manifest(manifest)
+    return load_manifest(manifest)

@@ -1,0 +1,55 @@
+"""The Extreme Low-light Denoising dataset (ELD)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from eldata.datasets.base import PairDataset
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+    from fractions import Fraction
+    from pathlib import Path
+
+    from eldata.raw.cfa import Clip
+    from eldata.raw.levels import Levels
+
+
+class ELDDataset(PairDataset):
+    """The ELD set: by default the paper's 240 pairs (4 cameras, 10 scenes, 3 ISOs, low-light factors 100 and 200).
+
+    The reference of a noisy frame is the nearest of frames 1, 6, 11 and 16 by number. Parameters, samples and errors:
+    :class:`~eldata.datasets.base.PairDataset`; ``ratios=(1, 10)`` gives the easier pairs of the same scenes. A set of
+    your own in the same layout is read with its ``manifest``, and then usually ``levels="metadata"``.
+
+    The defaults (``levels="published"``, ``clip="both"``) give exactly the input of the published evaluation, so that
+    numbers compare with the literature.
+
+    References
+    ----------
+    K. Wei, Y. Fu, Y. Zheng and J. Yang, "Physics-based Noise Modeling for Extreme Low-light Photography", IEEE
+    Transactions on Pattern Analysis and Machine Intelligence, 2021.
+
+    Examples
+    --------
+    >>> from eldata import ELDDataset
+    >>> dataset = ELDDataset("data/ELD", cameras=["SonyA7S2"], ratios=[100])  # doctest: +SKIP
+    >>> dataset[0]["input"].shape  # doctest: +SKIP
+    torch.Size([4, 1424, 2128])
+    """
+
+    def __init__(
+        self,
+        root: Path | str | None = None,
+        *,
+        cameras: Collection[str] | None = None,
+        scenes: Collection[str | int] | None = None,
+        isos: Collection[int] | None = None,
+        ratios: Collection[float | Fraction] | None = (100, 200),
+        levels: Levels = "published",
+        clip: Clip = "both",
+        manifest: Path | str = "eld",
+    ) -> None:
+        super().__init__(
+            root, manifest, cameras=cameras, scenes=scenes, isos=isos, ratios=ratios, levels=levels, clip=clip
+        )

@@ -1,0 +1,13 @@
+from .card import Card as Card
+from .card import load_card as load_card
+from .catalogue import Manifest as Manifest
+from .catalogue import find_manifests as find_manifests
+from .catalogue import load_manifest as load_manifest
+from .catalogue import shipped_manifest as shipped_manifest
+from .catalogue import shipped_names as shipped_names
+from .lock import lock as lock
+from .table import load_records as load_records
+from .table import save_records as save_records
+from .verify import Problem as Problem
+from .verify import VerifyReport as VerifyReport
+from .verify import verify as verify

@@ -1,0 +1,143 @@
+"""The dataset card: what a dataset is, where it comes from, what is known to be wrong with it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field, fields
+from typing import TYPE_CHECKING, Any
+
+from eldata.errors import ManifestError
+from eldata.files import path_problem, write_text
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@dataclass(frozen=True, slots=True)
+class Download:
+    """A place to get the files from: an address, its size if known, and what to know about it."""
+
+    address: str
+    size_bytes: int | None = None
+    notes: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class CameraCard:
+    """How a dataset's camera names itself in EXIF: any of ``models`` (makers sell one body under several names)."""
+
+    models: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Card:
+    """A dataset card.
+
+    Attributes
+    ----------
+    name, title, version
+        Short name (that of the manifest's file), full title, version of this manifest.
+    folder
+        The dataset's folder below the data root; the manifest's paths start there.
+    cfa
+        ``bayer`` or ``xtrans``.
+    cameras
+        EXIF identity of each camera in the manifest.
+    counts
+        Expected number of rows per role.
+    known_defects, sources
+        What is wrong with the published files, and where this card's facts come from.
+    """
+
+    name: str
+    title: str
+    version: str
+    folder: str
+    citation: str
+    licence: str
+    homepage: str
+    cfa: str
+    cameras: dict[str, CameraCard]
+    counts: dict[str, int]
+    downloads: tuple[Download, ...] = ()
+    known_defects: tuple[str, ...] = ()
+    sources: tuple[str, ...] = field(default=())
+
+
+def load_card(path: Path) -> Card:
+    """Read a dataset card.
+
+    Raises
+    ------
+    ManifestError
+        If the file cannot be read or a field is missing, unknown or of the wrong kind; the message names it.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ManifestError(f"{path}: cannot be read: {error.strerror}; a manifest needs its dataset card") from error
+    except ValueError as error:
+        raise ManifestError(f"{path}: is not JSON ({error})") from error
+    if not isinstance(data, dict):
+        raise ManifestError(f"{path}: expected a JSON object, found {type(data).__name__}")
+    _check_keys(path, "", data, Card)
+    strings = ("name", "title", "version", "folder", "citation", "licence", "homepage", "cfa")
+    texts = {key: _typed(path, key, data[key], str) for key in strings}
+    if path_problem(texts["folder"]) or "/" in texts["folder"]:
+        raise ManifestError(f"{path}, field folder: expected the name of one folder, found {texts['folder']!r}")
+    if texts["cfa"] not in ("bayer", "xtrans"):
+        raise ManifestError(f"{path}, field cfa: expected bayer or xtrans, found {texts['cfa']!r}")
+    cameras = {}
+    for name, entry in _typed(path, "cameras", data["cameras"], dict).items():
+        _check_keys(path, f"cameras.{name}.", _typed(path, f"cameras.{name}", entry, dict), CameraCard)
+        cameras[name] = CameraCard(_texts(path, f"cameras.{name}.models", entry["models"]))
+    counts = {
+        role: _typed(path, f"counts.{role}", count, int)
+        for role, count in _typed(path, "counts", data["counts"], dict).items()
+    }
+    downloads = []
+    for index, entry in enumerate(_typed(path, "downloads", data.get("downloads", []), list)):
+        where = f"downloads[{index}]"
+        _check_keys(path, f"{where}.", _typed(path, where, entry, dict), Download)
+        size = entry.get("size_bytes")
+        downloads.append(
+            Download(
+                _typed(path, f"{where}.address", entry["address"], str),
+                None if size is None else _typed(path, f"{where}.size_bytes", size, int),
+                _typed(path, f"{where}.notes", entry.get("notes", ""), str),
+            )
+        )
+    return Card(
+        **texts,
+        cameras=cameras,
+        counts=counts,
+        downloads=tuple(downloads),
+        known_defects=_texts(path, "known_defects", data.get("known_defects", [])),
+        sources=_texts(path, "sources", data.get("sources", [])),
+    )
+
+
+def save_card(path: Path, card: Card) -> None:
+    """Write a dataset card as JSON, whole or not at all."""
+    write_text(path, json.dumps(asdict(card), indent=2, ensure_ascii=False) + "\n")
+
+
+def _check_keys(path: Path, prefix: str, data: dict[str, Any], record: type) -> None:
+    known = {item.name: item for item in fields(record)}
+    optional = {"downloads", "known_defects", "sources", "size_bytes", "notes"}
+    for key in data:
+        if key not in known:
+            raise ManifestError(f"{path}, field {prefix}{key}: is unknown; known are {', '.join(known)}")
+    for key in known:
+        if key not in data and key not in optional:
+            raise ManifestError(f"{path}, field {prefix}{key}: is missing")
+
+
+def _typed(path: Path, name: str, value: Any, kind: type) -> Any:
+    if not isinstance(value, kind) or isinstance(value, bool):
+        raise ManifestError(f"{path}, field {name}: expected {kind.__name__}, found {value!r}")
+    return value
+
+
+def _texts(path: Path, name: str, value: Any) -> tuple[str, ...]:
+    return tuple(_typed(path, f"{name}[{i}]", item, str) for i, item in enumerate(_typed(path, name, value, list)))

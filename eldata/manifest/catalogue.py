@@ -1,0 +1,109 @@
+"""Manifests by file or by name: the table, its card and its digest together."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from eldata.errors import ManifestError
+from eldata.files import sha256_of
+from eldata.manifest.card import Card, load_card
+from eldata.manifest.table import load_records
+
+if TYPE_CHECKING:
+    from eldata.records import FrameRecord
+
+ROOT_VARIABLE = "ELDATA_ROOT"
+
+
+@dataclass(frozen=True, slots=True)
+class Manifest:
+    """A manifest as loaded: ``path`` of the CSV, its ``card``, its ``records`` by path, ``digest`` of the CSV."""
+
+    path: Path
+    card: Card
+    records: tuple[FrameRecord, ...]
+    digest: str
+
+    @property
+    def name(self) -> str:
+        """The dataset's short name."""
+        return self.card.name
+
+    def folder(self, root: Path | str | None = None) -> Path:
+        """Return the dataset's folder below a data root (see :func:`data_root`)."""
+        return data_root(root) / self.card.folder
+
+
+def data_root(root: Path | str | None = None) -> Path:
+    """Return the folder that holds the datasets: ``root``, else ``$ELDATA_ROOT``, else ``./data``."""
+    if root is not None:
+        return Path(root)
+    return Path(os.environ.get(ROOT_VARIABLE) or "data")
+
+
+def load_manifest(path: Path | str) -> Manifest:
+    """Load a manifest: ``<name>.csv`` and the card ``<name>.json`` beside it.
+
+    Raises
+    ------
+    ManifestError
+        If either is malformed, a row's camera is not on the card, or the rows are not as many as the card expects.
+    """
+    path = Path(path)
+    records = load_records(path)
+    card = load_card(path.with_suffix(".json"))
+    for record in records:
+        if record.camera not in card.cameras:
+            raise ManifestError(
+                f"{path}, {record.path}: camera {record.camera!r} is not on the card, which has "
+                f"{', '.join(card.cameras)}"
+            )
+    found = Counter(record.role for record in records)
+    if dict(found) != card.counts:
+        raise ManifestError(f"{path}: the card expects {card.counts} rows per role, found {dict(found)}")
+    return Manifest(path, card, records, sha256_of(path))
+
+
+def shipped_folder() -> Path:
+    """Return the folder of the manifests that come with the package."""
+    installed = Path(__file__).parent / "shipped"  # a wheel has them here (pyproject.toml)
+    return installed if installed.is_dir() else Path(__file__).parents[2] / "manifests"
+
+
+def shipped_names() -> tuple[str, ...]:
+    """Return the names of the shipped manifests."""
+    return tuple(sorted(path.stem for path in shipped_folder().glob("*.csv")))
+
+
+def shipped_manifest(name: str) -> Manifest:
+    """Load a shipped manifest by its dataset's name.
+
+    Raises
+    ------
+    ManifestError
+        If there is none of that name; the message lists those that there are.
+    """
+    if name not in shipped_names():
+        raise ManifestError(f"no dataset is called {name!r}; known are {', '.join(shipped_names())}")
+    return load_manifest(shipped_folder() / f"{name}.csv")
+
+
+def find_manifests(path: Path | str) -> tuple[Manifest, ...]:
+    """Load one manifest (a CSV file) or all of a folder.
+
+    Raises
+    ------
+    ManifestError
+        If there is none, or one is malformed.
+    """
+    path = Path(path)
+    if path.is_dir():
+        found = sorted(path.glob("*.csv"))
+        if not found:
+            raise ManifestError(f"{path}: holds no manifest (*.csv)")
+        return tuple(load_manifest(file) for file in found)
+    return (load_manifest(path),)

@@ -1,0 +1,94 @@
+"""Filling a manifest's sizes and hashes in from a copy that its user trusts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from eldata.files import sha256_of
+from eldata.manifest.catalogue import load_manifest
+from eldata.manifest.table import save_records
+from eldata.manifest.verify import Problem, VerifyReport, verify
+from eldata.parallel import run_units
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from eldata.records import FrameRecord
+
+
+@dataclass(frozen=True, slots=True)
+class LockReport:
+    """The result of :func:`lock`: the checks made first, and what was filled in (nothing if there were problems)."""
+
+    checks: VerifyReport
+    problems: tuple[Problem, ...]
+    files_locked: int
+
+
+def lock(
+    manifest: Path | str,
+    root: Path | str | None = None,
+    *,
+    cameras: Collection[str] | None = None,
+    jobs: int = 1,
+) -> LockReport:
+    """Record size and hash of every file of a manifest, and write the manifest whole or not at all.
+
+    The copy must pass :func:`~eldata.manifest.verify.verify` at level ``metadata`` first, and may not contradict a size
+    or hash that is recorded already; with any problem nothing is written.
+
+    Parameters
+    ----------
+    manifest
+        The manifest's CSV file, which is changed.
+    root
+        The folder that holds the datasets; default ``$ELDATA_ROOT``, else ``./data``.
+    cameras
+        Lock just these cameras' files.
+    jobs
+        Number of worker processes.
+
+    Raises
+    ------
+    ManifestError
+        If the manifest is malformed.
+    EldataError
+        If it cannot be written.
+    """
+    loaded = load_manifest(manifest)
+    checks = verify([loaded], root, dataset=loaded.name, cameras=cameras, level="metadata", jobs=jobs)
+    if checks.problems:
+        return LockReport(checks, checks.problems, 0)
+    folder = loaded.folder(root)
+    chosen = [record for record in loaded.records if not cameras or record.camera in cameras]
+    locked = dict(
+        zip(
+            [record.path for record in chosen],
+            run_units(partial(_locked, folder), chosen, jobs=jobs, label=f"{loaded.name} (hashing)"),
+            strict=True,
+        )
+    )
+    problems = tuple(
+        Problem(
+            loaded.name,
+            record.path,
+            "sha256",
+            record.sha256,
+            locked[record.path].sha256 or "",
+            "if this copy is the right one, empty the row's size_bytes and sha256 and lock again",
+        )
+        for record in chosen
+        if record.sha256 is not None and record.sha256 != locked[record.path].sha256
+    )
+    if problems:
+        return LockReport(checks, problems, 0)
+    save_records(Path(manifest), [locked.get(record.path, record) for record in loaded.records])
+    return LockReport(checks, (), len(chosen))
+
+
+def _locked(folder: Path, record: FrameRecord) -> FrameRecord:
+    path = folder / record.path
+    return replace(record, size_bytes=path.stat().st_size, sha256=sha256_of(path))

@@ -1,0 +1,1 @@
+"""The `eldata` command: one module a subcommand, heavy imports inside of its `run`."""

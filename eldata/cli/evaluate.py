@@ -1,0 +1,67 @@
+"""`eldata evaluate`: a folder of predictions in, the paper's table out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from eldata.console import OK, PROBLEMS, add_cameras, add_debug, add_jobs, add_json, add_root
+
+if TYPE_CHECKING:
+    import argparse
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add this command."""
+    from eldata.protocols import PROTOCOLS
+
+    parser = commands.add_parser(
+        "evaluate",
+        help="score a folder of predictions under a named protocol",
+        description=(
+            "Score predictions under a named protocol and print the paper's table. The prediction of "
+            "CAMERA/scene-1/IMG_0004.ARW is PREDS/CAMERA/scene-1/IMG_0004.EXT with EXT one of npy, npz, h5, tif, "
+            "png (16 bit), dng: packed (C, h, w) or mosaic (H, W), float in [0, 1] or uint16 with 65535 = 1.0 (dng: "
+            "raw DN)."
+        ),
+    )
+    parser.add_argument("predictions", metavar="PREDS", help="folder of predictions")
+    which = parser.add_mutually_exclusive_group(required=True)
+    which.add_argument("--dataset", metavar="N", help="name of a dataset that eldata knows, such as eld")
+    which.add_argument("--manifest", metavar="FILE", help="manifest of a set of your own, in a known layout")
+    parser.add_argument(
+        "--protocol", choices=tuple(PROTOCOLS), default="eld", help="how to score (default: %(default)s)"
+    )
+    add_root(parser)
+    add_cameras(parser)
+    parser.add_argument(
+        "--allow-missing",
+        action="store_true",
+        help="score the rest if predictions are missing; the table says so",
+    )
+    add_jobs(parser)
+    parser.add_argument("--csv", metavar="FILE", help="write the score of each image to FILE")
+    add_json(parser)
+    add_debug(parser)
+    parser.set_defaults(run=run, command="evaluate")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run this command."""
+    from eldata.evaluation.evaluate import evaluate
+
+    result = evaluate(
+        arguments.predictions,
+        arguments.dataset or "",
+        protocol=arguments.protocol,
+        root=arguments.root,
+        manifest=arguments.manifest,
+        cameras=arguments.cameras,
+        allow_missing=arguments.allow_missing,
+        jobs=arguments.jobs,
+    )
+    if arguments.json:
+        result.write_json(arguments.json)
+    if arguments.csv and result.images:
+        result.write_csv(arguments.csv)
+    print(result.format_text())
+    return PROBLEMS if result.problems else OK

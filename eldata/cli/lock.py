@@ -1,0 +1,58 @@
+"""`eldata lock`: record sizes and hashes from a trusted copy."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from eldata.console import (
+    OK,
+    PROBLEMS,
+    add_cameras,
+    add_debug,
+    add_jobs,
+    add_json,
+    add_root,
+    write_json,
+)
+from eldata.manifest.lock import lock
+
+if TYPE_CHECKING:
+    import argparse
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add this command."""
+    parser = commands.add_parser(
+        "lock",
+        help="record sizes and hashes of a trusted copy in a manifest",
+        description=(
+            "Record the size and SHA-256 of every file of a copy that you trust in its manifest. The copy must pass "
+            "eldata verify --level metadata first; with any problem the manifest stays as it is."
+        ),
+    )
+    parser.add_argument("manifest", metavar="MANIFEST", help="the manifest's CSV file, which is changed")
+    add_root(parser)
+    add_cameras(parser)
+    add_jobs(parser)
+    add_json(parser)
+    add_debug(parser)
+    parser.set_defaults(run=run, command="lock")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run this command."""
+    from dataclasses import asdict
+
+    report = lock(arguments.manifest, arguments.root, cameras=arguments.cameras, jobs=arguments.jobs)
+    if arguments.json:
+        problems = [asdict(problem) for problem in report.problems]
+        write_json(arguments.json, {"files_locked": report.files_locked, "problems": problems})
+    if report.checks.problems:
+        print(report.checks.format_text())
+    for problem in report.problems if not report.checks.problems else ():
+        print(problem)
+    if report.problems:
+        print(f"{arguments.manifest} was left as it is: {len(report.problems)} problems")
+        return PROBLEMS
+    print(f"{arguments.manifest}: size and hash of {report.files_locked} files recorded")
+    return OK

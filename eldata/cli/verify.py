@@ -1,0 +1,58 @@
+"""`eldata verify`: check the files on disk against manifests."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from eldata.console import (
+    OK,
+    PROBLEMS,
+    add_cameras,
+    add_debug,
+    add_jobs,
+    add_json,
+    add_root,
+    write_json,
+)
+from eldata.manifest.verify import LEVELS, verify
+
+if TYPE_CHECKING:
+    import argparse
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add this command."""
+    parser = commands.add_parser(
+        "verify",
+        help="check the files on disk against manifests",
+        description=(
+            "Check the files on disk against manifests and list every problem. Levels: quick (present, size, no "
+            "unlisted raw files), metadata (also: opens, camera, ISO, exposure, ratio), full (also: hashes). Nothing "
+            "is written."
+        ),
+    )
+    parser.add_argument("manifests", metavar="MANIFESTS", help="a manifest's CSV file, or a folder of them")
+    add_root(parser)
+    parser.add_argument("--dataset", metavar="N", help="only the dataset of this name, which must be there")
+    add_cameras(parser)
+    parser.add_argument("--level", choices=LEVELS, default="quick", help="how deep to look (default: %(default)s)")
+    add_jobs(parser)
+    add_json(parser)
+    add_debug(parser)
+    parser.set_defaults(run=run, command="verify")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run this command."""
+    report = verify(
+        arguments.manifests,
+        arguments.root,
+        dataset=arguments.dataset,
+        cameras=arguments.cameras,
+        level=arguments.level,
+        jobs=arguments.jobs,
+    )
+    if arguments.json:
+        write_json(arguments.json, report.as_dict())
+    print(report.format_text())
+    return OK if report.ok else PROBLEMS

@@ -1,0 +1,240 @@
+"""The evaluation: check the dataset, find the predictions, score each pair under a protocol."""
+
+from __future__ import annotations
+
+import platform
+from dataclasses import dataclass
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from eldata.errors import ArgumentError, DatasetError, EldataError
+from eldata.evaluation.predictions import FoundPredictions, find_predictions, load_prediction
+from eldata.evaluation.results import EvaluationProblem, EvaluationResult, ImageScore
+from eldata.files import inside
+from eldata.manifest.catalogue import Manifest, load_manifest, shipped_manifest
+from eldata.manifest.pairs import select_pairs
+from eldata.manifest.verify import check_files
+from eldata.parallel import run_units
+from eldata.protocols import Protocol, get_protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+
+    from eldata.records import PairRecord
+
+# A factor beyond these hides a prediction of another scale: the score says nothing of it.
+_USUAL_RESCALE = (1 / 3, 3.0)
+
+
+def evaluate(
+    predictions: Path | str,
+    dataset: str = "eld",
+    *,
+    protocol: str = "eld",
+    root: Path | str | None = None,
+    manifest: Path | str | None = None,
+    cameras: Collection[str] | None = None,
+    allow_missing: bool = False,
+    jobs: int = 1,
+) -> EvaluationResult:
+    """Score a folder of predictions under a named protocol.
+
+    Before anything is scored, the raw files of the pairs are checked as ``eldata verify --level metadata`` does: a
+    wrong or incomplete download stops the evaluation.
+
+    Parameters
+    ----------
+    predictions
+        Folder of predictions (:mod:`eldata.evaluation.predictions`).
+    dataset
+        Name of a shipped manifest.
+    protocol
+        Name of a protocol (:mod:`eldata.protocols`).
+    root
+        The folder that holds the datasets; default ``$ELDATA_ROOT``, else ``./data``.
+    manifest
+        A manifest's CSV file, in place of ``dataset``: your own set, in the layout of a known one.
+    cameras
+        Score these cameras' pairs alone; the result says so.
+    allow_missing
+        Score what is there although predictions are missing or unusable; the table shows the coverage.
+    jobs
+        Number of worker processes. Scores do not depend on it.
+
+    Returns
+    -------
+    EvaluationResult
+        Scores, tables and provenance. If it has ``problems`` and ``allow_missing`` is false, nothing was scored.
+
+    Raises
+    ------
+    EldataError
+        If the folder of predictions is not there.
+    DatasetError
+        If the dataset is not there, or its files are not what the manifest says.
+    ManifestError, ArgumentError
+        If the manifest is malformed, or a name is unknown.
+    """
+    chosen_protocol = get_protocol(protocol)
+    loaded = shipped_manifest(dataset) if manifest is None else load_manifest(manifest)
+    if manifest is None and chosen_protocol.dataset != loaded.name:
+        raise ArgumentError(f"protocol {protocol!r} is for dataset {chosen_protocol.dataset!r}, not {loaded.name!r}")
+    pairs = select_pairs(loaded.records, cameras=cameras, ratios=chosen_protocol.ratios)
+    noisy_paths = [record.path for record in loaded.records if record.role == "noisy"]
+    found = find_predictions(Path(predictions), pairs, noisy_paths)
+    folder = loaded.folder(root)
+    _require_dataset(loaded, folder, pairs, jobs)
+
+    problems = _file_problems(found, allow_missing=allow_missing)
+    scores: dict[str, ImageScore] = {}
+    if allow_missing or not problems:
+        scores, unusable = _score_all(folder, chosen_protocol, pairs, found, jobs)
+        problems += unusable
+        if problems and not allow_missing:
+            scores = {}
+    images = tuple(scores[pair.path] for pair in pairs if pair.path in scores)
+    return EvaluationResult(
+        protocol=chosen_protocol,
+        provenance=_provenance(loaded, chosen_protocol, predictions, cameras),
+        pairs=pairs,
+        images=images,
+        missing=tuple(pair.path for pair in pairs if pair.path not in scores),
+        problems=tuple(problems),
+        notes=tuple(_notes(found, images)),
+    )
+
+
+def _require_dataset(manifest: Manifest, folder: Path, pairs: Sequence[PairRecord], jobs: int) -> None:
+    if not folder.is_dir():
+        raise DatasetError(
+            f"{folder}: the dataset is not there; name the folder above it with --root (root=...), or get it from "
+            f"{manifest.card.homepage}"
+        )
+    needed = {pair.path for pair in pairs} | {pair.reference for pair in pairs}
+    records = [record for record in manifest.records if record.path in needed]
+    problems, _ = check_files(manifest, folder, records, level="metadata", jobs=jobs)
+    if problems:
+        more = f" (and {len(problems) - 1} more: eldata verify --level metadata lists all)" if len(problems) > 1 else ""
+        raise DatasetError(f"{folder}: the dataset is not what its manifest says: {problems[0]}{more}")
+
+
+def _file_problems(found: FoundPredictions, *, allow_missing: bool) -> list[EvaluationProblem]:
+    problems = [
+        EvaluationProblem(path, f"expected one prediction, found {len(names)}: {', '.join(names)}; keep one")
+        for path, names in found.ambiguous.items()
+    ]
+    problems += [
+        EvaluationProblem(name, "is the prediction of no noisy frame in the manifest; rename it or move it away")
+        for name in found.extra
+    ]
+    if not allow_missing:
+        problems += [
+            EvaluationProblem(path, "has no prediction; add it, or score the rest with --allow-missing")
+            for path in found.missing
+        ]
+    return problems
+
+
+def _notes(found: FoundPredictions, images: Sequence[ImageScore]) -> list[str]:
+    notes = []
+    if found.unscored:
+        notes.append(f"{found.unscored} predictions of frames outside of the protocol were not scored")
+    low, high = _USUAL_RESCALE
+    odd = [image for image in images if not low <= image.rescale <= high]
+    if odd:
+        notes.append(
+            f"{len(odd)} predictions were rescaled by less than {low:.2g} or more than {high:g}, such as "
+            f"{odd[0].path} by {odd[0].rescale:.3g}: is their scale that of the reference?"
+        )
+    perfect = [image for image in images if image.psnr_db == float("inf")]
+    if perfect:
+        notes.append(f"{len(perfect)} predictions equal their reference exactly, such as {perfect[0].path}")
+    return notes
+
+
+def _provenance(
+    manifest: Manifest, protocol: Protocol, predictions: Path | str, cameras: Collection[str] | None
+) -> dict[str, Any]:
+    import rawpy
+
+    packages = ("eldata", "numpy", "numba", "rawpy", "exifread")
+    return {
+        "dataset": manifest.name,
+        "manifest_version": manifest.card.version,
+        "manifest_sha256": manifest.digest,
+        "protocol_digest": protocol.digest,
+        "cameras": "all" if cameras is None else list(cameras),
+        "predictions": str(predictions),
+        "python": platform.python_version(),
+        "libraw": ".".join(map(str, rawpy.libraw_version)),
+        **{name: version(name) for name in packages},
+    }
+
+
+# --- scoring --------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Unit:
+    """The predictions that share a reference, so that it is decoded once."""
+
+    reference: str
+    pairs: tuple[tuple[PairRecord, Path], ...]
+
+    def __str__(self) -> str:
+        return self.reference
+
+
+def _score_all(
+    folder: Path, protocol: Protocol, pairs: Sequence[PairRecord], found: FoundPredictions, jobs: int
+) -> tuple[dict[str, ImageScore], list[EvaluationProblem]]:
+    by_reference: dict[str, list[tuple[PairRecord, Path]]] = {}
+    for pair in pairs:
+        if pair.path in found.files:
+            by_reference.setdefault(pair.reference, []).append((pair, found.files[pair.path]))
+    units = [_Unit(reference, tuple(members)) for reference, members in by_reference.items()]
+    # Processes share the CPUs; within one process the metrics use all of them.
+    work = partial(_score_unit, folder, protocol, None if jobs == 1 else 1)
+    scores: dict[str, ImageScore] = {}
+    problems: list[EvaluationProblem] = []
+    for outcome in run_units(work, units, jobs=jobs, label="scoring", unit="reference"):
+        for item in outcome:
+            if isinstance(item, ImageScore):
+                scores[item.path] = item
+            else:
+                problems.append(item)
+    return scores, problems
+
+
+def _score_unit(
+    folder: Path, protocol: Protocol, threads: int | None, unit: _Unit
+) -> list[ImageScore | EvaluationProblem]:
+    from eldata.metrics import score
+    from eldata.raw.levels import packed_frame
+    from eldata.raw.reading import read_raw
+
+    frame = read_raw(inside(folder, unit.reference))
+    target = packed_frame(frame, levels=protocol.levels, clip=protocol.reference_clip)
+    outcomes: list[ImageScore | EvaluationProblem] = []
+    for pair, path in unit.pairs:
+        try:
+            prediction = load_prediction(path, frame.sensor, protocol.levels)
+        except EldataError as error:
+            outcomes.append(EvaluationProblem(str(path), getattr(error, "reason", str(error))))
+            continue
+        found = score(prediction, target, rescaling=protocol.rescaling, threads=threads)
+        outcomes.append(
+            ImageScore(
+                path=pair.path,
+                camera=pair.camera,
+                scene=pair.scene,
+                iso=float(pair.iso or 0),
+                ratio=float(pair.ratio),
+                psnr_db=found.psnr_db,
+                ssim=found.ssim,
+                rescale=found.rescale,
+            )
+        )
+    return outcomes

@@ -1,0 +1,278 @@
+"""Predictions on disk: finding, loading and checking them.
+
+For a noisy frame ``SonyA7S2/scene-1/IMG_0004.ARW`` the prediction is ``PREDS/SonyA7S2/scene-1/IMG_0004.<ext>``. It is
+packed (C, h, w) or a mosaic (H, W); float in [0, 1] of the reference's normalised signal, or uint16 where
+65535 = 1.0; a DNG holds raw DN.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eldata.errors import EldataError, PredictionError
+from eldata.files import atomic_write
+from eldata.raw.cfa import normalise, pack, packed_shape
+from eldata.raw.levels import white_level_dn
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from eldata.raw.levels import Levels
+    from eldata.records import PairRecord, Sensor
+
+EXTENSIONS = (".npy", ".npz", ".h5", ".tif", ".tiff", ".png", ".dng")
+
+# A prediction near [0, 1] has next to nothing above 2, even where it is an amplified noisy frame with hot pixels.
+_SCALE_LIMIT = 2.0
+_SCALE_SHARE = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class FoundPredictions:
+    """What lies in a folder of predictions, against the pairs that are to be scored.
+
+    Attributes
+    ----------
+    files
+        Prediction of each pair, by the noisy frame's path.
+    missing
+        Noisy frames without a prediction.
+    ambiguous
+        Noisy frames with several, and their names.
+    extra
+        Files that are the prediction of no noisy frame in the manifest.
+    unscored
+        Number of predictions of noisy frames that this evaluation does not score.
+    """
+
+    files: dict[str, Path]
+    missing: tuple[str, ...]
+    ambiguous: dict[str, tuple[str, ...]]
+    extra: tuple[str, ...]
+    unscored: int
+
+
+def find_predictions(folder: Path, pairs: Iterable[PairRecord], known: Iterable[str]) -> FoundPredictions:
+    """Match the files of a folder with pairs. ``known`` are the paths of all noisy frames of the manifest.
+
+    Raises
+    ------
+    EldataError
+        If the folder is not there.
+    """
+    if not folder.is_dir():
+        raise EldataError(f"{folder}: there is no such folder of predictions")
+    by_stem: dict[str, list[str]] = {}
+    for path in sorted(folder.rglob("*")):
+        relative = path.relative_to(folder)
+        if path.suffix.lower() in EXTENSIONS and not any(part.startswith(".") for part in relative.parts):
+            by_stem.setdefault(relative.with_suffix("").as_posix(), []).append(relative.as_posix())
+    files: dict[str, Path] = {}
+    missing, ambiguous = [], {}
+    for pair in pairs:
+        found = by_stem.pop(_stem(pair.path), [])
+        if len(found) == 1:
+            files[pair.path] = folder / found[0]
+        elif found:
+            ambiguous[pair.path] = tuple(found)
+        else:
+            missing.append(pair.path)
+    known_stems = {_stem(path) for path in known}
+    extra = [name for stem, names in by_stem.items() if stem not in known_stems for name in names]
+    unscored = sum(len(names) for stem, names in by_stem.items() if stem in known_stems)
+    return FoundPredictions(files, tuple(missing), ambiguous, tuple(extra), unscored)
+
+
+def _stem(path: str) -> str:
+    return Path(path).with_suffix("").as_posix()
+
+
+def prediction_path(folder: Path, noisy_path: str, extension: str = ".npy") -> Path:
+    """Return where the prediction of a noisy frame lies."""
+    return folder / f"{_stem(noisy_path)}{extension}"
+
+
+def save_prediction(folder: Path | str, noisy_path: str, prediction: NDArray[Any]) -> Path:
+    """Write a prediction as ``.npy`` where :func:`eldata.evaluate` looks for it, whole or not at all.
+
+    Parameters
+    ----------
+    folder
+        The folder of predictions; folders below it are made.
+    noisy_path
+        The noisy frame's path in the manifest, as in a sample's ``path``.
+    prediction
+        Packed (C, h, w) or mosaic (H, W); float in [0, 1], or uint16 where 65535 = 1.0.
+    """
+    path = prediction_path(Path(folder), noisy_path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(path) as file:
+        np.save(file, np.asarray(prediction), allow_pickle=False)
+    return path
+
+
+def load_prediction(path: Path, sensor: Sensor, levels: Levels) -> NDArray[np.float32 | np.float64]:
+    """Load a prediction and check it against the reference's sensor.
+
+    Parameters
+    ----------
+    path
+        A file of one of :data:`EXTENSIONS`.
+    sensor
+        The reference's: its CFA and size decide the expected shape.
+    levels
+        White level that normalises a DNG's DN.
+
+    Returns
+    -------
+    ndarray
+        (C, h, w), float32 or float64, normalised, finite; not clamped.
+
+    Raises
+    ------
+    PredictionError
+        If the file cannot be read, or its shape, type, values or scale are wrong; the message says what was expected,
+        what was found and what to do.
+    """
+    if path.suffix.lower() == ".dng":
+        return _from_dng(path, sensor, levels)
+    array = _read_array(path)
+    if array.dtype == np.uint16:
+        values: NDArray[Any] = array.astype(np.float32) / np.float32(65535)
+    elif array.dtype in (np.float16, np.float32, np.float64):
+        values = array.astype(np.float32) if array.dtype == np.float16 else array
+    else:
+        raise PredictionError(
+            path, f"expected float in [0, 1] or uint16 with 65535 = 1.0, found {array.dtype}; convert it"
+        )
+    values = _packed(path, np.ascontiguousarray(values), sensor)
+    _check_values(path, values, sensor, levels)
+    return values
+
+
+def _packed(path: Path, values: NDArray[Any], sensor: Sensor) -> NDArray[Any]:
+    mosaic_shape = (sensor.height, sensor.width)
+    shape = packed_shape(mosaic_shape, sensor.cfa)
+    if values.shape == shape:
+        return values
+    if values.shape == mosaic_shape:
+        return pack(values, sensor.cfa)
+    hint = "predict the whole frame, in the reference's orientation"
+    if values.shape == (*shape[1:], shape[0]):
+        hint = "it is channels-last: transpose(2, 0, 1) it"
+    elif values.ndim == 4 and values.shape[0] == 1:
+        hint = "drop the batch dimension: save prediction[0]"
+    elif values.ndim == 3 and values.shape[2] in (3, 4) and path.suffix.lower() == ".png":
+        hint = "a PNG holds the mosaic as one grey channel: eldata.raw.unpack() it first"
+    raise PredictionError(
+        path, f"expected shape {shape} (packed) or {mosaic_shape} (mosaic), found {values.shape}; {hint}"
+    )
+
+
+def _check_values(path: Path, values: NDArray[Any], sensor: Sensor, levels: Levels) -> None:
+    low, high = float(values.min()), float(values.max())  # NaN comes through both
+    if not (np.isfinite(low) and np.isfinite(high)):
+        bad = ~np.isfinite(values)
+        first = tuple(int(axis) for axis in np.unravel_index(int(bad.argmax()), bad.shape))
+        raise PredictionError(
+            path,
+            f"expected finite values, found {int(bad.sum())} NaN or infinite, the first at {first}; mend the model",
+        )
+    if high <= _SCALE_LIMIT:
+        return
+    share = float(np.mean(values > _SCALE_LIMIT))
+    if share > _SCALE_SHARE:
+        span = white_level_dn(sensor, levels) - max(sensor.black_level_dn)
+        raise PredictionError(
+            path,
+            f"expected values in [0, 1], found {low:.4g} to {high:.4g} with {share:.1%} above {_SCALE_LIMIT:g}: is it "
+            f"in DN or 0..255? divide by {span:g} (white - black) or 255, or save uint16 with 65535 = 1.0",
+        )
+
+
+def _from_dng(path: Path, sensor: Sensor, levels: Levels) -> NDArray[np.float32]:
+    from eldata.raw.reading import read_raw
+
+    try:
+        frame = read_raw(path)
+    except EldataError as error:
+        raise PredictionError(path, getattr(error, "reason", str(error))) from error
+    if frame.sensor.cfa != sensor.cfa or frame.mosaic.shape != (sensor.height, sensor.width):
+        raise PredictionError(
+            path,
+            f"expected a mosaic of {sensor.height} x {sensor.width} pixels with CFA {sensor.cfa} like the reference, "
+            f"found {frame.mosaic.shape[0]} x {frame.mosaic.shape[1]} with {frame.sensor.cfa}",
+        )
+    white = white_level_dn(frame.sensor, levels)
+    packed = pack(frame.mosaic, sensor.cfa)
+    return normalise(packed, sensor.cfa, frame.sensor.black_level_dn, white, clip="none")
+
+
+# --- file formats ---------------------------------------------------------------------------------------------
+
+
+def _read_array(path: Path) -> NDArray[Any]:
+    reader = {".npy": _read_npy, ".npz": _read_npz, ".h5": _read_h5, ".png": _read_png}.get(
+        path.suffix.lower(), _read_tiff
+    )
+    try:
+        return np.asarray(reader(path))
+    except PredictionError:
+        raise
+    except Exception as error:  # five libraries, each with its own kinds
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise PredictionError(path, f"cannot be read as {path.suffix[1:]} ({reason}); write it again") from error
+
+
+def _read_npy(path: Path) -> NDArray[Any]:
+    array: NDArray[Any] = np.lib.format.open_memmap(path, mode="r")  # never unpickles
+    return array
+
+
+def _read_npz(path: Path) -> NDArray[Any]:
+    if not zipfile.is_zipfile(path):
+        raise PredictionError(path, "is not a whole npz archive; write it again")
+    with np.load(path, allow_pickle=False) as archive:
+        array: NDArray[Any] = archive[_only(path, list(archive.files))]
+    return array
+
+
+def _read_h5(path: Path) -> NDArray[Any]:
+    import h5py
+
+    with h5py.File(path, "r") as file:
+        names = [name for name, item in file.items() if isinstance(item, h5py.Dataset)]
+        array: NDArray[Any] = file[_only(path, names)][()]
+    return array
+
+
+def _only(path: Path, names: list[str]) -> str:
+    """Return the name of a file's one array, or ``prediction`` among several."""
+    if len(names) == 1:
+        return names[0]
+    if "prediction" in names:
+        return "prediction"
+    raise PredictionError(
+        path, f"expected one array, or one called 'prediction'; found {', '.join(names) if names else 'none'}"
+    )
+
+
+def _read_png(path: Path) -> NDArray[Any]:
+    import imagecodecs
+
+    array: NDArray[Any] = imagecodecs.png_decode(path.read_bytes())
+    return array
+
+
+def _read_tiff(path: Path) -> NDArray[Any]:
+    import tifffile
+
+    array: NDArray[Any] = tifffile.imread(path)
+    return array

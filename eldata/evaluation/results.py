@@ -1,0 +1,212 @@
+"""What an evaluation found: scores per image, means per group, and everything that they depend on."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from eldata.files import write_text
+from eldata.tables import text_table
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    import pandas as pd
+
+    from eldata.protocols import Protocol
+    from eldata.records import PairRecord
+
+CSV_COLUMNS = ("path", "camera", "scene", "iso", "ratio", "psnr_db", "ssim", "rescale")
+
+_PROBLEMS_SHOWN = 20
+
+
+@dataclass(frozen=True, slots=True)
+class ImageScore:
+    """Scores of one prediction.
+
+    ``ratio`` is the nominal low-light factor, ``psnr_db`` infinite where the prediction equals the reference,
+    ``rescale`` the factor that the protocol multiplied the prediction by (1 if it does not rescale).
+    """
+
+    path: str
+    camera: str
+    scene: str
+    iso: float
+    ratio: float
+    psnr_db: float
+    ssim: float
+    rescale: float
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluationProblem:
+    """Something that kept a prediction from being scored, or that should not lie where it lies."""
+
+    path: str
+    reason: str
+
+    def __str__(self) -> str:
+        return f"{self.path}: {self.reason}"
+
+
+@dataclass(frozen=True, slots=True)
+class TableRow:
+    """Means over one group of images. ``camera`` or ``ratio`` is ``None`` where the group spans all of them."""
+
+    camera: str | None
+    ratio: float | None
+    pairs: int
+    scored: int
+    psnr_db: float
+    ssim: float
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluationResult:
+    """The result of :func:`eldata.evaluate`.
+
+    Attributes
+    ----------
+    protocol
+        The protocol of every score.
+    provenance
+        Versions, manifest and its digest, the protocol's digest, subset: what the numbers depend on.
+    pairs
+        The pairs that the protocol and the subset name, scored or not.
+    images
+        Scores, in the order of the pairs.
+    missing
+        Noisy frames without a usable prediction.
+    problems
+        What is wrong. With problems and without ``allow_missing`` nothing was scored.
+    notes
+        What a reader of the table should know.
+    """
+
+    protocol: Protocol
+    provenance: dict[str, Any]
+    pairs: tuple[PairRecord, ...]
+    images: tuple[ImageScore, ...]
+    missing: tuple[str, ...]
+    problems: tuple[EvaluationProblem, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def frame(self) -> pd.DataFrame:
+        """The scores as a pandas DataFrame, one row an image."""
+        import pandas as pd
+
+        return pd.DataFrame([asdict(image) for image in self.images], columns=list(CSV_COLUMNS))
+
+    @property
+    def table(self) -> tuple[TableRow, ...]:
+        """Means: camera by factor, each factor over all cameras, and all."""
+        cameras = list(dict.fromkeys(pair.camera for pair in self.pairs))
+        ratios = sorted({float(pair.ratio) for pair in self.pairs})
+        groups: list[tuple[str | None, float | None]] = [(camera, ratio) for camera in cameras for ratio in ratios]
+        if len(cameras) > 1:
+            groups += [(None, ratio) for ratio in ratios]
+        groups.append((None, None))
+        return tuple(row for row in (self._row(*group) for group in groups) if row.pairs)
+
+    def _row(self, camera: str | None, ratio: float | None) -> TableRow:
+        def belongs(item: PairRecord | ImageScore) -> bool:
+            return (camera is None or item.camera == camera) and (ratio is None or float(item.ratio) == ratio)
+
+        images = [image for image in self.images if belongs(image)]
+        return TableRow(
+            camera,
+            ratio,
+            sum(belongs(pair) for pair in self.pairs),
+            len(images),
+            _mean([image.psnr_db for image in images]),
+            _mean([image.ssim for image in images]),
+        )
+
+    def format_table(self) -> str:
+        """Return the table as aligned text: PSNR in dB to two decimals, SSIM to three, as the paper prints them."""
+        rows = []
+        previous: str | None = ""
+        for row in self.table:
+            name = "all" if row.camera is None else row.camera
+            ratio = "all" if row.ratio is None else f"x{row.ratio:g}"
+            pairs = str(row.pairs) if row.scored == row.pairs else f"{row.scored} of {row.pairs}"
+            psnr, ssim = (f"{row.psnr_db:.2f}", f"{row.ssim:.3f}") if row.scored else ("-", "-")
+            rows.append(("" if name == previous else name, ratio, pairs, psnr, ssim))
+            previous = name
+        return text_table(("camera", "factor", "pairs", "PSNR [dB]", "SSIM"), rows)
+
+    def format_text(self) -> str:
+        """Return problems, the table with its protocol and coverage, and notes as text."""
+        lines = [str(problem) for problem in self.problems[:_PROBLEMS_SHOWN]]
+        if len(self.problems) > _PROBLEMS_SHOWN:
+            lines.append(f"... and {len(self.problems) - _PROBLEMS_SHOWN} more (--json FILE lists all)")
+        if self.problems and not self.images:
+            lines.append(f"nothing was scored: {len(self.problems)} problem{'s' if len(self.problems) > 1 else ''}")
+            return "\n".join(lines)
+        if lines:
+            lines.append("")
+        cameras = self.provenance["cameras"]
+        subset = "" if cameras == "all" else f", only {', '.join(cameras)}"
+        coverage = f"{len(self.images)} of {len(self.pairs)} pairs"
+        lines += [f"{self.provenance['dataset']}, protocol {self.protocol.name}: {coverage}{subset}", ""]
+        lines += [self.format_table(), ""]
+        if self.missing:
+            lines.append(
+                f"INCOMPLETE: {len(self.missing)} pairs are not in these means, so they do not compare with others"
+            )
+        lines += [f"note: {note}" for note in self.notes]
+        lines.append(f"{self.protocol.title} ({self.protocol.digest[:15]})")
+        return "\n".join(lines)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything as plain JSON types; an infinite PSNR is the text ``inf``."""
+        result = {
+            "protocol": self.protocol.as_dict(),
+            "provenance": self.provenance,
+            "coverage": {"pairs": len(self.pairs), "scored": len(self.images), "missing": list(self.missing)},
+            "images": [asdict(image) for image in self.images],
+            "table": [asdict(row) for row in self.table],
+            "problems": [asdict(problem) for problem in self.problems],
+            "notes": list(self.notes),
+        }
+        return _json_safe(result)  # type: ignore[no-any-return] # a dict stays a dict
+
+    def write_json(self, path: Path | str) -> None:
+        """Write :meth:`as_dict` as JSON, whole or not at all."""
+        write_text(path, json.dumps(self.as_dict(), indent=2, allow_nan=False) + "\n")
+
+    def write_csv(self, path: Path | str) -> None:
+        """Write the scores as CSV with the columns :data:`CSV_COLUMNS`, every digit, whole or not at all."""
+        text = io.StringIO(newline="")
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(CSV_COLUMNS)
+        for image in self.images:
+            values = [getattr(image, column) for column in CSV_COLUMNS]
+            writer.writerow(
+                [
+                    f"{value:g}" if name in ("iso", "ratio") else value
+                    for name, value in zip(CSV_COLUMNS, values, strict=True)
+                ]
+            )
+        write_text(path, text.getvalue())
+
+
+def _mean(values: Sequence[float]) -> float:
+    return math.fsum(values) / len(values) if values else math.nan
+
+
+def _json_safe(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _json_safe(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_json_safe(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else str(value)
+    return value

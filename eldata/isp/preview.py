@@ -1,0 +1,56 @@
+"""A quick look at packed raw data in sRGB: binned, white-balanced, colour-corrected, gamma-encoded."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eldata.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from eldata.records import Sensor
+
+# Packed channels of each of R, G, B, by the number of packed channels (eldata.raw.cfa).
+_CHANNELS = {4: ((0,), (1, 3), (2,)), 9: ((0, 3), (1, 5, 6, 7, 8), (2, 4))}
+
+
+def srgb_encode(linear: NDArray[Any]) -> NDArray[Any]:
+    """Return linear light in [0, 1] with the sRGB transfer function applied (IEC 61966-2-1)."""
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055)
+
+
+def preview(packed: NDArray[np.floating[Any]], sensor: Sensor) -> NDArray[np.uint8]:
+    """Render packed raw data for viewing: one pixel a packed pixel, no demosaicing.
+
+    Parameters
+    ----------
+    packed
+        (C, h, w), normalised; values outside [0, 1] are clipped.
+    sensor
+        White balance and colour matrix; without them the camera's own colours are shown.
+
+    Returns
+    -------
+    ndarray
+        (h, w, 3) uint8, sRGB.
+
+    Raises
+    ------
+    ArgumentError
+        If there are neither 4 nor 9 channels.
+    """
+    if packed.ndim != 3 or packed.shape[0] not in _CHANNELS:
+        raise ArgumentError(f"expected packed data (4, h, w) or (9, h, w); found shape {packed.shape}")
+    clipped = np.clip(packed, 0, 1)
+    camera = np.stack([clipped[list(indices)].mean(axis=0) for indices in _CHANNELS[packed.shape[0]]])
+    if sensor.white_balance is not None:
+        red, green, blue, _ = sensor.white_balance
+        # Clipped at the level where the first channel saturates, so that blown highlights stay white.
+        camera = np.minimum(camera * np.array([red, green, blue])[:, None, None], 1.0)
+    matrix = sensor.camera_to_srgb
+    linear = camera if matrix is None else np.einsum("ij,jhw->ihw", matrix, camera)
+    codes: NDArray[np.uint8] = np.rint(srgb_encode(np.clip(linear, 0, 1)) * 255).astype(np.uint8)
+    return codes.transpose(1, 2, 0)

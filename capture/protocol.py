@@ -1,0 +1,166 @@
+"""The capture protocol: which frames of a scene are taken, in which order and how they are exposed.
+
+It is Algorithm 1 of Wei, Fu, Zheng and Yang, "Physics-based Noise Modeling for Extreme Low-light
+Photography", IEEE TPAMI 2021, with the frames numbered as in the dataset that its authors released.
+
+The algorithm takes one reference before and one after the noisy frames of every ISO. In the released set the
+one after an ISO is also the one before the next, so three ISOs come with four references.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+from eldata.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from eldata.records import Role
+
+
+@dataclass(frozen=True, slots=True)
+class ProtocolFrame:
+    """One frame that the protocol asks for.
+
+    Attributes
+    ----------
+    number
+        The frame's place in the scene, from 1: the released set's ``IMG_0004`` is number 4.
+    role
+        ``"reference"`` or ``"noisy"``.
+    iso
+        ISO speed to set.
+    factor
+        Low-light factor of a noisy frame; ``None`` for a reference.
+    reference
+        Number of the reference that a noisy frame is compared with; ``None`` for a reference.
+    """
+
+    number: int
+    role: Role
+    iso: int
+    factor: int | None
+    reference: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureProtocol:
+    """The settings of Algorithm 1 (Wei, Fu, Zheng and Yang, TPAMI 2021); the defaults are the released set's.
+
+    Attributes
+    ----------
+    base_iso
+        ISO of the references: the algorithm's ``g_b``.
+    noisy_isos
+        ISOs of the noisy frames, in the order in which they are taken: the algorithm's ``g_h``.
+    low_light_factors
+        By how much less light the noisy frames get, in any order: the algorithm's ``f``.
+
+    Raises
+    ------
+    ArgumentError
+        If a value is no positive whole number, or if a tuple is empty or repeats a value.
+    """
+
+    base_iso: int = 100
+    noisy_isos: tuple[int, ...] = (800, 1600, 3200)
+    low_light_factors: tuple[int, ...] = (1, 10, 100, 200)
+
+    def __post_init__(self) -> None:
+        _check_positive("base_iso", self.base_iso)
+        _check_distinct("noisy_isos", self.noisy_isos)
+        _check_distinct("low_light_factors", self.low_light_factors)
+
+    def frames(self) -> tuple[ProtocolFrame, ...]:
+        """Return the frames of one scene in the order in which they are taken.
+
+        A reference comes first. Then follow, for each ISO, its noisy frames by rising factor and another
+        reference. With the default settings the references are the numbers 1, 6, 11 and 16, and the noisy
+        frame of the i-th ISO and the k-th factor, both counted from 0, is ``5 i + 2 + k``. Other settings,
+        :data:`PAPER` among them, number their own frames from 1 by the same rule.
+
+        Returns
+        -------
+        tuple of ProtocolFrame
+            The frame at index n has the number n + 1. The reference of a noisy frame is the one nearest by
+            number, the earlier of two equally near: by default the noisy frames 4 and 5 use 6, not 1.
+        """
+        factors = sorted(self.low_light_factors)
+        block = len(factors) + 1
+        references = [1 + block * i for i in range(len(self.noisy_isos) + 1)]
+        frames = [ProtocolFrame(1, "reference", self.base_iso, None, None)]
+        for iso, before in zip(self.noisy_isos, references, strict=False):
+            for number, factor in enumerate(factors, start=before + 1):
+                frames.append(ProtocolFrame(number, "noisy", iso, factor, _nearest(references, number)))
+            frames.append(ProtocolFrame(before + block, "reference", self.base_iso, None, None))
+        return tuple(frames)
+
+    def exposure_s(self, frame: ProtocolFrame, metered_s: Fraction | int) -> Fraction:
+        """Return the exposure time of a frame, exactly.
+
+        References are exposed for the metered time ``t``. A noisy frame at the ISO ``g_h`` would be as bright
+        after ``t* = g_b t / g_h`` and is exposed for ``t* / f``. So the exposure ratio, ISO times exposure
+        time of the reference over the same of the noisy frame, is exactly ``f``.
+
+        Parameters
+        ----------
+        frame
+            One of :meth:`frames`.
+        metered_s
+            Exposure time in seconds that exposes the scene well at the base ISO.
+
+        Returns
+        -------
+        Fraction
+            Exposure time in seconds.
+
+        Raises
+        ------
+        ArgumentError
+            If ``frame`` is not of this protocol, or if ``metered_s`` is not an exact number above 0.
+        """
+        if not _is_exact(metered_s):
+            raise ArgumentError(f"metered_s must be a Fraction, so that exposures are exact; found {metered_s!r}")
+        if metered_s <= 0:
+            raise ArgumentError(f"metered_s must be above 0 seconds, found {metered_s}")
+        if frame not in self.frames():
+            raise ArgumentError(f"{frame} is not a frame of {self}; take one from its frames()")
+        if frame.factor is None:
+            return Fraction(metered_s)
+        return Fraction(self.base_iso, frame.iso * frame.factor) * metered_s
+
+
+def _nearest(references: list[int], number: int) -> int:
+    # The references rise, and min() returns the first of two that are equally near: the earlier.
+    return min(references, key=lambda reference: abs(number - reference))
+
+
+def _is_exact(value: object) -> bool:
+    return isinstance(value, Fraction | int) and not isinstance(value, bool)
+
+
+def _check_positive(name: str, value: object) -> None:
+    if not isinstance(value, int) or isinstance(value, bool) or value <= 0:
+        raise ArgumentError(f"{name} must be a positive whole number, found {value!r}")
+
+
+def _check_distinct(name: str, values: object) -> None:
+    if not isinstance(values, tuple):
+        raise ArgumentError(f"{name} must be a tuple of positive whole numbers, found {values!r}")
+    if not values:
+        raise ArgumentError(f"{name} must hold at least one positive whole number, found none")
+    for index, value in enumerate(values):
+        _check_positive(f"every value of {name}", value)
+        if value in values[:index]:
+            raise ArgumentError(f"{name} must hold each value once, found {value} again")
+
+
+RELEASED = CaptureProtocol()
+"""The released set: 16 frames a scene, with the factors 1 and 10 beside the paper's 100 and 200."""
+
+PAPER = CaptureProtocol(low_light_factors=(100, 200))
+"""The paper's own settings: six noisy frames a scene, 240 pairs over ten scenes and four cameras.
+
+Its frames are numbered on their own, 1 to 10; the released files keep the numbers of :data:`RELEASED`.
+"""

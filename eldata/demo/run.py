@@ -1,0 +1,113 @@
+"""The demo: make a dataset, verify it, predict, score, and draw a contact sheet."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+from tqdm import tqdm
+
+from eldata.datasets.eld import ELDDataset
+from eldata.demo.contact_sheet import write_contact_sheet
+from eldata.demo.denoise import denoise
+from eldata.demo.scenes import scene_title
+from eldata.demo.tree import make_tree
+from eldata.errors import EldataError
+from eldata.evaluation.evaluate import evaluate
+from eldata.evaluation.predictions import load_prediction, save_prediction
+from eldata.isp.preview import preview
+from eldata.manifest.verify import verify
+from eldata.raw.levels import packed_frame
+from eldata.raw.reading import read_raw
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from eldata.evaluation.results import EvaluationResult
+    from eldata.manifest.catalogue import Manifest
+
+_PREDICTORS = {
+    "amplified": "the noisy input times the exposure ratio, nothing else",
+    "dct": "sliding-window DCT thresholding",
+}
+
+
+def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0) -> dict[str, EvaluationResult]:
+    """Run the demo into a folder, printing what happens; return the results by predictor.
+
+    Raises
+    ------
+    EldataError
+        If the folder holds something that no demo made, or ``scenes`` is not positive.
+    """
+    if scenes < 1:
+        raise EldataError(f"scenes must be 1 or more; found {scenes}")
+    if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not _made_by_demo(folder))):
+        raise EldataError(f"{folder}: holds something else; give a new folder")
+    start = time.perf_counter()
+    manifest = make_tree(folder, scenes=scenes, seed=seed)
+    root = folder / "data"
+    print(
+        f"{len(manifest.records)} raw files (DNG) of {scenes} scenes and {len(manifest.card.cameras)} cameras: {root}"
+    )
+
+    print("\n$ eldata verify", f"{folder / 'manifests'} --root {root} --level metadata")
+    report = verify([manifest], root, level="metadata")
+    print(report.format_text())
+    if not report.ok:
+        raise EldataError("the demo's own files do not verify")
+
+    predictions = folder / "predictions"
+    _predict(manifest, manifest.folder(root), predictions)
+    results = {}
+    for name, what in _PREDICTORS.items():
+        place = predictions / name
+        print(f"\n{name}: {what}")
+        print(f"$ eldata evaluate {place} --manifest {manifest.path} --root {root}")
+        results[name] = evaluate(place, manifest=manifest.path, root=root)
+        print(results[name].format_text())
+        results[name].write_csv(folder / f"{name}.csv")
+        results[name].write_json(folder / f"{name}.json")
+
+    sheet = folder / "contact-sheet.png"
+    _draw(sheet, manifest.folder(root), predictions, results)
+    print(f"\nTo look at: {sheet}. Scores of each image: {folder}/*.csv. Took {time.perf_counter() - start:.0f} s.")
+    return results
+
+
+def _made_by_demo(folder: Path) -> bool:
+    return (folder / "manifests" / "eld-demo.csv").is_file()
+
+
+def _predict(manifest: Manifest, folder: Path, predictions: Path) -> None:
+    published = ELDDataset(folder, manifest=manifest.path)
+    # The denoiser needs the negative half of the read noise, or the dark parts come out too bright.
+    unclipped = ELDDataset(folder, manifest=manifest.path, clip="none")
+    for index in tqdm(range(len(published)), desc="denoising", unit="frame", disable=None, leave=False):
+        sample = published[index]
+        save_prediction(predictions / "amplified", sample["path"], sample["input"].numpy())
+        save_prediction(predictions / "dct", sample["path"], denoise(unclipped[index]["input"].numpy()))
+
+
+def _draw(path: Path, folder: Path, predictions: Path, results: dict[str, EvaluationResult]) -> None:
+    """Draw each scene once, cameras in turn, at the middle ISO and the larger factor."""
+    pairs = next(iter(results.values())).pairs
+    cameras = list(dict.fromkeys(pair.camera for pair in pairs))
+    scenes = list(dict.fromkeys(pair.scene for pair in pairs))
+    rows = []
+    for index, scene in enumerate(scenes):
+        camera = cameras[index % len(cameras)]
+        pair = next(p for p in pairs if p.camera == camera and p.scene == scene and p.iso == 1600 and p.ratio == 200)
+        reference = read_raw(folder / pair.reference)
+        target = packed_frame(reference, levels="published", clip="both")
+        title = scene_title(int(scene.removeprefix("scene-")))
+        row = [(f"{title}, {camera}: reference, ISO 100", preview(target, reference.sensor))]
+        for name, result in results.items():
+            prediction = load_prediction(
+                (predictions / name / pair.path).with_suffix(".npy"), reference.sensor, "published"
+            )
+            score = next(image for image in result.images if image.path == pair.path)
+            caption = f"{name}, ISO 1600 x200: {score.psnr_db:.1f} dB, SSIM {score.ssim:.2f}"
+            row.append((caption, preview(prediction * score.rescale, reference.sensor)))
+        rows.append(row)
+    write_contact_sheet(path, rows)

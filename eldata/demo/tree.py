@@ -1,0 +1,91 @@
+"""A small ELD-like dataset of real DNG files, with its manifest and card."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+from tqdm import tqdm
+
+from eldata.demo.camera import BASE_ISO, CAMERAS
+from eldata.demo.scenes import scene_radiance
+from eldata.manifest.card import CameraCard, Card, save_card
+from eldata.manifest.catalogue import Manifest, load_manifest
+from eldata.manifest.eld import EldCamera, eld_records
+from eldata.manifest.table import save_records
+from eldata.raw.dng import write_dng
+from eldata.records import Exposure
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from eldata.demo.camera import SimulatedCamera
+
+# What the simulated photographer metered: seconds at ISO 100. 3.2 s in every second scene, as in the real set.
+_METERED_S = (Fraction(4), Fraction(16, 5))
+_F_NUMBER = Fraction(28, 5)
+
+
+def make_tree(
+    folder: Path,
+    *,
+    scenes: int = 2,
+    size: tuple[int, int] = (512, 768),
+    seed: int = 0,
+    cameras: Sequence[SimulatedCamera] = CAMERAS,
+) -> Manifest:
+    """Photograph the demo's scenes with its cameras, sixteen frames each, into ``folder``.
+
+    Writes ``folder/data/ELD-demo/<camera>/scene-<n>/IMG_<nnnn>.dng`` and ``folder/manifests/eld-demo.{csv,json}``.
+
+    Parameters
+    ----------
+    folder
+        Made if it is not there.
+    scenes
+        Number of scenes per camera.
+    size
+        (H, W) of the mosaics in pixels.
+    seed
+        The same seed gives the same files.
+    cameras
+        The simulated cameras.
+    """
+    data, manifests = folder / "data" / "ELD-demo", folder / "manifests"
+    manifests.mkdir(parents=True, exist_ok=True)
+    numbers = range(1, scenes + 1)
+    metered_s = {number: _METERED_S[(number - 1) % len(_METERED_S)] for number in numbers}
+    records = eld_records([EldCamera(camera.name, ".dng", BASE_ISO, metered_s) for camera in cameras], numbers)
+    camera_of = {camera.name: (index, camera.with_size(*size)) for index, camera in enumerate(cameras)}
+    radiance = {f"scene-{number}": scene_radiance(number, *size) for number in numbers}
+    with tqdm(records, desc="photographing", unit="frame", disable=None, leave=False) as bar:
+        for index, record in enumerate(bar):
+            camera_index, camera = camera_of[record.camera]
+            metered = metered_s[int(record.scene.removeprefix("scene-"))]
+            # Both are known: the references' are given.
+            iso, exposure_s = cast("Fraction", record.iso), cast("Fraction", record.exposure_s)
+            generator = np.random.default_rng([seed, camera_index, index])
+            mosaic = camera.photograph(radiance[record.scene], exposure_s / metered, int(iso), generator)
+            path = data / record.path
+            path.parent.mkdir(parents=True, exist_ok=True)
+            exposure = Exposure(iso, exposure_s, _F_NUMBER)
+            write_dng(path, mosaic, camera.sensor, exposure, compression="lossless-jpeg")
+    roles = [record.role for record in records]
+    card = Card(
+        name="eld-demo",
+        title="Simulated ELD-like set",
+        version="1.0",
+        folder="ELD-demo",
+        citation="none: made by eldata demo",
+        licence="CC0",
+        homepage="made by eldata demo",
+        cfa="bayer",
+        cameras={camera.name: CameraCard((camera.sensor.model,)) for camera in cameras},
+        counts={role: roles.count(role) for role in sorted(set(roles))},
+        sources=("eldata.demo: procedural scenes, simulated cameras",),
+    )
+    save_card(manifests / "eld-demo.json", card)
+    save_records(manifests / "eld-demo.csv", records)
+    return load_manifest(manifests / "eld-demo.csv")

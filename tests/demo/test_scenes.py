@@ -1,0 +1,165 @@
+from __future__ import annotations
+
+import itertools
+import time
+
+import numpy as np
+import pytest
+
+from eldata.demo import scenes
+from eldata.errors import ArgumentError
+
+BASE = (1, 2, 3, 4)
+NUMBERS = (*BASE, 5, 6, 7, 8, 1001)
+SIZES = ((64, 64), (65, 97), (256, 384), (301, 200), (64, 301))
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+@pytest.mark.parametrize(("height", "width"), SIZES)
+def test_radiance_is_finite_float32_between_0_and_1(number: int, height: int, width: int) -> None:
+    radiance = scenes.scene_radiance(number, height, width)
+    assert radiance.shape == (3, height, width)
+    assert radiance.dtype == np.float32
+    assert np.isfinite(radiance).all()
+    assert radiance.min() >= 0
+    assert radiance.max() <= 1
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+def test_scene_has_dark_and_bright_regions_and_small_highlights(number: int) -> None:
+    radiance = scenes.scene_radiance(number, 256, 384)
+    assert np.percentile(radiance, 1) < 5e-3
+    assert np.percentile(radiance, 99.5) > 0.4
+    assert 0 < (radiance == 1).mean() < 1e-3  # a glint may saturate, a surface may not
+
+
+def test_same_number_gives_the_same_bytes_whatever_the_global_random_state() -> None:
+    first = scenes.scene_radiance(6, 96, 128)
+    np.random.seed(1)  # noqa: NPY002 - the global state is what must not matter
+    assert scenes.scene_radiance(6, 96, 128).tobytes() == first.tobytes()
+
+
+def test_scenes_and_their_variations_differ() -> None:
+    pictures = {number: scenes.scene_radiance(number, 64, 96) for number in range(1, 13)}
+    for one, other in itertools.combinations(pictures, 2):
+        difference = np.abs(np.sqrt(pictures[one]) - np.sqrt(pictures[other])).mean()
+        assert difference > 0.02, (one, other)
+
+
+def test_a_scene_looks_the_same_at_two_sizes() -> None:
+    for number in BASE:
+        large = scenes.scene_radiance(number, 256, 384).reshape(3, 64, 4, 96, 4).mean((2, 4))
+        small = scenes.scene_radiance(number, 64, 96)
+        assert np.abs(np.sqrt(large) - np.sqrt(small)).mean() < 0.02, number
+
+
+@pytest.mark.parametrize("number", [1, 5, 9, 13])
+def test_patch_centres_hold_the_declared_colours_times_the_light(number: int) -> None:
+    stage = scenes._painted(number, 256, 384)
+    radiance = scenes.scene_radiance(number, 256, 384)
+    declared = np.asarray(scenes.CHART_SRGB) / 255
+    declared = np.where(declared <= 0.04045, declared / 12.92, ((declared + 0.055) / 1.055) ** 2.4)
+    found = [colour for _, _, colour in stage.patches]
+    np.testing.assert_allclose(np.sort(found, axis=0), np.sort(declared, axis=0), rtol=1e-6)
+    for row, column, colour in stage.patches:
+        np.testing.assert_allclose(radiance[:, row, column], colour * stage.light[:, row, column], rtol=1e-5)
+
+
+def test_neighbouring_grey_patches_have_the_declared_ratios() -> None:
+    stage = scenes._painted(1, 512, 768)
+    radiance = scenes.scene_radiance(1, 512, 768)
+    greys = stage.patches[18:]
+    for (row, column, colour), (next_row, next_column, next_colour) in itertools.pairwise(greys):
+        assert row == next_row
+        found = radiance[:, row, column] / radiance[:, next_row, next_column]
+        # The light changes by no more than a fifth from one patch to the next.
+        np.testing.assert_allclose(found, colour / next_colour, rtol=0.2)
+
+
+def test_light_is_gentle_and_positive() -> None:
+    light = scenes._painted(1, 128, 192).light
+    assert light.min() > 0
+    assert 0.9 < light.max() <= 1
+    assert light.max() / light.min() > 4
+    assert np.abs(np.diff(np.log(light), axis=2)).max() < 0.05
+
+
+def test_grey_wedge_halves_every_second_step() -> None:
+    stage = scenes._Stage(1, 256, 384)
+    greys = stage.wedge(np.arange(11) + 0.5, 0.09)
+    np.testing.assert_allclose(greys, scenes.WHITE * 2.0 ** (-np.arange(11) / 2), rtol=1e-6)
+
+
+def test_bars_reach_ink_and_paper_and_fade_where_pixels_are_too_coarse() -> None:
+    stage = scenes._Stage(2, 128, 192)
+    coarse = stage.waves(np.linspace(0, 4, 400), 0.1)
+    assert {np.round(coarse.min(), 4), np.round(coarse.max(), 4)} == {scenes.INK, scenes.WHITE}
+    finest = stage.waves(np.linspace(0, 4, 400), 1 / stage.scale)  # one pixel per line pair
+    assert np.ptp(finest) == pytest.approx(0, abs=1e-6)
+
+
+def test_line_pairs_keep_their_mean_reflectance() -> None:
+    stage = scenes._Stage(2, 256, 384)
+    bars = stage.waves(np.linspace(0, 8, 8000, endpoint=False), 0.1)
+    assert bars.mean() == pytest.approx((scenes.INK + scenes.WHITE) / 2, abs=1e-3)
+
+
+def test_text_darkens_paper_and_lightens_the_dark_panel() -> None:
+    for paper, ink in ((0.9, 0.02), (0.02, 0.9)):
+        stage = scenes._Stage(4, 128, 192)
+        stage.colour[:] = paper
+        stage.write(0, 0, 0.3, "eldata", ink, "mm")
+        changed = np.abs(stage.colour[0] - paper) > 0.5
+        assert 0.005 < changed.mean() < 0.2
+        rows, columns = np.nonzero(changed)
+        assert abs(rows.mean() - 64) < 8
+        assert abs(columns.mean() - 96) < 8
+
+
+def test_texture_is_normalised_and_band_limited() -> None:
+    texture = scenes._texture(np.random.default_rng(3), 512, 512)
+    assert texture.mean() == pytest.approx(0, abs=1e-3)
+    assert texture.std() == pytest.approx(1, abs=1e-3)
+    power = np.abs(np.fft.fft2(texture)) ** 2
+    frequency = np.hypot(np.fft.fftfreq(512)[:, None], np.fft.fftfreq(512)[None, :])
+    assert power[frequency > 0.45].sum() < 1e-3 * power.sum()
+
+
+def test_titles() -> None:
+    titles = [scenes.scene_title(number) for number in range(1, 13)]
+    assert titles[:4] == list(scenes.TITLES)
+    assert len(set(titles)) == 12
+    assert titles[4] == "Colour chart, variation 1"
+
+
+@pytest.mark.parametrize("number", [0, -1, 1.5, "1", None])
+def test_bad_number(number: object) -> None:
+    with pytest.raises(ArgumentError, match="number"):
+        scenes.scene_radiance(number, 64, 64)  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match="number"):
+        scenes.scene_title(number)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("size", [63, 0, -64, 64.0])
+def test_bad_size(size: int) -> None:
+    with pytest.raises(ArgumentError, match="height"):
+        scenes.scene_radiance(1, size, 64)
+    with pytest.raises(ArgumentError, match="width"):
+        scenes.scene_radiance(1, 64, size)
+
+
+def test_numpy_integers_are_accepted() -> None:
+    found = scenes.scene_radiance(np.int64(1), np.int32(64), np.uint16(96))  # type: ignore[arg-type,unused-ignore]
+    np.testing.assert_array_equal(found, scenes.scene_radiance(1, 64, 96))
+
+
+def test_generation_is_fast() -> None:
+    best = []
+    for number in BASE:
+        times = []
+        for _ in range(3):
+            start = time.perf_counter()
+            scenes.scene_radiance(number, 512, 768)
+            times.append(time.perf_counter() - start)
+        best.append(min(times))
+    assert max(best) < 0.5

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-import tempfile
+import secrets
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING
@@ -34,29 +34,20 @@ def atomic_write(path: Path | str) -> Iterator[IO[bytes]]:
         If the operating system refuses; the message names the file and its reason.
     """
     path = Path(path)
-    temporary: Path | None = None
+    temporary = path.parent / f".{path.name}.{secrets.token_hex(8)}.part"
     try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
-        temporary = Path(name)
-        with os.fdopen(handle, "wb") as file:
+        with temporary.open("xb") as file:
             yield file
             file.flush()
             os.fsync(file.fileno())
-        temporary.chmod(0o666 & ~_umask())
         temporary.replace(path)
     except OSError as error:
+        if error.filename is not None and Path(error.filename) != temporary:
+            raise  # of another file, in the caller's block
         raise EldataError(f"cannot write {path}: {error.strerror or error}") from error
     finally:
-        if temporary is not None:
-            with suppress(OSError):
-                temporary.unlink(missing_ok=True)
-
-
-def _umask() -> int:
-    # There is no way to read the mask without setting it.
-    mask = os.umask(0o022)
-    os.umask(mask)
-    return mask
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
 
 
 def write_text(path: Path | str, text: str) -> None:
@@ -96,7 +87,11 @@ def inside(root: Path, relative: str) -> Path:
     if problem is not None:
         raise ManifestError(f"path {relative!r} {problem}")
     path = root.joinpath(*PurePosixPath(relative).parts)
-    if not path.resolve().is_relative_to(root.resolve()):
+    try:
+        leads_outside = not path.resolve().is_relative_to(root.resolve())
+    except (OSError, RuntimeError) as error:
+        raise ManifestError(f"{path} cannot be followed ({error}); is it a loop of links?") from error
+    if leads_outside:
         raise ManifestError(
             f"{path} leads outside of {root} through a link; move the files there, or point --root at their place"
         )

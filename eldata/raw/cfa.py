@@ -10,9 +10,9 @@ X-Trans (6x6, any offset)
 
 The packed area
 ---------------
-A mosaic is cropped before packing (:func:`packed_area`): X-Trans first loses the rows at the top and the
-columns at the left (0 to 5 each, the fewest that do) up to where its pattern starts as it does in the SID code,
-so that every X-Trans camera packs to the same geometry; then each CFA loses the rows at the bottom and the
+A mosaic is cropped before packing (:func:`packed_area`): X-Trans first loses the rows at the top and the columns at
+the left (0 to 5 each, the fewest in all, and then the fewer rows) up to where its pattern starts as it does in the SID
+code, so that every X-Trans camera packs to the same geometry; then each CFA loses the rows at the bottom and the
 columns at the right that do not fill a whole period. Within that area packing is a permutation:
 ``unpack(pack(x)) == x`` exactly.
 
@@ -119,8 +119,13 @@ def _as_table(period: int, channel_of: CfaRows) -> NDArray[np.int64]:
 
 @cache
 def _layout(cfa: CfaRows) -> _Layout:
-    if len(cfa) == 2 and sorted(value for row in cfa for value in row) == [0, 1, 2, 3]:
-        if any(set(row) in ({0, 1}, {2, 3}) for row in cfa):
+    if (
+        len(cfa) == 2
+        and len(cfa[0]) == len(cfa[1]) == 2
+        and sorted(value for row in cfa for value in row) == [0, 1, 2, 3]
+    ):
+        diagonal = {(cfa[y][x], cfa[1 - y][1 - x]) for y in range(2) for x in range(2)}
+        if any(set(row) == {0, 1} for row in cfa) and (1, 3) in diagonal:
             return _Layout(2, 1, 0, 0, _as_table(2, cfa), (0, 1, 2, 3))
     elif len(cfa) == 6 and all(len(row) == 6 for row in cfa):
         for top, left in sorted(((y, x) for y in range(6) for x in range(6)), key=sum):
@@ -178,7 +183,7 @@ def pack(mosaic: NDArray[Scalar], cfa: Cfa) -> NDArray[Scalar]:
     Parameters
     ----------
     mosaic
-        (H, W), any dtype.
+        (H, W), any dtype of 1, 2, 4 or 8 bytes.
     cfa
         The CFA of its pixel (0, 0), as :attr:`eldata.records.Sensor.cfa`.
 
@@ -197,7 +202,7 @@ def pack(mosaic: NDArray[Scalar], cfa: Cfa) -> NDArray[Scalar]:
     layout = _layout(_rows(cfa))
     area = _area_of(mosaic, cfa)
     packed = np.empty(packed_shape(mosaic.shape, cfa), dtype=mosaic.dtype)
-    gather(area, packed, layout.sites, layout.period, layout.sub)
+    gather(_as_bits(area), _as_bits(packed), layout.sites, layout.period, layout.sub)
     return packed
 
 
@@ -207,7 +212,7 @@ def unpack(packed: NDArray[Scalar], cfa: Cfa) -> NDArray[Scalar]:
     Parameters
     ----------
     packed
-        (C, h, w) with C = 4 for Bayer or 9 for X-Trans (then h and w are even), any dtype.
+        (C, h, w) with C = 4 for Bayer or 9 for X-Trans (then h and w are even), any dtype of 1, 2, 4 or 8 bytes.
     cfa
         The CFA that ``pack`` was given.
 
@@ -229,8 +234,15 @@ def unpack(packed: NDArray[Scalar], cfa: Cfa) -> NDArray[Scalar]:
         raise ArgumentError(f"expected packed data ({layout.channels}, h, w){even}; found shape {packed.shape}")
     scale = layout.period // layout.sub
     mosaic = np.empty((packed.shape[1] * scale, packed.shape[2] * scale), dtype=packed.dtype)
-    scatter(packed, mosaic, layout.sites, layout.period, layout.sub)
+    scatter(_as_bits(packed), _as_bits(mosaic), layout.sites, layout.period, layout.sub)
     return mosaic
+
+
+def _as_bits(values: NDArray[Any]) -> NDArray[np.unsignedinteger[Any]]:
+    """Return the same memory as unsigned integers: packing moves values, whatever they are."""
+    if values.dtype.hasobject or values.dtype.itemsize not in (1, 2, 4, 8):
+        raise ArgumentError(f"values of 1, 2, 4 or 8 bytes can be packed, not {values.dtype}")
+    return values.view(f"u{values.dtype.itemsize}")
 
 
 def packed_black_level_dn(cfa: Cfa, black_level_dn: Sequence[float]) -> NDArray[np.float32]:
@@ -248,11 +260,12 @@ def packed_black_level_dn(cfa: Cfa, black_level_dn: Sequence[float]) -> NDArray[
 
 
 def _checked_levels(black: NDArray[np.float32], white_level_dn: float) -> np.float32:
-    if not np.all(np.isfinite(black)) or not np.isfinite(white_level_dn) or not white_level_dn > black.max():
+    white = np.float32(white_level_dn)
+    if not np.all(np.isfinite(black)) or not np.isfinite(white) or not white > black.max():
         raise ArgumentError(
             f"the white level ({white_level_dn} DN) must lie above every black level ({black.tolist()} DN)"
         )
-    return np.float32(white_level_dn)
+    return white
 
 
 def _clip_range(clip: Clip) -> tuple[np.float32, np.float32]:
@@ -308,7 +321,7 @@ def pack_normalised(
 
     if mosaic.dtype != np.uint16:
         raise ArgumentError(f"a mosaic in DN is uint16; found {mosaic.dtype}")
-    if not (np.isfinite(gain) and gain >= 0):
+    if not 0 <= gain <= float(np.finfo(np.float32).max):
         raise ArgumentError(f"the gain must be finite and not negative; found {gain}")
     black = packed_black_level_dn(cfa, black_level_dn)
     white = _checked_levels(black, white_level_dn)
@@ -331,15 +344,16 @@ def pack_normalised(
 
 
 def normalise(
-    packed: NDArray[Any],
-    cfa: Cfa,
-    black_level_dn: Sequence[float],
-    white_level_dn: float,
-    *,
-    clip: Clip = "both",
+    packed: NDArray[Any], cfa: Cfa, black_level_dn: Sequence[float], white_level_dn: float, *, clip: Clip = "both"
 ) -> NDArray[np.float32]:
-    """Return packed DN as (DN - black) / (white - black), (C, h, w) float32, clipped as named."""
-    black = packed_black_level_dn(cfa, black_level_dn)[:, None, None]
+    """Return packed DN as (DN - black) / (white - black), (C, h, w) float32, clipped as named.
+
+    Raises
+    ------
+    ArgumentError
+        If the shape does not fit the CFA, or the levels make no sense.
+    """
+    black = _black_of(packed, cfa, black_level_dn)
     white = _checked_levels(black, white_level_dn)
     return np.clip((packed.astype(np.float32) - black) / (white - black), *_clip_range(clip))
 
@@ -350,7 +364,19 @@ def denormalise(
     """Return normalised packed data as DN: uint16, rounded to the nearest, limited to [0, 65535].
 
     The inverse of :func:`normalise` for DN that it did not clip.
+
+    Raises
+    ------
+    ArgumentError
+        As :func:`normalise`.
     """
-    black = packed_black_level_dn(cfa, black_level_dn)[:, None, None].astype(np.float64)
-    dn = packed * (white_level_dn - black) + black
-    return np.clip(np.rint(dn), 0, 65535).astype(np.uint16)
+    black = _black_of(packed, cfa, black_level_dn).astype(np.float64)
+    white = float(_checked_levels(black.astype(np.float32), white_level_dn))
+    return np.clip(np.rint(packed * (white - black) + black), 0, 65535).astype(np.uint16)
+
+
+def _black_of(packed: NDArray[Any], cfa: Cfa, black_level_dn: Sequence[float]) -> NDArray[np.float32]:
+    black = packed_black_level_dn(cfa, black_level_dn)
+    if packed.ndim != 3 or packed.shape[0] != len(black):
+        raise ArgumentError(f"expected packed data ({len(black)}, h, w); found shape {packed.shape}")
+    return black[:, None, None]

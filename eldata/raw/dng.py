@@ -16,7 +16,7 @@ import numpy as np
 
 from eldata.errors import ArgumentError
 from eldata.files import atomic_write
-from eldata.raw.cfa import packed_channels
+from eldata.raw.cfa import packed_black_level_dn
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -34,6 +34,7 @@ _PHOTOMETRIC_CFA = 32803
 _EXIF_IFD = 34665
 _EXIF_IFD_PLACEHOLDER = 34664  # an unassigned tag that sorts to the same place
 _ILLUMINANT_D65 = 21
+_LEAST_SIDE = 22
 
 
 def _rational(value: Fraction, name: str) -> tuple[int, int]:
@@ -80,23 +81,44 @@ def _ifd_bytes(entries: list[tuple[int, int, int, bytes]], offset: int) -> bytes
     return table + struct.pack("<I", 0) + values
 
 
+def _check_sensor(sensor: Sensor) -> None:
+    """Refuse what the format, or LibRaw when it reads the file, cannot hold."""
+    channels = packed_black_level_dn(sensor.cfa, sensor.black_level_dn)  # refuses CFA and number of levels
+    if len(sensor.black_level_dn) == 3 and len(set(sensor.black_level_dn)) > 1:
+        raise ArgumentError(f"black_level_dn {sensor.black_level_dn}: LibRaw keeps one level for X-Trans")
+    for name, level in (("black_level_dn", channels), ("white_level_dn", sensor.white_level_dn)):
+        levels = np.atleast_1d(level)
+        if not (np.all(levels == np.rint(levels)) and np.all((levels >= 0) & (levels <= 65535))):
+            raise ArgumentError(f"{name} {level}: expected whole numbers from 0 to 65535; LibRaw keeps no other levels")
+    if not sensor.white_level_dn > max(sensor.black_level_dn):
+        raise ArgumentError(
+            f"white_level_dn {sensor.white_level_dn} must lie above black_level_dn {sensor.black_level_dn}"
+        )
+    if min(sensor.height, sensor.width) < _LEAST_SIDE:
+        raise ArgumentError(
+            f"{sensor.height} x {sensor.width} pixels: LibRaw takes no raw image under {_LEAST_SIDE} pixels a side"
+        )
+    if sensor.white_balance is not None and not all(0 < value < np.inf for value in sensor.white_balance):
+        raise ArgumentError(f"white_balance {sensor.white_balance}: expected positive multipliers")
+    if sensor.xyz_to_camera is not None and not np.all(np.isfinite(sensor.xyz_to_camera)):
+        raise ArgumentError(f"xyz_to_camera {sensor.xyz_to_camera}: expected finite numbers")
+    for text in (sensor.make, sensor.model):
+        if not text.isascii() or text != text.strip():
+            raise ArgumentError(f"{text!r}: expected ASCII text without spaces at its ends")
+
+
 def _sensor_tags(sensor: Sensor) -> list[Entry]:
     rows, columns = len(sensor.cfa), len(sensor.cfa[0])
     # A DNG's CFAPattern names colours: red 0, green 1, blue 2; which green is which follows from the place.
     colours = bytes({3: 1}.get(index, index) for row in sensor.cfa for index in row)
-    black = [_decimal(sensor.black_level_dn[index]) for row in sensor.cfa for index in row]
-    for level in black:
-        if level < 0 or level.denominator > _MAX_LONG or level.numerator > _MAX_LONG:
-            raise ArgumentError(f"black_level_dn {sensor.black_level_dn} does not fit a DNG")
-    if sensor.white_level_dn != int(sensor.white_level_dn) or not 0 < sensor.white_level_dn <= 65535:
-        raise ArgumentError(f"white_level_dn = {sensor.white_level_dn} is not a whole number from 1 to 65535")
+    black = [int(sensor.black_level_dn[index]) for row in sensor.cfa for index in row]
     tags: list[Entry] = [
         (33421, "H", 2, (rows, columns), True),
         (33422, "B", rows * columns, colours, True),
         (50706, "B", 4, bytes((1, 4, 0, 0)), True),
         (50707, "B", 4, bytes((1, 1, 0, 0)), True),
         (50713, "H", 2, (rows, columns), True),
-        (50714, "2I", len(black), tuple(n for f in black for n in (f.numerator, f.denominator)), True),
+        (50714, "I", len(black), tuple(black), True),
         (50717, "I", 1, int(sensor.white_level_dn), True),
     ]
     for code, text in (
@@ -105,8 +127,6 @@ def _sensor_tags(sensor: Sensor) -> list[Entry]:
         (50708, f"{sensor.make} {sensor.model}".strip()),
     ):
         if text:
-            if not text.isascii():
-                raise ArgumentError(f"{text!r}: TIFF text is ASCII")
             tags.append((code, "s", 0, text, True))
     if sensor.xyz_to_camera is not None:
         matrix = [_decimal(round(value, 6)) for row in sensor.xyz_to_camera for value in row]
@@ -132,7 +152,8 @@ def write_dng(
 ) -> None:
     """Write a mosaic as a DNG, whole or not at all.
 
-    :func:`eldata.raw.read_raw` gives back the same mosaic, sensor and exposure (the colour matrix to six decimals).
+    :func:`eldata.raw.read_raw` gives back the same mosaic, sensor and exposure (matrix and white balance to six
+    decimals; a sensor without a matrix gets that of LibRaw's table if LibRaw knows the model).
 
     Parameters
     ----------
@@ -159,14 +180,16 @@ def write_dng(
 
     if compression not in get_args(Compression):
         raise ArgumentError(f"compression must be one of {', '.join(get_args(Compression))}; found {compression!r}")
-    packed_channels(sensor.cfa)  # refuses an unsupported CFA
+    _check_sensor(sensor)
     if mosaic.dtype != np.uint16 or mosaic.shape != (sensor.height, sensor.width):
         raise ArgumentError(
             f"expected a uint16 mosaic of {sensor.height} x {sensor.width} pixels as the sensor record says; "
             f"found {mosaic.dtype} {mosaic.shape}"
         )
-    if any(level != int(level) for level in sensor.black_level_dn):
-        raise ArgumentError(f"black_level_dn {sensor.black_level_dn}: LibRaw keeps whole numbers only; round them")
+    if min(sensor.black_level_dn) > 0 and not mosaic[-1].any():
+        raise ArgumentError(
+            "the last row is all 0 DN although black is above it: readers take that for a truncated file"
+        )
 
     whole = np.ascontiguousarray(mosaic)
     buffer = io.BytesIO()

@@ -8,8 +8,10 @@ CFA
     Asked of LibRaw for the visible area's own first sites. rawpy's ``raw_pattern`` counts from the corner of the
     full raw image and is out of phase where a margin is odd.
 black level
-    LibRaw's per-channel figure: it already joins the global level, the per-channel offsets and a DNG's repeating
-    pattern, and for bodies without a recorded level it is measured in the masked pixels of that very file.
+    A DNG's own BlackLevel, exactly, at the sites of the visible area; LibRaw rounds it, and where an active area starts
+    at an odd row or column gives its pattern to the wrong channels. Else LibRaw's per-channel figure: it joins the
+    global level and the per-channel offsets, and for bodies without a recorded level it is measured in the masked
+    pixels of that very file.
 white level
     LibRaw's ``white_level``: the level at which the format saturates, from the file where the file has one (DNG).
     The per-channel ``camera_white_level_per_channel`` is missing for most cameras, comes from LibRaw's table or
@@ -38,6 +40,7 @@ from __future__ import annotations
 
 import ctypes
 import io
+import math
 import struct
 from contextlib import contextmanager
 from fractions import Fraction
@@ -47,22 +50,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.errors import RawFileError
+from eldata.errors import ArgumentError, RawFileError
+from eldata.raw.cfa import packed_channels
+from eldata.raw.tiff import ACTIVE_AREA, BLACK_DELTAS, BLACK_LEVEL, BLACK_REPEAT, MAGIC, read_directories
 from eldata.records import Exposure, RawFrame, RawHeader, Sensor
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     import rawpy
 
+    from eldata.raw.tiff import Directory
     from eldata.records import Matrix3
 
     Tags = dict[str, Any]
 
-_TIFF_MAGIC = (b"II*\0", b"MM\0*")
 _RAF_MAGIC = b"FUJIFILMCCD-RAW"
-_CFA_PHOTOMETRIC = 32803
-_TAG_BLACK_LEVEL = 50714
 _D65 = 21
 
 
@@ -77,6 +80,7 @@ def read_header(path: Path | str) -> RawHeader:
         If the file is missing, empty, truncated or not a raw file.
     """
     path = _existing(path)
+    read_directories(path)  # refuses a file that does not hold what it declares
     with _opened(path) as raw:
         return _header(path, raw, _exif_tags(path))
 
@@ -99,6 +103,7 @@ def read_raw(path: Path | str) -> RawFrame:
     import rawpy
 
     path = _existing(path)
+    directories = read_directories(path)
     with _opened(path) as raw:
         tags = _exif_tags(path)
         raw.unpack()
@@ -109,7 +114,9 @@ def read_raw(path: Path | str) -> RawFrame:
             raise RawFileError(path, f"{kind}: {shape} samples; a mosaic of a Bayer or X-Trans sensor is needed")
         cfa, index_of = _cfa(path, raw)
         mosaic = raw.raw_image_visible.copy()
-        black = _black_level(path, raw, index_of)
+        black = _dng_black_level(path, raw, directories, cfa) or tuple(
+            float(raw.black_level_per_channel[index]) for index in index_of
+        )
         white = float(raw.white_level)
         if not white > max(black):
             raise RawFileError(path, f"white level {white:g} DN is not above the black level {black} DN")
@@ -173,7 +180,7 @@ def _existing(path: Path | str) -> Path:
 def _opened(path: Path) -> Iterator[rawpy.RawPy]:
     import rawpy
 
-    _check_extents(path)
+    _check_raf(path)
     _one_thread()
     # Not rawpy.imread: it warns in every forked process, and _one_thread removes what it warns of.
     raw = rawpy.RawPy()
@@ -211,51 +218,17 @@ def _one_thread() -> None:
 # --- what the file declares -----------------------------------------------------------------------------------
 
 
-def _check_extents(path: Path) -> None:
-    size = path.stat().st_size
+def _check_raf(path: Path) -> None:
     with path.open("rb") as file:
         head = file.read(108)
-    if head.startswith(_TIFF_MAGIC):
-        declared = _tiff_extents(path)
-    elif head.startswith(_RAF_MAGIC) and len(head) == 108:
+    if head.startswith(_RAF_MAGIC) and len(head) == 108:
         # Offset and length of the JPEG, the CFA header and the CFA data, big-endian.
-        declared = [struct.unpack_from(">II", head, at) for at in (84, 92, 100)]
-    else:
-        declared = []
-    end = max((offset + length for offset, length in declared), default=0)
-    if end > size:
-        raise RawFileError(
-            path,
-            f"truncated: it declares data up to byte {end} but has {size} bytes; copy or download it again",
-        )
-
-
-def _tiff_extents(path: Path) -> list[tuple[int, int]]:
-    import tifffile
-
-    found: list[tuple[int, int, int]] = []
-
-    def collect(pages: Any) -> None:
-        for page in pages:
-            found.extend(
-                (int(page.photometric), offset, length)
-                for offset, length in zip(page.dataoffsets, page.databytecounts, strict=False)
+        end = max(sum(struct.unpack_from(">II", head, at)) for at in (84, 92, 100))
+        size = path.stat().st_size
+        if end > size:
+            raise RawFileError(
+                path, f"truncated: it declares data up to byte {end} but has {size} bytes; copy or download it again"
             )
-            if page.subifds:
-                collect(page.pages)
-
-    logger = tifffile.logger()
-    was_disabled, logger.disabled = logger.disabled, True  # what it would log is raised below
-    try:
-        with tifffile.TiffFile(path) as tiff:
-            collect(tiff.pages)
-    except Exception as error:  # tifffile raises many kinds on a cut-off directory
-        raise RawFileError(path, f"its TIFF directory cannot be read ({error}); is the file whole?") from error
-    finally:
-        logger.disabled = was_disabled
-    # The raw image alone where it is marked as such: some cameras declare previews that they do not write.
-    mosaics = [(offset, length) for photometric, offset, length in found if photometric == _CFA_PHOTOMETRIC]
-    return mosaics or [(offset, length) for _, offset, length in found]
 
 
 # --- EXIF -----------------------------------------------------------------------------------------------------
@@ -272,7 +245,7 @@ def _exif_tags(path: Path) -> Tags:
             offset, length = struct.unpack_from(">II", head, 84)
             file.seek(offset)
             source: Any = io.BytesIO(file.read(length))
-        elif head.startswith(_TIFF_MAGIC):
+        elif head.startswith(MAGIC):
             source = file
         else:
             return {}
@@ -352,36 +325,42 @@ def _cfa(path: Path, raw: rawpy.RawPy) -> tuple[tuple[tuple[int, ...], ...], tup
             path,
             f"unsupported colour filter array: {period} x {period} of {''.join(flat)}; Bayer or X-Trans is needed",
         )
+    rows = tuple(map(tuple, ours))
+    try:
+        packed_channels(rows)
+    except ArgumentError as error:
+        raise RawFileError(path, f"unsupported colour filter array {rows}; Bayer or X-Trans is needed") from error
     libraw_index = {
         mine: theirs
         for ours_row, row in zip(ours, sites, strict=True)
         for mine, theirs in zip(ours_row, row, strict=True)
     }
-    return tuple(map(tuple, ours)), tuple(libraw_index[channel] for channel in sorted(libraw_index))
+    return rows, tuple(libraw_index[channel] for channel in sorted(libraw_index))
 
 
-def _black_level(path: Path, raw: rawpy.RawPy, index_of: tuple[int, ...]) -> tuple[float, ...]:
-    levels = raw.black_level_per_channel
-    if len(index_of) == 3 and not _uniform_dng_black(path):
-        raise RawFileError(path, "an X-Trans DNG whose BlackLevel differs by site: LibRaw reports just the smallest")
-    return tuple(float(levels[index]) for index in index_of)
-
-
-def _uniform_dng_black(path: Path) -> bool:
-    import tifffile
-
-    with path.open("rb") as file:
-        if file.read(4) not in _TIFF_MAGIC:
-            return True
-    with tifffile.TiffFile(path) as tiff:
-        for page in tiff.pages:
-            for candidate in (page, *(page.pages or ())):
-                tag = candidate.tags.get(_TAG_BLACK_LEVEL)
-                if tag is not None and tag.count > 1:
-                    values = np.asarray(tag.value).reshape(tag.count, -1)
-                    if (values != values[0]).any():
-                        return False
-    return True
+def _dng_black_level(
+    path: Path, raw: rawpy.RawPy, directories: Sequence[Directory], cfa: tuple[tuple[int, ...], ...]
+) -> tuple[float, ...] | None:
+    """Return a DNG's BlackLevel per channel of the visible area; None if LibRaw's figure is to be taken."""
+    mosaic = next((d for d in directories if d.is_mosaic and BLACK_LEVEL in d.values), None)
+    if mosaic is None or any(tag in mosaic.values for tag in BLACK_DELTAS):  # LibRaw adds the deltas' mean
+        return None
+    rows, columns = map(int, mosaic.values.get(BLACK_REPEAT, (1, 1)))
+    pattern = mosaic.values[BLACK_LEVEL]
+    if len(pattern) != rows * columns or not pattern:
+        return None
+    # The pattern starts at the active area; LibRaw's visible area may start a pixel off it.
+    active = mosaic.values.get(ACTIVE_AREA, (0, 0))
+    top, left = raw.sizes.top_margin - int(active[0]), raw.sizes.left_margin - int(active[1])
+    levels: dict[int, set[float]] = {}
+    period = len(cfa)
+    for y in range(math.lcm(period, rows)):
+        for x in range(math.lcm(period, columns)):
+            level = pattern[(y + top) % rows * columns + (x + left) % columns]
+            levels.setdefault(cfa[y % period][x % period], set()).add(float(level))
+    if any(len(found) > 1 for found in levels.values()):
+        raise RawFileError(path, "its BlackLevel differs between sites of one colour; one level per channel is needed")
+    return tuple(levels[channel].pop() for channel in sorted(levels))
 
 
 def _white_balance(raw: rawpy.RawPy) -> tuple[float, float, float, float] | None:

@@ -1,0 +1,181 @@
+"""Files, sensors and formulas that the tests of ``eldata.raw`` share.
+
+The formulas are plain strided numpy, written from the published packing and not from the package's tables.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+import tifffile
+
+from eldata.records import Exposure, Sensor
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+Cfa = tuple[tuple[int, ...], ...]
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+# Channel indices: R = 0, G1 = 1 (in R's rows), B = 2, G2 = 3.
+BAYER: dict[str, Cfa] = {
+    "RGGB": ((0, 1), (3, 2)),
+    "BGGR": ((2, 3), (1, 0)),
+    "GRBG": ((1, 0), (2, 3)),
+    "GBRG": ((3, 2), (0, 1)),
+}
+
+# One period of X-Trans as the SID code expects it, row by row.
+SID_XTRANS = ("RBGBRG", "GGRGGB", "GGBGGR", "BRGRBG", "GGBGGR", "GGRGGB")
+
+
+def xtrans_at(down: int, right: int) -> Cfa:
+    """The CFA of a mosaic whose corner lies (down, right) inside of the SID code's period."""
+    return tuple(tuple("RGB".index(SID_XTRANS[(y + down) % 6][(x + right) % 6]) for x in range(6)) for y in range(6))
+
+
+XTRANS: dict[str, Cfa] = {f"xtrans-{y}{x}": xtrans_at(y, x) for y in range(6) for x in range(6)}
+CFAS: dict[str, Cfa] = {**BAYER, **XTRANS}
+SOME_CFAS: dict[str, Cfa] = {
+    **BAYER,
+    **{name: XTRANS[name] for name in ("xtrans-00", "xtrans-15", "xtrans-42")},
+}
+
+# By packed channel.
+BAYER_COLOURS = "RGBG"
+XTRANS_COLOURS = "RGBRBGGGG"
+
+EXPOSURE = Exposure(iso=Fraction(800), exposure_s=Fraction(1, 30), f_number=Fraction(28, 10))
+
+
+def letters(cfa: Cfa) -> list[str]:
+    """Colours of a CFA, as RGB letters."""
+    return ["".join("RGBG"[index] for index in row) for row in cfa]
+
+
+def random_mosaic(height: int, width: int, *, seed: int = 0, low: int = 500, high: int = 16000) -> NDArray[np.uint16]:
+    return np.random.default_rng(seed).integers(low, high, (height, width), dtype=np.uint16)
+
+
+def make_sensor(cfa: Cfa = BAYER["RGGB"], height: int = 60, width: int = 64, **fields: Any) -> Sensor:
+    """A camera that is in no table of LibRaw's; Bayer channels have four different black levels."""
+    values: dict[str, Any] = {
+        "make": "Acme",
+        "model": "Nocturne 1",
+        "cfa": cfa,
+        "black_level_dn": (512.0, 509.0, 511.0, 514.0) if len(cfa) == 2 else (256.0, 256.0, 256.0),
+        "white_level_dn": 15871.0,
+        "height": height,
+        "width": width,
+        "white_balance": (2.1, 1.0, 1.5, 1.0),
+        "xyz_to_camera": ((0.6612, -0.1321, -0.0534), (-0.5041, 1.3012, 0.2217), (-0.1034, 0.2159, 0.6105)),
+    }
+    values.update(fields)
+    return Sensor(**values)
+
+
+def sid_pack(im: NDArray[Scalar]) -> NDArray[Scalar]:
+    """The published SID packing of an X-Trans mosaic whose sides are multiples of 6, in strided slices."""
+    height, width = im.shape
+    out = np.empty((9, height // 3, width // 3), im.dtype)
+    # Of channels 0 to 4: where in the 6x6 period packed pixels (0, 0), (0, 1), (1, 0) and (1, 1) come from.
+    sites = {
+        0: ((0, 0), (0, 4), (3, 1), (3, 3)),  # R
+        1: ((0, 2), (0, 5), (3, 2), (3, 5)),  # G
+        2: ((0, 1), (0, 3), (3, 0), (3, 4)),  # B
+        3: ((1, 2), (2, 5), (5, 2), (4, 5)),  # R
+        4: ((2, 2), (1, 5), (4, 2), (5, 5)),  # B
+    }
+    for channel, ((a, b), (c, d), (e, f), (g, h)) in sites.items():
+        out[channel, 0::2, 0::2] = im[a::6, b::6]
+        out[channel, 0::2, 1::2] = im[c::6, d::6]
+        out[channel, 1::2, 0::2] = im[e::6, f::6]
+        out[channel, 1::2, 1::2] = im[g::6, h::6]
+    out[5] = im[1::3, 0::3]
+    out[6] = im[1::3, 1::3]
+    out[7] = im[2::3, 0::3]
+    out[8] = im[2::3, 1::3]
+    return out
+
+
+def restarts(cfa: Cfa) -> set[tuple[int, int]]:
+    """The (rows, columns) to lose, below 6 each, after which an X-Trans CFA starts as the SID code's does."""
+    here, wanted = np.array(cfa), np.array(xtrans_at(0, 0))
+    return {
+        (top, left)
+        for top in range(6)
+        for left in range(6)
+        if np.array_equal(np.roll(here, (-top, -left), (0, 1)), wanted)
+    }
+
+
+def reference_area(shape: tuple[int, int], cfa: Cfa) -> tuple[slice, slice]:
+    """The packed area by the stated crop rule (of two ties, the one that loses fewer rows)."""
+    period = len(cfa)
+    top, left = (0, 0) if period == 2 else min(restarts(cfa), key=lambda crop: (sum(crop), crop))
+    height = (shape[0] - top) // period * period
+    width = (shape[1] - left) // period * period
+    return slice(top, top + height), slice(left, left + width)
+
+
+def reference_pack(mosaic: NDArray[Scalar], cfa: Cfa) -> NDArray[Scalar]:
+    """Packing by strided slices: Bayer by where its colours stand, X-Trans by the SID code."""
+    im = mosaic[reference_area((mosaic.shape[0], mosaic.shape[1]), cfa)]
+    if len(cfa) == 6:
+        return sid_pack(im)
+    grid = letters(cfa)
+    row, column = next((y, x) for y in range(2) for x in range(2) if grid[y][x] == "R")
+    return np.stack(
+        [
+            im[row::2, column::2],
+            im[row::2, 1 - column :: 2],
+            im[1 - row :: 2, 1 - column :: 2],
+            im[1 - row :: 2, column::2],
+        ]
+    )
+
+
+Tag = tuple[int, str, int, object, bool]
+
+
+def write_plain_dng(
+    path: Path,
+    data: NDArray[np.uint16] | Iterator[bytes],
+    pattern: Sequence[str] | None = ("RG", "GB"),
+    *tags: Tag,
+    make: str = "Acme",
+    model: str = "Nocturne 1",
+    photometric: int = 32803,
+    white: int = 16000,
+    **options: Any,
+) -> None:
+    """Write a DNG with tifffile and nothing of the package: no EXIF IFD, no colour, no black level."""
+    all_tags: list[Tag] = [
+        (271, "s", 0, make, True),
+        (272, "s", 0, model, True),
+        (50706, "B", 4, bytes((1, 4, 0, 0)), True),
+        (50707, "B", 4, bytes((1, 1, 0, 0)), True),
+        (50708, "s", 0, f"{make} {model}", True),
+        (50717, "I", 1, white, True),
+        *tags,
+    ]
+    if pattern is not None:
+        rows, columns = len(pattern), len(pattern[0])
+        colours = bytes("RGB".index(letter) for row in pattern for letter in row)
+        all_tags += [(33421, "H", 2, (rows, columns), True), (33422, "B", rows * columns, colours, True)]
+    tifffile.imwrite(path, data, photometric=photometric, metadata=None, extratags=all_tags, **options)
+
+
+def active_area(top: int, left: int, bottom: int, right: int) -> Tag:
+    return (50829, "I", 4, (top, left, bottom, right), True)
+
+
+def black_levels(pattern: Sequence[Sequence[int]]) -> tuple[Tag, Tag]:
+    """BlackLevelRepeatDim and BlackLevel."""
+    flat = tuple(level for row in pattern for level in row)
+    return (50713, "H", 2, (len(pattern), len(pattern[0])), True), (50714, "I", len(flat), flat, True)

@@ -1,0 +1,307 @@
+"""Files that cannot be used: each is refused by one error that names the file and the reason."""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING, Literal
+
+import imagecodecs
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image
+
+from eldata.errors import RawFileError
+from eldata.raw import read_header, read_raw, write_dng
+from tests.raw.helpers import (
+    BAYER,
+    EXPOSURE,
+    XTRANS,
+    Cfa,
+    black_levels,
+    letters,
+    make_sensor,
+    random_mosaic,
+    write_plain_dng,
+    xtrans_at,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from eldata.records import RawFrame, RawHeader
+
+READERS: list[Callable[[Path], RawFrame | RawHeader]] = [read_raw, read_header]
+KINDS: dict[str, tuple[Cfa, Literal["none", "lossless-jpeg"]]] = {
+    "uncompressed": (BAYER["RGGB"], "none"),
+    "lossless JPEG": (BAYER["GBRG"], "lossless-jpeg"),
+    "X-Trans": (xtrans_at(1, 2), "none"),
+    "X-Trans lossless JPEG": (xtrans_at(0, 0), "lossless-jpeg"),
+}
+
+
+@pytest.fixture(autouse=True)
+def only_libraw_prints(capfd: pytest.CaptureFixture[str]) -> Iterator[None]:
+    """Python prints and logs nothing; LibRaw's C code may print a line of its own on a damaged file."""
+    yield
+    captured = capfd.readouterr()
+    assert captured.out == ""
+    printed = [line for line in captured.err.splitlines() if "Unexpected end of file" not in line]
+    assert [line for line in printed if "data corrupted at" not in line] == []
+
+
+def refused(path: Path, reason: str, readers: list[Callable[[Path], RawFrame | RawHeader]] | None = None) -> None:
+    for read in readers or READERS:
+        with pytest.raises(RawFileError, match=reason) as caught:
+            read(path)
+        assert caught.value.path == path
+        assert str(caught.value) == f"{path}: {caught.value.reason}"
+        assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file(tmp_path: Path) -> None:
+    refused(tmp_path / "a.ARW", "cannot be read: No such file or directory")
+    refused(tmp_path / "no folder" / "a.ARW", "cannot be read: No such file or directory")
+
+
+def test_a_dangling_link(tmp_path: Path) -> None:
+    (tmp_path / "a.ARW").symlink_to(tmp_path / "gone.ARW")
+    refused(tmp_path / "a.ARW", "cannot be read: No such file or directory")
+
+
+def test_a_folder(tmp_path: Path) -> None:
+    (tmp_path / "a.dng").mkdir()
+    refused(tmp_path / "a.dng", "is a folder, not a raw file")
+
+
+@pytest.mark.parametrize("name", ["a.dng", "a.RAF", "a.CR2"])
+def test_an_empty_file(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).touch()
+    refused(tmp_path / name, "is empty")
+
+
+@pytest.mark.parametrize("text", ["x", "not a raw file\n" * 1000], ids=["one byte", "15 kB"])
+def test_a_text_file_named_dng(text: str, tmp_path: Path) -> None:
+    (tmp_path / "a.dng").write_text(text)
+    refused(tmp_path / "a.dng", "LibRaw")
+
+
+@pytest.mark.parametrize("kind", ["JPEG", "PNG", "TIFF"])
+def test_an_ordinary_image_named_as_a_raw_file(kind: str, tmp_path: Path) -> None:
+    pixels = (random_mosaic(64, 3 * 64) >> 8).astype(np.uint8).reshape(64, 64, 3)
+    Image.fromarray(pixels).save(tmp_path / "a.ARW", kind)
+    refused(tmp_path / "a.ARW", "not a raw file that LibRaw knows")
+
+
+@pytest.mark.parametrize("content", [b"\0" * 5000, b"\xff" * 5000, b"II*\0" * 1000, b"MM\0*" * 1000, b"II*\0"])
+def test_noise(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / "a.dng").write_bytes(content)
+    refused(tmp_path / "a.dng", ".")
+
+
+# --- truncated ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("fraction", [0.01, 0.05, 0.1, 0.25, 0.5, 0.8, 0.9, 0.95])
+def test_a_truncated_file_at_every_fraction(kind: str, fraction: float, tmp_path: Path) -> None:
+    cfa, compression = KINDS[kind]
+    path = tmp_path / "a.dng"
+    write_dng(path, random_mosaic(120, 132), make_sensor(cfa, 120, 132), EXPOSURE, compression=compression)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(fraction * len(data))])
+    refused(path, "truncated|is the file whole")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_file_without_its_last_pixel(kind: str, tmp_path: Path) -> None:
+    cfa, compression = KINDS[kind]
+    path = tmp_path / "a.dng"
+    write_dng(path, random_mosaic(60, 66), make_sensor(cfa, 60, 66), EXPOSURE, compression=compression)
+    with tifffile.TiffFile(path) as tiff:
+        end = tiff.pages.first.dataoffsets[0] + tiff.pages.first.databytecounts[0]
+    data = path.read_bytes()
+    path.write_bytes(data[: end - 1])
+    refused(
+        path,
+        rf"truncated: it declares data up to byte \d+ but has {end - 1} bytes; copy or download it again",
+    )
+
+
+@pytest.mark.parametrize("kind", ["uncompressed", "lossless JPEG", "X-Trans"])
+def test_a_file_cut_anywhere_before_its_exif_is_refused(kind: str, tmp_path: Path) -> None:
+    cfa, compression = KINDS[kind]
+    path = tmp_path / "a.dng"
+    write_dng(path, random_mosaic(24, 26), make_sensor(cfa, 24, 26), EXPOSURE, compression=compression)
+    data = path.read_bytes()
+    with tifffile.TiffFile(path) as tiff:
+        end = tiff.pages.first.dataoffsets[0] + tiff.pages.first.databytecounts[0]
+    for length in [*range(0, 400, 3), *range(400, end, 29), end - 1]:
+        path.write_bytes(data[:length])
+        refused(path, ".", [read_raw])
+
+
+# Regression: EXIF stands behind the pixels. Where its last values are cut off exifread makes up numbers
+# (1/30 s becomes 1/1, 255/256, 1/4294967296...) or leaves them out, logs "Unexpected slice length" on stderr,
+# and read_raw returns them as the exposure.
+@pytest.mark.parametrize("kind", ["uncompressed", "lossless JPEG", "X-Trans"])
+def test_a_file_cut_inside_of_its_exif_never_gives_another_exposure(kind: str, tmp_path: Path) -> None:
+    cfa, compression = KINDS[kind]
+    path = tmp_path / "a.dng"
+    write_dng(path, random_mosaic(24, 26), make_sensor(cfa, 24, 26), EXPOSURE, compression=compression)
+    data = path.read_bytes()
+    with tifffile.TiffFile(path) as tiff:
+        end = tiff.pages.first.dataoffsets[0] + tiff.pages.first.databytecounts[0]
+    wrong = {}
+    for length in range(end, len(data)):
+        path.write_bytes(data[:length])
+        for read in READERS:
+            try:
+                read_as = read(path)
+            except RawFileError:
+                continue
+            if read_as.exposure != EXPOSURE:
+                wrong[length - len(data)] = read_as.exposure
+    assert wrong == {}
+
+
+def declaring_just_what_is_there(path: Path, cfa: Cfa, strip: bytes | bytearray, cut: int, black: int) -> None:
+    """A lossless-JPEG DNG of 120 x 132 pixels whose declared extents fit but whose data are cut off."""
+    write_plain_dng(
+        path,
+        iter([bytes(strip[:cut])]),
+        letters(cfa),
+        (50714, "I", 1, black, True),
+        shape=(120, 132),
+        dtype=np.uint16,
+        compression=7,
+        rowsperstrip=120,
+    )
+
+
+@pytest.mark.parametrize("cfa", [BAYER["RGGB"], xtrans_at(0, 0)], ids=["Bayer", "X-Trans"])
+@pytest.mark.parametrize("black", [0, 400])
+def test_data_that_cannot_hold_the_pixels_though_the_extents_fit(cfa: Cfa, black: int, tmp_path: Path) -> None:
+    path = tmp_path / "a.dng"
+    strip = imagecodecs.ljpeg_encode(random_mosaic(120, 132), bitspersample=16)
+    declaring_just_what_is_there(path, cfa, strip, len(strip), black)
+    assert read_raw(path).mosaic.shape == (120, 132)
+    for cut in (10, 40, 100, 200, len(strip) // 10, len(strip) // 2, len(strip) * 99 // 100):
+        declaring_just_what_is_there(path, cfa, strip, cut, black)
+        refused(path, "truncated|is the file whole", [read_raw])
+
+
+def test_fewer_bits_than_pixels(tmp_path: Path) -> None:
+    # LibRaw itself takes a strip that breaks off inside of its JPEG header for a frame of zeros.
+    path = tmp_path / "a.dng"
+    strip = imagecodecs.ljpeg_encode(random_mosaic(120, 132), bitspersample=16)
+    declaring_just_what_is_there(path, BAYER["RGGB"], strip, 40, 0)
+    size = path.stat().st_size
+    refused(path, f"truncated: {size} bytes cannot hold {120 * 132} pixels", [read_raw])
+
+
+def test_a_strip_that_declares_fewer_bytes_than_its_pixels_need(tmp_path: Path) -> None:
+    path, mosaic = tmp_path / "a.dng", random_mosaic(64, 66)
+    write_plain_dng(path, mosaic)
+    with tifffile.TiffFile(path) as tiff:
+        start, entry = tiff.pages.first.dataoffsets[0], tiff.pages.first.tags[279].offset
+    data = bytearray(path.read_bytes())
+    for rows in (1, 32, 63):
+        size = rows * 66 * 2
+        struct.pack_into("<HHII", data, entry, 279, 4, 1, size)
+        path.write_bytes(data[: start + size])
+        refused(path, "is the file whole|truncated", [read_raw])
+
+
+def test_a_last_row_of_zeros_far_below_black(tmp_path: Path) -> None:
+    path, mosaic = tmp_path / "a.dng", random_mosaic(64, 66)
+    mosaic[-1] = 0
+    write_plain_dng(path, mosaic, ("RG", "GB"), (50714, "I", 1, 400, True))
+    refused(path, "last row is all 0 DN", [read_raw])
+    write_plain_dng(path, mosaic, ("RG", "GB"))  # black 0: zeros are dark
+    np.testing.assert_array_equal(read_raw(path).mosaic, mosaic)
+
+
+def test_a_header_cut_inside_of_its_directory(tmp_path: Path) -> None:
+    path = tmp_path / "a.dng"
+    write_plain_dng(path, random_mosaic(64, 66))
+    data = path.read_bytes()
+    (first,) = struct.unpack_from("<I", data, 4)
+    (entries,) = struct.unpack_from("<H", data, first)
+    for length in (
+        first + 1,
+        first + 2,
+        first + 2 + 12,
+        first + 2 + 12 * (entries // 2) + 5,
+        first + 12 * entries,
+    ):
+        path.write_bytes(data[:length])
+        refused(path, "truncated: it declares data up to byte")
+
+
+# --- not a mosaic of a Bayer or X-Trans sensor --------------------------------------------------------------
+
+
+def test_an_already_demosaiced_dng(tmp_path: Path) -> None:
+    rgb = random_mosaic(64, 3 * 66).reshape(64, 66, 3)
+    write_plain_dng(tmp_path / "a.dng", rgb, None, photometric=34892, planarconfig=1)
+    refused(tmp_path / "a.dng", "already demosaiced", [read_raw])
+
+
+@pytest.mark.parametrize("pattern", [None, ("RR", "RR")])
+def test_a_monochrome_dng(pattern: tuple[str, str] | None, tmp_path: Path) -> None:
+    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), pattern)
+    refused(tmp_path / "a.dng", "no colour filter array", [read_raw])
+
+
+def test_a_cmyg_dng(tmp_path: Path) -> None:
+    # CFAPlaneColor names the planes cyan (3), magenta (4), yellow (5) and green (1).
+    write_plain_dng(
+        tmp_path / "a.dng",
+        random_mosaic(64, 66),
+        None,
+        (33421, "H", 2, (2, 2), True),
+        (33422, "B", 4, bytes((3, 4, 5, 1)), True),
+        (50710, "B", 4, bytes((3, 4, 5, 1)), True),
+    )
+    refused(tmp_path / "a.dng", "unsupported colour filter array", [read_raw])
+
+
+# Regression: the greens side by side or in one column, and any 6 x 6 of R, G and B, are taken for Bayer
+# and X-Trans; of "RB", "GG" the record even has a CFA without channel 1 and three black levels.
+@pytest.mark.parametrize(
+    "pattern",
+    [
+        ("RG", "RB"),
+        ("RB", "GG"),
+        ("GG", "RB"),
+        ("RG", "BG"),
+        ("GR", "GB"),
+        ("RRGG", "GGBB", "RRGG", "GGBB"),
+        ("RGGRRB",) * 6,
+        ("RGBRGB", "GBRGBR", "BRGBRG") * 2,
+        (*letters(XTRANS["xtrans-00"])[:5], "GGRGGR"),
+    ],
+    ids="/".join,
+)
+def test_other_patterns_of_red_green_and_blue(pattern: tuple[str, ...], tmp_path: Path) -> None:
+    write_plain_dng(tmp_path / "a.dng", random_mosaic(66, 72), pattern)
+    refused(tmp_path / "a.dng", "unsupported colour filter array", [read_raw])
+
+
+@pytest.mark.parametrize("size", [6, 2])
+def test_an_xtrans_dng_whose_black_differs_by_site(size: int, tmp_path: Path) -> None:
+    path, pattern = tmp_path / "a.dng", letters(xtrans_at(0, 0))
+    levels = [[400] * size for _ in range(size)]
+    write_plain_dng(path, random_mosaic(66, 72), pattern, *black_levels(levels))
+    assert read_raw(path).sensor.black_level_dn == (400.0,) * 3
+    levels[1][0] = 401
+    write_plain_dng(path, random_mosaic(66, 72), pattern, *black_levels(levels))
+    refused(path, "BlackLevel differs between sites of one colour", [read_raw])
+
+
+@pytest.mark.parametrize("white", [400, 100])
+def test_white_not_above_black(white: int, tmp_path: Path) -> None:
+    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), ("RG", "GB"), (50714, "I", 1, 400, True), white=white)
+    refused(tmp_path / "a.dng", f"white level {white} DN is not above the black level", [read_raw])

@@ -1,0 +1,258 @@
+"""Normalisation, bit for bit, against the formula in plain numpy."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from eldata.errors import ArgumentError
+from eldata.raw import denormalise, normalise, pack, pack_normalised, packed_shape, unpack
+from eldata.raw.cfa import packed_black_level_dn
+from tests.raw.helpers import BAYER, CFAS, XTRANS_COLOURS, Cfa, random_mosaic, reference_pack, xtrans_at
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+Clip = Literal["both", "upper", "none"]
+CLIPS: tuple[Clip, ...] = ("both", "upper", "none")
+
+BAYER_BLACK = (512.0, 509.25, 511.0, 514.0)
+XTRANS_BLACK = (1022.0, 1023.5, 1021.0)
+
+
+def black_of(cfa: Cfa) -> tuple[float, ...]:
+    return BAYER_BLACK if len(cfa) == 2 else XTRANS_BLACK
+
+
+def formula(
+    packed: NDArray[np.uint16], cfa: Cfa, black: Sequence[float], white: float, clip: Clip, gain: float
+) -> NDArray[np.float32]:
+    """clip(gain * clip((DN - black) / (white - black))), each step in float32."""
+    order = range(4) if len(cfa) == 2 else ("RGB".index(colour) for colour in XTRANS_COLOURS)
+    black32 = np.array([black[index] for index in order], np.float32)[:, None, None]
+    low = np.float32(0 if clip == "both" else -np.inf)
+    high = np.float32(np.inf if clip == "none" else 1)
+    x = packed.astype(np.float32)
+    x = (x - black32) / (np.float32(white) - black32)
+    x = np.minimum(np.maximum(x, low), high)
+    x = x * np.float32(gain)
+    x = np.minimum(np.maximum(x, low), high)
+    assert x.dtype == np.float32
+    return x
+
+
+def same_bits(a: NDArray[np.float32], b: NDArray[np.float32]) -> bool:
+    return a.shape == b.shape and a.dtype == b.dtype == np.float32 and a.tobytes() == b.tobytes()
+
+
+@pytest.mark.parametrize("name", CFAS)
+@pytest.mark.parametrize("clip", CLIPS)
+@pytest.mark.parametrize("gain", [1.0, 100.0, 0.3])
+def test_pack_normalised_is_the_formula_bit_for_bit(name: str, clip: Clip, gain: float) -> None:
+    cfa = CFAS[name]
+    mosaic = random_mosaic(47, 61, seed=5, low=0, high=65535)
+    mosaic[:20] = random_mosaic(20, 61, seed=6, low=480, high=1060)  # around black
+    expected = formula(reference_pack(mosaic, cfa), cfa, black_of(cfa), 15871.0, clip, gain)
+    result = pack_normalised(mosaic, cfa, black_of(cfa), 15871.0, clip=clip, gain=gain)
+    assert same_bits(result, expected)
+    # The data must reach both limits for the comparison to say something about them.
+    assert expected.min() < 0 or clip == "both"
+    assert expected.max() > 1 or clip != "none"
+
+
+@given(
+    cfa=st.sampled_from(list(CFAS.values())),
+    clip=st.sampled_from(CLIPS),
+    gain=st.floats(0, 1e6, width=32),
+    black=st.lists(st.floats(0, 4000, width=32), min_size=4, max_size=4),
+    white=st.floats(4001, 65535, width=32),
+    seed=st.integers(0, 2**32 - 1),
+    shape=st.tuples(st.integers(11, 30), st.integers(11, 30)),
+)
+@settings(deadline=None, max_examples=150)
+def test_pack_normalised_is_the_formula_for_any_levels(
+    cfa: Cfa, clip: Clip, gain: float, black: list[float], white: float, seed: int, shape: tuple[int, int]
+) -> None:
+    mosaic = random_mosaic(*shape, seed=seed, low=0, high=65535)
+    levels = black if len(cfa) == 2 else black[:3]
+    expected = formula(reference_pack(mosaic, cfa), cfa, levels, white, clip, gain)
+    result = pack_normalised(mosaic, cfa, levels, white, clip=clip, gain=gain)
+    np.testing.assert_array_equal(result, expected, strict=True)
+
+
+@pytest.mark.parametrize("name", ["GBRG", "xtrans-31"])
+def test_out_is_filled_and_returned(name: str) -> None:
+    cfa, mosaic = CFAS[name], random_mosaic(33, 40)
+    expected = pack_normalised(mosaic, cfa, black_of(cfa), 15871.0)
+    store = np.full((3, *packed_shape((33, 40), cfa)), np.nan, np.float32)
+    result = pack_normalised(mosaic, cfa, black_of(cfa), 15871.0, out=store[1])
+    assert np.shares_memory(result, store)
+    assert same_bits(store[1].copy(), expected)
+    assert np.isnan(store[[0, 2]]).all()
+
+
+@pytest.mark.parametrize("name", ["GRBG", "xtrans-52"])
+def test_non_contiguous_and_read_only_mosaics(name: str) -> None:
+    cfa, big = CFAS[name], random_mosaic(80, 90, low=0, high=20000)
+    for view in (big[::2, ::-2], np.asfortranarray(big), big[3:50, 7:]):
+        view.flags.writeable = False
+        expected = formula(reference_pack(view, cfa), cfa, black_of(cfa), 15871.0, "both", 7.0)
+        assert same_bits(pack_normalised(view, cfa, black_of(cfa), 15871.0, gain=7.0), expected)
+
+
+@pytest.mark.parametrize("name", ["BGGR", "xtrans-00"])
+@pytest.mark.parametrize("clip", CLIPS)
+def test_normalise_after_pack_is_pack_normalised(name: str, clip: Clip) -> None:
+    cfa, mosaic = CFAS[name], random_mosaic(36, 42, low=0, high=30000)
+    apart = normalise(pack(mosaic, cfa), cfa, black_of(cfa), 15871.0, clip=clip)
+    assert same_bits(apart, pack_normalised(mosaic, cfa, black_of(cfa), 15871.0, clip=clip))
+
+
+@pytest.mark.parametrize("name", CFAS)
+def test_black_becomes_zero_and_white_one_in_every_channel(name: str) -> None:
+    cfa = CFAS[name]
+    black = (512.0, 509.0, 511.0, 514.0) if name in BAYER else (1022.0, 1023.0, 1021.0)
+    tiled = np.tile(np.array(cfa), (6, 6))[:24, :24]
+    mosaic = np.take(np.array(black, np.uint16), tiled)
+    assert not pack_normalised(mosaic, cfa, black, 15871.0, clip="none").any()
+    white = pack_normalised(np.full((24, 24), 15871, np.uint16), cfa, black, 15871.0, clip="none")
+    assert (white == 1).all()
+
+
+def every_dn(cfa: Cfa) -> NDArray[np.uint16]:
+    """A packed array in which each channel has every DN from 0 to 65535."""
+    channels = 4 if len(cfa) == 2 else 9
+    return np.tile(np.arange(65536, dtype=np.uint16).reshape(256, 256), (channels, 1, 1))
+
+
+@pytest.mark.parametrize("name", ["RGGB", "GBRG", "xtrans-00", "xtrans-25"])
+@pytest.mark.parametrize("white", [1100.0, 15871.0, 65535.0])
+def test_denormalise_inverts_normalise_for_every_dn(name: str, white: float) -> None:
+    cfa = CFAS[name]
+    packed = every_dn(cfa)
+    back = denormalise(normalise(packed, cfa, black_of(cfa), white, clip="none"), cfa, black_of(cfa), white)
+    np.testing.assert_array_equal(back, packed, strict=True)
+
+    clipped = denormalise(normalise(packed, cfa, black_of(cfa), white), cfa, black_of(cfa), white)
+    black = np.rint(packed_black_level_dn(cfa, black_of(cfa)))[:, None, None]
+    np.testing.assert_array_equal(clipped, np.clip(packed, black, white))
+
+
+def test_the_round_trip_through_mosaic_dn() -> None:
+    cfa, mosaic = xtrans_at(0, 0), random_mosaic(36, 36)
+    normalised = pack_normalised(mosaic, cfa, XTRANS_BLACK, 16383.0, clip="none")
+    np.testing.assert_array_equal(unpack(denormalise(normalised, cfa, XTRANS_BLACK, 16383.0), cfa), mosaic)
+
+
+def test_denormalise_rounds_to_the_nearest_and_stays_in_16_bits() -> None:
+    values = np.array([-1.0, 0.0, 0.5004, 0.5006, 1.0, 1e6])
+    packed = np.tile(values, (4, 1, 1))
+    dn = denormalise(packed, BAYER["RGGB"], (100.0,) * 4, 1100.0)
+    assert dn.dtype == np.uint16
+    assert dn[2, 0].tolist() == [0, 100, 600, 601, 1100, 65535]
+
+
+def test_black_levels_of_the_packed_channels() -> None:
+    assert packed_black_level_dn(BAYER["GBRG"], (1, 2, 3, 4)).tolist() == [1, 2, 3, 4]
+    assert packed_black_level_dn(xtrans_at(2, 5), (1, 2, 3)).tolist() == [1, 2, 3, 1, 3, 2, 2, 2, 2]
+
+
+@pytest.mark.parametrize(("name", "count"), [("RGGB", 1), ("RGGB", 3), ("RGGB", 5), ("xtrans-00", 4), ("xtrans-00", 9)])
+def test_as_many_black_levels_as_the_cfa_has_channels(name: str, count: int) -> None:
+    cfa, mosaic = CFAS[name], random_mosaic(24, 24)
+    packed = reference_pack(mosaic, cfa)
+    for refused in (
+        lambda: packed_black_level_dn(cfa, (512.0,) * count),
+        lambda: pack_normalised(mosaic, cfa, (512.0,) * count, 16000.0),
+        lambda: normalise(packed, cfa, (512.0,) * count, 16000.0),
+        lambda: denormalise(packed.astype(np.float32), cfa, (512.0,) * count, 16000.0),
+    ):
+        with pytest.raises(ArgumentError, match=f"black levels for this CFA, found {count}"):
+            refused()
+
+
+@pytest.mark.parametrize(
+    ("black", "white"),
+    [
+        ((512.0, 512.0, 512.0, 16000.0), 16000.0),
+        ((512.0,) * 4, 100.0),
+        ((512.0, np.nan, 512.0, 512.0), 16000.0),
+        ((512.0, -np.inf, 512.0, 512.0), 16000.0),
+        ((512.0,) * 4, np.inf),
+        ((512.0,) * 4, np.nan),
+    ],
+)
+def test_white_must_lie_above_every_black(black: tuple[float, ...], white: float) -> None:
+    mosaic = random_mosaic(8, 8)
+    with pytest.raises(ArgumentError, match="must lie above every black level"):
+        pack_normalised(mosaic, BAYER["RGGB"], black, white)
+    with pytest.raises(ArgumentError, match="must lie above every black level"):
+        normalise(pack(mosaic, BAYER["RGGB"]), BAYER["RGGB"], black, white)
+
+
+# Regression: a numpy float64 white is compared with black in float64, above it, and then divides by a
+# float32 zero; the same number as a Python float is refused.
+@pytest.mark.parametrize("kind", [float, np.float64])
+def test_white_that_equals_black_in_float32_is_refused(kind: type[float]) -> None:
+    with pytest.raises(ArgumentError, match="must lie above every black level"):
+        pack_normalised(random_mosaic(8, 8), BAYER["RGGB"], (512.0,) * 4, kind(512.0000001))
+
+
+@pytest.mark.parametrize("gain", [-1.0, -1e-9, np.nan, np.inf])
+def test_a_gain_is_finite_and_not_negative(gain: float) -> None:
+    with pytest.raises(ArgumentError, match="gain must be finite and not negative"):
+        pack_normalised(random_mosaic(8, 8), BAYER["RGGB"], BAYER_BLACK, 16000.0, gain=gain)
+
+
+# Regression: finite in float64 but infinite in the float32 that it is cast to: numpy warns of an overflow,
+# and infinity times the zeros of the first clip gives NaN.
+def test_a_gain_beyond_float32_is_refused() -> None:
+    with pytest.raises(ArgumentError, match="gain"):
+        pack_normalised(random_mosaic(8, 8, low=0, high=600), BAYER["RGGB"], BAYER_BLACK, 16000.0, gain=1e39)
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "int32", "float32", ">u2"])
+def test_a_mosaic_in_dn_is_uint16(dtype: str) -> None:
+    with pytest.raises(ArgumentError, match="uint16"):
+        pack_normalised(np.zeros((8, 8), dtype), BAYER["RGGB"], BAYER_BLACK, 16000.0)
+
+
+def test_an_unknown_clip_is_named() -> None:
+    clip: Any = "lower"
+    with pytest.raises(ArgumentError, match="'lower'"):
+        pack_normalised(random_mosaic(8, 8), BAYER["RGGB"], BAYER_BLACK, 16000.0, clip=clip)
+    with pytest.raises(ArgumentError, match="'lower'"):
+        normalise(np.zeros((4, 4, 4)), BAYER["RGGB"], BAYER_BLACK, 16000.0, clip=clip)
+
+
+def test_an_unfit_out_is_refused() -> None:
+    read_only = np.empty((4, 4, 4), np.float32)
+    read_only.flags.writeable = False
+    unfit: list[NDArray[Any]] = [
+        np.empty((4, 4, 5), np.float32),
+        np.empty((4, 4, 4), np.float64),
+        np.empty((4, 4, 4), ">f4"),
+        np.empty((4, 4, 4), np.float32, order="F"),
+        np.empty((4, 4, 8), np.float32)[:, :, ::2],
+        read_only,
+    ]
+    for out in unfit:
+        with pytest.raises(ArgumentError, match="out must be a writeable C-contiguous float32"):
+            pack_normalised(random_mosaic(8, 8), BAYER["RGGB"], BAYER_BLACK, 16000.0, out=out)
+
+
+@pytest.mark.parametrize("shape", [(8,), (2, 8, 8), (1, 8)])
+def test_unfit_mosaics_are_refused(shape: tuple[int, ...]) -> None:
+    with pytest.raises(ArgumentError):
+        pack_normalised(np.zeros(shape, np.uint16), BAYER["RGGB"], BAYER_BLACK, 16000.0)
+
+
+def test_an_unsupported_cfa_is_refused() -> None:
+    with pytest.raises(ArgumentError, match="unsupported CFA"):
+        pack_normalised(random_mosaic(8, 8), ((0, 1), (1, 2)), BAYER_BLACK, 16000.0)

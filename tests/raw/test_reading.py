@@ -1,0 +1,311 @@
+"""Reading files that someone else wrote: tifffile's DNG files and a RAF's shape with Pillow's EXIF."""
+
+from __future__ import annotations
+
+import io
+import struct
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import rawpy
+from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
+
+from eldata.errors import RawFileError
+from eldata.raw import exposure_ratio, read_header, read_raw, write_dng
+from eldata.raw.reading import _exif_tags, _simplest_fraction
+from eldata.records import Exposure
+from tests.raw.helpers import (
+    BAYER,
+    EXPOSURE,
+    Cfa,
+    Tag,
+    active_area,
+    black_levels,
+    letters,
+    make_sensor,
+    random_mosaic,
+    write_plain_dng,
+    xtrans_at,
+)
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+MARGINS = [(0, 0), (2, 4), (1, 0), (0, 1), (1, 3), (5, 2), (3, 3)]
+
+
+def shifted(cfa: Cfa, down: int, right: int) -> Cfa:
+    n = len(cfa)
+    return tuple(tuple(cfa[(y + down) % n][(x + right) % n] for x in range(n)) for y in range(n))
+
+
+def where(part: np.ndarray, whole: np.ndarray) -> tuple[int, int]:
+    """Row and column of the one place in ``whole`` where ``part`` stands."""
+    windows = np.lib.stride_tricks.sliding_window_view(whole, part.shape)
+    found = np.argwhere((windows == part).all(axis=(2, 3)))
+    assert len(found) == 1
+    return int(found[0][0]), int(found[0][1])
+
+
+@pytest.mark.parametrize("margins", MARGINS)
+@pytest.mark.parametrize("name", BAYER)
+def test_the_bayer_phase_is_that_of_the_visible_area(name: str, margins: tuple[int, int], tmp_path: Path) -> None:
+    # A DNG's CFAPattern counts from the active area's corner. LibRaw widens an odd margin by one.
+    path, whole = tmp_path / "a.dng", random_mosaic(64, 66)
+    cfa = BAYER[name]
+    write_plain_dng(path, whole, letters(cfa), active_area(*margins, 62, 65))
+    frame = read_raw(path)
+    top, left = where(frame.mosaic, whole)
+    assert margins[0] <= top <= margins[0] + 1
+    assert margins[1] <= left <= margins[1] + 1
+    assert frame.sensor.cfa == shifted(cfa, top - margins[0], left - margins[1])
+    assert frame.mosaic.shape == (frame.sensor.height, frame.sensor.width)
+    with rawpy.imread(str(path)) as raw:
+        seen = [["RGBG"[raw.raw_color(top + y, left + x)] for x in range(2)] for y in range(2)]
+    assert letters(frame.sensor.cfa) == ["".join(row) for row in seen]
+
+
+@pytest.mark.parametrize("margins", MARGINS)
+def test_the_xtrans_offset_is_that_of_the_visible_area(margins: tuple[int, int], tmp_path: Path) -> None:
+    path, whole, cfa = tmp_path / "a.dng", random_mosaic(64, 66), xtrans_at(2, 1)
+    write_plain_dng(path, whole, letters(cfa), active_area(*margins, 62, 65))
+    frame = read_raw(path)
+    top, left = where(frame.mosaic, whole)
+    assert frame.sensor.cfa == shifted(cfa, top - margins[0], left - margins[1])
+
+
+@pytest.mark.parametrize("name", BAYER)
+def test_black_per_channel_is_ordered_by_colour_and_not_by_place(name: str, tmp_path: Path) -> None:
+    path, cfa = tmp_path / "a.dng", BAYER[name]
+    of_channel = (100, 101, 102, 103)  # R, G1, B, G2
+    levels = [[of_channel[channel] for channel in row] for row in cfa]
+    write_plain_dng(path, random_mosaic(64, 66), letters(cfa), *black_levels(levels))
+    sensor = read_raw(path).sensor
+    assert sensor.cfa == cfa
+    assert sensor.black_level_dn == (100.0, 101.0, 102.0, 103.0)
+
+
+# Regression: LibRaw widens an odd margin by one and does not move BlackLevel's pattern along, so that
+# channels swap their levels: R reads the black of another colour.
+@pytest.mark.parametrize("margins", MARGINS)
+def test_black_per_channel_with_margins(margins: tuple[int, int], tmp_path: Path) -> None:
+    path = tmp_path / "a.dng"
+    levels = [[100, 101], [103, 102]]  # R G1 / G2 B from the active area's corner
+    write_plain_dng(
+        path,
+        random_mosaic(64, 66),
+        letters(BAYER["RGGB"]),
+        active_area(*margins, 64, 66),
+        *black_levels(levels),
+    )
+    assert read_raw(path).sensor.black_level_dn == (100.0, 101.0, 102.0, 103.0)
+
+
+def test_one_black_level_counts_for_every_channel(tmp_path: Path) -> None:
+    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), ("GB", "RG"), (50714, "I", 1, 300, True))
+    assert read_raw(tmp_path / "a.dng").sensor.black_level_dn == (300.0,) * 4
+    write_plain_dng(tmp_path / "b.dng", random_mosaic(64, 66), letters(xtrans_at(0, 0)), (50714, "I", 1, 300, True))
+    assert read_raw(tmp_path / "b.dng").sensor.black_level_dn == (300.0,) * 3
+
+
+def test_white_is_what_the_file_says_and_not_what_libraw_knows_of_the_model(tmp_path: Path) -> None:
+    path = tmp_path / "a.dng"
+    write_plain_dng(path, random_mosaic(64, 66, high=15000), make="NIKON CORPORATION", model="NIKON D850", white=15520)
+    with rawpy.imread(str(path)) as raw:
+        per_channel = raw.camera_white_level_per_channel
+    assert per_channel is not None
+    assert 15520 not in per_channel  # LibRaw's table speaks here: the trap is set
+    assert read_raw(path).sensor.white_level_dn == 15520.0
+
+
+EXPOSURE_IN_IFD0: tuple[Tag, ...] = (
+    (33434, "2I", 1, (1, 25), True),
+    (33437, "2I", 1, (28, 10), True),
+    (34855, "H", 1, 400, True),
+)
+
+
+def test_iso_and_exposure_in_ifd0_alone(tmp_path: Path) -> None:
+    path = tmp_path / "a.dng"
+    write_plain_dng(path, random_mosaic(64, 66), ("RG", "GB"), *EXPOSURE_IN_IFD0)
+    with rawpy.imread(str(path)) as raw:
+        assert raw.other.iso_speed == 0  # LibRaw does not find it there
+    expected = Exposure(Fraction(400), Fraction(1, 25), Fraction(28, 10))
+    assert read_raw(path).exposure == expected
+    assert read_header(path).exposure == expected
+
+
+@pytest.mark.parametrize("field", ["ISO", "exposure time"])
+def test_a_missing_field_is_none_and_the_ratio_names_field_and_file(field: str, tmp_path: Path) -> None:
+    whole, poor = tmp_path / "whole.dng", tmp_path / "poor.dng"
+    write_dng(whole, random_mosaic(60, 64), make_sensor(), EXPOSURE)
+    left_out = 34855 if field == "ISO" else 33434
+    tags = [tag for tag in EXPOSURE_IN_IFD0 if tag[0] != left_out]
+    write_plain_dng(poor, random_mosaic(64, 66), ("RG", "GB"), *tags)
+    frame, header = read_raw(poor), read_header(poor)
+    assert (frame.exposure.iso is None) == (field == "ISO")
+    assert (frame.exposure.exposure_s is None) == (field == "exposure time")
+    assert header.exposure == frame.exposure
+    for pair in ((read_raw(whole), frame), (header, read_header(whole))):
+        with pytest.raises(RawFileError, match=rf"poor\.dng: states no {field}\b") as caught:
+            exposure_ratio(*pair)
+        assert caught.value.path == poor
+
+
+def test_a_file_without_any_exif(tmp_path: Path) -> None:
+    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66))
+    frame = read_raw(tmp_path / "a.dng")
+    assert frame.exposure == Exposure(None, None, None)
+    assert frame.sensor.white_balance is None
+    assert frame.sensor.xyz_to_camera is None
+    assert frame.sensor.camera_to_srgb is None
+    assert (frame.sensor.make, frame.sensor.model) == ("Acme", "Nocturne 1")
+
+
+def test_the_exposure_ratio_is_exact(tmp_path: Path) -> None:
+    exposures = {
+        "long": Exposure(Fraction(100), Fraction(10)),
+        "short": Exposure(Fraction(100), Fraction(1, 30)),
+        "odd": Exposure(Fraction(102400), Fraction(3, 7)),
+    }
+    for name, exposure in exposures.items():
+        write_dng(tmp_path / f"{name}.dng", random_mosaic(60, 64), make_sensor(), exposure)
+    headers = {name: read_header(tmp_path / f"{name}.dng") for name in exposures}
+    assert exposure_ratio(headers["long"], headers["short"]) == 300
+    assert exposure_ratio(read_raw(tmp_path / "short.dng"), headers["long"]) == Fraction(1, 300)
+    assert exposure_ratio(headers["long"], headers["odd"]) == Fraction(7000, 307200)
+
+
+def test_read_header_says_what_read_raw_says(tmp_path: Path) -> None:
+    path = tmp_path / "a.dng"
+    write_dng(path, random_mosaic(60, 64), make_sensor(), EXPOSURE)
+    header, frame = read_header(str(path)), read_raw(str(path))
+    assert header.path == frame.path == path
+    assert (header.make, header.model, header.exposure) == (
+        frame.sensor.make,
+        frame.sensor.model,
+        frame.exposure,
+    )
+
+
+A = ((0.9, -0.2, -0.1), (-0.4, 1.2, 0.2), (-0.1, 0.3, 0.5))
+D65 = ((0.7, -0.1, -0.05), (-0.5, 1.3, 0.21), (-0.12, 0.25, 0.61))
+
+
+def matrix_tag(code: int, matrix: tuple[tuple[float, ...], ...]) -> Tag:
+    return (
+        code,
+        "2i",
+        9,
+        tuple(n for row in matrix for value in row for n in (round(value * 10000), 10000)),
+        True,
+    )
+
+
+@pytest.mark.parametrize(
+    "tags",
+    [
+        (matrix_tag(50721, D65),),
+        (matrix_tag(50721, D65), (50778, "H", 1, 17, True)),
+        (matrix_tag(50721, A), matrix_tag(50722, D65), (50778, "H", 1, 17, True), (50779, "H", 1, 21, True)),
+        (matrix_tag(50721, D65), matrix_tag(50722, A), (50778, "H", 1, 21, True), (50779, "H", 1, 17, True)),
+    ],
+    ids=["one, no illuminant", "one", "A, D65", "D65, A"],
+)
+def test_the_colour_matrix_is_that_for_d65(tags: tuple[Tag, ...], tmp_path: Path) -> None:
+    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), ("RG", "GB"), *tags)
+    sensor = read_raw(tmp_path / "a.dng").sensor
+    assert sensor.xyz_to_camera == D65
+    with rawpy.imread(str(tmp_path / "a.dng")) as raw:
+        oracle = raw.color_matrix[:, :3]
+    ours = sensor.camera_to_srgb
+    assert ours is not None
+    np.testing.assert_allclose(ours, oracle.astype(np.float64), atol=2e-6)
+
+
+def test_the_mosaic_outlives_its_file(tmp_path: Path) -> None:
+    path, mosaic = tmp_path / "a.dng", random_mosaic(60, 64)
+    write_dng(path, mosaic, make_sensor(), EXPOSURE)
+    frame = read_raw(path)
+    path.unlink()
+    assert frame.mosaic.flags.owndata
+    assert frame.mosaic.flags.writeable
+    assert frame.mosaic.flags.c_contiguous
+    np.testing.assert_array_equal(frame.mosaic, mosaic)
+
+
+# --- RAF ----------------------------------------------------------------------------------------------------
+
+
+def raf_with_exif() -> bytes:
+    """The head of a RAF and its embedded JPEG: what its EXIF is read from. There is no CFA data behind it."""
+    image = Image.new("RGB", (16, 8))
+    exif = image.getexif()
+    exif[271], exif[272] = "FUJIFILM", "X-T2"
+    details = exif.get_ifd(0x8769)
+    details[33434], details[33437], details[34855] = IFDRational(1, 30), IFDRational(28, 10), 1600
+    jpeg = io.BytesIO()
+    image.save(jpeg, "JPEG", exif=exif)
+    head = b"FUJIFILMCCD-RAW 0201FF129502X-T2".ljust(84, b"\0") + struct.pack(">II", 160, len(jpeg.getvalue()))
+    return head.ljust(160, b"\0") + jpeg.getvalue()
+
+
+def test_the_exif_of_a_raf_is_that_of_its_embedded_jpeg(tmp_path: Path) -> None:
+    path = tmp_path / "a.RAF"
+    path.write_bytes(raf_with_exif() + b"pixels would follow")
+    tags = _exif_tags(path)
+    assert str(tags["Image Make"]) == "FUJIFILM"
+    assert str(tags["Image Model"]) == "X-T2"
+    shutter = tags["EXIF ExposureTime"].values[0]
+    assert (shutter.num, shutter.den) == (1, 30)
+    assert tags["EXIF ISOSpeedRatings"].values == [1600]
+
+
+def test_a_raf_cut_inside_of_its_jpeg(tmp_path: Path) -> None:
+    path, data = tmp_path / "a.RAF", raf_with_exif()
+    path.write_bytes(data[:-100])
+    with pytest.raises(RawFileError, match=f"declares data up to byte {len(data)} but has {len(data) - 100} bytes"):
+        read_raw(path)
+
+
+@pytest.mark.parametrize("at", [92, 100], ids=["CFA header", "CFA data"])
+def test_a_raf_cut_inside_of_its_pixels(at: int, tmp_path: Path) -> None:
+    path, data = tmp_path / "a.RAF", bytearray(raf_with_exif())
+    struct.pack_into(">II", data, at, len(data), 5000)
+    path.write_bytes(data + bytes(4999))
+    with pytest.raises(RawFileError, match=f"declares data up to byte {len(data) + 5000} but has {len(data) + 4999}"):
+        read_raw(path)
+
+
+def test_a_raf_without_pixels_is_not_decoded(tmp_path: Path) -> None:
+    (tmp_path / "a.RAF").write_bytes(raf_with_exif())
+    for read in (read_raw, read_header):
+        with pytest.raises(RawFileError, match=r"a\.RAF"):
+            read(tmp_path / "a.RAF")
+
+
+# --- LibRaw's float32 as a fraction -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "fraction",
+    [Fraction(n, d) for n, d in ((1, 250), (1, 3), (1, 8000), (30, 1), (5, 2), (2, 5), (1, 32000), (13, 10), (400, 1))],
+)
+def test_float32_reads_as_the_fraction_that_was_meant(fraction: Fraction) -> None:
+    value = float(np.float32(float(fraction)))
+    assert _simplest_fraction(value) == fraction
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
+def test_what_libraw_does_not_know_reads_as_none(value: float) -> None:
+    assert _simplest_fraction(value) is None
+
+
+@pytest.mark.parametrize("value", np.random.default_rng(4).lognormal(0, 3, 20).astype(np.float32).tolist())
+def test_any_float32_reads_as_a_fraction_that_rounds_to_it(value: float) -> None:
+    fraction = _simplest_fraction(value)
+    assert fraction is not None
+    assert np.float32(float(fraction)) == np.float32(value)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 MAGIC = (b"II*\0", b"MM\0*")
 
-PHOTOMETRIC = 262
+WIDTH, HEIGHT, PHOTOMETRIC = 256, 257, 262
 ACTIVE_AREA = 50829
 BLACK_REPEAT, BLACK_LEVEL, BLACK_DELTAS = 50713, 50714, (50715, 50716)
 CFA_PHOTOMETRIC = 32803
@@ -27,7 +27,8 @@ _SUB_IFDS, _EXIF_IFD = 330, 34665
 _DATA = ((273, 279), (324, 325))  # strips, tiles: offsets and byte counts
 # Tags whose values must lie inside of the file: those above, and what reading.py takes from EXIF and DNG tags.
 _EXIF = {33434, 33437, 34855, 34864, 34865, 34866, 34867}
-_CHECKED = _EXIF | {
+_READ = _EXIF | {
+    *(WIDTH, HEIGHT, PHOTOMETRIC),
     *(271, 272, _SUB_IFDS, _EXIF_IFD, ACTIVE_AREA, BLACK_REPEAT, BLACK_LEVEL, *BLACK_DELTAS),
     *(50717, 50721, 50722, 50728, 50778, 50779),
     *(tag for pair in _DATA for tag in pair),
@@ -53,14 +54,19 @@ class Directory:
         return CFA_PHOTOMETRIC in self.values.get(PHOTOMETRIC, ())
 
     @property
-    def data_end(self) -> int:
-        """The byte behind the last that its strips or tiles declare."""
-        ends = [
-            int(offset + count)
+    def extents(self) -> tuple[tuple[int, int], ...]:
+        """Offset and byte count of each strip or tile."""
+        return tuple(
+            (int(offset), int(count))
             for offsets, counts in _DATA
             for offset, count in zip(self.values.get(offsets, ()), self.values.get(counts, ()), strict=False)
-        ]
-        return max(ends, default=0)
+        )
+
+    @property
+    def pixels(self) -> int:
+        """Number of pixels that it declares."""
+        width, height = (next(iter(self.values.get(tag, ())), 0) for tag in (WIDTH, HEIGHT))
+        return int(width * height)
 
 
 def read_directories(path: Path) -> tuple[Directory, ...]:
@@ -69,7 +75,8 @@ def read_directories(path: Path) -> tuple[Directory, ...]:
     Raises
     ------
     RawFileError
-        If a directory, a relied-on value, or the raw image's data lies beyond the end of the file.
+        If a directory, a relied-on value, or the raw image's data lies beyond the end of the file, or that data is too
+        little for its pixels.
     """
     size = path.stat().st_size
     with path.open("rb") as file:
@@ -94,8 +101,12 @@ def read_directories(path: Path) -> tuple[Directory, ...]:
                 waiting += map(int, directory.values.get(tag, ()))
     # The raw image alone where it is marked as such: some cameras declare previews that they do not write.
     images = [directory for directory in found if directory.is_mosaic] or found
-    end = max((directory.data_end for directory in images), default=0)
-    _require(path, size, end)
+    _require(path, size, max((sum(extent) for directory in images for extent in directory.extents), default=0))
+    for directory in found:
+        held = sum(count for _, count in directory.extents)
+        # No lossless code takes less than one bit a pixel.
+        if directory.is_mosaic and held * 8 < directory.pixels:
+            raise RawFileError(path, f"truncated: its image data, {held} bytes, cannot hold {directory.pixels} pixels")
     return tuple(found)
 
 
@@ -109,7 +120,7 @@ def _read_directory(path: Path, file: IO[bytes], size: int, order: str, at: int)
     for index in range(count):
         entry = table[12 * index : 12 * index + 12]
         tag, kind, number = struct.unpack(order + "HHI", entry[:8])
-        if tag not in _CHECKED and tag != PHOTOMETRIC:
+        if tag not in _READ:
             continue
         length = _SIZES.get(kind, 1) * number
         data = entry[8:12]

@@ -198,7 +198,7 @@ def test_fewer_bits_than_pixels(tmp_path: Path) -> None:
     strip = imagecodecs.ljpeg_encode(random_mosaic(120, 132), bitspersample=16)
     declaring_just_what_is_there(path, BAYER["RGGB"], strip, 40, 0)
     size = path.stat().st_size
-    refused(path, f"truncated: {size} bytes cannot hold {120 * 132} pixels", [read_raw])
+    refused(path, f"truncated: .*cannot hold {120 * 132} pixels", [read_raw])
 
 
 def test_a_strip_that_declares_fewer_bytes_than_its_pixels_need(tmp_path: Path) -> None:

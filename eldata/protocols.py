@@ -73,7 +73,7 @@ PROTOCOLS = {
     for protocol in (
         Protocol(
             name="eld",
-            title="ELD as published: 240 pairs, packed raw, full frame, white level 16383, one scalar per image",
+            title="ELD as published: packed raw, full frame, white level 16383, one scalar per image",
             source=_ELD_SOURCE,
             dataset="eld",
             ratios=(100, 200),

@@ -144,6 +144,7 @@ def load_prediction(path: Path, sensor: Sensor, levels: Levels) -> NDArray[np.fl
     if path.suffix.lower() == ".dng":
         return _from_dng(path, sensor, levels)
     array = _read_array(path)
+    array = array.astype(array.dtype.newbyteorder("="), copy=False)
     if array.dtype == np.uint16:
         values: NDArray[Any] = array.astype(np.float32) / np.float32(65535)
     elif array.dtype in (np.float16, np.float32, np.float64):
@@ -165,12 +166,12 @@ def _packed(path: Path, values: NDArray[Any], sensor: Sensor) -> NDArray[Any]:
     if values.shape == mosaic_shape:
         return pack(values, sensor.cfa)
     hint = "predict the whole frame, in the reference's orientation"
-    if values.shape == (*shape[1:], shape[0]):
+    if values.ndim == 3 and path.suffix.lower() == ".png":
+        hint = "a PNG holds the mosaic as one grey channel: eldata.raw.unpack() it first"
+    elif values.shape == (*shape[1:], shape[0]):
         hint = "it is channels-last: transpose(2, 0, 1) it"
     elif values.ndim == 4 and values.shape[0] == 1:
         hint = "drop the batch dimension: save prediction[0]"
-    elif values.ndim == 3 and values.shape[2] in (3, 4) and path.suffix.lower() == ".png":
-        hint = "a PNG holds the mosaic as one grey channel: eldata.raw.unpack() it first"
     raise PredictionError(
         path, f"expected shape {shape} (packed) or {mosaic_shape} (mosaic), found {values.shape}; {hint}"
     )

@@ -53,6 +53,9 @@ def select_pairs(
         for record in records
         if record.role == "noisy" and record.reference is not None and record.ratio is not None
     ]
+    for name, wanted in (("camera", cameras), ("scene", scenes), ("ISO", isos), ("ratio", ratios)):
+        if isinstance(wanted, str):
+            raise ArgumentError(f"give {name} values as a list: [{wanted!r}]")
     wanted_scenes = None if scenes is None else [f"scene-{s}" if isinstance(s, int) else s for s in scenes]
     chosen = pairs
     chosen = _having(chosen, pairs, "camera", cameras, lambda pair: pair.camera)
@@ -73,8 +76,6 @@ def _having(
 ) -> list[PairRecord]:
     if wanted is None:
         return chosen
-    if isinstance(wanted, str):
-        raise ArgumentError(f"give {name} values as a list: [{wanted!r}]")
     known = list(dict.fromkeys(value_of(pair) for pair in pairs))
     for value in wanted:
         if value not in known:

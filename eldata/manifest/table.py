@@ -35,20 +35,21 @@ COLUMNS = (
 ROLES: tuple[Role, ...] = get_args(Role)
 
 _NUMBER = re.compile(r"\d{1,18}(\.\d{1,18})?(/\d{1,18})?")
+_MOST_DECIMALS = 9
 _WHOLE = re.compile(r"\d{1,18}")
 _SHA256 = re.compile(r"sha256:[0-9a-f]{64}")
 _NAME = re.compile(r"[\w.+-]+")
 
 
 def number_text(value: Fraction) -> str:
-    """Return a fraction as exact text: ``800``, ``0.005`` where the decimals end, else ``1/30``."""
+    """Return a fraction as exact text: ``800``, ``0.005`` where at most nine decimals do, else ``1/30``."""
     scaled, denominator, digits = value.numerator, value.denominator, 0
     while denominator % 10 == 0:
         denominator, digits = denominator // 10, digits + 1
     for prime, partner in ((2, 5), (5, 2)):
         while denominator % prime == 0:
             denominator, scaled, digits = denominator // prime, scaled * partner, digits + 1
-    if denominator != 1:
+    if denominator != 1 or digits > _MOST_DECIMALS:
         return f"{value.numerator}/{value.denominator}"
     text = str(scaled).rjust(digits + 1, "0")
     return f"{text[:-digits]}.{text[-digits:]}" if digits else text
@@ -69,6 +70,10 @@ def load_records(path: Path) -> tuple[FrameRecord, ...]:
         raise ManifestError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise ManifestError(f"{path}: is not UTF-8 text (byte {error.start}); is it a manifest?") from error
+    return _parse(path, text)
+
+
+def _parse(path: Path, text: str) -> tuple[FrameRecord, ...]:
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     try:
         header = next(reader, None)
@@ -107,14 +112,14 @@ def save_records(path: Path, records: Iterable[FrameRecord]) -> None:
     ManifestError
         If :func:`load_records` would refuse a row.
     """
+    ordered = tuple(sorted(records, key=lambda record: record.path))
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
-    for record in sorted(records, key=lambda record: record.path):
-        fields = _fields(record)
-        if _record(f"{path}, row {record.path!r}", fields) != record:
+    writer.writerows(_fields(record).values() for record in ordered)
+    for record, read_back in zip(ordered, _parse(path, text.getvalue()), strict=True):
+        if record != read_back:
             raise ManifestError(f"{path}, row {record.path!r}: cannot be written as text and read back the same")
-        writer.writerow(fields.values())
     write_text(path, text.getvalue())
 
 

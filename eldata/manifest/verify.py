@@ -84,7 +84,7 @@ class VerifyReport:
     @property
     def ok(self) -> bool:
         """Whether something was verified and no problem was found."""
-        return not self.problems and any(not report.absent for report in self.datasets)
+        return not self.problems and any(report.files_checked for report in self.datasets)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the report as plain JSON types."""
@@ -166,6 +166,8 @@ def verify(
     for camera in cameras or ():
         if camera not in known:
             raise ManifestError(f"no manifest has a camera called {camera!r}; known are {', '.join(known)}")
+    if cameras:
+        chosen = [manifest for manifest in chosen if set(cameras) & set(manifest.card.cameras)]
     reports = [
         _verify_dataset(manifest, manifest.folder(root), cameras, level, jobs, required=dataset is not None)
         for manifest in chosen
@@ -239,11 +241,8 @@ def _check_presence(
             continue
         if size is None:
             # One line for a whole folder that is not there, at the highest level that is not.
-            top = next(
-                parent.as_posix()
-                for parent in reversed((Path(record.path), *Path(record.path).parents))
-                if not (folder / parent).exists()
-            )
+            parents = (*reversed(Path(record.path).parents), Path(record.path))
+            top = next((part.as_posix() for part in parents if not (folder / part).exists()), record.path)
             missing[top].append(record)
             continue
         if size == 0 or size != (record.size_bytes or size):
@@ -261,8 +260,11 @@ def _missing(dataset: str, folder: Path, top: str, lost: list[FrameRecord]) -> P
     path = folder / top
     if top == lost[0].path:
         like = [name for name in _names(path.parent) if name.casefold() == path.name.casefold()]
-        found = f"only {like[0]}" if like else "nothing"
-        advice = f"rename it to {path.name}" if like else "copy or download it again"
+        found, advice = "nothing", "copy or download it again"
+        if path.is_dir():
+            found, advice = "a folder", "move it away and copy the file"
+        elif like:
+            found, advice = f"only {like[0]}", f"rename it to {path.name}"
         return Problem(dataset, top, "file", "a file", found, advice)
     advice = "unpack it there"
     if len({record.camera for record in lost}) == 1:
@@ -279,15 +281,15 @@ def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRec
     from eldata.raw.extensions import RAW_EXTENSIONS
 
     listed = {record.path for record in manifest.records}
-    on_disk_name = {path.casefold() for path in listed}
+    # A missing file's name in another case is reported there, with what to do.
+    respelled = {path.casefold() for path in listed if not (folder / path).exists()}
     problems = []
     for parent in sorted({Path(record.path).parent.as_posix() for record in records}):
         expected = sum(Path(path).parent.as_posix() == parent for path in listed)
         raws = [name for name in _names(folder / parent) if Path(name).suffix.lower() in RAW_EXTENSIONS]
         for name in raws:
             path = f"{parent}/{name}"
-            # A name that differs in case only is reported as missing, with what to do.
-            if path not in listed and path.casefold() not in on_disk_name:
+            if path not in listed and path.casefold() not in respelled:
                 problems.append(
                     Problem(
                         manifest.name,

@@ -165,12 +165,13 @@ def _exposure_product(frame: RawFrame | RawHeader) -> Fraction:
 
 def _existing(path: Path | str) -> Path:
     path = Path(path)
-    try:
-        size = path.stat().st_size
-    except OSError as error:
-        raise RawFileError(path, f"cannot be read: {error.strerror}") from error
     if path.is_dir():
         raise RawFileError(path, "is a folder, not a raw file")
+    try:
+        size = path.stat().st_size
+        path.open("rb").close()
+    except OSError as error:
+        raise RawFileError(path, f"cannot be read: {error.strerror}") from error
     if size == 0:
         raise RawFileError(path, "is empty (0 bytes): copy or download it again")
     return path

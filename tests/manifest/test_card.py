@@ -1,0 +1,191 @@
+"""The dataset card: a faithful round trip, and each malformed field named."""
+
+from __future__ import annotations
+
+import copy
+import json
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from eldata.errors import ManifestError
+from eldata.manifest.card import CameraCard, Card, Download, load_card, save_card
+from eldata.manifest.catalogue import find_manifests, load_manifest, shipped_manifest
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.trees import Tree
+
+CARD = Card(
+    name="set",
+    title="A set — with “quotes”",
+    version="2.1",
+    folder="SET",
+    citation="A. Author, 2024",
+    licence="CC BY 4.0",
+    homepage="https://example.org/set",
+    cfa="xtrans",
+    cameras={"XT2": CameraCard(("X-T2", "X-T2S")), "XT3": CameraCard(("X-T3",))},
+    counts={"noisy": 12, "reference": 4},
+    downloads=(Download("https://example.org/a.zip", 123, "part 1"), Download("https://example.org/b.zip")),
+    known_defects=("frame 7 is blurred",),
+    sources=("the paper's table 1",),
+)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "set.json"
+
+
+def data() -> dict[str, Any]:
+    return {
+        "name": "set",
+        "title": "A set",
+        "version": "1.0",
+        "folder": "SET",
+        "citation": "A. Author",
+        "licence": "MIT",
+        "homepage": "https://example.org",
+        "cfa": "bayer",
+        "cameras": {"Cam": {"models": ["CAM-1"]}},
+        "counts": {"noisy": 1, "reference": 1},
+        "downloads": [{"address": "https://example.org/a.zip", "size_bytes": 5, "notes": ""}],
+        "known_defects": ["one"],
+        "sources": ["two"],
+    }
+
+
+def test_round_trip(path: Path) -> None:
+    save_card(path, CARD)
+    assert load_card(path) == CARD
+    assert "“quotes”" in path.read_text(encoding="utf-8"), "people read this file: text is not escaped"
+
+
+def test_optional_fields_may_be_left_out(path: Path) -> None:
+    least = data()
+    del least["downloads"], least["known_defects"], least["sources"]
+    path.write_text(json.dumps(least), encoding="utf-8")
+    assert load_card(path).downloads == ()
+    least["downloads"] = [{"address": "https://example.org/a.zip"}]
+    path.write_text(json.dumps(least), encoding="utf-8")
+    assert load_card(path).downloads == (Download("https://example.org/a.zip", None, ""),)
+
+
+def test_the_data_below_is_fine_before_it_is_spoilt(path: Path) -> None:
+    path.write_text(json.dumps(data()), encoding="utf-8")
+    assert load_card(path).cameras == {"Cam": CameraCard(("CAM-1",))}
+
+
+def spoilt(where: tuple[str | int, ...], value: Any) -> dict[str, Any]:
+    content = copy.deepcopy(data())
+    target: Any = content
+    for key in where[:-1]:
+        target = target[key]
+    if value is DELETE:
+        del target[where[-1]]
+    else:
+        target[where[-1]] = value
+    return content
+
+
+DELETE = object()
+REQUIRED = ("name", "title", "version", "folder", "citation", "licence", "homepage", "cfa", "cameras", "counts")
+
+
+@pytest.mark.parametrize(
+    ("where", "value", "field"),
+    [
+        *[((name,), DELETE, name) for name in REQUIRED],
+        *[((name,), 7, name) for name in REQUIRED],
+        *[((name,), None, name) for name in REQUIRED],
+        (("colour",), "red", "colour"),
+        (("folder",), "../SET", "folder"),
+        (("folder",), "/SET", "folder"),
+        (("folder",), "a/b", "folder"),
+        (("folder",), "", "folder"),
+        (("folder",), "..", "folder"),
+        (("folder",), "C:", "folder"),
+        (("cfa",), "Bayer", "cfa"),
+        (("cameras", "Cam"), ["CAM-1"], "cameras.Cam"),
+        (("cameras", "Cam"), {}, "cameras.Cam.models"),
+        (("cameras", "Cam", "models"), "CAM-1", "cameras.Cam.models"),
+        (("cameras", "Cam", "models"), [1], "cameras.Cam.models[0]"),
+        (("cameras", "Cam", "lens"), "50", "cameras.Cam.lens"),
+        (("counts", "noisy"), "1", "counts.noisy"),
+        (("counts", "noisy"), 1.0, "counts.noisy"),
+        (("counts", "noisy"), True, "counts.noisy"),
+        (("downloads",), {}, "downloads"),
+        (("downloads",), None, "downloads"),
+        (("downloads", 0), "https://example.org", "downloads[0]"),
+        (("downloads", 0, "address"), DELETE, "downloads[0].address"),
+        (("downloads", 0, "address"), 1, "downloads[0].address"),
+        (("downloads", 0, "size_bytes"), "5", "downloads[0].size_bytes"),
+        (("downloads", 0, "notes"), 5, "downloads[0].notes"),
+        (("downloads", 0, "mirror"), "", "downloads[0].mirror"),
+        (("known_defects",), "none", "known_defects"),
+        (("known_defects", 0), 1, "known_defects[0]"),
+        (("sources", 0), None, "sources[0]"),
+    ],
+)
+def test_a_bad_field_is_named(path: Path, where: tuple[str | int, ...], value: Any, field: str) -> None:
+    path.write_text(json.dumps(spoilt(where, value)), encoding="utf-8")
+    with pytest.raises(ManifestError) as raised:
+        load_card(path)
+    assert f"{path}, field {field}: " in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "is not JSON"),
+        (b"{", "is not JSON"),
+        (b"\xff\xfe", "is not JSON"),
+        (b"path,role\n", "is not JSON"),
+        (b"[]", "expected a JSON object, found list"),
+        (b"null", "expected a JSON object, found NoneType"),
+        (b'{"a":' * 100_000, "is not JSON"),
+    ],
+    ids=["empty", "cut off", "binary", "csv", "list", "null", "deep"],
+)
+def test_a_file_that_is_no_card_is_named(path: Path, content: bytes, said: str) -> None:
+    path.write_bytes(content)
+    with pytest.raises(ManifestError) as raised:
+        load_card(path)
+    assert str(path) in str(raised.value)
+    assert said in str(raised.value)
+
+
+# --- card and table together --------------------------------------------------------------------------------------
+
+
+def test_a_manifest_without_its_card_says_so(tree: Tree) -> None:
+    tree.csv.with_suffix(".json").unlink()
+    with pytest.raises(ManifestError, match="a manifest needs its dataset card"):
+        load_manifest(tree.csv)
+
+
+def test_a_camera_that_is_not_on_the_card(tree: Tree) -> None:
+    text = tree.csv.read_text(encoding="utf-8")
+    tree.csv.write_text(text.replace("noisy,DemoBeta", "noisy,DemoGamma", 1), encoding="utf-8")
+    with pytest.raises(ManifestError, match=r"'DemoGamma' is not on the card.*DemoAlpha, DemoBeta"):
+        load_manifest(tree.csv)
+
+
+def test_a_lost_row_is_noticed(tree: Tree) -> None:
+    """A manifest that lost rows would verify less than it claims."""
+    lines = tree.csv.read_text(encoding="utf-8").splitlines(keepends=True)
+    tree.csv.write_text("".join(lines[:-2] + lines[-1:]), encoding="utf-8")
+    with pytest.raises(ManifestError, match="the card expects"):
+        load_manifest(tree.csv)
+
+
+def test_a_folder_without_manifests(tmp_path: Path) -> None:
+    with pytest.raises(ManifestError, match="holds no manifest"):
+        find_manifests(tmp_path)
+
+
+def test_an_unknown_name_lists_the_known(tmp_path: Path) -> None:
+    with pytest.raises(ManifestError, match=r"no dataset is called 'elf'; known are .*eld"):
+        shipped_manifest("elf")

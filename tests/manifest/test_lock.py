@@ -1,0 +1,185 @@
+"""Locking: sizes and hashes of a trusted copy go into the manifest, all or none."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import pytest
+
+from eldata.errors import EldataError, ManifestError
+from eldata.manifest.lock import lock
+from eldata.manifest.table import load_records, save_records
+from eldata.manifest.verify import verify
+from tests.trees import Tree, flip_compressed_byte, frame, scale_exposure
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+def contents(tree: Tree) -> dict[str, bytes]:
+    """All that lies beside the manifest, itself included."""
+    return {path.name: path.read_bytes() for path in tree.csv.parent.iterdir()}
+
+
+def test_sizes_and_hashes_are_filled_in(tree: Tree) -> None:
+    before = tree.manifest.records
+    report = lock(tree.csv, tree.root)
+    assert (report.files_locked, report.problems) == (32, ())
+    assert report.checks.level == "metadata"
+    for old, new in zip(before, tree.manifest.records, strict=True):
+        content = (tree.data / new.path).read_bytes()
+        assert new.size_bytes == len(content)
+        assert new.sha256 == "sha256:" + hashlib.sha256(content).hexdigest()
+        assert replace(new, size_bytes=None, sha256=None) == old, "nothing else changes"
+    full = verify([tree.manifest], tree.root, level="full")
+    assert full.ok
+    assert full.datasets[0].files_hashed == 32
+
+
+@pytest.mark.timeout(120)
+def test_the_locked_manifest_does_not_depend_on_the_number_of_jobs(tree: Tree) -> None:
+    unlocked = tree.csv.read_bytes()
+    lock(tree.csv, tree.root, jobs=2)
+    parallel = tree.csv.read_bytes()
+    tree.csv.write_bytes(unlocked)
+    lock(tree.csv, tree.root)
+    assert tree.csv.read_bytes() == parallel != unlocked
+
+
+def test_locking_again_changes_nothing(tree: Tree) -> None:
+    lock(tree.csv, tree.root)
+    before = contents(tree)
+    assert lock(tree.csv, tree.root).files_locked == 32
+    assert contents(tree) == before
+
+
+def remove(tree: Tree) -> None:
+    tree.file(4).unlink()
+
+
+def cut(tree: Tree) -> None:
+    tree.file(4).write_bytes(tree.file(4).read_bytes()[:3000])
+
+
+def empty(tree: Tree) -> None:
+    tree.file(4).write_bytes(b"")
+
+
+def expose(tree: Tree) -> None:
+    scale_exposure(tree.file(4), Fraction(2))
+
+
+def add(tree: Tree) -> None:
+    shutil.copy(tree.file(16), tree.file(17))
+
+
+def link(tree: Tree) -> None:
+    outside = tree.root.parent / "outside.dng"
+    tree.file(4).rename(outside)
+    tree.file(4).symlink_to(outside)
+
+
+def lose(tree: Tree) -> None:
+    shutil.rmtree(tree.data)
+
+
+@pytest.mark.parametrize("harm", [remove, cut, empty, expose, add, link, lose])
+def test_a_copy_with_a_problem_is_not_locked(tree: Tree, harm: Callable[[Tree], None]) -> None:
+    """A hash of a damaged file would make the damage official."""
+    before = contents(tree)
+    harm(tree)
+    report = lock(tree.csv, tree.root)
+    assert report.problems
+    assert report.files_locked == 0
+    assert contents(tree) == before
+
+
+def test_a_recorded_hash_is_not_overruled(tree: Tree) -> None:
+    """Equal size, header and exposure, other pixels: two copies differ, and only people can say which is right."""
+    lock(tree.csv, tree.root)
+    before = contents(tree)
+    recorded = tree.manifest.records
+    flip_compressed_byte(tree.file(4))
+    report = lock(tree.csv, tree.root)
+    assert report.checks.ok
+    assert report.files_locked == 0
+    (problem,) = report.problems
+    assert (problem.path, problem.field) == (frame(4), "sha256")
+    assert problem.expected == next(record.sha256 for record in recorded if record.path == frame(4))
+    assert "empty the row's" in problem.advice
+    assert contents(tree) == before
+
+
+def test_a_recorded_size_is_not_overruled(tree: Tree) -> None:
+    save_records(tree.csv, [replace(r, size_bytes=1) if r.path == frame(4) else r for r in tree.manifest.records])
+    before = contents(tree)
+    report = lock(tree.csv, tree.root)
+    assert [(problem.path, problem.field) for problem in report.problems] == [(frame(4), "size_bytes")]
+    assert contents(tree) == before
+
+
+def test_a_camera_at_a_time(tree: Tree) -> None:
+    """Locking the second camera keeps what was recorded of the first."""
+    beta = tree.data / "DemoBeta"
+    aside = tree.root / "aside"
+    beta.rename(aside)
+    assert lock(tree.csv, tree.root, cameras=["DemoAlpha"]).files_locked == 16
+    locked = {record.camera for record in tree.manifest.records if record.sha256 is not None}
+    assert locked == {"DemoAlpha"}
+    aside.rename(beta)
+    assert lock(tree.csv, tree.root, cameras=["DemoBeta"]).files_locked == 16
+    assert all(record.sha256 for record in tree.manifest.records)
+
+
+def test_an_unknown_camera(tree: Tree) -> None:
+    before = contents(tree)
+    with pytest.raises(ManifestError, match="known are DemoAlpha, DemoBeta"):
+        lock(tree.csv, tree.root, cameras=["SonyA7S2"])
+    assert contents(tree) == before
+
+
+def test_a_manifest_that_cannot_be_written(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = contents(tree)
+
+    def full_disk(handle: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full_disk)
+    with pytest.raises(EldataError, match="No space left on device"):
+        lock(tree.csv, tree.root)
+    assert contents(tree) == before
+
+
+KILLED = """
+import os, sys
+
+def kill(*arguments, **options):
+    os.kill(os.getpid(), 9)
+
+setattr(os, sys.argv[1], kill)
+
+from eldata.manifest.lock import lock
+
+lock(sys.argv[2], sys.argv[3])
+"""
+
+
+@pytest.mark.parametrize("moment", ["fsync", "replace"])
+def test_a_kill_while_writing_leaves_the_manifest(tree: Tree, moment: str) -> None:
+    """Before the data are safe on disk, and just before the new file takes the old one's name."""
+    before = tree.csv.read_bytes()
+    command = [sys.executable, "-c", KILLED, moment, str(tree.csv), str(tree.root)]
+    done = subprocess.run(command, capture_output=True, timeout=60)
+    assert done.returncode == -signal.SIGKILL, done.stderr.decode()
+    assert tree.csv.read_bytes() == before
+    assert len(load_records(tree.csv)) == 32
+    # What the kill left behind is in nobody's way.
+    assert lock(tree.csv, tree.root).files_locked == 32
+    assert verify(tree.csv.parent, tree.root, level="full").ok

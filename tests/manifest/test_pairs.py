@@ -1,0 +1,106 @@
+"""Choosing pairs from a manifest."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from eldata.errors import ArgumentError
+from eldata.manifest.catalogue import shipped_manifest
+from eldata.manifest.pairs import select_pairs
+from eldata.records import FrameRecord
+
+if TYPE_CHECKING:
+    from eldata.records import PairRecord
+
+RECORDS = shipped_manifest("eld").records
+
+
+def values(pairs: tuple[PairRecord, ...], field: str) -> set[object]:
+    return {getattr(pair, field) for pair in pairs}
+
+
+def test_all_pairs_in_the_manifests_order() -> None:
+    pairs = select_pairs(RECORDS)
+    assert len(pairs) == 480
+    assert [pair.path for pair in pairs] == [record.path for record in RECORDS if record.role == "noisy"]
+
+
+@pytest.mark.parametrize(
+    ("filters", "field", "found", "count"),
+    [
+        ({"cameras": ["SonyA7S2"]}, "camera", {"SonyA7S2"}, 120),
+        ({"cameras": ("NikonD850", "CanonEOS70D")}, "camera", {"NikonD850", "CanonEOS70D"}, 240),
+        ({"scenes": [3]}, "scene", {"scene-3"}, 48),
+        ({"scenes": ["scene-3", 10]}, "scene", {"scene-3", "scene-10"}, 96),
+        ({"isos": [1600]}, "iso", {Fraction(1600)}, 160),
+        ({"isos": {800, 3200}}, "iso", {Fraction(800), Fraction(3200)}, 320),
+        ({"ratios": [100]}, "ratio", {Fraction(100)}, 120),
+        ({"ratios": [1.0, Fraction(200)]}, "ratio", {Fraction(1), Fraction(200)}, 240),
+    ],
+)
+def test_each_filter(filters: dict[str, Any], field: str, found: set[object], count: int) -> None:
+    pairs = select_pairs(RECORDS, **filters)
+    assert values(pairs, field) == found
+    assert len(pairs) == count
+
+
+def test_filters_together() -> None:
+    pairs = select_pairs(RECORDS, cameras=["SonyA7S2"], scenes=[2], isos=[800], ratios=[200])
+    assert len(pairs) == 1
+    assert pairs[0].path == "SonyA7S2/scene-2/IMG_0005.ARW"
+    assert pairs[0].reference == "SonyA7S2/scene-2/IMG_0006.ARW"
+    assert pairs[0].exposure_s == Fraction(1, 500)
+
+
+def test_scene_1_is_not_scene_10() -> None:
+    assert values(select_pairs(RECORDS, scenes=[1]), "scene") == {"scene-1"}
+
+
+@pytest.mark.parametrize(
+    ("filters", "said"),
+    [
+        ({"cameras": ["sonya7s2"]}, "no pair has camera sonya7s2; known are CanonEOS700D, CanonEOS70D, NikonD850"),
+        ({"cameras": ["SonyA7S2", "CanonEOS5D4"]}, "no pair has camera CanonEOS5D4; known are .*SonyA7S2"),
+        ({"scenes": [11]}, "no pair has scene scene-11; known are scene-1, scene-10, scene-2"),
+        ({"scenes": ["3"]}, "no pair has scene 3; known are scene-1"),
+        ({"isos": [100]}, "no pair has ISO 100; known are 800, 1600, 3200"),
+        ({"ratios": [250]}, "no pair has ratio 250; known are 1, 10, 100, 200"),
+        ({"ratios": [213.3]}, "no pair has ratio 213.3; known are 1, 10, 100, 200"),
+    ],
+)
+def test_an_unknown_value_lists_the_known(filters: dict[str, Any], said: str) -> None:
+    with pytest.raises(ArgumentError, match=said):
+        select_pairs(RECORDS, **filters)
+
+
+@pytest.mark.parametrize("name", ["cameras", "scenes", "isos", "ratios"])
+def test_a_string_in_place_of_a_list_is_refused(name: str) -> None:
+    """Otherwise "SonyA7S2" would be taken as the cameras S, o, n, y ..."""
+    filters: Any = {name: "SonyA7S2"}
+    with pytest.raises(ArgumentError, match=r"as a list"):
+        select_pairs(RECORDS, **filters)
+
+
+def test_a_combination_that_does_not_occur() -> None:
+    some = [r for r in RECORDS if not (r.camera == "SonyA7S2" and r.iso == 800)]
+    with pytest.raises(ArgumentError, match="no pair has all of"):
+        select_pairs(some, cameras=["SonyA7S2"], isos=[800])
+    with pytest.raises(ArgumentError, match="no pair has all of"):
+        select_pairs(RECORDS, cameras=[])
+
+
+def test_rows_that_are_no_pairs_are_left_out() -> None:
+    records = [
+        FrameRecord("a/1.ARW", "reference", "a"),
+        FrameRecord("a/2.ARW", "noisy", "a", ratio=Fraction(100), reference="a/1.ARW", flags=("misaligned",)),
+        FrameRecord("a/3.ARW", "noisy", "a", ratio=Fraction(100)),
+        FrameRecord("a/4.ARW", "noisy", "a", reference="a/1.ARW"),
+        FrameRecord("a/5.ARW", "bias", "a"),
+        FrameRecord("a/6.ARW", "flat", "a"),
+    ]
+    pairs = select_pairs(records)
+    assert [pair.path for pair in pairs] == ["a/2.ARW"]
+    assert pairs[0].flags == ("misaligned",)

@@ -1,0 +1,160 @@
+"""The shipped ELD manifest against facts written down here anew, from the paper and its repository."""
+
+from __future__ import annotations
+
+from collections import Counter
+from fractions import Fraction
+from pathlib import Path, PurePosixPath
+
+import pytest
+
+from capture.protocol import RELEASED
+from eldata.manifest.card import load_card, save_card
+from eldata.manifest.catalogue import Manifest, shipped_folder, shipped_manifest, shipped_names
+from eldata.manifest.eld import published_eld
+from eldata.manifest.pairs import select_pairs
+from eldata.manifest.table import save_records
+from eldata.manifest.verify import verify
+from tests.trees import build_published_tree
+
+EXTENSIONS = {"SonyA7S2": ".ARW", "NikonD850": ".nef", "CanonEOS70D": ".CR2", "CanonEOS700D": ".CR2"}
+
+# Number: (ISO, low-light factor, reference's number).
+NOISY = {
+    2: (800, 1, 1),
+    3: (800, 10, 1),
+    4: (800, 100, 6),
+    5: (800, 200, 6),
+    7: (1600, 1, 6),
+    8: (1600, 10, 6),
+    9: (1600, 100, 11),
+    10: (1600, 200, 11),
+    12: (3200, 1, 11),
+    13: (3200, 10, 11),
+    14: (3200, 100, 16),
+    15: (3200, 200, 16),
+}
+
+
+@pytest.fixture(scope="module")
+def eld() -> Manifest:
+    return shipped_manifest("eld")
+
+
+def number_of(path: str) -> int:
+    return int(PurePosixPath(path).stem.removeprefix("IMG_"))
+
+
+def test_eld_is_shipped() -> None:
+    assert "eld" in shipped_names()
+
+
+def test_every_file_is_listed_by_its_real_name(eld: Manifest) -> None:
+    expected = {
+        f"{camera}/scene-{scene}/IMG_{number:04d}{extension}"
+        for camera, extension in EXTENSIONS.items()
+        for scene in range(1, 11)
+        for number in range(1, 17)
+    }
+    assert len(eld.records) == 640
+    assert {record.path for record in eld.records} == expected
+
+
+def test_fields_agree_with_the_path(eld: Manifest) -> None:
+    for record in eld.records:
+        assert (record.camera, record.scene) == tuple(record.path.split("/")[:2])
+        assert record.split == "test"
+
+
+def test_numbers_isos_factors_and_references(eld: Manifest) -> None:
+    for record in eld.records:
+        number = number_of(record.path)
+        if number in (1, 6, 11, 16):
+            assert (record.role, record.ratio, record.reference) == ("reference", None, None)
+            continue
+        iso, factor, reference = NOISY[number]
+        place, extension = PurePosixPath(record.path).parent, EXTENSIONS[record.camera]
+        assert (record.role, record.iso, record.ratio) == ("noisy", Fraction(iso), Fraction(factor))
+        assert record.reference == f"{place}/IMG_{reference:04d}{extension}"
+
+
+@pytest.mark.parametrize("ratios", [(100, 200), (1, 10)])
+def test_the_papers_240_pairs_and_the_easier_240(eld: Manifest, ratios: tuple[int, ...]) -> None:
+    pairs = select_pairs(eld.records, ratios=ratios)
+    assert len(pairs) == 240
+    groups = Counter((pair.camera, pair.ratio) for pair in pairs)
+    assert groups == {(camera, ratio): 30 for camera in EXTENSIONS for ratio in ratios}
+
+
+def test_sony_exposures_are_exact(eld: Manifest) -> None:
+    by_path = {record.path: record for record in eld.records}
+    for scene in range(1, 11):
+        reference_s = Fraction("3.2") if scene == 2 else Fraction(4)
+        for number in range(1, 17):
+            record = by_path[f"SonyA7S2/scene-{scene}/IMG_{number:04d}.ARW"]
+            if record.role == "reference":
+                assert (record.iso, record.exposure_s) == (Fraction(100), reference_s)
+            else:
+                iso, factor, _ = NOISY[number]
+                assert record.exposure_s == Fraction(100, iso * factor) * reference_s
+    # Three of them as plain numbers.
+    assert by_path["SonyA7S2/scene-1/IMG_0005.ARW"].exposure_s == Fraction(1, 400)
+    assert by_path["SonyA7S2/scene-2/IMG_0005.ARW"].exposure_s == Fraction(1, 500)
+    assert by_path["SonyA7S2/scene-10/IMG_0002.ARW"].exposure_s == Fraction(1, 2)
+
+
+def test_what_is_not_published_is_left_empty(eld: Manifest) -> None:
+    """An invented figure would make verify refuse good files."""
+    for record in eld.records:
+        assert {record.size_bytes, record.sha256, record.width, record.height} == {None}
+        if record.camera != "SonyA7S2":
+            assert record.exposure_s is None
+        if record.camera.startswith("Canon") and record.role == "reference":
+            assert record.iso is None
+
+
+def test_the_one_inexact_ratio_is_flagged(eld: Manifest) -> None:
+    flagged = {record.path: record.flags for record in eld.records if record.flags}
+    assert flagged == {"NikonD850/scene-1/IMG_0012.nef": ("inexact-ratio",)}
+    assert any("scene-1/IMG_0012.nef" in defect for defect in eld.card.known_defects)
+
+
+def test_committed_files_are_what_the_generator_writes(tmp_path: Path) -> None:
+    """A manifest edited by hand would be lost at the next `make manifests`."""
+    card, records = published_eld()
+    save_records(tmp_path / "eld.csv", records)
+    save_card(tmp_path / "eld.json", card)
+    for name in ("eld.csv", "eld.json"):
+        assert (tmp_path / name).read_bytes() == (shipped_folder() / name).read_bytes(), f"run make manifests ({name})"
+
+
+def test_the_capture_protocol_derives_the_same_frames(eld: Manifest) -> None:
+    """Two independent derivations of one numbering: a mistake in either shows here."""
+    frames = {frame.number: frame for frame in RELEASED.frames()}
+    assert sorted(frames) == list(range(1, 17))
+    for record in eld.records:
+        frame = frames[number_of(record.path)]
+        assert record.role == frame.role
+        assert record.ratio == frame.factor
+        assert (None if record.reference is None else number_of(record.reference)) == frame.reference
+        if record.iso is not None:
+            assert record.iso == frame.iso
+        if record.exposure_s is not None:
+            metered_s = Fraction("3.2") if record.scene == "scene-2" else Fraction(4)
+            assert record.exposure_s == RELEASED.exposure_s(frame, metered_s)
+
+
+def test_card_names_the_cameras_and_counts(eld: Manifest) -> None:
+    assert set(eld.card.cameras) == set(EXTENSIONS)
+    assert eld.card.counts == {"noisy": 480, "reference": 160}
+    assert eld.card == load_card(eld.path.with_suffix(".json"))
+    assert eld.card.folder == "ELD"
+
+
+def test_files_as_published_verify(eld: Manifest, tmp_path: Path) -> None:
+    """All 640 names with the published exposures, the inexact one among them, pass; nothing is too strict."""
+    build_published_tree(eld, tmp_path / "ELD")
+    report = verify([eld], tmp_path, dataset="eld", level="metadata")
+    assert report.format_text().endswith("all well")
+    assert report.ok
+    assert report.datasets[0].files_checked == 640

@@ -1,0 +1,380 @@
+"""The manifest's table: exact numbers, a faithful round trip, and a refusal that says where."""
+
+from __future__ import annotations
+
+import csv
+import io
+import tempfile
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from eldata.errors import EldataError, ManifestError
+from eldata.manifest.table import COLUMNS, ROLES, load_records, number_text, save_records
+from eldata.records import FrameRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    Rows = list[dict[str, str]]
+
+HASH = "sha256:" + "0123456789abcdef" * 4
+REFERENCE = FrameRecord("Cam/scene-1/IMG_0001.ARW", "reference", "Cam", "scene-1", "test", Fraction(100), Fraction(4))
+NOISY = FrameRecord(
+    path="Cam/scene-1/IMG_0004.ARW",
+    role="noisy",
+    camera="Cam",
+    scene="scene-1",
+    split="test",
+    iso=Fraction(800),
+    exposure_s=Fraction(1, 30),
+    ratio=Fraction(100),
+    reference=REFERENCE.path,
+    width=4256,
+    height=2848,
+    size_bytes=25_000_000,
+    sha256=HASH,
+    flags=("misaligned", "inexact-ratio"),
+)
+BIAS = FrameRecord("Cam/bias/DSC 0001 (2).ARW", "bias", "Cam")  # spaces and brackets do occur in people's names
+
+
+# --- numbers ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (Fraction(800), "800"),
+        (Fraction(1, 200), "0.005"),
+        (Fraction(1, 30), "1/30"),
+        (Fraction(16, 5), "3.2"),
+        (Fraction(1, 8), "0.125"),
+        (Fraction(1001, 10), "100.1"),
+        (Fraction(640, 3), "640/3"),
+        (Fraction(100), "100"),
+        (Fraction(10**17), "1" + "0" * 17),
+    ],
+)
+def test_number_text_of_known_values(value: Fraction, text: str) -> None:
+    assert number_text(value) == text
+
+
+# What an EXIF fraction can be: two unsigned 32-bit numbers.
+EXIF_FRACTIONS = st.builds(Fraction, st.integers(1, 2**32 - 1), st.integers(1, 2**32 - 1))
+# Hypothesis would hardly meet a denominator of 2s and 5s alone by itself.
+DECIMALS = st.builds(
+    lambda n, twos, fives: Fraction(n, 2**twos * 5**fives),
+    st.integers(1, 2**32 - 1),
+    st.integers(0, 18),
+    st.integers(0, 13),
+)
+
+
+@given(EXIF_FRACTIONS | DECIMALS)
+def test_number_text_is_exact(value: Fraction) -> None:
+    """A float's repr would round 1/30; the text must give the very fraction back."""
+    assert Fraction(number_text(value)) == value
+
+
+@given(EXIF_FRACTIONS | DECIMALS)
+def test_number_text_is_decimal_where_nine_decimals_do(value: Fraction) -> None:
+    text = number_text(value)
+    assert ("/" in text) == (10**9 % value.denominator != 0)
+    if "." in text:
+        assert not text.endswith("0"), "no trailing zero"
+        assert not text.startswith("."), "a digit before the point"
+    assert "e" not in text.lower()
+
+
+def round_trip(records: list[FrameRecord]) -> tuple[FrameRecord, ...]:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "m.csv"
+        save_records(path, records)
+        return load_records(path)
+
+
+@pytest.mark.parametrize("power", [1, 10, 17, 18, 19, 20, 24, 31])
+def test_every_exif_fraction_can_be_stored(power: int) -> None:
+    """Some cameras write times as n / 2**k. Each is an EXIF fraction, so a manifest must be able to hold it."""
+    exposed = replace(NOISY, exposure_s=Fraction(1, 2**power))
+    assert round_trip([REFERENCE, exposed]) == (REFERENCE, exposed)
+
+
+# --- round trip ---------------------------------------------------------------------------------------------------
+
+
+def test_round_trip_keeps_every_field() -> None:
+    assert round_trip([REFERENCE, NOISY, BIAS]) == (BIAS, REFERENCE, NOISY)
+
+
+NAMES = st.text("abcXYZ019_.+-", min_size=1, max_size=8)
+PARTS = st.text("abcXYZ019 _-+()äß,\"';#=", min_size=1, max_size=8)
+
+
+@st.composite
+def tables(draw: st.DrawFn) -> list[FrameRecord]:
+    """Tables that a manifest may hold: awkward names, any fraction, any combination of unknown fields."""
+    paths = draw(st.lists(st.lists(PARTS, min_size=1, max_size=3).map("/".join), min_size=1, max_size=4, unique=True))
+    paths = list({path.casefold(): path for path in paths}.values())
+    maybe_number = st.none() | EXIF_FRACTIONS.filter(lambda value: value.denominator % 2**19 != 0)
+    maybe_whole = st.none() | st.integers(0, 10**12)
+    records = []
+    for index, path in enumerate(paths):
+        values: dict[str, Any] = {name: draw(maybe_number) for name in ("iso", "exposure_s", "ratio")}
+        values |= {name: draw(maybe_whole) for name in ("width", "height", "size_bytes")}
+        values |= {"camera": draw(NAMES), "scene": draw(NAMES | st.just("")), "split": draw(NAMES | st.just(""))}
+        values |= {"sha256": draw(st.none() | st.just(HASH)), "flags": tuple(draw(st.lists(NAMES, max_size=3)))}
+        if index:
+            values |= {"role": draw(st.sampled_from(ROLES)), "reference": draw(st.none() | st.just(paths[0]))}
+        records.append(FrameRecord(path=path, **{"role": "reference", **values}))
+    return records
+
+
+@settings(max_examples=60, deadline=None)
+@given(tables())
+def test_any_table_comes_back_equal_and_sorted(records: list[FrameRecord]) -> None:
+    assert list(round_trip(records)) == sorted(records, key=lambda record: record.path)
+
+
+# --- malformed ----------------------------------------------------------------------------------------------------
+
+
+def rows() -> Rows:
+    """A reference in line 2, a noisy frame in line 3."""
+    return [
+        dict.fromkeys(COLUMNS, "")
+        | {"path": "Cam/scene-1/IMG_0001.ARW", "role": "reference", "camera": "Cam", "iso": "100", "exposure_s": "4"},
+        dict.fromkeys(COLUMNS, "")
+        | {
+            "path": "Cam/scene-1/IMG_0004.ARW",
+            "role": "noisy",
+            "camera": "Cam",
+            "iso": "800",
+            "exposure_s": "0.005",
+            "ratio": "100",
+            "reference": "Cam/scene-1/IMG_0001.ARW",
+        },
+    ]
+
+
+def as_csv(table: Rows) -> str:
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(table)
+    return text.getvalue()
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "set.csv"
+
+
+def test_the_rows_below_are_fine_before_they_are_spoilt(path: Path) -> None:
+    path.write_text(as_csv(rows()), encoding="utf-8")
+    assert [record.role for record in load_records(path)] == ["reference", "noisy"]
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "said"),
+    [
+        ("path", "", "is empty"),
+        ("path", "/Cam/IMG_0004.ARW", "absolute"),
+        ("path", "C:/Cam/IMG_0004.ARW", "drive"),
+        ("path", "c:IMG_0004.ARW", "drive"),
+        ("path", "Cam\\IMG_0004.ARW", "backslash"),
+        ("path", "Cam/../../etc/passwd", "'..'"),
+        ("path", "..", "'..'"),
+        ("path", "./IMG_0004.ARW", "'.'"),
+        ("path", "Cam//IMG_0004.ARW", "empty"),
+        ("path", "Cam/scene-1/", "empty"),
+        ("path", "Cam/IMG_0004.ARW\0", "control character"),
+        ("path", "Cam/IMG\n0004.ARW", "control character"),
+        ("path", "Cam/scene-1/IMG_0001.ARW", "line 2 already"),
+        ("path", "cam/SCENE-1/img_0001.arw", "line 2 already"),
+        ("role", "", "one of reference, noisy, bias, flat"),
+        ("role", "Noisy", "found 'Noisy'"),
+        ("role", "dark", "one of reference, noisy, bias, flat"),
+        ("camera", "", "a camera's name"),
+        ("camera", "Sony A7S2", "letters, digits"),
+        ("camera", "a/b", "letters, digits"),
+        ("camera", "Cam\0", "letters, digits"),
+        ("scene", "../1", "letters, digits"),
+        ("split", "te st", "letters, digits"),
+        ("iso", "ISO800", "a positive number"),
+        ("iso", "0", "a positive number"),
+        ("iso", "-800", "a positive number"),
+        ("iso", "+800", "a positive number"),
+        ("iso", "8e2", "a positive number"),
+        ("iso", "nan", "a positive number"),
+        ("iso", "inf", "a positive number"),
+        ("iso", " 800", "a positive number"),
+        ("iso", "800\n", "a positive number"),
+        ("iso", "9" * 5000, "a positive number"),
+        ("exposure_s", "1/0", "a positive number"),
+        ("exposure_s", "0/3", "a positive number"),
+        ("exposure_s", "1/30/2", "a positive number"),
+        ("exposure_s", "1,5", "a positive number"),
+        ("exposure_s", ".5", "a positive number"),
+        ("exposure_s", "__import__('os')", "a positive number"),
+        ("ratio", "100x", "a positive number"),
+        ("reference", "/etc/passwd", "absolute"),
+        ("reference", "../IMG_0001.ARW", "'..'"),
+        ("reference", "Cam/scene-1/IMG_0009.ARW", "a row with role reference"),
+        ("reference", "cam/scene-1/IMG_0001.ARW", "a row with role reference"),
+        ("reference", "Cam/scene-1/IMG_0004.ARW", "a row with role reference"),
+        ("width", "4256.0", "a whole number"),
+        ("width", "-1", "a whole number"),
+        ("height", "1e3", "a whole number"),
+        ("size_bytes", "25 MB", "a whole number"),
+        ("sha256", "0123456789abcdef" * 4, "sha256: and 64"),
+        ("sha256", "sha256:abc", "sha256: and 64"),
+        ("sha256", HASH.upper().replace("SHA", "sha"), "sha256: and 64"),
+        ("sha256", HASH + "0", "sha256: and 64"),
+        ("sha256", "md5:" + "0" * 64, "sha256: and 64"),
+        ("flags", "misaligned;", "list of words"),
+        ("flags", ";", "list of words"),
+        ("flags", "not aligned", "list of words"),
+        ("flags", "a,b", "list of words"),
+    ],
+)
+def test_a_bad_field_is_named_by_file_line_and_column(path: Path, column: str, value: str, said: str) -> None:
+    table = rows()
+    table[1][column] = value
+    path.write_text(as_csv(table), encoding="utf-8", newline="")
+    with pytest.raises(ManifestError) as raised:
+        load_records(path)
+    message = str(raised.value)
+    # A field that holds a line end makes its row end one line later.
+    assert f"{path} line {4 if chr(10) in value else 3}, column {column}: " in message
+    assert said in message
+
+
+@pytest.mark.parametrize(
+    ("spoil", "line", "said"),
+    [
+        (lambda text: text[:0], 1, "expected the columns path,role,camera"),
+        (lambda text: text.split("\n", 1)[1], 1, "expected the columns path,role,camera"),
+        (lambda text: text.replace("exposure_s", "exposure"), 1, "expected the columns path,role,camera"),
+        (lambda text: text.replace("path,role", "role,path", 1), 1, "expected the columns path,role,camera"),
+        (lambda text: text.replace(",flags", ",flags,notes", 1), 1, "expected the columns path,role,camera"),
+        (lambda text: text.replace(",", ";"), 1, "expected the columns path,role,camera"),
+        (lambda text: text.replace("path", "pa\0th", 1), 1, "expected the columns path,role,camera"),
+        (lambda text: text[:-2] + "\n", 3, "expected 14 fields, found 13"),
+        (lambda text: text[:-1] + ",\n", 3, "expected 14 fields, found 15"),
+        (lambda text: text + "\n", 4, "expected 14 fields, found 0"),
+        (lambda text: text + '"Cam/scene-1/IMG_0005.ARW,noisy,Cam\n', 4, "is not CSV"),
+        (lambda text: text.replace("noisy", '"noisy"x'), 3, "is not CSV"),
+        (lambda text: text + "x" * 200_000 + "\n", 4, "is not CSV"),
+    ],
+)
+def test_a_broken_table_is_named_by_file_and_line(
+    path: Path, spoil: Callable[[str], str], line: int, said: str
+) -> None:
+    path.write_text(spoil(as_csv(rows())), encoding="utf-8", newline="")
+    with pytest.raises(ManifestError) as raised:
+        load_records(path)
+    assert f"{path} line {line}: " in str(raised.value)
+    assert said in str(raised.value)
+
+
+@pytest.mark.parametrize("content", [b"\x89PNG\r\n\x1a\n\xff", as_csv(rows()).encode("utf-16"), b"path,\xe4\n"])
+def test_a_file_that_is_not_utf8_is_named(path: Path, content: bytes) -> None:
+    path.write_bytes(content)
+    with pytest.raises(ManifestError, match="is not UTF-8") as raised:
+        load_records(path)
+    assert str(path) in str(raised.value)
+
+
+@pytest.mark.parametrize("kind", ["missing", "folder"])
+def test_a_file_that_cannot_be_read_is_named(path: Path, kind: str) -> None:
+    if kind == "folder":
+        path.mkdir()
+    with pytest.raises(ManifestError, match="cannot be read") as raised:
+        load_records(path)
+    assert str(path) in str(raised.value)
+
+
+@pytest.mark.parametrize("name", ["byte order mark", "carriage returns", "unsorted"])
+def test_what_spreadsheets_make_of_a_table_is_accepted(path: Path, name: str) -> None:
+    text = as_csv(rows())
+    path.write_bytes(text.encode())
+    expected = load_records(path)
+    head, first, second = text.splitlines()
+    content = {
+        "byte order mark": b"\xef\xbb\xbf" + text.encode(),
+        "carriage returns": text.replace("\n", "\r\n").encode(),
+        "unsorted": f"{head}\n{second}\n{first}\n".encode(),
+    }[name]
+    path.write_bytes(content)
+    assert load_records(path) == expected
+
+
+# --- saving -------------------------------------------------------------------------------------------------------
+
+
+def test_saved_text_is_sorted_with_plain_line_ends(path: Path) -> None:
+    """Diffs of manifests in a repository stay small, and two people write the same bytes."""
+    save_records(path, [NOISY, REFERENCE, BIAS])
+    first = path.read_bytes()
+    save_records(path, [BIAS, REFERENCE, NOISY])
+    assert path.read_bytes() == first
+    lines = first.decode().split("\n")
+    assert lines[0] == ",".join(COLUMNS)
+    assert [line.split(",")[0] for line in lines[1:]] == [BIAS.path, REFERENCE.path, NOISY.path, ""]
+    assert b"\r" not in first
+
+
+REFUSED = [
+    [REFERENCE, replace(NOISY, path="../IMG_0004.ARW")],
+    [REFERENCE, replace(NOISY, path="/IMG_0004.ARW")],
+    [REFERENCE, replace(NOISY, path="Cam\\IMG_0004.ARW")],
+    [REFERENCE, replace(NOISY, path="")],
+    [REFERENCE, replace(NOISY, role="dark")],  # type: ignore[arg-type] # as a caller without types may
+    [REFERENCE, replace(NOISY, camera="")],
+    [REFERENCE, replace(NOISY, scene="scene 1")],
+    [REFERENCE, replace(NOISY, iso=Fraction(-800))],
+    [REFERENCE, replace(NOISY, exposure_s=Fraction(0))],
+    [REFERENCE, replace(NOISY, exposure_s=0.1)],  # type: ignore[arg-type] # a float is not exact
+    [REFERENCE, replace(NOISY, width=-1)],
+    [REFERENCE, replace(NOISY, sha256="abc")],
+    [REFERENCE, replace(NOISY, flags=("a;b",))],
+    [REFERENCE, replace(NOISY, flags=("",))],
+    [REFERENCE, replace(NOISY, reference="../x")],
+    [REFERENCE, NOISY, NOISY],
+    [REFERENCE, NOISY, replace(NOISY, path=NOISY.path.lower())],
+    [NOISY],
+    [REFERENCE, NOISY, replace(NOISY, path="Cam/scene-1/IMG_0005.ARW", reference=NOISY.path)],
+]
+
+
+@pytest.mark.parametrize("records", REFUSED, ids=range(len(REFUSED)))
+def test_what_load_would_refuse_is_not_saved(path: Path, records: list[FrameRecord]) -> None:
+    """A manifest that can be written but not read would be found out much later, by someone else."""
+    save_records(path, [REFERENCE, NOISY])
+    before = path.read_bytes()
+    with pytest.raises(ManifestError) as raised:
+        save_records(path, records)
+    assert str(path) in str(raised.value)
+    assert path.read_bytes() == before
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_a_failed_save_leaves_the_old_manifest(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    save_records(path, [REFERENCE, NOISY])
+    before = path.read_bytes()
+
+    def full_disk(handle: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full_disk)
+    with pytest.raises(EldataError, match="No space left on device"):
+        save_records(path, [REFERENCE])
+    assert path.read_bytes() == before
+    assert list(path.parent.iterdir()) == [path]

@@ -1,0 +1,663 @@
+"""Verification: every way in which people's copies are wrong is found, named with what to do, and nothing else is.
+
+Most tests start from a good copy (``tree``), damage it in one way, and compare all that is reported: a second report
+of the same damage, or one of a file that is fine, fails as a missing one does.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import shutil
+import tempfile
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from eldata.errors import ArgumentError, ManifestError
+from eldata.manifest.catalogue import find_manifests, load_manifest, shipped_manifest
+from eldata.manifest.table import save_records
+from eldata.manifest.verify import LEVELS, Level, Problem, VerifyReport, verify
+from eldata.records import Exposure
+from tests.trees import (
+    ALPHA,
+    BETA,
+    Tree,
+    build_tree,
+    copy_tree,
+    flip_compressed_byte,
+    frame,
+    retake,
+    scale_exposure,
+    swap,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+GOLDEN = Path(__file__).parent / "golden"
+UPDATE_VARIABLE = "ELDATA_UPDATE_GOLDEN"
+REFERENCES = (1, 6, 11, 16)
+
+
+def check(tree: Tree, level: Level = "metadata", **options: object) -> VerifyReport:
+    return verify([tree.manifest], tree.root, level=level, **options)  # type: ignore[arg-type]
+
+
+def found(report: VerifyReport) -> list[tuple[str, str]]:
+    """Path and field of each problem."""
+    return [(problem.path, problem.field) for problem in report.problems]
+
+
+def only(report: VerifyReport) -> Problem:
+    assert len(report.problems) == 1, report.format_text()
+    return report.problems[0]
+
+
+# --- a good copy --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_a_good_copy_passes(pristine: Tree, level: Level) -> None:
+    report = check(pristine, level)
+    assert report.ok
+    assert report.problems == ()
+    dataset = report.datasets[0]
+    assert (dataset.dataset, dataset.absent) == ("eld-demo", False)
+    assert (dataset.files_listed, dataset.files_checked, dataset.files_hashed) == (32, 32, 0)
+
+
+@pytest.mark.timeout(120)
+def test_reports_do_not_depend_on_the_number_of_jobs(tree: Tree) -> None:
+    """Results come back in order from worker processes, and what they say survives the way."""
+    tree.file(2).write_bytes(tree.file(2).read_bytes()[:-4000])
+    retake(tree.file(3), model="Demo Beta")
+    swap(tree.file(6), tree.file(7))
+    tree.file(9, BETA).unlink()
+    alone = check(tree, "full", jobs=1)
+    assert len(alone.problems) >= 4
+    assert check(tree, "full", jobs=2) == alone
+
+
+def test_manifests_by_file_folder_and_object_say_the_same(pristine: Tree) -> None:
+    by_object = verify([pristine.manifest], pristine.root)
+    assert verify(pristine.csv, pristine.root) == by_object
+    assert verify(str(pristine.csv), str(pristine.root)) == by_object
+    assert verify(pristine.csv.parent, pristine.root) == by_object
+
+
+def test_the_root_comes_from_the_environment(pristine: Tree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """--root wins over $ELDATA_ROOT, which wins over ./data."""
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(pristine.root.parent)
+    monkeypatch.delenv("ELDATA_ROOT", raising=False)
+    assert verify(pristine.csv).ok
+    monkeypatch.setenv("ELDATA_ROOT", str(elsewhere))
+    assert not verify(pristine.csv).ok
+    assert verify(pristine.csv, pristine.root).ok
+    monkeypatch.setenv("ELDATA_ROOT", str(pristine.root))
+    monkeypatch.chdir(elsewhere)
+    assert verify(pristine.csv).ok
+
+
+def listing(folder: Path) -> dict[str, tuple[int, int, int]]:
+    """Size, time of the last change and inode of everything below a folder."""
+    return {
+        str(path.relative_to(folder)): (status.st_size, status.st_mtime_ns, status.st_ino)
+        for path in sorted(folder.rglob("*"))
+        for status in [path.lstat()]
+    }
+
+
+@pytest.mark.parametrize("damaged", [False, True])
+def test_verify_never_writes(tree: Tree, damaged: bool) -> None:
+    if damaged:
+        tree.file(2).unlink()
+        scale_exposure(tree.file(4), Fraction(2))
+    base = tree.root.parent
+    before = listing(base)
+    for level in LEVELS:
+        assert check(tree, level).ok is not damaged
+    assert listing(base) == before
+
+
+def test_a_read_only_copy_can_be_verified(tree: Tree) -> None:
+    folders = [path for path in [tree.root, *tree.root.rglob("*")] if path.is_dir()]
+    for path in tree.root.rglob("*.dng"):
+        path.chmod(0o444)
+    for folder in folders:
+        folder.chmod(0o555)
+    try:
+        assert check(tree, "full").ok
+    finally:
+        for folder in folders:
+            folder.chmod(0o755)
+
+
+# --- presence -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_a_missing_file(tree: Tree, level: Level) -> None:
+    tree.file(4).unlink()
+    problem = only(check(tree, level))
+    assert problem == Problem("eld-demo", frame(4), "file", "a file", "nothing", "copy or download it again")
+
+
+def test_a_missing_reference_is_named_once(tree: Tree) -> None:
+    """Its four noisy frames have nothing to be compared with, but they are fine."""
+    tree.file(6).unlink()
+    assert found(check(tree)) == [(frame(6), "file")]
+
+
+@pytest.mark.parametrize(("folder", "files"), [(f"{BETA}/", "16 files"), ("DemoBeta/", "16 files")])
+def test_a_missing_folder_is_one_line(tree: Tree, folder: str, files: str) -> None:
+    shutil.rmtree(tree.data / folder)
+    problem = only(check(tree, "full"))
+    assert (problem.path, problem.field, problem.expected) == (folder, "folder", files)
+    assert "--camera" in problem.advice, "people who hold a part of a set learn how to check just that"
+    assert "DemoBeta" in problem.advice
+
+
+def test_an_absent_dataset_is_named_once_and_is_no_problem(tmp_path: Path) -> None:
+    """Who verifies a folder of manifests does not have every dataset."""
+    report = verify([shipped_manifest("eld")], tmp_path, level="full")
+    assert report.problems == ()
+    assert not report.ok, "nothing was verified"
+    text = report.format_text()
+    assert text.count("\n") <= 1
+    assert f"eld: absent (no folder {tmp_path / 'ELD'})" in text
+    assert "https://github.com/Vandermode/ELD" in text
+    assert "nothing was verified" in text
+
+
+def test_an_absent_dataset_that_was_asked_for_is_a_problem(tmp_path: Path) -> None:
+    report = verify([shipped_manifest("eld")], tmp_path, dataset="eld")
+    problem = only(report)
+    assert (problem.path, problem.field) == (str(tmp_path / "ELD"), "folder")
+    assert "--root" in problem.advice
+
+
+def test_an_absent_dataset_beside_a_good_one(pristine: Tree) -> None:
+    report = verify([shipped_manifest("eld"), pristine.manifest], pristine.root)
+    assert report.ok
+    assert [dataset.absent for dataset in report.datasets] == [True, False]
+    assert verify([shipped_manifest("eld"), pristine.manifest], pristine.root, dataset="eld-demo").ok
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_an_empty_file(tree: Tree, level: Level) -> None:
+    """What a download that never started leaves behind."""
+    tree.file(4).write_bytes(b"")
+    problem = only(check(tree, level))
+    assert (problem.path, problem.field) == (frame(4), "size_bytes")
+    assert (problem.expected, problem.found) == ("more than 0 bytes", "0 bytes")
+
+
+def test_a_wrong_size(tree: Tree) -> None:
+    records = tree.manifest.records
+    sizes = {record.path: (tree.data / record.path).stat().st_size for record in records}
+    save_records(tree.csv, [replace(record, size_bytes=sizes[record.path]) for record in records])
+    assert check(tree, "quick").ok
+    with tree.file(4).open("ab") as file:
+        file.write(b"\0")
+    problem = only(check(tree, "quick"))
+    size = sizes[frame(4)]
+    assert (problem.path, problem.field) == (frame(4), "size_bytes")
+    assert (problem.expected, problem.found) == (f"{size} bytes", f"{size + 1} bytes")
+
+
+@pytest.mark.parametrize("extra", [1, 2])
+def test_unlisted_raw_files(tree: Tree, extra: int) -> None:
+    """The first public ELD archive held 17 and 18 raw files in two scenes, numbered through: scores were absurd."""
+    for number in range(17, 17 + extra):
+        shutil.copy(tree.file(16), tree.file(number))
+    report = check(tree, "quick")
+    assert found(report) == [(frame(number), "file") for number in range(17, 17 + extra)]
+    for problem in report.problems:
+        assert problem.expected == "the 16 listed raw files in this folder"
+        assert problem.found == f"{16 + extra}, this one unlisted"
+        assert "numbered anew" in problem.advice
+
+
+@pytest.mark.parametrize("name", ["IMG_0020.ARW", "IMG_0020.cr2", "extra.NEF", "IMG_0001 (1).dng"])
+def test_unlisted_raw_files_of_any_kind(tree: Tree, name: str) -> None:
+    shutil.copy(tree.file(1), tree.data / ALPHA / name)
+    assert found(check(tree, "quick")) == [(f"{ALPHA}/{name}", "file")]
+
+
+@pytest.mark.parametrize("name", ["IMG_0001.jpg", "IMG_0001.JPG", "IMG_0001.png", "Thumbs.db", "notes.txt", "dng"])
+def test_files_that_are_no_raws_are_ignored(tree: Tree, name: str) -> None:
+    """Some published scenes also hold RGB renderings."""
+    (tree.data / ALPHA / name).write_bytes(b"\xff\xd8\xff")
+    assert check(tree).ok
+
+
+def test_an_extension_in_another_case(tree: Tree) -> None:
+    tree.file(4).rename(tree.file(4).with_suffix(".DNG"))
+    problem = only(check(tree, "quick"))
+    assert (problem.path, problem.found) == (frame(4), "only IMG_0004.DNG")
+    assert problem.advice == "rename it to IMG_0004.dng"
+
+
+def test_an_extension_in_both_cases(tree: Tree) -> None:
+    """Two copies unpacked into one folder: 17 raw files, and no telling which one is meant."""
+    shutil.copy(tree.file(5), tree.file(4).with_suffix(".DNG"))
+    assert [path for path, _ in found(check(tree, "quick"))] == [frame(4).replace(".dng", ".DNG")]
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_a_folder_where_a_file_should_be(tree: Tree, level: Level) -> None:
+    """Some unpackers make a folder of each archive's name."""
+    tree.file(4).unlink()
+    tree.file(4).mkdir()
+    assert [path for path, _ in found(check(tree, level))] == [frame(4)]
+
+
+def test_a_file_where_a_folder_should_be(tree: Tree) -> None:
+    shutil.rmtree(tree.data / BETA)
+    (tree.data / BETA).write_text("scene-1 -> elsewhere", encoding="utf-8")
+    report = check(tree)
+    assert report.problems
+    assert all(problem.path.startswith(BETA) for problem in report.problems)
+
+
+# --- links --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dangling", [False, True])
+def test_a_link_that_leads_outside(tree: Tree, dangling: bool) -> None:
+    """A manifest must not make us read (or hash and publish) somebody's other files."""
+    outside = tree.root.parent / "outside.dng"
+    tree.file(4).rename(outside)
+    tree.file(4).symlink_to(outside)
+    if dangling:
+        outside.unlink()
+    problem = only(check(tree))
+    assert (problem.path, problem.field) == (frame(4), "path")
+    assert "leads outside" in problem.advice
+
+
+def test_a_linked_folder_that_leads_outside(tree: Tree) -> None:
+    (tree.data / BETA).rename(tree.root.parent / "scene-1")
+    (tree.data / BETA).symlink_to(tree.root.parent / "scene-1")
+    assert {problem.field for problem in check(tree, "quick").problems} == {"path"}
+    assert len(check(tree, "quick").problems) == 16
+
+
+def test_a_dangling_link(tree: Tree) -> None:
+    tree.file(4).unlink()
+    tree.file(4).symlink_to(tree.file(40))
+    assert found(check(tree)) == [(frame(4), "file")]
+
+
+def test_a_link_to_itself(tree: Tree) -> None:
+    tree.file(4).unlink()
+    tree.file(4).symlink_to(tree.file(4))
+    assert [path for path, _ in found(check(tree))] == [frame(4)]
+
+
+def test_links_within_the_dataset_and_a_linked_root_are_fine(tree: Tree) -> None:
+    """Large sets often lie on another disk, with a link to them."""
+    moved = tree.data / "kept.bin"
+    tree.file(4).rename(moved)
+    tree.file(4).symlink_to(moved)
+    linked = tree.root.parent / "linked"
+    linked.symlink_to(tree.root)
+    assert verify([tree.manifest], linked, level="full").ok
+
+
+# --- content ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("keep", [0.02, 0.5, 0.9])
+def test_a_truncated_file(tree: Tree, keep: float) -> None:
+    content = tree.file(4).read_bytes()
+    tree.file(4).write_bytes(content[: int(len(content) * keep)])
+    assert check(tree, "quick").ok, "no size is recorded: only the content tells"
+    problem = only(check(tree, "metadata"))
+    assert (problem.path, problem.field) == (frame(4), "content")
+    assert "download" in problem.advice
+
+
+@pytest.mark.parametrize("content", [b"<html>Quota exceeded</html>", b"\0" * 5000, b"II*\0garbage"])
+def test_a_file_that_is_no_raw(tree: Tree, content: bytes) -> None:
+    """Drive answers with a web page when its quota is used up."""
+    tree.file(4).write_bytes(content)
+    assert found(check(tree)) == [(frame(4), "content")]
+
+
+def test_a_wrong_camera(tree: Tree) -> None:
+    retake(tree.file(4), model="Demo Beta")
+    problem = only(check(tree))
+    assert (problem.path, problem.field) == (frame(4), "camera")
+    assert (problem.expected, problem.found) == ("Demo Alpha", "Demo Beta")
+
+
+def test_a_camera_may_have_several_names_in_any_case(tree: Tree) -> None:
+    """Canon sells one body under three names."""
+    retake(tree.file(4), model="DEMO ALPHA")
+    retake(tree.file(5), model="Demo Kiss")
+    card = json.loads(tree.csv.with_suffix(".json").read_text(encoding="utf-8"))
+    card["cameras"]["DemoAlpha"]["models"].append("Demo Kiss")
+    tree.csv.with_suffix(".json").write_text(json.dumps(card), encoding="utf-8")
+    assert check(tree).ok
+
+
+def test_a_wrong_iso(tree: Tree) -> None:
+    """ISO 1600 instead of 800, exposed accordingly: the ratio alone would not tell."""
+    retake(tree.file(4), exposure=Exposure(Fraction(1600), Fraction(4, 1600), Fraction(8)))
+    report = check(tree)
+    assert found(report) == [(frame(4), "iso"), (frame(4), "exposure_s")]
+    assert [problem.expected for problem in report.problems] == ["800", "0.005"]
+    assert [problem.found for problem in report.problems] == ["1600", "0.0025"]
+
+
+def test_a_dng_without_exposure(tree: Tree) -> None:
+    """What converters leave that drop EXIF."""
+    retake(tree.file(4), exposure=Exposure())
+    problem = only(check(tree))
+    assert (problem.path, problem.field) == (frame(4), "exposure")
+    assert "EXIF" in problem.advice
+
+
+@pytest.mark.parametrize(
+    ("exposure", "lost"),
+    [(Exposure(None, Fraction(4), None), "no ISO"), (Exposure(Fraction(100), None, None), "no exposure time")],
+)
+def test_a_reference_without_half_of_its_exposure(tree: Tree, exposure: Exposure, lost: str) -> None:
+    retake(tree.file(6), exposure=exposure)
+    problem = only(check(tree))
+    assert (problem.path, problem.field, problem.found) == (frame(6), "exposure", lost)
+
+
+def test_a_dng_without_camera(tree: Tree) -> None:
+    retake(tree.file(4), model="")
+    problem = only(check(tree))
+    assert (problem.path, problem.field, problem.found) == (frame(4), "camera", "no camera model")
+
+
+def test_a_file_that_may_not_be_read(pristine: Tree) -> None:
+    """One such file among thousands is reported like any other problem, and the rest is still checked."""
+    folder = Path(tempfile.mkdtemp())  # not tmp_path, which other users may not enter
+    try:
+        folder.chmod(0o755)
+        tree = copy_tree(pristine, folder)
+        manifest = tree.manifest
+        assert check(tree, "full").ok
+        tree.file(4).chmod(0)
+        with as_ordinary_user():
+            with contextlib.suppress(PermissionError):
+                tree.file(4).open("rb").close()
+                pytest.skip("this file system lets everybody read")
+            report = verify([manifest], tree.root, level="full")
+        assert found(report) == [(frame(4), "content")]
+        assert os.strerror(errno.EACCES) in report.problems[0].found
+    finally:
+        shutil.rmtree(folder)
+
+
+@contextlib.contextmanager
+def as_ordinary_user() -> Iterator[None]:
+    if os.geteuid() != 0:
+        yield
+        return
+    os.seteuid(65534)
+    try:
+        yield
+    finally:
+        os.seteuid(0)
+
+
+# --- wrong frames -------------------------------------------------------------------------------------------------
+
+BOTH_KINDS = pytest.mark.parametrize("known", [True, False], ids=["exposures known", "exposures unknown"])
+
+
+def forget_exposures(tree: Tree) -> None:
+    """As in the published manifest for Canon: neither exposure times nor the references' ISO are known."""
+    records = [
+        replace(record, exposure_s=None, iso=None if record.role == "reference" else record.iso)
+        for record in tree.manifest.records
+    ]
+    save_records(tree.csv, records)
+
+
+@BOTH_KINDS
+@pytest.mark.parametrize(("reference", "noisy"), [(6, 5), (6, 7), (1, 2), (16, 15)])
+def test_a_reference_and_a_noisy_frame_swapped(tree: Tree, known: bool, reference: int, noisy: int) -> None:
+    if not known:
+        forget_exposures(tree)
+    swap(tree.file(reference), tree.file(noisy))
+    report = check(tree)
+    assert {frame(noisy)} <= {problem.path for problem in report.problems}
+    assert all(problem.path.startswith(ALPHA) for problem in report.problems)
+    if known:
+        assert (frame(reference), "iso") in found(report)
+
+
+def test_two_references_swapped_are_alike(tree: Tree) -> None:
+    """They are of one exposure: no check can tell, and none may pretend to."""
+    swap(tree.file(6), tree.file(11))
+    assert check(tree).ok
+
+
+@BOTH_KINDS
+@pytest.mark.parametrize("by", [1, -1])
+def test_shifted_numbering(tree: Tree, known: bool, by: int) -> None:
+    """All frames of a scene numbered one higher or lower, the odd one put at the other end."""
+    if not known:
+        forget_exposures(tree)
+    files = {number: tree.file(number).read_bytes() for number in range(1, 17)}
+    for number, content in files.items():
+        tree.file((number - 1 + by) % 16 + 1).write_bytes(content)
+    assert check(tree, "quick").ok, "names and number of files are right"
+    report = check(tree)
+    named = {problem.path for problem in report.problems}
+    assert all(path.startswith(ALPHA) for path in named)
+    assert named >= {frame(number) for number in range(1, 17) if number not in REFERENCES}
+    assert all("shifted numbering" in problem.advice for problem in report.problems)
+
+
+def test_numbering_from_two(tree: Tree) -> None:
+    """The same with the last frame beyond the list: a missing and an unlisted file, and wrong frames in between."""
+    for number in range(16, 0, -1):
+        tree.file(number).rename(tree.file(number + 1))
+    named = found(check(tree, "quick"))
+    assert named == [(frame(1), "file"), (frame(17), "file")]
+    assert len(check(tree).problems) > 10
+
+
+@pytest.mark.parametrize(
+    ("number", "nominal", "measured", "passes"),
+    [
+        (5, 200, Fraction(640, 3), True),  # 213.3: 1/13 s in EXIF for 1/12.5 s, occurs in the published set
+        (5, 200, Fraction(220), True),
+        (5, 200, Fraction(2201, 10), False),
+        (5, 200, Fraction(180), True),
+        (5, 200, Fraction(1799, 10), False),
+        (5, 200, Fraction(400), False),
+        (5, 200, Fraction(100), False),
+        (2, 1, Fraction(15, 16), True),  # the published Nikon frame
+        (2, 1, Fraction(2), False),
+        (2, 1, Fraction(1, 2), False),
+        (4, 100, Fraction(200), False),
+        (4, 100, Fraction(79), False),  # a third of a stop
+        (3, 10, Fraction(10), True),
+    ],
+)
+def test_the_ratio_may_be_a_tenth_off(tree: Tree, number: int, nominal: int, measured: Fraction, passes: bool) -> None:
+    forget_exposures(tree)
+    scale_exposure(tree.file(number), Fraction(nominal) / measured)
+    report = check(tree)
+    if passes:
+        assert report.ok
+        return
+    problem = only(report)
+    assert (problem.path, problem.field) == (frame(number), "ratio")
+    assert problem.expected == f"{nominal} to {frame({2: 1, 3: 1, 4: 6, 5: 6}[number])}"
+    assert problem.found == f"{float(measured):.6g}"
+
+
+# --- full ---------------------------------------------------------------------------------------------------------
+
+
+def add_hashes(tree: Tree) -> None:
+    """Record sizes and hashes without :mod:`eldata.manifest.lock`, which has tests of its own."""
+    import hashlib
+
+    records = []
+    for record in tree.manifest.records:
+        content = (tree.data / record.path).read_bytes()
+        digest = "sha256:" + hashlib.sha256(content).hexdigest()
+        records.append(replace(record, size_bytes=len(content), sha256=digest))
+    save_records(tree.csv, records)
+
+
+def test_one_flipped_bit_is_found_by_its_hash_alone(tree: Tree) -> None:
+    add_hashes(tree)
+    assert check(tree, "full").datasets[0].files_hashed == 32
+    flip_compressed_byte(tree.file(4))
+    assert check(tree, "quick").ok
+    assert check(tree, "metadata").ok
+    problem = only(check(tree, "full"))
+    assert (problem.path, problem.field) == (frame(4), "sha256")
+    assert problem.expected != problem.found
+    assert problem.found.startswith("sha256:")
+
+
+def test_full_says_how_much_it_could_not_hash(tree: Tree) -> None:
+    """Otherwise a full check without hashes would look as strong as one with them."""
+    assert "32 files have no recorded hash" in check(tree, "full").format_text()
+    assert "no recorded hash" not in check(tree, "metadata").format_text()
+    add_hashes(tree)
+    assert "no recorded hash" not in check(tree, "full").format_text()
+
+
+def test_full_decodes_files_without_a_hash(tree: Tree) -> None:
+    """A wrong picture size is only seen by decoding."""
+    records = [replace(record, width=96, height=64) for record in tree.manifest.records]
+    save_records(tree.csv, records)
+    assert check(tree, "full").ok
+    save_records(tree.csv, [replace(r, width=128) if r.path == frame(4) else r for r in records])
+    assert check(tree, "metadata").ok
+    problem = only(check(tree, "full"))
+    assert (problem.path, problem.field, problem.expected, problem.found) == (frame(4), "width", "128", "96")
+
+
+# --- what is asked ------------------------------------------------------------------------------------------------
+
+
+def test_only_some_cameras(tree: Tree) -> None:
+    shutil.rmtree(tree.data / "DemoBeta")
+    assert not check(tree).ok
+    report = check(tree, cameras=["DemoAlpha"])
+    assert report.ok
+    assert (report.datasets[0].files_listed, report.datasets[0].files_checked) == (16, 16)
+    assert not check(tree, cameras=["DemoAlpha", "DemoBeta"]).ok
+    assert found(check(tree, cameras=["DemoBeta"])) == [("DemoBeta/", "folder")]
+
+
+def test_nothing_verified_is_not_ok(pristine: Tree) -> None:
+    """A camera of an absent dataset, beside a dataset that is there but has no such camera: nothing was looked at."""
+    report = verify([shipped_manifest("eld"), pristine.manifest], pristine.root, cameras=["SonyA7S2"])
+    assert sum(dataset.files_checked for dataset in report.datasets) == 0
+    assert not report.ok
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "said"),
+    [
+        ({"cameras": ["Demoalpha"]}, ManifestError, "'Demoalpha'; known are DemoAlpha, DemoBeta"),
+        ({"dataset": "eld"}, ManifestError, "called 'eld'; found eld-demo"),
+        ({"level": "thorough"}, ArgumentError, "quick, metadata, full; found 'thorough'"),
+        ({"jobs": 0}, ArgumentError, "jobs must be 1 or more; found 0"),
+    ],
+)
+def test_unknown_names(pristine: Tree, options: dict[str, object], error: type[Exception], said: str) -> None:
+    with pytest.raises(error, match=said):
+        verify([pristine.manifest], pristine.root, **{"level": "metadata", **options})  # type: ignore[arg-type]
+
+
+def test_a_malformed_manifest_stops_everything(tree: Tree) -> None:
+    tree.csv.write_text("path;role\n", encoding="utf-8")
+    with pytest.raises(ManifestError, match="line 1"):
+        verify(tree.csv.parent, tree.root)
+
+
+def test_a_folder_of_manifests(tree: Tree) -> None:
+    for suffix in (".csv", ".json"):
+        shutil.copy(shipped_manifest("eld").path.with_suffix(suffix), tree.csv.parent)
+    assert {manifest.name for manifest in find_manifests(tree.csv.parent)} == {"eld", "eld-demo"}
+    assert verify(tree.csv.parent, tree.root).ok
+
+
+# --- reports ------------------------------------------------------------------------------------------------------
+
+
+def damage(tree: Tree) -> None:
+    """One of each, but for what other people's libraries put into words."""
+    tree.file(2).write_bytes(b"")
+    tree.file(3).unlink()
+    retake(tree.file(4), model="Demo Beta")
+    scale_exposure(tree.file(8), Fraction(1, 2))
+    tree.file(10).rename(tree.file(10).with_suffix(".DNG"))
+    shutil.copy(tree.file(16), tree.file(17))
+    shutil.rmtree(tree.data / "DemoBeta")
+
+
+def nothing(tree: Tree) -> None:
+    pass
+
+
+def forget_everything(tree: Tree) -> None:
+    shutil.rmtree(tree.data)
+
+
+@pytest.mark.parametrize(
+    ("name", "harm", "level"),
+    [
+        ("clean-quick", nothing, "quick"),
+        ("clean-full", nothing, "full"),
+        ("damaged", damage, "metadata"),
+        ("absent", forget_everything, "quick"),
+    ],
+)
+def test_the_text_of_a_report(tree: Tree, name: str, harm: Callable[[Tree], None], level: Level) -> None:
+    """Word for word, as a person reads it. ELDATA_UPDATE_GOLDEN=1 writes the files in golden/ anew: read the diff."""
+    harm(tree)
+    text = check(tree, level).format_text().replace(str(tree.root), "ROOT") + "\n"
+    golden = GOLDEN / f"{name}.txt"
+    if os.environ.get(UPDATE_VARIABLE) == "1":
+        golden.write_text(text, encoding="utf-8")
+    assert text == golden.read_text(encoding="utf-8")
+
+
+def test_a_report_as_json_says_the_same(tree: Tree) -> None:
+    damage(tree)
+    report = check(tree)
+    back = json.loads(json.dumps(report.as_dict(), allow_nan=False))
+    assert (back["level"], back["ok"]) == ("metadata", False)
+    (dataset,) = back["datasets"]
+    assert dataset["folder"] == str(tree.data)
+    assert (dataset["files_listed"], dataset["files_checked"]) == (32, 13)
+    assert [Problem(**problem) for problem in dataset["problems"]] == list(report.problems)
+
+
+def test_problems_read_as_sentences(tree: Tree) -> None:
+    tree.file(4).unlink()
+    assert str(only(check(tree))) == f"{frame(4)}: file: expected a file, found nothing; copy or download it again"
+
+
+def test_a_tree_is_the_same_when_made_again(pristine: Tree, tmp_path: Path) -> None:
+    """The golden texts and the copies above rest on it."""
+    again = build_tree(tmp_path)
+    assert load_manifest(again.csv).records == pristine.manifest.records
+    for record in pristine.manifest.records:
+        assert (again.data / record.path).read_bytes() == (pristine.data / record.path).read_bytes()

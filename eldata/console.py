@@ -1,6 +1,7 @@
 """What every command line of this distribution shares: one clear line for an error, exit codes, no traceback.
 
-Exit codes: 0 all well; 1 problems were found and listed; 2 wrong usage or unusable input; 130 interrupted.
+Exit codes: 0 all well; 1 problems were found and listed; 2 wrong usage or unusable input; 130 interrupted; 141 the
+reader of the output left before its end.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from typing import Any, NoReturn
 from eldata.errors import EldataError
 from eldata.files import write_text
 
-OK, PROBLEMS, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
+OK, PROBLEMS, UNUSABLE, INTERRUPTED, CLOSED_PIPE = 0, 1, 2, 130, 141
 
 
 class Parser(argparse.ArgumentParser):
@@ -59,11 +60,17 @@ def add_jobs(parser: argparse.ArgumentParser) -> None:
     cpus = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     parser.add_argument(
         "--jobs",
-        type=int,
+        type=_positive,
         default=cpus,
         metavar="J",
         help="worker processes (default: one per CPU, here %(default)s)",
     )
+
+
+def _positive(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number of 1 or more, found {text!r}")
+    return int(text)
 
 
 def write_json(path: str, data: Any) -> None:
@@ -102,9 +109,9 @@ def _explained(error: BaseException) -> tuple[int, str]:
         return UNUSABLE, str(error)
     if isinstance(error, KeyboardInterrupt):
         return INTERRUPTED, "interrupted; files are written whole or not at all, so none is left half"
-    if isinstance(error, BrokenPipeError):  # the reader of our output (head, less) has left: not an error
+    if isinstance(error, BrokenPipeError):  # head, less: nothing to say, but not known to be all well either
         _drop_output()
-        return OK, ""
+        return CLOSED_PIPE, ""
     if isinstance(error, OSError):
         _drop_output()
         where = error.filename or "cannot write to standard output"

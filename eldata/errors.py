@@ -50,3 +50,7 @@ class PredictionError(EldataError):
 
     def __str__(self) -> str:
         return f"{self.path}: {self.reason}" if self.reason else str(self.path)
+
+
+class ProfileError(EldataError):
+    """A camera profile is malformed or unknown."""

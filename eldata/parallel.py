@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import multiprocessing
 import signal
+import threading
 from collections import deque
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, TypeVar
 
 from tqdm import tqdm
@@ -48,8 +50,7 @@ def run_units(
     EldataError
         If a worker process dies. Errors that ``work`` raises come through as they are.
     """
-    if jobs < 1:
-        raise ArgumentError(f"jobs must be 1 or more; found {jobs}")
+    check_jobs(jobs)
     with tqdm(total=len(units), desc=label, unit=unit, disable=None, leave=False) as bar:
         results = _in_processes(work, units, jobs) if jobs > 1 and len(units) > 1 else map(work, units)
         for result in results:
@@ -57,30 +58,46 @@ def run_units(
             yield result
 
 
+def check_jobs(jobs: int) -> None:
+    """Raise :class:`ArgumentError` unless ``jobs`` is at least 1."""
+    if jobs < 1:
+        raise ArgumentError(f"jobs must be 1 or more; found {jobs}")
+
+
 def _in_processes(work: Callable[[Unit], Result], units: Sequence[Unit], jobs: int) -> Iterator[Result]:
-    pool = ProcessPoolExecutor(
-        min(jobs, len(units)),
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=_leave_ctrl_c_to_parent,
-    )
+    pool = ProcessPoolExecutor(min(jobs, len(units)), mp_context=multiprocessing.get_context("spawn"))
     waiting: deque[tuple[Unit, Future[Result]]] = deque()
     try:
         for unit in units:
-            waiting.append((unit, pool.submit(work, unit)))
+            with _workers_without_ctrl_c():  # each submission may start a process
+                waiting.append((unit, pool.submit(work, unit)))
             if len(waiting) > 4 * jobs:  # enough to keep every worker busy, few enough to hold in memory
-                yield waiting.popleft()[1].result()
+                yield waiting[0][1].result()
+                waiting.popleft()
         while waiting:
             yield waiting[0][1].result()
             waiting.popleft()
     except BrokenProcessPool as error:
+        unit = waiting[0][0]
         raise EldataError(
-            f"a worker process died, probably for lack of memory, at or soon after {waiting[0][0] if waiting else ''}; "
-            "try fewer jobs (--jobs)"
+            f"a worker process died at or soon after {getattr(unit, 'path', unit)}; lack of memory? try fewer --jobs. "
+            "(A script that uses jobs > 1 needs the guard if __name__ == '__main__'.)"
         ) from error
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _leave_ctrl_c_to_parent() -> None:
-    # Ctrl-C reaches the whole process group; the parent ends the pool and says so once.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+@contextmanager
+def _workers_without_ctrl_c() -> Iterator[None]:
+    """Let processes that start meanwhile ignore Ctrl-C from their first instruction on.
+
+    It reaches the whole process group; the parent ends the pool and says so once.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread may set signals
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

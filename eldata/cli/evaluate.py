@@ -59,9 +59,9 @@ def run(arguments: argparse.Namespace) -> int:
         allow_missing=arguments.allow_missing,
         jobs=arguments.jobs,
     )
+    print(result.format_text())
     if arguments.json:
         result.write_json(arguments.json)
-    if arguments.csv and result.images:
+    if arguments.csv:
         result.write_csv(arguments.csv)
-    print(result.format_text())
-    return PROBLEMS if result.problems else OK
+    return OK if result.images and not result.problems else PROBLEMS

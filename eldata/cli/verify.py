@@ -52,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
         level=arguments.level,
         jobs=arguments.jobs,
     )
+    print(report.format_text())
     if arguments.json:
         write_json(arguments.json, report.as_dict())
-    print(report.format_text())
     return OK if report.ok else PROBLEMS

@@ -62,9 +62,13 @@ def _fitted_variance(mean: NDArray[np.float32], variance: NDArray[np.float32]) -
     groups = [group for group in np.array_split(order, 32) if group.size]
     x = np.array([np.median(mean.flat[group]) for group in groups])
     y = np.array([np.median(variance.flat[group]) for group in groups])
-    slope, intercept = np.polyfit(x, y, 1, w=1 / np.maximum(y, 1e-12))
+    # Weighted least squares of y = a + b x; each group's scatter is in proportion to its variance.
+    weight = 1 / np.maximum(y, 1e-12) ** 2
+    x_mean, y_mean = np.average(x, weights=weight), np.average(y, weights=weight)
+    spread = np.average((x - x_mean) ** 2, weights=weight)
+    slope = np.average((x - x_mean) * (y - y_mean), weights=weight) / spread if spread > 0 else 0.0
     floor = max(float(y.min()) / 2, 1e-12)
-    fitted: NDArray[np.float32] = np.maximum(intercept + slope * mean, floor).astype(np.float32)
+    fitted: NDArray[np.float32] = np.maximum(y_mean + slope * (mean - x_mean), floor).astype(np.float32)
     return fitted
 
 

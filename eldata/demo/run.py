@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ from eldata.demo.tree import make_tree
 from eldata.errors import EldataError
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.predictions import load_prediction, save_prediction
+from eldata.files import write_text
 from eldata.isp.preview import preview
 from eldata.manifest.verify import verify
 from eldata.raw.levels import packed_frame
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
     from eldata.evaluation.results import EvaluationResult
     from eldata.manifest.catalogue import Manifest
 
+_MARKER = ".eldata-demo"
 _PREDICTORS = {
     "amplified": "the noisy input times the exposure ratio, nothing else",
     "dct": "sliding-window DCT thresholding",
@@ -42,9 +45,10 @@ def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0) -> dict[str, Evalu
     """
     if scenes < 1:
         raise EldataError(f"scenes must be 1 or more; found {scenes}")
-    if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not _made_by_demo(folder))):
-        raise EldataError(f"{folder}: holds something else; give a new folder")
+    if seed < 0:
+        raise EldataError(f"seed must be 0 or more; found {seed}")
     start = time.perf_counter()
+    _prepare(folder)
     manifest = make_tree(folder, scenes=scenes, seed=seed)
     root = folder / "data"
     print(
@@ -75,8 +79,19 @@ def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0) -> dict[str, Evalu
     return results
 
 
-def _made_by_demo(folder: Path) -> bool:
-    return (folder / "manifests" / "eld-demo.csv").is_file()
+def _prepare(folder: Path) -> None:
+    """Make the folder, or empty it of what an earlier demo, finished or not, has left."""
+    marker = folder / _MARKER
+    if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not marker.is_file())):
+        raise EldataError(f"{folder}: holds something else; give a new folder")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_text(marker, "Made by eldata demo, which may empty this folder's data, manifests and predictions.\n")
+        for name in ("data", "manifests", "predictions"):
+            if (folder / name).is_dir():
+                shutil.rmtree(folder / name)
+    except OSError as error:
+        raise EldataError(f"{error.filename or folder}: {error.strerror}") from error
 
 
 def _predict(manifest: Manifest, folder: Path, predictions: Path) -> None:

@@ -109,7 +109,7 @@ def evaluate(
 def _require_dataset(manifest: Manifest, folder: Path, pairs: Sequence[PairRecord], jobs: int) -> None:
     if not folder.is_dir():
         raise DatasetError(
-            f"{folder}: the dataset is not there; name the folder above it with --root (root=...), or get it from "
+            f"{folder}: the dataset is not there; name the folder above it with --root (root=...). Where to get it: "
             f"{manifest.card.homepage}"
         )
     needed = {pair.path for pair in pairs} | {pair.reference for pair in pairs}
@@ -140,17 +140,17 @@ def _file_problems(found: FoundPredictions, *, allow_missing: bool) -> list[Eval
 def _notes(found: FoundPredictions, images: Sequence[ImageScore]) -> list[str]:
     notes = []
     if found.unscored:
-        notes.append(f"{found.unscored} predictions of frames outside of the protocol were not scored")
+        notes.append(f"not scored, because this evaluation leaves their frames out: {found.unscored} predictions")
     low, high = _USUAL_RESCALE
     odd = [image for image in images if not low <= image.rescale <= high]
     if odd:
         notes.append(
-            f"{len(odd)} predictions were rescaled by less than {low:.2g} or more than {high:g}, such as "
-            f"{odd[0].path} by {odd[0].rescale:.3g}: is their scale that of the reference?"
+            f"rescaled by less than {low:.2g} or more than {high:g}: {len(odd)} of {len(images)} predictions, such as "
+            f"{odd[0].path} by {odd[0].rescale:.3g}; is their scale that of the reference?"
         )
     perfect = [image for image in images if image.psnr_db == float("inf")]
     if perfect:
-        notes.append(f"{len(perfect)} predictions equal their reference exactly, such as {perfect[0].path}")
+        notes.append(f"equal to their reference exactly: {len(perfect)} predictions, such as {perfect[0].path}")
     return notes
 
 
@@ -165,7 +165,7 @@ def _provenance(
         "manifest_version": manifest.card.version,
         "manifest_sha256": manifest.digest,
         "protocol_digest": protocol.digest,
-        "cameras": "all" if cameras is None else list(cameras),
+        "cameras": "all" if cameras is None else [name for name in manifest.card.cameras if name in cameras],
         "predictions": str(predictions),
         "python": platform.python_version(),
         "libraw": ".".join(map(str, rawpy.libraw_version)),

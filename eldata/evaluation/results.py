@@ -189,12 +189,8 @@ class EvaluationResult:
         writer.writerow(CSV_COLUMNS)
         for image in self.images:
             values = [getattr(image, column) for column in CSV_COLUMNS]
-            writer.writerow(
-                [
-                    f"{value:g}" if name in ("iso", "ratio") else value
-                    for name, value in zip(CSV_COLUMNS, values, strict=True)
-                ]
-            )
+            # 800, not 800.0; repr of any other float reads back the same.
+            writer.writerow([int(v) if isinstance(v, float) and v.is_integer() else v for v in values])
         write_text(path, text.getvalue())
 
 

@@ -34,9 +34,9 @@ COLUMNS = (
 )
 ROLES: tuple[Role, ...] = get_args(Role)
 
-_NUMBER = re.compile(r"\d{1,18}(\.\d{1,18})?(/\d{1,18})?")
+_NUMBER = re.compile(r"[0-9]{1,18}(\.[0-9]{1,18})?(/[0-9]{1,18})?")
 _MOST_DECIMALS = 9
-_WHOLE = re.compile(r"\d{1,18}")
+_WHOLE = re.compile(r"[0-9]{1,18}")
 _SHA256 = re.compile(r"sha256:[0-9a-f]{64}")
 _NAME = re.compile(r"[\w.+-]+")
 

@@ -24,7 +24,7 @@ from eldata.errors import ArgumentError, ManifestError, RawFileError
 from eldata.files import inside, sha256_of
 from eldata.manifest.catalogue import Manifest, find_manifests
 from eldata.manifest.table import number_text
-from eldata.parallel import run_units
+from eldata.parallel import check_jobs, run_units
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
@@ -154,6 +154,7 @@ def verify(
     ManifestError
         If a manifest is malformed or has no such dataset or camera.
     """
+    check_jobs(jobs)
     if level not in LEVELS:
         raise ArgumentError(f"level must be one of {', '.join(LEVELS)}; found {level!r}")
     chosen = list(find_manifests(manifests) if isinstance(manifests, (str, Path)) else manifests)
@@ -296,7 +297,7 @@ def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRec
                         path,
                         "file",
                         f"the {expected} listed raw files in this folder",
-                        f"{len(raws)}, this one unlisted",
+                        f"{len(raws)} raw files, this one unlisted",
                         "move it away, and make sure that the others were not numbered anew",
                     )
                 )

@@ -51,7 +51,7 @@ _CLIP_RANGES: dict[Clip, tuple[float, float]] = {
 BAYER_CHANNELS = ("R", "G1", "B", "G2")
 XTRANS_CHANNELS = ("R", "G", "B", "R", "B", "G", "G", "G", "G")
 
-_XTRANS: CfaRows = (
+XTRANS_CFA: CfaRows = (
     (0, 2, 1, 2, 0, 1),
     (1, 1, 0, 1, 1, 2),
     (1, 1, 2, 1, 1, 0),
@@ -130,13 +130,18 @@ def _layout(cfa: CfaRows) -> _Layout:
     elif len(cfa) == 6 and all(len(row) == 6 for row in cfa):
         for top, left in sorted(((y, x) for y in range(6) for x in range(6)), key=sum):
             shifted = tuple(tuple(cfa[(y + top) % 6][(x + left) % 6] for x in range(6)) for y in range(6))
-            if shifted == _XTRANS:
+            if shifted == XTRANS_CFA:
                 colours = tuple("RGB".index(name) for name in XTRANS_CHANNELS)
                 return _Layout(6, 2, top, left, _as_table(6, _XTRANS_CHANNEL), colours)
     raise ArgumentError(
         f"unsupported CFA {cfa}: expected a 2x2 Bayer pattern (0 = R, 1 = G1 in R's row, 2 = B, 3 = G2) or a 6x6 "
         "X-Trans pattern (0 = R, 1 = G, 2 = B) at any offset"
     )
+
+
+def xtrans_sites() -> tuple[tuple[int, int, int, int, int], ...]:
+    """Return (row, column, packed channel, packed row, packed column) of the 36 sites of one X-Trans period."""
+    return tuple(tuple(int(value) for value in site) for site in _layout(XTRANS_CFA).sites)  # type: ignore[misc] # of five
 
 
 def packed_channels(cfa: Cfa) -> int:

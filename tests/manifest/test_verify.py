@@ -222,7 +222,7 @@ def test_unlisted_raw_files(tree: Tree, extra: int) -> None:
     assert found(report) == [(frame(number), "file") for number in range(17, 17 + extra)]
     for problem in report.problems:
         assert problem.expected == "the 16 listed raw files in this folder"
-        assert problem.found == f"{16 + extra}, this one unlisted"
+        assert problem.found == f"{16 + extra} raw files, this one unlisted"
         assert "numbered anew" in problem.advice
 
 

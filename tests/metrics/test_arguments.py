@@ -100,9 +100,7 @@ def test_inputs_stay_as_they_are(metric: Metric) -> None:
 
 @pytest.mark.parametrize("metric", METRICS)
 @pytest.mark.parametrize("shape", [(4, 611, 331), (700, 300), (3, 260, 257)])
-def test_threads_do_not_change_a_bit(
-    metric: Metric, shape: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_threads_do_not_change_a_bit(metric: Metric, shape: tuple[int, ...], monkeypatch: pytest.MonkeyPatch) -> None:
     p, g = images(*shape)
     expected = metric(p, g)  # small images are done in this thread
     used = set()

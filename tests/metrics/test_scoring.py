@@ -49,9 +49,7 @@ def noisy_pair(shape: tuple[int, ...], dtype: npt.DTypeLike, gain: float = 0.8) 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("rescaling", ["none", "scalar"])
 @pytest.mark.parametrize("gain", [0.8, 1.3])
-def test_equals_the_protocol(
-    shape: tuple[int, ...], dtype: npt.DTypeLike, rescaling: Rescaling, gain: float
-) -> None:
+def test_equals_the_protocol(shape: tuple[int, ...], dtype: npt.DTypeLike, rescaling: Rescaling, gain: float) -> None:
     p, g = noisy_pair(shape, dtype, gain)
     result = score(p, g, rescaling=rescaling)
     psnr_db, similarity, factor = eld_protocol(p, g, rescaling)

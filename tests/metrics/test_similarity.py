@@ -100,9 +100,7 @@ def test_images_with_a_closed_form() -> None:
     """Constants: only the luminance term. A quarter and a half: exact in rationals."""
     x, y, c1 = Fraction(1, 4), Fraction(1, 2), Fraction(1, 10**4)
     expected = (2 * x * y + c1) / (x * x + y * y + c1)
-    assert ssim(np.full((3, 300, 300), 0.25), np.full((3, 300, 300), 0.5)) == pytest.approx(
-        float(expected), abs=1e-13
-    )
+    assert ssim(np.full((3, 300, 300), 0.25), np.full((3, 300, 300), 0.5)) == pytest.approx(float(expected), abs=1e-13)
     assert ssim(np.zeros((9, 9)), np.ones((9, 9))) == pytest.approx(1e-4 / (1 + 1e-4), abs=1e-15)
 
 

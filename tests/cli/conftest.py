@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from eldata.cli.main import main
+from tests.evaluation.helpers import Tree, place, small_tree
+
+GOLDEN = Path(__file__).parent / "golden"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    code: int
+    out: str
+    err: str
+
+
+class Cli:
+    """Runs the command in this process, in an empty folder, and keeps what it printed."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
+        self._capsys = capsys
+
+    def __call__(self, *arguments: str | Path) -> Outcome:
+        self._capsys.readouterr()
+        code = main([str(argument) for argument in arguments])
+        captured = self._capsys.readouterr()
+        return Outcome(code, captured.out, captured.err)
+
+
+@pytest.fixture
+def eldata(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Cli:
+    (tmp_path / "cwd").mkdir()
+    monkeypatch.chdir(tmp_path / "cwd")
+    monkeypatch.delenv("ELDATA_ROOT", raising=False)
+    return Cli(capsys)
+
+
+@pytest.fixture(scope="session")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> Tree:
+    """Two cameras, one scene. Not to be changed: copy it."""
+    return small_tree(tmp_path_factory.mktemp("tree") / "demo")
+
+
+@pytest.fixture(scope="session")
+def predictions(tree: Tree, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A prediction of each of the tree's twelve pairs. Not to be changed: copy it."""
+    folder = tmp_path_factory.mktemp("predictions") / "preds"
+    place(folder, tree)
+    return folder
+
+
+@pytest.fixture
+def own(tree: Tree, tmp_path: Path) -> Tree:
+    """A copy of the tree to spoil."""
+    return tree.copy(tmp_path / "tree")
+
+
+def normalised(text: str, **paths: Path) -> str:
+    """Replace paths by their names in braces."""
+    for name, path in sorted(paths.items(), key=lambda item: -len(str(item[1]))):
+        text = text.replace(str(path), "{" + name + "}")
+    return re.sub(r"[ \t]+$", "", text, flags=re.MULTILINE)
+
+
+def assert_golden(name: str, text: str) -> None:
+    """Compare with a golden file; ELDATA_UPDATE_GOLDEN=1 rewrites it instead."""
+    path = GOLDEN / f"{name}.txt"
+    if os.environ.get("ELDATA_UPDATE_GOLDEN") == "1":
+        path.write_text(text, encoding="utf-8")
+    assert path.is_file(), f"{path} is missing: run the tests with ELDATA_UPDATE_GOLDEN=1 and look at what it holds"
+    assert text == path.read_text(encoding="utf-8")

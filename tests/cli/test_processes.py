@@ -1,0 +1,220 @@
+"""What only a process of its own can show: closed pipes, Ctrl-C, the installed script."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import psutil  # type: ignore[import-untyped,unused-ignore] # types-psutil may be there or not
+import pytest
+
+from eldata.manifest.card import load_card, save_card
+from eldata.manifest.eld import EldCamera, eld_records
+from eldata.manifest.table import save_records
+from tests.evaluation.helpers import Tree
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+MODULE = [sys.executable, "-m", "eldata.cli.main"]
+
+
+def call(*arguments: str | Path, stdout: int = subprocess.PIPE) -> subprocess.CompletedProcess[str]:
+    command = [*MODULE, *(str(argument) for argument in arguments)]
+    return subprocess.run(command, stdout=stdout, stderr=subprocess.PIPE, text=True, timeout=60)
+
+
+def test_the_installed_script_runs(tree: Tree) -> None:
+    script = Path(sys.executable).with_name("eldata")
+    result = subprocess.run(
+        [str(script), "verify", str(tree.manifest), "--root", str(tree.root)],
+        capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert (result.returncode, result.stderr) == (0, "")
+    assert "all well" in result.stdout
+
+
+def test_exit_codes_reach_the_shell(tree: Tree, tmp_path: Path) -> None:
+    assert call("verify", tree.manifest, "--root", tree.root).returncode == 0
+    assert call("verify", tree.manifest, "--root", tmp_path).returncode == 1
+    assert call("verify", tmp_path / "none.csv").returncode == 2
+    assert call("frobnicate").returncode == 2
+
+
+def test_no_progress_bar_where_there_is_no_terminal(tree: Tree) -> None:
+    result = call("verify", tree.manifest, "--root", tree.root, "--level", "full", "--jobs", "2")
+    assert (result.returncode, result.stderr) == (0, "")
+
+
+def closed_pipe() -> int:
+    read, write = os.pipe()
+    os.close(read)
+    return write
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["evaluate", "--help"]])
+def test_closed_pipe_prints_no_traceback(arguments: list[str]) -> None:
+    pipe = closed_pipe()
+    try:
+        assert call(*arguments, stdout=pipe).stderr == ""
+    finally:
+        os.close(pipe)
+
+
+def test_closed_pipe_of_verify_and_evaluate(tree: Tree, predictions: Path, tmp_path: Path) -> None:
+    (tmp_path / "preds").mkdir()
+    commands: tuple[list[str | Path], ...] = (
+        ["verify", tree.manifest, "--root", tree.root],
+        ["verify", tree.manifest, "--root", tmp_path],
+        ["evaluate", predictions, "--manifest", tree.manifest, "--root", tree.root, "--jobs", "1"],
+        ["evaluate", tmp_path / "preds", "--manifest", tree.manifest, "--root", tree.root, "--jobs", "1"],
+    )
+    for arguments in commands:
+        pipe = closed_pipe()
+        try:
+            result = call(*arguments, stdout=pipe)
+        finally:
+            os.close(pipe)
+        assert result.stderr == ""
+        assert result.returncode == 141
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_full_disk_behind_stdout_is_one_line(tree: Tree) -> None:
+    with Path("/dev/full").open("w") as full:
+        result = call("verify", tree.manifest, "--root", tree.root, stdout=full.fileno())
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert "No space left" in result.stderr
+
+
+# --- Ctrl-C ---------------------------------------------------------------------------------------------------
+
+SCENES = 60
+
+
+@pytest.fixture(scope="module")
+def long_tree(tree: Tree, tmp_path_factory: pytest.TempPathFactory) -> Tree:
+    """Many scenes of the same files, so that a full verification takes several seconds."""
+    own = Tree(tmp_path_factory.mktemp("long"))
+    cameras = [
+        EldCamera(name, ".dng", 100, dict.fromkeys(range(1, SCENES + 1), Fraction(4)))
+        for name in ("DemoAlpha", "DemoBeta")
+    ]
+    records = eld_records(cameras, range(1, SCENES + 1))
+    for record in records:
+        path = own.files / record.path
+        path.parent.mkdir(parents=True, exist_ok=True)
+        os.link(tree.files / record.camera / "scene-1" / path.name, path)
+    own.manifest.parent.mkdir()
+    roles = [record.role for record in records]
+    card = load_card(tree.manifest.with_suffix(".json"))
+    save_card(own.manifest.with_suffix(".json"), replace(card, counts={role: roles.count(role) for role in set(roles)}))
+    save_records(own.manifest, records)
+    return own
+
+
+def workers(process: subprocess.Popen[str]) -> list[psutil.Process]:
+    return [
+        child
+        for child in psutil.Process(process.pid).children(recursive=True)
+        if "spawn_main" in " ".join(child.cmdline())
+    ]
+
+
+def wait_for(condition: Callable[[], bool], seconds: float = 30) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def interrupted(process: subprocess.Popen[str], delay_s: float) -> tuple[str, str]:
+    """Send Ctrl-C to the process group once its workers run, as a terminal does; return stdout and stderr."""
+    try:
+        wait_for(lambda: process.poll() is not None or len(workers(process)) == 2)
+        time.sleep(delay_s)
+        family = [psutil.Process(process.pid), *psutil.Process(process.pid).children(recursive=True)]
+        start = time.monotonic()
+        os.killpg(process.pid, signal.SIGINT)
+        out, err = process.communicate(timeout=20)
+        assert time.monotonic() - start < 5
+        _, alive = psutil.wait_procs(family, timeout=5)
+        assert not alive
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.communicate()
+    return out, err
+
+
+def start(*arguments: str | Path) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [*MODULE, *(str(argument) for argument in arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.05, 0.15, 0.6])
+def test_ctrl_c_ends_verify_with_one_line(delay_s: float, long_tree: Tree) -> None:
+    process = start("verify", long_tree.manifest, "--root", long_tree.root, "--level", "full", "--jobs", "2")
+    out, err = interrupted(process, delay_s)
+    assert process.returncode == 130
+    assert out == ""
+    assert err.count("\n") == 1
+    assert "interrupted" in err
+    assert "Traceback" not in err
+
+
+def test_ctrl_c_ends_evaluate_with_one_line(long_tree: Tree, tmp_path: Path) -> None:
+    for record in sorted(long_tree.files.glob("*/*/IMG_*.dng")):
+        link = tmp_path / "preds" / record.relative_to(long_tree.files)
+        link.parent.mkdir(parents=True, exist_ok=True)
+        link.symlink_to(record)  # a noisy frame as it is, as a DNG prediction
+    for number in (1, 6, 11, 16):
+        for path in (tmp_path / "preds").glob(f"*/*/IMG_{number:04d}.dng"):
+            path.unlink()
+    process = start(
+        "evaluate", tmp_path / "preds", "--manifest", long_tree.manifest, "--root", long_tree.root, "--jobs", "2",
+        "--csv", tmp_path / "scores.csv",
+    )  # fmt: skip
+    out, err = interrupted(process, 0.3)
+    assert process.returncode == 130
+    assert (out, err.count("\n")) == ("", 1)
+    assert "interrupted" in err
+    assert not (tmp_path / "scores.csv").exists()
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_ctrl_c_with_debug_shows_where(long_tree: Tree) -> None:
+    process = start("verify", long_tree.manifest, "--root", long_tree.root, "--level", "full", "--jobs", "2", "--debug")
+    _, err = interrupted(process, 0.3)
+    assert process.returncode == 130
+    assert "KeyboardInterrupt" in err
+
+
+def test_a_dying_worker_is_one_line(long_tree: Tree) -> None:
+    process = start("verify", long_tree.manifest, "--root", long_tree.root, "--level", "full", "--jobs", "2")
+    try:
+        wait_for(lambda: process.poll() is not None or len(workers(process)) == 2)
+        time.sleep(0.3)
+        workers(process)[0].kill()
+        _, err = process.communicate(timeout=20)
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.communicate()
+    assert process.returncode == 2
+    assert err.count("\n") == 1
+    assert "worker" in err
+    assert "--jobs" in err

@@ -1,0 +1,174 @@
+from __future__ import annotations
+
+import csv
+import json
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import eldata.demo.run
+from eldata.demo.contact_sheet import write_contact_sheet
+from eldata.demo.run import run_demo
+from eldata.demo.tree import make_tree
+from eldata.errors import EldataError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from eldata.evaluation import EvaluationResult
+
+SIZE = (64, 96)
+MARGIN, CAPTION = 16, 26
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(eldata.demo.run, "make_tree", partial(make_tree, size=SIZE))
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, EvaluationResult]]:
+    """A demo of the real size, with one scene."""
+    folder = tmp_path_factory.mktemp("demo") / "new" / "folder"
+    return folder, run_demo(folder, scenes=1)
+
+
+def sheet_size(rows: int, height: int, width: int) -> tuple[int, int]:
+    """Width and height of a sheet of three columns."""
+    return 3 * (width + MARGIN) + MARGIN, rows * (height + CAPTION + MARGIN) + MARGIN
+
+
+def test_the_whole_path(demo: tuple[Path, dict[str, EvaluationResult]]) -> None:
+    folder, results = demo
+    assert set(results) == {"amplified", "dct"}
+    for result in results.values():
+        assert not result.problems
+        assert len(result.images) == len(result.pairs) == 12
+    assert len(list((folder / "data").rglob("*.dng"))) == 32
+    assert (folder / "manifests" / "eld-demo.csv").is_file()
+    assert not list(folder.rglob("*.part"))
+
+
+def test_the_denoiser_beats_the_amplified_input_everywhere(demo: tuple[Path, dict[str, EvaluationResult]]) -> None:
+    _, results = demo
+    for before, after in zip(results["amplified"].table, results["dct"].table, strict=True):
+        assert after.psnr_db > before.psnr_db + 3
+        assert after.ssim > before.ssim
+
+
+def test_contact_sheet_of_the_demo(demo: tuple[Path, dict[str, EvaluationResult]]) -> None:
+    with Image.open(demo[0] / "contact-sheet.png") as image:
+        assert image.format == "PNG"
+        assert image.mode == "RGB"
+        assert image.size == sheet_size(1, 256, 384)
+        pixels = np.asarray(image).astype(float)
+    pictures = [
+        pixels[MARGIN + CAPTION : MARGIN + CAPTION + 256, left : left + 384]
+        for left in (MARGIN + (384 + MARGIN) * column for column in range(3))
+    ]
+    reference, amplified, denoised = pictures
+    assert reference.std() > 20  # something is to be seen
+    assert np.abs(denoised - reference).mean() < np.abs(amplified - reference).mean()
+
+
+@pytest.mark.parametrize("name", ["amplified", "dct"])
+def test_scores_on_disk(name: str, demo: tuple[Path, dict[str, EvaluationResult]]) -> None:
+    folder, results = demo
+    with (folder / f"{name}.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["psnr_db"]) for row in rows] == [image.psnr_db for image in results[name].images]
+    assert json.loads((folder / f"{name}.json").read_text()) == results[name].as_dict()
+
+
+@pytest.mark.usefixtures("small")
+def test_what_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run_demo(tmp_path / "x", scenes=2)
+    out = capsys.readouterr().out
+    for words in ("64 raw files", "all well", "eldata verify", "eldata evaluate", "24 of 24", "contact-sheet.png"):
+        assert words in out
+    with Image.open(tmp_path / "x" / "contact-sheet.png") as image:
+        assert image.size == sheet_size(2, 32, 48)
+
+
+@pytest.mark.usefixtures("small")
+def test_an_empty_folder_is_fine(tmp_path: Path) -> None:
+    run_demo(tmp_path, scenes=1)
+    assert (tmp_path / "contact-sheet.png").is_file()
+
+
+@pytest.mark.usefixtures("small")
+def test_running_again_over_an_earlier_demo_gives_the_same(tmp_path: Path) -> None:
+    first = run_demo(tmp_path / "x", scenes=1)
+    names = sorted(path.relative_to(tmp_path) for path in tmp_path.rglob("*"))
+    second = run_demo(tmp_path / "x", scenes=1)
+    assert first["dct"].images == second["dct"].images
+    assert sorted(path.relative_to(tmp_path) for path in tmp_path.rglob("*")) == names
+
+
+@pytest.mark.usefixtures("small")
+@pytest.mark.parametrize(("before", "after"), [(1, 2), (2, 1)])
+def test_running_again_with_another_number_of_scenes(before: int, after: int, tmp_path: Path) -> None:
+    run_demo(tmp_path / "x", scenes=before)
+    results = run_demo(tmp_path / "x", scenes=after)
+    assert all(len(result.images) == 12 * after for result in results.values())
+
+
+@pytest.mark.usefixtures("small")
+def test_running_again_after_an_interruption(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C while the raw files are written must not make the demo's own folder a foreign one."""
+    with monkeypatch.context() as patch:
+
+        def interrupt(*_: object) -> None:
+            raise KeyboardInterrupt
+
+        patch.setattr("eldata.demo.tree.save_records", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            run_demo(tmp_path / "x", scenes=1)
+    assert (tmp_path / "x").exists()
+    run_demo(tmp_path / "x", scenes=1)
+
+
+@pytest.mark.usefixtures("small")
+def test_another_seed_gives_other_scores(tmp_path: Path) -> None:
+    first, second = (run_demo(tmp_path / str(seed), scenes=1, seed=seed) for seed in (0, 1))
+    assert first["amplified"].images[0].psnr_db != second["amplified"].images[0].psnr_db
+
+
+@pytest.mark.usefixtures("small")
+@pytest.mark.parametrize("kind", ["file-inside", "folder-inside", "is-a-file"])
+def test_a_foreign_folder_is_refused_and_left_alone(kind: str, tmp_path: Path) -> None:
+    folder = tmp_path / "photos"
+    if kind == "is-a-file":
+        folder.write_text("mine")
+    else:
+        folder.mkdir()
+        (folder / "data").mkdir() if kind == "folder-inside" else (folder / "notes.txt").write_text("mine")
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(EldataError, match="photos"):
+        run_demo(folder, scenes=1)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("scenes", [0, -1])
+def test_scenes_must_be_positive(scenes: int, tmp_path: Path) -> None:
+    with pytest.raises(EldataError, match=r"scenes.*1 or more"):
+        run_demo(tmp_path / "x", scenes=scenes)
+    assert not (tmp_path / "x").exists()
+
+
+def test_contact_sheet_places_its_pictures(tmp_path: Path) -> None:
+    colours = [(255, 0, 0), (0, 255, 0), (0, 0, 255), (255, 255, 0), (0, 255, 255), (255, 0, 255)]
+    pictures = [np.full((20, 50, 3), colour, np.uint8) for colour in colours]
+    rows = [[("one", picture) for picture in pictures[:3]], [("two", picture) for picture in pictures[3:]]]
+    write_contact_sheet(tmp_path / "sheet.png", rows)
+    with Image.open(tmp_path / "sheet.png") as image:
+        assert image.size == sheet_size(2, 20, 50)
+        pixels = np.asarray(image)
+    for index, colour in enumerate(colours):
+        top = MARGIN + CAPTION + index // 3 * (20 + CAPTION + MARGIN)
+        left = MARGIN + index % 3 * (50 + MARGIN)
+        assert (pixels[top : top + 20, left : left + 50] == colour).all()
+        assert not (pixels[top - 1, left : left + 50] == colour).all()

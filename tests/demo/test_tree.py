@@ -1,0 +1,132 @@
+from __future__ import annotations
+
+import hashlib
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import rawpy
+
+from eldata.datasets import ELDDataset
+from eldata.demo.camera import CAMERAS
+from eldata.demo.tree import make_tree
+from eldata.manifest import verify
+from eldata.raw.reading import exposure_ratio, read_raw
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from eldata.manifest.catalogue import Manifest
+
+SIZE = (64, 96)
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Manifest]:
+    folder = tmp_path_factory.mktemp("tree")
+    return folder, make_tree(folder, scenes=2, size=SIZE)
+
+
+def digests(folder: Path) -> dict[str, str]:
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def test_the_same_seed_gives_the_same_bytes(tree: tuple[Path, Manifest], tmp_path: Path) -> None:
+    make_tree(tmp_path, scenes=2, size=SIZE)
+    assert digests(tmp_path) == digests(tree[0])
+    assert len(digests(tmp_path)) == 2 * 2 * 16 + 2
+
+
+def test_another_seed_gives_other_pixels_and_the_same_manifest(tree: tuple[Path, Manifest], tmp_path: Path) -> None:
+    make_tree(tmp_path, scenes=2, size=SIZE, seed=1)
+    here, there = digests(tmp_path), digests(tree[0])
+    assert here.keys() == there.keys()
+    assert {name for name in here if here[name] == there[name]} == {
+        "manifests/eld-demo.csv",
+        "manifests/eld-demo.json",
+    }
+
+
+def test_no_two_frames_share_their_noise(tree: tuple[Path, Manifest]) -> None:
+    folder = tree[0] / "data" / "ELD-demo" / "DemoAlpha" / "scene-1"
+    first, second = (read_raw(folder / f"IMG_{n:04d}.dng").mosaic.astype(float) for n in (1, 6))
+    assert abs(np.corrcoef((first - first.mean()).ravel(), (second - second.mean()).ravel())[0, 1]) > 0.9  # one scene
+    difference = first - second
+    assert 1 < difference.std() < 100
+
+
+@pytest.mark.parametrize("level", ["quick", "metadata", "full"])
+def test_the_tree_verifies_at_every_level(level: str, tree: tuple[Path, Manifest]) -> None:
+    report = verify([tree[1]], tree[0] / "data", level=level)  # type: ignore[arg-type]
+    assert report.ok
+    assert report.datasets[0].files_checked == 64
+
+
+def test_files_read_back_as_the_cameras_that_took_them(tree: tuple[Path, Manifest]) -> None:
+    folder = tree[0] / "data" / "ELD-demo"
+    for camera in CAMERAS:
+        expected = camera.with_size(*SIZE).sensor
+        frame = read_raw(folder / camera.name / "scene-1" / "IMG_0004.dng")
+        assert frame.sensor == expected
+        assert frame.exposure.f_number == Fraction(28, 5)
+
+
+def test_libraw_agrees_on_phase_and_levels(tree: tuple[Path, Manifest]) -> None:
+    folder = tree[0] / "data" / "ELD-demo"
+    for camera in CAMERAS:
+        with rawpy.imread(str(folder / camera.name / "scene-1" / "IMG_0001.dng")) as raw:
+            assert raw.raw_pattern is not None
+            assert raw.raw_pattern.tolist() == [list(row) for row in camera.sensor.cfa]
+            assert tuple(raw.black_level_per_channel) == camera.sensor.black_level_dn
+            assert raw.white_level == camera.sensor.white_level_dn
+
+
+def test_exposures_are_the_manifests_and_ratios_exact(tree: tuple[Path, Manifest]) -> None:
+    folder, manifest = tree
+    root = folder / "data" / "ELD-demo"
+    noisy = [record for record in manifest.records if record.role == "noisy"]
+    assert len(noisy) == 2 * 2 * 12
+    for record in noisy:
+        assert record.reference is not None
+        frame, reference = read_raw(root / record.path), read_raw(root / record.reference)
+        assert (frame.exposure.iso, frame.exposure.exposure_s) == (record.iso, record.exposure_s)
+        assert exposure_ratio(reference, frame) == record.ratio
+
+
+def test_noisy_frames_have_the_light_that_their_ratio_says(tree: tuple[Path, Manifest]) -> None:
+    """On average over the frame, amplified by the ratio, a noisy frame is as bright as its reference."""
+    dataset = ELDDataset(
+        tree[0] / "data" / "ELD-demo", manifest=tree[1].path, ratios=(1, 10, 100), levels="metadata", clip="none"
+    )
+    for sample in dataset:
+        camera = next(camera for camera in CAMERAS if camera.name == sample["camera"])
+        gain = camera.base_gain_dn_per_e * sample["iso"] / 100
+        span = camera.sensor.white_level_dn - max(camera.sensor.black_level_dn)
+        bias = gain * np.mean(camera.colour_bias_e) / span * sample["ratio"]
+        row = gain * camera.sigma_row_e / span * sample["ratio"] / np.sqrt(SIZE[0])
+        reference = float(sample["target"].mean())
+        assert float(sample["input"].mean()) - bias == pytest.approx(reference, rel=0.03, abs=5 * row)
+
+
+def test_the_layout_is_that_of_the_real_set(tree: tuple[Path, Manifest]) -> None:
+    folder, manifest = tree
+    names = {path for path in digests(folder) if path.endswith(".dng")}
+    assert names == {
+        f"data/ELD-demo/{camera}/scene-{scene}/IMG_{number:04d}.dng"
+        for camera in ("DemoAlpha", "DemoBeta")
+        for scene in (1, 2)
+        for number in range(1, 17)
+    }
+    assert manifest.name == "eld-demo"
+    assert manifest.card.counts == {"noisy": 48, "reference": 16}
+
+
+def test_cameras_may_be_chosen(tmp_path: Path) -> None:
+    manifest = make_tree(tmp_path, scenes=1, size=SIZE, cameras=CAMERAS[1:])
+    assert list(manifest.card.cameras) == ["DemoBeta"]
+    assert len(manifest.records) == 16

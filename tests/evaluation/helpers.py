@@ -1,0 +1,89 @@
+"""Small trees and folders of predictions that the tests of the evaluation and of the command line share."""
+
+from __future__ import annotations
+
+import shutil
+import zlib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eldata.demo.tree import make_tree
+from eldata.raw.dng import write_dng
+from eldata.raw.reading import read_raw
+from tests.evaluation import oracle
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+SIZE = (64, 96)
+
+
+@dataclass(frozen=True)
+class Tree:
+    """A demo tree: ``folder`` holds ``data/ELD-demo`` and ``manifests``."""
+
+    folder: Path
+
+    @property
+    def root(self) -> Path:
+        return self.folder / "data"
+
+    @property
+    def files(self) -> Path:
+        return self.root / "ELD-demo"
+
+    @property
+    def manifest(self) -> Path:
+        return self.folder / "manifests" / "eld-demo.csv"
+
+    @property
+    def pairs(self) -> list[oracle.Pair]:
+        return oracle.pairs(self.files)
+
+    def copy(self, folder: Path) -> Tree:
+        shutil.copytree(self.folder, folder)
+        return Tree(folder)
+
+
+def small_tree(folder: Path, scenes: int = 1) -> Tree:
+    make_tree(folder, scenes=scenes, size=SIZE)
+    return Tree(folder)
+
+
+def spread(path: Path, rows: slice, columns: slice) -> None:
+    """Write a raw file anew with a block at 16383, the published white level, and one below the black level."""
+    frame = read_raw(path)
+    mosaic = frame.mosaic.copy()
+    mosaic[rows, columns] = 16383
+    mosaic[rows, :12] = 300
+    write_dng(path, mosaic, frame.sensor, frame.exposure)
+
+
+def perturbed(target: NDArray[np.float64], name: str) -> NDArray[np.float64]:
+    """A prediction as a network would make it: too bright, a little noisy, in places saturated, beyond, or negative."""
+    generator = np.random.default_rng(zlib.crc32(name.encode()))
+    result = 1.15 * target + generator.normal(0.0, 0.02, target.shape)
+    result[:, 5:7, 30:33] = 1.0
+    result[:, 20, 2:4] = 1.25
+    result[:, 28:30, 10:30] -= 0.1
+    return result
+
+
+def place(
+    folder: Path, tree: Tree, make: Callable[[NDArray[np.float64], str], NDArray[Any]] | None = None
+) -> dict[str, NDArray[Any]]:
+    """Write a packed float32 prediction of each pair; return what was written, by the noisy frame's path."""
+    written: dict[str, NDArray[Any]] = {}
+    for pair in tree.pairs:
+        target = oracle.reference(tree.files / pair.reference)
+        prediction = perturbed(target, pair.path) if make is None else make(target, pair.path)
+        path = (folder / pair.path).with_suffix(".npy")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        written[pair.path] = prediction.astype(np.float32)
+        np.save(path, written[pair.path])
+    return written

@@ -1,0 +1,489 @@
+from __future__ import annotations
+
+import csv
+import json
+import math
+import shutil
+from dataclasses import FrozenInstanceError, asdict, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+import pytest
+
+from eldata.errors import ArgumentError, DatasetError, EldataError, ManifestError
+from eldata.evaluation import EvaluationResult, ImageScore, evaluate
+from eldata.files import sha256_of
+from eldata.protocols import PROTOCOLS, get_protocol
+from tests.evaluation import oracle
+from tests.evaluation.helpers import Tree, place, small_tree
+
+COLUMNS = ["path", "camera", "scene", "iso", "ratio", "psnr_db", "ssim", "rescale"]
+
+
+def strict(text: str) -> Any:
+    """Parse JSON that must not use NaN or Infinity."""
+
+    def refuse(constant: str) -> NoReturn:
+        raise AssertionError(f"{constant} is not JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+@pytest.fixture(scope="module")
+def result(tree: Tree, predictions: Path) -> EvaluationResult:
+    return evaluate(predictions, manifest=tree.manifest, root=tree.root)
+
+
+@pytest.fixture
+def incomplete(predictions: Path, tmp_path: Path) -> Path:
+    """Without two of DemoAlpha's predictions of factor 100 and all of DemoBeta's of factor 200."""
+    shutil.copytree(predictions, tmp_path / "preds")
+    for name in ("DemoAlpha/scene-1/IMG_0004", "DemoAlpha/scene-1/IMG_0009", *(
+        f"DemoBeta/scene-1/IMG_{number:04d}" for number in (5, 10, 15)
+    )):  # fmt: skip
+        (tmp_path / "preds" / name).with_suffix(".npy").unlink()
+    return tmp_path / "preds"
+
+
+# --- the numbers ----------------------------------------------------------------------------------------------
+
+
+def test_scores_do_not_depend_on_jobs(tree: Tree, predictions: Path, result: EvaluationResult) -> None:
+    parallel = evaluate(predictions, manifest=tree.manifest, root=tree.root, jobs=2)
+    bits = [[np.float64(v).tobytes() for v in (i.psnr_db, i.ssim, i.rescale)] for i in result.images]
+    assert [[np.float64(v).tobytes() for v in (i.psnr_db, i.ssim, i.rescale)] for i in parallel.images] == bits
+    assert parallel.images == result.images
+    assert parallel.table == result.table
+
+
+def test_problems_do_not_depend_on_jobs(tree: Tree, predictions: Path, tmp_path: Path) -> None:
+    shutil.copytree(predictions, tmp_path / "preds")
+    for name in ("DemoAlpha/scene-1/IMG_0005.npy", "DemoBeta/scene-1/IMG_0014.npy"):
+        np.save(tmp_path / "preds" / name, np.zeros((1, 2, 3), np.float32))
+    one, two = (evaluate(tmp_path / "preds", manifest=tree.manifest, root=tree.root, jobs=n) for n in (1, 2))
+    assert len(one.problems) == 2
+    assert two.problems == one.problems
+
+
+def test_two_runs_write_the_same_bytes(tree: Tree, predictions: Path, tmp_path: Path) -> None:
+    for name in ("first", "second"):
+        found = evaluate(predictions, manifest=tree.manifest, root=tree.root)
+        found.write_json(tmp_path / f"{name}.json")
+        found.write_csv(tmp_path / f"{name}.csv")
+        (tmp_path / f"{name}.txt").write_text(found.format_text())
+    for kind in ("json", "csv", "txt"):
+        assert (tmp_path / f"first.{kind}").read_bytes() == (tmp_path / f"second.{kind}").read_bytes()
+
+
+@pytest.mark.parametrize("jobs", [0, -1])
+def test_jobs_must_be_positive(tree: Tree, predictions: Path, jobs: int) -> None:
+    with pytest.raises(ArgumentError, match="jobs"):
+        evaluate(predictions, manifest=tree.manifest, root=tree.root, jobs=jobs)
+
+
+def test_perfect_predictions(tree: Tree, tmp_path: Path) -> None:
+    written = place(tmp_path / "preds", tree, lambda target, _: target.astype(np.float32))
+    # The package normalises in float32, so a float64 reference rounded to float32 can be an ulp off in places.
+    found = evaluate(tmp_path / "preds", manifest=tree.manifest, root=tree.root)
+    assert len(written) == len(found.images)
+    assert all(image.psnr_db > 120 for image in found.images)
+    assert all(image.ssim == pytest.approx(1, abs=1e-9) for image in found.images)
+
+
+@pytest.fixture(scope="module")
+def perfect(tree: Tree, tmp_path_factory: pytest.TempPathFactory) -> EvaluationResult:
+    """The references' own files as predictions, under the protocol without a factor: exactly equal."""
+    folder = tmp_path_factory.mktemp("perfect")
+    for pair in tree.pairs:
+        (folder / pair.path).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(tree.files / pair.reference, folder / pair.path)
+    return evaluate(folder, protocol="eld-uncorrected", manifest=tree.manifest, root=tree.root)
+
+
+def test_equal_predictions_score_infinity(perfect: EvaluationResult) -> None:
+    assert all(image.psnr_db == math.inf for image in perfect.images)
+    assert all(image.ssim == 1.0 for image in perfect.images)
+    assert all(row.psnr_db == math.inf for row in perfect.table)
+    assert "inf" in perfect.format_table()
+    assert any(note.startswith("equal to their reference exactly: 12 predictions") for note in perfect.notes)
+
+
+def test_infinity_is_strict_json_and_reads_back_from_csv(perfect: EvaluationResult, tmp_path: Path) -> None:
+    perfect.write_json(tmp_path / "r.json")
+    data = strict((tmp_path / "r.json").read_text())
+    assert {image["psnr_db"] for image in data["images"]} == {"inf"}
+    assert {row["psnr_db"] for row in data["table"]} == {"inf"}
+    assert float(data["images"][0]["psnr_db"]) == math.inf
+    perfect.write_csv(tmp_path / "r.csv")
+    with (tmp_path / "r.csv").open(newline="") as file:
+        assert {float(row["psnr_db"]) for row in csv.DictReader(file)} == {math.inf}
+
+
+@pytest.mark.parametrize("protocol", ["eld", "eld-uncorrected"])
+@pytest.mark.parametrize("value", [0.0, -0.5])
+def test_all_dark_predictions_are_scored_as_black(value: float, protocol: str, tree: Tree, tmp_path: Path) -> None:
+    place(tmp_path, tree, lambda target, _: np.full_like(target, value))
+    found = evaluate(tmp_path, protocol=protocol, manifest=tree.manifest, root=tree.root)
+    references = {pair.path: pair.reference for pair in tree.pairs}
+    for image in found.images:
+        target = oracle.reference(tree.files / references[image.path])
+        assert image.rescale == 1.0
+        assert image.psnr_db == pytest.approx(10 * math.log10(1 / np.mean(target**2)), abs=1e-5)
+        assert 0 <= image.ssim < 1
+
+
+# --- coverage -------------------------------------------------------------------------------------------------
+
+
+def test_nothing_is_scored_with_problems(tree: Tree, incomplete: Path) -> None:
+    found = evaluate(incomplete, manifest=tree.manifest, root=tree.root)
+    assert len(found.problems) == 5
+    assert found.images == ()
+    assert len(found.missing) == 12
+    assert all(row.scored == 0 and math.isnan(row.psnr_db) for row in found.table)
+    text = found.format_text()
+    assert "nothing was scored" in text
+    assert "PSNR" not in text
+
+
+def test_allow_missing_shows_its_coverage(
+    tree: Tree, incomplete: Path, result: EvaluationResult, tmp_path: Path
+) -> None:
+    found = evaluate(incomplete, manifest=tree.manifest, root=tree.root, allow_missing=True)
+    assert not found.problems
+    assert len(found.missing) == 5
+    kept = [image for image in result.images if image.path not in found.missing]
+    assert list(found.images) == kept
+
+    rows = {(row.camera, row.ratio): row for row in found.table}
+    assert (rows["DemoAlpha", 100].scored, rows["DemoAlpha", 100].pairs) == (1, 3)
+    assert (rows["DemoBeta", 200].scored, rows["DemoBeta", 200].pairs) == (0, 3)
+    assert (rows[None, None].scored, rows[None, None].pairs) == (7, 12)
+    assert rows[None, None].psnr_db == pytest.approx(np.mean([image.psnr_db for image in kept]), rel=1e-12)
+
+    text = found.format_text()
+    assert "7 of 12" in text
+    assert "1 of 3" in text
+    assert "0 of 3" in text
+    assert "INCOMPLETE: 5" in text
+    assert "nan" not in text
+
+    found.write_json(tmp_path / "r.json")
+    data = strict((tmp_path / "r.json").read_text())
+    assert data["coverage"] == {"pairs": 12, "scored": 7, "missing": list(found.missing)}
+    empty = next(row for row in data["table"] if (row["camera"], row["ratio"]) == ("DemoBeta", 200))
+    assert empty["psnr_db"] is None
+    assert empty["ssim"] is None
+
+
+def test_complete_results_do_not_call_themselves_incomplete(result: EvaluationResult) -> None:
+    assert result.missing == ()
+    assert "INCOMPLETE" not in result.format_text()
+    assert "12 of 12" in result.format_text()
+
+
+# --- the dataset ----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def own(tree: Tree, tmp_path: Path) -> Tree:
+    return tree.copy(tmp_path / "tree")
+
+
+def refused(tree: Tree, predictions: Path, **arguments: Any) -> str:
+    with pytest.raises(DatasetError) as caught:
+        evaluate(predictions, manifest=tree.manifest, root=tree.root, **arguments)
+    return str(caught.value)
+
+
+def test_absent_dataset(tree: Tree, predictions: Path, tmp_path: Path) -> None:
+    with pytest.raises(DatasetError) as caught:
+        evaluate(predictions, manifest=tree.manifest, root=tmp_path / "nowhere")
+    assert str(tmp_path / "nowhere" / "ELD-demo") in str(caught.value)
+    assert "--root" in str(caught.value)
+
+
+def test_missing_reference(own: Tree, predictions: Path) -> None:
+    (own.files / "DemoBeta/scene-1/IMG_0011.dng").unlink()
+    message = refused(own, predictions)
+    assert "DemoBeta/scene-1/IMG_0011.dng" in message
+    assert "expected a file, found nothing" in message
+
+
+def test_missing_noisy_frame(own: Tree, predictions: Path) -> None:
+    (own.files / "DemoBeta/scene-1/IMG_0004.dng").unlink()
+    assert "DemoBeta/scene-1/IMG_0004.dng" in refused(own, predictions)
+
+
+def test_reference_swapped_with_a_noisy_frame(own: Tree, predictions: Path) -> None:
+    folder = own.files / "DemoAlpha/scene-1"
+    (folder / "IMG_0006.dng").rename(folder / "x")
+    (folder / "IMG_0005.dng").rename(folder / "IMG_0006.dng")
+    (folder / "x").rename(folder / "IMG_0005.dng")
+    message = refused(own, predictions)
+    assert "DemoAlpha/scene-1/IMG_0005.dng" in message or "DemoAlpha/scene-1/IMG_0006.dng" in message
+    assert "swapped" in message
+    assert "more" in message  # and points to eldata verify for the rest
+
+
+def test_references_swapped_between_scenes(tmp_path: Path) -> None:
+    """Scenes metered at 4 s and 3.2 s: the exposure is off by a quarter."""
+    tree = small_tree(tmp_path / "tree", scenes=2)
+    place(tmp_path / "preds", tree)
+    first, second = (tree.files / f"DemoAlpha/scene-{n}/IMG_0006.dng" for n in (1, 2))
+    first.rename(tmp_path / "x")
+    second.rename(first)
+    (tmp_path / "x").rename(second)
+    assert "DemoAlpha/scene-" in refused(tree, tmp_path / "preds")
+
+
+def test_reference_of_the_other_camera(own: Tree, predictions: Path) -> None:
+    shutil.copy(own.files / "DemoBeta/scene-1/IMG_0016.dng", own.files / "DemoAlpha/scene-1/IMG_0016.dng")
+    message = refused(own, predictions)
+    assert "DemoAlpha/scene-1/IMG_0016.dng" in message
+    assert "Demo Beta" in message
+
+
+def test_extra_raw_in_a_scene(own: Tree, predictions: Path) -> None:
+    shutil.copy(own.files / "DemoAlpha/scene-1/IMG_0016.dng", own.files / "DemoAlpha/scene-1/IMG_0017.dng")
+    message = refused(own, predictions)
+    assert "DemoAlpha/scene-1/IMG_0017.dng" in message
+    assert "16 listed" in message
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_truncated_reference(share: float, own: Tree, predictions: Path) -> None:
+    path = own.files / "DemoAlpha/scene-1/IMG_0011.dng"
+    path.write_bytes(path.read_bytes()[: int(path.stat().st_size * share)])
+    assert "DemoAlpha/scene-1/IMG_0011.dng" in refused(own, predictions)
+
+
+def test_damage_outside_of_the_pairs_does_not_matter(own: Tree, predictions: Path, result: EvaluationResult) -> None:
+    """Frames of factor 1 and 10 are not scored, so they need not be there."""
+    for number in (2, 3, 7, 8, 12, 13):
+        (own.files / f"DemoAlpha/scene-1/IMG_{number:04d}.dng").unlink()
+    assert evaluate(predictions, manifest=own.manifest, root=own.root).images == result.images
+
+
+def test_problems_are_found_before_anything_is_scored_with_allow_missing_too(own: Tree, incomplete: Path) -> None:
+    (own.files / "DemoBeta/scene-1/IMG_0011.dng").unlink()
+    assert "IMG_0011" in refused(own, incomplete, allow_missing=True)
+
+
+# --- names ----------------------------------------------------------------------------------------------------
+
+
+def test_cameras(own: Tree, predictions: Path, result: EvaluationResult) -> None:
+    shutil.rmtree(own.files / "DemoAlpha")  # a part of the dataset is enough for its own scores
+    found = evaluate(predictions, manifest=own.manifest, root=own.root, cameras=["DemoBeta"])
+    assert found.images == tuple(image for image in result.images if image.camera == "DemoBeta")
+    assert found.provenance["cameras"] == ["DemoBeta"]
+    assert "only DemoBeta" in found.format_text()
+    assert [(row.camera, row.ratio) for row in found.table] == [("DemoBeta", 100), ("DemoBeta", 200), (None, None)]
+    assert any(note.endswith("leaves their frames out: 6 predictions") for note in found.notes)  # of the other camera
+
+
+@pytest.mark.parametrize("cameras", [["DemoGamma"], ["DemoAlpha", "DemoGamma"]])
+def test_unknown_camera(cameras: list[str], tree: Tree, predictions: Path) -> None:
+    with pytest.raises(ArgumentError, match=r"DemoGamma.*DemoAlpha, DemoBeta"):
+        evaluate(predictions, manifest=tree.manifest, root=tree.root, cameras=cameras)
+
+
+def test_cameras_as_text(tree: Tree, predictions: Path) -> None:
+    with pytest.raises(ArgumentError, match="list"):
+        evaluate(predictions, manifest=tree.manifest, root=tree.root, cameras="DemoAlpha")
+
+
+def test_unknown_protocol(tree: Tree, predictions: Path) -> None:
+    with pytest.raises(ArgumentError, match=r"'pmn'.*eld, eld-uncorrected"):
+        evaluate(predictions, protocol="pmn", manifest=tree.manifest, root=tree.root)
+
+
+def test_unknown_dataset(predictions: Path) -> None:
+    with pytest.raises(ManifestError, match=r"'led'.*eld"):
+        evaluate(predictions, "led")
+
+
+def test_missing_manifest(predictions: Path, tmp_path: Path) -> None:
+    with pytest.raises(ManifestError, match=r"none\.csv"):
+        evaluate(predictions, manifest=tmp_path / "none.csv", root=tmp_path)
+
+
+def test_shipped_dataset_needs_its_files(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match=r"github\.com"):
+        evaluate(tmp_path, "eld", root=tmp_path)
+
+
+def test_arguments_may_be_text(tree: Tree, predictions: Path, result: EvaluationResult) -> None:
+    found = evaluate(str(predictions), manifest=str(tree.manifest), root=str(tree.root))
+    assert found.images == result.images
+
+
+def test_root_from_the_environment(
+    tree: Tree, predictions: Path, result: EvaluationResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ELDATA_ROOT", str(tree.root))
+    assert evaluate(predictions, manifest=tree.manifest).images == result.images
+
+
+# --- what is written ------------------------------------------------------------------------------------------
+
+
+def test_provenance(tree: Tree, predictions: Path, result: EvaluationResult) -> None:
+    provenance = result.provenance
+    assert provenance["dataset"] == "eld-demo"
+    assert provenance["manifest_version"] == "1.0"
+    assert provenance["manifest_sha256"] == sha256_of(tree.manifest)
+    assert provenance["protocol_digest"] == PROTOCOLS["eld"].digest
+    assert provenance["cameras"] == "all"
+    assert provenance["predictions"] == str(predictions)
+    for name in ("eldata", "numpy", "numba", "rawpy", "exifread"):
+        assert provenance[name] == version(name)
+    assert provenance["libraw"].count(".") == 2
+    assert provenance["python"].startswith("3.")
+
+
+def test_csv(result: EvaluationResult, tmp_path: Path) -> None:
+    result.write_csv(tmp_path / "scores.csv")
+    content = (tmp_path / "scores.csv").read_bytes()
+    assert content.startswith(b"path,camera,scene,iso,ratio,psnr_db,ssim,rescale\n")
+    assert b"\r" not in content
+    with (tmp_path / "scores.csv").open(newline="", encoding="utf-8") as file:
+        reader = csv.DictReader(file)
+        rows = list(reader)
+        assert list(reader.fieldnames or ()) == COLUMNS
+    assert [row["path"] for row in rows] == [image.path for image in result.images]
+    for row, image in zip(rows, result.images, strict=True):
+        for column in ("iso", "ratio", "psnr_db", "ssim", "rescale"):
+            assert float(row[column]) == getattr(image, column)
+        assert (row["camera"], row["scene"]) == (image.camera, image.scene)
+    assert rows[0]["iso"] == "800"
+    assert {row["ratio"] for row in rows} == {"100", "200"}
+
+
+@pytest.mark.parametrize(("iso", "ratio"), [(3280000.0, 250.0), (409600.0, 300.0), (50.0, 33.3125)])
+def test_csv_keeps_every_digit_of_unusual_numbers(
+    iso: float, ratio: float, result: EvaluationResult, tmp_path: Path
+) -> None:
+    image = ImageScore('odd, "name".dng', "C", "s", iso, ratio, 0.1 + 0.2, 1 / 3, 2 / 3)
+    replace(result, images=(image,)).write_csv(tmp_path / "scores.csv")
+    with (tmp_path / "scores.csv").open(newline="", encoding="utf-8") as file:
+        (row,) = csv.DictReader(file)
+    assert row["path"] == image.path
+    assert [float(row[c]) for c in COLUMNS[3:]] == [iso, ratio, 0.1 + 0.2, 1 / 3, 2 / 3]
+
+
+def test_json(result: EvaluationResult, tmp_path: Path) -> None:
+    result.write_json(tmp_path / "scores.json")
+    data = strict((tmp_path / "scores.json").read_text(encoding="utf-8"))
+    assert set(data) == {"protocol", "provenance", "coverage", "images", "table", "problems", "notes"}
+    assert data["images"] == [asdict(image) for image in result.images]
+    assert all(list(image) == COLUMNS for image in data["images"])
+    assert data["table"] == [asdict(row) for row in result.table]
+    assert data["provenance"] == result.provenance
+    assert data["protocol"]["name"] == "eld"
+    assert data["protocol"]["ratios"] == [100, 200]
+    assert data["coverage"] == {"pairs": 12, "scored": 12, "missing": []}
+    assert data["problems"] == []
+
+
+def test_json_of_problems(tree: Tree, incomplete: Path, tmp_path: Path) -> None:
+    found = evaluate(incomplete, manifest=tree.manifest, root=tree.root)
+    found.write_json(tmp_path / "scores.json")
+    data = strict((tmp_path / "scores.json").read_text())
+    assert [problem["path"] for problem in data["problems"]] == [problem.path for problem in found.problems]
+    assert data["images"] == []
+    assert data["coverage"]["scored"] == 0
+
+
+@pytest.mark.parametrize("kind", ["json", "csv"])
+def test_results_are_written_whole_or_not_at_all(kind: str, result: EvaluationResult, tmp_path: Path) -> None:
+    with pytest.raises(EldataError, match="nowhere"):
+        getattr(result, f"write_{kind}")(tmp_path / "nowhere" / "x")
+    target = tmp_path / "x"
+    target.write_text("older")
+    getattr(result, f"write_{kind}")(target)
+    assert target.read_text() != "older"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["x"]
+
+
+def test_frame(result: EvaluationResult) -> None:
+    frame = result.frame
+    assert list(frame.columns) == COLUMNS
+    assert len(frame) == 12
+    assert list(frame["psnr_db"]) == [image.psnr_db for image in result.images]
+    for row in result.table:
+        if row.camera is not None:
+            members = frame[(frame["camera"] == row.camera) & (frame["ratio"] == row.ratio)]
+            assert len(members) == row.scored
+            assert row.psnr_db == pytest.approx(members["psnr_db"].mean(), rel=1e-12)
+
+
+def test_frame_without_scores_has_its_columns(result: EvaluationResult) -> None:
+    assert list(replace(result, images=()).frame.columns) == COLUMNS
+
+
+def test_text_names_dataset_protocol_and_digest(result: EvaluationResult) -> None:
+    text = result.format_text()
+    assert "eld-demo" in text
+    assert "protocol eld" in text
+    assert PROTOCOLS["eld"].digest[:15] in text
+
+
+def test_table_is_rounded_as_the_paper_prints_it(result: EvaluationResult) -> None:
+    row = next(row for row in result.table if (row.camera, row.ratio) == ("DemoAlpha", 100))
+    line = next(line for line in result.format_table().splitlines() if line.startswith("DemoAlpha"))
+    assert line.split() == ["DemoAlpha", "x100", "3", f"{row.psnr_db:.2f}", f"{row.ssim:.3f}"]
+
+
+def test_many_problems_are_cut_in_the_text_and_whole_in_the_json(tmp_path: Path) -> None:
+    tree = small_tree(tmp_path / "tree", scenes=2)
+    (tmp_path / "preds").mkdir()
+    found = evaluate(tmp_path / "preds", manifest=tree.manifest, root=tree.root)
+    assert len(found.problems) == 24
+    assert "and 4 more" in found.format_text()
+    assert len(found.as_dict()["problems"]) == 24
+
+
+# --- protocols ------------------------------------------------------------------------------------------------
+
+
+def test_protocols_are_frozen() -> None:
+    """A published name keeps its meaning: to change a score, add a protocol of another name."""
+    golden = strict((Path(__file__).parent / "golden" / "protocols.json").read_text())
+    found = {name: {"digest": protocol.digest} | protocol.as_dict() for name, protocol in PROTOCOLS.items()}
+    for protocol in found.values():  # they decide no score
+        del protocol["title"], protocol["source"]
+    assert {name: found[name] for name in golden} == golden
+    assert set(found) >= {"eld", "eld-uncorrected"}
+
+
+def test_protocol_cannot_be_changed() -> None:
+    with pytest.raises(FrozenInstanceError):
+        get_protocol("eld").rescaling = "none"  # type: ignore[misc]
+
+
+def test_get_protocol() -> None:
+    assert get_protocol("eld") is PROTOCOLS["eld"]
+    with pytest.raises(ArgumentError) as caught:
+        get_protocol("ELD")
+    for name in PROTOCOLS:
+        assert name in str(caught.value)
+    assert "'ELD'" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"name": "x"}, {"dataset": "x"}, {"ratios": (100,)}, {"levels": "metadata"}, {"reference_clip": "none"},
+     {"rescaling": "none"}, {"data_range": 255.0}, {"psnr": "x"}, {"ssim": "x"}],
+)  # fmt: skip
+def test_digest_depends_on_what_decides_a_score(change: dict[str, Any]) -> None:
+    protocol = PROTOCOLS["eld"]
+    assert replace(protocol, **change).digest != protocol.digest
+
+
+def test_digest_does_not_depend_on_title_and_source() -> None:
+    protocol = PROTOCOLS["eld"]
+    assert replace(protocol, title="x", source="y").digest == protocol.digest

@@ -1,0 +1,564 @@
+from __future__ import annotations
+
+import os
+import pickle
+import shutil
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import imagecodecs
+import numpy as np
+import pytest
+import tifffile
+
+from eldata.errors import EldataError, PredictionError
+from eldata.evaluation import evaluate, load_prediction, save_prediction
+from eldata.raw.dng import write_dng
+from eldata.raw.reading import read_raw
+from eldata.records import Exposure
+from tests.evaluation import oracle
+from tests.evaluation.helpers import SIZE, Tree, perturbed, place
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from eldata.evaluation import EvaluationResult
+
+PACKED = (4, SIZE[0] // 2, SIZE[1] // 2)
+VICTIM = "DemoAlpha/scene-1/IMG_0004.dng"
+
+
+# --- every format ---------------------------------------------------------------------------------------------
+
+
+def save_npy(path: Path, array: NDArray[Any]) -> None:
+    np.save(path, array)
+
+
+def save_npy_as_named(path: Path, array: NDArray[Any]) -> None:
+    with path.open("wb") as file:  # given a name, numpy would add .npy
+        np.save(file, array)
+
+
+def save_npz(path: Path, array: NDArray[Any]) -> None:
+    np.savez(path, array)
+
+
+def save_npz_several(path: Path, array: NDArray[Any]) -> None:
+    np.savez_compressed(path, other=np.zeros((3, 5)), prediction=array, time_s=np.float64(0.3))
+
+
+def save_h5(path: Path, array: NDArray[Any]) -> None:
+    with h5py.File(path, "w") as file:
+        file["anything"] = array
+
+
+def save_h5_several(path: Path, array: NDArray[Any]) -> None:
+    with h5py.File(path, "w") as file:
+        file["features"] = np.zeros(7)
+        file.create_dataset("prediction", data=array, compression="gzip")
+        file.create_group("meta")
+
+
+def save_tiff(path: Path, array: NDArray[Any]) -> None:
+    tifffile.imwrite(path, array, photometric="minisblack")
+
+
+def save_tiff_compressed(path: Path, array: NDArray[Any]) -> None:
+    tifffile.imwrite(path, array, photometric="minisblack", compression="zlib", byteorder=">")
+
+
+def save_png(path: Path, array: NDArray[Any]) -> None:
+    path.write_bytes(imagecodecs.png_encode(array))
+
+
+FORMATS: dict[str, tuple[str, str, Callable[[Path, NDArray[Any]], None]]] = {
+    "npy-float16": (".npy", "float16", save_npy),
+    "npy-float32": (".npy", "float32", save_npy),
+    "npy-float64": (".npy", "float64", save_npy),
+    "npy-uint16": (".npy", "uint16", save_npy),
+    "npz-one": (".npz", "float32", save_npz),
+    "npz-several": (".npz", "float64", save_npz_several),
+    "h5-one": (".h5", "float32", save_h5),
+    "h5-several": (".h5", "uint16", save_h5_several),
+    "tif-float32": (".tif", "float32", save_tiff),
+    "tiff-uint16": (".tiff", "uint16", save_tiff_compressed),
+    "upper-case-extension": (".NPY", "float32", save_npy_as_named),
+    "fortran-order": (".npy", "float32", lambda path, array: np.save(path, np.asfortranarray(array))),
+    "big-endian-float32": (".npy", "float32", lambda path, array: np.save(path, array.astype(">f4"))),
+    "big-endian-uint16": (".npy", "uint16", lambda path, array: np.save(path, array.astype(">u2"))),
+    "big-endian-h5": (".h5", "float64", lambda path, array: save_h5(path, array.astype(">f8"))),
+}
+
+
+def quantised(values: NDArray[np.float64], dtype: str) -> tuple[NDArray[Any], NDArray[np.float64]]:
+    """What is stored for values in [0, 1], and what it stands for."""
+    if dtype == "uint16":
+        stored: NDArray[Any] = np.rint(values * 65535).astype(np.uint16)
+        return stored, stored / 65535
+    stored = values.astype(dtype)
+    return stored, stored.astype(np.float64)
+
+
+def assert_scores(
+    result: EvaluationResult, tree: Tree, stands_for: dict[str, NDArray[np.float64]], plain: dict[str, oracle.Score]
+) -> None:
+    """Exactly the score of the stored values, and nearly that of the values before they were stored."""
+    assert not result.problems
+    assert len(result.images) == 12
+    references = {pair.path: pair.reference for pair in tree.pairs}
+    for image in result.images:
+        target = oracle.reference(tree.files / references[image.path])
+        expected = oracle.score(stands_for[image.path], target, corrected=True)
+        assert image.psnr_db == pytest.approx(expected.psnr_db, abs=2e-6, rel=0)
+        assert image.ssim == pytest.approx(expected.ssim, abs=2e-7, rel=0)
+        assert image.psnr_db == pytest.approx(plain[image.path].psnr_db, abs=0.01, rel=0)
+        assert image.ssim == pytest.approx(plain[image.path].ssim, abs=1e-3, rel=0)
+
+
+@pytest.fixture(scope="module")
+def plain_values(tree: Tree) -> dict[str, NDArray[np.float64]]:
+    """Predictions in [0, 1]: what an integer format can hold."""
+    return {
+        pair.path: np.clip(perturbed(oracle.reference(tree.files / pair.reference), pair.path), 0, 1)
+        for pair in tree.pairs
+    }
+
+
+@pytest.fixture(scope="module")
+def plain_scores(tree: Tree, plain_values: dict[str, NDArray[np.float64]]) -> dict[str, oracle.Score]:
+    return {
+        pair.path: oracle.score(plain_values[pair.path], oracle.reference(tree.files / pair.reference), corrected=True)
+        for pair in tree.pairs
+    }
+
+
+@pytest.mark.parametrize("form", ["packed", "mosaic"])
+@pytest.mark.parametrize("name", FORMATS)
+def test_format_gives_the_same_score_up_to_quantisation(
+    name: str,
+    form: str,
+    tree: Tree,
+    plain_values: dict[str, NDArray[np.float64]],
+    plain_scores: dict[str, oracle.Score],
+    tmp_path: Path,
+) -> None:
+    extension, dtype, save = FORMATS[name]
+    stands_for = {}
+    for noisy, values in plain_values.items():
+        stored, stands_for[noisy] = quantised(values, dtype)
+        if form == "mosaic":
+            stored = oracle.unpack(stored, oracle.decode(tree.files / noisy).pattern)
+        path = (tmp_path / noisy).with_suffix(extension)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        save(path, stored)
+    result = evaluate(tmp_path, manifest=tree.manifest, root=tree.root)
+    assert_scores(result, tree, stands_for, plain_scores)
+
+
+def test_16_bit_png_mosaic_gives_the_same_score(
+    tree: Tree,
+    plain_values: dict[str, NDArray[np.float64]],
+    plain_scores: dict[str, oracle.Score],
+    tmp_path: Path,
+) -> None:
+    stands_for = {}
+    for noisy, values in plain_values.items():
+        stored, stands_for[noisy] = quantised(values, "uint16")
+        path = (tmp_path / noisy).with_suffix(".png")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        save_png(path, oracle.unpack(stored, oracle.decode(tree.files / noisy).pattern))
+    result = evaluate(tmp_path, manifest=tree.manifest, root=tree.root)
+    assert_scores(result, tree, stands_for, plain_scores)
+
+
+@pytest.mark.parametrize("compression", ["none", "lossless-jpeg"])
+def test_dng_gives_the_same_score_with_its_own_black_and_the_published_white(
+    tree: Tree,
+    plain_values: dict[str, NDArray[np.float64]],
+    plain_scores: dict[str, oracle.Score],
+    tmp_path: Path,
+    compression: Any,
+) -> None:
+    stands_for = {}
+    for noisy, values in plain_values.items():
+        frame = oracle.decode(tree.files / noisy)
+        black = frame.black[:, None, None]
+        dn = np.rint(values * (oracle.WHITE_DN - black) + black)
+        stands_for[noisy] = (dn - black) / (oracle.WHITE_DN - black)
+        path = tmp_path / noisy
+        path.parent.mkdir(parents=True, exist_ok=True)
+        mosaic = oracle.unpack(dn.astype(np.uint16), frame.pattern)
+        write_dng(path, mosaic, read_raw(tree.files / noisy).sensor, Exposure(), compression=compression)
+    result = evaluate(tmp_path, manifest=tree.manifest, root=tree.root)
+    assert_scores(result, tree, stands_for, plain_scores)
+
+
+def test_save_prediction_is_found_and_read_back(tree: Tree, tmp_path: Path) -> None:
+    sensor = read_raw(tree.files / VICTIM).sensor
+    values = np.random.default_rng(3).random(PACKED, dtype=np.float32)
+    path = save_prediction(tmp_path / "new" / "folder", VICTIM, values)
+    assert path == tmp_path / "new" / "folder" / "DemoAlpha" / "scene-1" / "IMG_0004.npy"
+    assert np.array_equal(load_prediction(path, sensor, "published"), values)
+
+
+# --- what is wrong is named -----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def alpha(tree: Tree, predictions: Path, tmp_path: Path) -> Path:
+    """Good predictions of one camera's six pairs, to be spoilt."""
+    shutil.copytree(predictions / "DemoAlpha", tmp_path / "preds" / "DemoAlpha")
+    return tmp_path / "preds"
+
+
+def run(folder: Path, tree: Tree, *, allow_missing: bool = False) -> EvaluationResult:
+    return evaluate(folder, manifest=tree.manifest, root=tree.root, cameras=["DemoAlpha"], allow_missing=allow_missing)
+
+
+def good() -> NDArray[np.float32]:
+    return np.random.default_rng(1).random(PACKED, dtype=np.float32)
+
+
+def spoilt(value: float) -> NDArray[np.float32]:
+    array = good()
+    array[2, 5, 7] = value
+    return array
+
+
+def cut(write: Callable[[Path, NDArray[Any]], None], share: float = 0.6) -> Callable[[Path], None]:
+    """A writer of a truncated file."""
+
+    def save(path: Path) -> None:
+        write(path, np.rint(oracle_mosaic() * 65535).astype(np.uint16))
+        content = path.read_bytes()
+        path.write_bytes(content[: int(len(content) * share)])
+
+    return save
+
+
+def damaged(write: Callable[[Path, NDArray[Any]], None]) -> Callable[[Path], None]:
+    """A writer of a file with bytes in the middle changed, of a format that would notice."""
+
+    def save(path: Path) -> None:
+        write(path, np.rint(oracle_mosaic() * 65535).astype(np.uint16))
+        content = bytearray(path.read_bytes())
+        middle = len(content) // 2
+        content[middle : middle + 16] = bytes(255 - byte for byte in content[middle : middle + 16])
+        path.write_bytes(content)
+
+    return save
+
+
+def oracle_mosaic() -> NDArray[np.float64]:
+    return np.random.default_rng(2).random(SIZE)
+
+
+def garbage(path: Path) -> None:
+    path.write_bytes(b"this is no such file at all " * 100)
+
+
+def empty(path: Path) -> None:
+    path.write_bytes(b"")
+
+
+def npy(make: Callable[[], NDArray[Any]]) -> Callable[[Path], None]:
+    return lambda path: np.save(path, make())
+
+
+def no_arrays(path: Path) -> None:
+    np.savez(path)
+
+
+def several(path: Path) -> None:
+    np.savez(path, first=good(), second=good())
+
+
+def no_dataset(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        file["inner/prediction"] = good()
+
+
+def several_datasets(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        file["first"], file["second"] = good(), good()
+
+
+def png(make: Callable[[], NDArray[Any]]) -> Callable[[Path], None]:
+    return lambda path: save_png(path, make())
+
+
+def save_dng(path: Path, mosaic: NDArray[Any], cfa: tuple[tuple[int, ...], ...] = ((0, 1), (3, 2))) -> None:
+    from dataclasses import replace
+
+    from eldata.demo.camera import CAMERAS
+
+    sensor = replace(CAMERAS[0].with_size(*mosaic.shape).sensor, cfa=cfa)
+    write_dng(path, mosaic.astype(np.uint16), sensor, Exposure())
+
+
+SHAPES = [str(PACKED), str(SIZE)]
+
+# extension, writer, words that the reason must have: what was expected, what was found, what to do.
+BAD: dict[str, tuple[str, Callable[[Path], None], list[str]]] = {
+    "channels-last": (".npy", npy(lambda: good().transpose(1, 2, 0)), [*SHAPES, "(32, 48, 4)", "transpose(2, 0, 1)"]),
+    "batch-dimension": (".npy", npy(lambda: good()[None]), [*SHAPES, "(1, 4, 32, 48)", "prediction[0]"]),
+    "smaller": (".npy", npy(lambda: good()[:, 1:, :]), [*SHAPES, "(4, 31, 48)", "whole frame"]),
+    "crop-of-mosaic": (".npy", npy(lambda: oracle_mosaic()[:32]), [*SHAPES, "(32, 96)"]),
+    "turned": (".npy", npy(lambda: good().transpose(0, 2, 1)), [*SHAPES, "(4, 48, 32)", "orientation"]),
+    "scalar": (".npy", npy(lambda: np.array(0.5)), SHAPES),
+    "no-values": (".npy", npy(lambda: np.zeros((4, 0, 48), np.float32)), ["(4, 0, 48)"]),
+    "nan": (".npy", npy(lambda: spoilt(np.nan)), ["finite", "1 NaN", "(2, 5, 7)"]),
+    "infinite": (".npy", npy(lambda: spoilt(np.inf)), ["finite", "infinite", "(2, 5, 7)"]),
+    "minus-infinite": (".npy", npy(lambda: spoilt(-np.inf)), ["finite", "infinite", "(2, 5, 7)"]),
+    "0-to-255": (".npy", npy(lambda: good() * 255), ["[0, 1]", "0..255", "divide"]),
+    "dn": (".npy", npy(lambda: good() * 15871), ["[0, 1]", "DN", "divide", "15871"]),
+    "dn-float64": (".npy", npy(lambda: good().astype(np.float64) * 16383), ["[0, 1]", "DN", "divide"]),
+    "uint8": (".npy", npy(lambda: (good() * 255).astype(np.uint8)), ["float", "uint16", "uint8", "convert"]),
+    "int32": (".npy", npy(lambda: (good() * 9999).astype(np.int32)), ["float", "uint16", "int32", "convert"]),
+    "int16": (".npy", npy(lambda: (good() * 9999).astype(np.int16)), ["float", "uint16", "int16", "convert"]),
+    "complex": (".npy", npy(lambda: good().astype(np.complex64)), ["float", "complex64", "convert"]),
+    "bool": (".npy", npy(lambda: good() > 0.5), ["float", "bool", "convert"]),
+    "structured": (".npy", npy(lambda: np.zeros(PACKED, [("a", "<f4")])), ["float", "convert"]),
+    "text": (".npy", npy(lambda: np.array("0.5")), ["float", "convert"]),
+    "npz-several": (".npz", several, ["one array", "'prediction'", "first, second"]),
+    "npz-none": (".npz", no_arrays, ["one array", "none"]),
+    "h5-nested": (".h5", no_dataset, ["one array", "'prediction'", "none"]),
+    "h5-several": (".h5", several_datasets, ["one array", "'prediction'", "first, second"]),
+    "png-8-bit": (".png", png(lambda: (oracle_mosaic() * 255).astype(np.uint8)), ["uint16", "uint8"]),
+    "png-rgba": (".png", png(lambda: np.full((*SIZE, 4), 999, np.uint16)), [*SHAPES, "(64, 96, 4)", "PNG", "grey"]),
+    "png-rgb": (".png", png(lambda: np.full((*SIZE, 3), 999, np.uint16)), [*SHAPES, "(64, 96, 3)", "PNG", "grey"]),
+    "dng-size": (".dng", lambda path: save_dng(path, oracle_mosaic()[:32] * 9999), ["64 x 96", "32 x 96"]),
+    "dng-phase": (
+        ".dng",
+        lambda path: save_dng(path, oracle_mosaic() * 9999, ((1, 0), (2, 3))),
+        ["CFA", "((0, 1), (3, 2))", "((1, 0), (2, 3))"],
+    ),
+    "dng-cut": (".dng", cut(save_dng, 0.5), ["truncated"]),
+    "npy-cut": (".npy", cut(save_npy), ["cannot be read as npy", "write it again"]),
+    "npy-cut-in-header": (".npy", cut(save_npy, 0.003), ["cannot be read as npy", "write it again"]),
+    "npz-cut": (".npz", cut(save_npz), ["npz", "write it again"]),
+    "h5-cut": (".h5", cut(save_h5), ["cannot be read as h5", "write it again"]),
+    "tif-cut": (".tif", cut(save_tiff), ["cannot be read as tif", "write it again"]),
+    "tiff-cut": (".tiff", cut(save_tiff_compressed), ["cannot be read as tiff", "write it again"]),
+    "png-cut": (".png", cut(save_png), ["cannot be read as png", "write it again"]),
+    "npz-damaged": (".npz", damaged(save_npz), ["cannot be read as npz", "write it again"]),
+    "tiff-damaged": (".tiff", damaged(save_tiff_compressed), ["cannot be read as tiff", "write it again"]),
+    "png-damaged": (".png", damaged(save_png), ["cannot be read as png", "write it again"]),
+    **{f"{kind}-garbage": (f".{kind}", garbage, []) for kind in ("npy", "npz", "h5", "tif", "tiff", "png", "dng")},
+    **{f"{kind}-empty": (f".{kind}", empty, []) for kind in ("npy", "npz", "h5", "tif", "tiff", "png", "dng")},
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_prediction_is_named_with_what_to_do(name: str, tree: Tree, alpha: Path) -> None:
+    extension, write, words = BAD[name]
+    path = (alpha / VICTIM).with_suffix(extension)
+    path.with_suffix(".npy").unlink()
+    write(path)
+
+    result = run(alpha, tree)
+    assert [problem.path for problem in result.problems] == [str(path)]
+    reason = result.problems[0].reason
+    assert len(reason) > 15
+    assert "\n" not in reason
+    for word in words:
+        assert word in reason
+    assert result.images == ()  # nothing is scored with a problem
+    assert str(path) in result.format_text()
+    assert "nothing was scored" in result.format_text()
+
+    rest = run(alpha, tree, allow_missing=True)
+    assert [problem.path for problem in rest.problems] == [str(path)]
+    assert rest.missing == (VICTIM,)
+    assert len(rest.images) == 5
+
+
+def test_16_bit_rgba_png_of_half_size_is_not_told_to_transpose(tree: Tree, alpha: Path) -> None:
+    """Packed channels as RGBA have the shape of a channels-last array, but no PNG can be channels-first."""
+    path = (alpha / VICTIM).with_suffix(".png")
+    path.with_suffix(".npy").unlink()
+    save_png(path, np.full((32, 48, 4), 999, np.uint16))
+    (problem,) = run(alpha, tree).problems
+    assert "(32, 48, 4)" in problem.reason
+    assert "PNG" in problem.reason
+
+
+def test_bait(tmp_path: Path) -> None:
+    """The pickles below do their harm where pickles are run, so the tests below can fail."""
+    np.save(tmp_path / "bait.npy", np.array([Bait(tmp_path / "marker")], dtype=object), allow_pickle=True)
+    np.load(tmp_path / "bait.npy", allow_pickle=True)
+    assert (tmp_path / "marker").is_dir()
+
+
+class Bait:
+    """A pickle that makes a folder when it is loaded."""
+
+    def __init__(self, marker: Path) -> None:
+        self.marker = marker
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.mkdir, (str(self.marker),)
+
+
+def pickled_npy(path: Path, bait: Bait) -> None:
+    np.save(path, np.array([bait], dtype=object), allow_pickle=True)
+
+
+def pickled_npz(path: Path, bait: Bait) -> None:
+    np.savez(path, prediction=np.array([bait], dtype=object))
+
+
+def bare_pickle(path: Path, bait: Bait) -> None:
+    path.write_bytes(pickle.dumps(bait))
+
+
+@pytest.mark.parametrize(
+    ("extension", "write"),
+    [(".npy", pickled_npy), (".npz", pickled_npz), (".npy", bare_pickle), (".npz", bare_pickle), (".h5", bare_pickle)],
+)
+def test_a_pickle_is_refused_and_never_run(
+    extension: str, write: Callable[[Path, Bait], None], tree: Tree, alpha: Path, tmp_path: Path
+) -> None:
+    path = (alpha / VICTIM).with_suffix(extension)
+    path.with_suffix(".npy").unlink()
+    write(path, Bait(tmp_path / "marker"))
+    (problem,) = run(alpha, tree).problems
+    assert problem.path == str(path)
+    assert not (tmp_path / "marker").exists()
+
+
+# --- finding --------------------------------------------------------------------------------------------------
+
+
+def test_missing_predictions_are_named(tree: Tree, alpha: Path) -> None:
+    (alpha / VICTIM).with_suffix(".npy").unlink()
+    result = run(alpha, tree)
+    assert [problem.path for problem in result.problems] == [VICTIM]
+    assert "no prediction" in result.problems[0].reason
+    assert "--allow-missing" in result.problems[0].reason
+    assert result.images == ()
+
+
+def test_every_missing_prediction_is_named_if_there_are_none(tree: Tree, tmp_path: Path) -> None:
+    result = run(tmp_path, tree)
+    assert sorted(problem.path for problem in result.problems) == sorted(
+        pair.path for pair in tree.pairs if pair.camera == "DemoAlpha"
+    )
+
+
+def test_extra_predictions_are_named(tree: Tree, alpha: Path) -> None:
+    extra = ["DemoAlpha/scene-1/IMG_0017.npy", "DemoAlpha/scene-9/IMG_0004.npy", "IMG_0004.tif"]
+    for name in extra:
+        (alpha / name).parent.mkdir(exist_ok=True)
+        np.save(alpha / "x.npy", good())
+        (alpha / "x.npy").rename(alpha / name)
+    result = run(alpha, tree)
+    assert sorted(problem.path for problem in result.problems) == extra
+    assert all("noisy frame" in problem.reason for problem in result.problems)
+    assert result.images == ()
+    allowed = run(alpha, tree, allow_missing=True)
+    assert sorted(problem.path for problem in allowed.problems) == extra
+    assert len(allowed.images) == 6
+
+
+def test_prediction_of_a_reference_is_extra(tree: Tree, alpha: Path) -> None:
+    np.save(alpha / "DemoAlpha/scene-1/IMG_0001.npy", good())
+    assert [problem.path for problem in run(alpha, tree).problems] == ["DemoAlpha/scene-1/IMG_0001.npy"]
+
+
+def test_two_extensions_are_ambiguous(tree: Tree, alpha: Path) -> None:
+    save_tiff((alpha / VICTIM).with_suffix(".tif"), good())
+    result = run(alpha, tree)
+    (problem,) = result.problems
+    assert problem.path == VICTIM
+    for word in ("expected one", "found 2", "IMG_0004.npy", "IMG_0004.tif", "keep one"):
+        assert word in problem.reason
+    assert result.images == ()
+    allowed = run(alpha, tree, allow_missing=True)
+    assert allowed.missing == (VICTIM,)
+    assert len(allowed.problems) == 1
+    assert len(allowed.images) == 5
+
+
+@pytest.mark.parametrize(
+    "name", [".DS_Store", ".IMG_0004.npy.x7.part", ".hidden.npy", ".cache/IMG_0004.npy", "notes.txt", "config.json",
+             "DemoAlpha/scene-1/IMG_0004.txt", "DemoAlpha/scene-1/._IMG_0004.npy", "DemoAlpha/preview.jpg"],
+)  # fmt: skip
+def test_hidden_and_unrelated_files_are_ignored(name: str, tree: Tree, alpha: Path) -> None:
+    before = run(alpha, tree)
+    (alpha / name).parent.mkdir(exist_ok=True)
+    (alpha / name).write_bytes(b"whatever")
+    after = run(alpha, tree)
+    assert not after.problems
+    assert after.images == before.images
+    assert after.notes == before.notes
+
+
+def test_predictions_of_other_factors_are_counted_in_a_note(tree: Tree, alpha: Path) -> None:
+    before = run(alpha, tree)
+    for number in (2, 3, 7):  # x1, x10, x1
+        np.save(alpha / f"DemoAlpha/scene-1/IMG_{number:04d}.npy", good())
+    after = run(alpha, tree)
+    assert not after.problems
+    assert after.images == before.images
+    (note,) = set(after.notes) - set(before.notes)
+    assert note.endswith("leaves their frames out: 3 predictions")
+    assert "not scored" in after.format_text()
+
+
+def test_a_missing_folder_of_predictions_is_an_error(tree: Tree, tmp_path: Path) -> None:
+    with pytest.raises(EldataError, match="nowhere"):
+        run(tmp_path / "nowhere", tree)
+
+
+def test_a_file_in_place_of_the_folder_is_an_error(tree: Tree, tmp_path: Path) -> None:
+    (tmp_path / "preds.npy").write_bytes(b"")
+    with pytest.raises(EldataError, match=r"preds\.npy"):
+        run(tmp_path / "preds.npy", tree)
+
+
+def test_a_linked_folder_of_predictions_is_scored(tree: Tree, alpha: Path, tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(alpha)
+    assert run(tmp_path / "link", tree).images == run(alpha, tree).images
+
+
+# --- scale ----------------------------------------------------------------------------------------------------
+
+
+def test_a_few_hot_pixels_are_no_scale_problem(tree: Tree, alpha: Path) -> None:
+    """An amplified input has some values far above 1; they are clamped when they are scored."""
+    path = (alpha / VICTIM).with_suffix(".npy")
+    array = np.load(path)
+    array[0, 3, 3] = 77.0
+    np.save(path, array)
+    hot = run(alpha, tree)
+    array[0, 3, 3] = 1.0
+    np.save(path, array)
+    clamped = run(alpha, tree)
+    assert not hot.problems
+    assert hot.images == clamped.images
+
+
+@pytest.mark.parametrize("factor", [0.1, 1 / 255])
+def test_a_dark_scale_is_noted_because_rescaling_hides_it(factor: float, tree: Tree, tmp_path: Path) -> None:
+    place(tmp_path, tree, lambda target, _: target * factor + 1e-4)
+    result = evaluate(tmp_path, manifest=tree.manifest, root=tree.root)
+    (note,) = result.notes
+    assert "12 of 12 predictions" in note
+    assert "scale" in note
+    assert "scale" in result.format_text()
+
+
+def test_error_carries_path_and_reason(tree: Tree, tmp_path: Path) -> None:
+    sensor = read_raw(tree.files / VICTIM).sensor
+    path = tmp_path / "IMG_0004.npy"
+    np.save(path, good()[:3])
+    with pytest.raises(PredictionError) as caught:
+        load_prediction(path, sensor, "published")
+    assert caught.value.path == path
+    assert str(caught.value) == f"{path}: {caught.value.reason}"
+    assert isinstance(pickle.loads(pickle.dumps(caught.value)), PredictionError)  # it crosses processes

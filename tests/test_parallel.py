@@ -1,0 +1,190 @@
+"""Units of work over processes: order, a bounded window, and an end to everything that can go wrong.
+
+The work is functions of the standard library, which a spawned process can import whatever runs the tests.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, overload
+
+import pytest
+
+from eldata.errors import ArgumentError, EldataError, RawFileError
+from eldata.parallel import run_units
+from eldata.raw.reading import read_header
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+pytestmark = pytest.mark.timeout(60)  # a hang is the bug that these tests are for
+
+
+@pytest.fixture(autouse=True)
+def no_process_is_left() -> Iterator[None]:
+    yield
+    deadline = time.monotonic() + 10
+    while multiprocessing.active_children() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert multiprocessing.active_children() == []
+
+
+@pytest.mark.parametrize("jobs", [1, 2, 3])
+def test_results_come_in_the_units_order(jobs: int) -> None:
+    """Earlier units take longer, so that results arrive in another order than they are wanted."""
+    units = [f"{{{number}}}" for number in range(30)]
+    assert list(run_units(str.upper, units, jobs=jobs)) == units
+    assert list(run_units(time.sleep, [0.3, 0.0, 0.2, 0.0], jobs=jobs)) == [None] * 4
+    assert list(run_units(abs, list(range(-30, 0)), jobs=jobs)) == list(range(30, 0, -1))
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_no_units(jobs: int) -> None:
+    assert list(run_units(abs, [], jobs=jobs)) == []
+
+
+def test_one_job_stays_in_this_process() -> None:
+    """No pickling, no start of a process: a lambda works, and a debugger does."""
+    assert list(run_units(lambda unit: (unit, os.getpid()), [1, 2])) == [(1, os.getpid()), (2, os.getpid())]
+
+
+def test_more_jobs_are_other_processes() -> None:
+    groups = list(run_units(eval, ["__import__('os').getpid()"] * 4, jobs=2))
+    assert os.getpid() not in groups
+
+
+class Counted(Sequence[int]):
+    """Numbers, with a count of how many have been taken."""
+
+    def __init__(self, length: int) -> None:
+        self.length, self.taken = length, 0
+
+    def __len__(self) -> int:
+        return self.length
+
+    @overload
+    def __getitem__(self, index: int) -> int: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[int]: ...
+    def __getitem__(self, index: int | slice) -> int | Sequence[int]:
+        if isinstance(index, slice):
+            return range(self.length)[index]
+        if index >= self.length:
+            raise IndexError
+        self.taken = max(self.taken, index + 1)
+        return index
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_the_window_is_bounded(jobs: int) -> None:
+    """Results that nobody has fetched yet (packed images, at times) must not pile up."""
+    units = Counted(1000)
+    results = run_units(abs, units, jobs=jobs)
+    for expected in range(5):
+        assert next(results) == expected
+        assert units.taken <= expected + 1 + 4 * jobs + 1
+    results.close()  # type: ignore[attr-defined] # an iterator by its type, a generator in fact
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_an_error_comes_through_after_the_results_before_it(jobs: int) -> None:
+    results = run_units(int, ["1", "2", "three", "4"], jobs=jobs)
+    assert [next(results), next(results)] == [1, 2]
+    with pytest.raises(ValueError, match="'three'"):
+        next(results)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_our_errors_keep_their_fields(tmp_path: Path, jobs: int) -> None:
+    """Exceptions are pickled on their way; those with arguments of their own easily come back broken, or hang."""
+    missing = [tmp_path / "a.dng", tmp_path / "b.dng"]
+    with pytest.raises(RawFileError, match="No such file") as raised:
+        list(run_units(read_header, missing, jobs=jobs))
+    assert raised.value.path == missing[0]
+    assert str(missing[0]) in str(raised.value)
+
+
+@pytest.mark.parametrize("jobs", [0, -1])
+def test_there_must_be_a_job(jobs: int) -> None:
+    with pytest.raises(ArgumentError, match=f"jobs must be 1 or more; found {jobs}"):
+        list(run_units(abs, [1], jobs=jobs))
+
+
+@pytest.mark.parametrize("count", [2, 40], ids=["all waiting", "more to come"])
+def test_a_killed_worker_is_an_error_with_advice(count: int) -> None:
+    """What the kernel does to a worker when memory runs out."""
+    with pytest.raises(EldataError, match="a worker process died") as raised:
+        list(run_units(signal.raise_signal, [signal.SIGKILL] * count, jobs=2))
+    assert "--jobs" in str(raised.value)
+
+
+def test_a_killed_worker_names_the_first_unit_without_a_result() -> None:
+    """The window is full here, which takes another way through the code than a short list does."""
+    units = [int(signal.SIGKILL)] + [0] * 40  # signal 0 does nothing
+    with pytest.raises(EldataError, match=f"at or soon after {int(signal.SIGKILL)};"):
+        list(run_units(signal.raise_signal, units, jobs=2))
+
+
+def test_leaving_early_ends_the_workers() -> None:
+    results = run_units(time.sleep, [0.0] * 200, jobs=2)
+    next(results)
+    results.close()  # type: ignore[attr-defined] # an iterator by its type, a generator in fact
+    # no_process_is_left looks
+
+
+INTERRUPTED = """
+import time
+from eldata.parallel import run_units
+
+if __name__ == "__main__":
+    for _ in run_units(time.sleep, [0.0] * 4 + [1.5], jobs=2):
+        print("one", flush=True)
+"""
+
+
+def test_ctrl_c_ends_everything_and_is_told_once(tmp_path: Path) -> None:
+    """A terminal sends Ctrl-C to the whole process group; each worker would print a traceback of its own."""
+    script = tmp_path / "work.py"
+    script.write_text(INTERRUPTED, encoding="utf-8")
+    with subprocess.Popen(
+        [sys.executable, str(script)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    ) as child:
+        assert child.stdout is not None
+        try:
+            for _ in range(4):
+                assert child.stdout.readline() == b"one\n"
+            time.sleep(0.3)  # now one worker works, and the other waits for work
+            os.killpg(child.pid, signal.SIGINT)
+            _, errors = child.communicate(timeout=30)
+            deadline = time.monotonic() + 10  # multiprocessing's resource tracker ends a moment after its parent
+            while (survivors := alive_in_group(child.pid)) and time.monotonic() < deadline:
+                time.sleep(0.05)
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(child.pid, signal.SIGKILL)
+    assert child.returncode != 0
+    assert errors.decode().count("KeyboardInterrupt") == 1, errors.decode()
+    assert survivors == []
+
+
+def alive_in_group(group: int) -> list[str]:
+    """Command names of a process group's members that are not zombies."""
+    names = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            name, _, rest = stat.read_text(encoding="utf-8", errors="replace").rpartition(")")
+            state, _, process_group = rest.split()[:3]
+            if int(process_group) == group and state not in "ZX":
+                names.append(name)
+    return names

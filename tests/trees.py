@@ -1,0 +1,150 @@
+"""Small datasets of real DNG files for tests: made once, copied where a test damages them."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import numpy as np
+import tifffile
+
+from eldata.demo.tree import make_tree
+from eldata.manifest.catalogue import Manifest, load_manifest
+from eldata.manifest.table import save_records
+from eldata.raw.dng import write_dng
+from eldata.raw.reading import read_raw
+from eldata.records import Exposure, Sensor
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from eldata.records import FrameRecord
+
+SIZE = (64, 96)
+ALPHA, BETA = "DemoAlpha/scene-1", "DemoBeta/scene-1"
+
+
+def frame(number: int, scene: str = ALPHA) -> str:
+    """A frame's path in the manifest."""
+    return f"{scene}/IMG_{number:04d}.dng"
+
+
+@dataclass(frozen=True)
+class Tree:
+    """A dataset on disk: its manifest's CSV, and the data root with the files."""
+
+    csv: Path
+    root: Path
+
+    @property
+    def manifest(self) -> Manifest:
+        """The manifest as it is on disk now."""
+        return load_manifest(self.csv)
+
+    @property
+    def data(self) -> Path:
+        """The dataset's own folder."""
+        return self.root / "ELD-demo"
+
+    def file(self, number: int, scene: str = ALPHA) -> Path:
+        return self.data / frame(number, scene)
+
+    def change_rows(self, **fields: object) -> None:
+        """Set the same fields in every row of the manifest."""
+        save_records(self.csv, [replace(record, **fields) for record in self.manifest.records])  # type: ignore[arg-type]
+
+
+def build_tree(folder: Path) -> Tree:
+    """Two cameras, one scene, sixteen frames each: 32 files, 64 x 96 pixels."""
+    manifest = make_tree(folder, scenes=1, size=SIZE)
+    return Tree(manifest.path, folder / "data")
+
+
+def copy_tree(tree: Tree, folder: Path) -> Tree:
+    """A copy that a test may damage."""
+    shutil.copytree(tree.csv.parent, folder / "manifests")
+    shutil.copytree(tree.root, folder / "data")
+    return Tree(folder / "manifests" / tree.csv.name, folder / "data")
+
+
+def retake(path: Path, *, model: str | None = None, exposure: Exposure | None = None) -> None:
+    """Write a raw file again with another camera model or exposure, the pixels as they are."""
+    raw = read_raw(path)
+    sensor = raw.sensor if model is None else replace(raw.sensor, model=model)
+    write_dng(path, raw.mosaic, sensor, exposure or raw.exposure, compression="lossless-jpeg")
+
+
+def scale_exposure(path: Path, factor: Fraction) -> None:
+    """Write a raw file again with its exposure time multiplied."""
+    raw = read_raw(path)
+    assert raw.exposure.exposure_s is not None
+    retake(path, exposure=replace(raw.exposure, exposure_s=raw.exposure.exposure_s * factor))
+
+
+def swap(first: Path, second: Path) -> None:
+    """Exchange two files."""
+    aside = first.with_name("aside")
+    first.rename(aside)
+    second.rename(first)
+    aside.rename(second)
+
+
+def flip_compressed_byte(path: Path) -> None:
+    """Flip one bit in the middle of a raw file's compressed pixels; its size and header stay."""
+    with tifffile.TiffFile(path) as tiff:
+        page = tiff.pages.first
+        at = page.dataoffsets[0] + page.databytecounts[0] // 2
+    content = bytearray(path.read_bytes())
+    content[at] ^= 1
+    path.write_bytes(content)
+
+
+# --- a published set's file names, with small DNG files inside --------------------------------------------------
+
+
+def build_published_tree(manifest: Manifest, folder: Path) -> None:
+    """Lay a shipped manifest's files out in ``folder``: every name that it lists, small DNG files inside.
+
+    Exposures are the manifest's where it has them. References take 4 s at ISO 100 where it has none, noisy frames then
+    what their nominal ratio asks for; frames flagged ``inexact-ratio`` are 1/16 off, as the published one is. Equal
+    frames are one file under several names (hard links), which saves time and says nothing.
+    """
+    height, width = 48, 64
+    mosaic = np.random.default_rng(1).integers(600, 15000, (height, width), dtype=np.uint16)
+    record_of = {record.path: record for record in manifest.records}
+    made: dict[tuple[str, Exposure], Path] = {}
+    for record in manifest.records:
+        exposure = _exposure_of(record, record_of)
+        path = folder / record.path
+        path.parent.mkdir(parents=True, exist_ok=True)
+        key = (record.camera, exposure)
+        if key in made:
+            os.link(made[key], path)
+            continue
+        sensor = Sensor(
+            make="Maker",
+            model=manifest.card.cameras[record.camera].models[-1],
+            cfa=((0, 1), (3, 2)),
+            black_level_dn=(512.0,) * 4,
+            white_level_dn=16383.0,
+            height=height,
+            width=width,
+        )
+        write_dng(path, mosaic, sensor, exposure)
+        made[key] = path
+
+
+def _exposure_of(record: FrameRecord, record_of: dict[str, FrameRecord]) -> Exposure:
+    iso = record.iso or Fraction(100)
+    exposure_s = record.exposure_s or Fraction(4)
+    if record.exposure_s is None and record.reference is not None and record.ratio is not None:
+        reference = _exposure_of(record_of[record.reference], record_of)
+        assert reference.iso is not None
+        assert reference.exposure_s is not None
+        exposure_s = reference.iso * reference.exposure_s / (iso * record.ratio)
+        if "inexact-ratio" in record.flags:
+            exposure_s *= Fraction(16, 15)
+    return Exposure(iso, exposure_s, Fraction(8))

@@ -1,0 +1,1 @@
+"""Benchmarks of the hot paths, each against the straightforward way and against the floor: ``python -m benchmarks``."""

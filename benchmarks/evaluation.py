@@ -1,0 +1,48 @@
+"""The evaluation of a pair, from files to scores."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from benchmarks import published
+from benchmarks.harness import Row, in_turn
+from benchmarks.oracle import deviations
+from eldata import evaluate
+
+if TYPE_CHECKING:
+    from benchmarks.data import Files
+    from eldata.evaluation import EvaluationResult
+
+
+def run(files: Files, rounds: int, _cores: int) -> list[Row]:
+    noisy, reference = files.first_pair()
+    prediction = files.first_prediction()
+
+    def ours() -> EvaluationResult:
+        return evaluate(files.predictions, root=files.data, manifest=files.manifest)
+
+    def straightforward() -> tuple[float, float]:
+        _, target = published.item(noisy, reference)
+        return published.scores(torch.from_numpy(np.load(prediction)), torch.from_numpy(target))
+
+    images = ours().images
+    first = next(image for image in images if noisy.match(image.path))
+    target = published.read_packed(reference)
+    values = deviations(np.load(prediction), target, (first.psnr_db, first.ssim), straightforward())
+    timings = in_turn(
+        rounds,
+        {
+            "LibRaw, both files": lambda: (published.decode(noisy), published.decode(reference)),
+            "eldata": ours,
+            "published": straightforward,
+        },
+        units={"eldata": len(images)},
+    )
+    case = f"one of {len(images)} pairs, jobs=1"
+    return [
+        timings.faster(case, "eldata", "published", values=values),
+        timings.cost(case, "eldata", "LibRaw, both files", at_most=1.4),
+    ]

@@ -9,7 +9,8 @@ is never started.
 from __future__ import annotations
 
 import os
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
+from functools import cache
 from typing import TYPE_CHECKING, TypeVar, cast
 
 import numba
@@ -33,9 +34,38 @@ def available_threads() -> int:
 
 
 def in_threads(work: Callable[[Piece], Result], pieces: Sequence[Piece], threads: int | None = None) -> list[Result]:
-    """Return ``[work(piece) for piece in pieces]``, computed by ``threads`` threads (default: one per CPU)."""
+    """Return ``[work(piece) for piece in pieces]``, computed by ``threads`` threads (default: one per CPU).
+
+    The calling thread is one of them and never waits for one that has not begun, so calls may nest.
+    """
     count = min(len(pieces), available_threads() if threads is None else threads)
     if count <= 1:
         return [work(piece) for piece in pieces]
-    with ThreadPoolExecutor(count, thread_name_prefix="eldata") as pool:
-        return list(pool.map(work, pieces))
+    results: list[Result | None] = [None] * len(pieces)
+    waiting = iter(range(len(pieces)))  # next() on it is atomic
+
+    def help_out() -> None:
+        for index in waiting:
+            results[index] = work(pieces[index])
+
+    helpers = [_pool().submit(help_out) for _ in range(count - 1)]
+    try:
+        help_out()
+    finally:
+        begun = [helper for helper in helpers if not helper.cancel()]
+        for _ in waiting:  # after an error the rest is dropped
+            pass
+        wait(begun)
+    for helper in begun:
+        helper.result()  # raises what it raised
+    return cast("list[Result]", results)
+
+
+@cache
+def _pool() -> ThreadPoolExecutor:
+    # Kept: starting threads takes longer than many a piece of work.
+    return ThreadPoolExecutor(max(1, available_threads() - 1), thread_name_prefix="eldata")
+
+
+if hasattr(os, "register_at_fork"):  # a forked child has the pool but not its threads
+    os.register_at_fork(after_in_child=_pool.cache_clear)

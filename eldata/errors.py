@@ -20,8 +20,8 @@ class ArgumentError(EldataError, ValueError):
     """An argument is outside of what the function accepts."""
 
 
-class RawFileError(EldataError):
-    """A raw file cannot be used. ``path`` is the file, ``reason`` what is wrong with it."""
+class FileError(EldataError):
+    """Something is wrong with one file: ``path`` is the file, ``reason`` what is wrong with it."""
 
     def __init__(self, path: Path | str, reason: str = "") -> None:
         super().__init__(path, reason)
@@ -30,6 +30,14 @@ class RawFileError(EldataError):
 
     def __str__(self) -> str:
         return f"{self.path}: {self.reason}" if self.reason else str(self.path)
+
+
+class RawFileError(FileError):
+    """A raw file cannot be used."""
+
+
+class PredictionError(FileError):
+    """A prediction cannot be scored."""
 
 
 class ManifestError(EldataError):
@@ -38,18 +46,6 @@ class ManifestError(EldataError):
 
 class DatasetError(EldataError):
     """A dataset's files do not fit what was asked of them."""
-
-
-class PredictionError(EldataError):
-    """A prediction cannot be scored. ``path`` is the file, ``reason`` what is wrong with it."""
-
-    def __init__(self, path: Path | str, reason: str = "") -> None:
-        super().__init__(path, reason)
-        self.path = path
-        self.reason = reason
-
-    def __str__(self) -> str:
-        return f"{self.path}: {self.reason}" if self.reason else str(self.path)
 
 
 class ProfileError(EldataError):

@@ -9,7 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eldata.errors import ArgumentError, DatasetError, EldataError
+from eldata.errors import ArgumentError, DatasetError, PredictionError
 from eldata.evaluation.predictions import FoundPredictions, find_predictions, load_prediction
 from eldata.evaluation.results import EvaluationProblem, EvaluationResult, ImageScore
 from eldata.files import inside
@@ -221,8 +221,8 @@ def _score_unit(
     for pair, path in unit.pairs:
         try:
             prediction = load_prediction(path, frame.sensor, protocol.levels)
-        except EldataError as error:
-            outcomes.append(EvaluationProblem(str(path), getattr(error, "reason", str(error))))
+        except PredictionError as error:
+            outcomes.append(EvaluationProblem(str(path), error.reason))
             continue
         found = score(prediction, target, rescaling=protocol.rescaling, threads=threads)
         outcomes.append(

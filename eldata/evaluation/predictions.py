@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.errors import EldataError, PredictionError
+from eldata.errors import EldataError, PredictionError, RawFileError
 from eldata.files import atomic_write
 from eldata.raw.cfa import normalise, pack, packed_shape
 from eldata.raw.levels import white_level_dn
@@ -203,8 +203,8 @@ def _from_dng(path: Path, sensor: Sensor, levels: Levels) -> NDArray[np.float32]
 
     try:
         frame = read_raw(path)
-    except EldataError as error:
-        raise PredictionError(path, getattr(error, "reason", str(error))) from error
+    except RawFileError as error:
+        raise PredictionError(path, f"{error.reason}; write it again, for example with eldata.raw.write_dng") from error
     if frame.sensor.cfa != sensor.cfa or frame.mosaic.shape != (sensor.height, sensor.width):
         raise PredictionError(
             path,

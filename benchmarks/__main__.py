@@ -19,7 +19,7 @@ from benchmarks.harness import Row, measure
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-NAMES = ("decode", "packing", "dataset_item", "metrics", "evaluation")
+NAMES = ("decode", "packing", "dataset_item", "metrics", "evaluation", "noise", "synthetic_pairs")
 
 _PACKAGES = ("eldata", "numpy", "numba", "rawpy", "torch", "scikit-image")
 

@@ -55,7 +55,7 @@ def test_imports_load_neither_torch_nor_rawpy(code: str) -> None:
     assert loaded_after(code) == set()
 
 
-@pytest.mark.parametrize("command", ["", "verify", "lock", "evaluate", "demo"])
+@pytest.mark.parametrize("command", ["", "verify", "lock", "evaluate", "demo", "synthesize"])
 def test_help_loads_neither_torch_nor_rawpy(command: str) -> None:
     assert loaded_after(RUN_ELDATA, *command.split(), "--help") == set()
 
@@ -162,7 +162,7 @@ ALLOWED = {
     "eldata.records": ("eldata.errors", "eldata.raw.colour"),
     "eldata._compiled": ("nothing",),
     "eldata.raw": ("eldata.records", "eldata.errors", "eldata.files", "eldata._compiled"),
-    "eldata.metrics": ("eldata.errors", "eldata._compiled"),
+    "eldata.metrics": ("eldata.errors", "eldata._compiled", "eldata.tensors"),
     "capture": (
         *("eldata.records", "eldata.manifest", "eldata.raw", "eldata.errors", "eldata.files"),
         *("eldata.console", "eldata.tables"),  # what the two command lines share, as light as errors
@@ -310,6 +310,7 @@ def test_the_wheel_holds_nothing_else(wheel: Path) -> None:
         ".pyi",
         ".typed",
         ".csv",
+        ".html",
         ".json",
     }
 

@@ -1,4 +1,9 @@
 from .base import PairDataset as PairDataset
+from .clean import Arrays as Arrays
+from .clean import CleanFrame as CleanFrame
+from .clean import CleanSource as CleanSource
+from .clean import RawFiles as RawFiles
 from .eld import ELDDataset as ELDDataset
 from .registry import dataset_class as dataset_class
 from .registry import dataset_names as dataset_names
+from .synthetic import SyntheticPairs as SyntheticPairs

@@ -7,6 +7,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
+import numpy as np
 import torch
 from torch.utils.data import Dataset
 
@@ -14,15 +15,17 @@ from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.catalogue import Manifest, data_root, load_manifest, shipped_manifest
 from eldata.manifest.pairs import select_pairs
 from eldata.manifest.verify import RATIO_TOLERANCE
+from eldata.raw.cfa import CLIP_RANGES
 from eldata.raw.levels import LEVELS, Levels, packed_frame
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
     import pandas as pd
+    from numpy.typing import NDArray
 
     from eldata.raw.cfa import Clip
-    from eldata.records import PairRecord
+    from eldata.records import Exposure, PairRecord
 
 
 class Sample(TypedDict):
@@ -92,8 +95,8 @@ class PairDataset(Dataset[Sample]):
     ) -> None:
         if levels not in LEVELS:
             raise ArgumentError(f"levels must be one of {', '.join(map(repr, LEVELS))}; found {levels!r}")
-        if clip not in ("both", "upper", "none"):
-            raise ArgumentError(f"clip must be one of 'both', 'upper', 'none'; found {clip!r}")
+        if clip not in CLIP_RANGES:
+            raise ArgumentError(f"clip must be one of {', '.join(map(repr, CLIP_RANGES))}; found {clip!r}")
         loaded = _manifest(manifest)
         self.name = loaded.name
         self.root = data_root() / loaded.card.folder if root is None else Path(root)
@@ -148,8 +151,12 @@ class PairDataset(Dataset[Sample]):
         from eldata.raw.reading import exposure_ratio, read_raw
 
         record = self.records[index]
-        noisy = read_raw(inside(self.root, record.path))
         reference = read_raw(inside(self.root, record.reference))
+        target = packed_frame(reference, levels=self.levels, clip=self.clip)
+        noisy_path = inside(self.root, record.path)
+        if noisy_path.suffix == ".npy":
+            return self._sample(record, _packed_noisy(noisy_path, target.shape, self.clip), target, record.ratio, None)
+        noisy = read_raw(noisy_path)
         ratio = exposure_ratio(reference, noisy)
         if abs(ratio - record.ratio) > RATIO_TOLERANCE * record.ratio:
             raise DatasetError(
@@ -162,14 +169,26 @@ class PairDataset(Dataset[Sample]):
                 f"{record.reference} has {reference.mosaic.shape}, {reference.sensor.cfa}"
             )
         amplified = packed_frame(noisy, levels=self.levels, clip=self.clip, gain=float(ratio))
-        target = packed_frame(reference, levels=self.levels, clip=self.clip)
+        return self._sample(record, amplified, target, ratio, noisy.exposure)
+
+    def _sample(
+        self,
+        record: PairRecord,
+        amplified: NDArray[np.float32],
+        target: NDArray[np.float32],
+        ratio: Fraction,
+        exposure: Exposure | None,
+    ) -> Sample:
+        """Return the sample; ISO and exposure time are the file's, or the manifest's where the file has none."""
+        iso = record.iso if exposure is None else exposure.iso
+        exposure_s = record.exposure_s if exposure is None else exposure.exposure_s
         return Sample(
             input=torch.from_numpy(amplified),
             target=torch.from_numpy(target),
             ratio=float(ratio),
             nominal_ratio=float(record.ratio),
-            iso=float(noisy.exposure.iso or 0),
-            exposure_s=float(noisy.exposure.exposure_s or 0),
+            iso=float(iso or 0),
+            exposure_s=float(exposure_s or 0),
             camera=record.camera,
             scene=record.scene,
             split=record.split,
@@ -180,7 +199,9 @@ class PairDataset(Dataset[Sample]):
 
     def __repr__(self) -> str:
         def counted(values: Collection[object]) -> str:
-            return ", ".join(map(str, dict.fromkeys(values)))
+            distinct = list(dict.fromkeys(values))
+            texts = [f"{float(value):g}" if isinstance(value, Fraction) else str(value) for value in distinct]
+            return ", ".join(texts) if len(texts) <= 6 else f"{len(texts)} values"
 
         return (
             f"{type(self).__name__}({str(self.root)!r}, {len(self)} pairs, "
@@ -195,3 +216,15 @@ def _manifest(manifest: Path | str) -> Manifest:
     if isinstance(manifest, str) and "/" not in manifest and not manifest.endswith(".csv"):
         return shipped_manifest(manifest)
     return load_manifest(manifest)
+
+
+def _packed_noisy(path: Path, shape: tuple[int, ...], clip: Clip) -> NDArray[np.float32]:
+    """Read a packed, amplified noisy frame and clip it as raw ones are after amplification."""
+    try:
+        packed = np.load(path, allow_pickle=False)
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"{path}: cannot be read as a packed array ({error})") from error
+    if packed.shape != shape or packed.dtype != np.float32:
+        raise DatasetError(f"{path}: expected float32 {shape} like its reference, found {packed.dtype} {packed.shape}")
+    clipped: NDArray[np.float32] = np.clip(packed, *CLIP_RANGES[clip])
+    return clipped

@@ -317,6 +317,8 @@ def _check_file(dataset: str, folder: Path, cameras: dict[str, Any], level: Leve
     from eldata.raw.reading import read_header, read_raw
 
     path = folder / record.path
+    if path.suffix == ".npy":
+        return _check_packed(dataset, path, record, level)
     problems: list[Problem] = []
 
     def add(field: str, expected: str, found: str, advice: str) -> None:
@@ -377,6 +379,24 @@ def _check_file(dataset: str, folder: Path, cameras: dict[str, Any], level: Leve
                             "this file was taken in another mode or by another camera",
                         )
     return _Outcome(tuple(problems), product)
+
+
+def _check_packed(dataset: str, path: Path, record: FrameRecord, level: Level) -> _Outcome:
+    """Check a packed array (a synthetic noisy frame): it has no EXIF to compare, but a header that says its shape."""
+    import numpy as np
+
+    try:
+        array = np.lib.format.open_memmap(path, mode="r")  # never unpickles; fails if the file is too short
+        found = f"{array.dtype} {array.shape}"
+        good = array.ndim == 3 and array.dtype == np.float32
+    except (OSError, ValueError) as error:
+        found, good = str(error), False
+    advice = "copy or make it again"
+    if not good:
+        return _Outcome((Problem(dataset, record.path, "content", "packed float32 (C, h, w)", found, advice),))
+    if level == "full" and record.sha256 is not None and (digest := sha256_of(path)) != record.sha256:
+        return _Outcome((Problem(dataset, record.path, "sha256", record.sha256, digest, advice),))
+    return _Outcome(())
 
 
 def _check_ratios(dataset: str, records: Sequence[FrameRecord], products: Sequence[Fraction | None]) -> list[Problem]:

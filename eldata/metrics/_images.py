@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
@@ -13,6 +12,7 @@ import numpy.typing as npt
 
 from eldata._compiled import in_threads
 from eldata.errors import ArgumentError
+from eldata.tensors import is_tensor
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -29,12 +29,6 @@ _BAND_ROWS = 256  # a smaller band repeats more of the margin, a larger one leav
 # Images of fewer values are done sooner than threads are started.
 _LEAST_FOR_THREADS = 1 << 22  # for one plain pass, which memory bounds
 _LEAST_FOR_THREADS_WINDOWED = 1 << 18
-
-
-def is_tensor(image: object) -> bool:
-    """Tell whether ``image`` is a torch tensor, without importing torch for those who do not use it."""
-    torch = sys.modules.get("torch")
-    return torch is not None and isinstance(image, torch.Tensor)
 
 
 def host_array(image: Image, name: str) -> Array:

@@ -42,7 +42,7 @@ Clip = Literal["both", "upper", "none"]
 CfaRows = tuple[tuple[int, ...], ...]
 Scalar = TypeVar("Scalar", bound=np.generic)
 
-_CLIP_RANGES: dict[Clip, tuple[float, float]] = {
+CLIP_RANGES: dict[Clip, tuple[float, float]] = {
     "both": (0.0, 1.0),
     "upper": (-np.inf, 1.0),
     "none": (-np.inf, np.inf),
@@ -274,9 +274,9 @@ def _checked_levels(black: NDArray[np.float32], white_level_dn: float) -> np.flo
 
 
 def _clip_range(clip: Clip) -> tuple[np.float32, np.float32]:
-    if clip not in _CLIP_RANGES:
-        raise ArgumentError(f"clip must be one of {', '.join(map(repr, _CLIP_RANGES))}; found {clip!r}")
-    low, high = _CLIP_RANGES[clip]
+    if clip not in CLIP_RANGES:
+        raise ArgumentError(f"clip must be one of {', '.join(map(repr, CLIP_RANGES))}; found {clip!r}")
+    low, high = CLIP_RANGES[clip]
     return np.float32(low), np.float32(high)
 
 

@@ -1,0 +1,66 @@
+"""The full noise model on one training patch, over the gain range of a camera."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from benchmarks import plain_noise
+from benchmarks.harness import Row, in_turn
+from eldata.demo.scenes import scene_radiance
+from eldata.noise import CameraProfile, NoiseModel
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from benchmarks.data import Files
+
+_DRAWS = 8  # parameter draws a timed call: K is log-uniform, and the time of plain Poisson depends on it
+_PATCH = (4, 512, 512)
+
+
+def run(files: Files, rounds: int, cores: int) -> list[Row]:  # noqa: ARG001 # every benchmark gets the files
+    profile = CameraProfile.load("SonyA7S2")
+    generator = np.random.default_rng(0)
+    drawn = [profile.sample(generator) for _ in range(_DRAWS)]
+    ratios = [float(value) for value in generator.uniform(100, 300, _DRAWS)]
+    radiance = scene_radiance(1, _PATCH[1], _PATCH[2])
+    clean = np.ascontiguousarray(radiance[[0, 1, 2, 1]], dtype=np.float32)
+    tensor, torch_generator = torch.from_numpy(clean), torch.Generator().manual_seed(0)
+    model = NoiseModel("P*+G*+B+R+U")
+    out = np.empty_like(clean)
+
+    def every(work: Callable[..., object], image: object, source: object) -> Callable[[], None]:
+        def call() -> None:
+            for p, ratio in zip(drawn, ratios, strict=True):
+                work(image, p, ratio, source)
+
+        return call
+
+    def eldata(image: object, p: object, ratio: float, source: object, threads: int | None = None) -> None:
+        model(image, parameters=p, ratio=ratio, range_dn=plain_noise.RANGE_DN, generator=source, threads=threads)  # type: ignore[type-var,arg-type] # arrays and tensors alike
+
+    ways = {
+        "scipy's tukeylambda.rvs": every(plain_noise.with_scipy, clean, generator),
+        "plain numpy": every(plain_noise.with_numpy, clean, generator),
+        "plain torch": every(plain_noise.with_torch, tensor, torch_generator),
+        "eldata": every(eldata, clean, generator),
+        "eldata, one thread": every(partial(eldata, threads=1), clean, generator),
+        "numpy uniforms, float32": lambda: [generator.random(out=out, dtype=np.float32) for _ in range(_DRAWS)],
+        "copy of the patch": lambda: [out.__setitem__(slice(None), clean) for _ in range(_DRAWS)],
+    }
+    timings = in_turn(rounds, ways, dict.fromkeys(ways, _DRAWS))
+    case = "P*+G*+B+R+U, 4x512x512"
+    rows: Sequence[Row] = [
+        timings.faster(case, "eldata, one thread", "plain numpy", at_least=8 if cores == 1 else None),
+        timings.faster(case, "eldata, one thread", "scipy's tukeylambda.rvs", at_least=12 if cores == 1 else None),
+        timings.faster(case, "eldata", "plain torch"),
+        timings.cost(case, "eldata, one thread", "numpy uniforms, float32"),
+        timings.cost(case, "eldata, one thread", "copy of the patch"),
+    ]
+    if cores > 1:
+        rows = [*rows, timings.faster("all threads", "eldata", "eldata, one thread", at_least=0.8 * cores)]
+    return list(rows)

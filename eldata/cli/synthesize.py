@@ -1,0 +1,74 @@
+"""`eldata synthesize`: a folder of clean raw files to a noisy tree."""
+
+from __future__ import annotations
+
+import argparse
+
+from eldata.console import OK, add_debug, add_jobs
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add this command."""
+    parser = commands.add_parser(
+        "synthesize",
+        help="make noisy raw files from clean ones, with a manifest",
+        description=(
+            "Make noisy exposures of a folder of clean raw files with a camera's calibrated noise. OUT gets the clean "
+            "and noisy frames, a manifest that eldata verify and the datasets read, and every parameter drawn."
+        ),
+    )
+    parser.add_argument("clean", metavar="CLEAN", help="folder of clean raw files")
+    parser.add_argument("-o", "--out", metavar="OUT", required=True, help="a new folder")
+    parser.add_argument("--camera", metavar="NAME", required=True, help="a shipped profile (SonyA7S2) or a JSON file")
+    parser.add_argument("--model", metavar="SPEC", default="P*+G*+B+R+U", help="noise model (default: %(default)s)")
+    parser.add_argument(
+        "--ratio", metavar="A:B", type=_ratio, default=(100.0, 300.0), help="low-light factors (default: 100:300)"
+    )
+    parser.add_argument("--iso", type=float, help="simulate this ISO in place of drawing the gain")
+    parser.add_argument(
+        "--row", choices=("any", "nearest-gain"), default="any", help="which rows lambda and bias come from"
+    )
+    parser.add_argument(
+        "--format", choices=("dng", "npy"), default="dng", help="of noisy frames (default: %(default)s)"
+    )
+    parser.add_argument("--per-image", type=int, default=1, metavar="N", help="noisy frames per clean one (default: 1)")
+    parser.add_argument("--seed", type=int, default=0, metavar="S", help="default: %(default)s")
+    add_jobs(parser)
+    add_debug(parser)
+    parser.set_defaults(run=run, command="synthesize")
+
+
+def _ratio(text: str) -> tuple[float, float]:
+    low, _, high = text.partition(":")
+    try:
+        return float(low), float(high or low)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected a number or two such as 100:300, found {text!r}") from None
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run this command."""
+    from pathlib import Path
+
+    from eldata.datasets.synthesis import Recipe, synthesize
+    from eldata.noise.profile import CameraProfile
+
+    recipe = Recipe(
+        profile=CameraProfile.load(arguments.camera),
+        spec=arguments.model,
+        ratio=arguments.ratio,
+        seed=arguments.seed,
+        iso=arguments.iso,
+        row=arguments.row,
+        per_image=arguments.per_image,
+        format=arguments.format,
+    )
+    out = Path(arguments.out)
+    manifest = synthesize(Path(arguments.clean), out, recipe, jobs=arguments.jobs)
+    noisy = manifest.card.counts.get("noisy", 0)
+    print(
+        f"{noisy} noisy frames of {manifest.card.counts['reference']} clean ones: {out / 'data' / manifest.card.folder}"
+    )
+    print(f"manifest {manifest.path}, parameters {out / 'parameters.json'}")
+    print(f"to check: eldata verify {manifest.path} --root {out / 'data'} --level metadata")
+    return OK

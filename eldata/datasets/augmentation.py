@@ -1,0 +1,71 @@
+"""Flips and transposes of mosaics that keep the CFA in order.
+
+Flipping packed channels would put each colour where another stood: the channels would no longer be those of any sensor.
+Here the mosaic itself is flipped or transposed, and then cropped by the few rows and columns after which its CFA starts
+as it did. Bayer and X-Trans patterns allow all eight orientations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from itertools import product
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from eldata.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from eldata.raw.cfa import CfaRows
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+
+@dataclass(frozen=True, slots=True)
+class Orientation:
+    """One of the eight orientations: first the transpose, then the flips."""
+
+    transpose: bool = False
+    flip_rows: bool = False
+    flip_columns: bool = False
+
+
+ORIENTATIONS = tuple(Orientation(*flags) for flags in product((False, True), repeat=3))
+
+
+def oriented(mosaic: NDArray[Scalar], cfa: CfaRows, orientation: Orientation) -> NDArray[Scalar]:
+    """Return a view of a mosaic (H, W) in an orientation, its CFA as before.
+
+    The view has lost up to one period less one of rows at the top and of columns at the left; the caller crops it.
+
+    Raises
+    ------
+    ArgumentError
+        If the mosaic's sides are not multiples of the CFA's period, which the flips need.
+    """
+    period = len(cfa)
+    if mosaic.ndim != 2 or any(side % period for side in mosaic.shape):
+        raise ArgumentError(f"expected a mosaic whose sides are multiples of {period}; found shape {mosaic.shape}")
+    top, left = _offset(cfa, orientation)
+    return _turned(mosaic, orientation)[top:, left:]
+
+
+def _turned(array: NDArray[Scalar], orientation: Orientation) -> NDArray[Scalar]:
+    turned = array.T if orientation.transpose else array
+    return turned[:: -1 if orientation.flip_rows else 1, :: -1 if orientation.flip_columns else 1]
+
+
+@cache
+def _offset(cfa: CfaRows, orientation: Orientation) -> tuple[int, int]:
+    pattern = np.asarray(cfa)
+    # Which of the two greens is which follows from the place: they are told apart again after the turn.
+    colours = np.where(pattern == 3, 1, pattern)
+    turned = _turned(colours, orientation)
+    period = len(cfa)
+    for top, left in sorted(product(range(period), repeat=2), key=sum):
+        if np.array_equal(np.roll(turned, (-top, -left), axis=(0, 1)), colours):
+            return top, left
+    raise ArgumentError(f"the CFA {cfa} has no orientation {orientation}")

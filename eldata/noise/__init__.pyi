@@ -1,0 +1,10 @@
+from .components import PAPER_MODELS as PAPER_MODELS
+from .components import Components as Components
+from .components import parse_components as parse_components
+from .model import NoiseModel as NoiseModel
+from .parameters import NoiseParameters as NoiseParameters
+from .parameters import tukey_lambda_variance as tukey_lambda_variance
+from .profile import CameraProfile as CameraProfile
+from .profile import shipped_profiles as shipped_profiles
+from .published import profiles_from_published as profiles_from_published
+from .published import read_published as read_published

@@ -1,0 +1,81 @@
+"""The components of the noise model, by the names of the paper's ablation table.
+
+======  =====================================================  =========================
+``P``   photon shot noise, Gaussian with the signal's variance  K
+``P*``  photon shot noise, Poisson                              K
+``G``   read noise, Gaussian                                    sigma_gauss_dn
+``G*``  read noise, Tukey lambda                                tukey_lambda, sigma_tl_dn
+``B``   colour bias: the read noise's mean per channel          colour_bias_dn
+``R``   row noise, one Gaussian draw a mosaic row               sigma_row_dn
+``U``   quantisation noise, uniform over one DN                 none
+======  =====================================================  =========================
+
+Source: K. Wei, Y. Fu, Y. Zheng and J. Yang, "Physics-based Noise Modeling for Extreme Low-light Photography", TPAMI
+2021, section 3 and the ablation on SID.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from eldata.errors import ArgumentError
+
+Shot = Literal["none", "gaussian", "poisson"]
+Read = Literal["none", "gaussian", "tukey-lambda"]
+
+# In the paper's rows, from the simplest to the full model.
+PAPER_MODELS = ("G", "G+P", "G+P*", "G*+P*", "G*+P*+B", "G*+P*+B+R", "G*+P*+B+R+U")
+
+_NAMES = ("P", "P*", "G", "G*", "B", "R", "U")
+_EXCLUSIVE = (("P", "P*", "photon shot noise"), ("G", "G*", "read noise"))
+
+
+@dataclass(frozen=True, slots=True)
+class Components:
+    """Which components a model has."""
+
+    shot: Shot
+    read: Read
+    colour_bias: bool
+    row: bool
+    quantisation: bool
+
+    @property
+    def spec(self) -> str:
+        """The components as a spec that :func:`parse_components` reads back."""
+        names = (
+            {"gaussian": "P", "poisson": "P*"}.get(self.shot, ""),
+            {"gaussian": "G", "tukey-lambda": "G*"}.get(self.read, ""),
+        )
+        flags = (("B", self.colour_bias), ("R", self.row), ("U", self.quantisation))
+        return "+".join([name for name in names if name] + [name for name, on in flags if on])
+
+
+def parse_components(spec: str) -> Components:
+    """Read a spec such as ``"P*+G*+B+R+U"``: names joined by ``+``, in any order; ``P^*`` means ``P*``.
+
+    Raises
+    ------
+    ArgumentError
+        If a name is unknown or repeated, there is none, or two models of one noise source are asked for.
+    """
+    names = [name.strip().replace("^", "") for name in spec.split("+")]
+    for name in names:
+        if name not in _NAMES:
+            raise ArgumentError(f"noise model {spec!r}: {name!r} is no component; known are {', '.join(_NAMES)}")
+    for name in set(names):
+        if names.count(name) > 1:
+            raise ArgumentError(f"noise model {spec!r}: {name} stands in it twice; each source adds its noise once")
+    for first, second, source in _EXCLUSIVE:
+        if first in names and second in names:
+            raise ArgumentError(
+                f"noise model {spec!r}: {first} and {second} are two models of the same {source}; take one"
+            )
+    return Components(
+        shot="poisson" if "P*" in names else "gaussian" if "P" in names else "none",
+        read="tukey-lambda" if "G*" in names else "gaussian" if "G" in names else "none",
+        colour_bias="B" in names,
+        row="R" in names,
+        quantisation="U" in names,
+    )

@@ -1,0 +1,268 @@
+"""The composed noise model: clean raw data in, noisy raw data out.
+
+``I = y range / (ratio K)`` photoelectrons; ``D = K shot(I) + N_read + N_row + N_q`` in DN above black; the result is
+``D ratio / range``, amplified back to the clean image's brightness (K. Wei et al., TPAMI 2021, section 3).
+
+Two engines draw the same distributions:
+
+compiled
+    numpy arrays and torch tensors on the CPU. Counter-based: each pixel's numbers depend on the seed, the image's place
+    in the batch and the pixel's place alone, so the result is the same to the bit for any number of threads.
+torch
+    tensors on any other device, by torch's own operations there. The same generator state gives the same result on
+    the same device and version of torch; it is another stream than the compiled engine's.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
+
+import numpy as np
+
+from eldata.errors import ArgumentError
+from eldata.noise.components import Components, parse_components
+from eldata.noise.layout import channel_bias_dn, row_layout
+from eldata.noise.parameters import NoiseParameters, tukey_lambda_variance
+from eldata.noise.randomness import Generator, key_from
+from eldata.raw.cfa import CLIP_RANGES
+from eldata.tensors import is_tensor
+
+if TYPE_CHECKING:
+    import torch
+    from numpy.typing import NDArray
+
+    from eldata.raw.cfa import Clip
+
+Image = TypeVar("Image", "NDArray[Any]", "torch.Tensor")
+
+
+@dataclass(frozen=True, slots=True)
+class Adc:
+    """A real analogue-to-digital converter: rounds to whole DN and saturates at 0 and at the white level."""
+
+    black_level_dn: float
+    white_level_dn: float
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.black_level_dn < self.white_level_dn < math.inf:
+            raise ArgumentError(f"expected 0 <= black level < white level; found {self}")
+
+
+class NoiseModel:
+    """The noise model with the components of a spec (:mod:`eldata.noise.components`).
+
+    Parameters
+    ----------
+    spec
+        Such as ``"P*+G*+B+R+U"``, the full model.
+    clip
+        Of the result: ``"none"``, ``"upper"`` (at 1: negative read noise is kept) or ``"both"`` ([0, 1], what the
+        published ELD loader gives a network).
+    adc
+        Round to whole DN and saturate as a converter does, in place of component U.
+
+    Raises
+    ------
+    ArgumentError
+        If the spec or the clip is unknown, or the spec has U and there is an ``adc`` too.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from eldata.noise import CameraProfile, NoiseModel
+    >>> generator = np.random.default_rng(0)
+    >>> parameters = CameraProfile.load("SonyA7S2").sample(generator)
+    >>> clean = np.full((4, 64, 64), 0.2, dtype=np.float32)
+    >>> noisy = NoiseModel()(clean, parameters=parameters, ratio=100.0, range_dn=15871.0, generator=generator)
+    >>> noisy.shape, noisy.dtype
+    ((4, 64, 64), dtype('float32'))
+    """
+
+    def __init__(self, spec: str = "P*+G*+B+R+U", *, clip: Clip = "none", adc: Adc | None = None) -> None:
+        self.components: Components = parse_components(spec)
+        if clip not in CLIP_RANGES:
+            raise ArgumentError(f"clip must be one of {', '.join(map(repr, CLIP_RANGES))}; found {clip!r}")
+        if adc is not None and self.components.quantisation:
+            raise ArgumentError(
+                f"noise model {spec!r}: U stands for the converter's rounding; leave it out with adc=..."
+            )
+        self.clip: Clip = clip
+        self.adc = adc
+
+    def __repr__(self) -> str:
+        adc = "" if self.adc is None else f", adc={self.adc}"
+        return f"NoiseModel({self.components.spec!r}, clip={self.clip!r}{adc})"
+
+    def __call__(
+        self,
+        clean: Image,
+        *,
+        parameters: NoiseParameters | Sequence[NoiseParameters],
+        ratio: float | Sequence[float],
+        range_dn: float,
+        generator: Generator,
+        threads: int | None = None,
+    ) -> Image:
+        """Return a noisy exposure of clean packed data.
+
+        Parameters
+        ----------
+        clean
+            (..., C, h, w), normalised, C = 4 or 9; a numpy array or a torch tensor. Leading dimensions are images of a
+            batch or frames of a clip; each gets fresh noise. Values below 0 count as no light.
+        parameters
+            One draw for everything (a clip), or one for each image of a batch (N, C, h, w).
+        ratio
+            Exposure ratio, above 0: one, or one for each image.
+        range_dn
+            White level minus black level, DN.
+        generator
+            numpy's or torch's; for a tensor on another device than the CPU, a torch generator of that device.
+        threads
+            Of the compiled engine; default one per CPU. The result does not depend on it.
+
+        Returns
+        -------
+        ndarray or Tensor
+            As ``clean``: shape, device, and dtype if that is floating; computed in float32. Detached.
+
+        Raises
+        ------
+        ArgumentError
+            If shapes, parameters, ratio, range or generator do not fit.
+        """
+        if not (is_tensor(clean) or isinstance(clean, np.ndarray)):
+            raise ArgumentError(f"clean must be a numpy array or a torch tensor, not {type(clean).__name__}")
+        if clean.ndim < 3:
+            raise ArgumentError(f"expected clean data (..., C, h, w); found shape {tuple(clean.shape)}")
+        images = math.prod(clean.shape[:-3])
+        channels = int(clean.shape[-3])
+        row_layout(channels)  # refuses another number of channels
+        drawn = _one_each(parameters, images, "parameters")
+        if not all(isinstance(item, NoiseParameters) for item in drawn):
+            raise ArgumentError(f"parameters must be NoiseParameters, one or one for each image; found {parameters!r}")
+        ratio_each = _one_each(ratio, images, "ratio")
+        try:
+            ratios = [float(value) for value in ratio_each]
+        except (TypeError, ValueError) as error:
+            raise ArgumentError(f"ratio must be one number, or one for each image; found {ratio!r}") from error
+        if not all(math.isfinite(value) and value > 0 for value in ratios):
+            raise ArgumentError(f"ratio must be finite and above 0; found {ratio}")
+        if not (math.isfinite(range_dn) and range_dn > 0):
+            raise ArgumentError(f"range_dn must be finite and above 0; found {range_dn}")
+        values = _Values.of(self.components, drawn, ratios, channels)
+        if isinstance(clean, np.ndarray):
+            return self._compiled(clean, values, range_dn, key_from(generator), threads)
+        import torch
+
+        if clean.device.type == "cpu":
+            array = clean.detach().to(torch.float32).numpy()
+            noisy = self._compiled(array, values, range_dn, key_from(generator), threads)
+            return torch.from_numpy(noisy).to(clean.dtype if clean.is_floating_point() else torch.float32)
+        from eldata.noise.on_device import add_noise
+
+        if not isinstance(generator, torch.Generator) or generator.device.type != clean.device.type:
+            raise ArgumentError(f"clean is on {clean.device}: give a torch.Generator of that device")
+        low, high = CLIP_RANGES[self.clip]
+        flat = clean.detach().to(torch.float32).reshape(images, *clean.shape[-3:])
+        noisy_tensor = add_noise(flat, self.components, values, range_dn, self.adc, (low, high), generator)
+        return noisy_tensor.reshape(clean.shape).to(clean.dtype if clean.is_floating_point() else torch.float32)
+
+    def _compiled(
+        self, clean: NDArray[Any], values: _Values, range_dn: float, key: int, threads: int | None
+    ) -> NDArray[Any]:
+        from eldata.noise.compiled import add_noise
+
+        low, high = CLIP_RANGES[self.clip]
+        layout = row_layout(clean.shape[-3])
+        flat = np.ascontiguousarray(clean, dtype=np.float32).reshape(math.prod(clean.shape[:-3]), *clean.shape[-3:])
+        quantisation: Literal["none", "uniform", "adc"] = "uniform" if self.components.quantisation else "none"
+        noisy = add_noise(
+            flat,
+            gain_dn_per_e=values.gain_dn_per_e,
+            range_dn=range_dn,
+            ratio=values.ratio,
+            shot=self.components.shot,
+            read=self.components.read,
+            tukey_lambda=values.tukey_lambda,
+            sigma_read_dn=values.sigma_read_dn,
+            sigma_row_dn=values.sigma_row_dn,
+            bias_dn=values.bias_dn,
+            quantisation=quantisation if self.adc is None else "adc",
+            black_dn=0.0 if self.adc is None else self.adc.black_level_dn,
+            white_dn=math.inf if self.adc is None else self.adc.white_level_dn,
+            low=low,
+            high=high,
+            key=key,
+            row_table=layout.table,
+            period=layout.period,
+            threads=threads,
+        )
+        result = noisy.reshape(clean.shape)
+        return result.astype(clean.dtype, copy=False) if clean.dtype.kind == "f" else result
+
+    def expected_mean_dn(self, signal_e: float, parameters: NoiseParameters, channel: int = 0) -> float:
+        """Return the closed-form mean of D, in DN above black: K I, plus the bias of a Bayer channel."""
+        bias = parameters.colour_bias_dn[channel] if self.components.colour_bias else 0.0
+        return parameters.gain_dn_per_e * signal_e + bias
+
+    def expected_variance_dn2(self, signal_e: float, parameters: NoiseParameters) -> float:
+        """Return the closed-form variance of D over pixels and rows, in DN^2 (without saturation).
+
+        ``K (K I) + sigma_TL^2 Var(TL) + sigma_row^2 + 1/12``, each term if its component is there. For an ``adc`` 1/12
+        is an approximation, good where the other noise is above half a DN.
+        """
+        parts = self.components
+        gain = parameters.gain_dn_per_e
+        shot = gain * gain * signal_e if parts.shot != "none" else 0.0
+        read = {
+            "none": 0.0,
+            "gaussian": parameters.sigma_gauss_dn**2,
+            "tukey-lambda": parameters.sigma_tl_dn**2 * tukey_lambda_variance(parameters.tukey_lambda),
+        }[parts.read]
+        row = parameters.sigma_row_dn**2 if parts.row else 0.0
+        quantisation = 1 / 12 if parts.quantisation or self.adc is not None else 0.0
+        return shot + read + row + quantisation
+
+
+@dataclass(frozen=True, slots=True)
+class _Values:
+    """Parameters as arrays, one entry an image, 0 where a component is off."""
+
+    gain_dn_per_e: NDArray[np.float64]
+    ratio: NDArray[np.float64]
+    tukey_lambda: NDArray[np.float64]
+    sigma_read_dn: NDArray[np.float64]
+    sigma_row_dn: NDArray[np.float64]
+    bias_dn: NDArray[np.float64]
+
+    @classmethod
+    def of(
+        cls, components: Components, drawn: Sequence[NoiseParameters], ratios: Sequence[float], channels: int
+    ) -> _Values:
+        def array(values: list[float]) -> NDArray[np.float64]:
+            return np.array(values, dtype=np.float64)
+
+        sigma = [p.sigma_tl_dn if components.read == "tukey-lambda" else p.sigma_gauss_dn for p in drawn]
+        bias = [channel_bias_dn(p, channels) if components.colour_bias else (0.0,) * channels for p in drawn]
+        return cls(
+            gain_dn_per_e=array([p.gain_dn_per_e for p in drawn]),
+            ratio=array(list(ratios)),
+            tukey_lambda=array([p.tukey_lambda for p in drawn]),
+            sigma_read_dn=array(sigma) * (components.read != "none"),
+            sigma_row_dn=array([p.sigma_row_dn for p in drawn]) * components.row,
+            bias_dn=np.array(bias, dtype=np.float64),
+        )
+
+
+def _one_each(value: Any, images: int, name: str) -> list[Any]:
+    if isinstance(value, np.ndarray) or is_tensor(value):
+        value = value.tolist()
+    if not isinstance(value, Sequence):
+        return [value] * images
+    if len(value) != images:
+        raise ArgumentError(f"{name}: expected one, or one for each of {images} images; found {len(value)}")
+    return list(value)

@@ -1,0 +1,85 @@
+"""The noise model in torch's own operations, for tensors on a GPU or any other device."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+
+from eldata.noise.layout import row_layout
+
+if TYPE_CHECKING:
+    from eldata.noise.components import Components
+    from eldata.noise.model import Adc, _Values
+
+# Uniforms are float64 multiples of 2^-53 from 0 on: half a step keeps them off 0; the largest must not round to 1.
+_HALF_STEP = 2.0**-54
+_LARGEST = 1 - 2.0**-53
+
+
+def add_noise(
+    clean: torch.Tensor,
+    components: Components,
+    values: _Values,
+    range_dn: float,
+    adc: Adc | None,
+    limits: tuple[float, float],
+    generator: torch.Generator,
+) -> torch.Tensor:
+    """Return a noisy exposure of ``clean`` (N, C, h, w) float32; see :class:`eldata.noise.model.NoiseModel`."""
+    device = clean.device
+
+    def per_image(array: object) -> torch.Tensor:
+        values = torch.as_tensor(array, dtype=torch.float32, device=device)
+        return values[(...,) + (None,) * (4 - values.ndim)]
+
+    gain, scale = per_image(values.gain_dn_per_e), range_dn / per_image(values.ratio)
+    # DN above black: K I. An infinite clean value stays the largest number, which the clip then takes.
+    signal = clean.clamp(0.0, torch.finfo(torch.float32).max) * scale
+    if components.shot == "poisson":
+        electrons = torch.poisson(torch.nan_to_num(signal / gain, nan=0.0), generator=generator)
+        dn = torch.where(signal.isnan(), signal, electrons * gain)
+    elif components.shot == "gaussian":
+        normal = torch.randn(clean.shape, generator=generator, device=device)
+        dn = signal + (gain * signal).sqrt() * normal
+    else:
+        dn = signal
+    if components.read == "tukey-lambda":
+        shape = torch.as_tensor(values.tukey_lambda, dtype=torch.float64, device=device)[:, None, None, None]
+        dn = dn + per_image(values.sigma_read_dn) * _tukey_lambda(clean.shape, shape, generator)
+    elif components.read == "gaussian":
+        dn = dn + per_image(values.sigma_read_dn) * torch.randn(clean.shape, generator=generator, device=device)
+    if components.colour_bias:
+        dn = dn + per_image(values.bias_dn)
+    if components.row:
+        dn = dn + _row_noise(clean.shape, per_image(values.sigma_row_dn), generator)
+    if components.quantisation:
+        dn = dn + (torch.rand(clean.shape, generator=generator, device=device) - 0.5)
+    if adc is not None:
+        dn = (dn + adc.black_level_dn).round().clamp(0.0, adc.white_level_dn) - adc.black_level_dn
+    return (dn / scale).clamp(*limits)
+
+
+def _tukey_lambda(size: torch.Size, shape: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+    """Return Tukey-lambda draws of scale 1. In float64, where u and 1 - u keep both tails."""
+    u = torch.rand(size, generator=generator, dtype=torch.float64, device=shape.device) + _HALF_STEP
+    u.clamp_(max=_LARGEST)
+    below, above = u.log(), torch.log1p(-u)
+    # Division by 0 is avoided and its result not taken: the limit at 0 is the logistic distribution.
+    nonzero = torch.where(shape == 0, torch.ones_like(shape), shape)
+    general = (torch.expm1(shape * below) - torch.expm1(shape * above)) / nonzero
+    return torch.where(shape == 0, below - above, general).to(torch.float32)
+
+
+def _row_noise(size: torch.Size, sigma: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+    """Return row noise (N, C, h, w): one draw a mosaic row."""
+    images, channels, height, width = size
+    layout = row_layout(channels)
+    rows = -(-height // layout.sub) * layout.period
+    draws = torch.randn((images, rows), generator=generator, device=sigma.device)
+    table = torch.as_tensor(layout.table, device=sigma.device)
+    y = torch.arange(height, device=sigma.device)[:, None]
+    x = torch.arange(min(width, layout.sub), device=sigma.device)[None, :]
+    row = (y // layout.sub) * layout.period + table[:, y % layout.sub, x % layout.sub]
+    noise = draws[:, row] * sigma  # (N, C, h, s): it repeats every s columns
+    return noise.repeat(1, 1, 1, -(-width // layout.sub))[..., :width] if width > layout.sub else noise[..., :width]

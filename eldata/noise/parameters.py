@@ -1,0 +1,88 @@
+"""One draw of the noise model's parameters."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+from eldata.errors import ArgumentError
+
+# The Tukey-lambda family has finite variance for lambda > -1/2 only; beyond 2 its shape repeats.
+_LAMBDA_RANGE = (-0.5, 2.0)
+
+
+def shape_problem(tukey_lambda: float) -> str | None:
+    """Return what is wrong with a Tukey-lambda shape, or ``None``."""
+    low, high = _LAMBDA_RANGE
+    return None if low < tukey_lambda <= high else f"above {low:g} and not above {high:g}"
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseParameters:
+    """Parameters of one exposure (or clip) of one camera.
+
+    Attributes
+    ----------
+    gain_dn_per_e
+        Overall system gain K, DN per photoelectron, above 0.
+    tukey_lambda
+        Shape of the read noise, above -0.5 (finite variance) and at most 2; 0 is the logistic distribution.
+    sigma_tl_dn, sigma_gauss_dn
+        Scale of the Tukey-lambda read noise (not its standard deviation), and the standard deviation of the Gaussian
+        one, DN.
+    sigma_row_dn
+        Standard deviation of the row noise, DN.
+    colour_bias_dn
+        Mean of the read noise in R, G1, B, G2, DN.
+
+    Raises
+    ------
+    ArgumentError
+        If a value is not finite or out of its range; the message names it.
+    """
+
+    gain_dn_per_e: float
+    tukey_lambda: float
+    sigma_tl_dn: float
+    sigma_gauss_dn: float
+    sigma_row_dn: float
+    colour_bias_dn: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            values = value if isinstance(value, tuple) else (value,)
+            if not all(math.isfinite(item) for item in values):
+                raise ArgumentError(f"{field.name} must be finite; found {value}")
+        if len(self.colour_bias_dn) != 4:
+            raise ArgumentError(f"colour_bias_dn has four values, for R, G1, B and G2; found {self.colour_bias_dn}")
+        if not self.gain_dn_per_e > 0:
+            raise ArgumentError(f"gain_dn_per_e must be above 0; found {self.gain_dn_per_e}")
+        for name in ("sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn"):
+            if getattr(self, name) < 0:
+                raise ArgumentError(f"{name} must not be negative; found {getattr(self, name)}")
+        low, high = _LAMBDA_RANGE
+        if not low < self.tukey_lambda <= high:
+            raise ArgumentError(
+                f"tukey_lambda must lie above {low:g} and not above {high:g}; found {self.tukey_lambda}"
+            )
+
+
+def tukey_lambda_variance(tukey_lambda: float) -> float:
+    """Return the variance of the Tukey-lambda distribution of scale 1, for a shape l above -0.5.
+
+    ``2 / l^2 (1 / (2 l + 1) - B(l + 1, l + 1))`` with the beta function B, which is ``-2 expm1(g) / (l^2 (2 l + 1))``
+    with ``g = 2 ln Gamma(1 + l) - ln Gamma(1 + 2 l)``; pi^2 / 3 at l = 0. Near 0, g comes from its power series, which
+    does not cancel.
+    """
+    shape = tukey_lambda
+    if abs(shape) < 1e-12:  # the variance changes by a factor of about 1 + 2 l; the square of less may underflow
+        return math.pi**2 / 3
+    if abs(shape) < 0.125:
+        from scipy.special import zeta
+
+        # ln Gamma(1 + x) = -gamma x + sum over k >= 2 of zeta(k) (-x)^k / k
+        g = sum(float(zeta(k)) * (-shape) ** k * (2 - 2**k) / k for k in range(2, 40))
+    else:
+        g = 2 * math.lgamma(1 + shape) - math.lgamma(1 + 2 * shape)
+    return -2 * math.expm1(g) / (shape**2 * (2 * shape + 1))

@@ -1,0 +1,335 @@
+"""Camera profiles: what a calibration found, and how parameters are drawn from it.
+
+A profile is a JSON file, validated on load. Five cameras ship with the package (:func:`shipped_profiles`).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from eldata.errors import ArgumentError, ProfileError
+from eldata.files import write_text
+from eldata.noise.parameters import NoiseParameters, shape_problem
+from eldata.noise.randomness import Generator, standard_normals, uniforms
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+SCHEMA = 1
+_LARGEST = sys.float_info.max
+RowChoice = Literal["any", "nearest-gain"]
+
+
+@dataclass(frozen=True, slots=True)
+class LogLogFit:
+    """The line of ln(scale in DN) over ln(K in DN/e-), and the standard deviation of its residuals."""
+
+    slope: float
+    intercept: float
+    sigma: float
+
+    def scale_dn(self, gain_dn_per_e: float, standard_normal: float) -> float:
+        """Return the scale at a gain, ``standard_normal`` residual deviations off the line."""
+        mean = self.slope * math.log(gain_dn_per_e) + self.intercept
+        return math.exp(mean + self.sigma * standard_normal)
+
+
+@dataclass(frozen=True, slots=True)
+class ProfileRow:
+    """What was measured at one ISO; ``None`` is not known.
+
+    ``tukey_lambda`` and ``colour_bias_dn`` (R, G1, B, G2) belong together; ``r_squared_tl`` and ``r_squared_gauss`` are
+    the probability plots' coefficients of determination.
+    """
+
+    tukey_lambda: float
+    colour_bias_dn: tuple[float, float, float, float]
+    iso: float | None = None
+    gain_dn_per_e: float | None = None
+    sigma_tl_dn: float | None = None
+    sigma_gauss_dn: float | None = None
+    sigma_row_dn: float | None = None
+    r_squared_tl: float | None = None
+    r_squared_gauss: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CameraProfile:
+    """The noise of one camera, as calibrated.
+
+    Attributes
+    ----------
+    camera, source
+        The camera's name, and where the figures come from.
+    gain_range_dn_per_e
+        System gain K at the lowest and the highest calibrated ISO.
+    tukey_lambda_fit, gauss_fit, row_fit
+        Fits of sigma_TL, of the Gaussian sigma and of sigma_row over K.
+    rows
+        Measurements by ISO.
+    iso_range
+        The ISOs of ``gain_range_dn_per_e``, if known.
+    black_level_dn, white_level_dn
+        Levels of the calibrated frames, if known.
+    notes
+        What a user should know, such as which figures are inferred.
+    """
+
+    camera: str
+    source: str
+    gain_range_dn_per_e: tuple[float, float]
+    tukey_lambda_fit: LogLogFit
+    gauss_fit: LogLogFit
+    row_fit: LogLogFit
+    rows: tuple[ProfileRow, ...]
+    iso_range: tuple[float, float] | None = None
+    black_level_dn: float | None = None
+    white_level_dn: float | None = None
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.rows:
+            raise ProfileError(f"the profile of {self.camera} has no row")
+
+    @classmethod
+    def load(cls, name: str | Path) -> CameraProfile:
+        """Load a shipped profile by its name, or any by its path.
+
+        Raises
+        ------
+        ProfileError
+            If there is no such profile, or it is malformed; the message names file, field, expected and found.
+        """
+        if isinstance(name, str) and "/" not in name and not name.endswith(".json"):
+            if name not in shipped_profiles():
+                raise ProfileError(
+                    f"no camera profile is called {name!r}; known are {', '.join(shipped_profiles())}, or give a path"
+                )
+            return _read(_FOLDER / f"{name}.json")
+        return _read(Path(name))
+
+    def save(self, path: Path | str) -> None:
+        """Write the profile as JSON, whole or not at all."""
+        write_text(path, json.dumps({"schema": SCHEMA} | asdict(self), indent=1) + "\n")
+
+    def gain_at_iso(self, iso: float) -> float:
+        """Return K at an ISO: the row's where one was measured, else in proportion between the known limits.
+
+        Raises
+        ------
+        ArgumentError
+            If the profile does not know its ISOs, or this one lies outside.
+        """
+        measured = [row.gain_dn_per_e for row in self.rows if row.iso == iso and row.gain_dn_per_e is not None]
+        if measured:
+            return sum(measured) / len(measured)
+        if self.iso_range is None:
+            raise ArgumentError(f"the profile of {self.camera} does not say which ISO its gains belong to; give a gain")
+        low, high = self.iso_range
+        if not low <= iso <= high:
+            raise ArgumentError(f"ISO {iso:g} is outside of the calibrated range {low:g} to {high:g} of {self.camera}")
+        first, last = self.gain_range_dn_per_e
+        if low == high:
+            return first
+        share = math.log(iso / low) / math.log(high / low)
+        return math.exp(math.log(first) + share * math.log(last / first))
+
+    def sample(
+        self,
+        generator: Generator,
+        *,
+        iso: float | None = None,
+        gain_dn_per_e: float | None = None,
+        row: RowChoice = "any",
+    ) -> NoiseParameters:
+        """Draw parameters jointly (equation "sampling" of the paper).
+
+        ln K is uniform between the camera's own limits; ln sigma is normal around its line given ln K; lambda and
+        colour bias come from one and the same calibration row.
+
+        Parameters
+        ----------
+        generator
+            A :class:`numpy.random.Generator` or a :class:`torch.Generator`; the same state gives the same draw.
+        iso, gain_dn_per_e
+            Fix the ISO, or K itself, in place of drawing K.
+        row
+            ``"any"``: every row alike, as in the paper. ``"nearest-gain"``: the row measured at the gain nearest to K
+            (one of them at random if several are).
+
+        Raises
+        ------
+        ArgumentError
+            If both ``iso`` and ``gain_dn_per_e`` are given, the ISO is unknown, or no row has a gain to be near to.
+        """
+        # Always five numbers, whatever is fixed: fixing one parameter leaves the others' draws as they were.
+        u_gain, u_row = uniforms(generator, 2)
+        z_tl, z_gauss, z_row = standard_normals(generator, 3)
+        if iso is not None and gain_dn_per_e is not None:
+            raise ArgumentError("give iso or gain_dn_per_e, not both")
+        if iso is not None:
+            gain = self.gain_at_iso(iso)
+        elif gain_dn_per_e is not None:
+            gain = float(gain_dn_per_e)
+            if not (math.isfinite(gain) and gain > 0):
+                raise ArgumentError(f"gain_dn_per_e must be finite and above 0; found {gain_dn_per_e}")
+        else:
+            low, high = (math.log(limit) for limit in self.gain_range_dn_per_e)
+            gain = math.exp(low + u_gain * (high - low))
+        rows = self._rows_for(gain, row)
+        chosen = rows[min(int(u_row * len(rows)), len(rows) - 1)]
+        return NoiseParameters(
+            gain_dn_per_e=gain,
+            tukey_lambda=chosen.tukey_lambda,
+            sigma_tl_dn=self.tukey_lambda_fit.scale_dn(gain, z_tl),
+            sigma_gauss_dn=self.gauss_fit.scale_dn(gain, z_gauss),
+            sigma_row_dn=self.row_fit.scale_dn(gain, z_row),
+            colour_bias_dn=chosen.colour_bias_dn,
+        )
+
+    def _rows_for(self, gain: float, row: RowChoice) -> Sequence[ProfileRow]:
+        if row == "any":
+            return self.rows
+        if row != "nearest-gain":
+            raise ArgumentError(f"row must be 'any' or 'nearest-gain'; found {row!r}")
+        distances = [
+            abs(math.log(candidate.gain_dn_per_e / gain)) if candidate.gain_dn_per_e is not None else math.inf
+            for candidate in self.rows
+        ]
+        nearest = min(distances)
+        if math.isinf(nearest):
+            raise ArgumentError(f"no row of {self.camera}'s profile has a gain; row='nearest-gain' needs one")
+        return [
+            candidate for candidate, distance in zip(self.rows, distances, strict=True) if distance <= nearest + 1e-9
+        ]
+
+
+# --- files ----------------------------------------------------------------------------------------------------
+
+_FOLDER = Path(__file__).parent / "profiles"
+
+
+def shipped_profiles() -> tuple[str, ...]:
+    """Return the names of the shipped profiles."""
+    return tuple(sorted(path.stem for path in _FOLDER.glob("*.json")))
+
+
+def _read(path: Path) -> CameraProfile:
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ProfileError(f"{path}: cannot be read: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:
+        raise ProfileError(f"{path}: is not JSON ({error})") from error
+    reader = _Reader(path)
+    top = reader.record(data, "", {"schema", *(item.name for item in fields(CameraProfile))})
+    if top.get("schema") != SCHEMA:
+        raise reader.wrong("schema", f"{SCHEMA}; a newer profile needs a newer eldata", top.get("schema"))
+    return CameraProfile(
+        camera=reader.text(top, "camera"),
+        source=reader.text(top, "source"),
+        gain_range_dn_per_e=reader.pair(top, "gain_range_dn_per_e"),
+        tukey_lambda_fit=reader.fit(top, "tukey_lambda_fit"),
+        gauss_fit=reader.fit(top, "gauss_fit"),
+        row_fit=reader.fit(top, "row_fit"),
+        rows=reader.rows(top),
+        iso_range=None if top.get("iso_range") is None else reader.pair(top, "iso_range"),
+        black_level_dn=reader.optional(top, "black_level_dn"),
+        white_level_dn=reader.optional(top, "white_level_dn"),
+        notes=tuple(reader.texts(top, "notes")),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Reader:
+    """Takes typed values out of JSON and names the field that is wrong."""
+
+    path: Path
+
+    def wrong(self, name: str, expected: str, found: object) -> ProfileError:
+        return ProfileError(f"{self.path}, field {name}: expected {expected}, found {found!r}")
+
+    def record(self, data: Any, name: str, known: set[str]) -> dict[str, Any]:
+        if not isinstance(data, dict):
+            raise self.wrong(name or "(all)", "an object", data)
+        for key in data:
+            if key not in known:
+                raise self.wrong(f"{name}.{key}".lstrip("."), f"one of {', '.join(sorted(known))}", key)
+        return data
+
+    def items(self, data: dict[str, Any], name: str) -> list[Any]:
+        value = data.get(name)
+        if not isinstance(value, list):
+            raise self.wrong(name, "a list", value)
+        return value
+
+    def text(self, data: dict[str, Any], name: str) -> str:
+        value = data.get(name)
+        if not isinstance(value, str) or not value:
+            raise self.wrong(name, "a text", value)
+        return value
+
+    def texts(self, data: dict[str, Any], name: str) -> list[str]:
+        value = data.get(name, [])
+        if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
+            raise self.wrong(name, "a list of texts", value)
+        return value
+
+    def number(self, value: Any, name: str) -> float:
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not -_LARGEST <= value <= _LARGEST:
+            raise self.wrong(name, "a finite number", value)
+        return float(value)
+
+    def optional(self, data: dict[str, Any], name: str, where: str = "") -> float | None:
+        value = data.get(name)
+        return None if value is None else self.number(value, f"{where}{name}")
+
+    def pair(self, data: dict[str, Any], name: str) -> tuple[float, float]:
+        value = data.get(name)
+        if not isinstance(value, list) or len(value) != 2:
+            raise self.wrong(name, "two numbers", value)
+        low, high = self.number(value[0], f"{name}[0]"), self.number(value[1], f"{name}[1]")
+        if not 0 < low <= high:
+            raise self.wrong(name, "two positive numbers, the lower first", value)
+        return low, high
+
+    def fit(self, data: dict[str, Any], name: str) -> LogLogFit:
+        names = tuple(item.name for item in fields(LogLogFit))
+        value = self.record(data.get(name), name, set(names))
+        fit = LogLogFit(**{key: self.number(value.get(key), f"{name}.{key}") for key in names})
+        if fit.sigma < 0:
+            raise self.wrong(f"{name}.sigma", "0 or more", fit.sigma)
+        return fit
+
+    def rows(self, data: dict[str, Any]) -> tuple[ProfileRow, ...]:
+        items = self.items(data, "rows")
+        if not items:
+            raise self.wrong("rows", "at least one row", items)
+        return tuple(self.row(item, f"rows[{index}]") for index, item in enumerate(items))
+
+    def row(self, data: Any, name: str) -> ProfileRow:
+        value = self.record(data, name, {item.name for item in fields(ProfileRow)})
+        bias = value.get("colour_bias_dn")
+        if not isinstance(bias, list) or len(bias) != 4:
+            raise self.wrong(f"{name}.colour_bias_dn", "four numbers (R, G1, B, G2)", bias)
+        numbers = [self.number(item, f"{name}.colour_bias_dn[{i}]") for i, item in enumerate(bias)]
+        shape = self.number(value.get("tukey_lambda"), f"{name}.tukey_lambda")
+        optional = {
+            item.name: self.optional(value, item.name, f"{name}.")
+            for item in fields(ProfileRow)
+            if item.name not in ("tukey_lambda", "colour_bias_dn")
+        }
+        problem = shape_problem(shape)
+        if problem is not None:
+            raise self.wrong(f"{name}.tukey_lambda", f"a number {problem}", shape)
+        for key, found in optional.items():
+            if found is not None and key in ("iso", "gain_dn_per_e") and not found > 0:
+                raise self.wrong(f"{name}.{key}", "a number above 0", found)
+            if found is not None and key.startswith("sigma") and found < 0:
+                raise self.wrong(f"{name}.{key}", "0 or more", found)
+        return ProfileRow(shape, (numbers[0], numbers[1], numbers[2], numbers[3]), **optional)

@@ -1,0 +1,136 @@
+"""Importing the camera parameters that the ELD authors published (``<camera>_params.npy``).
+
+Such a file is a pickle, and unpickling runs code of the file's choice. The unpickler here admits numpy arrays and plain
+types alone; anything else is refused by name before it is called.
+"""
+
+from __future__ import annotations
+
+import io
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eldata.errors import ProfileError
+from eldata.noise.profile import CameraProfile, LogLogFit, ProfileRow
+
+SOURCE = "ELD repository (Vandermode/ELD, MIT licence), commit 53d5408, camera_params"
+
+_ALLOWED = {
+    ("numpy", "dtype"),
+    ("numpy", "ndarray"),
+    ("numpy.core.numeric", "_frombuffer"),
+    ("numpy._core.numeric", "_frombuffer"),
+    *((f"numpy.{core}.multiarray", name) for core in ("core", "_core") for name in ("_reconstruct", "scalar")),
+}
+
+
+class _PlainUnpickler(pickle.Unpickler):  # find_class below admits no code of the file's choice
+    def find_class(self, module: str, name: str) -> Any:
+        if (module, name) == ("_codecs", "encode"):  # how older pickles hold the bytes of an array
+            return _latin1
+        if (module, name) not in _ALLOWED:
+            raise pickle.UnpicklingError(f"it asks for {module}.{name}")
+        return super().find_class(module.replace("numpy.core.", "numpy._core."), name)
+
+
+def _latin1(text: str, encoding: str) -> bytes:
+    if encoding != "latin1":
+        raise pickle.UnpicklingError(f"it asks for the encoding {encoding}")
+    return text.encode("latin1")
+
+
+def read_published(path: Path | str) -> dict[str, Any]:
+    """Return the plain content of a published parameter file: dictionaries, lists, numbers.
+
+    Raises
+    ------
+    ProfileError
+        If the file is no such pickle, or asks for anything but numpy arrays and plain types; then nothing was run.
+    """
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ProfileError(f"{path}: cannot be read: {error.strerror}") from error
+    stream = io.BytesIO(data)
+    try:
+        version = np.lib.format.read_magic(stream)
+        reader = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, dtype = reader(stream)
+        holds_object = dtype == np.dtype(object) and shape == ()
+        content = _PlainUnpickler(stream, encoding="latin1").load() if holds_object else None
+        plain = _plain(content.item() if isinstance(content, np.ndarray) and content.shape == () else content)
+    except Exception as error:  # whatever a foreign pickle provokes
+        raise ProfileError(f"{path}: is not a published parameter file ({error}); nothing of it was run") from error
+    if not isinstance(plain, dict):
+        raise ProfileError(f"{path}: expected a dictionary, found {type(plain).__name__}")
+    return plain
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, np.generic):
+        return value.item()
+    return value
+
+
+def profiles_from_published(camera: str, data: dict[str, Any], source: str = SOURCE) -> tuple[CameraProfile, ...]:
+    """Return one profile per published calibration (``Profile-1``, ``Profile-2``).
+
+    The published rows name neither ISO nor gain. They run two per ISO, and every camera's Kmax is 64 Kmin, which is
+    ISO 100 to 6400 in proportion; so row i is taken as ISO 100 * 2^(i // 2) with K in proportion. The profile's notes
+    say so.
+
+    Raises
+    ------
+    ProfileError
+        If a key is missing or of the wrong kind.
+    """
+    try:
+        low, high = float(data["Kmin"]), float(data["Kmax"])
+        shapes, biases = list(data["G_shape"]), list(data["color_bias"])
+        names = sorted(key for key in data if key.startswith("Profile-"))
+        if len(shapes) != len(biases) or not shapes or not names:
+            raise ProfileError(f"{camera}: expected as many G_shape as color_bias rows, and a Profile-1")
+        rows = tuple(
+            ProfileRow(
+                tukey_lambda=float(shape),
+                colour_bias_dn=(float(bias[0]), float(bias[1]), float(bias[2]), float(bias[3])),
+                iso=100.0 * 2 ** (index // 2),
+                gain_dn_per_e=low * 2 ** (index // 2),
+            )
+            for index, (shape, bias) in enumerate(zip(shapes, biases, strict=True))
+        )
+        profiles = []
+        for name in names:
+            fits = {
+                key: LogLogFit(float(fit["slope"]), float(fit["bias"]), float(fit["sigma"]))
+                for key, fit in data[name].items()
+            }
+            profiles.append(
+                CameraProfile(
+                    camera=camera,
+                    source=f"{source}, {name}",
+                    gain_range_dn_per_e=(low, high),
+                    tukey_lambda_fit=fits["G_scale"],
+                    gauss_fit=fits["g_scale"],
+                    row_fit=fits["R_scale"],
+                    rows=rows,
+                    iso_range=(100.0, 6400.0),
+                    notes=(
+                        "ISO and gain of the rows, and the ISO range, are inferred: the published file names neither.",
+                        "Kmax / Kmin is 64 in every published file: ISO 100 to 6400 in proportion to the gain.",
+                    ),
+                )
+            )
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        raise ProfileError(f"{camera}: is not a published parameter dictionary ({error!r})") from error
+    return tuple(profiles)

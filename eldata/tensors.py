@@ -1,0 +1,11 @@
+"""Telling torch tensors apart without importing torch."""
+
+from __future__ import annotations
+
+import sys
+
+
+def is_tensor(value: object) -> bool:
+    """Tell whether ``value`` is a torch tensor, without importing torch for those who do not use it."""
+    torch = sys.modules.get("torch")
+    return torch is not None and isinstance(value, torch.Tensor)

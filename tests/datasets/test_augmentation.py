@@ -1,0 +1,139 @@
+"""Orientations of mosaics: the pixels are turned, the CFA is not."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from eldata.datasets.augmentation import ORIENTATIONS, Orientation, oriented
+from eldata.errors import ArgumentError
+from eldata.raw.cfa import XTRANS_CFA, pack
+from tests.raw.helpers import BAYER, BAYER_COLOURS, SOME_CFAS, XTRANS, XTRANS_COLOURS, Cfa
+
+ALL_CFAS: dict[str, Cfa] = {**BAYER, **XTRANS}
+
+
+def colours(cfa: Cfa, height: int, width: int) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
+    """A mosaic of colours, the two greens alike."""
+    period = len(cfa)
+    pattern = np.array([[1 if value == 3 else value for value in row] for row in cfa])
+    return np.tile(pattern, (height // period, width // period))
+
+
+def name(orientation: Orientation) -> str:
+    flags = ("transpose", orientation.transpose), ("rows", orientation.flip_rows), ("columns", orientation.flip_columns)
+    return "+".join(word for word, on in flags if on) or "identity"
+
+
+EACH = pytest.mark.parametrize("orientation", ORIENTATIONS, ids=name)
+
+
+def test_there_are_eight_different_orientations() -> None:
+    corner = np.arange(4).reshape(2, 2)
+    flags = [(o.transpose, o.flip_rows, o.flip_columns) for o in ORIENTATIONS]
+    assert sorted(flags) == sorted(itertools.product((False, True), repeat=3))
+    views = {tuple(expected(corner, orientation).ravel().tolist()) for orientation in ORIENTATIONS}
+    assert len(views) == 8
+
+
+def expected(
+    mosaic: np.ndarray[tuple[int, ...], np.dtype[np.int64]], orientation: Orientation
+) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
+    """The turned mosaic, pixel by pixel."""
+    height, width = mosaic.shape[::-1] if orientation.transpose else mosaic.shape
+    out = np.empty((height, width), dtype=mosaic.dtype)
+    for y, x in np.ndindex(height, width):
+        row = height - 1 - y if orientation.flip_rows else y
+        column = width - 1 - x if orientation.flip_columns else x
+        out[y, x] = mosaic[column, row] if orientation.transpose else mosaic[row, column]
+    return out
+
+
+@EACH
+@pytest.mark.parametrize("cfa", ALL_CFAS.values(), ids=ALL_CFAS.keys())
+def test_the_cfa_stays_and_the_pixels_are_the_turned_ones(cfa: Cfa, orientation: Orientation) -> None:
+    period = len(cfa)
+    height, width = 3 * period, 4 * period
+    mosaic = np.arange(height * width).reshape(height, width)
+    view = oriented(mosaic, cfa, orientation)
+    turned = expected(mosaic, orientation)
+    # Less than a period is lost, at the top and at the left only.
+    top, left = (turned.shape[0] - view.shape[0], turned.shape[1] - view.shape[1])
+    assert 0 <= top < period
+    assert 0 <= left < period
+    np.testing.assert_array_equal(view, turned[top:, left:])
+    # Each pixel's colour is the one that the CFA has there.
+    of_pixel = colours(cfa, height, width).ravel()
+    wanted = colours(cfa, 5 * period, 5 * period)[: view.shape[0], : view.shape[1]]
+    np.testing.assert_array_equal(of_pixel[view], wanted)
+    # And no smaller loss would have done.
+    for other_top, other_left in itertools.product(range(period), repeat=2):
+        if other_top + other_left < top + left:
+            rest = of_pixel[turned[other_top:, other_left:]]
+            whole = colours(cfa, 5 * period, 5 * period)[: rest.shape[0], : rest.shape[1]]
+            assert not np.array_equal(rest, whole)
+
+
+@EACH
+@pytest.mark.parametrize("cfa", SOME_CFAS.values(), ids=SOME_CFAS.keys())
+def test_it_is_a_view(cfa: Cfa, orientation: Orientation) -> None:
+    mosaic = np.zeros((24, 36), dtype=np.uint16)
+    view = oriented(mosaic, cfa, orientation)
+    assert view.dtype == np.uint16
+    assert np.shares_memory(view, mosaic)
+    view[...] = 7
+    assert (mosaic == 7).sum() == view.size
+
+
+@EACH
+@pytest.mark.parametrize("cfa", SOME_CFAS.values(), ids=SOME_CFAS.keys())
+def test_packed_channels_hold_their_own_colour(cfa: Cfa, orientation: Orientation) -> None:
+    packed = pack(oriented(colours(cfa, 36, 48), cfa, orientation), cfa)
+    letters = BAYER_COLOURS if len(cfa) == 2 else XTRANS_COLOURS
+    for channel, letter in zip(packed, letters, strict=True):
+        assert (channel == "RGB".index(letter)).all()
+
+
+@EACH
+@pytest.mark.parametrize("cfa", BAYER.values(), ids=BAYER.keys())
+def test_the_first_green_is_the_one_in_reds_rows(cfa: Cfa, orientation: Orientation) -> None:
+    """In the packed form R and G1 come from the same rows of the view, whatever they were before the turn."""
+    mosaic = np.arange(24 * 36).reshape(24, 36)
+    view = oriented(mosaic, cfa, orientation)
+    row_of = np.empty(mosaic.size, dtype=np.int64)
+    row_of[view.ravel()] = np.repeat(np.arange(view.shape[0]), view.shape[1])
+    red, green, blue, other_green = row_of[pack(view, cfa)]
+    np.testing.assert_array_equal(red, green)
+    np.testing.assert_array_equal(blue, other_green)
+
+
+def test_the_identity_loses_nothing() -> None:
+    for cfa in ALL_CFAS.values():
+        mosaic = np.arange(12 * 18).reshape(12, 18)
+        np.testing.assert_array_equal(oriented(mosaic, cfa, Orientation()), mosaic)
+
+
+@pytest.mark.parametrize(
+    ("shape", "cfa"),
+    [
+        ((5, 4), BAYER["RGGB"]),
+        ((4, 5), BAYER["RGGB"]),
+        ((6, 8), XTRANS_CFA),
+        ((9, 6), XTRANS_CFA),
+        ((6,), XTRANS_CFA),
+        ((2, 2, 2), BAYER["RGGB"]),
+        ((), BAYER["RGGB"]),
+    ],
+)
+def test_shapes_that_do_not_fit(shape: tuple[int, ...], cfa: Cfa) -> None:
+    with pytest.raises(ArgumentError, match=rf"sides are multiples of {len(cfa)}; found shape"):
+        oriented(np.zeros(shape), cfa, Orientation())
+
+
+def test_a_cfa_without_that_orientation() -> None:
+    diagonal = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
+    assert oriented(np.zeros((3, 3)), diagonal, Orientation(transpose=True)).shape == (3, 3)
+    with pytest.raises(ArgumentError, match=r"has no orientation Orientation\(.*flip_columns=True"):
+        oriented(np.zeros((3, 3)), diagonal, Orientation(flip_columns=True))

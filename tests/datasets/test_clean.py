@@ -1,0 +1,233 @@
+"""Clean frames from raw files and from arrays."""
+
+from __future__ import annotations
+
+import pickle
+import shutil
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+import eldata.raw.reading
+from eldata.datasets.clean import Arrays, CleanFrame, RawFiles
+from eldata.errors import ArgumentError, DatasetError, RawFileError
+from eldata.raw import write_dng
+from eldata.raw.cfa import XTRANS_CFA, normalise, pack
+from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, Cfa, make_sensor, random_mosaic
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+CFAS = [BAYER["RGGB"], BAYER["GBRG"], XTRANS["xtrans-00"], XTRANS["xtrans-42"]]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four DNG files, one of them in a folder below, and what is no raw file."""
+    top = tmp_path_factory.mktemp("clean")
+    (top / "deep" / "deeper").mkdir(parents=True)
+    names = ("a.dng", "b.DNG", "deep/c.dng", "deep/deeper/d.dng")
+    for number, (name, cfa) in enumerate(zip(names, CFAS, strict=True)):
+        write_dng(top / name, random_mosaic(60, 64, seed=number), make_sensor(cfa), EXPOSURE)
+    (top / "notes.txt").write_text("no raw")
+    (top / "deep" / "preview.jpg").write_bytes(b"no raw")
+    return top
+
+
+# --- raw files ------------------------------------------------------------------------------------------------------
+
+
+def test_a_folder_is_searched_through_for_raw_files(folder: Path) -> None:
+    for source in (RawFiles(folder), RawFiles(str(folder))):
+        assert len(source) == 4
+        assert [path.relative_to(folder).as_posix() for path in source.paths] == [
+            "a.dng",
+            "b.DNG",
+            "deep/c.dng",
+            "deep/deeper/d.dng",
+        ]
+
+
+@pytest.mark.parametrize(("levels", "white"), [("metadata", 15871.0), ("published", 16383.0)])
+def test_each_frame_is_the_file(levels: Any, white: float, folder: Path) -> None:
+    source = RawFiles(folder, levels=levels)
+    for number, cfa in enumerate(CFAS):
+        frame = source.frame(number)
+        sensor = make_sensor(cfa)
+        np.testing.assert_array_equal(frame.mosaic, random_mosaic(60, 64, seed=number))
+        assert frame.mosaic.dtype == np.uint16
+        assert frame.cfa == cfa
+        assert frame.black_level_dn == sensor.black_level_dn
+        assert frame.white_level_dn == white
+        assert frame.range_dn == pytest.approx(white - np.mean(sensor.black_level_dn))
+        assert frame.name == str(source.paths[number])
+        assert "mosaic" not in repr(frame)
+
+
+def test_the_metadata_levels_are_the_default(folder: Path) -> None:
+    assert RawFiles(folder).levels == "metadata"
+    assert RawFiles(folder).frame(0).white_level_dn == 15871.0
+
+
+def test_files_keep_their_order(folder: Path) -> None:
+    paths: list[Path | str] = [folder / "deep" / "c.dng", str(folder / "a.dng")]
+    source = RawFiles(paths)
+    assert source.paths == (folder / "deep" / "c.dng", folder / "a.dng")
+    np.testing.assert_array_equal(source.frame(1).mosaic, random_mosaic(60, 64, seed=0))
+    assert len(RawFiles(iter(paths))) == 2
+
+
+@pytest.fixture
+def decoded(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of the files that are decoded from now on."""
+    names: list[str] = []
+    read = eldata.raw.reading.read_raw
+
+    def counted(path: Path) -> Any:
+        names.append(path.name)
+        return read(path)
+
+    monkeypatch.setattr(eldata.raw.reading, "read_raw", counted)
+    return names
+
+
+def test_nothing_is_kept_by_default(folder: Path, decoded: list[str]) -> None:
+    source = RawFiles(folder)
+    assert source.frame(0) is not source.frame(0)
+    assert decoded == ["a.dng", "a.dng"]
+
+
+def test_the_frames_last_used_are_kept(folder: Path, decoded: list[str]) -> None:
+    source = RawFiles(folder, keep=2)
+    first = source.frame(0)
+    source.frame(1)
+    assert source.frame(0) is first  # and so 1 is the oldest
+    source.frame(2)
+    assert source.frame(0) is first
+    source.frame(1)
+    assert decoded == ["a.dng", "b.DNG", "c.dng", "b.DNG"]
+    assert len(source._kept) == 2
+
+
+@pytest.mark.parametrize("keep", [-1, -5])
+def test_a_negative_number_of_frames_to_keep(keep: int, folder: Path) -> None:
+    with pytest.raises(ArgumentError, match="keep"):
+        RawFiles(folder, keep=keep).frame(0)
+
+
+def test_a_folder_without_raw_files(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("no raw")
+    with pytest.raises(DatasetError, match="holds no camera raw file") as caught:
+        RawFiles(tmp_path)
+    assert str(tmp_path) in str(caught.value)
+    with pytest.raises(DatasetError, match="none: holds no camera raw file"):
+        RawFiles(tmp_path / "none")
+
+
+def test_no_files_at_all() -> None:
+    with pytest.raises(DatasetError, match="no raw file was given"):
+        RawFiles([])
+
+
+def test_unknown_levels(folder: Path) -> None:
+    levels: Any = "eld"
+    with pytest.raises(ArgumentError, match="levels must be one of 'metadata', 'published'; found 'eld'"):
+        RawFiles(folder, levels=levels).frame(0)
+
+
+def test_a_file_that_cannot_be_read_is_named(folder: Path, tmp_path: Path) -> None:
+    shutil.copy(folder / "a.dng", tmp_path / "a.dng")
+    (tmp_path / "b.dng").write_bytes((folder / "a.dng").read_bytes()[:3000])
+    source = RawFiles(tmp_path)
+    source.frame(0)
+    with pytest.raises(RawFileError, match=r"b\.dng"):
+        source.frame(1)
+    with pytest.raises(RawFileError, match=r"none\.dng"):
+        RawFiles([tmp_path / "none.dng"]).frame(0)
+
+
+def test_raw_files_pickle_and_show_themselves(folder: Path) -> None:
+    source = RawFiles(folder, levels="published", keep=1)
+    source.frame(2)
+    again = pickle.loads(pickle.dumps(source))
+    assert (again.paths, again.levels, again.keep) == (source.paths, "published", 1)
+    np.testing.assert_array_equal(again.frame(2).mosaic, source.frame(2).mosaic)
+    assert repr(source) == "RawFiles(4 files, first a.dng, levels='published', keep=1)"
+
+
+# --- arrays ---------------------------------------------------------------------------------------------------------
+
+
+def arrays_of(packed: Any, **options: Any) -> Arrays:
+    return Arrays(packed, **options)
+
+
+@pytest.mark.parametrize("cfa", BAYER.values(), ids=BAYER.keys())
+def test_a_bayer_array_comes_back(cfa: Cfa) -> None:
+    arrays = np.random.default_rng(0).random((3, 4, 10, 12), dtype=np.float32)
+    source = arrays_of(arrays, range_dn=15871.0, cfa=cfa)
+    assert len(source) == 3
+    for number, array in enumerate(arrays):
+        frame = source.frame(number)
+        assert frame.mosaic.shape == (20, 24)
+        assert frame.mosaic.dtype == np.float32
+        assert frame.cfa == cfa
+        assert frame.range_dn == frame.white_level_dn == 15871.0
+        assert frame.black_level_dn == (0.0,) * 4
+        assert frame.name == f"array {number}"
+        np.testing.assert_array_equal(pack(frame.mosaic, cfa), array * np.float32(15871))
+        back = normalise(pack(frame.mosaic, cfa), cfa, frame.black_level_dn, frame.white_level_dn)
+        np.testing.assert_allclose(back, array, rtol=3e-7)
+
+
+@pytest.mark.parametrize("name", ["xtrans-00", "xtrans-42", "xtrans-15"])
+def test_an_xtrans_array_comes_back_at_the_patterns_own_phase(name: str) -> None:
+    array = np.random.default_rng(0).random((9, 8, 6), dtype=np.float32)
+    frame = arrays_of([array], range_dn=1000.0, cfa=XTRANS[name]).frame(0)
+    assert frame.mosaic.shape == (24, 18)
+    assert frame.cfa == XTRANS_CFA
+    assert frame.black_level_dn == (0.0,) * 3
+    np.testing.assert_array_equal(pack(frame.mosaic, frame.cfa), array * np.float32(1000))
+
+
+def test_arrays_of_other_types_and_sizes(tmp_path: Path) -> None:
+    arrays = [np.ones((4, 2, 3)), np.ones((4, 5, 4), np.float16)]
+    source = arrays_of(arrays, range_dn=2.0)
+    assert source.frame(0).cfa == BAYER["RGGB"]
+    assert [source.frame(i).mosaic.shape for i in range(2)] == [(4, 6), (10, 8)]
+    assert all(source.frame(i).mosaic.dtype == np.float32 for i in range(2))
+    np.save(tmp_path / "array.npy", np.full((2, 4, 3, 3), 0.5, np.float32))
+    mapped = arrays_of(np.load(tmp_path / "array.npy", mmap_mode="r"), range_dn=2.0)
+    assert (mapped.frame(1).mosaic == 1.0).all()
+
+
+def test_no_arrays_at_all() -> None:
+    nothing: tuple[Any, ...] = ([], np.zeros((0, 4, 2, 2)))
+    for arrays in nothing:
+        with pytest.raises(ArgumentError, match="no array was given"):
+            arrays_of(arrays, range_dn=1.0)
+
+
+@pytest.mark.parametrize("range_dn", [0.0, -1.0, float("nan")])
+def test_a_range_that_makes_no_sense(range_dn: float) -> None:
+    with pytest.raises(ArgumentError, match="range_dn must be above 0; found"):
+        arrays_of(np.zeros((1, 4, 2, 2)), range_dn=range_dn)
+
+
+def test_an_array_that_does_not_fit_its_cfa() -> None:
+    with pytest.raises(ArgumentError, match=r"expected packed data \(4, h, w\); found shape \(9, 2, 2\)"):
+        arrays_of(np.zeros((1, 9, 2, 2)), range_dn=1.0).frame(0)
+    with pytest.raises(ArgumentError, match=r"expected packed data \(9, h, w\) with even h and w"):
+        arrays_of(np.zeros((1, 9, 3, 2)), range_dn=1.0, cfa=XTRANS_CFA).frame(0)
+
+
+def test_arrays_show_themselves() -> None:
+    assert repr(arrays_of(np.zeros((3, 4, 5, 6)), range_dn=15871.0)) == (
+        "Arrays(3 frames of shape (4, 5, 6), range_dn=15871)"
+    )
+
+
+def test_the_range_is_white_minus_the_mean_black_level() -> None:
+    frame = CleanFrame(np.zeros((2, 2)), BAYER["RGGB"], (10.0, 20.0, 30.0, 40.0), 1025.0, "x")
+    assert frame.range_dn == 1000.0

@@ -1,0 +1,188 @@
+"""Synthetic pairs on disk: files, manifest, recorded parameters, noise."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from eldata.cli.main import main
+from eldata.datasets.base import PairDataset
+from eldata.datasets.synthesis import Recipe, synthesize
+from eldata.errors import ArgumentError, DatasetError, RawFileError
+from eldata.manifest import verify
+from eldata.noise import CameraProfile, NoiseModel, NoiseParameters
+from eldata.raw import read_raw, write_dng
+from eldata.raw.cfa import XTRANS_CFA, pack, pack_normalised
+from eldata.records import Exposure, Sensor
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+BLACK, WHITE = 512.0, 16383.0
+RANGE = WHITE - BLACK
+LEVEL = 0.3  # of the clean flat
+SONY = CameraProfile.load("SonyA7S2")
+EXPOSURE = Exposure(Fraction(100), Fraction(4), Fraction(28, 5))
+
+
+def sensor(height: int, width: int) -> Sensor:
+    return Sensor("ACME", "One", ((0, 1), (3, 2)), (BLACK,) * 4, WHITE, height, width, (2.0, 1.0, 1.5, 1.0))
+
+
+def write_flat(path: Path, height: int = 256, width: int = 256) -> None:
+    mosaic = np.full((height, width), round(BLACK + LEVEL * RANGE), dtype=np.uint16)
+    write_dng(path, mosaic, sensor(height, width), EXPOSURE)
+
+
+@pytest.fixture
+def clean(tmp_path: Path) -> Path:
+    folder = tmp_path / "clean"
+    (folder / "sub").mkdir(parents=True)
+    write_flat(folder / "a.dng")
+    write_flat(folder / "sub" / "b.dng", 128, 192)
+    return folder
+
+
+def recorded(out: Path) -> list[dict[str, Any]]:
+    frames: list[dict[str, Any]] = json.loads((out / "parameters.json").read_text())["frames"]
+    return frames
+
+
+def parameters_of(frame: dict[str, Any]) -> NoiseParameters:
+    names = ("gain_dn_per_e", "tukey_lambda", "sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn")
+    return NoiseParameters(**{name: frame[name] for name in names}, colour_bias_dn=tuple(frame["colour_bias_dn"]))
+
+
+@pytest.mark.parametrize("file_format", ["dng", "npy"])
+def test_tree_verifies_and_is_read(clean: Path, tmp_path: Path, file_format: Any) -> None:
+    out = tmp_path / "out"
+    manifest = synthesize(clean, out, Recipe(SONY, per_image=2, format=file_format))
+    report = verify(manifest.path, out / "data", level="full")
+    assert report.ok, report.format_text()
+    assert report.datasets[0].files_checked == 6
+    pairs = PairDataset(out / "data" / "out", manifest.path, levels="metadata", clip="none")
+    assert len(pairs) == len(recorded(out)) == 4
+    for sample, frame in zip(pairs, recorded(out), strict=True):
+        assert sample["path"] == frame["path"]
+        assert sample["ratio"] == pytest.approx(frame["ratio"], rel=1e-8)  # EXIF has 32 bits a part
+        assert 100 <= frame["ratio"] <= 300
+        assert sample["input"].shape == sample["target"].shape
+        assert float(sample["target"].mean()) == pytest.approx(LEVEL, abs=1e-4)
+
+
+def test_noise_is_that_of_the_recorded_parameters(clean: Path, tmp_path: Path) -> None:
+    """Mean and variance of each noisy DNG against the closed forms, within 5 standard errors."""
+    out = tmp_path / "out"
+    synthesize(clean, out, Recipe(SONY, per_image=6))
+    model = NoiseModel("P*+G*+B+R+U")  # U's variance, 1/12, is that of the DNG's rounding
+    for frame in recorded(out):
+        p = parameters_of(frame)
+        raw = read_raw(out / "data" / "out" / frame["path"])
+        dn = pack(raw.mosaic, raw.sensor.cfa).astype(np.float64) - BLACK
+        electrons = LEVEL * RANGE / frame["ratio"] / p.gain_dn_per_e
+        variance = model.expected_variance_dn2(electrons, p)
+        rows = dn.shape[1]
+        for channel in range(4):
+            n = dn[channel].size
+            error = np.sqrt((variance - p.sigma_row_dn**2) / n + p.sigma_row_dn**2 / rows)
+            assert abs(dn[channel].mean() - model.expected_mean_dn(electrons, p, channel)) < 5 * error
+            # Var of a sample variance: about (kurtosis - 1) / n; read noise has a kurtosis below 6 here.
+            assert abs(dn[channel].var() / variance - 1) < 5 * (
+                np.sqrt(5 / n) + np.sqrt(2 / rows) * p.sigma_row_dn**2 / variance
+            )
+
+
+def test_files_depend_on_the_seed_alone(clean: Path, tmp_path: Path) -> None:
+    def content(name: str, seed: int, jobs: int) -> dict[str, bytes]:
+        out = tmp_path / name / "set"  # the same name: it stands in the manifest
+        out.parent.mkdir()
+        synthesize(clean, out, Recipe(SONY, seed=seed), jobs=jobs)
+        return {str(p.relative_to(out)): p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()}
+
+    one, two, other = content("one", 1, 1), content("two", 1, 2), content("other", 2, 1)
+    assert one == two
+    noisy = [name for name in one if "noisy" in name]
+    assert len(noisy) == 2
+    assert all(one[name] != other[name] for name in noisy)
+
+
+def test_npy_is_the_models_output(clean: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    recipe = Recipe(SONY, spec="P*+G*+B+R", seed=7, iso=1600, row="nearest-gain", ratio=(200, 200), format="npy")
+    synthesize(clean, out, recipe)
+    frame = recorded(out)[0]
+    raw = read_raw(out / "data" / "out" / "SonyA7S2" / "scene-1" / "clean.dng")
+    target = pack_normalised(raw.mosaic, raw.sensor.cfa, raw.sensor.black_level_dn, raw.sensor.white_level_dn)
+    generator = np.random.default_rng([7, 0, 0])
+    p = SONY.sample(generator, iso=1600, row="nearest-gain")
+    assert parameters_of(frame) == p
+    assert frame["ratio"] == 200
+    generator.uniform()  # the ratio's draw
+    expected = NoiseModel("P*+G*+B+R")(target, parameters=p, ratio=200.0, range_dn=RANGE, generator=generator)
+    np.testing.assert_array_equal(np.load(out / "data" / "out" / frame["path"]), expected)
+
+
+def test_xtrans_at_an_offset_and_odd_sizes(tmp_path: Path) -> None:
+    cfa = tuple(tuple(XTRANS_CFA[(y + 2) % 6][(x + 1) % 6] for x in range(6)) for y in range(6))
+    mosaic = np.random.default_rng(0).integers(2000, 9000, (101, 113), dtype=np.uint16)
+    described = replace(sensor(101, 113), cfa=cfa, black_level_dn=(1024.0,) * 3)
+    (tmp_path / "clean").mkdir()
+    write_dng(tmp_path / "clean" / "x.dng", mosaic, described, EXPOSURE)
+    manifest = synthesize(tmp_path / "clean", tmp_path / "out", Recipe(SONY))
+    assert manifest.card.cfa == "xtrans"
+    sample = PairDataset(tmp_path / "out/data/out", manifest.path, levels="metadata")[0]
+    assert sample["input"].shape == sample["target"].shape == (9, 32, 36)
+    expected = pack_normalised(mosaic, cfa, (1024.0,) * 3, WHITE)
+    np.testing.assert_array_equal(sample["target"].numpy(), expected)
+
+
+def test_errors(clean: Path, tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match=r"holds something already"):
+        synthesize(clean, clean, Recipe(SONY))
+    with pytest.raises(DatasetError, match=r"holds no camera raw"):
+        synthesize(tmp_path / "nothing", tmp_path / "out", Recipe(SONY))
+    for bad, word in (
+        ({"ratio": (0.0, 10.0)}, "ratio"),
+        ({"ratio": (300.0, 100.0)}, "ratio"),
+        ({"seed": -1}, "seed"),
+        ({"per_image": 0}, "per_image"),
+        ({"format": "png"}, "format"),
+        ({"spec": "P+P*"}, "P\\*"),
+        ({"spec": "U"}, "rounds"),
+        ({"iso": 12_345_678.0}, "ISO"),
+    ):
+        with pytest.raises(ArgumentError, match=word):
+            Recipe(SONY, **bad)
+    silent = tmp_path / "silent"
+    silent.mkdir()
+    write_dng(silent / "a.dng", np.full((64, 64), 3000, np.uint16), sensor(64, 64), Exposure(Fraction(100)))
+    with pytest.raises(RawFileError, match="exposure time"):
+        synthesize(silent, tmp_path / "out", Recipe(SONY))
+
+
+def test_command(clean: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    command = ["synthesize", str(clean), "-o", str(out), "--camera", "NikonD850", "--ratio", "150", "--jobs", "1"]
+    assert main(command) == 0
+    said = capsys.readouterr().out
+    assert "2 noisy frames of 2 clean ones" in said
+    assert {frame["ratio"] for frame in recorded(out)} == {150.0}
+    assert (
+        main(["verify", str(out / "manifests"), "--root", str(out / "data"), "--level", "metadata", "--jobs", "1"]) == 0
+    )
+    capsys.readouterr()
+    assert main(command) == 2
+    assert "holds something already" in capsys.readouterr().err
+    for wrong in (
+        ["--camera", "Kodak"],
+        ["--camera", "SonyA7S2", "--ratio", "x"],
+        ["--camera", "SonyA7S2", "--model", "Q"],
+    ):
+        assert main(["synthesize", str(clean), "-o", str(tmp_path / "new"), *wrong]) == 2
+        assert capsys.readouterr().err.count("\n") == 1
+    assert not (tmp_path / "new").exists()

@@ -1,0 +1,593 @@
+"""The compiled engine against scipy.stats, closed forms and its promises.
+
+Keys are fixed, so nothing here is flaky; a new key would fail each statistical test with a probability of about
+ALPHA, and there are about 150 of them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from eldata.errors import ArgumentError
+from eldata.noise import _kernels, _tables, compiled
+from eldata.noise.compiled import add_noise
+from eldata.raw.cfa import XTRANS_CFA, unpack, xtrans_sites
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+ALPHA = 1e-5
+SIGMAS = float(stats.norm.isf(ALPHA / 2))  # 4.42
+
+BAYER_ROWS = np.array([[[0]], [[0]], [[1]], [[1]]], dtype=np.int64)
+XTRANS_ROWS = np.zeros((9, 2, 2), dtype=np.int64)
+for _row, _, _channel, _y, _x in xtrans_sites():
+    XTRANS_ROWS[_channel, _y, _x] = _row
+
+PART: dict[str, dict[str, Any]] = {
+    "poisson": {"shot": "poisson"},
+    "gaussian shot": {"shot": "gaussian"},
+    "tukey-lambda": {"read": "tukey-lambda", "tukey_lambda": -0.1, "sigma_read_dn": 1.7},
+    "gaussian read": {"read": "gaussian", "sigma_read_dn": 1.7},
+    "row": {"sigma_row_dn": 0.6},
+    "bias": {"bias_dn": [[0.3, -0.2, 0.1, 0.0]]},
+    "uniform": {"quantisation": "uniform"},
+}
+FULL = PART["poisson"] | PART["tukey-lambda"] | PART["row"] | PART["bias"] | PART["uniform"]
+
+
+def noisy(clean: NDArray[np.float32], **changes: Any) -> NDArray[np.float32]:
+    """Call ``add_noise`` with every component off, K = range = ratio = 1, and these changes."""
+    arguments: dict[str, Any] = {
+        "gain_dn_per_e": 1.0,
+        "range_dn": 1.0,
+        "ratio": 1.0,
+        "shot": "none",
+        "read": "none",
+        "key": 1,
+        "row_table": BAYER_ROWS,
+        "period": 2,
+        "threads": 2,
+    }
+    return add_noise(clean, **(arguments | changes))
+
+
+def flat(value: float, shape: tuple[int, int, int, int] = (1, 4, 512, 512)) -> NDArray[np.float32]:
+    return np.full(shape, value, dtype=np.float32)
+
+
+def gradient(shape: tuple[int, int, int, int], top: float = 60.0) -> NDArray[np.float32]:
+    return np.linspace(-0.05 * top, top, math.prod(shape), dtype=np.float32).reshape(shape)
+
+
+# Poisson
+
+
+@pytest.mark.parametrize(
+    "mean", [0, 1e-4, 0.01, 0.3, 1, 2.3, 5, 15.99, 16, 63.7, 160, 499.5, 1600, 1663.99, 1664, 5000]
+)
+def test_poisson_counts_fit_scipy(mean: float) -> None:
+    """Chi-square over 2^22 draws; values are pooled until each bin expects at least 10."""
+    draws = 1 << 22
+    mean = float(np.float32(mean))
+    counts = noisy(flat(mean, (4, 4, 512, 512)), shot="poisson", key=int(1000 * mean) + 7).astype(np.int64).ravel()
+    assert counts.size == draws
+    if mean == 0:
+        assert not counts.any()
+        return
+    reach = 12 * math.sqrt(mean) + 12
+    first, last = max(0, int(mean - reach)), int(mean + reach)
+    assert first <= counts.min() <= counts.max() <= last
+    observed = np.bincount(counts - first, minlength=last - first + 1)
+    expected = draws * stats.poisson.pmf(np.arange(first, last + 1), mean)
+    pooled_observed, pooled_expected = _pooled(observed, expected)
+    if pooled_expected.size == 1:  # nearly all draws are 0
+        assert stats.poisson.sf(counts.sum() - 1, draws * mean) > ALPHA
+        assert stats.poisson.cdf(counts.sum(), draws * mean) > ALPHA
+        return
+    assert stats.chisquare(pooled_observed, pooled_expected * draws / pooled_expected.sum()).pvalue > ALPHA
+
+
+def _pooled(observed: NDArray[Any], expected: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Join neighbours until each bin expects at least 10; the leftover joins the last bin."""
+    groups = np.zeros(expected.size, dtype=np.int64)
+    total, group = 0.0, 0
+    for index, value in enumerate(expected):
+        groups[index] = group
+        total += value
+        if total >= 10:
+            total, group = 0.0, group + 1
+    groups = np.minimum(groups, max(group - 1, 0))
+    return np.bincount(groups, observed).astype(np.float64), np.bincount(groups, expected).astype(np.float64)
+
+
+def test_poisson_mean_and_variance_follow_the_signal() -> None:
+    """Signals from 0 to 500 electrons, 2^20 draws each; the variance's error is sqrt((I + 2 I^2) / n)."""
+    signals = np.concatenate(([0, 0.001, 0.02, 0.5], np.linspace(1, 500, 36))).astype(np.float32)
+    clean = np.broadcast_to(signals[:, None, None, None], (signals.size, 4, 512, 512)).copy()
+    out = noisy(clean, shot="poisson", key=5).astype(np.float64)
+    signal = signals.astype(np.float64)
+    draws = out[0].size
+    assert (np.abs(out.mean((1, 2, 3)) - signal) <= SIGMAS * np.sqrt(signal / draws)).all()
+    allowed = SIGMAS * np.sqrt((signal + 2 * signal**2) / draws)
+    assert (np.abs(out.var((1, 2, 3)) - signal) <= allowed + 1e-12).all()
+
+
+def test_poisson_of_a_gradient_is_standardised_everywhere() -> None:
+    """Every pixel has another mean: sum of (N - I) / sqrt(I) and of its square, in 64 ranges of I up to 2000."""
+    clean = np.linspace(0.5, 2000, 1 << 22, dtype=np.float32).reshape(4, 4, 512, 512)
+    counts = noisy(clean, shot="poisson", key=77).astype(np.float64)
+    z = ((counts - clean) / np.sqrt(clean, dtype=np.float64)).reshape(64, -1)
+    draws = z.shape[1]
+    kurtosis = 3 + (1 / clean.astype(np.float64)).reshape(64, -1).mean(1)
+    assert (np.abs(z.mean(1)) < SIGMAS / math.sqrt(draws)).all()
+    assert (np.abs((z**2).mean(1) - 1) < SIGMAS * np.sqrt((kurtosis - 1) / draws)).all()
+
+
+@pytest.mark.parametrize("family", ["coarse", "fine"])
+def test_alias_tables_hold_poisson_probabilities_within_one_unit(family: str) -> None:
+    """Each table, read back exactly, is within 1.01 units of 2^-32 of scipy's probabilities everywhere."""
+    table = _tables.poisson_tables()[0 if family == "coarse" else 1]
+    count = _tables.COARSE_COUNT if family == "coarse" else _tables.FINE_COUNT
+    start = 0
+    for index in range(count):
+        bits = _tables.coarse_bits(index) if family == "coarse" else _tables.FINE_BITS
+        mean = index * _tables.COARSE_STEP if family == "coarse" else index / _tables.FINE_STEPS
+        part = table[start : start + (1 << bits)]
+        start += part.size
+        threshold = (part >> np.uint64(32)).astype(np.int64)
+        beyond, below = ((part >> np.uint64(shift) & np.uint64(0xFFFF)).astype(np.int64) for shift in (16, 0))
+        weights = np.zeros(2100, dtype=np.int64)
+        np.add.at(weights, below, threshold)
+        np.add.at(weights, beyond, (1 << 32 - bits) - threshold)
+        assert weights.sum() == 1 << 32
+        assert np.abs(weights - 2.0**32 * stats.poisson.pmf(np.arange(2100), mean)).max() < 1.01
+    assert start == table.size
+
+
+# Tukey lambda
+
+
+@pytest.mark.parametrize("shape", [-0.3, -0.14, -0.05, -1e-7, 0, 1e-7, 0.05, 0.14, 0.5, 1, 2])
+def test_tukey_lambda_distribution(shape: float) -> None:
+    """Kolmogorov-Smirnov at 4095 quantiles with 2^22 draws, and the variance where the fourth moment exists."""
+    key = int(abs(shape) * 1e8) + 3
+    out = noisy(flat(0, (4, 4, 512, 512)), read="tukey-lambda", tukey_lambda=shape, sigma_read_dn=1.0, key=key).ravel()
+    out.sort()
+    grid = np.arange(1, 4096) / 4096
+    # scipy's quantile cancels for lambda = 1e-7; the logistic one differs by a relative 1e-6 there
+    quantiles = stats.logistic.ppf(grid) if abs(shape) < 1e-5 else stats.tukeylambda.ppf(grid, shape)
+    empirical = np.searchsorted(out, quantiles.astype(np.float32)) / out.size
+    assert np.abs(empirical - grid).max() < math.sqrt(-math.log(ALPHA / 2) / 2 / out.size)
+    if shape > -0.2:
+        variance, excess = _tukey_lambda_moments(shape if abs(shape) > 1e-5 else 0)
+        allowed = SIGMAS * variance * math.sqrt((excess + 2) / out.size)
+        assert abs(out.astype(np.float64).var() - variance) < allowed
+
+
+def test_tukey_lambda_tails_hold_what_they_should() -> None:
+    """2^26 draws: counts beyond the quantiles of 1e-5, 1e-6 and 1e-7 on either side are Poisson (671, 67 and 6.7)."""
+    shape = -0.14
+    tails = (1e-5, 1e-6, 1e-7)
+    counts = np.zeros((2, len(tails)), dtype=np.int64)
+    images = 4
+    for batch in range(4):
+        out = noisy(
+            flat(0, (images, 4, 1024, 1024)),
+            read="tukey-lambda",
+            tukey_lambda=shape,
+            sigma_read_dn=1.0,
+            key=11,
+            first_image=batch * images,
+        )
+        far = out[np.abs(out) > -stats.tukeylambda.ppf(2e-5, shape)]
+        for index, tail in enumerate(tails):
+            counts[0, index] += np.count_nonzero(far < stats.tukeylambda.ppf(tail, shape))
+            counts[1, index] += np.count_nonzero(far > -stats.tukeylambda.ppf(tail, shape))
+    expected = 2.0**26 * np.array(tails)
+    assert np.min(stats.poisson.cdf(counts, expected)) > ALPHA
+    assert np.min(stats.poisson.sf(counts - 1, expected)) > ALPHA
+
+
+@pytest.mark.parametrize("shape", [-1, -0.5, -0.3, -0.14, -0.05, -1e-3, 0, 1e-3, 0.05, 0.14, 0.3, 0.5, 1, 1.5, 2])
+def test_tukey_lambda_quantile_is_accurate_over_all_words(shape: float) -> None:
+    """Random and extreme words against scipy's float64 quantile: the bounds that the kernels' docstring states."""
+    words = _extreme_words()
+    v = ((words & np.uint64((1 << 63) - 1)).astype(np.float64) + 0.5) * 2.0**-64
+    exact_shape = float(np.float32(shape))
+    lower = _quantile(v, exact_shape)
+    expected = np.where(words < np.uint64(1 << 63), lower, -lower)
+    drawn = _tukey_lambda(words, shape).astype(np.float64)
+    error = np.abs(drawn - expected)
+    near = np.abs(expected) < 0.5
+    assert error[near].max() < 5e-7
+    relative = error / np.maximum(np.abs(expected), 1e-300)
+    allowed = 1e-6 + 1e-7 * np.abs(exact_shape * np.log(v))
+    assert (near | (relative < allowed)).all()
+
+
+def test_tukey_lambda_is_continuous_at_zero() -> None:
+    words = _extreme_words()
+    logistic = _tukey_lambda(words, 0.0)
+    for shape in (1e-300, -1e-300, 1e-20, -1e-12, 1e-9):
+        np.testing.assert_allclose(_tukey_lambda(words, shape), logistic, rtol=3e-7, atol=1e-9)
+
+
+def test_tukey_lambda_reaches_far_and_is_never_infinite() -> None:
+    """The smallest and the largest uniforms are 2^-65 from 0 and 1; the halves mirror each other to the bit."""
+    ends = np.array([0, 1 << 63], dtype=np.uint64)
+    for shape in (-1.0, -0.3, 0.0, 0.14, 2.0):
+        low, high = _tukey_lambda(ends, shape).astype(np.float64)
+        expected = _quantile(np.array([2.0**-65]), float(np.float32(shape)))[0]
+        assert low == pytest.approx(expected, rel=5e-6)
+        assert high == -low
+        assert np.isfinite(_tukey_lambda(_extreme_words(), shape)).all()
+
+
+def _tukey_lambda_moments(shape: float) -> tuple[float, float]:
+    """Return variance and excess kurtosis, scipy's."""
+    distribution: Any = stats.tukeylambda
+    variance, excess = distribution.stats(shape, moments="vk")
+    return float(variance), float(excess)
+
+
+def _extreme_words() -> NDArray[np.uint64]:
+    random = np.random.default_rng(0)
+    uniform = random.integers(0, 1 << 64, 100_000, dtype=np.uint64)
+    tail = random.integers(0, 1 << 63, 100_000, dtype=np.uint64) >> random.integers(0, 64, 100_000).astype(np.uint64)
+    special = [0, 1, (1 << 32) - 1, 1 << 32, (1 << 63) - 1]
+    words = np.concatenate((uniform, tail, np.array(special, dtype=np.uint64)))
+    return np.concatenate((words, words ^ np.uint64(1 << 63)))
+
+
+def _quantile(v: NDArray[np.float64], shape: float) -> NDArray[np.float64]:
+    """Return the quantile of small probabilities: scipy's, or the definition where that is the more exact one."""
+    if shape == 0:
+        return np.asarray(np.log(v) - np.log1p(-v))
+    return np.asarray(stats.tukeylambda.ppf(v, shape))
+
+
+def _tukey_lambda(words: NDArray[np.uint64], shape: float) -> NDArray[np.float32]:
+    """Ask the kernel for the draws of given words."""
+    exponent = np.array([shape if abs(shape) > _kernels.LAMBDA_FLOOR else _kernels.LAMBDA_FLOOR], dtype=np.float32)
+    out = np.empty(words.size, dtype=np.float32)
+    power = compiled._power_coefficients(exponent)[0]
+    high, low = (words >> np.uint64(32)).astype(np.uint32), words.astype(np.uint32)
+    _kernels.tukey_lambda_draws(high, low, exponent[0], power, np.empty_like(out), out)
+    return out
+
+
+# Gaussian, uniform
+
+
+@pytest.mark.parametrize("part", ["gaussian read", "gaussian shot", "row"])
+def test_gaussian_distribution(part: str) -> None:
+    """Kolmogorov-Smirnov with 2^22 draws (rows: 2^20), and counts beyond the quantiles of 1e-5 and 1e-6."""
+    if part == "row":
+        out = noisy(flat(0, (4, 4, 1 << 17, 1)), sigma_row_dn=2.0, key=21)[:, ::2] / np.float32(2.0)
+    elif part == "gaussian read":
+        out = noisy(flat(0, (4, 4, 512, 512)), read="gaussian", sigma_read_dn=2.0, key=22) / np.float32(2.0)
+    else:
+        out = (noisy(flat(16, (4, 4, 512, 512)), shot="gaussian", key=23) - np.float32(16)) / np.float32(4)
+    z = out.ravel().astype(np.float64)
+    assert stats.kstest(z, stats.norm.cdf, method="asymp").pvalue > ALPHA
+    assert abs((z**2).mean() - 1) < SIGMAS * math.sqrt(2 / z.size)
+    assert abs((z**4).mean() - 3) < SIGMAS * math.sqrt(96 / z.size)
+    for tail in (1e-5, 1e-6):
+        for count in (np.count_nonzero(z < stats.norm.ppf(tail)), np.count_nonzero(z > -stats.norm.ppf(tail))):
+            assert stats.poisson.cdf(count, tail * z.size) > ALPHA
+            assert stats.poisson.sf(count - 1, tail * z.size) > ALPHA
+
+
+def test_gaussian_arithmetic_is_accurate_and_reaches_seven_sigma() -> None:
+    words = _extreme_words()
+    high, low = (words >> np.uint64(32)).astype(np.uint32), words.astype(np.uint32)
+    drawn = np.empty(words.size, dtype=np.float32)
+    _kernels.gaussian_draws(high, low, drawn)
+    u = ((words >> np.uint64(24)).astype(np.float64) + 0.5) * 2.0**-40
+    angle = ((words & np.uint64(0xFFFFFF)).astype(np.float64) + 0.5) * 2.0**-24
+    radius = np.sqrt(-2 * np.log(u))
+    assert (np.abs(drawn - radius * np.cos(2 * np.pi * angle)) < np.maximum(3e-6, 1e-7 / radius)).all()
+    assert 7.4 < np.abs(drawn).max() < 7.6
+
+
+def test_uniform_quantisation() -> None:
+    """Kolmogorov-Smirnov with 2^22 draws; strictly between -1/2 and 1/2."""
+    out = noisy(flat(0, (4, 4, 512, 512)), quantisation="uniform", key=31).ravel().astype(np.float64)
+    assert -0.5 < out.min() < out.max() < 0.5
+    assert stats.kstest(out, stats.uniform(-0.5, 1).cdf, method="asymp").pvalue > ALPHA
+
+
+# Independence
+
+
+def _correlation(a: NDArray[Any], b: NDArray[Any]) -> float:
+    a, b = (x.ravel().astype(np.float64) for x in (a, b))
+    return float(np.corrcoef(a, b)[0, 1])
+
+
+@pytest.mark.parametrize("part", ["poisson", "gaussian shot", "tukey-lambda", "gaussian read", "uniform"])
+def test_neighbours_are_uncorrelated(part: str) -> None:
+    """Values and squares, at lags of columns and rows, across channels, images and keys: about 2^21 pairs each."""
+    out = noisy(flat(3.3, (2, 4, 512, 512)), **PART[part], key=41).astype(np.float64)
+    other_key = noisy(flat(3.3, (2, 4, 512, 512)), **PART[part], key=42).astype(np.float64)
+    mean = out.mean()
+    squares = [np.minimum((x - mean) ** 2, 30.0) for x in (out, other_key)]
+    for a, b in ((out, other_key), squares):
+        pairs = [(a[..., lag:], a[..., :-lag]) for lag in (1, 2, 3, 8, 256)]
+        pairs += [(a[..., lag:, :], a[..., :-lag, :]) for lag in (1, 2, 128)]
+        pairs += [(a[:, :-1], a[:, 1:]), (a[:, :2], a[:, 2:]), (a[:1], a[1:]), (a, b)]
+        pairs += [(a[..., 1:, 1:], a[..., :-1, :-1])]
+        for x, y in pairs:
+            assert abs(_correlation(x, y)) < SIGMAS / math.sqrt(x.size)
+
+
+def test_components_are_uncorrelated() -> None:
+    """Each alone with one key: 2^21 pairs, values and squares. Exempt: two kinds of one component, which share bits."""
+    alone = {
+        name: noisy(flat(3.3, (2, 4, 512, 512)), **PART[name], key=51).astype(np.float64)
+        for name in ("poisson", "gaussian shot", "tukey-lambda", "gaussian read", "uniform")
+    }
+    same = [{"poisson", "gaussian shot"}, {"tukey-lambda", "gaussian read"}]
+    for (name, a), (other, b) in itertools.combinations(alone.items(), 2):
+        if {name, other} in same:
+            continue
+        assert abs(_correlation(a, b)) < SIGMAS / math.sqrt(a.size)
+        squares = [np.minimum((x - x.mean()) ** 2, 30.0) for x in (a, b)]
+        assert abs(_correlation(*squares)) < SIGMAS / math.sqrt(a.size)
+
+
+def test_the_model_is_the_sum_of_its_components() -> None:
+    """Switching a component changes no other one: the full model is the sum of each alone, to float32 rounding."""
+    clean = gradient((2, 4, 64, 96))
+    means = np.maximum(clean, 0)
+    total = means.astype(np.float64)
+    for name in ("poisson", "tukey-lambda", "row", "bias", "uniform"):
+        total += noisy(clean, **PART[name], key=61).astype(np.float64) - means
+    np.testing.assert_allclose(noisy(clean, **FULL, key=61), total, atol=1e-4)
+
+
+# The model
+
+
+def test_composed_mean_and_variance() -> None:
+    """K = 0.7, I = 12.5: mean K I + bias, variance K (K I) + sigma^2 Var(TL) + sigma_row^2 + 1/12.
+
+    Per channel, over 64 images of 512 x 64: 2^21 pixels in 2^15 mosaic rows. The mean's error is sigma_row over the
+    rows plus the rest over the pixels; likewise the variance's, with the fourth moments of each part.
+    """
+    gain, electrons, ratio, range_dn, shape, sigma, row = 0.7, 12.5, 200.0, 15871.0, -0.1, 1.7, 0.6
+    bias = np.array([0.3, -0.2, 0.1, 0.0])
+    clean = flat(electrons * gain * ratio / range_dn, (64, 4, 512, 64))
+    out = noisy(
+        clean,
+        gain_dn_per_e=gain,
+        range_dn=range_dn,
+        ratio=ratio,
+        shot="poisson",
+        read="tukey-lambda",
+        tukey_lambda=shape,
+        sigma_read_dn=sigma,
+        sigma_row_dn=row,
+        bias_dn=bias,
+        quantisation="uniform",
+        key=71,
+    )
+    dn = out.astype(np.float64) * range_dn / ratio
+    pixels, rows = dn[:, 0].size, 64 * 512
+    tukey_variance, tukey_excess = _tukey_lambda_moments(shape)
+    variances = np.array([gain**2 * electrons, sigma**2 * tukey_variance, 1 / 12])
+    fourth_cumulants = variances**2 * np.array([1 / electrons, tukey_excess, -1.2])
+    white = variances.sum()
+    mean_error = math.sqrt(row**2 / rows + white / pixels)
+    variance_error = math.sqrt(
+        (2 * white**2 + fourth_cumulants.sum()) / pixels + 2 * row**4 / rows + 4 * white * row**2 / pixels
+    )
+    for channel in range(4):
+        assert abs(dn[:, channel].mean() - gain * electrons - bias[channel]) < SIGMAS * mean_error
+        assert abs(dn[:, channel].var() - white - row**2) < SIGMAS * variance_error
+
+
+def test_gaussian_shot_noise_has_the_poisson_variance() -> None:
+    out = noisy(flat(30.0), shot="gaussian", gain_dn_per_e=4.0, key=72).astype(np.float64)
+    assert abs(out.mean() - 30.0) < SIGMAS * math.sqrt(120.0 / out.size)
+    assert abs(out.var() - 120.0) < SIGMAS * 120.0 * math.sqrt(2 / out.size)
+
+
+def test_each_image_has_its_own_parameters() -> None:
+    clean = gradient((3, 4, 32, 48), 1.0)
+    each: dict[str, list[Any]] = {
+        "gain_dn_per_e": [0.1, 0.8, 6.0],
+        "range_dn": [15871.0, 1000.0, 4000.0],
+        "ratio": [100.0, 200.0, 300.0],
+        "tukey_lambda": [-0.2, 0.0, 0.14],
+        "sigma_read_dn": [1.0, 2.0, 0.0],
+        "sigma_row_dn": [0.3, 0.0, 1.0],
+        "bias_dn": [[0, 1, 2, 3], [1, 1, 1, 1], [0, 0, 0, 0]],
+        "low": [0.0, -math.inf, -1.0],
+        "high": [1.0, 2.0, math.inf],
+    }
+    kinds: dict[str, Any] = {"shot": "poisson", "read": "tukey-lambda", "quantisation": "uniform"}
+    together = noisy(clean, **kinds, **each)
+    for image in range(3):
+        alone = {name: [values[image]] for name, values in each.items()}
+        part = noisy(clean[image : image + 1].copy(), **kinds, **alone, first_image=image)
+        np.testing.assert_array_equal(part[0], together[image])
+
+
+def test_rows_of_a_bayer_mosaic_share_their_draw() -> None:
+    """R with G1 and B with G2, other rows other draws: 2 x 4096 rows of sigma 0.6, whatever the columns."""
+    out = noisy(flat(0, (1, 4, 4096, 530)), sigma_row_dn=0.6, key=81)[0]
+    mosaic = unpack(out, ((0, 1), (3, 2)))
+    np.testing.assert_array_equal(mosaic, np.broadcast_to(mosaic[:, :1], mosaic.shape))
+    _check_row_draws(mosaic[:, 0].astype(np.float64), 0.6)
+
+
+@pytest.mark.parametrize("columns", [2, 518])
+def test_rows_of_an_xtrans_mosaic_share_their_draw(columns: int) -> None:
+    """Six mosaic rows for two packed ones: 12288 rows of sigma 0.6."""
+    clean = flat(0, (1, 9, 4096, columns))
+    out = noisy(clean, sigma_row_dn=0.6, key=82, row_table=XTRANS_ROWS, period=6)[0]
+    mosaic = unpack(out, XTRANS_CFA)
+    np.testing.assert_array_equal(mosaic, np.broadcast_to(mosaic[:, :1], mosaic.shape))
+    _check_row_draws(mosaic[:, 0].astype(np.float64), 0.6)
+
+
+def _check_row_draws(rows: NDArray[np.float64], sigma: float) -> None:
+    count = rows.size
+    assert np.unique(rows).size > 0.999 * count  # no draw is used twice (float32 may coincide)
+    assert abs(rows.mean()) < SIGMAS * sigma / math.sqrt(count)
+    assert abs(rows.var() / sigma**2 - 1) < SIGMAS * math.sqrt(2 / count)
+    for lag in (1, 2, 3, 6):
+        assert abs(_correlation(rows[lag:], rows[:-lag])) < SIGMAS / math.sqrt(count - lag)
+
+
+# The converter
+
+
+def test_adc_gives_codes_within_its_limits() -> None:
+    """Codes are integers from 0 to white; an exact signal rounds to the nearest."""
+    black, white = 512.0, 1023.0
+    clean = gradient((1, 4, 128, 128), 700.0)
+    codes = noisy(
+        clean, read="gaussian", sigma_read_dn=400.0, quantisation="adc", black_dn=black, white_dn=white
+    ) + np.float32(black)
+    np.testing.assert_array_equal(codes, np.rint(codes))
+    assert (codes.min(), codes.max()) == (0.0, 1023.0)
+    exact = noisy(clean, quantisation="adc", black_dn=black, white_dn=white)
+    np.testing.assert_array_equal(exact, np.minimum(np.rint(np.maximum(clean, 0) + 512), 1023) - 512)
+
+
+def test_adc_scales_its_codes_back() -> None:
+    clean = gradient((1, 4, 32, 32), 1.0)
+    out = noisy(clean, range_dn=15871.0, ratio=100.0, quantisation="adc", black_dn=512.0, white_dn=16383.0)
+    codes = out.astype(np.float64) * 15871 / 100
+    np.testing.assert_allclose(codes, np.rint(np.maximum(clean, 0) * 158.71), atol=1e-4)
+
+
+def test_limits_of_the_output() -> None:
+    out = noisy(gradient((1, 4, 64, 64), 1.0), **PART["gaussian read"], low=0.0, high=1.0)
+    assert (out.min(), out.max()) == (0.0, 1.0)
+
+
+# Odd input
+
+
+@pytest.mark.parametrize("shot", ["none", "gaussian", "poisson"])
+def test_nan_gives_nan_and_below_zero_is_dark(shot: str) -> None:
+    clean = gradient((1, 4, 16, 40), 3000.0)
+    clean[0, 1, 3, 5::7] = np.nan
+    clean[0, 2, 0, 0] = -np.inf
+    changes = FULL | {"shot": shot, "key": 91}
+    out = noisy(clean, **changes)
+    np.testing.assert_array_equal(np.isnan(out), np.isnan(clean))
+    assert np.isfinite(out[~np.isnan(out)]).all()
+    dark = np.where(clean < 0, 0, clean).astype(np.float32, copy=True)
+    np.testing.assert_array_equal(noisy(dark, **changes), out)
+    assert np.isnan(
+        noisy(clean, **(changes | {"quantisation": "adc", "white_dn": 99.0}), low=0.0, high=1.0)[0, 1, 3, 5]
+    )
+
+
+def test_large_means_go_beyond_the_tables() -> None:
+    """Means up to 1e6 electrons, 2^18 draws each: mean and variance."""
+    for signal in (1700.0, 2e4, 1e6):
+        z = (noisy(flat(signal, (1, 4, 256, 256)), shot="poisson", key=92).astype(np.float64) - signal) / signal**0.5
+        assert abs(z.mean()) < SIGMAS / math.sqrt(z.size)
+        assert abs(z.var() - 1) < SIGMAS * math.sqrt(2 / z.size)
+
+
+# Reproducibility
+
+
+def test_bits_do_not_depend_on_threads_bands_or_batches(monkeypatch: pytest.MonkeyPatch) -> None:
+    clean = gradient((6, 4, 96, 530), 2500.0)
+    arguments = FULL | {"key": 2**64 - 1}
+    expected = noisy(clean, **arguments, threads=1)
+    for threads in (2, 4):
+        np.testing.assert_array_equal(noisy(clean, **arguments, threads=threads), expected)
+    for cut in (1, 2, 5):
+        parts = [
+            noisy(clean[:cut].copy(), **arguments),
+            noisy(clean[cut:].copy(), **arguments, first_image=cut),
+        ]
+        np.testing.assert_array_equal(np.concatenate(parts), expected)
+    monkeypatch.setattr(compiled, "_PIECE", 7 * 530)
+    np.testing.assert_array_equal(noisy(clean, **arguments), expected)
+
+
+def test_out_may_be_another_array_or_the_input() -> None:
+    clean = gradient((2, 4, 32, 600), 2500.0)
+    expected = noisy(clean, **FULL)
+    out = np.empty_like(clean)
+    assert noisy(clean, **FULL, out=out) is out
+    np.testing.assert_array_equal(out, expected)
+    assert noisy(clean, **FULL, out=clean) is clean
+    np.testing.assert_array_equal(clean, expected)
+
+
+def test_other_keys_and_images_give_other_noise() -> None:
+    clean = flat(5.0, (2, 4, 64, 64))
+    first, second = noisy(clean, **FULL, key=1), noisy(clean, **FULL, key=2)
+    assert np.count_nonzero(first == second) < 10
+    assert np.count_nonzero(first[0] == first[1]) < 10
+    assert np.count_nonzero(first[1] == second[0]) < 10
+
+
+def test_the_stream_is_frozen() -> None:
+    """The bits of one draw of every kind, the same on any machine."""
+    digest = hashlib.sha256()
+    for read, shot in (("tukey-lambda", "poisson"), ("gaussian", "gaussian")):
+        out = noisy(gradient((2, 4, 8, 600), 1600.0), **(FULL | {"read": read, "shot": shot, "key": 2026}))
+        digest.update(out.astype("<f4").tobytes())
+    assert digest.hexdigest()[:16] == "7b05bc1223dc25c5"
+
+
+# Arguments
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"key": -1}, "key must be"),
+        ({"key": 1 << 64}, "key must be"),
+        ({"first_image": -1}, "first_image"),
+        ({"gain_dn_per_e": 0.0, "shot": "poisson"}, "gain_dn_per_e must be finite and above 0"),
+        ({"range_dn": math.nan}, "range_dn must be finite"),
+        ({"ratio": [1.0, 2.0, 3.0]}, "ratio must be one number or broadcast"),
+        ({"sigma_read_dn": -1.0}, "sigma_read_dn must be finite and not negative"),
+        ({"sigma_row_dn": math.inf}, "sigma_row_dn must be finite"),
+        ({"bias_dn": math.inf}, "bias_dn must be finite"),
+        ({"bias_dn": [1.0, 2.0]}, "bias_dn must be one number or broadcast"),
+        ({"read": "tukey-lambda", "tukey_lambda": 2.5}, "tukey_lambda must be from -1 to 2"),
+        ({"shot": "P"}, "shot must be one of none, gaussian, poisson"),
+        ({"row_table": BAYER_ROWS[:3]}, "row_table must be"),
+        ({"period": 1}, "row_table must hold rows from 0 to period - 1 = 0"),
+        ({"out": np.empty((1, 4, 4, 8), np.float32)}, "out must be writeable and of shape"),
+    ],
+)
+def test_bad_arguments_are_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ArgumentError, match=message):
+        noisy(flat(1.0, (2, 4, 4, 8)), **changes)
+
+
+def test_bad_arrays_are_refused() -> None:
+    image = flat(1.0, (2, 4, 4, 8))
+    bad: Any
+    for bad in (image.astype(np.float64), image[0], image[..., ::2]):
+        with pytest.raises(ArgumentError, match="clean must be a C-contiguous float32 array"):
+            noisy(bad)
+    whole = flat(1.0, (3, 4, 4, 8))
+    with pytest.raises(ArgumentError, match="out overlaps clean"):
+        noisy(whole[1:], out=whole[:-1])
+
+
+def test_no_images_are_fine() -> None:
+    assert noisy(flat(1.0, (0, 4, 4, 8))).shape == (0, 4, 4, 8)

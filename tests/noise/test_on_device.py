@@ -1,0 +1,267 @@
+"""The engine for other devices, on the CPU and, where there is one, on a GPU."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from scipy import stats
+
+from eldata.errors import ArgumentError
+from eldata.noise import PAPER_MODELS, NoiseModel, NoiseParameters
+from eldata.noise.model import Adc, _Values
+from eldata.noise.on_device import add_noise
+from eldata.raw.cfa import XTRANS_CFA, pack, unpack
+from tests.noise.helpers import (
+    LAMBDAS,
+    LEAST_P_VALUE,
+    PARAMETERS,
+    RANGE_DN,
+    RATIO,
+    check_closed_forms,
+    clean_of,
+    compiled_dn,
+    device_dn,
+    on_device,
+    poisson_p_value,
+)
+from tests.raw.helpers import XTRANS_COLOURS
+
+CUDA = torch.cuda.is_available()
+FULL = "P*+G*+B+R+U"
+
+
+@pytest.fixture(params=["cpu", pytest.param("cuda", marks=pytest.mark.skipif(not CUDA, reason="there is no GPU"))])
+def device(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+def dark(*shape: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+    return np.zeros(shape, dtype=np.float32)
+
+
+# --- moments and distributions --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("spec", [*PAPER_MODELS, "P", "P*", "R+U"])
+def test_means_and_variances(spec: str, device: str) -> None:
+    """See check_closed_forms for sizes and tolerances."""
+    check_closed_forms(device_dn, spec, seed=1, device=device)
+
+
+@pytest.mark.parametrize("signal_e", [0.02, 3.0, 130.0, 2000.0])
+def test_shot_noise_is_poisson(signal_e: float, device: str) -> None:
+    """262144 pixels, chi-square."""
+    clean = clean_of(np.array([signal_e]), (4, 256, 256), PARAMETERS)
+    dn = device_dn("P*", clean, PARAMETERS, seed=2, device=device)
+    assert poisson_p_value(dn / PARAMETERS.gain_dn_per_e, signal_e) > LEAST_P_VALUE
+
+
+@pytest.mark.parametrize("shape", LAMBDAS)
+def test_read_noise_is_tukey_lambda(shape: float, device: str) -> None:
+    """100000 pixels, Kolmogorov-Smirnov against scipy."""
+    parameters = NoiseParameters(1.0, shape, 1.7, 0.0, 0.0)
+    dn = device_dn("G*", dark(1, 4, 125, 200), parameters, seed=3, device=device)
+    assert stats.kstest(dn.ravel() / 1.7, stats.tukeylambda(shape).cdf).pvalue > LEAST_P_VALUE
+
+
+@pytest.mark.parametrize("spec", [*PAPER_MODELS, "P*", "U", "R"])
+@pytest.mark.parametrize("signal_e", [0.7, 25.0])
+def test_the_same_distribution_as_the_compiled_engine(spec: str, signal_e: float, device: str) -> None:
+    """Two samples of 50000 pixels, or of 50000 mosaic rows of one pixel, Kolmogorov-Smirnov."""
+    clean = clean_of(np.array([signal_e]), (4, 25000, 1) if "R" in spec else (4, 125, 100), PARAMETERS)
+    channels = [0, 2] if "R" in spec else [0, 1, 2, 3]  # of those that share a row, one
+    ours = device_dn(spec, clean, PARAMETERS, seed=4, device=device)[0, channels]
+    theirs = compiled_dn(spec, clean, PARAMETERS, seed=5)[0, channels]
+    if spec == "P*":  # equal numbers of events must be equal numbers
+        ours, theirs = np.rint(ours / PARAMETERS.gain_dn_per_e), np.rint(theirs / PARAMETERS.gain_dn_per_e)
+    for a, b in zip(ours, theirs, strict=True):
+        assert stats.ks_2samp(a.ravel(), b.ravel(), method="asymp").pvalue > LEAST_P_VALUE
+
+
+def test_a_set_of_parameters_and_a_ratio_for_each_image(device: str) -> None:
+    """16384 pixels an image: the mean and the deviation of each within 5 standard errors."""
+    draws = [NoiseParameters(g, 0.1, 1.0, 3 * g, 0.0, (g, 2 * g, 3 * g, 4 * g)) for g in (0.5, 1.0, 4.0)]
+    model, ratios = NoiseModel("G+B"), [50.0, 100.0, 200.0]
+    values = _Values.of(model.components, draws, ratios, 4)
+    clean = torch.full((3, 4, 128, 128), 0.25, device=device)
+    generator = torch.Generator(device).manual_seed(0)
+    limits = (-math.inf, math.inf)
+    result = add_noise(clean, model.components, values, 1000.0, None, limits, generator).cpu().numpy()
+    for image, draw, ratio in zip(result.astype(np.float64), draws, ratios, strict=True):
+        dn = image * 1000.0 / ratio - 250.0 / ratio
+        sigma = draw.sigma_gauss_dn
+        for channel, bias in zip(dn, draw.colour_bias_dn, strict=True):
+            assert abs(channel.mean() - bias) < 5 * sigma / 128
+            assert abs(channel.std() / sigma - 1) < 5 / math.sqrt(2 * 128 * 128)
+
+
+# --- tails ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("shape", [-0.49, -0.25, -0.01])
+def test_no_draw_is_infinite(shape: float, device: str) -> None:
+    """4 million draws."""
+    parameters = NoiseParameters(1.0, shape, 1.0, 0.0, 0.0)
+    dn = device_dn("G*", dark(1, 4, 1000, 1000), parameters, seed=6, device=device)
+    assert np.isfinite(dn).all()
+
+
+@pytest.mark.parametrize("shape", [-0.49, -0.1, 0.0, 0.1, 2.0])
+def test_the_ends_of_the_uniform_numbers_give_finite_draws(shape: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The lowest and the highest number that torch's float64 generator gives: 0 and 1 - 2^-53."""
+    ends = torch.tensor([0.0, 2.0**-53, 0.5, 1 - 2.0**-52, 1 - 2.0**-53], dtype=torch.float64)
+
+    def rand(size: Any, **options: Any) -> torch.Tensor:
+        count = math.prod(size)
+        return ends.repeat(-(-count // len(ends)))[:count].reshape(tuple(size))
+
+    monkeypatch.setattr(torch, "rand", rand)
+    dn = device_dn("G*", dark(1, 4, 5, 1), NoiseParameters(1.0, shape, 1.0, 0.0, 0.0))
+    assert np.isfinite(dn).all()
+    assert (np.diff(dn[0, 0, :, 0]) >= 0).all()
+
+
+# --- colour bias and rows -------------------------------------------------------------------------------------------
+
+
+def test_each_channel_has_its_bias(device: str) -> None:
+    red, green, blue, other_green = PARAMETERS.colour_bias_dn
+    bayer = device_dn("B", dark(2, 4, 3, 5), PARAMETERS, device=device)
+    for channel, value in enumerate((red, green, blue, other_green)):
+        np.testing.assert_allclose(bayer[:, channel], value, rtol=1e-6)
+    colours = {"R": red, "G": (green + other_green) / 2, "B": blue}
+    xtrans = device_dn("B", dark(2, 9, 3, 5), PARAMETERS, device=device)
+    for channel, colour in enumerate(XTRANS_COLOURS):
+        np.testing.assert_allclose(xtrans[:, channel], colours[colour], rtol=1e-6)
+
+
+SIZES = [(1, 1), (1, 2), (2, 1), (1, 7), (7, 1), (2, 2), (3, 5), (5, 3), (4, 6), (9, 9)]
+
+
+@pytest.mark.parametrize(("height", "width"), SIZES)
+def test_bayer_rows(height: int, width: int, device: str) -> None:
+    dn = device_dn("R", dark(3, 4, height, width), PARAMETERS, device=device)
+    np.testing.assert_array_equal(dn, np.repeat(dn[..., :1], width, axis=-1))
+    np.testing.assert_array_equal(dn[:, 0], dn[:, 1])
+    np.testing.assert_array_equal(dn[:, 2], dn[:, 3])
+    assert np.unique(dn).size == 3 * 2 * height
+
+
+@pytest.mark.parametrize(("height", "width"), SIZES)
+def test_xtrans_rows(height: int, width: int, device: str) -> None:
+    """Entries have the same noise just if they come from the same mosaic row."""
+    whole = pack(np.repeat(np.arange(60)[:, None], 60, axis=1), XTRANS_CFA)
+    rows = whole[:, :height, :width].ravel()
+    dn = device_dn("R", dark(3, 9, height, width), PARAMETERS, device=device)
+    for image in dn.reshape(3, -1):
+        np.testing.assert_array_equal(image[:, None] == image, rows[:, None] == rows)
+    assert np.unique(dn).size == 3 * np.unique(rows).size
+
+
+def test_row_noise_is_normal_and_independent(device: str) -> None:
+    """6000 mosaic rows of each CFA, Kolmogorov-Smirnov and neighbours within 5 standard errors."""
+    bayer = device_dn("R", dark(1, 4, 3000, 2), PARAMETERS, seed=7, device=device)[0, [0, 2], :, 0].T.ravel()
+    xtrans = unpack(device_dn("R", dark(1, 9, 2000, 2), PARAMETERS, seed=8, device=device)[0], XTRANS_CFA)[:, 0]
+    for draws in (bayer, xtrans):
+        assert len(draws) == 6000
+        assert stats.kstest(draws / PARAMETERS.sigma_row_dn, "norm").pvalue > LEAST_P_VALUE
+        assert abs(np.corrcoef(draws[:-1], draws[1:])[0, 1]) < 5 / math.sqrt(5999)
+
+
+# --- the rest -------------------------------------------------------------------------------------------------------
+
+
+def test_the_same_state_gives_the_same_bits_and_the_generator_moves_on(device: str) -> None:
+    clean = torch.full((2, 4, 16, 16), 0.25, device=device)
+    first_generator, second_generator = (torch.Generator(device).manual_seed(9) for _ in range(2))
+    for spec in (*PAPER_MODELS, "P"):
+        first = on_device(spec, clean, PARAMETERS, first_generator)
+        assert torch.equal(first, on_device(spec, clean, PARAMETERS, second_generator))
+        assert not torch.equal(first, on_device(spec, clean, PARAMETERS, first_generator))
+        second_generator.set_state(first_generator.get_state())
+        assert first.shape == clean.shape
+        assert first.dtype == torch.float32
+        assert first.device == clean.device
+
+
+def test_no_global_generator_is_touched() -> None:
+    before = torch.get_rng_state()
+    device_dn(FULL, dark(1, 9, 8, 8), PARAMETERS)
+    assert torch.equal(torch.get_rng_state(), before)
+
+
+def test_a_converter(device: str) -> None:
+    parameters = NoiseParameters(1.0, 0.0, 20.0, 0.0, 5.0)
+    clean = clean_of(np.array([0.0, 10.0, 70.0]), (4, 64, 64), parameters)
+    dn = device_dn("P*+G*+R", clean, parameters, adc=Adc(20.0, 100.0), device=device)
+    codes = np.rint(dn + 20.0)
+    np.testing.assert_allclose(dn + 20.0, codes, atol=1e-4)
+    assert (codes.min(), codes.max()) == (0, 100)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-math.inf, 1.0)])
+def test_limits(low: float, high: float, device: str) -> None:
+    clean = torch.linspace(0, 1.2, 4 * 64 * 64, device=device).reshape(1, 4, 64, 64)
+
+    def draw(limits: tuple[float, float]) -> torch.Tensor:
+        return on_device(FULL, clean, PARAMETERS, torch.Generator(device).manual_seed(0), limits=limits)
+
+    free = draw((-math.inf, math.inf))
+    assert free.min() < 0
+    assert free.max() > 1
+    assert torch.equal(draw((low, high)), free.clamp(low, high))
+
+
+def test_values_below_0_count_as_no_light(device: str) -> None:
+    clean = np.linspace(-0.5, 0, 4 * 16 * 16, dtype=np.float32).reshape(1, 4, 16, 16)
+    for spec in (*PAPER_MODELS, "P", "B"):
+        np.testing.assert_array_equal(
+            device_dn(spec, clean, PARAMETERS, device=device),
+            device_dn(spec, np.zeros_like(clean), PARAMETERS, device=device),
+        )
+
+
+@pytest.mark.parametrize("spec", ["P*", "P", "G", FULL])
+def test_nan_stays_where_it_is(spec: str) -> None:
+    """On the CPU alone: a failed assertion on a GPU would take the rest of the run with it."""
+    clean = np.full((1, 4, 8, 8), 0.25, np.float32)
+    clean[0, 1, 2, 3] = np.nan
+    dn = device_dn(spec, clean, PARAMETERS)
+    np.testing.assert_array_equal(np.isnan(dn), np.isnan(clean))
+
+
+@pytest.mark.parametrize("shape", [(0, 4, 6, 6), (1, 4, 0, 6), (1, 4, 6, 0), (2, 9, 0, 0)])
+def test_nothing_at_all(shape: tuple[int, ...], device: str) -> None:
+    assert device_dn(FULL, dark(*shape), PARAMETERS, device=device).shape == shape
+
+
+# --- through the model ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(not CUDA, reason="there is no GPU")
+@pytest.mark.parametrize("dtype", [torch.float16, torch.float32, torch.float64])
+@pytest.mark.parametrize("lead", [(), (2,), (2, 3)])
+def test_the_model_on_a_gpu(lead: tuple[int, ...], dtype: torch.dtype) -> None:
+    clean = torch.full((*lead, 4, 6, 8), 0.25, dtype=dtype, device="cuda")
+
+    def draw(generator: Any) -> torch.Tensor:
+        return NoiseModel()(clean, parameters=PARAMETERS, ratio=RATIO, range_dn=RANGE_DN, generator=generator)
+
+    result = draw(torch.Generator("cuda").manual_seed(0))
+    assert (result.shape, result.dtype, result.device) == (clean.shape, dtype, clean.device)
+    assert torch.equal(result, draw(torch.Generator("cuda").manual_seed(0)))
+    for generator in (torch.Generator(), np.random.default_rng(0), None):
+        with pytest.raises(ArgumentError, match=r"clean is on cuda:0: give a torch\.Generator of that device"):
+            draw(generator)
+
+
+def test_the_model_asks_for_a_generator_of_the_device() -> None:
+    """The meta device stands for any other one."""
+    clean = torch.zeros((4, 6, 8), device="meta")
+    for generator in (torch.Generator(), np.random.default_rng(0)):
+        with pytest.raises(ArgumentError, match=r"clean is on meta: give a torch\.Generator of that device"):
+            NoiseModel()(clean, parameters=PARAMETERS, ratio=RATIO, range_dn=RANGE_DN, generator=generator)

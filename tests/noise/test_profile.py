@@ -1,0 +1,542 @@
+"""Camera profiles: the shipped figures, the file format, and the joint distribution of what is drawn."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import json
+import math
+import pickle
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import torch
+from scipy import stats
+
+from eldata.errors import ArgumentError, ProfileError
+from eldata.noise import CameraProfile, NoiseParameters, shipped_profiles
+from eldata.noise.profile import LogLogFit, ProfileRow
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from eldata.noise.randomness import Generator
+
+CAMERAS = ("CanonEOS5D4", "CanonEOS700D", "CanonEOS70D", "NikonD850", "NikonD850-2", "SonyA7S2")
+FITS = ("tukey_lambda_fit", "gauss_fit", "row_fit")
+SIGMA_OF = {"tukey_lambda_fit": "sigma_tl_dn", "gauss_fit": "sigma_gauss_dn", "row_fit": "sigma_row_dn"}
+
+# 6 cameras and a dozen statistics: false alarms at about 1e-4 in all, if the seeds were not fixed.
+LEAST_P_VALUE = 1e-6
+
+FULL = CameraProfile(
+    camera="Acme Nocturne 1",
+    source="a test",
+    gain_range_dn_per_e=(0.1, 12.8),
+    tukey_lambda_fit=LogLogFit(0.5, 0.25, 0.125),
+    gauss_fit=LogLogFit(-0.5, 1.25, 0.0),
+    row_fit=LogLogFit(1e-17, -1.0, 1 / 3),
+    rows=(
+        ProfileRow(0.1, (1.0, 2.0, 3.0, 4.0), 100.0, 0.1, 1.5, 2.5, 0.5, 0.99, 0.97),
+        ProfileRow(-0.1, (-1.0, 0.1, 0.2, 0.3)),
+    ),
+    iso_range=(100.0, 12800.0),
+    black_level_dn=512.0,
+    white_level_dn=16383.0,
+    notes=("first note", "zweite Notiz: größer"),
+)
+
+
+# --- shipped --------------------------------------------------------------------------------------------------------
+
+
+def test_the_shipped_cameras() -> None:
+    assert shipped_profiles() == CAMERAS
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_each_shipped_profile_is_plausible(name: str) -> None:
+    profile = CameraProfile.load(name)
+    low, high = profile.gain_range_dn_per_e
+    assert profile.camera == name.removesuffix("-2")
+    assert "Vandermode/ELD" in profile.source
+    assert 0 < low < high
+    assert high / low == pytest.approx(64, rel=1e-4)
+    assert profile.iso_range == (100, 6400)
+    assert any("inferred" in note for note in profile.notes)
+    assert len(profile.rows) >= 10
+    for row in profile.rows:
+        assert -0.5 < row.tukey_lambda < 0.5
+        assert max(map(abs, row.colour_bias_dn)) < 50
+    for fit in FITS:
+        line = getattr(profile, fit)
+        assert 0 < line.slope < 1.5
+        assert 0 < line.sigma < 1
+
+
+def test_the_published_figures_of_the_sony() -> None:
+    sony = CameraProfile.load("SonyA7S2")
+    assert sony.gain_range_dn_per_e == (0.0939161, 6.0106285)
+    assert sony.tukey_lambda_fit == LogLogFit(0.462105, 0.5657147, 0.2633712)
+    assert sony.row_fit == LogLogFit(0.527536, -0.5917003, 0.2942881)
+    assert len(sony.rows) == 18
+    assert sony.rows[0].tukey_lambda == 0.1142857
+    assert sony.rows[4].tukey_lambda == 0
+    assert sony.rows[5].tukey_lambda == 0
+    assert "Profile-1" in sony.source
+
+
+def test_the_nikon_has_two_calibrations() -> None:
+    first, second = CameraProfile.load("NikonD850"), CameraProfile.load("NikonD850-2")
+    assert first.source.endswith("Profile-1")
+    assert second.source.endswith("Profile-2")
+    assert first.rows == second.rows
+    assert first.gain_range_dn_per_e == second.gain_range_dn_per_e
+    assert all(getattr(first, fit) != getattr(second, fit) for fit in ("tukey_lambda_fit", "row_fit"))
+
+
+@pytest.mark.parametrize("name", ["Leica", "", "sonya7s2", "SonyA7S2 "])
+def test_an_unknown_name_lists_the_known_ones(name: str) -> None:
+    with pytest.raises(ProfileError) as caught:
+        CameraProfile.load(name)
+    assert repr(name) in str(caught.value)
+    assert all(camera in str(caught.value) for camera in CAMERAS)
+
+
+# --- files ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_a_shipped_profile_saved_and_loaded(name: str, tmp_path: Path) -> None:
+    profile = CameraProfile.load(name)
+    profile.save(tmp_path / "copy.json")
+    assert CameraProfile.load(tmp_path / "copy.json") == profile
+    assert CameraProfile.load(str(tmp_path / "copy.json")) == profile
+
+
+@pytest.mark.parametrize(
+    "profile",
+    [
+        FULL,
+        dataclasses.replace(FULL, iso_range=None, black_level_dn=None, white_level_dn=None, notes=()),
+        dataclasses.replace(FULL, rows=FULL.rows[1:], gain_range_dn_per_e=(0.1 + 0.2, 1e300)),
+    ],
+    ids=["full", "least", "odd numbers"],
+)
+def test_every_field_survives_a_file(profile: CameraProfile, tmp_path: Path) -> None:
+    path = tmp_path / "deep.json"
+    profile.save(path)
+    assert CameraProfile.load(path) == profile
+    data = json.loads(path.read_text(encoding="utf-8"))
+    assert data["schema"] == 1
+    assert set(data) == {"schema", *(field.name for field in dataclasses.fields(CameraProfile))}
+
+
+def test_a_profile_pickles() -> None:
+    assert pickle.loads(pickle.dumps(FULL)) == FULL
+
+
+def test_optional_fields_may_be_absent(tmp_path: Path) -> None:
+    data = as_json(FULL)
+    for key in ("iso_range", "black_level_dn", "white_level_dn", "notes"):
+        del data[key]
+    for key in [key for key in data["rows"][0] if key not in ("tukey_lambda", "colour_bias_dn")]:
+        del data["rows"][0][key]
+    loaded = load(data, tmp_path)
+    assert loaded.iso_range is None
+    assert loaded.notes == ()
+    assert loaded.rows[0] == ProfileRow(0.1, (1.0, 2.0, 3.0, 4.0))
+
+
+def as_json(profile: CameraProfile) -> dict[str, Any]:
+    data: dict[str, Any] = json.loads(json.dumps({"schema": 1} | dataclasses.asdict(profile)))
+    return data
+
+
+def load(data: object, folder: Path) -> CameraProfile:
+    path = folder / "camera.json"
+    path.write_text(json.dumps(data), encoding="utf-8")
+    return CameraProfile.load(path)
+
+
+MISSING = object()
+
+
+def changed(keys: tuple[str | int, ...], value: object) -> dict[str, Any]:
+    data = copy.deepcopy(as_json(FULL))
+    inner: Any = data
+    for key in keys[:-1]:
+        inner = inner[key]
+    if value is MISSING:
+        del inner[keys[-1]]
+    else:
+        inner[keys[-1]] = value
+    return data
+
+
+def shown(keys: tuple[str | int, ...]) -> str:
+    return "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys).lstrip(".")
+
+
+NOT_NUMBERS: tuple[object, ...] = (None, "1", True, [1], {}, math.nan, math.inf, -math.inf, MISSING)
+NUMBER_FIELDS: list[tuple[str | int, ...]] = [
+    *((fit, name) for fit in FITS for name in ("slope", "intercept", "sigma")),
+    ("rows", 1, "tukey_lambda"),
+]
+OPTIONAL_FIELDS: list[tuple[str | int, ...]] = [
+    ("black_level_dn",),
+    ("white_level_dn",),
+    *(
+        ("rows", 0, name)
+        for name in (
+            "iso",
+            "gain_dn_per_e",
+            "sigma_tl_dn",
+            "sigma_gauss_dn",
+            "sigma_row_dn",
+            "r_squared_tl",
+            "r_squared_gauss",
+        )
+    ),
+]
+
+
+def any_of(*values: object) -> tuple[object, ...]:
+    return values
+
+
+WRONG: list[tuple[tuple[str | int, ...], object]] = [
+    *((keys, value) for keys in NUMBER_FIELDS for value in NOT_NUMBERS),
+    *((keys, value) for keys in OPTIONAL_FIELDS for value in NOT_NUMBERS if value is not MISSING and value is not None),
+    *(((name,), value) for name in ("camera", "source") for value in any_of(MISSING, None, "", 5, ["a"])),
+    *(((name,), value) for name in FITS for value in any_of(MISSING, None, 1.0, [1, 2, 3], "a")),
+    *(((name, "sigma"), value) for name in FITS for value in any_of(-1e-9, -1.0)),
+    *(
+        ((name,), value)
+        for name in ("gain_range_dn_per_e", "iso_range")
+        for value in any_of([1.0], [1.0, 2.0, 3.0], 1.0, "1 2", {}, [2.0, 1.0], [0.0, 1.0], [-1.0, 1.0])
+    ),
+    *(((name, place), "a") for name in ("gain_range_dn_per_e", "iso_range") for place in (0, 1)),
+    *(((name, 1), math.nan) for name in ("gain_range_dn_per_e", "iso_range")),
+    (("gain_range_dn_per_e",), MISSING),
+    (("gain_range_dn_per_e",), None),
+    *((("rows",), value) for value in any_of(MISSING, None, [], {}, 5, "rows")),
+    *((("rows", 1), value) for value in any_of(None, [], 5, "row")),
+    *((("rows", 1, "colour_bias_dn"), value) for value in any_of(MISSING, None, 1.0, [1, 2, 3], [1, 2, 3, 4, 5])),
+    *((("rows", 0, "colour_bias_dn", place), value) for place in range(4) for value in any_of(None, "a", math.nan)),
+    *((("rows", 0, name), value) for name in ("iso", "gain_dn_per_e") for value in any_of(0, -1.0)),
+    *((("schema",), value) for value in any_of(MISSING, None, 0, 2, "1", [1])),
+    *((("notes",), value) for value in any_of(None, 5, "one text", {"a": 1})),
+    (("extra",), 1),
+    (("gauss_fit", "extra"), 1),
+    (("rows", 1, "extra"), 1),
+    # Whole numbers without an end.
+    (("gauss_fit", "slope"), 10**400),
+    # What no draw accepts.
+    *((("rows", 0, "tukey_lambda"), value) for value in any_of(-0.5, -3.0, 2.5)),
+    *((("rows", 0, name), -1.0) for name in ("sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn")),
+]
+
+
+def wrong_id(value: object) -> str:
+    return "missing" if value is MISSING else shown(value) if isinstance(value, tuple) else repr(value)[:20]
+
+
+@pytest.mark.parametrize(("keys", "value"), WRONG, ids=wrong_id)
+def test_a_wrong_field_is_named(keys: tuple[str | int, ...], value: object, tmp_path: Path) -> None:
+    with pytest.raises(ProfileError) as caught:
+        load(changed(keys, value), tmp_path)
+    message = str(caught.value)
+    assert message.startswith(f"{tmp_path / 'camera.json'}, field {shown(keys)}")
+    assert ": expected " in message
+    assert "found " in message
+
+
+@pytest.mark.parametrize("data", [None, [], [1], "profile", 5])
+def test_json_that_is_no_object(data: object, tmp_path: Path) -> None:
+    with pytest.raises(ProfileError, match=r"camera\.json, field \(all\): expected an object"):
+        load(data, tmp_path)
+
+
+@pytest.mark.parametrize("data", [b"", b"{", b"not JSON", b"\xff\xfe\x00", b"{'a': 1}", b"[" * 100_000])
+def test_what_is_not_json(data: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "camera.json"
+    path.write_bytes(data)
+    with pytest.raises(ProfileError, match=r"camera\.json: is not JSON"):
+        CameraProfile.load(path)
+
+
+def test_a_missing_file(tmp_path: Path) -> None:
+    for path in (tmp_path / "none.json", str(tmp_path / "none.json"), "none.json", str(tmp_path / "none")):
+        with pytest.raises(ProfileError, match=r"none.*: cannot be read: No such file"):
+            CameraProfile.load(path)
+
+
+# --- drawing --------------------------------------------------------------------------------------------------------
+
+COUNT = 4000
+MEAN_ERROR = 1 / math.sqrt(COUNT)
+VARIANCE_ERROR = math.sqrt(2 / COUNT)
+
+
+@pytest.fixture(scope="module", params=CAMERAS)
+def drawn(request: pytest.FixtureRequest) -> tuple[CameraProfile, list[NoiseParameters]]:
+    profile = CameraProfile.load(request.param)
+    generator = np.random.default_rng(20)
+    return profile, [profile.sample(generator) for _ in range(COUNT)]
+
+
+def log_gains(draws: list[NoiseParameters]) -> Any:
+    return np.log([draw.gain_dn_per_e for draw in draws])
+
+
+def residuals(profile: CameraProfile, draws: list[NoiseParameters], fit: str) -> Any:
+    """How many deviations of the fit ln sigma lies off its line."""
+    line = getattr(profile, fit)
+    sigmas = np.log([getattr(draw, SIGMA_OF[fit]) for draw in draws])
+    return (sigmas - (line.slope * log_gains(draws) + line.intercept)) / line.sigma
+
+
+def test_the_log_gain_is_uniform_between_the_cameras_own_limits(
+    drawn: tuple[CameraProfile, list[NoiseParameters]],
+) -> None:
+    """4000 draws, Kolmogorov-Smirnov."""
+    profile, draws = drawn
+    low, high = np.log(profile.gain_range_dn_per_e)
+    gains = log_gains(draws)
+    assert low <= gains.min() < gains.max() <= high
+    assert stats.kstest((gains - low) / (high - low), "uniform").pvalue > LEAST_P_VALUE
+
+
+@pytest.mark.parametrize("fit", FITS)
+def test_the_log_sigma_is_normal_around_its_line(fit: str, drawn: tuple[CameraProfile, list[NoiseParameters]]) -> None:
+    """4000 draws: Kolmogorov-Smirnov, mean and variance within 5 standard errors, no trend left over ln K."""
+    profile, draws = drawn
+    off = residuals(profile, draws, fit)
+    assert stats.kstest(off, "norm").pvalue > LEAST_P_VALUE
+    assert abs(off.mean()) < 5 * MEAN_ERROR
+    assert abs(off.var() - 1) < 5 * VARIANCE_ERROR
+    gains = log_gains(draws)
+    assert abs(np.corrcoef(off, gains)[0, 1]) < 5 * MEAN_ERROR
+    assert abs(np.corrcoef(off**2, gains)[0, 1]) < 5 * MEAN_ERROR
+
+
+def test_the_three_sigmas_residuals_are_independent(drawn: tuple[CameraProfile, list[NoiseParameters]]) -> None:
+    """4000 draws, correlations within 5 standard errors."""
+    profile, draws = drawn
+    correlation = np.corrcoef([residuals(profile, draws, fit) for fit in FITS])
+    assert np.abs(correlation[np.triu_indices(3, 1)]).max() < 5 * MEAN_ERROR
+
+
+def row_index(profile: CameraProfile) -> dict[tuple[float, tuple[float, ...]], list[int]]:
+    index: dict[tuple[float, tuple[float, ...]], list[int]] = {}
+    for number, row in enumerate(profile.rows):
+        index.setdefault((row.tukey_lambda, row.colour_bias_dn), []).append(number)
+    return index
+
+
+def test_lambda_and_colour_bias_come_from_one_row_and_every_row_alike(
+    drawn: tuple[CameraProfile, list[NoiseParameters]],
+) -> None:
+    """4000 draws over 14 to 20 rows, chi-square; and the row is independent of the gain."""
+    profile, draws = drawn
+    index = row_index(profile)
+    # A pair that stands in no row would be a KeyError.
+    rows = np.array([index[draw.tukey_lambda, draw.colour_bias_dn][0] for draw in draws])
+    expected = np.array([len(numbers) for numbers in index.values()]) / len(profile.rows) * COUNT
+    observed = np.array([(rows == numbers[0]).sum() for numbers in index.values()])
+    assert stats.chisquare(observed, expected).pvalue > LEAST_P_VALUE
+    assert abs(np.corrcoef(rows, log_gains(draws))[0, 1]) < 5 * MEAN_ERROR
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_nearest_gain_takes_only_the_rows_that_are_nearest(name: str) -> None:
+    profile = CameraProfile.load(name)
+    index = row_index(profile)
+    generator = np.random.default_rng(21)
+    seen = set()
+    for _ in range(500):
+        draw = profile.sample(generator, row="nearest-gain")
+        distance = [abs(math.log((row.gain_dn_per_e or math.nan) / draw.gain_dn_per_e)) for row in profile.rows]
+        numbers = index[draw.tukey_lambda, draw.colour_bias_dn]
+        assert min(distance[number] for number in numbers) == pytest.approx(min(distance), abs=1e-9)
+        seen.update(numbers)
+    # The rows' gains lie at equal distances in ln K, so each is drawn: at least once in 500 (the outermost ones have
+    # half the weight of the others, 1/28 for two rows each: missed with probability 1e-8).
+    inside = {
+        number
+        for number, row in enumerate(profile.rows)
+        if (row.gain_dn_per_e or math.inf) <= profile.gain_range_dn_per_e[1] * 1.0001
+    }
+    assert seen >= inside
+
+
+def test_of_rows_equally_near_each_is_drawn_alike() -> None:
+    """2000 draws between two rows: within 5 standard errors of a half."""
+    sony = CameraProfile.load("SonyA7S2")
+    pair = [row for row in sony.rows if row.iso == 800]
+    assert len(pair) == 2
+    generator = np.random.default_rng(22)
+    draws = [sony.sample(generator, iso=800, row="nearest-gain") for _ in range(2000)]
+    shapes = [(draw.tukey_lambda, draw.colour_bias_dn) for draw in draws]
+    assert set(shapes) == {(row.tukey_lambda, row.colour_bias_dn) for row in pair}
+    first = shapes.count((pair[0].tukey_lambda, pair[0].colour_bias_dn))
+    assert abs(first - 1000) < 5 * math.sqrt(500)
+
+
+def test_rows_without_a_gain_are_near_to_nothing() -> None:
+    generator = np.random.default_rng(0)
+    for _ in range(20):
+        assert FULL.sample(generator, row="nearest-gain").tukey_lambda == 0.1
+    with pytest.raises(ArgumentError, match=r"no row of Acme Nocturne 1's profile has a gain"):
+        dataclasses.replace(FULL, rows=FULL.rows[1:]).sample(generator, row="nearest-gain")
+
+
+def numpy_generator(seed: int) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def torch_generator(seed: int) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+BOTH = pytest.mark.parametrize("make", [numpy_generator, torch_generator])
+
+
+@BOTH
+def test_the_same_state_gives_the_same_draw(make: Callable[[int], Generator]) -> None:
+    sony = CameraProfile.load("SonyA7S2")
+    assert sony.sample(make(5)) == sony.sample(make(5))
+    assert sony.sample(make(5)) != sony.sample(make(6))
+    generator = make(5)
+    first, second = sony.sample(generator), sony.sample(generator)
+    assert first == sony.sample(make(5))
+    assert first != second
+
+
+@BOTH
+@pytest.mark.parametrize("fixed", [{"iso": 1600.0}, {"gain_dn_per_e": 1.25}, {"iso": 123.0}])
+def test_fixing_the_gain_leaves_the_other_draws_as_they_were(
+    make: Callable[[int], Generator], fixed: dict[str, float]
+) -> None:
+    sony = CameraProfile.load("SonyA7S2")
+    free, tied = (
+        sony.sample(make(7)),
+        sony.sample(make(7), iso=fixed.get("iso"), gain_dn_per_e=fixed.get("gain_dn_per_e")),
+    )
+    gain = fixed["gain_dn_per_e"] if "gain_dn_per_e" in fixed else sony.gain_at_iso(fixed["iso"])
+    assert tied.gain_dn_per_e == gain != free.gain_dn_per_e
+    assert (tied.tukey_lambda, tied.colour_bias_dn) == (free.tukey_lambda, free.colour_bias_dn)
+    for fit in FITS:
+        assert residuals(sony, [tied], fit)[0] == pytest.approx(residuals(sony, [free], fit)[0], abs=1e-9)
+
+
+@BOTH
+def test_the_choice_of_the_row_leaves_the_other_draws_and_the_generator_as_they_were(
+    make: Callable[[int], Generator],
+) -> None:
+    sony = CameraProfile.load("SonyA7S2")
+    any_row, near_row = make(8), make(8)
+    for _ in range(5):
+        first, second = sony.sample(any_row), sony.sample(near_row, row="nearest-gain")
+        for name in ("gain_dn_per_e", "sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn"):
+            assert getattr(first, name) == getattr(second, name)
+
+
+def test_torch_draws_have_the_same_distribution() -> None:
+    """4000 draws, Kolmogorov-Smirnov."""
+    sony = CameraProfile.load("SonyA7S2")
+    generator = torch_generator(23)
+    draws = [sony.sample(generator) for _ in range(COUNT)]
+    low, high = np.log(sony.gain_range_dn_per_e)
+    assert stats.kstest((log_gains(draws) - low) / (high - low), "uniform").pvalue > LEAST_P_VALUE
+    for fit in FITS:
+        assert stats.kstest(residuals(sony, draws, fit), "norm").pvalue > LEAST_P_VALUE
+
+
+def test_no_global_generator_is_touched() -> None:
+    before_torch = torch.get_rng_state()
+    before_numpy = pickle.dumps(np.random.get_state())  # noqa: NPY002 - it must not have moved
+    CameraProfile.load("SonyA7S2").sample(numpy_generator(0))
+    CameraProfile.load("SonyA7S2").sample(torch_generator(0))
+    assert torch.equal(torch.get_rng_state(), before_torch)
+    assert pickle.dumps(np.random.get_state()) == before_numpy  # noqa: NPY002
+
+
+def test_a_residual_deviation_of_0_gives_the_line() -> None:
+    generator = np.random.default_rng(0)
+    for _ in range(5):
+        draw = FULL.sample(generator)
+        assert draw.sigma_gauss_dn == pytest.approx(math.exp(1.25) * draw.gain_dn_per_e**-0.5, rel=1e-12)
+
+
+# --- ISO ------------------------------------------------------------------------------------------------------------
+
+
+def test_the_gain_at_an_iso() -> None:
+    sony = CameraProfile.load("SonyA7S2")
+    low, high = sony.gain_range_dn_per_e
+    assert sony.gain_at_iso(100) == low
+    assert sony.gain_at_iso(6400) == pytest.approx(high, rel=1e-6)
+    assert sony.gain_at_iso(800) == 8 * low  # measured
+    assert sony.gain_at_iso(1000) == pytest.approx(10 * low, rel=1e-6)  # not measured: in proportion
+
+
+def test_a_measured_gain_wins_over_the_proportion() -> None:
+    rows = (
+        ProfileRow(0.0, (0.0,) * 4, iso=200.0, gain_dn_per_e=0.3),
+        ProfileRow(0.0, (0.0,) * 4, iso=200.0, gain_dn_per_e=0.5),
+        ProfileRow(0.0, (0.0,) * 4, iso=400.0),
+    )
+    profile = dataclasses.replace(FULL, rows=rows)
+    assert profile.gain_at_iso(200) == pytest.approx(0.4)
+    assert profile.gain_at_iso(400) == pytest.approx(0.4)
+    # Measured beyond the range, or where there is none.
+    assert dataclasses.replace(profile, iso_range=None).gain_at_iso(200) == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize("iso", [99.0, 6401.0, 0.0, -100.0, math.nan, math.inf])
+def test_an_iso_outside_of_the_range(iso: float) -> None:
+    with pytest.raises(ArgumentError, match=r"outside of the calibrated range 100 to 6400 of SonyA7S2"):
+        CameraProfile.load("SonyA7S2").gain_at_iso(iso)
+
+
+def test_an_iso_of_a_profile_that_knows_none() -> None:
+    profile = dataclasses.replace(FULL, iso_range=None)
+    with pytest.raises(ArgumentError, match=r"does not say which ISO its gains belong to; give a gain"):
+        profile.sample(np.random.default_rng(0), iso=800)
+
+
+def test_a_profile_of_a_single_iso() -> None:
+    profile = dataclasses.replace(FULL, iso_range=(800.0, 800.0), gain_range_dn_per_e=(0.5, 0.5))
+    assert profile.sample(np.random.default_rng(0)).gain_dn_per_e == pytest.approx(0.5)
+    assert profile.gain_at_iso(800) == pytest.approx(0.5)
+
+
+# --- refusals -------------------------------------------------------------------------------------------------------
+
+
+def test_an_iso_and_a_gain() -> None:
+    with pytest.raises(ArgumentError, match=r"give iso or gain_dn_per_e, not both"):
+        FULL.sample(np.random.default_rng(0), iso=100, gain_dn_per_e=1.0)
+
+
+@pytest.mark.parametrize("row", ["all", "nearest", "", None, 3])
+def test_an_unknown_choice_of_rows(row: Any) -> None:
+    with pytest.raises(ArgumentError, match=r"row must be 'any' or 'nearest-gain'; found"):
+        FULL.sample(np.random.default_rng(0), row=row)
+
+
+@pytest.mark.parametrize("row", ["any", "nearest-gain"])
+@pytest.mark.parametrize("gain", [0.0, -1.0, math.nan, math.inf])
+def test_a_gain_that_makes_no_sense(gain: float, row: Any) -> None:
+    with pytest.raises(ArgumentError, match="gain_dn_per_e must be"):
+        FULL.sample(np.random.default_rng(0), gain_dn_per_e=gain, row=row)
+
+
+@pytest.mark.parametrize("generator", [None, 0, np.random.RandomState(0), np.random.default_rng, "numpy"])
+def test_what_is_no_generator(generator: Any) -> None:
+    with pytest.raises(ArgumentError, match=r"generator must be a numpy\.random\.Generator or a torch\.Generator"):
+        FULL.sample(generator)

@@ -1,0 +1,5 @@
+"""Noise calibration: estimators that are fed one frame at a time. The public names load on first use."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

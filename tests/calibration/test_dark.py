@@ -1,0 +1,269 @@
+"""Defects, fixed pattern, row and column noise, colour bias, and the fit over the gain."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from eldata.calibration import (
+    BiasStack,
+    ChannelMeans,
+    LineMeans,
+    colour_bias,
+    fit_log_log,
+    fixed_pattern,
+    row_noise,
+)
+from eldata.errors import ArgumentError, DatasetError
+from tests.calibration.chain import calibrated, stacked
+from tests.calibration.simulation import BAYER, XTRANS, Body, Camera
+
+CAMERA = Camera(shape=(512, 768))
+
+# --- defects ------------------------------------------------------------------------------------------------------
+
+
+def test_the_stack_is_plain_numpys() -> None:
+    frames = Body(CAMERA, np.random.default_rng(0)).bias_frames(6)
+    fixed = stacked(CAMERA, frames)
+    stack = np.stack(frames).astype(np.float64)
+    np.testing.assert_array_equal(fixed.total_dn, stack.sum(axis=0))
+    np.testing.assert_allclose(fixed.mean_dn, stack.mean(axis=0), rtol=1e-6)
+    variance = stack.var(axis=0, ddof=1)
+    for channel in range(4):
+        chosen = (CAMERA.channel == channel) & ~fixed.defects
+        assert fixed.temporal_variance_dn2[channel] == pytest.approx(variance[chosen].mean())
+
+
+def test_hot_and_stuck_pixels_are_found() -> None:
+    camera = CAMERA.with_(hot_share=2e-3, shading=5.0)
+    body = Body(camera, np.random.default_rng(1))
+    frames = body.bias_frames(8)
+    for frame in frames:
+        frame[10, 20] = 513  # stuck at a value that is not conspicuous
+    fixed = stacked(camera, frames)
+    bright = np.abs(body.fixed - np.median(body.fixed)) > 40
+    assert bright.sum() > 500
+    assert fixed.defects[bright].all()
+    assert fixed.stuck == 1
+    assert fixed.defects[10, 20]
+    assert (fixed.defects & ~body.hot).sum() < 20
+
+
+@pytest.mark.parametrize("frames", [5, 20])
+def test_non_uniformity_less_the_frames_noise(frames: int) -> None:
+    """The plain standard deviation of the mean frame holds sigma / sqrt(n); what is left is the pattern's own."""
+    camera = CAMERA.with_(column_pattern=0.0, hot_share=0.0, dsnu=0.6, tukey_lambda=0.1)
+    fixed = stacked(camera, Body(camera, np.random.default_rng(2)).bias_frames(frames))
+    for value, error in zip(fixed.dsnu_dn, fixed.dsnu_error_dn, strict=True):
+        assert abs(value - 0.6) < 5 * error < 0.15
+    assert float(fixed.mean_dn[::2, ::2].std()) > 0.75
+
+
+def test_shading_is_seen() -> None:
+    camera = CAMERA.with_(shading=3.0, hot_share=0.0)
+    fixed = stacked(camera, Body(camera, np.random.default_rng(3)).bias_frames(8))
+    y, x = np.ogrid[-1:1:512j, -1:1:768j]
+    truth = 3 * (y + x**2)
+    truth = (truth - truth.mean()).reshape(16, 32, 24, 32).mean(axis=(1, 3))
+    assert fixed.shading_dn.shape == (4, 16, 24)
+    for channel in range(4):
+        assert np.abs(fixed.shading_dn[channel] - truth).max() < 8 * fixed.shading_error_dn[channel] + 0.3
+
+
+def test_unusable_stacks() -> None:
+    frames = Body(CAMERA, np.random.default_rng(4)).bias_frames(3)
+    stack = BiasStack(BAYER)
+    for frame in frames:
+        stack.add(frame)
+    with pytest.raises(DatasetError, match="4 are needed, ten or more advised"):
+        fixed_pattern(stack)
+    with pytest.raises(ArgumentError, match="one orientation"):
+        stack.add(frames[0].T.copy())
+    with pytest.raises(ArgumentError, match="uint16"):
+        stack.add(frames[0].astype(np.int32))
+    with pytest.raises(ArgumentError, match="two periods"):
+        BiasStack(XTRANS).add(frames[0][:8])
+    with pytest.raises(ArgumentError, match="unsupported CFA"):
+        BiasStack(((0, 0), (1, 1)))
+    stack.add(frames[0])
+    with pytest.raises(ArgumentError, match="threshold"):
+        fixed_pattern(stack, threshold=0)
+    with pytest.raises(DatasetError, match="copies of one another"):
+        stacked(CAMERA, [frames[0]] * 4)
+    clipped = CAMERA.with_(black=0.0)
+    with pytest.raises(DatasetError, match="black is clipped"):
+        stacked(clipped, Body(clipped, np.random.default_rng(5)).bias_frames(4))
+
+
+# --- rows ---------------------------------------------------------------------------------------------------------
+
+
+def test_plain_row_means_are_biased() -> None:
+    """Quiet rows: fixed pattern, and the pixels' share of the means, would double the figure."""
+    camera = CAMERA.with_(sigma_row=0.06, shading=0.3)
+    frames = Body(camera, np.random.default_rng(6)).bias_frames(10)
+    rows = calibrated(camera, frames).rows.rows
+    assert abs(rows.sigma_dn - 0.06) < 4 * rows.sigma_error_dn < 0.02
+    plain = np.concatenate([frame.mean(axis=1) - frame.mean() for frame in frames]).std()
+    assert plain > 2 * 0.06
+
+
+def test_column_noise_and_fixed_columns() -> None:
+    camera = CAMERA.with_(column_pattern=0.8, hot_share=0.0)
+    generator = np.random.default_rng(7)
+    body = Body(camera, generator)
+    frames = [
+        np.rint(body.fixed + body.noise() + generator.normal(0, 0.4, (1, 768))).astype(np.uint16) for _ in range(10)
+    ]
+    found = calibrated(camera, frames).rows
+    assert abs(found.columns.sigma_dn - 0.4) < 4 * found.columns.sigma_error_dn < 0.05
+    assert found.columns.fixed_sigma_dn == pytest.approx(0.8, rel=0.12)  # of 768 columns
+    assert abs(found.rows.sigma_dn - 0.5) < 4 * found.rows.sigma_error_dn
+
+
+def test_no_row_noise_is_no_error() -> None:
+    camera = CAMERA.with_(sigma_row=0.0)
+    rows = calibrated(camera, Body(camera, np.random.default_rng(8)).bias_frames(6)).rows.rows
+    assert abs(rows.variance_dn2) < 4 * rows.variance_error_dn2
+    assert rows.sigma_dn < 4 * rows.sigma_error_dn
+
+
+def test_spectrum_normality_and_plot() -> None:
+    """Against a direct transform of the line means, and scipy's test and plot."""
+    frames = Body(CAMERA, np.random.default_rng(9)).bias_frames(6)
+    rows = calibrated(CAMERA, frames).rows.rows
+    deviations = rows.deviations_dn
+    k = np.arange(512)
+    direct = np.exp(-2j * math.pi * 37 * k / 512) @ deviations.T
+    assert rows.power_dn2[37] == pytest.approx((np.abs(direct) ** 2).mean() / 512 * 6 / 5)
+    assert rows.frequency[37] == pytest.approx(37 / 512)
+    assert rows.power_dn2[1:].mean() == pytest.approx(deviations.var() * 6 / 5, rel=0.05)
+    values = deviations.ravel() * math.sqrt(6 / 5)
+    assert rows.shapiro_values == values.size == 3072
+    assert rows.shapiro_p == pytest.approx(stats.shapiro(values).pvalue, rel=1e-6)
+    np.testing.assert_allclose(rows.ordered_dn, np.sort(values))
+    assert rows.r_squared > 0.99
+
+
+def test_a_wave_over_the_rows_shows_in_the_spectrum() -> None:
+    body = Body(CAMERA, np.random.default_rng(10))
+    k = np.arange(512)[:, None]
+    phases = np.random.default_rng(0).uniform(0, 2 * math.pi, 6)
+    frames = [
+        np.rint(body.fixed + body.noise() + np.sin(2 * math.pi * 50 * k / 512 + phase)).astype(np.uint16)
+        for phase in phases
+    ]
+    rows = calibrated(CAMERA, frames).rows.rows
+    assert int(rows.power_dn2.argmax()) == 50
+
+
+def test_rows_that_are_not_normal_fail_the_test() -> None:
+    body = Body(CAMERA.with_(sigma_row=0.0), np.random.default_rng(11))
+    generator = np.random.default_rng(1)
+    frames = [
+        np.rint(body.fixed + body.noise() + generator.choice([-1.0, 1.0], (512, 1))).astype(np.uint16) for _ in range(6)
+    ]
+    rows = calibrated(body.camera, frames).rows.rows
+    assert rows.sigma_dn == pytest.approx(1, rel=0.03)
+    assert rows.shapiro_p < 1e-6
+
+
+def test_other_frames_than_the_patterns_are_refused() -> None:
+    frames = Body(CAMERA, np.random.default_rng(12)).bias_frames(4)
+    means = LineMeans(stacked(CAMERA, frames))
+    means.add(frames[0])
+    with pytest.raises(DatasetError, match="add the same frames again"):
+        row_noise(means)
+
+
+# --- colour bias --------------------------------------------------------------------------------------------------
+
+
+def test_bias_per_frame_and_pooled() -> None:
+    frames = Body(CAMERA, np.random.default_rng(13)).bias_frames(6)
+    means = ChannelMeans(BAYER)
+    for frame in frames:
+        means.add(frame)
+    found = colour_bias(means, [512.0, 512.0, 510.0, 512.0])
+    stack = np.stack(frames)
+    for channel, (y, x) in enumerate([(0, 0), (0, 1), (1, 1), (1, 0)]):
+        expected = stack[:, y::2, x::2].mean(axis=(1, 2)) - (510 if channel == 2 else 512)
+        np.testing.assert_allclose(found.frame_bias_dn[:, channel], expected, atol=1e-9)
+        assert found.bias_dn[channel] == pytest.approx(expected.mean())
+        assert found.standard_error_dn[channel] == pytest.approx(expected.std(ddof=1) / math.sqrt(6))
+        rows = stack[:, y::2, x::2].mean(axis=2)
+        by_rows = math.sqrt((rows.var(axis=1, ddof=1) / rows.shape[1]).sum()) / 6
+        assert found.row_error_dn[channel] == pytest.approx(by_rows)
+    assert found.frames == 6
+
+
+def test_hot_pixels_shift_a_bias_that_is_not_masked() -> None:
+    camera = CAMERA.with_(hot_share=1e-3)
+    body = Body(camera, np.random.default_rng(14))
+    frames = body.bias_frames(6)
+    masked = calibrated(camera, frames).bias
+    plain = ChannelMeans(BAYER)
+    for frame in frames:
+        plain.add(frame)
+    assert abs(masked.bias_dn[0] - camera.bias[0]) < 0.1
+    assert colour_bias(plain, [512.0] * 4).bias_dn[0] > camera.bias[0] + 0.5
+
+
+def test_unusable_bias() -> None:
+    with pytest.raises(DatasetError, match="ten or more"):
+        colour_bias(ChannelMeans(BAYER), [512.0] * 4)
+    frame = np.full((32, 48), 512, dtype=np.uint16)
+    means = ChannelMeans(BAYER)
+    means.add(frame)
+    assert math.isnan(colour_bias(means, [512.0] * 4).standard_error_dn[0])
+    with pytest.raises(ArgumentError, match="black levels"):
+        colour_bias(means, [512.0] * 3)
+    with pytest.raises(ArgumentError, match="mask of defects"):
+        ChannelMeans(BAYER, defects=np.zeros((2, 2), dtype=np.bool_)).add(frame)
+    with pytest.raises(DatasetError, match="no sound pixel"):
+        ChannelMeans(BAYER, defects=np.ones((32, 48), dtype=np.bool_)).add(frame)
+
+
+# --- over the gain --------------------------------------------------------------------------------------------------
+
+
+def test_the_line_is_scipys() -> None:
+    generator = np.random.default_rng(15)
+    gains = np.array([0.1, 0.2, 0.4, 0.8, 1.6, 3.2])
+    scales = np.exp(0.5 * np.log(gains) + 0.3 + generator.normal(0, 0.1, 6))
+    found = fit_log_log(gains.tolist(), scales.tolist())
+    theirs = stats.linregress(np.log(gains), np.log(scales))
+    assert found.fit.slope == pytest.approx(theirs.slope)
+    assert found.fit.intercept == pytest.approx(theirs.intercept)
+    assert found.slope_error == pytest.approx(theirs.stderr)
+    assert found.intercept_error == pytest.approx(theirs.intercept_stderr)
+    assert found.r_squared == pytest.approx(theirs.rvalue**2)
+
+
+def test_the_residual_variance_is_unbiased() -> None:
+    """2000 fits of five points: the mean of sigma^2 within 4 standard errors, sqrt(2 / 3 / 2000)."""
+    generator = np.random.default_rng(16)
+    gains = [0.1, 0.4, 1.6, 6.4, 25.6]
+    squares = [
+        fit_log_log(gains, np.exp(0.5 * np.log(gains) + generator.normal(0, 0.2, 5)).tolist()).fit.sigma ** 2
+        for _ in range(2000)
+    ]
+    assert np.mean(squares) == pytest.approx(0.04, rel=4 * math.sqrt(2 / 3 / 2000))
+
+
+@pytest.mark.parametrize(
+    ("gains", "scales", "error", "words"),
+    [
+        ([1.0, 2.0], [1.0], ArgumentError, "pairs"),
+        ([1.0, 2.0, 3.0], [1.0, 0.0, 2.0], ArgumentError, "above 0"),
+        ([1.0, 2.0], [1.0, 2.0], DatasetError, "three ISOs"),
+        ([1.0, 1.0, 1.0], [1.0, 2.0, 3.0], DatasetError, "three ISOs"),
+    ],
+)
+def test_unusable_lines(gains: list[float], scales: list[float], error: type[Exception], words: str) -> None:
+    with pytest.raises(error, match=words):
+        fit_log_log(gains, scales)

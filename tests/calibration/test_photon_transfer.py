@@ -1,0 +1,110 @@
+"""System gain from flats."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from eldata.calibration import FlatFrames, FlatPairs, photon_transfer, spatial_photon_transfer
+from eldata.errors import ArgumentError, DatasetError
+from tests.calibration.chain import transferred
+from tests.calibration.simulation import BAYER, Body, Camera
+
+BLACK = [512.0] * 4
+
+
+def test_prnu_misleads_the_spatial_method_and_not_the_pairs() -> None:
+    """1 % PRNU to 6000 DN at K = 0.2, even light: the published method is off by a multiple."""
+    camera = Camera(shape=(512, 768), gain=0.2, sigma_tl=1.0)
+    body = Body(camera, np.random.default_rng(0))
+    pairs, single = FlatPairs(BAYER, BLACK, 16383, defects=body.hot), FlatFrames(BAYER, BLACK, 16383, defects=body.hot)
+    for first, second in body.flat_pairs([500, 2000, 4000, 6000], shaded=False):
+        pairs.add(first, second)
+        single.add(first)
+        single.add(second)
+    found = photon_transfer(pairs)
+    assert abs(found.gain_dn_per_e - 0.2) < 4 * found.gain_error < 0.01 * 0.2
+    assert spatial_photon_transfer(single).gain_dn_per_e > 2 * 0.2
+
+
+def test_the_spatial_method_is_right_on_ideal_flats() -> None:
+    camera = Camera(shape=(512, 768), prnu=0.0, dsnu=0.0, column_pattern=0.0, hot_share=0.0)
+    body = Body(camera, np.random.default_rng(1))
+    single = FlatFrames(BAYER, BLACK, 16383)
+    for level in (500, 2000, 5000, 9000):
+        single.add(body.flat_frame(level, shaded=False))
+    assert spatial_photon_transfer(single).gain_dn_per_e == pytest.approx(1.0, rel=0.01)
+
+
+def test_drift_of_the_light_is_harmless() -> None:
+    """2 % between the frames of each pair would add (0.02 x 6000)^2 / 4 DN^2 if it were left in."""
+    body = Body(Camera(shape=(512, 768)), np.random.default_rng(2))
+    found = transferred(body, [500, 3000, 6000, 9000], body.hot, drift=0.02)
+    assert abs(found.gain_dn_per_e - 1) < 4 * found.gain_error
+
+
+def test_saturated_levels_are_left_out() -> None:
+    body = Body(Camera(shape=(512, 768), white=6000.0), np.random.default_rng(3))
+    found = transferred(body, [500, 1500, 3000, 4500, 5400, 7000], body.hot)
+    assert abs(found.gain_dn_per_e - 1) < 4 * found.gain_error
+    assert found.left_out > 0.15
+    assert max(line.signal_dn.max() for line in found.channels) < 5380
+
+
+def test_even_flats_of_two_exposures_do() -> None:
+    body = Body(Camera(shape=(512, 768)), np.random.default_rng(4))
+    flats = FlatPairs(BAYER, BLACK, 16383, defects=body.hot)
+    for first, second in body.flat_pairs([1000, 8000], shaded=False):
+        flats.add(first, second)
+    found = photon_transfer(flats)
+    assert abs(found.gain_dn_per_e - 1) < 4 * found.gain_error < 0.05
+    assert all(abs(line.chi2_per_dof - 1) < 1 for line in found.channels)
+
+
+def test_hot_pixels_that_are_not_masked_change_little() -> None:
+    body = Body(Camera(shape=(512, 768), hot_share=5e-4), np.random.default_rng(5))
+    found = transferred(body, [500, 3000, 6000, 9000])
+    assert found.gain_dn_per_e == pytest.approx(1, rel=0.01)
+
+
+def test_one_channel_against_plain_numpy() -> None:
+    """Segments of one row: temporal variance and mean as numpy computes them."""
+    body = Body(Camera(shape=(12, 96), hot_share=0.0), np.random.default_rng(6))
+    first, second = body.flat_frame(3000), body.flat_frame(3000)
+    flats = FlatPairs(BAYER, BLACK, 16383)
+    flats.add(first, second)
+    signal, variance, freedom = flats.points(1)
+    a, b = first[::2, 1::2].astype(np.float64), second[::2, 1::2].astype(np.float64)
+    assert freedom.sum() == 6 * 47
+    assert variance @ freedom / freedom.sum() == pytest.approx(((a - b).var(axis=1, ddof=1) / 2).mean())
+    assert signal @ freedom / freedom.sum() == pytest.approx(((a + b) / 2).mean() - 512)
+
+
+def test_unusable_input() -> None:
+    frame = np.full((128, 192), 1000, dtype=np.uint16)
+    with pytest.raises(ArgumentError, match="white level"):
+        FlatPairs(BAYER, BLACK, 500)
+    with pytest.raises(ArgumentError, match="margin"):
+        FlatPairs(BAYER, BLACK, 16383, margin=2)
+    with pytest.raises(ArgumentError, match="4 finite black levels"):
+        FlatPairs(BAYER, [512.0], 16383)
+    flats = FlatPairs(BAYER, BLACK, 16383)
+    with pytest.raises(DatasetError, match="no flat frames"):
+        photon_transfer(flats)
+    with pytest.raises(ArgumentError, match="uint16"):
+        flats.add(frame.astype(np.float32), frame.astype(np.float32))
+    with pytest.raises(ArgumentError, match="one orientation"):
+        flats.add(frame, frame.T.copy())
+    with pytest.raises(ArgumentError, match="96 pixels wide"):
+        FlatPairs(BAYER, BLACK, 16383).add(frame[:, :64], frame[:, :64])
+    flats = FlatPairs(BAYER, BLACK, 16383)
+    flats.add(frame, frame)
+    with pytest.raises(DatasetError, match="usable level"):
+        photon_transfer(flats)
+    flats, noise = FlatPairs(BAYER, BLACK, 16383), np.random.default_rng(0)
+    for level, sigma in ((2000, 30), (9000, 10)):
+        flats.add(*(np.rint(noise.normal(level, sigma, frame.shape)).astype(np.uint16) for _ in range(2)))
+    with pytest.raises(DatasetError, match="does not grow"):
+        photon_transfer(flats)
+    with pytest.raises(DatasetError, match="spatial method needs three"):
+        spatial_photon_transfer(FlatFrames(BAYER, BLACK, 16383))

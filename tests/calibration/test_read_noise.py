@@ -1,0 +1,143 @@
+"""The Tukey-lambda fit against scipy, and what its corrections are for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from eldata.calibration import ResidualHistogram, Residuals, ppcc, read_noise
+from eldata.calibration._kernels import tukey_lambda_tail
+from eldata.calibration._tukey_lambda import ResidualModel
+from eldata.errors import ArgumentError, DatasetError
+from tests.calibration.chain import calibrated, stacked
+from tests.calibration.simulation import Body, Camera
+
+
+def integers(shape: float, scale: float, size: int, seed: int = 0) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    draws = stats.tukeylambda.rvs(shape, scale=scale, size=size, random_state=np.random.default_rng(seed))
+    return np.rint(draws).astype(np.int64)
+
+
+def counted(values: np.ndarray[tuple[int], np.dtype[np.int64]]) -> ResidualHistogram:
+    half = int(np.abs(values).max()) + 1
+    counts = np.stack([np.bincount(part + half, minlength=2 * half + 1) for part in np.array_split(values, 20)])
+    return ResidualHistogram(counts, 1.0, rounding_dn=0.0)
+
+
+@pytest.mark.parametrize("shape", [-0.3, -0.05, -1e-3, 0.0, 1e-10, 1e-3, 0.14, 0.4, 1.0])
+def test_the_tail_is_scipys(shape: float) -> None:
+    x = np.array([-30.0, -2.0, 0.0, 0.3, 1.0, 2.4, 6.0, 40.0])
+    ours = [tukey_lambda_tail(float(value), shape) for value in x]
+    np.testing.assert_allclose(ours, stats.tukeylambda(shape).sf(x), rtol=1e-7, atol=1e-12)
+
+
+@pytest.mark.parametrize(("shape", "sigma"), [(-0.2, 1.3), (0.14, 0.7), (0.0, 20.0)])
+def test_the_model_of_a_residual_is_that_of_simulated_ones(shape: float, sigma: float) -> None:
+    """Residuals of 5 frames and rows of 30 pixels, two million: P beyond each edge within 5 standard errors."""
+    generator = np.random.default_rng(4)
+    count = 400_000 // 30
+    noise = sigma * stats.tukeylambda.rvs(shape, size=(5, count, 30), random_state=generator)
+    noise += generator.random(noise.shape) - 0.5
+    noise -= noise.mean(axis=0)
+    noise -= noise.mean(axis=2, keepdims=True)
+    edges = np.std(noise) * np.array([0.0, 0.5, 1.0, 2.0, 3.0, 5.0])
+    tails = ResidualModel(5, 30.0, 1.0).tails(edges, shape, sigma)
+    for edge, tail in zip(edges, tails, strict=True):
+        share = float((noise > edge).mean())
+        assert abs(share - tail) < 5 * np.sqrt(tail / noise.size) + 1e-9
+
+
+@pytest.mark.parametrize(("shape", "scale"), [(-0.1, 3.0), (0.08, 0.85), (0.14, 2.0)])
+def test_as_accurate_as_scipys(shape: float, scale: float) -> None:
+    """300 000 integers: the probability plots agree to 0.003; the likelihood finds the truth within 4 errors."""
+    values = integers(shape, scale, 300_000)
+    histogram = counted(values)
+    found, slope, curve = ppcc(histogram.values_dn, histogram.counts.sum(axis=0))
+    theirs = float(stats.ppcc_max(values, brack=(-0.3, 0.3)))
+    assert found == pytest.approx(theirs, abs=0.003)
+    assert slope == pytest.approx(stats.probplot(values, sparams=(theirs,), dist="tukeylambda")[1][0], rel=0.005)
+    assert curve.shape == (2, 41)
+    assert curve[1].max() <= 1
+    read = read_noise(histogram)
+    assert abs(read.tukey_lambda - shape) < 4 * read.tukey_lambda_error < 0.02
+    assert abs(read.sigma_tl_dn - scale) < 4 * read.sigma_tl_error_dn < 0.02 * scale
+
+
+def test_plain_routes_are_biased() -> None:
+    """Why the corrections: each pixel's mean over 6 frames lightens the tails, and rounding widens quiet noise."""
+    camera = Camera(shape=(768, 1024), tukey_lambda=-0.2, sigma_tl=0.7, sigma_row=0.2)
+    read = calibrated(camera, Body(camera, np.random.default_rng(3)).bias_frames(6)).read
+    assert abs(read.tukey_lambda + 0.2) < 4 * read.tukey_lambda_error < 0.01
+    assert read.ppcc_lambda_plain > -0.2 + 0.025
+    # A fixed pattern that is left in place looks like read noise.
+    loud = camera.with_(dsnu=1.0, sigma_tl=0.7, tukey_lambda=0.1)
+    frame = Body(loud, np.random.default_rng(3)).bias_frame().astype(np.int64)
+    left_in = read_noise(counted((frame - np.rint(np.median(frame)).astype(np.int64)).clip(-40, 40).ravel()))
+    assert left_in.sigma_tl_dn > 1.3 * 0.7
+
+
+def test_hot_pixels_do_not_enter_but_outliers_of_one_frame_do() -> None:
+    camera = Camera(shape=(512, 768), hot_share=1e-3)
+    body = Body(camera, np.random.default_rng(5))
+    frames = body.bias_frames(8)
+    assert abs(calibrated(camera, frames).read.tukey_lambda + 0.05) < 0.005
+    frames[3][100, 100] = 16000
+    with_ray = calibrated(camera, frames)
+    assert not with_ray.fixed.defects[100, 100]
+    assert with_ray.read.beyond == 1
+    assert abs(with_ray.read.tukey_lambda + 0.05) < 0.005
+
+
+def test_order_does_not_matter() -> None:
+    """Streaming: counts are of integers, so any order of frames gives the same histogram to the bit."""
+    camera = Camera(shape=(128, 192))
+    frames = Body(camera, np.random.default_rng(6)).bias_frames(5)
+    histograms = []
+    for order in (frames, frames[::-1]):
+        residuals = Residuals(stacked(camera, order))
+        for frame in order:
+            residuals.add(frame)
+        histograms.append(residuals.histogram())
+    np.testing.assert_array_equal(histograms[0].counts, histograms[1].counts)
+    assert histograms[0].counts.sum() == 5 * (128 * 192 - stacked(camera, frames).defects.sum())
+
+
+def test_the_histogram_is_that_of_plain_numpy() -> None:
+    camera = Camera(shape=(64, 96), hot_share=0.0)
+    frames = Body(camera, np.random.default_rng(7)).bias_frames(6)
+    fixed = stacked(camera, frames)
+    residuals = Residuals(fixed)
+    for frame in frames:
+        residuals.add(frame)
+    histogram = residuals.histogram()
+    stack = np.stack(frames).astype(np.float64)
+    stack -= stack.mean(axis=0)
+    stack[:, fixed.defects] = np.nan
+    for channel in range(4):
+        chosen = stack[:, camera.channel == channel]
+        stack[:, camera.channel == channel] = chosen - np.nanmean(chosen, axis=1, keepdims=True)
+    stack -= np.nanmean(stack, axis=2, keepdims=True)
+    values = stack[np.isfinite(stack)]
+    total = histogram.counts.sum(axis=0)
+    assert total.sum() == values.size
+    assert total @ histogram.values_dn**2 / total.sum() == pytest.approx(values.var(), rel=0.01)
+    below = np.cumsum(total)[total.size // 2 + 5] / total.sum()
+    assert below == pytest.approx((values < 5.5 * histogram.cell_dn).mean(), abs=0.01)
+
+
+def test_unusable_input() -> None:
+    camera = Camera(shape=(64, 96))
+    frames = Body(camera, np.random.default_rng(8)).bias_frames(4)
+    residuals = Residuals(stacked(camera, frames))
+    residuals.add(frames[0])
+    with pytest.raises(DatasetError, match="add the same frames again"):
+        residuals.histogram()
+    with pytest.raises(ArgumentError, match="odd number of cells"):
+        read_noise(ResidualHistogram(np.ones((2, 100), dtype=np.int64), 1.0))
+    with pytest.raises(ArgumentError, match="1 frame or more"):
+        read_noise(ResidualHistogram(np.full((2, 101), 100, dtype=np.int64), 1.0, frames=0))
+    single = np.zeros((1, 101), dtype=np.int64)
+    single[0, 50] = 5000
+    with pytest.raises(DatasetError, match="lost in rounding"):
+        read_noise(ResidualHistogram(single, 1.0))

@@ -1,0 +1,130 @@
+"""The truth of simulated cameras comes back, and the standard errors say how nearly."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from tests.calibration.chain import calibrated, transferred
+from tests.calibration.simulation import XTRANS, Body, Camera
+
+# Over the ranges of the shipped cameras: K 0.09 to 29, lambda -0.24 to 0.2, sigma_TL 0.6 to 35 DN.
+CAMERAS = {
+    "middle": Camera(),
+    "heavy tails, quiet": Camera(gain=0.4, tukey_lambda=-0.24, sigma_tl=1.0, sigma_row=0.11),
+    "light tails": Camera(gain=0.22, tukey_lambda=0.2, sigma_tl=1.1, sigma_row=0.22, shading=1.0),
+    "loud": Camera(gain=28.6, tukey_lambda=-0.16, sigma_tl=34.6, sigma_row=3.7, dsnu=1.0, black=2048.0),
+    "logistic, no pattern": Camera(
+        tukey_lambda=0.0, sigma_tl=3.0, sigma_row=1.0, dsnu=0.0, column_pattern=0.0, prnu=0.0, hot_share=0.0
+    ),
+    "below 1 DN": Camera(gain=0.094, tukey_lambda=0.11, sigma_tl=0.6, sigma_row=0.16),
+    "X-Trans": Camera(shape=(1026, 1536), cfa=XTRANS, bias=(1.0, -0.5, 0.3), shading=1.0),
+}
+LEVELS = (600.0, 2500.0, 6000.0, 12000.0)
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_the_truth_comes_back(name: str) -> None:
+    """Ten bias frames and four pairs of flats of 1.6 megapixels; six standard errors are far below the tolerances."""
+    camera = CAMERAS[name]
+    body = Body(camera, np.random.default_rng(11))
+    found = calibrated(camera, body.bias_frames(10))
+    gain = transferred(body, LEVELS, found.fixed.defects, drift=0.003)
+
+    assert gain.gain_dn_per_e == pytest.approx(camera.gain, rel=0.01)
+    assert gain.gain_error < 0.0015 * camera.gain
+    assert abs(gain.gain_dn_per_e - camera.gain) < 5 * gain.gain_error
+
+    assert found.rows.rows.sigma_dn == pytest.approx(camera.sigma_row, rel=0.05)
+    assert abs(found.rows.rows.sigma_dn - camera.sigma_row) < 4 * found.rows.rows.sigma_error_dn
+    assert found.rows.rows.shapiro_p > 1e-3
+    assert abs(found.rows.columns.variance_dn2) < 5 * found.rows.columns.variance_error_dn2
+
+    sound = ~found.fixed.defects
+    for channel, measured in enumerate(found.bias.bias_dn):
+        truth = float(body.fixed[sound & (camera.channel == channel)].mean(dtype=np.float64)) - camera.black
+        # From the truth: row noise of the channel's rows, and the pixels' own, over ten frames.
+        rows = camera.shape[0] / (2 if len(camera.cfa) == 2 else 1)
+        error = math.sqrt((camera.sigma_row**2 / rows + (4 * camera.sigma_tl) ** 2 / 150_000) / 10)
+        assert abs(measured - truth) < max(0.005, 5 * error)
+        assert abs(measured - truth) < 0.05 or camera.sigma_tl > 30
+
+    read = found.read
+    assert abs(read.tukey_lambda - camera.tukey_lambda) < min(0.02, 5 * read.tukey_lambda_error)
+    assert abs(read.sigma_tl_dn - camera.sigma_tl) < min(0.01 * camera.sigma_tl, 5 * read.sigma_tl_error_dn)
+    deviation = camera.sigma_tl * float(stats.tukeylambda(camera.tukey_lambda).std())
+    assert abs(read.sigma_gauss_dn - deviation) < 6 * read.sigma_gauss_error_dn
+    assert read.is_reliable
+    assert read.ppcc_lambda == pytest.approx(read.tukey_lambda, abs=0.005)
+    assert read.ppcc_sigma_tl_dn == pytest.approx(read.sigma_tl_dn, rel=0.01)
+    if camera.dsnu:
+        assert read.chi2_per_dof == pytest.approx(1, abs=0.6)
+    if camera.tukey_lambda < 0.1:
+        assert read.r_squared_tl > read.r_squared_gauss
+
+
+def test_four_frames_do() -> None:
+    """The least number: the other frames' share is then a quarter, of its own heavy-tailed distribution."""
+    camera = Camera(shape=(768, 1024), tukey_lambda=-0.2, sigma_tl=1.5)
+    read = calibrated(camera, Body(camera, np.random.default_rng(2)).bias_frames(4)).read
+    assert abs(read.tukey_lambda + 0.2) < 4 * read.tukey_lambda_error < 0.02
+    assert abs(read.sigma_tl_dn - 1.5) < 4 * read.sigma_tl_error_dn < 0.03
+
+
+def test_noise_that_reaches_0_is_censored_there() -> None:
+    """Black at 512 DN and a standard deviation of 80 DN: 0.05 % of the values are clipped at 0."""
+    camera = Camera(gain=28.6, tukey_lambda=-0.16, sigma_tl=34.6, sigma_row=3.7, shape=(768, 1024))
+    frames = Body(camera, np.random.default_rng(11)).bias_frames(8)
+    assert 2e-4 < np.mean([(frame == 0).mean() for frame in frames]) < 1e-3
+    read = calibrated(camera, frames).read
+    assert abs(read.tukey_lambda + 0.16) < 4 * read.tukey_lambda_error < 0.01
+    assert abs(read.sigma_tl_dn - 34.6) < 4 * read.sigma_tl_error_dn < 0.01 * 34.6
+
+
+def test_lost_in_rounding_is_said() -> None:
+    camera = Camera(shape=(512, 768), sigma_tl=0.11, tukey_lambda=-0.1, sigma_row=0.03)
+    read = calibrated(camera, Body(camera, np.random.default_rng(2)).bias_frames(10)).read
+    assert not read.is_reliable
+    assert read.tukey_lambda_error > 0.05
+    assert abs(read.tukey_lambda + 0.1) < 2 * read.tukey_lambda_error
+    assert abs(read.sigma_tl_dn - 0.11) < 2 * read.sigma_tl_error_dn
+    assert read.sigma_tl_dn == pytest.approx(0.11, rel=0.1)
+
+
+DRAWS = 100
+
+
+def test_standard_errors_cover_the_truth() -> None:
+    """100 cameras of 55 kilopixels, 8 bias frames, 4 pairs: 95 % intervals (Student's where few frames give them).
+
+    Nominal coverage is missed by chance: 100 draws have a standard error of 2.2 %; allowed are four.
+    """
+    camera = Camera(shape=(192, 288), tukey_lambda=-0.1, sigma_tl=1.5, sigma_row=0.6, hot_share=0.0)
+    deviation = 1.5 * float(stats.tukeylambda(-0.1).std())
+    scores: dict[str, list[float]] = {}
+    for seed in range(DRAWS):
+        body = Body(camera, np.random.default_rng(seed))
+        found = calibrated(camera, body.bias_frames(8))
+        gain = transferred(body, LEVELS, found.fixed.defects)
+        read, row = found.read, found.rows.rows
+        sound = ~found.fixed.defects & (camera.channel == 0)
+        bias = float(body.fixed[sound].mean(dtype=np.float64)) - camera.black
+        student = 1.96 / float(stats.t.ppf(0.975, 7))
+        for name, value in {
+            "lambda": (read.tukey_lambda + 0.1) / read.tukey_lambda_error,
+            "sigma_TL": (read.sigma_tl_dn - 1.5) / read.sigma_tl_error_dn,
+            "sigma_gauss": (read.sigma_gauss_dn - deviation) / read.sigma_gauss_error_dn,
+            "sigma_row": (row.sigma_dn - 0.6) / row.sigma_error_dn,
+            "K": (gain.gain_dn_per_e - 1) / gain.gain_error,
+            "K of one channel": (gain.channels[2].gain_dn_per_e - 1) / gain.channels[2].gain_error,
+            "bias": student * (found.bias.bias_dn[0] - bias) / found.bias.standard_error_dn[0],
+        }.items():
+            scores.setdefault(name, []).append(value)
+    nominal_error = math.sqrt(0.95 * 0.05 / DRAWS)
+    for name, values in scores.items():
+        covered = float(np.mean(np.abs(values) < 1.96))
+        assert abs(covered - 0.95) < 4 * nominal_error, (name, covered)
+        assert abs(np.mean(values)) < 4.5 / math.sqrt(DRAWS), (name, np.mean(values))

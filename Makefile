@@ -25,7 +25,7 @@ lint: $(STAMP)  ## Style and types
 	$(BIN)/mypy
 
 test: lint  ## Style, types and all tests
-	$(BIN)/pytest -n auto
+	$(BIN)/pytest -n auto --dist worksteal
 
 bench: $(STAMP)  ## Benchmarks against the straightforward routes, a few minutes
 	$(BIN)/python -m benchmarks

@@ -1,0 +1,125 @@
+"""`eldata profile`: what a camera's noise profile says, and whether the noise model does what it says."""
+
+from __future__ import annotations
+
+import argparse
+
+from eldata.console import OK, PROBLEMS, add_debug, add_json, write_json
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add this command."""
+    parser = commands.add_parser(
+        "profile",
+        help="show a camera's noise profile and test the noise model with it",
+        description="Camera profiles: list those that ship, or show one and test the noise model with it.",
+    )
+    subcommands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    show = subcommands.add_parser(
+        "show",
+        help="show a profile and compare simulated frames with the theory",
+        description=(
+            "Show a profile, draw parameters from it, simulate flats and bias frames and compare them with the model's "
+            "closed forms. With --iso or --gain, lambda and colour bias are of the calibration row nearest in gain; "
+            "otherwise all are drawn. Exit code 1 if a figure is off by more than 4 standard errors."
+        ),
+    )
+    show.add_argument("camera", metavar="CAMERA", help="name of a shipped profile, or path of a JSON file")
+    where = show.add_mutually_exclusive_group()
+    where.add_argument("--iso", type=float, metavar="ISO", help="at this ISO (default: a gain drawn from the profile)")
+    where.add_argument("--gain", type=float, metavar="K", help="at this system gain, DN per photoelectron")
+    show.add_argument(
+        "--model", default="P*+G*+B+R+U", metavar="SPEC", help="components of the noise (default: %(default)s)"
+    )
+    show.add_argument("--seed", type=_seed, default=0, metavar="S", help="seed of everything (default: %(default)s)")
+    show.add_argument("--html", metavar="FILE", help="write a page with plots to FILE")
+    add_json(show)
+    add_debug(show)
+    show.set_defaults(run=run_show, command="profile show")
+    listing = subcommands.add_parser("list", help="list the profiles that ship", description="List shipped profiles.")
+    add_json(listing)
+    add_debug(listing)
+    listing.set_defaults(run=run_list, command="profile list")
+
+
+def _seed(text: str) -> int:
+    if not (text.isascii() and text.isdecimal()):
+        raise argparse.ArgumentTypeError(f"expected a whole number of 0 or more, found {text!r}")
+    return int(text)
+
+
+def run_show(arguments: argparse.Namespace) -> int:
+    """Show and test one profile."""
+    from eldata.noise.profile import CameraProfile
+    from eldata.reports.diagnostics import diagnose, parameter_rows, sample_parameters
+    from eldata.tables import text_table
+
+    profile = CameraProfile.load(arguments.camera)
+    parameters = sample_parameters(profile, arguments.seed, iso=arguments.iso, gain_dn_per_e=arguments.gain)
+    diagnostics = diagnose(profile, parameters, spec=arguments.model, seed=arguments.seed)
+
+    print(_printable(profile.camera))
+    low, high = profile.gain_range_dn_per_e
+    facts = [
+        ("source", _printable(profile.source)),
+        ("gain", f"{low:.4g} to {high:.4g} DN/e-"),
+        ("ISO", "not known" if profile.iso_range is None else "{:g} to {:g}".format(*profile.iso_range)),
+        *(
+            (name, f"{level:g} DN")
+            for name, level in (("black", profile.black_level_dn), ("white", profile.white_level_dn))
+            if level is not None
+        ),
+        *(("note", _printable(note)) for note in profile.notes),
+    ]
+    for name, text in facts:
+        print(f"  {name:<8}{text}")
+    print(f"\nparameters examined: model {diagnostics.spec}, seed {diagnostics.seed}\n")
+    for symbol, value, unit in parameter_rows(parameters):
+        print(f"  {symbol:<10}{value:>10} {'' if unit == '1' else unit}".rstrip())
+    header = ("check", "quantity", "unit", "expected", "found", "s.e.", "dev. [s.e.]", "verdict")
+    rows, shown = [], ""
+    for item in diagnostics.comparisons:
+        rows.append(("" if item.check == shown else item.check, item.symbol, item.unit, *item.cells()))
+        shown = item.check
+    print(f"\n{text_table(header, rows, left=(0, 1, 2, 7))}\n\n{diagnostics.summary}")
+    if arguments.json:
+        write_json(arguments.json, diagnostics.as_dict())
+    if arguments.html:
+        from eldata.files import write_text
+        from eldata.reports.page import profile_page
+
+        write_text(arguments.html, profile_page(diagnostics))
+    return PROBLEMS if diagnostics.off else OK
+
+
+def run_list(arguments: argparse.Namespace) -> int:
+    """List the shipped profiles."""
+    from eldata.noise.profile import CameraProfile, shipped_profiles
+    from eldata.tables import text_table
+
+    profiles = {name: CameraProfile.load(name) for name in shipped_profiles()}
+    rows = []
+    for name, profile in profiles.items():
+        low, high = profile.gain_range_dn_per_e
+        isos = "-" if profile.iso_range is None else "{:g} to {:g}".format(*profile.iso_range)
+        rows.append((name, f"{low:.4g} to {high:.4g}", isos, str(len(profile.rows)), profile.source))
+    print(text_table(("profile", "gain [DN/e-]", "ISO", "rows", "source"), rows, left=(0, 4)))
+    if arguments.json:
+        listed = [
+            {
+                "profile": name,
+                "camera": profile.camera,
+                "gain_range_dn_per_e": profile.gain_range_dn_per_e,
+                "iso_range": profile.iso_range,
+                "rows": len(profile.rows),
+                "source": profile.source,
+            }
+            for name, profile in profiles.items()
+        ]
+        write_json(arguments.json, listed)
+    return OK
+
+
+def _printable(text: str) -> str:
+    """Return a profile's text on one line, without what would steer a terminal."""
+    return "".join(character if character.isprintable() else "?" for character in " ".join(text.split()))

@@ -1,0 +1,1 @@
+"""Reports: diagnostics as plain numbers, plots of them, and pages that need no network."""

@@ -1,0 +1,455 @@
+"""Plots of the diagnostics, as SVG that looks the same everywhere: letters are drawn as outlines.
+
+Figures are made without pyplot, so no window, no global figure list and no backend setting is touched. The same
+diagnostics give the same bytes. Each plot comes for a light and for a dark page; the background is transparent.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import matplotlib.style
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullLocator
+
+from eldata.reports.diagnostics import CHANNELS, LIMIT, SIGNALS_E, Comparison, Diagnostics, read_fit
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from typing import Any
+
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from numpy.typing import NDArray
+
+    from eldata.noise.profile import LogLogFit
+
+_SIZE_INCHES = (4.4, 3.6)  # about a phone's width at the page's own letter size
+_QUANTILES_SHOWN = 241
+
+
+@dataclass(frozen=True, slots=True)
+class Theme:
+    """Colours of a plot. Found values are points in ``found``, the theory is lines in ``theory``."""
+
+    ink: str
+    grid: str
+    theory: str
+    found: str
+    channels: tuple[str, str, str, str]
+
+
+LIGHT = Theme("#1f2933", "#d5dbe1", "#c2410c", "#0b62b8", ("#c81e1e", "#15803d", "#1d4ed8", "#7c8a06"))
+DARK = Theme("#e6eaee", "#434c56", "#ff9d5c", "#6cb6ff", ("#ff7b7b", "#56d364", "#7ab0ff", "#d3d35a"))
+_MARKERS = ("o", "s", "^", "D")
+
+
+@dataclass(frozen=True, slots=True)
+class Plot:
+    """One plot: an identifier, a heading, what it shows in words, what to look for, and the two images."""
+
+    name: str
+    title: str
+    alt: str
+    caption: str
+    light: bytes
+    dark: bytes
+
+
+def plots(diagnostics: Diagnostics) -> tuple[Plot, ...]:
+    """Draw every plot that the diagnostics have data for, in the order of the report."""
+    read = "sigma_G" if diagnostics.model.components.read == "gaussian" else "sigma_TL"
+    wanted: list[tuple[str, str, str, str, Callable[[Diagnostics, Theme], Figure]]] = [
+        (
+            "mean",
+            "Mean over signal",
+            _over_signal_alt("Mean of D", diagnostics.mean),
+            (
+                "Points: simulated flats. Line: the closed form, K I plus the mean colour bias. Below: deviation in "
+                "standard errors; the band is what counts as ok."
+            ),
+            _mean,
+        ),
+        (
+            "variance",
+            "Variance over signal",
+            _over_signal_alt("Variance of D", diagnostics.variance),
+            (
+                "Photon transfer: shot noise grows with the signal; the variance at no light is that of read, row and "
+                "quantisation noise together."
+            ),
+            _variance,
+        ),
+        (
+            "colour-bias",
+            "Colour bias",
+            "Mean of a bias frame in R, G1, B and G2, found and expected. " + _worst(diagnostics.colour_bias),
+            "Per-channel mean of a bias frame; the bars are one standard error.",
+            _colour_bias,
+        ),
+        (
+            "row-means",
+            "Row means of a bias frame",
+            "Normal probability plot of the row means. " + _worst(diagnostics.rows),
+            "Normal row noise lies on the line, whose slope is the expected standard deviation.",
+            _row_means,
+        ),
+    ]
+    if diagnostics.quantiles is not None:
+        wanted.append(
+            (
+                "read-noise",
+                "Dark read noise",
+                "Probability plot of the read noise alone against its model. " + _worst(diagnostics.read),
+                (
+                    "Quantiles from 0.0001 to 0.9999 of the read noise alone. Tails that bend off the line would be "
+                    "another distribution."
+                ),
+                _read_noise,
+            )
+        )
+    for name, title, function in (
+        ("read-fit", f"{_letters(read)} over the gain", _read_fit),
+        ("row-fit", f"{_letters('sigma_row')} over the gain", _row_fit),
+    ):
+        wanted.append(
+            (
+                name,
+                title,
+                (
+                    f"{title}: the profile's line with its bands of 1 and 2 standard deviations, and where "
+                    f"{diagnostics.draws.gain_dn_per_e.size} sampled parameters fall."
+                ),
+                (
+                    "Line and bands: the profile's fit. Points: sampled parameters, 68 % and 95 % of which belong in "
+                    "the bands. Diamonds: measured, where the profile has them. The ring is the draw examined here."
+                ),
+                function,
+            )
+        )
+    wanted += [
+        (
+            "lambda-rows",
+            "Calibration rows: λ",
+            f"Lambda of the profile's {len(diagnostics.profile.rows)} calibration rows by ISO.",
+            "0 is the logistic distribution, 0.14 nearly the Gaussian; the lower, the longer the tails.",
+            _lambda_rows,
+        ),
+        (
+            "bias-rows",
+            "Calibration rows: colour bias",
+            f"Colour bias of the profile's {len(diagnostics.profile.rows)} calibration rows by ISO and channel.",
+            "λ and colour bias of one row are sampled together.",
+            _bias_rows,
+        ),
+    ]
+    return tuple(
+        Plot(name, title, alt, caption, *(_svg(draw, diagnostics, theme, name) for theme in (LIGHT, DARK)))
+        for name, title, alt, caption, draw in wanted
+    )
+
+
+def _over_signal_alt(what: str, comparisons: Sequence[Comparison]) -> str:
+    return (
+        f"{what} against the signal from {SIGNALS_E[0]:g} to {SIGNALS_E[-1]:g} electrons, simulated and by the closed "
+        f"form. {_worst(comparisons)}"
+    )
+
+
+def _worst(comparisons: Sequence[Comparison]) -> str:
+    deviations = [abs(item.deviation) for item in comparisons if item.deviation is not None]
+    if not deviations:
+        return "No standard errors."
+    return f"Largest deviation {max(deviations):.2g} standard errors."
+
+
+def _letters(name: str) -> str:
+    return {"sigma_TL": "σ TL", "sigma_G": "σ G", "sigma_row": "σ row"}[name]
+
+
+# --- figures ------------------------------------------------------------------------------------------------------
+
+
+def _svg(draw: Callable[[Diagnostics, Theme], Figure], diagnostics: Diagnostics, theme: Theme, name: str) -> bytes:
+    style = {
+        "axes.edgecolor": theme.ink,
+        "axes.facecolor": "none",
+        "axes.grid": True,
+        "axes.labelcolor": theme.ink,
+        "axes.labelsize": 10,
+        "axes.spines.right": False,
+        "axes.spines.top": False,
+        "figure.facecolor": "none",
+        "font.family": "DejaVu Sans",
+        "grid.color": theme.grid,
+        "grid.linewidth": 0.6,
+        "legend.fontsize": 9,
+        "legend.frameon": False,
+        "legend.labelcolor": theme.ink,
+        "lines.linewidth": 1.4,
+        "lines.markersize": 5,
+        "svg.fonttype": "path",
+        "svg.hashsalt": name,
+        "text.color": theme.ink,
+        "xtick.color": theme.ink,
+        "xtick.labelsize": 9.5,
+        "ytick.color": theme.ink,
+        "ytick.labelsize": 9.5,
+    }
+    buffer = io.BytesIO()
+    with matplotlib.style.context(["default", style]):
+        figure = draw(diagnostics, theme)
+        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    return buffer.getvalue()
+
+
+def _figure() -> Figure:
+    return Figure(figsize=_SIZE_INCHES, layout="constrained")
+
+
+def _with_deviations(comparisons: Sequence[Comparison], at: Sequence[float], theme: Theme) -> tuple[Figure, Axes, Axes]:
+    """Return a figure whose lower axes show deviations in standard errors; the upper ones are to be filled."""
+    figure = _figure()
+    main, below = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [2.6, 1]})
+    points = [
+        (x, item.deviation, item.verdict) for x, item in zip(at, comparisons, strict=True) if item.deviation is not None
+    ]
+    below.axhspan(-LIMIT, LIMIT, color=theme.theory, alpha=0.13, linewidth=0)
+    below.axhline(0, color=theme.theory, linewidth=1)
+    for verdict, marker in (("ok", "o"), ("off", "X")):
+        chosen = [(x, y) for x, y, which in points if which == verdict]
+        if chosen:
+            below.plot(*zip(*chosen, strict=True), marker, color=theme.found)
+    reach = max([LIMIT + 1, *(1.15 * abs(y) for _, y, _ in points)])
+    below.set_ylim(-reach, reach)
+    if reach == LIMIT + 1:
+        below.yaxis.set_major_locator(FixedLocator([-4, 0, 4]))
+    below.set_ylabel("dev. [s.e.]")
+    return figure, main, below
+
+
+def _over_signal(
+    comparisons: Sequence[Comparison], theory: Callable[[float], float], label: str, theme: Theme
+) -> Figure:
+    """Draw something against the signal; both axes are logarithmic, but for the neighbourhood of 0."""
+    figure, main, below = _with_deviations(comparisons, SIGNALS_E, theme)
+    main.set_xscale("asinh", linear_width=1)
+    top = SIGNALS_E[-1]
+    grid = np.sinh(np.linspace(0, math.asinh(top), 120))
+    curve = [theory(float(signal)) for signal in grid]
+    main.plot(grid, curve, color=theme.theory, label="closed form")
+    found = [item.found for item in comparisons]
+    main.plot(SIGNALS_E, found, "o", color=theme.found, label="simulated")
+    values = [*found, *curve]
+    if min(values) > 0:
+        main.set_yscale("log")
+        _log_ticks(main.yaxis, sum(1 for power in range(-9, 10) if min(values) < 10.0**power < max(values)))
+    else:
+        width = max(max(map(abs, values)) / top, 1e-6)
+        main.set_yscale("asinh", linear_width=width)
+        first = math.ceil(math.log10(2 * width))
+        powers = [10.0 ** (first + step) for step in range(6)]
+        _plain_ticks(main, "y", [0, *powers, *(-power for power in powers)])
+        main.set_ylim(*main.get_ylim())
+    main.set_ylabel(label)
+    main.legend(loc="upper left")
+    below.set_xlabel("signal [e⁻]")
+    _plain_ticks(below, "x", [0, 1, 3, 10, 30, 100, 300])
+    below.set_xlim(-0.2, top * 1.25)
+    return figure
+
+
+def _log_ticks(axis: Axis, decades: int) -> None:
+    """Label a logarithmic axis with plain numbers: more in a decade, the fewer decades there are."""
+    axis.set_major_locator(LogLocator(10, (1, 2, 5) if decades < 3 else (1,), numticks=20))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(_number))
+
+
+def _plain_ticks(axes: Axes, which: str, at: Sequence[float]) -> None:
+    axis = axes.xaxis if which == "x" else axes.yaxis
+    axis.set_major_locator(FixedLocator(list(at)))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(_number))
+
+
+def _number(value: float, _position: object) -> str:
+    return f"{value:g}".replace("-", "−")
+
+
+def _mean(diagnostics: Diagnostics, theme: Theme) -> Figure:
+    model, parameters = diagnostics.model, diagnostics.parameters
+
+    def theory(signal: float) -> float:
+        return sum(model.expected_mean_dn(signal, parameters, channel) for channel in range(4)) / 4
+
+    return _over_signal(diagnostics.mean, theory, "mean of D [DN]", theme)
+
+
+def _variance(diagnostics: Diagnostics, theme: Theme) -> Figure:
+    model, parameters = diagnostics.model, diagnostics.parameters
+    return _over_signal(
+        diagnostics.variance,
+        lambda signal: model.expected_variance_dn2(signal, parameters),
+        "variance of D [DN²]",
+        theme,
+    )
+
+
+def _colour_bias(diagnostics: Diagnostics, theme: Theme) -> Figure:
+    places = list(range(4))
+    figure, main, below = _with_deviations(diagnostics.colour_bias, places, theme)
+    for place, item in zip(places, diagnostics.colour_bias, strict=True):
+        # matplotlib leaves labels with an underscore out of the legend: one entry for four channels.
+        label = ("closed form", "simulated") if place == 0 else ("_", "_")
+        main.hlines(item.expected, place - 0.3, place + 0.3, color=theme.theory, linewidth=2, label=label[0])
+        main.errorbar(
+            place, item.found, yerr=item.standard_error, fmt="o", color=theme.found, capsize=4, label=label[1]
+        )
+    main.set_ylabel("mean [DN]")
+    main.margins(y=0.25)
+    main.legend(loc="best")
+    below.set_xticks(places, CHANNELS)
+    below.set_xlim(-0.5, 3.5)
+    return figure
+
+
+def _row_means(diagnostics: Diagnostics, theme: Theme) -> Figure:
+    from scipy.special import ndtri
+
+    figure = _figure()
+    axes = figure.subplots()
+    means = diagnostics.row_means_dn
+    levels = (np.arange(means.size) + 0.5) / means.size
+    shown = np.unique(np.linspace(0, means.size - 1, _QUANTILES_SHOWN).round().astype(int))
+    shown = np.union1d(shown, np.concatenate([np.arange(20), means.size - 1 - np.arange(20)]))  # tails in full
+    z = ndtri(levels)
+    expected = diagnostics.rows[0].expected
+    ends = np.array([z[0], z[-1]])
+    axes.plot(ends, ends * expected, color=theme.theory, label="closed form")
+    axes.plot(z[shown], means[shown], "o", markersize=3, color=theme.found, label="simulated")
+    axes.set_xlabel("normal quantile")
+    axes.set_ylabel("row mean [DN]")
+    axes.legend(loc="upper left")
+    return figure
+
+
+def _read_noise(diagnostics: Diagnostics, theme: Theme) -> Figure:
+    quantiles = diagnostics.quantiles
+    if quantiles is None:
+        return _figure()
+    figure, main, below = _with_deviations(diagnostics.read, [item.expected for item in diagnostics.read], theme)
+    ends = quantiles.expected_dn[[0, -1]]
+    main.plot(ends, ends, color=theme.theory, label="closed form")
+    main.plot(quantiles.expected_dn, quantiles.found_dn, "o", markersize=3, color=theme.found, label="simulated")
+    main.set_ylabel("found quantile [DN]")
+    main.legend(loc="upper left")
+    read = "Gaussian" if diagnostics.model.components.read == "gaussian" else "Tukey-lambda"
+    below.set_xlabel(f"{read} quantile [DN]")
+    return figure
+
+
+def _read_fit(diagnostics: Diagnostics, theme: Theme) -> Figure:
+    gaussian = diagnostics.model.components.read == "gaussian"
+    name = "sigma_gauss_dn" if gaussian else "sigma_tl_dn"
+    return _fit(
+        diagnostics,
+        read_fit(diagnostics.profile, diagnostics.model.components),
+        diagnostics.draws.sigma_read_dn,
+        name,
+        r"$\sigma_\mathrm{G}$ [DN]" if gaussian else r"$\sigma_\mathrm{TL}$ [DN]",
+        theme,
+    )
+
+
+def _row_fit(diagnostics: Diagnostics, theme: Theme) -> Figure:
+    scales = diagnostics.draws.sigma_row_dn
+    return _fit(diagnostics, diagnostics.profile.row_fit, scales, "sigma_row_dn", r"$\sigma_\mathrm{row}$ [DN]", theme)
+
+
+def _fit(
+    diagnostics: Diagnostics, fit: LogLogFit, scales: NDArray[np.float64], field: str, label: str, theme: Theme
+) -> Figure:
+    """Draw a log-log fit with its bands, the draws, the measured rows and the draw that is examined."""
+    figure = _figure()
+    axes = figure.subplots()
+    low, high = diagnostics.profile.gain_range_dn_per_e
+    gains = np.geomspace(low / 1.15, high * 1.15, 50)
+    for width, alpha in ((2.0, 0.13), (1.0, 0.2)):
+        lower, upper = ([fit.scale_dn(float(gain), z) for gain in gains] for z in (-width, width))
+        axes.fill_between(gains, lower, upper, color=theme.theory, alpha=alpha, linewidth=0)
+    axes.plot(gains, [fit.scale_dn(float(gain), 0.0) for gain in gains], color=theme.theory, label="fit, ±1σ, ±2σ")
+    axes.plot(
+        diagnostics.draws.gain_dn_per_e, scales, "o", markersize=2.5, alpha=0.75, color=theme.found, label="sampled"
+    )
+    measured = [
+        (row.gain_dn_per_e, getattr(row, field))
+        for row in diagnostics.profile.rows
+        if row.gain_dn_per_e is not None and getattr(row, field) is not None and getattr(row, field) > 0
+    ]
+    if measured:
+        axes.plot(*zip(*measured, strict=True), "D", color=theme.ink, markersize=5, label="measured")
+    parameters = diagnostics.parameters
+    axes.plot(
+        parameters.gain_dn_per_e,
+        getattr(parameters, field),
+        "o",
+        markersize=10,
+        markerfacecolor="none",
+        markeredgewidth=1.8,
+        color=theme.ink,
+        label="examined here",
+    )
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    for axis in (axes.xaxis, axes.yaxis):
+        _log_ticks(axis, 2)
+    axes.set_xlabel("K [DN/e⁻]")
+    axes.set_ylabel(label)
+    axes.legend(loc="upper left")
+    return figure
+
+
+def _by_iso(diagnostics: Diagnostics, axes: Axes) -> list[float]:
+    """Set up an axis of ISOs and return each row's place on it; of row numbers if an ISO is unknown."""
+    isos = [row.iso for row in diagnostics.profile.rows]
+    known = [iso for iso in isos if iso is not None]
+    if len(known) < len(isos):
+        axes.set_xlabel("calibration row")
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        return [float(index + 1) for index in range(len(isos))]
+    axes.set_xscale("log")
+    axes.set_xlabel("ISO")
+    distinct = sorted(set(known))
+    step = math.ceil(len(distinct) / 5)
+    _plain_ticks(axes, "x", distinct[::step])
+    return known
+
+
+def _lambda_rows(diagnostics: Diagnostics, theme: Theme) -> Figure:
+    figure = _figure()
+    axes = figure.subplots()
+    places = _by_iso(diagnostics, axes)
+    axes.axhline(0, color=theme.theory, linewidth=1)
+    axes.plot(places, [row.tukey_lambda for row in diagnostics.profile.rows], "o", color=theme.found)
+    axes.set_ylabel("λ")
+    return figure
+
+
+def _bias_rows(diagnostics: Diagnostics, theme: Theme) -> Figure:
+    figure = _figure()
+    axes = figure.subplots()
+    places = _by_iso(diagnostics, axes)
+    step = 0.07 if axes.get_xscale() == "log" else 0.0  # side by side, where the channels' values are alike
+    for channel, name in enumerate(CHANNELS):
+        beside = [place * math.exp((channel - 1.5) * step) for place in places]
+        style: dict[str, Any] = {"marker": _MARKERS[channel], "color": theme.channels[channel], "linestyle": "none"}
+        axes.plot(beside, [row.colour_bias_dn[channel] for row in diagnostics.profile.rows], label=name, **style)
+    axes.axhline(0, color=theme.theory, linewidth=1)
+    axes.set_ylabel("colour bias [DN]")
+    axes.legend(loc="best", ncols=2)
+    return figure

@@ -1,0 +1,183 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from eldata.cli import profile as command
+from eldata.console import Parser, run
+from eldata.noise.profile import CameraProfile, shipped_profiles
+from eldata.reports import diagnostics
+
+if TYPE_CHECKING:
+    import argparse
+
+MADE = """
+import sys
+from eldata.cli import profile
+from eldata.console import Parser, run
+parser = Parser(prog="eldata")
+profile.add_parser(parser.add_subparsers())
+code = run(parser, sys.argv[1:])
+print("LOADED", *(name for name in ("torch", "rawpy", "matplotlib", "jinja2", "numba") if name in sys.modules))
+"""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    code: int
+    out: str
+    err: str
+
+
+class Cli:
+    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
+        self._capsys = capsys
+
+    def __call__(self, *arguments: str | Path) -> Outcome:
+        parser: argparse.ArgumentParser = Parser(prog="eldata")
+        command.add_parser(parser.add_subparsers())
+        self._capsys.readouterr()
+        code = run(parser, ["profile", *(str(argument) for argument in arguments)])
+        captured = self._capsys.readouterr()
+        return Outcome(code, captured.out, captured.err)
+
+
+@pytest.fixture
+def profile(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Cli:
+    monkeypatch.chdir(tmp_path)
+    return Cli(capsys)
+
+
+def test_show(profile: Cli) -> None:
+    done = profile("show", "SonyA7S2")
+    assert (done.code, done.err) == (0, "")
+    lines = done.out.splitlines()
+    assert lines[0] == "SonyA7S2"
+    assert "  gain    0.09392 to 6.011 DN/e-" in lines
+    assert "  ISO     100 to 6400" in lines
+    assert any(line.startswith("  note    ISO and gain of the rows") for line in lines)
+    assert "parameters examined: model P*+G*+B+R+U, seed 0" in lines
+    assert any(line.split() == ["K", "1.328", "DN/e-"] for line in lines)
+    header = next(line for line in lines if line.startswith("check"))
+    assert header.split("  ")[0] == "check"
+    assert header.endswith("verdict")
+    for check in (
+        "mean over signal",
+        "variance over signal",
+        "bias frame, mean by channel",
+        "bias frame, row means",
+        "read noise alone",
+        "row noise alone",
+        "quantisation alone",
+        "sampled parameters",
+    ):
+        assert sum(line.startswith(check) for line in lines) == 1
+    assert sum(line.endswith("  ok") for line in lines) == 61
+    assert lines[-1] == "all 61 comparisons within 4 standard errors"
+    assert done.out == profile("show", "SonyA7S2").out
+
+
+def test_off_is_exit_code_1(profile: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
+    nikon = CameraProfile.load("NikonD850")
+    other = diagnostics.sample_parameters(nikon, 0)
+    made = diagnostics.diagnose
+    monkeypatch.setattr(diagnostics, "diagnose", lambda *args, **named: made(*args, **named, simulated=other))
+    done = profile("show", "SonyA7S2", "--json", "off.json")
+    assert done.code == 1
+    assert "comparisons off by more than 4 standard errors" in done.out.splitlines()[-1]
+    assert sum(line.endswith("  off") for line in done.out.splitlines()) > 20
+    assert json.loads(Path("off.json").read_text(encoding="utf-8"))["ok"] is False
+
+
+def test_files(profile: Cli) -> None:
+    done = profile("show", "NikonD850", "--iso", "800", "--seed", "3", "--html", "page.html", "--json", "data.json")
+    assert done.code == 0
+    assert sorted(path.name for path in Path().iterdir()) == ["data.json", "page.html"]
+    data = json.loads(Path("data.json").read_text(encoding="utf-8"))
+    assert (data["camera"], data["seed"], data["ok"]) == ("NikonD850", 3, True)
+    assert len(data["comparisons"]) == 61
+    for comparison in data["comparisons"]:
+        assert comparison["symbol"] in done.out
+    assert set(data["comparisons"][0]) == {
+        *("check", "symbol", "unit", "expected", "found", "standard_error", "deviation", "verdict"),
+    }
+    page = Path("page.html").read_text(encoding="utf-8")
+    assert page.startswith("<!DOCTYPE html>")
+    assert "Noise of NikonD850" in page
+
+
+def test_a_profile_of_ones_own(profile: Cli) -> None:
+    mine = replace(
+        CameraProfile.load("SonyA7S2"),
+        camera="<script>\x1b[31m Mine",
+        iso_range=None,
+        black_level_dn=512.0,
+        white_level_dn=16383.0,
+    )
+    mine.save("mine.json")
+    done = profile("show", "mine.json", "--gain", "1.5", "--model", "P*+G")
+    assert done.code == 0
+    assert done.out.startswith("<script>?[31m Mine\n")
+    assert "\x1b" not in done.out
+    assert "  ISO     not known" in done.out
+    assert "  black   512 DN" in done.out
+    assert "model P*+G, seed 0" in done.out
+
+
+def test_list(profile: Cli) -> None:
+    done = profile("list", "--json", "list.json")
+    assert done.code == 0
+    lines = done.out.splitlines()
+    assert [line.split()[0] for line in lines[2:]] == list(shipped_profiles())
+    assert "0.09392 to 6.011  100 to 6400" in lines[-1]
+    listed = json.loads(Path("list.json").read_text(encoding="utf-8"))
+    assert [item["profile"] for item in listed] == list(shipped_profiles())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["show", "Leica"], "no camera profile is called 'Leica'"),
+        (["show", "absent.json"], "absent.json: cannot be read"),
+        (["show", "SonyA7S2", "--iso", "99999999"], "outside of the calibrated range"),
+        (["show", "SonyA7S2", "--iso", "nan"], "outside of the calibrated range"),
+        (["show", "SonyA7S2", "--gain", "-1"], "outside of the calibrated range 0.09392 to 6.011 of SonyA7S2"),
+        (["show", "SonyA7S2", "--model", "Q"], "'Q' is no component"),
+        (["show", "SonyA7S2", "--seed", "-1"], "expected a whole number of 0 or more"),
+        (["show", "SonyA7S2", "--iso", "100", "--gain", "1"], "not allowed with"),
+        (["show", "SonyA7S2", "--json", "absent/data.json"], "cannot write absent/data.json"),
+        (["show"], "CAMERA"),
+        ([], "COMMAND"),
+    ],
+)
+def test_unusable_input_is_one_line_and_exit_code_2(profile: Cli, arguments: list[str], words: str) -> None:
+    done = profile(*arguments)
+    assert done.code == 2
+    assert words in done.err
+    assert done.err.count("\n") == 1
+    assert "unexpected" not in done.err
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["show", "--help"], ["list", "--help"]])
+def test_help_loads_nothing_heavy(arguments: list[str]) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", MADE, "profile", *arguments], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == "LOADED"
+
+
+def test_show_without_a_page_draws_nothing() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", MADE, "profile", "show", "SonyA7S2", "--model", "U"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.stdout.splitlines()[-1] == "LOADED numba", done.stderr

@@ -55,7 +55,7 @@ def test_imports_load_neither_torch_nor_rawpy(code: str) -> None:
     assert loaded_after(code) == set()
 
 
-@pytest.mark.parametrize("command", ["", "verify", "lock", "evaluate", "demo", "synthesize"])
+@pytest.mark.parametrize("command", ["", "verify", "lock", "evaluate", "demo", "synthesize", "profile", "profile show"])
 def test_help_loads_neither_torch_nor_rawpy(command: str) -> None:
     assert loaded_after(RUN_ELDATA, *command.split(), "--help") == set()
 

@@ -52,10 +52,10 @@ def row_layout(channels: int) -> RowLayout:
     if channels == 4:
         return RowLayout(np.array([[[0]], [[0]], [[1]], [[1]]], dtype=np.int64), 2)
     if channels == 9:
-        from eldata.raw.cfa import xtrans_sites
+        from eldata.raw.cfa import XTRANS_CFA, packing_sites
 
         table = np.empty((9, 2, 2), dtype=np.int64)
-        for row, _, channel, y, x in xtrans_sites():
+        for row, _, channel, y, x in packing_sites(XTRANS_CFA).table:
             table[channel, y, x] = row
         return RowLayout(table, 6)
     raise ArgumentError(f"packed data has 4 (Bayer) or 9 (X-Trans) channels; found {channels}")

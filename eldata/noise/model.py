@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
-    from eldata.raw.cfa import Clip
+    from eldata.raw.cfa import Cfa, Clip
 
 Image = TypeVar("Image", "NDArray[Any]", "torch.Tensor")
 
@@ -170,6 +170,41 @@ class NoiseModel:
         flat = clean.detach().to(torch.float32).reshape(images, *clean.shape[-3:])
         noisy_tensor = add_noise(flat, self.components, values, range_dn, self.adc, (low, high), generator)
         return noisy_tensor.reshape(clean.shape).to(clean.dtype if clean.is_floating_point() else torch.float32)
+
+    def on_mosaic(
+        self,
+        clean: Image,
+        *,
+        cfa: Cfa,
+        parameters: NoiseParameters | Sequence[NoiseParameters],
+        ratio: float | Sequence[float],
+        range_dn: float,
+        generator: Generator,
+        threads: int | None = None,
+    ) -> Image:
+        """Return a noisy exposure of clean mosaics (..., H, W), normalised, of any size and CFA phase.
+
+        ``cfa`` is that of pixel (0, 0), as :attr:`eldata.records.Sensor.cfa`. Everything else is as for packed data:
+        the mosaic is packed, exposed and put together again, and no pixel is left out.
+
+        Raises
+        ------
+        ArgumentError
+            As for packed data, or if the CFA is unsupported.
+        """
+        from eldata.noise.mosaic import pack_whole, unpack_whole
+
+        if not (is_tensor(clean) or isinstance(clean, np.ndarray)):
+            raise ArgumentError(f"clean must be a numpy array or a torch tensor, not {type(clean).__name__}")
+        noisy = self(
+            pack_whole(clean, cfa),
+            parameters=parameters,
+            ratio=ratio,
+            range_dn=range_dn,
+            generator=generator,
+            threads=threads,
+        )
+        return unpack_whole(noisy, cfa, (clean.shape[-2], clean.shape[-1]))
 
     def _compiled(
         self, clean: NDArray[Any], values: _Values, range_dn: float, key: int, threads: int | None

@@ -139,9 +139,38 @@ def _layout(cfa: CfaRows) -> _Layout:
     )
 
 
-def xtrans_sites() -> tuple[tuple[int, int, int, int, int], ...]:
-    """Return (row, column, packed channel, packed row, packed column) of the 36 sites of one X-Trans period."""
-    return tuple(tuple(int(value) for value in site) for site in _layout(XTRANS_CFA).sites)  # type: ignore[misc] # of five
+@dataclass(frozen=True, slots=True)
+class Sites:
+    """Where packing puts each site of one CFA period, for code that packs other things than numpy arrays.
+
+    Attributes
+    ----------
+    period, sub
+        Side of the period in the mosaic, and in the packed image.
+    top, left
+        Rows and columns that packing drops first.
+    table
+        Per site: mosaic row and column, packed channel, packed row and column, the last two below ``sub``.
+    """
+
+    period: int
+    sub: int
+    top: int
+    left: int
+    table: tuple[tuple[int, int, int, int, int], ...]
+
+
+def packing_sites(cfa: Cfa) -> Sites:
+    """Return where packing puts the sites of a CFA.
+
+    Raises
+    ------
+    ArgumentError
+        If the CFA is neither Bayer nor X-Trans.
+    """
+    layout = _layout(_rows(cfa))
+    table = tuple((int(a), int(b), int(c), int(d), int(e)) for a, b, c, d, e in layout.sites)
+    return Sites(layout.period, layout.sub, layout.top, layout.left, table)
 
 
 def packed_channels(cfa: Cfa) -> int:

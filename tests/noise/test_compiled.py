@@ -18,7 +18,7 @@ from scipy import stats
 from eldata.errors import ArgumentError
 from eldata.noise import _kernels, _tables, compiled
 from eldata.noise.compiled import add_noise
-from eldata.raw.cfa import XTRANS_CFA, unpack, xtrans_sites
+from eldata.raw.cfa import XTRANS_CFA, packing_sites, unpack
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -28,7 +28,7 @@ SIGMAS = float(stats.norm.isf(ALPHA / 2))  # 4.42
 
 BAYER_ROWS = np.array([[[0]], [[0]], [[1]], [[1]]], dtype=np.int64)
 XTRANS_ROWS = np.zeros((9, 2, 2), dtype=np.int64)
-for _row, _, _channel, _y, _x in xtrans_sites():
+for _row, _, _channel, _y, _x in packing_sites(XTRANS_CFA).table:
     XTRANS_ROWS[_channel, _y, _x] = _row
 
 PART: dict[str, dict[str, Any]] = {

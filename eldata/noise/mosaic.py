@@ -1,0 +1,65 @@
+"""Packing whole mosaics, numpy arrays or torch tensors, and back, without losing a pixel.
+
+:func:`eldata.raw.cfa.pack` crops what does not fill a period. Here the mosaic is extended instead, and cropped again on
+the way back: noise is wanted on every pixel.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from eldata.errors import ArgumentError
+from eldata.raw.cfa import packing_sites
+
+if TYPE_CHECKING:
+    import torch
+    from numpy.typing import NDArray
+
+    from eldata.raw.cfa import Cfa
+
+Image = TypeVar("Image", "NDArray[Any]", "torch.Tensor")
+
+
+def pack_whole(mosaic: Image, cfa: Cfa) -> Image:
+    """Return mosaics (..., H, W) packed as (..., C, h, w), extended by zeros to whole periods on all sides.
+
+    Raises
+    ------
+    ArgumentError
+        If there are fewer than two dimensions, or the CFA is unsupported.
+    """
+    if mosaic.ndim < 2:
+        raise ArgumentError(f"expected mosaics (..., H, W); found shape {tuple(mosaic.shape)}")
+    sites = packing_sites(cfa)
+    top, left = -sites.top % sites.period, -sites.left % sites.period
+    height, width = (
+        -(-(extra + side) // sites.period) for extra, side in zip((top, left), mosaic.shape[-2:], strict=True)
+    )
+    leading: tuple[int, ...] = tuple(mosaic.shape[:-2])
+    whole: Image = _zeros(mosaic, (*leading, height * sites.period, width * sites.period))
+    whole[..., top : top + mosaic.shape[-2], left : left + mosaic.shape[-1]] = mosaic
+    channels = 1 + max(channel for _, _, channel, _, _ in sites.table)
+    packed: Image = _zeros(mosaic, (*leading, channels, height * sites.sub, width * sites.sub))
+    step, sub = sites.period, sites.sub
+    for row, column, channel, y, x in sites.table:
+        packed[..., channel, y::sub, x::sub] = whole[..., row::step, column::step]
+    return packed
+
+
+def unpack_whole(packed: Image, cfa: Cfa, shape: tuple[int, int]) -> Image:
+    """Undo :func:`pack_whole` for mosaics of ``shape`` (H, W)."""
+    sites = packing_sites(cfa)
+    step, sub = sites.period, sites.sub
+    height, width = packed.shape[-2] // sub * step, packed.shape[-1] // sub * step
+    whole: Image = _zeros(packed, (*tuple(packed.shape[:-3]), height, width))
+    for row, column, channel, y, x in sites.table:
+        whole[..., row::step, column::step] = packed[..., channel, y::sub, x::sub]
+    top, left = -sites.top % sites.period, -sites.left % sites.period
+    cropped: Image = whole[..., top : top + shape[0], left : left + shape[1]]
+    return cropped
+
+
+def _zeros(like: Any, shape: tuple[int, ...]) -> Any:
+    return np.zeros(shape, like.dtype) if isinstance(like, np.ndarray) else like.new_zeros(shape)

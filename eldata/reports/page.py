@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING
 import jinja2
 
 from eldata import __version__
-from eldata.reports.diagnostics import CHANNELS, LIMIT, parameter_rows
+from eldata.reports.comparison import LIMIT
+from eldata.reports.diagnostics import CHANNELS, parameter_rows
 from eldata.reports.plots import plots
 
 if TYPE_CHECKING:
-    from eldata.reports.diagnostics import Comparison, Diagnostics
+    from eldata.reports.comparison import Comparison, Diagnostics
 
 _TEMPLATES = Path(__file__).parent / "templates"
 

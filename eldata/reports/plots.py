@@ -16,7 +16,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
-from eldata.reports.diagnostics import CHANNELS, LIMIT, SIGNALS_E, Comparison, Diagnostics, read_fit
+from eldata.reports.comparison import LIMIT, Comparison, Diagnostics
+from eldata.reports.diagnostics import CHANNELS, SIGNALS_E, read_fit
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -1,9 +1,14 @@
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import pytest
 
 from eldata.noise.profile import CameraProfile
-from eldata.reports.diagnostics import Diagnostics, diagnose, sample_parameters
+from eldata.reports.diagnostics import diagnose, sample_parameters
+
+if TYPE_CHECKING:
+    from eldata.reports.comparison import Diagnostics
 
 
 @pytest.fixture(scope="session")

@@ -18,10 +18,9 @@ from eldata.noise.components import PAPER_MODELS
 from eldata.noise.parameters import NoiseParameters
 from eldata.noise.profile import CameraProfile, shipped_profiles
 from eldata.reports import diagnostics as module
+from eldata.reports.comparison import Comparison, Diagnostics
 from eldata.reports.diagnostics import (
     SIGNALS_E,
-    Comparison,
-    Diagnostics,
     diagnose,
     parameter_rows,
     sample_parameters,

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from eldata.noise.profile import CameraProfile
-    from eldata.reports.diagnostics import Diagnostics
+    from eldata.reports.comparison import Diagnostics
 
 HOSTILE = '<script>alert("x")</script>"\'&<img src=https://evil.example/x.png onerror=alert(1)>'
 VOID = {"meta", "img", "source", "br", "link", "input", "hr"}

@@ -19,7 +19,7 @@ white level
 colour matrix
     A DNG's own ColorMatrix (that for D65 if there are two); else LibRaw's table for the model.
 white balance
-    As shot.
+    As shot; a DNG's exactly, LibRaw's float32 to six decimals.
 ISO, exposure time, aperture
     EXIF, from the EXIF IFD or IFD0, as fractions; where a format has no EXIF that exifread can read (CR3), LibRaw's
     float32 as the simplest fraction that rounds to it.
@@ -128,7 +128,7 @@ def read_raw(path: Path | str) -> RawFrame:
             white_level_dn=white,
             height=mosaic.shape[0],
             width=mosaic.shape[1],
-            white_balance=_white_balance(raw),
+            white_balance=_white_balance(raw, tags),
             xyz_to_camera=_xyz_to_camera(raw, tags),
         )
         raw_pixels = raw.sizes.raw_height * raw.sizes.raw_width
@@ -284,10 +284,17 @@ def _fraction(tags: Tags, name: str) -> Fraction | None:
         tag = tags.get(f"{ifd} {name}")
         if tag is None or not tag.values:
             continue
-        value = tag.values[0]
-        numerator, denominator = getattr(value, "num", value), getattr(value, "den", 1)
-        if isinstance(numerator, int) and isinstance(denominator, int) and denominator and numerator > 0:
-            return Fraction(numerator, denominator)
+        value = _positive(tag.values[0])
+        if value is not None:
+            return value
+    return None
+
+
+def _positive(value: Any) -> Fraction | None:
+    """Return one of exifread's numbers as a fraction, if it is a positive one."""
+    numerator, denominator = getattr(value, "num", value), getattr(value, "den", 1)
+    if isinstance(numerator, int) and isinstance(denominator, int) and denominator and numerator > 0:
+        return Fraction(numerator, denominator)
     return None
 
 
@@ -364,7 +371,11 @@ def _dng_black_level(
     return tuple(levels[channel].pop() for channel in sorted(levels))
 
 
-def _white_balance(raw: rawpy.RawPy) -> tuple[float, float, float, float] | None:
+def _white_balance(raw: rawpy.RawPy, tags: Tags) -> tuple[float, float, float, float] | None:
+    neutral = tags.get("Image Tag 0xC628")  # a DNG's AsShotNeutral: the camera's response to white, exactly
+    response = [] if neutral is None else [_positive(value) for value in neutral.values]
+    if len(response) == 3 and response[0] and response[1] and response[2]:
+        return float(response[1] / response[0]), 1.0, float(response[1] / response[2]), 1.0
     red, green, blue, second_green = raw.camera_whitebalance
     if not (red > 0 and green > 0 and blue > 0):
         return None

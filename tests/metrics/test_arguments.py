@@ -104,10 +104,15 @@ def test_threads_do_not_change_a_bit(metric: Metric, shape: tuple[int, ...], mon
     p, g = images(*shape)
     expected = metric(p, g)  # small images are done in this thread
     used = set()
+    helped = threading.Event()
     blocks = _images.Pair.blocks
 
     def spy(pair: _images.Pair, band: _images.Band) -> tuple[_images.Block, _images.Block]:
         used.add(threading.current_thread().name)
+        if threading.current_thread().name.startswith("eldata"):
+            helped.set()
+        else:
+            helped.wait(10)  # or this thread may be done before another has begun
         return blocks(pair, band)
 
     monkeypatch.setattr(_images.Pair, "blocks", spy)
@@ -115,7 +120,7 @@ def test_threads_do_not_change_a_bit(metric: Metric, shape: tuple[int, ...], mon
     monkeypatch.setattr(_images, "_LEAST_FOR_THREADS_WINDOWED", 0)
     for threads in (2, 3, 4, 64, None):
         assert metric(p, g, threads=threads) == expected
-    assert any(name.startswith("eldata") for name in used)
+    assert helped.is_set()
     used.clear()
     assert metric(p, g, threads=1) == expected
     assert used == {threading.current_thread().name}

@@ -3,6 +3,9 @@
 The chain is the paper's (K. Wei et al., TPAMI 2021, section 3): photons to electrons with Poisson statistics, read
 noise and one draw of row noise per mosaic row, a constant colour bias, amplification by the system gain, and rounding
 to whole DN. Read noise is Gaussian here. The figures are of the order of the published calibrations.
+
+It is written in plain numpy and shares no code with :mod:`eldata.noise`: what the model and its calibration find can be
+held against it.
 """
 
 from __future__ import annotations

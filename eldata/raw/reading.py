@@ -317,7 +317,7 @@ def _cfa(path: Path, raw: rawpy.RawPy) -> tuple[tuple[tuple[int, ...], ...], tup
     names = raw.color_desc.decode("ascii", "replace")
     try:
         pattern = raw.raw_pattern
-    except NotImplementedError as error:
+    except NotImplementedError as error:  # what rawpy raises for a CFA that it has no pattern for
         raise RawFileError(path, f"unsupported colour filter array ({error})") from error
     period = 0 if pattern is None else len(pattern)
     top, left = raw.sizes.top_margin, raw.sizes.left_margin

@@ -4,5 +4,22 @@ from .scoring import Score as Score
 from .scoring import score as score
 from .signal_to_noise import psnr as psnr
 from .similarity import ssim as ssim
+from .st_rred import PEAK_8_BIT as PEAK_8_BIT
+from .st_rred import PEAK_ELD as PEAK_ELD
+from .st_rred import StRred as StRred
+from .st_rred import raw_to_grey as raw_to_grey
+from .st_rred import st_rred as st_rred
 
-__all__ = ["Score", "psnr", "rescale", "rescale_factor", "score", "ssim"]
+__all__ = [
+    "PEAK_8_BIT",
+    "PEAK_ELD",
+    "Score",
+    "StRred",
+    "psnr",
+    "raw_to_grey",
+    "rescale",
+    "rescale_factor",
+    "score",
+    "ssim",
+    "st_rred",
+]

@@ -35,7 +35,9 @@ def images(*shape: int, seed: int = 0) -> tuple[npt.NDArray[np.float32], npt.NDA
 
 
 def test_public_names() -> None:
-    assert set(metrics.__all__) == {"Score", "psnr", "rescale", "rescale_factor", "score", "ssim"}
+    stills = {"Score", "psnr", "rescale", "rescale_factor", "score", "ssim"}
+    clips = {"PEAK_8_BIT", "PEAK_ELD", "StRred", "raw_to_grey", "st_rred"}
+    assert set(metrics.__all__) == stills | clips
     assert set(metrics.__all__) <= set(dir(metrics))
 
 

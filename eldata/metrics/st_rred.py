@@ -1,0 +1,313 @@
+"""ST-RRED: how much spatial and temporal information of a clip is lost or added.
+
+Soundararajan and Bovik, "Video quality assessment by reduced reference spatio-temporal entropic differencing",
+IEEE Transactions on Circuits and Systems for Video Technology 23 (2013). Where the paper leaves a choice, or the
+authors' MATLAB release and its port ``skvideo.measure.strred`` (scikit-video 1.1.11) differ from it, this module
+does as the port does, because published numbers, those of the ELD paper among them, were made with it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from eldata._compiled import in_threads
+from eldata.errors import ArgumentError
+from eldata.metrics._images import check_data_range, check_threads, host_array
+from eldata.metrics._steerable import coarse_band
+from eldata.tensors import is_tensor
+
+if TYPE_CHECKING:
+    import torch
+
+    from eldata.metrics._images import Array, Image
+    from eldata.metrics._steerable import Plane
+
+Clip: TypeAlias = "Array | torch.Tensor"
+
+PEAK_8_BIT = 255.0
+"""The scale of 8-bit video, for which the noise variance was chosen."""
+
+PEAK_ELD = 1.0
+"""The scale at which the released code of the ELD paper calls its implementation."""
+
+_NOISE_VARIANCE = 0.1  # of the neural noise, at the scale that ``peak`` sets
+_BLOCK = 3
+_SMALLEST = 41  # an eighth of it, 6, gives more windows than a block has pixels
+# Smaller eigenvalues are rounding: a band of a flat image keeps about 1e-15 of the image's size instead of nothing,
+# and the eigenvalues of a matrix are known to about 1e-15 of its largest.
+_LEAST_AMPLITUDE = 1e-12
+_LEAST_EIGENVALUE = 1e-14
+
+# The weights of scikit-video's rgb2gray. They add up to 0.9999.
+_RGB_WEIGHTS = (0.2989, 0.5870, 0.1140)
+
+
+@dataclass(frozen=True, slots=True)
+class StRred:
+    """The scores of every pair of frames, and the clip's, which are their means.
+
+    All are zero for equal clips, and lower is better. An entry of each tuple belongs to one pair of frames:
+    (0, 1), (2, 3) and so on.
+
+    Attributes
+    ----------
+    spatial_pairs
+        Mean over the blocks of the absolute difference of scaled entropies of the pair's first frame.
+    temporal_pairs
+        The same of the pair's frame difference.
+    spatial_single_pairs, temporal_single_pairs
+        The absolute difference of the means over the blocks: what is left when the sender of a video transmits
+        one number per frame and band.
+    """
+
+    spatial_pairs: tuple[float, ...]
+    temporal_pairs: tuple[float, ...]
+    spatial_single_pairs: tuple[float, ...]
+    temporal_single_pairs: tuple[float, ...]
+
+    @property
+    def spatial(self) -> float:
+        """SRRED: the mean of ``spatial_pairs``."""
+        return _mean(self.spatial_pairs)
+
+    @property
+    def temporal(self) -> float:
+        """TRRED: the mean of ``temporal_pairs``."""
+        return _mean(self.temporal_pairs)
+
+    @property
+    def st_rred(self) -> float:
+        """``spatial * temporal``, the score that papers print."""
+        return self.spatial * self.temporal
+
+    @property
+    def st_rred_single(self) -> float:
+        """The product of the means of the ``single`` pairs, the variant with least side information."""
+        return _mean(self.spatial_single_pairs) * _mean(self.temporal_single_pairs)
+
+
+def st_rred(
+    prediction: Clip,
+    reference: Clip,
+    *,
+    data_range: float = 1.0,
+    peak: float = PEAK_8_BIT,
+    threads: int | None = None,
+) -> StRred:
+    """Return the spatio-temporal entropic differences of two clips.
+
+    Let y be the band of the first frame of a pair that :func:`~eldata.metrics._steerable.coarse_band` gives, and
+    d the difference of the bands of both frames, each cut into blocks of 3 x 3. For the blocks b of either, with
+    the eigenvalues L_k of the blocks' covariance K::
+
+        s_b = b' K^-1 b / 9                                          local scale
+        h_b = sum over k of (log2(s_b L_k + 0.1) + ln(2 pi e))       entropy of the block with neural noise
+        spatial_b  = h_b(y) log2(1 + s_b(y))
+        temporal_b = h_b(d) log2(1 + s_b(y)) log2(1 + s_b(d))
+
+    A pair's scores are the means over the blocks of ``|spatial_b(prediction) - spatial_b(reference)|`` and of the
+    same for ``temporal_b``. The score of a clip is the product of their means over the pairs. It is symmetric in
+    its arguments.
+
+    Choices of the widely used implementation, kept to the digit:
+
+    - Frames are used in pairs, 0 with 1, 2 with 3: the step from 1 to 2 does not count, nor does the last frame of
+      an odd number. It is not looked at.
+    - The spatial part is that of the first frame of each pair. If those are equal, the product is zero whatever
+      happened to the second: look at ``temporal`` too.
+    - One band of the pyramid counts, at an eighth of the size, with mirrored edges.
+    - K is the covariance over all overlapping windows of the band, divided by their number. The band is first
+      cut to whole blocks at its right and lower edge. The mean is subtracted for K, not from the blocks in s_b.
+    - The constant of the entropy is a natural logarithm beside base-2 ones, so entropies have no unit.
+    - K is estimated for each frame and each difference, so s_b does not change when the frame or the difference
+      is multiplied by a number. A difference of almost nothing, such as the rounding of a format, still has a
+      scale of about 1 and does count; a difference of exactly nothing gives 0.
+
+    One choice differs: where K is singular but not zero (a frame that is flat or changes in one direction alone),
+    the implementation fails or divides by rounding errors. Here eigenvalues that are not above rounding,
+    1e-14 of the largest or the square of 1e-12 of the largest pixel, count as zero and take no part, neither in
+    K^-1 nor in the entropy.
+
+    Parameters
+    ----------
+    prediction, reference
+        One clip each, of the same shape: (T, H, W) grey or (T, C, h, w) with the channels that
+        :func:`raw_to_grey` takes; T at least 2, each side at least 41. float16, bfloat16, float32 or float64,
+        numpy array or torch tensor. Tensors on another device are copied to the host frame by frame. Nothing is
+        clipped. All arithmetic is float64.
+    data_range
+        The difference between the largest and the smallest possible value.
+    peak
+        The scale at which the clips are compared: they are multiplied by ``peak / data_range``. The variance of
+        the neural noise, 0.1, is fixed on this scale, so the score depends on it strongly:
+        :data:`PEAK_8_BIT`, 255, is that of the paper and of 8-bit video; :data:`PEAK_ELD`, 1, is what the code
+        released with the ELD paper does for raw clips. Scores at two scales do not compare.
+    threads
+        Number of threads, by default one per CPU; the result is the same to the bit for any number.
+
+    Returns
+    -------
+    StRred
+        The scores of every pair and of the clip.
+
+    Raises
+    ------
+    ArgumentError
+        If a clip is not one of floating-point numbers, the shapes differ, there are fewer than 2 frames, they are
+        too small, a frame that counts holds NaN or infinity, or ``data_range`` or ``peak`` is not positive.
+    """
+    check_threads(threads)
+    check_data_range(data_range)
+    if not (peak > 0 and math.isfinite(peak)):
+        raise ArgumentError(f"peak must be positive and finite, not {peak}")
+    clips = ((prediction, "the prediction"), (reference, "the reference"))
+    for clip, name in clips:
+        _check_clip(clip, name)
+    if tuple(prediction.shape) != tuple(reference.shape):
+        raise ArgumentError(
+            "the prediction and the reference differ in shape: "
+            f"{tuple(prediction.shape)} against {tuple(reference.shape)}"
+        )
+    pairs = range(0, len(prediction) - 1, 2)
+
+    def work(where: tuple[int, int]) -> _Band:
+        clip, frame = where
+        return _band(clips[clip][0][frame], f"frame {frame} of {clips[clip][1]}", peak / data_range)
+
+    # Of every frame only its band is kept, a 64th of its values.
+    wanted = [(clip, frame) for first in pairs for clip in (0, 1) for frame in (first, first + 1)]
+    bands = dict(zip(wanted, in_threads(work, wanted, threads), strict=True))
+    scores = [
+        _compare(
+            _information(bands[0, first], bands[0, first + 1]),
+            _information(bands[1, first], bands[1, first + 1]),
+        )
+        for first in pairs
+    ]
+    return StRred(*zip(*scores, strict=True))
+
+
+def raw_to_grey(image: Image) -> Plane:
+    """Return the grey image of which the released code of the ELD paper takes the ST-RRED of a raw clip.
+
+    ``0.2989 R + 0.5870 G + 0.1140 B``, the luma weights of 8-bit video as scikit-video rounds them (they add up to
+    0.9999), on linear values without white balance; in packed Bayer G is the mean of G1 and G2. That is no
+    luminance of any camera, but the numbers in the paper were made with it.
+
+    Parameters
+    ----------
+    image
+        (C, h, w): packed Bayer R, G1, B, G2 (C = 4), linear RGB such as DRV's preprocessed frames (C = 3), or
+        grey (C = 1); (h, w) is grey too. Any range.
+
+    Returns
+    -------
+    Plane
+        (h, w) float64, in units of the image.
+
+    Raises
+    ------
+    ArgumentError
+        If it is not one image of floating-point numbers, or for another number of channels: nobody has published
+        a reduction of packed X-Trans.
+    """
+    array = host_array(image, "the image")
+    if array.ndim == 2:
+        array = array[np.newaxis]
+    channels: list[Plane] = [channel.astype(np.float64) for channel in array]
+    if len(channels) == 1:
+        return channels[0]
+    if len(channels) == 4:
+        red, green_1, blue, green_2 = channels
+        channels = [red, (green_1 + green_2) / 2, blue]
+    if len(channels) != 3:
+        raise ArgumentError(_channels_message(f"the image of shape {array.shape}", len(channels)))
+    grey = np.zeros_like(channels[0])
+    for weight, channel in zip(_RGB_WEIGHTS, channels, strict=True):
+        grey += weight * channel
+    return grey
+
+
+@dataclass(frozen=True, slots=True)
+class _Band:
+    """The band of a frame or of a difference, and the size of the values it was made of, both at ``peak``."""
+
+    values: Plane
+    size: float
+
+
+def _band(frame: Image, name: str, scale: float) -> _Band:
+    grey = raw_to_grey(frame)
+    size = max(abs(float(grey.min())), abs(float(grey.max())))  # NaN comes through min and max
+    if not math.isfinite(size):
+        raise ArgumentError(f"{name} holds NaN or infinity")
+    return _Band(coarse_band(grey) * scale, size * scale)
+
+
+def _information(first: _Band, second: _Band) -> tuple[Plane, Plane]:
+    """Return the scaled entropies of each block of a pair of frames: spatial, temporal."""
+    difference = _Band(first.values - second.values, max(first.size, second.size))
+    scale, entropy = _scale_and_entropy(first)
+    scale_of_difference, entropy_of_difference = _scale_and_entropy(difference)
+    weight = np.log2(1.0 + scale)
+    return entropy * weight, entropy_of_difference * weight * np.log2(1.0 + scale_of_difference)
+
+
+def _scale_and_entropy(band: _Band) -> tuple[Plane, Plane]:
+    """Return s and h of :func:`st_rred` for each block of a band."""
+    rows, columns = (side // _BLOCK for side in band.values.shape)
+    cut = band.values[: rows * _BLOCK, : columns * _BLOCK]
+    windows = np.lib.stride_tricks.sliding_window_view(cut, (_BLOCK, _BLOCK)).reshape(-1, _BLOCK**2)
+    blocks = cut.reshape(rows, _BLOCK, columns, _BLOCK).swapaxes(1, 2).reshape(-1, _BLOCK**2)
+    centred = windows - windows.mean(axis=0)
+    # einsum and not @: BLAS may split the sum by its own number of threads.
+    eigenvalues, vectors = np.linalg.eigh(np.einsum("ni,nj->ij", centred, centred) / len(windows))
+    counts = eigenvalues > max((_LEAST_AMPLITUDE * band.size) ** 2, _LEAST_EIGENVALUE * eigenvalues[-1])
+    eigenvalues, vectors = eigenvalues[counts], vectors[:, counts]
+    scale = np.sum(np.einsum("ni,ik->nk", blocks, vectors) ** 2 / eigenvalues, axis=1) / _BLOCK**2
+    entropies = np.log2(scale[:, np.newaxis] * eigenvalues + _NOISE_VARIANCE) + math.log(2.0 * math.pi * math.e)
+    return scale, entropies.sum(axis=1)
+
+
+def _compare(prediction: tuple[Plane, Plane], reference: tuple[Plane, Plane]) -> tuple[float, float, float, float]:
+    """Return a pair's scores in the order of :class:`StRred`."""
+    spatial, temporal = (p - g for p, g in zip(prediction, reference, strict=True))
+    return (
+        float(np.mean(np.abs(spatial))),
+        float(np.mean(np.abs(temporal))),
+        abs(float(np.mean(spatial))),
+        abs(float(np.mean(temporal))),
+    )
+
+
+def _check_clip(clip: Clip, name: str) -> None:
+    if not (is_tensor(clip) or isinstance(clip, np.ndarray)):
+        raise ArgumentError(f"{name} must be a numpy array or a torch tensor, not {type(clip).__name__}")
+    shape = tuple(clip.shape)
+    if len(shape) not in {3, 4}:
+        raise ArgumentError(f"{name} must be one clip (T, H, W) or (T, C, h, w), not of shape {shape}")
+    if shape[0] < 2:
+        raise ArgumentError(f"{name} has {shape[0]} frame(s), of shape {shape}: ST-RRED compares frames in pairs")
+    if len(shape) == 4 and shape[1] not in {1, 3, 4}:
+        raise ArgumentError(_channels_message(f"{name} of shape {shape}", shape[1]))
+    if min(shape[-2:]) < _SMALLEST:
+        raise ArgumentError(
+            f"{name} of shape {shape} is too small: ST-RRED works at an eighth of the size and needs at least "
+            f"{_SMALLEST} x {_SMALLEST} pixels"
+        )
+    host_array(clip[0], name)  # speaks of the clip, where a frame's own check would speak of an image
+
+
+def _channels_message(what: str, channels: int) -> str:
+    return (
+        f"{what} has {channels} channels: reduced to grey are packed Bayer R, G1, B, G2 (4), RGB (3) and grey (1); "
+        "for others pass a grey clip (T, H, W) of your own making"
+    )
+
+
+def _mean(values: tuple[float, ...]) -> float:
+    return math.fsum(values) / len(values)

@@ -10,6 +10,12 @@ from typing import Any, Literal
 from eldata.errors import ArgumentError
 
 
+def fields_digest(fields: dict[str, Any]) -> str:
+    """Return ``sha256:<hex>`` of a protocol's fields; ``title`` and ``source``, which decide no score, do not count."""
+    deciding = {key: value for key, value in fields.items() if key not in ("title", "source")}
+    return f"sha256:{hashlib.sha256(json.dumps(deciding, sort_keys=True).encode()).hexdigest()}"
+
+
 @dataclass(frozen=True, slots=True)
 class Protocol:
     """Everything that a score depends on besides the pixels.
@@ -19,7 +25,8 @@ class Protocol:
     name, title, source
         Short name, what it is, and where it was published.
     dataset
-        The dataset whose pairs it names.
+        The dataset whose pairs it scores, or what the names of several begin with: ``sid`` is for ``sid-sony`` and
+        ``sid-fuji`` (:meth:`covers`).
     ratios
         Low-light factors of the pairs that are scored.
     levels
@@ -55,8 +62,11 @@ class Protocol:
     @property
     def digest(self) -> str:
         """``sha256:<hex>`` of all that decides a score: every field but title and source."""
-        fields = {key: value for key, value in self.as_dict().items() if key not in ("title", "source")}
-        return f"sha256:{hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()}"
+        return fields_digest(self.as_dict())
+
+    def covers(self, dataset: str) -> bool:
+        """Return whether it is for a dataset of this name."""
+        return dataset == self.dataset or dataset.startswith(f"{self.dataset}-")
 
     def as_dict(self) -> dict[str, Any]:
         """Return the fields as plain types."""
@@ -66,6 +76,11 @@ class Protocol:
 _ELD_SOURCE = (
     "K. Wei et al., Physics-based Noise Modeling for Extreme Low-light Photography, TPAMI 2021, results on the ELD "
     "dataset; ELD repository, commit 53d5408, test_ELD.py, models/ELD_model.py, util/index.py"
+)
+_SID_SOURCE = (
+    "K. Wei et al., Physics-based Noise Modeling for Extreme Low-light Photography, TPAMI 2021, results on SID; ELD "
+    "repository, commit 53d5408, test_SID.py, models/ELD_model.py, util/index.py; on the whole frame, as the PMN "
+    "repository reports it (commit d207d3e, README), where the ELD paper has the centre 512 x 512"
 )
 
 PROTOCOLS = {
@@ -93,6 +108,28 @@ PROTOCOLS = {
             region="full",
             rescaling="none",
         ),
+        Protocol(
+            name="sid",
+            title="SID scored as ELD is: packed raw, full frame, white level 16383, one scalar per image",
+            source=_SID_SOURCE,
+            dataset="sid",
+            ratios=(100, 250, 300),
+            levels="published",
+            reference_clip="both",
+            region="full",
+            rescaling="scalar",
+        ),
+        Protocol(
+            name="sid-uncorrected",
+            title="SID without the scalar: the prediction's own brightness counts",
+            source=_SID_SOURCE + "; without the illuminance correction",
+            dataset="sid",
+            ratios=(100, 250, 300),
+            levels="published",
+            reference_clip="both",
+            region="full",
+            rescaling="none",
+        ),
     )
 }
 
@@ -108,3 +145,8 @@ def get_protocol(name: str) -> Protocol:
     if name not in PROTOCOLS:
         raise ArgumentError(f"no protocol is called {name!r}; known are {', '.join(PROTOCOLS)}")
     return PROTOCOLS[name]
+
+
+def default_protocol(dataset: str) -> Protocol:
+    """Return the protocol that scores a dataset unless another is named; for a set of your own that is ``eld``."""
+    return next((protocol for protocol in PROTOCOLS.values() if protocol.covers(dataset)), PROTOCOLS["eld"])

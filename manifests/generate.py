@@ -1,17 +1,50 @@
-"""Write the shipped manifests and their cards: ``python manifests/generate.py`` (or ``make manifests``)."""
+"""Write the shipped manifests and their cards: ``python manifests/generate.py`` (or ``make manifests``).
 
+The SID rows come from ``facts/sid-*.csv``, one line a scene. ``python manifests/generate.py --sid-lists FOLDER`` writes
+those anew first, from the file lists of the SID repository (its folder ``dataset``).
+"""
+
+import argparse
+from collections.abc import Iterable
 from pathlib import Path
 
-from eldata.manifest.card import save_card
+from eldata.manifest.card import Card, save_card
 from eldata.manifest.eld import published_eld
+from eldata.manifest.sid import SID_CAMERAS, load_scenes, save_scenes, scenes_from_lists
+from eldata.manifest.sid_published import published_sid
 from eldata.manifest.table import save_records
+from eldata.records import FrameRecord
 
 FOLDER = Path(__file__).parent
 
 
+def facts_of(name: str) -> Path:
+    """Return the table of scenes of a half of SID."""
+    return FOLDER / "facts" / f"{name}.csv"
+
+
+def condense_sid_lists(lists: Path) -> None:
+    """Write the tables of SID's scenes from the official file lists."""
+    for name, camera in SID_CAMERAS.items():
+        files = [lists / f"{camera.folder}_{split}_list.txt" for split in ("train", "val", "test")]
+        save_scenes(facts_of(name), scenes_from_lists(camera, files))
+
+
+def published() -> Iterable[tuple[Card, tuple[FrameRecord, ...]]]:
+    """Yield card and rows of every manifest that the package ships."""
+    yield published_eld()
+    for name in SID_CAMERAS:
+        yield published_sid(name, load_scenes(facts_of(name)))
+
+
 def main() -> None:
     """Write every manifest that the package ships."""
-    for card, records in (published_eld(),):
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sid-lists", type=Path, metavar="FOLDER", help="folder of the official SID file lists")
+    arguments = parser.parse_args()
+    if arguments.sid_lists is not None:
+        condense_sid_lists(arguments.sid_lists)
+    for card, records in published():
         save_records(FOLDER / f"{card.name}.csv", records)
         save_card(FOLDER / f"{card.name}.json", card)
 

@@ -29,7 +29,20 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     which.add_argument("--dataset", metavar="N", help="name of a dataset that eldata knows, such as eld")
     which.add_argument("--manifest", metavar="FILE", help="manifest of a set of your own, in a known layout")
     parser.add_argument(
-        "--protocol", choices=tuple(PROTOCOLS), default="eld", help="how to score (default: %(default)s)"
+        "--protocol", choices=tuple(PROTOCOLS), help="how to score (default: the dataset's own, such as eld or sid)"
+    )
+    parser.add_argument(
+        "--subset",
+        metavar="NAME",
+        help="which of the dataset's named choices of pairs (default: the first on its card)",
+    )
+    parser.add_argument(
+        "--exclude",
+        action="append",
+        default=[],
+        dest="exclude_flags",
+        metavar="FLAG",
+        help="leave out pairs with this flag, such as misaligned; may be repeated; the table says so",
     )
     add_root(parser)
     add_cameras(parser)
@@ -56,6 +69,8 @@ def run(arguments: argparse.Namespace) -> int:
         root=arguments.root,
         manifest=arguments.manifest,
         cameras=arguments.cameras,
+        subset=arguments.subset,
+        exclude_flags=arguments.exclude_flags,
         allow_missing=arguments.allow_missing,
         jobs=arguments.jobs,
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict
+from typing import TYPE_CHECKING, Literal, TypedDict, get_args
 
 import numpy as np
 import torch
@@ -13,10 +13,11 @@ from torch.utils.data import Dataset
 
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.catalogue import Manifest, data_root, load_manifest, shipped_manifest
-from eldata.manifest.pairs import select_pairs
+from eldata.manifest.pairs import UNCERTAIN_ISO, select_pairs
+from eldata.manifest.subsets import find_subset
 from eldata.manifest.verify import RATIO_TOLERANCE
 from eldata.raw.cfa import CLIP_RANGES
-from eldata.raw.levels import LEVELS, Levels, packed_frame
+from eldata.raw.levels import FRAME_LEVELS, FrameLevels, packed_frame
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -27,12 +28,16 @@ if TYPE_CHECKING:
     from eldata.raw.cfa import Clip
     from eldata.records import Exposure, PairRecord
 
+Amplification = Literal["metadata", "nominal"]
+AMPLIFICATIONS: tuple[Amplification, ...] = get_args(Amplification)
+
 
 class Sample(TypedDict):
     """One pair, as torch's default collate accepts it.
 
-    ``input`` and ``target`` are (C, h, w) float32, normalised, the input multiplied by ``ratio``, which is the files'
-    own exposure ratio; ``nominal_ratio`` is the manifest's. ``iso`` and ``exposure_s`` (seconds) are the noisy file's.
+    ``input`` and ``target`` are (C, h, w) float32, normalised, the input multiplied by ``ratio``: the files' own
+    exposure ratio or, with ``amplification="nominal"``, the manifest's, which ``nominal_ratio`` always is. ``iso`` and
+    ``exposure_s`` (seconds) are the noisy file's.
     """
 
     input: torch.Tensor
@@ -58,20 +63,27 @@ class PairDataset(Dataset[Sample]):
         The dataset's own folder, such as ``data/ELD``. Default: the card's folder below ``$ELDATA_ROOT`` or ``./data``.
     manifest
         A manifest's CSV file, or the name of a shipped one.
-    cameras, scenes, isos, ratios
+    cameras, scenes, isos, ratios, splits, exclude_flags
         Which pairs; ``None`` means all. See :func:`eldata.manifest.pairs.select_pairs`.
+    subset
+        Name of a subset on the manifest's card (:mod:`eldata.manifest.subsets`).
     levels
-        White level: ``"published"`` (16383 for every camera) or ``"metadata"`` (the file's own).
+        ``"published"``: white level 16383 for every camera; ``"metadata"``: the file's own. Black is the file's either
+        way. Or the constants of the SID code by name: :func:`eldata.raw.levels.with_levels`.
     clip
         ``"both"``: the normalised frame is clipped to [0, 1] before and after the input is multiplied by the ratio,
         as published; ``"upper"``: at 1 only, so that negative read noise is kept; ``"none"``.
+    amplification
+        What the input is multiplied by: ``"metadata"``, the ratio of ISO times exposure time that the files state, or
+        ``"nominal"``, the manifest's ratio. The files' ratio is checked either way.
 
     Raises
     ------
     DatasetError
         If the folder, or that of a chosen camera, is not there.
     ArgumentError
-        If a camera, scene, ISO, ratio, ``levels`` or ``clip`` is unknown; the message lists the known ones.
+        If a value that chooses pairs, a subset, ``levels``, ``clip`` or ``amplification`` is unknown; the message lists
+        the known ones.
     ManifestError
         If the manifest is malformed.
 
@@ -90,28 +102,44 @@ class PairDataset(Dataset[Sample]):
         scenes: Collection[str | int] | None = None,
         isos: Collection[int] | None = None,
         ratios: Collection[float | Fraction] | None = None,
-        levels: Levels = "published",
+        splits: Collection[str] | None = None,
+        subset: str | None = None,
+        exclude_flags: Collection[str] = (),
+        levels: FrameLevels = "published",
         clip: Clip = "both",
+        amplification: Amplification = "metadata",
     ) -> None:
-        if levels not in LEVELS:
-            raise ArgumentError(f"levels must be one of {', '.join(map(repr, LEVELS))}; found {levels!r}")
-        if clip not in CLIP_RANGES:
-            raise ArgumentError(f"clip must be one of {', '.join(map(repr, CLIP_RANGES))}; found {clip!r}")
+        for name, value, known in (
+            ("levels", levels, FRAME_LEVELS),
+            ("clip", clip, tuple(CLIP_RANGES)),
+            ("amplification", amplification, AMPLIFICATIONS),
+        ):
+            if value not in known:
+                raise ArgumentError(f"{name} must be one of {', '.join(map(repr, known))}; found {value!r}")
         loaded = _manifest(manifest)
         self.name = loaded.name
         self.root = data_root() / loaded.card.folder if root is None else Path(root)
-        self.levels: Levels = levels
+        self.levels: FrameLevels = levels
         self.clip: Clip = clip
+        self.amplification: Amplification = amplification
         self.records: tuple[PairRecord, ...] = select_pairs(
-            loaded.records, cameras=cameras, scenes=scenes, isos=isos, ratios=ratios
+            loaded.records,
+            cameras=cameras,
+            scenes=scenes,
+            isos=isos,
+            ratios=ratios,
+            splits=splits,
+            subset=None if subset is None else find_subset(loaded.card.subsets, subset),
+            exclude_flags=exclude_flags,
         )
         self._check_folders(loaded)
 
     def _check_folders(self, manifest: Manifest) -> None:
         if not self.root.is_dir():
+            folders = dict.fromkeys(record.path.split("/")[0] for record in manifest.records)
             raise DatasetError(
                 f"{self.root}: there is no such folder; give the folder of {manifest.card.title}, which holds "
-                f"{', '.join(manifest.card.cameras)} (where to get it: {manifest.card.homepage})"
+                f"{', '.join(folders)} (where to get it: {manifest.card.homepage})"
             )
         tops = {record.path.split("/")[0]: record.camera for record in self.records}
         present = [camera for top, camera in tops.items() if (self.root / top).is_dir()]
@@ -158,7 +186,8 @@ class PairDataset(Dataset[Sample]):
             return self._sample(record, _packed_noisy(noisy_path, target.shape, self.clip), target, record.ratio, None)
         noisy = read_raw(noisy_path)
         ratio = exposure_ratio(reference, noisy)
-        if abs(ratio - record.ratio) > RATIO_TOLERANCE * record.ratio:
+        differs = abs(ratio - record.ratio) > RATIO_TOLERANCE * record.ratio
+        if differs and UNCERTAIN_ISO not in record.flags:
             raise DatasetError(
                 f"{noisy.path}: expected an exposure ratio of {float(record.ratio):g} to {record.reference}, found "
                 f"{float(ratio):g}; are both the frames that their names say? (eldata verify finds all such files)"
@@ -168,8 +197,9 @@ class PairDataset(Dataset[Sample]):
                 f"{noisy.path}: {noisy.mosaic.shape} pixels, CFA {noisy.sensor.cfa}, but its reference "
                 f"{record.reference} has {reference.mosaic.shape}, {reference.sensor.cfa}"
             )
-        amplified = packed_frame(noisy, levels=self.levels, clip=self.clip, gain=float(ratio))
-        return self._sample(record, amplified, target, ratio, noisy.exposure)
+        applied = ratio if self.amplification == "metadata" else record.ratio
+        amplified = packed_frame(noisy, levels=self.levels, clip=self.clip, gain=float(applied))
+        return self._sample(record, amplified, target, applied, noisy.exposure)
 
     def _sample(
         self,
@@ -207,8 +237,9 @@ class PairDataset(Dataset[Sample]):
             f"{type(self).__name__}({str(self.root)!r}, {len(self)} pairs, "
             f"cameras: {counted([r.camera for r in self.records])}; "
             f"{len({(r.camera, r.scene) for r in self.records})} scenes; "
+            f"splits {counted([r.split for r in self.records])}; "
             f"ISO {counted([r.iso for r in self.records])}; ratios {counted([r.ratio for r in self.records])}; "
-            f"levels={self.levels!r}, clip={self.clip!r})"
+            f"levels={self.levels!r}, clip={self.clip!r}, amplification={self.amplification!r})"
         )
 
 

@@ -15,13 +15,15 @@ from eldata.evaluation.results import EvaluationProblem, EvaluationResult, Image
 from eldata.files import inside
 from eldata.manifest.catalogue import Manifest, load_manifest, shipped_manifest
 from eldata.manifest.pairs import select_pairs
+from eldata.manifest.subsets import find_subset
 from eldata.manifest.verify import check_files
 from eldata.parallel import run_units
-from eldata.protocols import Protocol, get_protocol
+from eldata.protocols import Protocol, default_protocol, get_protocol
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
+    from eldata.manifest.subsets import Subset
     from eldata.records import PairRecord
 
 # A factor beyond these hides a prediction of another scale: the score says nothing of it.
@@ -32,10 +34,12 @@ def evaluate(
     predictions: Path | str,
     dataset: str = "eld",
     *,
-    protocol: str = "eld",
+    protocol: str | None = None,
     root: Path | str | None = None,
     manifest: Path | str | None = None,
     cameras: Collection[str] | None = None,
+    subset: str | None = None,
+    exclude_flags: Collection[str] = (),
     allow_missing: bool = False,
     jobs: int = 1,
 ) -> EvaluationResult:
@@ -51,13 +55,17 @@ def evaluate(
     dataset
         Name of a shipped manifest.
     protocol
-        Name of a protocol (:mod:`eldata.protocols`).
+        Name of a protocol (:mod:`eldata.protocols`). Default: the dataset's own, ``eld`` or ``sid``.
     root
         The folder that holds the datasets; default ``$ELDATA_ROOT``, else ``./data``.
     manifest
         A manifest's CSV file, in place of ``dataset``: your own set, in the layout of a known one.
     cameras
         Score these cameras' pairs alone; the result says so.
+    subset
+        Name of a subset on the dataset's card (:mod:`eldata.manifest.subsets`). Default: the first there, if any.
+    exclude_flags
+        Leave out pairs that the manifest flags so, such as ``["misaligned"]``; the result says how many.
     allow_missing
         Score what is there although predictions are missing or unusable; the table shows the coverage.
     jobs
@@ -77,11 +85,16 @@ def evaluate(
     ManifestError, ArgumentError
         If the manifest is malformed, or a name is unknown.
     """
-    chosen_protocol = get_protocol(protocol)
+    named_protocol = None if protocol is None else get_protocol(protocol)
     loaded = shipped_manifest(dataset) if manifest is None else load_manifest(manifest)
-    if manifest is None and chosen_protocol.dataset != loaded.name:
-        raise ArgumentError(f"protocol {protocol!r} is for dataset {chosen_protocol.dataset!r}, not {loaded.name!r}")
-    pairs = select_pairs(loaded.records, cameras=cameras, ratios=chosen_protocol.ratios)
+    chosen_protocol = named_protocol or default_protocol(loaded.name)
+    if manifest is None and not chosen_protocol.covers(loaded.name):
+        raise ArgumentError(
+            f"protocol {chosen_protocol.name!r} is for dataset {chosen_protocol.dataset!r}, not {loaded.name!r}"
+        )
+    chosen_subset = _subset(loaded, subset)
+    choose = partial(select_pairs, loaded.records, cameras=cameras, ratios=chosen_protocol.ratios, subset=chosen_subset)
+    candidates, pairs = choose(), choose(exclude_flags=exclude_flags)
     noisy_paths = [record.path for record in loaded.records if record.role == "noisy"]
     found = find_predictions(Path(predictions), pairs, noisy_paths)
     folder = loaded.folder(root)
@@ -97,13 +110,24 @@ def evaluate(
     images = tuple(scores[pair.path] for pair in pairs if pair.path in scores)
     return EvaluationResult(
         protocol=chosen_protocol,
-        provenance=_provenance(loaded, chosen_protocol, predictions, cameras),
+        provenance={
+            **_provenance(loaded, chosen_protocol, predictions, cameras),
+            "subset": None if chosen_subset is None else chosen_subset.name,
+            "excluded_flags": {flag: sum(flag in pair.flags for pair in candidates) for flag in exclude_flags},
+        },
         pairs=pairs,
         images=images,
         missing=tuple(pair.path for pair in pairs if pair.path not in scores),
         problems=tuple(problems),
         notes=tuple(_notes(found, images)),
     )
+
+
+def _subset(manifest: Manifest, name: str | None) -> Subset | None:
+    subsets = manifest.card.subsets
+    if name is not None:
+        return find_subset(subsets, name)
+    return subsets[0] if subsets else None
 
 
 def _require_dataset(manifest: Manifest, folder: Path, pairs: Sequence[PairRecord], jobs: int) -> None:

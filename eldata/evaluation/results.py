@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import math
+from collections import Counter
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from eldata.records import PairRecord
 
 CSV_COLUMNS = ("path", "camera", "scene", "iso", "ratio", "psnr_db", "ssim", "rescale")
+VALUE_NAMES = ("pairs", "PSNR [dB]", "SSIM")
 
 _PROBLEMS_SHOWN = 20
 
@@ -66,6 +68,17 @@ class TableRow:
     psnr_db: float
     ssim: float
 
+    @property
+    def factor_text(self) -> str:
+        """The factor as printed: ``x100``, or ``all``."""
+        return "all" if self.ratio is None else f"x{self.ratio:g}"
+
+    @property
+    def value_texts(self) -> tuple[str, str, str]:
+        """Pairs, PSNR and SSIM as printed (:data:`VALUE_NAMES`); ``-`` where nothing was scored."""
+        pairs = str(self.pairs) if self.scored == self.pairs else f"{self.scored} of {self.pairs}"
+        return (pairs, f"{self.psnr_db:.2f}", f"{self.ssim:.3f}") if self.scored else (pairs, "-", "-")
+
 
 @dataclass(frozen=True, slots=True)
 class EvaluationResult:
@@ -76,7 +89,8 @@ class EvaluationResult:
     protocol
         The protocol of every score.
     provenance
-        Versions, manifest and its digest, the protocol's digest, subset: what the numbers depend on.
+        What the numbers depend on: versions, manifest and its digest, the protocol's digest; cameras, subset, and
+        excluded flags with their numbers of pairs.
     pairs
         The pairs that the protocol and the subset name, scored or not.
     images
@@ -130,17 +144,39 @@ class EvaluationResult:
         )
 
     def format_table(self) -> str:
-        """Return the table as aligned text: PSNR in dB to two decimals, SSIM to three, as the paper prints them."""
+        """Return the table as aligned text: PSNR in dB to two decimals, SSIM to three, as the papers print them.
+
+        A set of several cameras has a row for each camera and factor, as in the ELD paper's table; a set of one camera
+        has a column for each factor, as in those on SID.
+        """
+        one_camera = self.provenance["cameras"] == "all" and len({pair.camera for pair in self.pairs}) == 1
+        return self._factors_as_columns() if one_camera else self._factors_as_rows()
+
+    def _factors_as_rows(self) -> str:
         rows = []
         previous: str | None = ""
         for row in self.table:
             name = "all" if row.camera is None else row.camera
-            ratio = "all" if row.ratio is None else f"x{row.ratio:g}"
-            pairs = str(row.pairs) if row.scored == row.pairs else f"{row.scored} of {row.pairs}"
-            psnr, ssim = (f"{row.psnr_db:.2f}", f"{row.ssim:.3f}") if row.scored else ("-", "-")
-            rows.append(("" if name == previous else name, ratio, pairs, psnr, ssim))
+            rows.append(("" if name == previous else name, row.factor_text, *row.value_texts))
             previous = name
-        return text_table(("camera", "factor", "pairs", "PSNR [dB]", "SSIM"), rows)
+        return text_table(("camera", "factor", *VALUE_NAMES), rows)
+
+    def _factors_as_columns(self) -> str:
+        rows = self.table
+        header = (rows[0].camera or "", *(row.factor_text for row in rows))
+        values = zip(*(row.value_texts for row in rows), strict=True)
+        return text_table(header, [(name, *texts) for name, texts in zip(VALUE_NAMES, values, strict=True)])
+
+    def _choice(self) -> str:
+        """Return what of the dataset is scored, as text for the table's first line."""
+        cameras, subset = self.provenance["cameras"], self.provenance["subset"]
+        parts = [] if cameras == "all" else [f"only {', '.join(cameras)}"]
+        if subset is not None:
+            parts.append(f"subset {subset}")
+        parts += [f"without {flag} ({count})" for flag, count in self.provenance["excluded_flags"].items()]
+        included = Counter(flag for pair in self.pairs for flag in pair.flags)
+        parts += [f"{flag} included ({count})" for flag, count in sorted(included.items())]
+        return "".join(f", {part}" for part in parts)
 
     def format_text(self) -> str:
         """Return problems, the table with its protocol and coverage, and notes as text."""
@@ -152,10 +188,8 @@ class EvaluationResult:
             return "\n".join(lines)
         if lines:
             lines.append("")
-        cameras = self.provenance["cameras"]
-        subset = "" if cameras == "all" else f", only {', '.join(cameras)}"
         coverage = f"{len(self.images)} of {len(self.pairs)} pairs"
-        lines += [f"{self.provenance['dataset']}, protocol {self.protocol.name}: {coverage}{subset}", ""]
+        lines += [f"{self.provenance['dataset']}, protocol {self.protocol.name}: {coverage}{self._choice()}", ""]
         lines += [self.format_table(), ""]
         if self.missing:
             lines.append(

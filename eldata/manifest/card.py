@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from eldata.errors import ManifestError
 from eldata.files import path_problem, write_text
+from eldata.manifest.subsets import Subset
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -45,6 +46,8 @@ class Card:
         EXIF identity of each camera in the manifest.
     counts
         Expected number of rows per role.
+    subsets
+        Named choices of pairs. The first is the one that ``eldata evaluate`` scores if no other is named.
     known_defects, sources
         What is wrong with the published files, and where this card's facts come from.
     """
@@ -60,6 +63,7 @@ class Card:
     cameras: dict[str, CameraCard]
     counts: dict[str, int]
     downloads: tuple[Download, ...] = ()
+    subsets: tuple[Subset, ...] = ()
     known_defects: tuple[str, ...] = ()
     sources: tuple[str, ...] = field(default=())
 
@@ -112,6 +116,7 @@ def load_card(path: Path) -> Card:
         cameras=cameras,
         counts=counts,
         downloads=tuple(downloads),
+        subsets=_subsets(path, data.get("subsets", [])),
         known_defects=_texts(path, "known_defects", data.get("known_defects", [])),
         sources=_texts(path, "sources", data.get("sources", [])),
     )
@@ -122,9 +127,31 @@ def save_card(path: Path, card: Card) -> None:
     write_text(path, json.dumps(asdict(card), indent=2, ensure_ascii=False) + "\n")
 
 
+def _subsets(path: Path, value: Any) -> tuple[Subset, ...]:
+    subsets: list[Subset] = []
+    for index, entry in enumerate(_typed(path, "subsets", value, list)):
+        where = f"subsets[{index}]"
+        _check_keys(path, f"{where}.", _typed(path, where, entry, dict), Subset)
+        name, title, source = (_typed(path, f"{where}.{key}", entry[key], str) for key in ("name", "title", "source"))
+        if name in [subset.name for subset in subsets]:
+            raise ManifestError(f"{path}, field {where}.name: {name!r} names two subsets")
+        subsets.append(
+            Subset(
+                name,
+                title,
+                source,
+                _typed(path, f"{where}.pairs", entry["pairs"], int),
+                _texts(path, f"{where}.splits", entry.get("splits", [])),
+                _texts(path, f"{where}.scenes", entry.get("scenes", [])),
+                _typed(path, f"{where}.paths", entry.get("paths", "*"), str),
+            )
+        )
+    return tuple(subsets)
+
+
 def _check_keys(path: Path, prefix: str, data: dict[str, Any], record: type) -> None:
     known = {item.name: item for item in fields(record)}
-    optional = {"downloads", "known_defects", "sources", "size_bytes", "notes"}
+    optional = {"downloads", "subsets", "known_defects", "sources", "size_bytes", "notes", "splits", "scenes", "paths"}
     for key in data:
         if key not in known:
             raise ManifestError(f"{path}, field {prefix}{key}: is unknown; known are {', '.join(known)}")

@@ -11,9 +11,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable
     from fractions import Fraction
 
+    from eldata.manifest.subsets import Subset
     from eldata.records import FrameRecord
 
 Value = TypeVar("Value")
+
+# Flag of a frame whose ISO the publisher states in two ways: its exposure ratio cannot be checked.
+UNCERTAIN_ISO = "uncertain-iso"
 
 
 def select_pairs(
@@ -23,6 +27,9 @@ def select_pairs(
     scenes: Collection[str | int] | None = None,
     isos: Collection[int] | None = None,
     ratios: Collection[float | Fraction] | None = None,
+    splits: Collection[str] | None = None,
+    subset: Subset | None = None,
+    exclude_flags: Collection[str] = (),
 ) -> tuple[PairRecord, ...]:
     """Return the manifest's pairs, in its order, that have one of the given values; ``None`` means any.
 
@@ -30,13 +37,20 @@ def select_pairs(
     ----------
     records
         Rows of a manifest.
-    cameras, scenes, isos, ratios
-        Wanted values. A scene is its name or, for ``scene-3``, the number 3; a ratio is the nominal one.
+    cameras, scenes, isos, ratios, splits
+        Wanted values. A scene is its name or its number: 3 for ``scene-3``, 34 for ``00034``. A ratio is the nominal
+        one.
+    subset
+        A named choice, of the manifest's card; the other values choose among its pairs.
+    exclude_flags
+        Pairs with one of these flags are left out.
 
     Raises
     ------
     ArgumentError
         If a value does not occur; the message lists those that do. If no pair has all of them.
+    ManifestError
+        If the subset has not as many pairs as its card says.
     """
     pairs = [
         PairRecord(
@@ -53,18 +67,34 @@ def select_pairs(
         for record in records
         if record.role == "noisy" and record.reference is not None and record.ratio is not None
     ]
-    for name, wanted in (("camera", cameras), ("scene", scenes), ("ISO", isos), ("ratio", ratios)):
+    for name, wanted in (
+        *(("camera", cameras), ("scene", scenes), ("ISO", isos), ("ratio", ratios), ("split", splits)),
+        ("flag", exclude_flags),
+    ):
         if isinstance(wanted, str):
             raise ArgumentError(f"give {name} values as a list: [{wanted!r}]")
-    wanted_scenes = None if scenes is None else [f"scene-{s}" if isinstance(s, int) else s for s in scenes]
-    chosen = pairs
+    chosen = pairs if subset is None else subset.choose(pairs)
     chosen = _having(chosen, pairs, "camera", cameras, lambda pair: pair.camera)
-    chosen = _having(chosen, pairs, "scene", wanted_scenes, lambda pair: pair.scene)
+    chosen = _having(chosen, pairs, "scene", _scene_names(pairs, scenes), lambda pair: pair.scene)
     chosen = _having(chosen, pairs, "ISO", isos, lambda pair: pair.iso)
     chosen = _having(chosen, pairs, "ratio", ratios, lambda pair: pair.ratio)
+    chosen = _having(chosen, pairs, "split", splits, lambda pair: pair.split)
+    _check_known("flag", exclude_flags, [flag for pair in pairs for flag in pair.flags])
+    chosen = [pair for pair in chosen if not set(exclude_flags) & set(pair.flags)]
     if not chosen:
-        raise ArgumentError("no pair has all of the wanted cameras, scenes, ISOs and ratios together")
+        raise ArgumentError("no pair has all of the wanted cameras, scenes, ISOs, ratios, splits and flags together")
     return tuple(chosen)
+
+
+def _scene_names(pairs: list[PairRecord], scenes: Collection[str | int] | None) -> list[str] | None:
+    """Return the wanted scenes by name: a number stands for the scene that has it after ``scene-``, or is it."""
+    if scenes is None:
+        return None
+    names = {pair.scene for pair in pairs}
+    prefix = "scene-" if any(name.startswith("scene-") for name in names) else ""
+    digits_of = {name: name.removeprefix(prefix) for name in names}
+    by_number = {int(digits): name for name, digits in digits_of.items() if digits.isdecimal()}
+    return [by_number.get(scene, f"{prefix}{scene}") if isinstance(scene, int) else scene for scene in scenes]
 
 
 def _having(
@@ -76,8 +106,12 @@ def _having(
 ) -> list[PairRecord]:
     if wanted is None:
         return chosen
-    known = list(dict.fromkeys(value_of(pair) for pair in pairs))
+    _check_known(name, wanted, [value_of(pair) for pair in pairs])
+    return [pair for pair in chosen if value_of(pair) in wanted]
+
+
+def _check_known(name: str, wanted: Collection[object], values: Iterable[object]) -> None:
+    known = sorted({value for value in values if value is not None})  # type: ignore[type-var] # of one kind each
     for value in wanted:
         if value not in known:
-            raise ArgumentError(f"no pair has {name} {value}; known are {', '.join(map(str, known))}")
-    return [pair for pair in chosen if value_of(pair) in wanted]
+            raise ArgumentError(f"no pair has {name} {value}; known are {', '.join(map(str, known)) or 'none'}")

@@ -23,12 +23,22 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 from eldata.errors import ArgumentError, ManifestError, RawFileError
 from eldata.files import inside, sha256_of
 from eldata.manifest.catalogue import Manifest, find_manifests
+from eldata.manifest.clip_checks import (
+    exposure_findings,
+    is_png,
+    png_decode_findings,
+    png_findings,
+    png_size_findings,
+)
+from eldata.manifest.pairs import UNCERTAIN_ISO
+from eldata.manifest.patterns import expand, pattern_findings
 from eldata.manifest.table import number_text
 from eldata.parallel import check_jobs, run_units
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
 
+    from eldata.manifest.patterns import Finding
     from eldata.records import FrameRecord
 
 Level = Literal["quick", "metadata", "full"]
@@ -53,6 +63,13 @@ class Problem:
 
     def __str__(self) -> str:
         return f"{self.path}: {self.field}: expected {self.expected}, found {self.found}; {self.advice}"
+
+    def format_text(self) -> str:
+        """Return the problem as four lines."""
+        return (
+            f"{self.path}: {self.field}\n    expected  {self.expected}\n    found     {self.found}\n"
+            f"    to do     {self.advice}"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,14 +110,7 @@ class VerifyReport:
 
     def format_text(self) -> str:
         """Return the report as text: each problem by file, then a line a dataset."""
-        lines = []
-        for problem in self.problems:
-            lines += [
-                f"{problem.path}: {problem.field}",
-                f"    expected  {problem.expected}",
-                f"    found     {problem.found}",
-                f"    to do     {problem.advice}",
-            ]
+        lines = [problem.format_text() for problem in self.problems]
         for dataset in self.datasets:
             if dataset.absent:
                 lines.append(
@@ -186,32 +196,45 @@ def _verify_dataset(
     required: bool,
 ) -> DatasetReport:
     records = [record for record in manifest.records if not cameras or record.camera in cameras]
-    if not folder.is_dir():
+    # Two datasets may share a folder and have one each in it (SID/Sony, SID/Fuji): who has one lacks the other whole.
+    tops = {record.path.partition("/")[0] for record in manifest.records}
+    needed = folder / tops.pop() if len(tops) == 1 and not required else folder
+    if not needed.is_dir():
         problems = []
         if required:
             advice = f"see {manifest.card.homepage}, or name the folder above it with --root"
             problems.append(Problem(manifest.name, str(folder), "folder", "the dataset's files", "nothing", advice))
-        return DatasetReport(manifest.name, folder, True, manifest.card.homepage, len(records), 0, 0, tuple(problems))
+        return DatasetReport(manifest.name, needed, True, manifest.card.homepage, len(records), 0, 0, tuple(problems))
     found, present = check_files(manifest, folder, records, level=level, jobs=jobs)
+    listed = expand(records, folder)
     hashed = sum(record.sha256 is not None for record in present) if level == "full" else 0
-    return DatasetReport(
-        manifest.name, folder, False, manifest.card.homepage, len(records), len(present), hashed, found
-    )
+    return DatasetReport(manifest.name, folder, False, manifest.card.homepage, len(listed), len(present), hashed, found)
 
 
 def check_files(
     manifest: Manifest, folder: Path, records: Sequence[FrameRecord], *, level: Level, jobs: int = 1
 ) -> tuple[tuple[Problem, ...], tuple[FrameRecord, ...]]:
     """Check some of a manifest's files; return the problems, by path, and the records whose files are there."""
-    present, problems = _check_presence(manifest.name, folder, records)
-    problems += _check_unlisted(manifest, folder, records)
+    listed = expand(records, folder)
+    present, problems = _check_presence(manifest.name, folder, listed)
+    problems += _check_unlisted(manifest, folder, listed)
+    findings = pattern_findings(records, folder)
     if level != "quick":
         work = partial(_check_file, manifest.name, folder, manifest.card.cameras, level)
         outcomes = list(run_units(work, present, jobs=jobs, label=f"{manifest.name} ({level})"))
         problems += [problem for outcome in outcomes for problem in outcome.problems]
-        problems += _check_ratios(manifest.name, present, [outcome.exposure_product for outcome in outcomes])
+        products = [outcome.exposure_product for outcome in outcomes]
+        problems += _check_ratios(manifest.name, present, products)
+        product_of = {record.path: product for record, product in zip(present, products, strict=True)}
+        findings += png_size_findings(folder, present)
+        findings += exposure_findings(present, product_of, RATIO_TOLERANCE)
+    problems += [_problem(manifest.name, finding) for finding in findings]
     problems.sort(key=lambda problem: problem.path)
     return tuple(problems), tuple(present)
+
+
+def _problem(dataset: str, finding: Finding) -> Problem:
+    return Problem(dataset, finding.path, finding.field, finding.expected, finding.found, finding.advice)
 
 
 # --- quick ----------------------------------------------------------------------------------------------------
@@ -278,16 +301,23 @@ def _names(folder: Path) -> list[str]:
 
 
 def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRecord]) -> list[Problem]:
-    """Name raw files that the manifest does not list, in the folders of these records."""
+    """Name files of the listed kind that the manifest does not list, in the folders of these records."""
     from eldata.raw.extensions import RAW_EXTENSIONS
 
-    listed = {record.path for record in manifest.records}
+    every = expand(manifest.records, folder)
+    listed = {record.path for record in every}
+    # Beside references there may be other pictures of the scene (DRV); beside noisy PNG frames none.
+    pictured = {
+        Path(record.path).parent.as_posix() for record in every if record.role == "noisy" and is_png(record.path)
+    }
+    raw = {Path(path).parent.as_posix() for path in listed if Path(path).suffix.lower() in RAW_EXTENSIONS}
     # A missing file's name in another case is reported there, with what to do.
     respelled = {path.casefold() for path in listed if not (folder / path).exists()}
     problems = []
     for parent in sorted({Path(record.path).parent.as_posix() for record in records}):
+        kinds = (RAW_EXTENSIONS if parent in raw else frozenset()) | ({".png"} if parent in pictured else frozenset())
         expected = sum(Path(path).parent.as_posix() == parent for path in listed)
-        raws = [name for name in _names(folder / parent) if Path(name).suffix.lower() in RAW_EXTENSIONS]
+        raws = [name for name in _names(folder / parent) if Path(name).suffix.lower() in kinds]
         for name in raws:
             path = f"{parent}/{name}"
             if path not in listed and path.casefold() not in respelled:
@@ -319,6 +349,8 @@ def _check_file(dataset: str, folder: Path, cameras: dict[str, Any], level: Leve
     path = folder / record.path
     if path.suffix == ".npy":
         return _check_packed(dataset, path, record, level)
+    if is_png(record.path):
+        return _check_png(dataset, folder, record, level)
     problems: list[Problem] = []
 
     def add(field: str, expected: str, found: str, advice: str) -> None:
@@ -381,6 +413,17 @@ def _check_file(dataset: str, folder: Path, cameras: dict[str, Any], level: Leve
     return _Outcome(tuple(problems), product)
 
 
+def _check_png(dataset: str, folder: Path, record: FrameRecord, level: Level) -> _Outcome:
+    problems = [_problem(dataset, finding) for finding in png_findings(folder, record)]
+    if level == "full" and not problems:
+        if record.sha256 is None:
+            problems = [_problem(dataset, finding) for finding in png_decode_findings(folder, record)]
+        elif (digest := sha256_of(folder / record.path)) != record.sha256:
+            advice = "the file is damaged or another: copy or download it again"
+            problems = [Problem(dataset, record.path, "sha256", record.sha256, digest, advice)]
+    return _Outcome(tuple(problems))
+
+
 def _check_packed(dataset: str, path: Path, record: FrameRecord, level: Level) -> _Outcome:
     """Check a packed array (a synthetic noisy frame): it has no EXIF to compare, but a header that says its shape."""
     import numpy as np
@@ -403,7 +446,7 @@ def _check_ratios(dataset: str, records: Sequence[FrameRecord], products: Sequen
     product_of = {record.path: product for record, product in zip(records, products, strict=True)}
     problems = []
     for record in records:
-        if record.reference is None or record.ratio is None:
+        if record.reference is None or record.ratio is None or UNCERTAIN_ISO in record.flags:
             continue
         reference, noisy = product_of.get(record.reference), product_of[record.path]
         if reference is None or noisy is None:

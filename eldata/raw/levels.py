@@ -1,7 +1,8 @@
-"""Which white level normalises a frame: the file's own, or the one that the published results were made with."""
+"""Which levels normalise a frame: the file's own, or those that the published results were made with."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, get_args
 
 from eldata.errors import ArgumentError
@@ -14,12 +15,24 @@ if TYPE_CHECKING:
     from eldata.raw.cfa import Clip
     from eldata.records import RawFrame, Sensor
 
+# Choices of the white level, with the file's black level.
 Levels = Literal["metadata", "published"]
 LEVELS: tuple[Levels, ...] = get_args(Levels)
 
-# The ELD and SID code divides by this white level for every camera, whatever its real one (ELD repository,
+# Choices of both levels: those above, and the constants of one camera.
+FrameLevels = Literal[Levels, "sid-sony", "sid-fuji"]
+FRAME_LEVELS: tuple[FrameLevels, ...] = get_args(FrameLevels)
+
+# The ELD and SID code divide by this white level for every camera, whatever its real one (ELD repository,
 # sid_dataset.py; SID repository, test_Sony.py and test_Fuji.py).
 PUBLISHED_WHITE_LEVEL_DN = 16383.0
+
+# Black and white level that the SID code has for every file of a camera (the same places). The ELD code takes the black
+# level of a Bayer file from the file, and that of X-Trans from here.
+SID_LEVELS_DN: dict[str, tuple[float, float]] = {
+    "sid-sony": (512.0, PUBLISHED_WHITE_LEVEL_DN),
+    "sid-fuji": (1024.0, PUBLISHED_WHITE_LEVEL_DN),
+}
 
 
 def white_level_dn(sensor: Sensor, levels: Levels) -> float:
@@ -35,12 +48,33 @@ def white_level_dn(sensor: Sensor, levels: Levels) -> float:
     return sensor.white_level_dn if levels == "metadata" else PUBLISHED_WHITE_LEVEL_DN
 
 
-def packed_frame(frame: RawFrame, *, levels: Levels, clip: Clip, gain: float = 1.0) -> NDArray[np.float32]:
+def with_levels(sensor: Sensor, levels: FrameLevels) -> Sensor:
+    """Return a sensor with the chosen black and white level.
+
+    ``"metadata"``: the file's own. ``"published"``: white is 16383, black is the file's, per CFA channel.
+    ``"sid-sony"`` (512 and 16383) and ``"sid-fuji"`` (1024 and 16383): the constants of the SID code, for comparison
+    with numbers that were made with it.
+
+    Raises
+    ------
+    ArgumentError
+        If ``levels`` is none of these.
+    """
+    if levels not in FRAME_LEVELS:
+        raise ArgumentError(f"levels must be one of {', '.join(map(repr, FRAME_LEVELS))}; found {levels!r}")
+    if levels == "metadata" or levels == "published":  # spelt out so that mypy narrows the type
+        return replace(sensor, white_level_dn=white_level_dn(sensor, levels))
+    black, white = SID_LEVELS_DN[levels]
+    return replace(sensor, black_level_dn=(black,) * len(sensor.black_level_dn), white_level_dn=white)
+
+
+def packed_frame(frame: RawFrame, *, levels: FrameLevels, clip: Clip, gain: float = 1.0) -> NDArray[np.float32]:
     """Return a frame packed and normalised, (C, h, w) float32 (see :func:`eldata.raw.cfa.pack_normalised`).
 
-    The black level is the file's, per CFA channel, for either choice of ``levels``.
+    Raises
+    ------
+    ArgumentError
+        If ``levels``, ``clip`` or ``gain`` make no sense.
     """
-    sensor = frame.sensor
-    return pack_normalised(
-        frame.mosaic, sensor.cfa, sensor.black_level_dn, white_level_dn(sensor, levels), clip=clip, gain=gain
-    )
+    sensor = with_levels(frame.sensor, levels)
+    return pack_normalised(frame.mosaic, sensor.cfa, sensor.black_level_dn, sensor.white_level_dn, clip=clip, gain=gain)

@@ -8,15 +8,25 @@ from typing import TYPE_CHECKING
 import pytest
 import torch
 
-from eldata.datasets import PairDataset, dataset_class, dataset_names
+from eldata.datasets import PairDataset, dataset_class, dataset_names, open_dataset
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.catalogue import shipped_manifest, shipped_names
 from eldata.manifest.verify import verify
+from tests.sid_tree import build_sid_tree
 from tests.trees import build_published_tree
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
+    from eldata.manifest.catalogue import Manifest
+
+# How each dataset's files are faked: every published name, small DNG content.
+TREES: dict[str, Callable[[Manifest, Path], None]] = {
+    "eld": build_published_tree,
+    "sid-sony": build_sid_tree,
+    "sid-fuji": build_sid_tree,
+}
 EVERY = pytest.mark.parametrize("name", dataset_names())
 
 
@@ -27,12 +37,12 @@ def roots(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     for name in dataset_names():
         manifest = shipped_manifest(name)
         made[name] = tmp_path_factory.mktemp(name)
-        build_published_tree(manifest, made[name] / manifest.card.folder)
+        TREES[name](manifest, made[name] / manifest.card.folder)
     return made
 
 
-def opened(name: str, roots: dict[str, Path]) -> PairDataset:
-    return dataset_class(name)(roots[name] / shipped_manifest(name).card.folder)  # type: ignore[call-arg] # each class has its manifest
+def opened(name: str, roots: dict[str, Path], **options: object) -> PairDataset:
+    return open_dataset(name, roots[name] / shipped_manifest(name).card.folder, **options)
 
 
 def test_there_are_datasets() -> None:
@@ -43,6 +53,8 @@ def test_there_are_datasets() -> None:
 def test_an_unknown_name_lists_the_known() -> None:
     with pytest.raises(ArgumentError, match="no dataset is called 'elf'; known are eld"):
         dataset_class("elf")
+    with pytest.raises(ArgumentError, match="no dataset is called 'elf'; known are eld"):
+        open_dataset("elf")
 
 
 @EVERY
@@ -50,6 +62,8 @@ def test_the_card_is_filled_in(name: str) -> None:
     manifest = shipped_manifest(name)
     assert manifest.name == manifest.path.stem == name
     for item in fields(manifest.card):
+        if item.name == "subsets":
+            continue  # not every set has named ones
         assert getattr(manifest.card, item.name), f"{item.name} is empty"
     assert manifest.card.homepage.startswith("https://")
     for download in manifest.card.downloads:
@@ -84,19 +98,34 @@ def test_the_published_names_verify(name: str, roots: dict[str, Path]) -> None:
 
 
 @EVERY
-def test_unknown_cameras_are_refused(name: str, roots: dict[str, Path]) -> None:
-    manifest = shipped_manifest(name)
-    cls, folder = dataset_class(name), roots[name] / manifest.card.folder
-    with pytest.raises(ArgumentError, match="no pair has camera Obscura; known are") as raised:
-        cls(folder, cameras=["Obscura"])  # type: ignore[call-arg] # each class has its manifest
-    for camera in manifest.card.cameras:
-        assert camera in str(raised.value)
+@pytest.mark.parametrize(
+    ("options", "said", "field"),
+    [
+        ({"scenes": ["nowhere"]}, "no pair has scene nowhere; known are", "scene"),
+        ({"isos": [7]}, "no pair has ISO 7; known are", "iso"),
+        ({"ratios": [7]}, "no pair has ratio 7; known are", "ratio"),
+    ],
+)
+def test_unknown_values_list_the_known(
+    name: str, options: dict[str, object], said: str, field: str, roots: dict[str, Path]
+) -> None:
+    known = {getattr(record, field) for record in shipped_manifest(name).records if record.role == "noisy"} - {None}
+    with pytest.raises(ArgumentError, match=said) as raised:
+        opened(name, roots, **options)
+    for value in known:
+        assert str(value) in str(raised.value)
+
+
+@pytest.mark.parametrize(("name", "options"), [("eld", {"cameras": ["Obscura"]}), ("sid-sony", {"camera": "Obscura"})])
+def test_unknown_cameras_are_refused(name: str, options: dict[str, object], roots: dict[str, Path]) -> None:
+    with pytest.raises(ArgumentError, match="Obscura"):
+        opened(name, roots, **options)
 
 
 @EVERY
 def test_a_missing_folder_says_where_to_get_the_files(name: str, tmp_path: Path) -> None:
     with pytest.raises(DatasetError) as raised:
-        dataset_class(name)(tmp_path / "nowhere")  # type: ignore[call-arg] # each class has its manifest
+        open_dataset(name, tmp_path / "nowhere")
     assert shipped_manifest(name).card.homepage in str(raised.value)
 
 
@@ -110,12 +139,5 @@ def test_the_class_says_what_it_is(name: str, roots: dict[str, Path]) -> None:
 def test_the_published_eld_set_is_240_pairs(roots: dict[str, Path]) -> None:
     dataset = opened("eld", roots)
     assert len(dataset) == 240
-    inexact = dataset_class("eld")(
-        roots["eld"] / "ELD",
-        cameras=["NikonD850"],
-        scenes=[1],
-        isos=[3200],
-        ratios=[1],
-    )  # type: ignore[call-arg] # each class has its manifest
-    sample = inexact[0]
+    sample = opened("eld", roots, cameras=["NikonD850"], scenes=[1], isos=[3200], ratios=[1])[0]
     assert (sample["ratio"], sample["nominal_ratio"], sample["flags"]) == (0.9375, 1.0, "inexact-ratio")

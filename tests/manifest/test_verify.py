@@ -661,3 +661,14 @@ def test_a_tree_is_the_same_when_made_again(pristine: Tree, tmp_path: Path) -> N
     assert load_manifest(again.csv).records == pristine.manifest.records
     for record in pristine.manifest.records:
         assert (again.data / record.path).read_bytes() == (pristine.data / record.path).read_bytes()
+
+
+def test_one_of_two_datasets_that_share_a_folder(tmp_path: Path) -> None:
+    """Who has SID's Sony half alone lacks the Fuji half whole: that is absent, not broken."""
+    (tmp_path / "SID" / "Sony").mkdir(parents=True)
+    report = verify([shipped_manifest("sid-fuji")], tmp_path)
+    assert [(dataset.absent, dataset.problems) for dataset in report.datasets] == [(True, ())]
+    assert f"sid-fuji: absent (no folder {tmp_path / 'SID' / 'Fuji'})" in report.format_text()
+    assert not report.ok
+    asked = verify([shipped_manifest("sid-fuji")], tmp_path, dataset="sid-fuji")
+    assert [problem.path for problem in asked.problems] == ["Fuji/"]

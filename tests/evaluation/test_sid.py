@@ -1,0 +1,186 @@
+"""`evaluate` on SID: the published subsets on trees with the published names, against an independent computation."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import rawpy
+
+from eldata.cli.main import main
+from eldata.errors import ArgumentError
+from eldata.evaluation import EvaluationResult, evaluate, save_prediction
+from eldata.manifest.catalogue import shipped_manifest
+from eldata.manifest.pairs import select_pairs
+from eldata.manifest.subsets import find_subset
+from eldata.protocols import PROTOCOLS, default_protocol
+from tests.evaluation import oracle
+from tests.raw.helpers import sid_pack
+from tests.sid_tree import frames_of, write_frames
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from tests.evaluation.helpers import Tree
+
+SUBSETS = {"sid-sony": "eval-first", "sid-fuji": "test-first"}
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The files that the subsets need, and no others."""
+    folder = tmp_path_factory.mktemp("data")
+    for name, subset in SUBSETS.items():
+        manifest = shipped_manifest(name)
+        pairs = select_pairs(manifest.records, subset=find_subset(manifest.card.subsets, subset))
+        write_frames(name, folder / "SID", frames_of(manifest, {pair.path for pair in pairs}))
+    return folder
+
+
+def reference(path: Path) -> NDArray[np.float64]:
+    """Packed, black subtracted, divided by 16383 - black, clipped to [0, 1]."""
+    if path.suffix == ".ARW":
+        return oracle.reference(path)
+    with rawpy.imread(str(path)) as raw:
+        dn = raw.raw_image_visible.astype(np.float64)
+        black = raw.black_level_per_channel[0]
+    packed = sid_pack(dn[: dn.shape[0] // 6 * 6, : dn.shape[1] // 6 * 6])
+    return np.clip((packed - black) / (16383 - black), 0, 1)
+
+
+def prediction_of(target: NDArray[np.float64], name: str) -> NDArray[np.float32]:
+    """Too bright, a little noisy, in places saturated, beyond, or negative."""
+    generator = np.random.default_rng(zlib.crc32(name.encode()))
+    result = 1.15 * target + generator.normal(0.0, 0.02, target.shape)
+    result[:, 5:7, 8:12] = 1.0
+    result[:, 9, 2:4] = 1.25
+    result[:, 12:14, 3:9] -= 0.1
+    return result.astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def predictions(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("predictions")
+    for name, subset in SUBSETS.items():
+        manifest = shipped_manifest(name)
+        for pair in select_pairs(manifest.records, subset=find_subset(manifest.card.subsets, subset)):
+            target = reference(root / "SID" / pair.reference)
+            save_prediction(folder / name, pair.path, prediction_of(target, pair.path))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def results(root: Path, predictions: Path) -> dict[str, EvaluationResult]:
+    return {name: evaluate(predictions / name, name, root=root) for name in SUBSETS}
+
+
+@pytest.mark.parametrize(("name", "counts"), [("sid-sony", (40, 40, 49)), ("sid-fuji", (41, 27, 26))])
+def test_scores_and_table_equal_the_independent_computation(
+    name: str, counts: tuple[int, ...], root: Path, results: dict[str, EvaluationResult]
+) -> None:
+    result = results[name]
+    assert (result.protocol.name, result.provenance["subset"]) == ("sid", SUBSETS[name])
+    assert len(result.images) == len(result.pairs) == sum(counts)
+    expected: dict[float, list[oracle.Score]] = {}
+    for pair, image in zip(result.pairs, result.images, strict=True):
+        target = reference(root / "SID" / pair.reference)
+        other = oracle.score(prediction_of(target, pair.path), target, corrected=True)
+        expected.setdefault(float(pair.ratio), []).append(other)
+        assert image.psnr_db == pytest.approx(other.psnr_db, abs=1e-6, rel=0)
+        assert image.ssim == pytest.approx(other.ssim, abs=1e-7, rel=0)
+        assert image.rescale == pytest.approx(other.alpha, abs=1e-6, rel=0)
+    assert [(row.ratio, row.pairs) for row in result.table] == [
+        *zip((100, 250, 300), counts, strict=True),
+        (None, sum(counts)),
+    ]
+    for row in result.table[:-1]:
+        assert row.ratio is not None
+        psnr_db, ssim = oracle.mean(expected[row.ratio])
+        assert row.psnr_db == pytest.approx(psnr_db, abs=1e-6, rel=0)
+        assert row.ssim == pytest.approx(ssim, abs=1e-7, rel=0)
+
+
+def test_the_table_has_a_column_for_each_factor(results: dict[str, EvaluationResult]) -> None:
+    result = results["sid-sony"]
+    header, _, pairs, psnr, ssim = (line.split() for line in result.format_table().splitlines())
+    assert header == ["SonyA7S2", "x100", "x250", "x300", "all"]
+    assert pairs == ["pairs", "40", "40", "49", "129"]
+    assert psnr == ["PSNR", "[dB]", *(f"{row.psnr_db:.2f}" for row in result.table)]
+    assert ssim == ["SSIM", *(f"{row.ssim:.3f}" for row in result.table)]
+
+
+def test_the_table_says_which_pairs(results: dict[str, EvaluationResult]) -> None:
+    first = {name: result.format_text().splitlines()[0] for name, result in results.items()}
+    assert first == {
+        "sid-sony": "sid-sony, protocol sid: 129 of 129 pairs, subset eval-first, misaligned included (5)",
+        "sid-fuji": ("sid-fuji, protocol sid: 94 of 94 pairs, subset test-first, misaligned-unconfirmed included (3)"),
+    }
+
+
+def test_misaligned_scenes_can_be_left_out(root: Path, predictions: Path, results: dict[str, EvaluationResult]) -> None:
+    found = evaluate(predictions / "sid-sony", "sid-sony", root=root, exclude_flags=["misaligned"])
+    bad = {pair.path for pair in found.pairs if pair.scene in ("10034", "10045", "10172")}
+    assert bad == set()
+    kept = [image for image in results["sid-sony"].images if image.scene not in ("10034", "10045", "10172")]
+    assert list(found.images) == kept
+    assert [row.pairs for row in found.table] == [38, 38, 48, 124]
+    assert found.provenance["excluded_flags"] == {"misaligned": 5}
+    assert "124 of 124 pairs, subset eval-first, without misaligned (5)" in found.format_text()
+    assert "5 predictions" in found.notes[0], "theirs are not scored, and not extra"
+
+
+def test_another_subset(root: Path, predictions: Path, results: dict[str, EvaluationResult]) -> None:
+    found = evaluate(predictions / "sid-sony", "sid-sony", root=root, subset="indoor-15")
+    assert [row.pairs for row in found.table] == [15, 15, 15, 45]
+    assert set(found.images) <= set(results["sid-sony"].images)
+    assert found.format_text().startswith("sid-sony, protocol sid: 45 of 45 pairs, subset indoor-15\n")
+
+
+def test_the_command(root: Path, predictions: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["evaluate", str(predictions / "sid-sony"), "--dataset", "sid-sony", "--root", str(root)]
+    arguments += ["--subset", "test-first", "--exclude", "misaligned", "--jobs", "1"]
+    assert main([*arguments, "--json", str(tmp_path / "scores.json"), "--protocol", "sid-uncorrected"]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith(
+        "sid-sony, protocol sid-uncorrected: 88 of 88 pairs, subset test-first, without misaligned (5)\n"
+    )
+    data = json.loads((tmp_path / "scores.json").read_text(encoding="utf-8"))
+    assert data["provenance"]["subset"] == "test-first"
+    assert data["provenance"]["excluded_flags"] == {"misaligned": 5}
+    assert {image["rescale"] for image in data["images"]} == {1.0}
+
+
+@pytest.mark.parametrize(
+    ("extra", "said"),
+    [
+        (["--subset", "indoor"], "no subset is called 'indoor'; known are eval-first, test-first, indoor-15, all"),
+        (["--exclude", "blurred"], "no pair has flag blurred; known are misaligned"),
+        (["--protocol", "eld"], "protocol 'eld' is for dataset 'eld', not 'sid-sony'"),
+    ],
+)
+def test_unknown_names(
+    extra: list[str], said: str, root: Path, predictions: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = str(predictions / "sid-sony")
+    assert main(["evaluate", folder, "--dataset", "sid-sony", "--root", str(root), "--jobs", "1", *extra]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_set_without_subsets_has_none(tree: Tree, predictions: Path) -> None:
+    with pytest.raises(ArgumentError, match="known are none"):
+        evaluate(predictions, manifest=tree.manifest, root=tree.root, subset="all")
+
+
+@pytest.mark.parametrize(
+    ("dataset", "protocol"),
+    [("eld", "eld"), ("eld-demo", "eld"), ("sid-sony", "sid"), ("sid-fuji", "sid"), ("mine", "eld"), ("elder", "eld")],
+)
+def test_each_dataset_has_its_protocol(dataset: str, protocol: str) -> None:
+    assert default_protocol(dataset) is PROTOCOLS[protocol]
+    assert not PROTOCOLS["eld"].covers("elder")
+    assert not PROTOCOLS["sid"].covers("eld")

@@ -1,0 +1,439 @@
+"""The shipped SID manifests against facts written down here anew, and verify on trees with the published names."""
+
+from __future__ import annotations
+
+import shutil
+from collections import Counter
+from fractions import Fraction
+from pathlib import PurePosixPath
+from typing import TYPE_CHECKING
+
+import pytest
+
+from eldata.errors import ArgumentError, ManifestError
+from eldata.manifest.card import load_card, save_card
+from eldata.manifest.catalogue import Manifest, shipped_folder, shipped_manifest
+from eldata.manifest.pairs import select_pairs
+from eldata.manifest.sid import SID_CAMERAS, SONY, load_scenes, save_scenes, scenes_from_lists
+from eldata.manifest.sid_published import published_sid
+from eldata.manifest.subsets import Subset, find_subset
+from eldata.manifest.table import save_records
+from eldata.manifest.verify import Level, Problem, verify
+from tests.sid_tree import NAMES, SmallTree, build_sid_tree, build_small_tree
+from tests.trees import scale_exposure, swap
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from eldata.records import PairRecord
+
+FACTS = shipped_folder() / "facts"
+NAMED = pytest.mark.parametrize("name", NAMES)
+FOLDERS = {"sid-sony": ("Sony", ".ARW"), "sid-fuji": ("Fuji", ".RAF")}
+
+# Short and long frames, and short ones per ratio 100, 250, 300; in all, and of the first shots alone.
+COUNTS = {
+    ("sid-sony", "train"): (1865, 161, (587, 457, 821), (85, 85, 110)),
+    ("sid-sony", "val"): (234, 20, (72, 62, 100), (11, 11, 14)),
+    ("sid-sony", "test"): (598, 50, (182, 180, 236), (29, 29, 35)),
+    ("sid-fuji", "train"): (1655, 135, (805, 427, 423), (135, 81, 70)),
+    ("sid-fuji", "val"): (218, 17, (109, 67, 42), (17, 13, 8)),
+    ("sid-fuji", "test"): (524, 41, (203, 156, 165), (41, 27, 26)),
+}
+INDOOR = (
+    *("10185", "10187", "10191", "10193", "10198", "10213", "10217", "10226", "10227", "10228"),
+    *("20188", "20201", "20208", "20210", "20211"),
+)
+
+
+def per_ratio(pairs: tuple[PairRecord, ...]) -> tuple[int, ...]:
+    counts = Counter(pair.ratio for pair in pairs)
+    assert set(counts) <= {100, 250, 300}
+    return tuple(counts[Fraction(ratio)] for ratio in (100, 250, 300))
+
+
+def subset_of(manifest: Manifest, name: str, **options: object) -> tuple[PairRecord, ...]:
+    return select_pairs(manifest.records, subset=find_subset(manifest.card.subsets, name), **options)  # type: ignore[arg-type]
+
+
+def first_shot(path: str) -> bool:
+    return PurePosixPath(path).name.split("_")[1] == "00"
+
+
+# --- rows ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "split"), COUNTS)
+def test_counts_per_split_and_ratio(name: str, split: str) -> None:
+    manifest = shipped_manifest(name)
+    short, long, ratios, first = COUNTS[name, split]
+    roles = Counter(record.role for record in manifest.records if record.split == split)
+    assert roles == {"noisy": short, "reference": long}
+    pairs = select_pairs(manifest.records, splits=[split])
+    assert per_ratio(pairs) == ratios
+    assert per_ratio(tuple(pair for pair in pairs if first_shot(pair.path))) == first
+
+
+@pytest.mark.parametrize(("name", "short", "long"), [("sid-sony", 2697, 231), ("sid-fuji", 2397, 193)])
+def test_totals(name: str, short: int, long: int) -> None:
+    manifest = shipped_manifest(name)
+    assert manifest.card.counts == {"noisy": short, "reference": long}
+    assert len(manifest.records) == short + long
+
+
+@NAMED
+def test_rows_say_what_their_names_say(name: str) -> None:
+    """Decimal times from the names, the cap of the published code, and 1/30 s for 0.033."""
+    manifest = shipped_manifest(name)
+    folder, extension = FOLDERS[name]
+    (camera,) = manifest.card.cameras
+    by_path = {record.path: record for record in manifest.records}
+    for record in manifest.records:
+        place, _, rest = record.path.rpartition("/")
+        scene, burst, time = rest.removesuffix(f"s{extension}").split("_")
+        assert place == f"{folder}/{'long' if record.role == 'reference' else 'short'}"
+        assert (record.camera, record.scene) == (camera, scene)
+        assert record.split == {"0": "train", "1": "test", "2": "val"}[scene[0]]
+        assert record.exposure_s == (Fraction(1, 30) if time == "0.033" else Fraction(time))
+        assert {record.width, record.height, record.size_bytes, record.sha256} == {None}
+        if record.role == "reference":
+            assert (burst, record.ratio, record.reference, record.flags) == ("00", None, None, ())
+            assert time in ("10", "30")
+            continue
+        assert record.reference is not None
+        reference = by_path[record.reference]
+        assert reference.scene == scene
+        long_time = PurePosixPath(record.reference).name.split("_")[2].removesuffix(f"s{extension}")
+        assert record.ratio == min(Fraction(long_time) / Fraction(time), 300)
+        if "uncertain-iso" not in record.flags:
+            assert record.iso == reference.iso
+        assert reference.exposure_s is not None
+        assert record.exposure_s is not None
+        assert reference.exposure_s / record.exposure_s == record.ratio, "with the true times the cap changes nothing"
+
+
+@pytest.mark.parametrize(
+    ("name", "path", "iso"),
+    [
+        ("sid-sony", "Sony/short/00001_00_0.04s.ARW", 200),
+        ("sid-sony", "Sony/long/10003_00_10s.ARW", 200),
+        ("sid-sony", "Sony/short/10172_09_0.1s.ARW", 160),
+        ("sid-sony", "Sony/short/20005_01_0.1s.ARW", 200),
+        ("sid-sony", "Sony/long/00207_00_10s.ARW", 25600),
+        ("sid-fuji", "Fuji/short/10019_00_0.033s.RAF", 640),
+        ("sid-fuji", "Fuji/short/00001_03_0.1s.RAF", 1000),
+        ("sid-fuji", "Fuji/long/20015_00_10s.RAF", 1000),
+    ],
+)
+def test_some_rows_of_the_official_lists(name: str, path: str, iso: int) -> None:
+    (record,) = [record for record in shipped_manifest(name).records if record.path == path]
+    assert record.iso == iso
+
+
+def test_flags() -> None:
+    flagged: dict[tuple[str, str], set[str]] = {}
+    for name in NAMES:
+        for record in shipped_manifest(name).records:
+            for flag in record.flags:
+                assert record.role == "noisy"
+                flagged.setdefault((name, flag), set()).add(record.scene)
+    assert flagged == {
+        ("sid-sony", "misaligned"): {"10034", "10045", "10172"},
+        ("sid-sony", "misaligned-unconfirmed"): {"00108", "00183"},
+        ("sid-sony", "uncertain-iso"): {"00207"},
+        ("sid-fuji", "misaligned-unconfirmed"): {"10172"},
+    }
+    for name, flag in flagged:
+        assert any(flag in defect for defect in shipped_manifest(name).card.known_defects)
+
+
+def test_a_flag_is_on_every_pair_of_its_scene() -> None:
+    pairs = select_pairs(shipped_manifest("sid-sony").records, scenes=["10034", 10045, 10172])
+    assert {pair.flags for pair in pairs} == {("misaligned",)}
+    assert len(pairs) == 12 + 14 + 10
+
+
+def test_the_one_frame_of_uncertain_iso_states_none() -> None:
+    (record,) = [r for r in shipped_manifest("sid-sony").records if "uncertain-iso" in r.flags]
+    assert (record.path, record.iso, record.ratio) == ("Sony/short/00207_02_0.033s.ARW", None, Fraction(300))
+
+
+# --- subsets ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "subset", "ratios", "misaligned"),
+    [
+        ("sid-sony", "eval-first", (40, 40, 49), (2, 2, 1)),
+        ("sid-sony", "test-first", (29, 29, 35), (2, 2, 1)),
+        ("sid-sony", "indoor-15", (15, 15, 15), (0, 0, 0)),
+        ("sid-sony", "all", (841, 699, 1157), None),
+        ("sid-fuji", "test-first", (41, 27, 26), (0, 0, 0)),
+        ("sid-fuji", "eval-first", (58, 40, 34), (0, 0, 0)),
+        ("sid-fuji", "all", (1117, 650, 630), None),
+    ],
+)
+def test_subsets(name: str, subset: str, ratios: tuple[int, ...], misaligned: tuple[int, ...] | None) -> None:
+    manifest = shipped_manifest(name)
+    pairs = subset_of(manifest, subset)
+    assert per_ratio(pairs) == ratios
+    assert len(pairs) == find_subset(manifest.card.subsets, subset).pairs == sum(ratios)
+    if misaligned is not None:
+        assert all(first_shot(pair.path) for pair in pairs)
+        assert per_ratio(tuple(pair for pair in pairs if "misaligned" in pair.flags)) == misaligned
+
+
+def test_the_indoor_subset_is_15_scenes_at_each_ratio() -> None:
+    pairs = subset_of(shipped_manifest("sid-sony"), "indoor-15")
+    assert Counter(pair.scene for pair in pairs) == dict.fromkeys(INDOOR, 3)
+    times = {pair.path.rpartition("_")[2]: pair.ratio for pair in pairs}
+    assert times == {"0.1s.ARW": 100, "0.04s.ARW": 250, "0.033s.ARW": 300}
+
+
+@NAMED
+def test_every_subset_says_where_it_comes_from(name: str) -> None:
+    card = shipped_manifest(name).card
+    assert card.subsets[0].name == {"sid-sony": "eval-first", "sid-fuji": "test-first"}[name]
+    for subset in card.subsets:
+        assert subset.title
+        assert subset.source
+
+
+def test_a_subset_and_other_choices_together() -> None:
+    manifest = shipped_manifest("sid-sony")
+    assert len(subset_of(manifest, "eval-first", exclude_flags=["misaligned"])) == 124
+    assert len(subset_of(manifest, "eval-first", ratios=[300], splits=["val"])) == 14
+    assert {pair.scene for pair in subset_of(manifest, "indoor-15", scenes=[10185])} == {"10185"}
+
+
+def test_an_unknown_subset_lists_the_known() -> None:
+    known = shipped_manifest("sid-sony").card.subsets
+    with pytest.raises(ArgumentError, match="'first'; known are eval-first, test-first, indoor-15, all"):
+        find_subset(known, "first")
+    with pytest.raises(ArgumentError, match="known are none"):
+        find_subset((), "all")
+
+
+def test_a_subset_that_lost_pairs_is_refused() -> None:
+    manifest = shipped_manifest("sid-sony")
+    records = [record for record in manifest.records if record.path != "Sony/short/10185_00_0.1s.ARW"]
+    with pytest.raises(ManifestError, match="'indoor-15': the card expects 45 pairs, the manifest has 44"):
+        select_pairs(records, subset=find_subset(manifest.card.subsets, "indoor-15"))
+
+
+@pytest.mark.parametrize(
+    ("filters", "said"),
+    [
+        ({"splits": ["dev"]}, "no pair has split dev; known are test, train, val"),
+        ({"splits": "test"}, "as a list"),
+        ({"scenes": [7]}, "no pair has scene 7; known are 00001, 00002, "),
+        ({"scenes": ["10002"]}, "no pair has scene 10002; known are .*10003, "),
+        ({"isos": [12]}, "no pair has ISO 12; known are 50, 64, 80, 100, .*25600$"),
+        ({"ratios": [303]}, "no pair has ratio 303; known are 100, 250, 300"),
+        ({"exclude_flags": ["blurred"]}, "no pair has flag blurred; known are misaligned, misaligned-unconfirmed"),
+        ({"exclude_flags": "misaligned"}, "as a list"),
+    ],
+)
+def test_unknown_values_list_the_known(filters: dict[str, object], said: str) -> None:
+    with pytest.raises(ArgumentError, match=said):
+        select_pairs(shipped_manifest("sid-sony").records, **filters)  # type: ignore[arg-type]
+
+
+def test_subsets_round_trip_through_the_card(tmp_path: Path) -> None:
+    card = shipped_manifest("sid-sony").card
+    save_card(tmp_path / "sid-sony.json", card)
+    assert load_card(tmp_path / "sid-sony.json") == card
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('"pairs": 45', '"pairs": "45"', r"subsets\[2\].pairs: expected int"),
+        ('"name": "all"', '"name": "indoor-15"', r"subsets\[3\].name: 'indoor-15' names two subsets"),
+        ('"splits"', '"split"', r"subsets\[0\].split: is unknown"),
+        ('"pairs": 129,', "", r"subsets\[0\].pairs: is missing"),
+    ],
+)
+def test_malformed_subsets_are_named(old: str, new: str, said: str, tmp_path: Path) -> None:
+    text = (shipped_folder() / "sid-sony.json").read_text(encoding="utf-8")
+    assert old in text
+    (tmp_path / "card.json").write_text(text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(ManifestError, match=said):
+        load_card(tmp_path / "card.json")
+
+
+def test_a_subset_without_conditions_holds_everything() -> None:
+    pairs = select_pairs(shipped_manifest("sid-fuji").records)
+    assert Subset("x", "", "", len(pairs)).choose(pairs) == list(pairs)
+
+
+# --- the generator ------------------------------------------------------------------------------------------------
+
+
+@NAMED
+def test_committed_files_are_what_the_generator_writes(name: str, tmp_path: Path) -> None:
+    card, records = published_sid(name, load_scenes(FACTS / f"{name}.csv"))
+    save_records(tmp_path / f"{name}.csv", records)
+    save_card(tmp_path / f"{name}.json", card)
+    for file in (f"{name}.csv", f"{name}.json"):
+        assert (tmp_path / file).read_bytes() == (shipped_folder() / file).read_bytes(), f"run make manifests ({file})"
+
+
+@NAMED
+def test_the_official_lists_condense_to_the_table_of_scenes(name: str, tmp_path: Path) -> None:
+    """Lists in the official form, written from the manifest, give the committed table of scenes."""
+    folder, _ = FOLDERS[name]
+    pairs = select_pairs(shipped_manifest(name).records)
+    lists = []
+    for split in ("train", "val", "test"):
+        lists.append(tmp_path / f"{folder}_{split}_list.txt")
+        lines = [
+            f"./{pair.path} ./{pair.reference} ISO{pair.iso or 12800} F8\n" for pair in pairs if pair.split == split
+        ]
+        lists[-1].write_text("".join(lines), encoding="utf-8")
+    save_scenes(tmp_path / "scenes.csv", scenes_from_lists(SID_CAMERAS[name], lists))
+    assert (tmp_path / "scenes.csv").read_bytes() == (FACTS / f"{name}.csv").read_bytes()
+
+
+GOOD = "./Sony/short/00001_0{}_0.1s.ARW ./Sony/long/00001_00_{}s.ARW ISO{} F8"
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        ([GOOD.format(0, 10, 200), "./Sony/short/00001_01_0.1s.ARW"], "line 2: not a line of a SID list"),
+        ([GOOD.format(0, 10, 200).replace("long/00001", "long/00002")], "line 1: not a line"),
+        ([GOOD.format(0, 10, 200), GOOD.format(2, 10, 200)], r"scene 00001.*gaps: \['0.1s'\]"),
+        ([GOOD.format(0, 10, 200), GOOD.format(1, 30, 200)], r"long: \['10s', '30s'\]"),
+        ([GOOD.format(0, 10, 200), GOOD.format(1, 10, 400)], "of another ISO: .*00001_01_0.1s.ARW"),
+    ],
+)
+def test_a_list_that_the_table_cannot_say_is_refused(lines: list[str], said: str, tmp_path: Path) -> None:
+    path = tmp_path / "Sony_train_list.txt"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    with pytest.raises(ManifestError, match=said):
+        scenes_from_lists(SONY, [path])
+
+
+def test_another_table_of_scenes_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "scenes.csv").write_text("scene,iso\n00001,200\n", encoding="utf-8")
+    with pytest.raises(ManifestError, match=r"expected the columns scene,iso,long,0\.1s,0\.04s,0\.033s"):
+        load_scenes(tmp_path / "scenes.csv")
+
+
+# --- verify -------------------------------------------------------------------------------------------------------
+
+# A scene of each split with shots at all three ratios, or two.
+SCENES = {"sid-sony": ("10185", "20201"), "sid-fuji": ("10019", "20015")}
+LEFT = {"sid-sony": "Sony/short/10185_00_", "sid-fuji": "Fuji/short/10019_00_"}
+
+
+@pytest.fixture(scope="module")
+def pristine(tmp_path_factory: pytest.TempPathFactory) -> dict[str, SmallTree]:
+    return {name: build_small_tree(name, tmp_path_factory.mktemp(name), SCENES[name]) for name in NAMES}
+
+
+@pytest.fixture(params=NAMES)
+def tree(request: pytest.FixtureRequest, pristine: dict[str, SmallTree], tmp_path: Path) -> SmallTree:
+    """A copy of one's own, of either half."""
+    name: str = request.param
+    shutil.copytree(pristine[name].csv.parents[1], tmp_path / "tree")
+    return SmallTree(tmp_path / "tree" / "manifests" / f"{name}.csv", tmp_path / "tree" / "data")
+
+
+def problems(tree: SmallTree, level: Level = "metadata") -> list[Problem]:
+    return list(verify([tree.manifest], tree.root, level=level).problems)
+
+
+def frame(tree: SmallTree, exposure: str, burst: int = 0) -> str:
+    name = tree.manifest.name
+    return f"{LEFT[name].removesuffix('00_')}{burst:02d}_{exposure}s{FOLDERS[name][1]}"
+
+
+@pytest.mark.parametrize("level", ["quick", "metadata", "full"])
+def test_a_good_copy_passes(tree: SmallTree, level: Level) -> None:
+    assert problems(tree, level) == []
+
+
+@NAMED
+def test_every_published_name_verifies(name: str, tmp_path: Path) -> None:
+    manifest = shipped_manifest(name)
+    build_sid_tree(manifest, tmp_path / "SID")
+    report = verify([manifest], tmp_path, dataset=name, level="quick")
+    assert report.ok
+    assert report.datasets[0].files_checked == len(manifest.records)
+
+
+def test_a_missing_file(tree: SmallTree) -> None:
+    lost = frame(tree, "0.1")
+    (tree.data / lost).unlink()
+    assert [(problem.path, problem.field) for problem in problems(tree)] == [(lost, "file")]
+
+
+def test_a_missing_reference_folder(tree: SmallTree) -> None:
+    folder = f"{FOLDERS[tree.manifest.name][0]}/long"
+    shutil.rmtree(tree.data / folder)
+    assert [(problem.path, problem.expected) for problem in problems(tree)] == [(f"{folder}/", "2 files")]
+
+
+@pytest.mark.parametrize("kept", [0.1, 0.9])
+def test_a_truncated_file(tree: SmallTree, kept: float) -> None:
+    path = tree.data / frame(tree, "0.1")
+    path.write_bytes(path.read_bytes()[: int(path.stat().st_size * kept)])
+    assert [(problem.path, problem.field) for problem in problems(tree)] == [(frame(tree, "0.1"), "content")]
+
+
+def test_swapped_exposures(tree: SmallTree) -> None:
+    """The short frame of 0.1 s under the name of that of 0.033 s: its exposure gives it away, and the ratio."""
+    first, second = frame(tree, "0.1"), frame(tree, "0.033")
+    swap(tree.data / first, tree.data / second)
+    found = [(problem.path, problem.field) for problem in problems(tree)]
+    assert found == [(path, field) for path in sorted((first, second)) for field in ("exposure_s", "ratio")]
+
+
+def test_a_short_frame_swapped_with_its_reference(tree: SmallTree) -> None:
+    noisy = frame(tree, "0.1")
+    (reference,) = [record.reference for record in tree.manifest.records if record.path == noisy]
+    assert reference is not None
+    swap(tree.data / noisy, tree.data / reference)
+    assert {problem.path for problem in problems(tree)} >= {noisy, reference}
+
+
+def test_a_misnumbered_burst(tree: SmallTree) -> None:
+    """A burst that is numbered from 1: its first shot is missing, one more than the last is there."""
+    scene = SCENES[tree.manifest.name][0]
+    shots = sum(record.scene == scene and "_0.1s" in record.path for record in tree.manifest.records)
+    for number in reversed(range(shots)):
+        (tree.data / frame(tree, "0.1", burst=number)).rename(tree.data / frame(tree, "0.1", burst=number + 1))
+    first, last = problems(tree, "quick")
+    assert (first.path, first.found) == (frame(tree, "0.1"), "nothing")
+    assert last.path == frame(tree, "0.1", burst=shots)
+    assert last.found.endswith("this one unlisted")
+
+
+def test_a_file_of_another_scene(tree: SmallTree) -> None:
+    """Equal times, other ISO."""
+    other = frame(tree, "0.1").replace(*SCENES[tree.manifest.name])
+    assert len({record.iso for record in tree.manifest.records}) == 2
+    shutil.copy(tree.data / other, tree.data / frame(tree, "0.1"))
+    assert "iso" in {problem.field for problem in problems(tree)}
+
+
+@pytest.mark.parametrize(
+    ("seconds", "fine"), [(Fraction(1, 30), True), (Fraction(33, 1000), True), (Fraction(1, 25), False)]
+)
+def test_the_capped_ratio_and_exif(tree: SmallTree, seconds: Fraction, fine: bool) -> None:
+    """EXIF of 1/30 s gives a ratio of 300, of 0.033 s 303: both are the pair of the name. A ratio of 250 is not."""
+    path = tree.data / frame(tree, "0.033")
+    scale_exposure(path, seconds * 30)
+    assert (problems(tree) == []) is fine
+
+
+def test_a_reference_of_30_s_is_not_hidden_by_the_cap(tree: SmallTree) -> None:
+    """min(30 / 0.04, 300) is 300 too, but the lists have no such pair."""
+    (reference,) = [r.reference for r in tree.manifest.records if r.path == frame(tree, "0.1")]
+    assert reference is not None
+    scale_exposure(tree.data / reference, Fraction(3))
+    fields = [problem.field for problem in problems(tree)]
+    assert fields.count("exposure_s") == 1
+    assert set(fields) == {"exposure_s", "ratio"}

@@ -19,7 +19,7 @@ from benchmarks.harness import Row, measure
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-NAMES = ("decode", "packing", "dataset_item", "metrics", "evaluation", "noise", "synthetic_pairs")
+NAMES = ("decode", "packing", "dataset_item", "metrics", "evaluation", "noise", "synthetic_pairs", "calibration")
 
 _PACKAGES = ("eldata", "numpy", "numba", "rawpy", "torch", "scikit-image")
 
@@ -34,8 +34,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         from benchmarks.data import make_files
 
         _say("making the files")
-        files = make_files(Path(folder))
-        for name in options.names or NAMES:
+        names = options.names or NAMES
+        files = make_files(Path(folder), calibration="calibration" in names)
+        for name in names:
             for count in cores:
                 _say(f"{name} on {count} of {cores[-1]} cores")
                 found += [(name, count, row) for row in measure(name, files, options.rounds, count)]

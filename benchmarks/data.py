@@ -1,17 +1,24 @@
-"""What is measured: one scene photographed at 12 megapixels by the demo's first camera, and predictions for it."""
+"""What is measured: one scene photographed at 12 megapixels by the demo's first camera, and predictions for it.
+
+For the calibration, bias and flat-field frames of the camera whose noise is known.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import os
+from dataclasses import dataclass, replace
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from eldata.datasets import ELDDataset
+from eldata.demo.calibration_frames import make_calibration_frames
 from eldata.demo.camera import CAMERAS
 from eldata.demo.tree import make_tree
 from eldata.evaluation import save_prediction
+from eldata.parallel import run_units
 from eldata.raw import read_raw, write_dng
 
 if TYPE_CHECKING:
@@ -21,19 +28,24 @@ if TYPE_CHECKING:
 
 SIZE = (2832, 4240)
 
+CALIBRATION_ISOS = {100: (200, 400), 1600: (800, 3200), 25600: (6400, 12800)}
+"""ISOs whose frames are simulated, and those under which the same pixels are written again."""
+
 
 @dataclass(frozen=True, slots=True)
 class Files:
     """Where things lie, in a folder that the caller removes.
 
     ``data`` holds an ELD-like set of lossless-JPEG DNGs, 16 frames of which 6 are scored; ``uncompressed`` is its
-    first reference, written without compression.
+    first reference, written without compression. ``calibration`` holds bias and flat-field frames by ISO, if they were
+    asked for.
     """
 
     data: Path
     manifest: Path
     predictions: Path
     uncompressed: Path
+    calibration: Path
 
     def dataset(self) -> ELDDataset:
         return ELDDataset(self.data / "ELD-demo", manifest=self.manifest)
@@ -47,15 +59,48 @@ class Files:
         return self.predictions / Path(self.dataset().records[0].path).with_suffix(".npy")
 
 
-def make_files(folder: Path) -> Files:
-    """Write everything into ``folder``: half a gigabyte, in about half a minute."""
+def make_files(folder: Path, *, calibration: bool = True) -> Files:
+    """Write everything into ``folder``: half a gigabyte, in about half a minute; with ``calibration`` 2 GB more."""
     manifest = make_tree(folder, scenes=1, size=SIZE, cameras=CAMERAS[:1])
-    files = Files(folder / "data", manifest.path, folder / "predictions", folder / "uncompressed.dng")
+    files = Files(
+        data=folder / "data",
+        manifest=manifest.path,
+        predictions=folder / "predictions",
+        uncompressed=folder / "uncompressed.dng",
+        calibration=folder / "calibration",
+    )
     reference = read_raw(files.first_pair()[1])
     write_dng(files.uncompressed, reference.mosaic, reference.sensor, reference.exposure)
     for path, prediction in _predictions(files.dataset()):
         save_prediction(files.predictions, path, prediction)
+    if calibration:
+        _make_calibration(files.calibration)
     return files
+
+
+def _make_calibration(folder: Path) -> None:
+    """Write 10 bias frames and 5 pairs of flats at each of nine ISOs: 180 files.
+
+    A third of them is simulated and written under two more ISOs each: they take as long to read and to measure as if
+    all were, and most of a minute is saved.
+    """
+    jobs = len(os.sched_getaffinity(0))
+    made = folder / "made"
+    manifest = make_calibration_frames(made, isos=tuple(CALIBRATION_ISOS), size=SIZE, jobs=jobs)
+    (made / "data" / "calibration" / manifest.records[0].camera).rename(folder / manifest.records[0].camera)
+    paths = [folder / record.path for record in manifest.records]
+    for _ in run_units(_write_again, paths, jobs=jobs, label="calibration files"):
+        pass
+
+
+def _write_again(path: Path) -> None:
+    frame = read_raw(path)
+    iso = int(path.parent.name.removeprefix("ISO"))
+    for other in CALIBRATION_ISOS[iso]:
+        target = path.parent.with_name(f"ISO{other}") / path.name
+        target.parent.mkdir(exist_ok=True)
+        exposure = replace(frame.exposure, iso=Fraction(other))
+        write_dng(target, frame.mosaic, frame.sensor, exposure, compression="lossless-jpeg")
 
 
 def _predictions(dataset: ELDDataset) -> Iterator[tuple[str, NDArray[np.float32]]]:

@@ -1,4 +1,9 @@
+from .calibration import calibrate as calibrate
+from .datasets import CalibrationFrames as CalibrationFrames
+from .datasets import DRVDataset as DRVDataset
 from .datasets import ELDDataset as ELDDataset
+from .datasets import SIDDataset as SIDDataset
+from .datasets import SyntheticClips as SyntheticClips
 from .datasets import SyntheticPairs as SyntheticPairs
 from .evaluation import evaluate as evaluate
 from .manifest import verify as verify

@@ -56,14 +56,14 @@ def add_cameras(parser: argparse.ArgumentParser) -> None:
 
 
 def add_jobs(parser: argparse.ArgumentParser) -> None:
-    """Add ``--jobs`` to a subcommand; the default is one process per CPU."""
+    """Add ``--jobs`` to a subcommand; the default is one per CPU."""
     cpus = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     parser.add_argument(
         "--jobs",
         type=_positive,
         default=cpus,
         metavar="J",
-        help="worker processes (default: one per CPU, here %(default)s)",
+        help="work on so many files at a time (default: one per CPU, here %(default)s)",
     )
 
 

@@ -1,4 +1,4 @@
-"""Units of work spread over processes, results in order, with a progress bar on a terminal."""
+"""Units of work spread over processes or threads, results in order."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import multiprocessing
 import signal
 import threading
 from collections import deque
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, TypeVar
@@ -16,7 +16,7 @@ from tqdm import tqdm
 from eldata.errors import ArgumentError, EldataError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
 Unit = TypeVar("Unit")
 Result = TypeVar("Result")
@@ -56,6 +56,34 @@ def run_units(
         for result in results:
             bar.update()
             yield result
+
+
+def read_ahead(work: Callable[[Unit], Result], units: Iterable[Unit], *, threads: int) -> Iterator[Result]:
+    """Yield ``work(unit)`` for each unit, in the units' order, computed by threads that run ahead.
+
+    For work that releases the GIL, as decoding does, and whose results are too large to send between processes. At most
+    ``threads`` + 1 results are in memory; 1 works in the calling thread.
+
+    Raises
+    ------
+    ArgumentError
+        If ``threads`` is not positive. Errors that ``work`` raises come through as they are, in their unit's turn.
+    """
+    check_jobs(threads)
+    if threads == 1:
+        yield from map(work, units)
+        return
+    pool = ThreadPoolExecutor(threads)
+    waiting: deque[Future[Result]] = deque()
+    try:
+        for unit in units:
+            waiting.append(pool.submit(work, unit))
+            if len(waiting) > threads:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
 
 
 def check_jobs(jobs: int) -> None:

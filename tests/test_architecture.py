@@ -55,7 +55,9 @@ def test_imports_load_neither_torch_nor_rawpy(code: str) -> None:
     assert loaded_after(code) == set()
 
 
-@pytest.mark.parametrize("command", ["", "verify", "lock", "evaluate", "demo", "synthesize", "profile", "profile show"])
+@pytest.mark.parametrize(
+    "command", ["", "verify", "lock", "evaluate", "demo", "calibrate", "synthesize", "profile", "profile show"]
+)
 def test_help_loads_neither_torch_nor_rawpy(command: str) -> None:
     assert loaded_after(RUN_ELDATA, *command.split(), "--help") == set()
 
@@ -165,7 +167,8 @@ ALLOWED = {
     "eldata.metrics": ("eldata.errors", "eldata._compiled", "eldata.tensors"),
     "capture": (
         *("eldata.records", "eldata.manifest", "eldata.raw", "eldata.errors", "eldata.files"),
-        *("eldata.console", "eldata.tables"),  # what the two command lines share, as light as errors
+        # What the two command lines share, as light as errors; files are read by several processes.
+        *("eldata.console", "eldata.tables", "eldata.parallel"),
     ),
 }
 REFUSED = {
@@ -173,7 +176,10 @@ REFUSED = {
     "eldata.metrics": ("eldata.raw", "eldata.manifest", "eldata.datasets", "eldata.evaluation"),
     "eldata.manifest": ("eldata.datasets", "eldata.evaluation", "eldata.cli", "eldata.noise", "eldata.demo"),
     "eldata.datasets": ("eldata.cli", "eldata.evaluation", "eldata.demo"),
-    "eldata.evaluation": ("eldata.cli", "eldata.demo"),
+    "eldata.evaluation": ("eldata.cli", "eldata.demo", "eldata.calibration"),
+    "eldata.calibration": ("eldata.cli", "eldata.evaluation", "eldata.demo", "eldata.reports"),
+    "eldata.noise": ("eldata.cli", "eldata.evaluation", "eldata.demo", "eldata.reports", "eldata.calibration"),
+    "eldata.reports": ("eldata.cli", "eldata.evaluation", "eldata.demo"),
     "eldata.isp": ("eldata.cli", "eldata.demo", "eldata.datasets", "eldata.evaluation"),
 }
 
@@ -292,7 +298,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_wheel_holds_what_it_must(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
-    for name in ("eld.csv", "eld.json"):
+    for name in ("eld.csv", "eld.json", "sid-sony.csv", "sid-sony.json", "sid-fuji.csv", "sid-fuji.json"):
         assert f"eldata/manifest/shipped/{name}" in names
     assert {"eldata/py.typed", "capture/py.typed"} <= names
     sources = [*(ROOT / "eldata").rglob("*.py*"), *(ROOT / "capture").rglob("*.py*")]
@@ -309,8 +315,10 @@ def test_the_wheel_holds_nothing_else(wheel: Path) -> None:
         ".py",
         ".pyi",
         ".typed",
+        ".css",
         ".csv",
         ".html",
+        ".js",
         ".json",
     }
 

@@ -11,6 +11,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,7 +20,7 @@ from typing import TYPE_CHECKING, overload
 import pytest
 
 from eldata.errors import ArgumentError, EldataError, RawFileError
-from eldata.parallel import run_units
+from eldata.parallel import read_ahead, run_units
 from eldata.raw.reading import read_header
 
 if TYPE_CHECKING:
@@ -138,6 +139,90 @@ def test_leaving_early_ends_the_workers() -> None:
     next(results)
     results.close()  # type: ignore[attr-defined] # an iterator by its type, a generator in fact
     # no_process_is_left looks
+
+
+# --- threads ----------------------------------------------------------------------------------------------------------
+
+
+def reader_threads() -> list[str]:
+    return [thread.name for thread in threading.enumerate() if thread.name.startswith("ThreadPoolExecutor")]
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_threads_give_results_in_the_units_order(threads: int) -> None:
+    delays = [0.05, 0.0, 0.03, 0.0, 0.01, 0.0]
+
+    def work(index: int) -> int:
+        time.sleep(delays[index])
+        return index
+
+    assert list(read_ahead(work, range(6), threads=threads)) == list(range(6))
+    assert list(read_ahead(work, [], threads=threads)) == []
+    assert list(read_ahead(work, iter([3, 1]), threads=threads)) == [3, 1], "any iterable will do"
+    assert reader_threads() == []
+
+
+def test_one_thread_is_the_callers() -> None:
+    here = threading.get_ident()
+    assert list(read_ahead(lambda _: threading.get_ident(), range(3), threads=1)) == [here] * 3
+    assert here not in set(read_ahead(lambda _: threading.get_ident(), range(3), threads=2))
+
+
+@pytest.mark.parametrize("threads", [2, 4])
+def test_threads_work_at_the_same_time(threads: int) -> None:
+    """A barrier that only so many units together can pass."""
+    barrier = threading.Barrier(threads, timeout=20)
+    passed = list(read_ahead(lambda _: barrier.wait(), range(2 * threads), threads=threads))
+    assert sorted(passed) == sorted([*range(threads)] * 2)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_at_most_one_result_more_than_threads_is_in_memory(threads: int) -> None:
+    """Frames are large: the threads wait until the consumer has taken one, however slow it is."""
+    alive, most, lock = 0, 0, threading.Lock()
+
+    class Frame:
+        def __init__(self, _: int) -> None:
+            nonlocal alive, most
+            with lock:
+                alive += 1
+                most = max(most, alive)
+
+        def __del__(self) -> None:
+            nonlocal alive
+            with lock:
+                alive -= 1
+
+    results = read_ahead(Frame, range(40), threads=threads)
+    for _ in range(40):
+        frame = next(results)
+        time.sleep(0.002)
+        del frame
+    assert most <= threads + 1
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_an_error_of_a_thread_comes_in_its_turn(threads: int) -> None:
+    results = read_ahead(int, ["1", "2", "three", "4", "five", "6"], threads=threads)
+    assert [next(results), next(results)] == [1, 2]
+    with pytest.raises(ValueError, match="'three'"):
+        next(results)
+    assert reader_threads() == []
+
+
+def test_leaving_early_ends_the_threads() -> None:
+    done: list[int] = []
+    results = read_ahead(done.append, range(1000), threads=2)
+    next(results)
+    results.close()  # type: ignore[attr-defined] # an iterator by its type, a generator in fact
+    assert reader_threads() == []
+    assert len(done) <= 4
+
+
+@pytest.mark.parametrize("threads", [0, -1])
+def test_there_must_be_a_thread(threads: int) -> None:
+    with pytest.raises(ArgumentError, match=f"jobs must be 1 or more; found {threads}"):
+        list(read_ahead(abs, [1], threads=threads))
 
 
 INTERRUPTED = """

@@ -31,7 +31,7 @@ def promised(package: str) -> dict[str, str]:
 
 
 def test_the_top_level_has_what_scripts_rely_on() -> None:
-    assert set(vars(eldata)["__all__"]) >= {"ELDDataset", "evaluate", "verify"}
+    assert set(vars(eldata)["__all__"]) >= {"CalibrationFrames", "ELDDataset", "calibrate", "evaluate", "verify"}
     assert eldata.__version__
 
 

@@ -49,6 +49,27 @@ def channel_sums(
 
 
 @kernel
+def line_totals(
+    total: NDArray[np.uint32],
+    defects: NDArray[np.bool_],
+    pattern: NDArray[np.int64],
+    rows: NDArray[np.int64],
+    columns: NDArray[np.int64],
+) -> None:
+    """Add the sound pixels of a sum of frames to ``rows`` (row, channel) and ``columns`` (column, channel)."""
+    period = pattern.shape[0]
+    for row in range(total.shape[0]):
+        for phase in range(period):
+            channel = pattern[row % period, phase]
+            across: Any = 0
+            for column in range(phase, total.shape[1], period):
+                value = np.int64(total[row, column]) * (1 - np.int64(defects[row, column]))
+                across += value
+                columns[column, channel] += value
+            rows[row, channel] += across
+
+
+@kernel
 def channel_histograms(
     mosaic: NDArray[np.uint16], defects: NDArray[np.bool_], pattern: NDArray[np.int64], counts: NDArray[np.int64]
 ) -> None:

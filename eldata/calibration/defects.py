@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eldata._compiled import in_threads
 from eldata.calibration._frames import channels_of, checked_mosaic, pattern_of
 from eldata.errors import ArgumentError, DatasetError
 
@@ -113,7 +114,7 @@ class BiasStack:
         self.frames += 1
 
 
-def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
+def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0, threads: int = 1) -> FixedPattern:
     """Find the defects and measure the fixed pattern.
 
     A pixel is a defect if its trimmed mean over time (its lowest and highest value left out, so that one extreme draw
@@ -122,7 +123,8 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
     the noise should move it.
 
     Dark-signal non-uniformity: ``DSNU^2 = Var(mean frame) - sigma_t^2 / n`` inside of blocks, with sigma_t^2 the mean
-    variance over time (EMVA 1288's correction for n frames).
+    variance over time (EMVA 1288's correction for n frames). Channels are worked on by ``threads`` threads; the result
+    does not depend on their number.
 
     Raises
     ------
@@ -145,20 +147,23 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
 
     stuck = _stuck(lowest, highest, total, squares, frames)
     off_level = np.zeros(total.shape, dtype=np.bool_)
-    limits = np.zeros(channels)
-    for channel in range(channels):
+
+    def limit(channel: int) -> float:
+        """Mark the channel's pixels that are off their neighbourhood's level, and return what counts as off."""
         distances = []
         for site in _sites(pattern, channel):
             trimmed = (total[site] - lowest[site] - highest[site].astype(np.uint32)).astype(np.float32) / (frames - 2)
             distances.append((site, trimmed - _local_median(trimmed)))
         spread = 1.4826 * float(np.median(np.concatenate([np.abs(distance).ravel() for _, distance in distances])))
-        limits[channel] = threshold * max(spread, 1 / frames)
+        far = threshold * max(spread, 1 / frames)
         for site, distance in distances:
-            off_level[site] = np.abs(distance) > limits[channel]
+            off_level[site] = np.abs(distance) > far
+        return far
+
+    limits = in_threads(limit, range(channels), threads)
     defects = off_level | stuck
 
-    variances, pools, shadings, levels = [], [], [], []
-    for channel in range(channels):
+    def measure(channel: int) -> _Channel:
         temporal = count = 0.0
         blocks: list[tuple[NDArray[np.float64], ...]] = []
         for site in _sites(pattern, channel):
@@ -170,13 +175,14 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
         if count < 2:
             raise DatasetError(f"channel {channel} has no sound pixel left: raise the threshold ({threshold:g})")
         variance = temporal / count
-        variances.append(variance)
-        pools.append(_non_uniformity(blocks, variance / frames))
         pixels = sum(block[0] for block in blocks)
         level = sum(block[0] * block[1] for block in blocks) / np.maximum(pixels, 1)
         mean = float((level * pixels).sum() / np.sum(pixels))
-        levels.append(mean)
-        shadings.append((np.where(pixels > 0, level - mean, 0.0), float(np.median(pixels))))
+        dsnu, dsnu_error = _non_uniformity(blocks, variance / frames)
+        shading = np.where(pixels > 0, level - mean, 0.0)
+        return _Channel(variance, mean, dsnu, dsnu_error, shading, max(float(np.median(pixels)), 1.0))
+
+    measured = in_threads(measure, range(channels), threads)
     return FixedPattern(
         pattern=pattern,
         frames=frames,
@@ -184,17 +190,26 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
         defects=defects,
         off_level=int(off_level.sum()),
         stuck=int(stuck.sum()),
-        threshold_dn=tuple(limits.tolist()),
-        level_dn=tuple(levels),
-        temporal_variance_dn2=tuple(variances),
-        dsnu_dn=tuple(value for value, _ in pools),
-        dsnu_error_dn=tuple(error for _, error in pools),
-        shading_dn=np.stack([shading for shading, _ in shadings]),
-        shading_error_dn=tuple(
-            math.sqrt((variance / frames + pool[0] ** 2) / max(pixels, 1.0))
-            for variance, pool, (_, pixels) in zip(variances, pools, shadings, strict=True)
-        ),
+        threshold_dn=tuple(limits),
+        level_dn=tuple(one.level for one in measured),
+        temporal_variance_dn2=tuple(one.variance for one in measured),
+        dsnu_dn=tuple(one.dsnu for one in measured),
+        dsnu_error_dn=tuple(one.dsnu_error for one in measured),
+        shading_dn=np.stack([one.shading for one in measured]),
+        shading_error_dn=tuple(math.sqrt((one.variance / frames + one.dsnu**2) / one.block_pixels) for one in measured),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _Channel:
+    """What one channel's sound pixels show; ``block_pixels`` is how many a block of the shading has."""
+
+    variance: float
+    level: float
+    dsnu: float
+    dsnu_error: float
+    shading: NDArray[np.float64]
+    block_pixels: float
 
 
 Site = tuple[slice, slice]
@@ -270,7 +285,7 @@ def _non_uniformity(blocks: list[tuple[NDArray[np.float64], ...]], noise: float)
     excess = float(squares.sum() / freedom.sum()) - noise
     deviations = squares - freedom * (excess + noise)
     used = int(np.count_nonzero(freedom))
-    error = math.sqrt(float(deviations @ deviations) * used / max(used - 1, 1)) / float(freedom.sum())
+    error = math.sqrt(float(np.square(deviations).sum()) * used / max(used - 1, 1)) / float(freedom.sum())
     if excess <= 0:
         return 0.0, math.sqrt(error)
     return math.sqrt(excess), min(error / (2 * math.sqrt(excess)), math.sqrt(error))

@@ -297,15 +297,15 @@ class FlatFrames:
         counts = np.zeros((len(self._black), 65536), dtype=np.int64)
         channel_histograms(mosaic, checked_defects(self._defects, self._shape), self._pattern, counts)
         self.frames += 1
-        values = np.arange(65536, dtype=np.float64)
+        values = np.arange(65536)  # integers: exact, and no BLAS, whose threads would wait in vain
         for channel, histogram in enumerate(counts):
             total = int(histogram.sum())
             bad = int(histogram[0]) + int(histogram[math.ceil(self._limit) :].sum())
             if total < 2 or bad > _CLIPPED_SHARE * 0.01 * total:
                 continue
             median = float(np.searchsorted(np.cumsum(histogram), total / 2))
-            mean = float(histogram @ values) / total
-            variance = float(histogram @ (values - mean) ** 2) / (total - 1)
+            first, second = int(histogram @ values), int(histogram @ values**2)
+            variance = (second - first * first / total) / (total - 1)
             self.points[channel].append((median - float(self._black[channel]), variance))
 
 

@@ -147,6 +147,30 @@ class ReadNoise:
     is_reliable: bool
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ProbabilityPlot:
+    """Quantiles of the residuals beside those of the two distributions (figure "TL-PPCC").
+
+    Attributes
+    ----------
+    ordered_dn
+        Quantiles of the residuals, evenly spaced in the normal quantile out to the outermost hundred residuals.
+    normal, tukey_lambda
+        Quantiles of the standard normal and of the Tukey-lambda distribution of ``shape`` at the same levels.
+    shape
+        Lambda of the highest probability-plot correlation on these residuals.
+    slope_normal_dn, slope_tukey_lambda_dn
+        Of the two least-squares lines through the origin that all residuals, not just these points, make.
+    """
+
+    ordered_dn: NDArray[np.float64] = field(repr=False)
+    normal: NDArray[np.float64] = field(repr=False)
+    tukey_lambda: NDArray[np.float64] = field(repr=False)
+    shape: float
+    slope_normal_dn: float
+    slope_tukey_lambda_dn: float
+
+
 class Residuals:
     """Accumulates the residuals of the bias frames that made a fixed pattern, for :func:`read_noise`.
 
@@ -293,6 +317,41 @@ def read_noise(histogram: ResidualHistogram) -> ReadNoise:
         residuals=number,
         beyond=beyond,
         is_reliable=is_reliable,
+    )
+
+
+def probability_plot(histogram: ResidualHistogram, *, points: int = 121) -> ProbabilityPlot:
+    """Return the points of the two probability plots that :func:`read_noise` takes its R^2 from.
+
+    Raises
+    ------
+    DatasetError
+        If the histogram holds fewer than 1000 residuals.
+    """
+    from scipy.special import ndtr, ndtri
+
+    from eldata.calibration._tukey_lambda import normal_correlation
+
+    inner = histogram.counts[:, 1:-1].sum(axis=0)
+    number = int(inner.sum())
+    if number < 1000:
+        raise DatasetError(f"{number} residuals do not show a distribution: give more pixels")
+    values = histogram.values_dn[1:-1]
+    shape, slope, _ = ppcc(values, inner)
+    reach = float(-ndtri(100 / number)) if number > 1000 else 1.28
+    normal = np.linspace(-reach, reach, points)
+    levels = ndtr(normal)
+    below = (np.cumsum(inner) - inner / 2) / number  # at the cells' centres
+    filled = inner > 0
+    tails = 1 - levels
+    quantiles = np.log(levels / tails) if abs(shape) < 1e-9 else (levels**shape - tails**shape) / shape
+    return ProbabilityPlot(
+        ordered_dn=np.interp(levels, below[filled], values[filled]),
+        normal=normal,
+        tukey_lambda=quantiles,
+        shape=shape,
+        slope_normal_dn=normal_correlation(values[filled], inner[filled].astype(np.float64))[1],
+        slope_tukey_lambda_dn=slope,
     )
 
 

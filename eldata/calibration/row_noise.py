@@ -158,6 +158,8 @@ def row_noise(means: LineMeans) -> RowNoise:
     DatasetError
         If the frames added are not those of the fixed pattern.
     """
+    from eldata.calibration._kernels import line_totals
+
     fixed, frames = means.fixed, means.fixed.frames
     if len(means.rows_dn) != frames:
         raise DatasetError(
@@ -168,11 +170,14 @@ def row_noise(means: LineMeans) -> RowNoise:
     # Per pixel and row 1/n and 1/m of the freedom are gone.
     freedom = (frames - 1) * float(np.maximum(pixels - 1, 0).sum())
     pixel_variance = means.squares / freedom
-    mean_frame = np.where(fixed.defects, 0.0, fixed.total_dn / frames)
+    height, width = fixed.total_dn.shape
+    channels = channels_of(fixed.pattern)
+    rows, columns = np.zeros((height, channels), dtype=np.int64), np.zeros((width, channels), dtype=np.int64)
+    line_totals(fixed.total_dn, fixed.defects, fixed.pattern, rows, columns)
     return RowNoise(
-        rows=_line_noise(np.array(means.rows_dn), means.row_pixels, mean_frame, fixed.pattern, pixel_variance),
+        rows=_line_noise(np.array(means.rows_dn), means.row_pixels, rows / frames, fixed.pattern, pixel_variance),
         columns=_line_noise(
-            np.array(means.columns_dn), means.column_pixels, mean_frame.T, fixed.pattern.T, pixel_variance
+            np.array(means.columns_dn), means.column_pixels, columns / frames, fixed.pattern.T, pixel_variance
         ),
         pixel_variance_dn2=pixel_variance,
         frames=frames,
@@ -182,7 +187,7 @@ def row_noise(means: LineMeans) -> RowNoise:
 def _line_noise(
     deviations: NDArray[np.float64],
     pixels: NDArray[np.int64],
-    mean_frame: NDArray[np.float64],
+    fixed_sums: NDArray[np.float64],
     pattern: NDArray[np.int64],
     pixel_variance: float,
 ) -> LineNoise:
@@ -202,7 +207,7 @@ def _line_noise(
     values = deviations.ravel() * math.sqrt(frames / (frames - 1))
     thinned = values[np.linspace(0, values.size - 1, min(values.size, SHAPIRO_VALUES)).astype(np.int64)]
     (quantiles, ordered), (_, _, correlation) = stats.probplot(thinned)
-    fixed = _line_means(_sums_by_channel(mean_frame, pattern), pixels)
+    fixed = _line_means(fixed_sums, pixels)
     fixed_variance = float((fixed[used] ** 2).sum()) / (lines - classes_of_rows(pattern)) - scatter / frames
     return LineNoise(
         sigma_dn=sigma,
@@ -223,12 +228,3 @@ def _line_noise(
         deviations_dn=deviations,
         fixed_dn=fixed,
     )
-
-
-def _sums_by_channel(frame: NDArray[np.float64], pattern: NDArray[np.int64]) -> NDArray[np.float64]:
-    sums = np.zeros((frame.shape[0], channels_of(pattern)))
-    period = len(pattern)
-    for y in range(period):
-        for x in range(period):
-            sums[y::period, pattern[y, x]] += frame[y::period, x::period].sum(axis=1)
-    return sums

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from eldata.console import OK, add_debug
+from eldata.console import OK, add_debug, add_jobs
+from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
     import argparse
+
+# Fields of eldata.demo.body.FixedFeatures.
+_FEATURES = {
+    "shading": ("bias_shading_dn", "vignetting"),
+    "hot-pixels": ("hot_share",),
+    "fixed-pattern": ("prnu", "dsnu_dn", "column_pattern_dn"),
+}
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -17,12 +26,24 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="the whole path on simulated raw files, without a download",
         description=(
             "Photograph procedural scenes with two simulated cameras into real DNG files, verify them, denoise them, "
-            "score the results and draw a contact sheet. DIR must be new, empty, or an earlier demo."
+            "score the results and draw a contact sheet. With --calibration, take bias and flat-field frames with a "
+            "camera whose noise is known, calibrate it from them, and compare with the truth. DIR must be new, empty, "
+            "or an earlier demo."
         ),
     )
     parser.add_argument("folder", metavar="DIR", nargs="?", default="eldata-demo", help="default: %(default)s")
     parser.add_argument("--scenes", type=int, default=4, metavar="N", help="scenes per camera (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of the noise (default: %(default)s)")
+    parser.add_argument("--calibration", action="store_true", help="the calibration of a camera, in place of scenes")
+    parser.add_argument(
+        "--without",
+        action="append",
+        choices=tuple(_FEATURES),
+        default=[],
+        metavar="FEATURE",
+        help=f"with --calibration: a camera without this ({', '.join(_FEATURES)}); may be repeated",
+    )
+    add_jobs(parser)
     add_debug(parser)
     parser.set_defaults(run=run, command="demo")
 
@@ -31,6 +52,16 @@ def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
     from pathlib import Path
 
+    if arguments.calibration:
+        from eldata.demo.calibration import run_calibration_demo
+        from eldata.demo.calibration_frames import DEMO_FEATURES
+
+        off = {field: 0.0 for feature in arguments.without for field in _FEATURES[feature]}
+        features = replace(DEMO_FEATURES, **off)
+        run_calibration_demo(Path(arguments.folder), seed=arguments.seed, features=features, jobs=arguments.jobs)
+        return OK
+    if arguments.without:
+        raise ArgumentError("--without is about calibration frames: give --calibration too")
     from eldata.demo.run import run_demo
 
     run_demo(Path(arguments.folder), scenes=arguments.scenes, seed=arguments.seed)

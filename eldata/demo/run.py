@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import time
 from typing import TYPE_CHECKING
 
@@ -11,12 +10,12 @@ from tqdm import tqdm
 from eldata.datasets.eld import ELDDataset
 from eldata.demo.contact_sheet import write_contact_sheet
 from eldata.demo.denoise import denoise
+from eldata.demo.folder import prepare_folder
 from eldata.demo.scenes import scene_title
 from eldata.demo.tree import make_tree
 from eldata.errors import EldataError
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.predictions import load_prediction, save_prediction
-from eldata.files import write_text
 from eldata.isp.preview import preview
 from eldata.manifest.verify import verify
 from eldata.raw.levels import packed_frame
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
     from eldata.evaluation.results import EvaluationResult
     from eldata.manifest.catalogue import Manifest
 
-_MARKER = ".eldata-demo"
 _PREDICTORS = {
     "amplified": "the noisy input times the exposure ratio, nothing else",
     "dct": "sliding-window DCT thresholding",
@@ -48,7 +46,7 @@ def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0) -> dict[str, Evalu
     if seed < 0:
         raise EldataError(f"seed must be 0 or more; found {seed}")
     start = time.perf_counter()
-    _prepare(folder)
+    prepare_folder(folder)
     manifest = make_tree(folder, scenes=scenes, seed=seed)
     root = folder / "data"
     print(
@@ -77,21 +75,6 @@ def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0) -> dict[str, Evalu
     _draw(sheet, manifest.folder(root), predictions, results)
     print(f"\nTo look at: {sheet}. Scores of each image: {folder}/*.csv. Took {time.perf_counter() - start:.0f} s.")
     return results
-
-
-def _prepare(folder: Path) -> None:
-    """Make the folder, or empty it of what an earlier demo, finished or not, has left."""
-    marker = folder / _MARKER
-    if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not marker.is_file())):
-        raise EldataError(f"{folder}: holds something else; give a new folder")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        write_text(marker, "Made by eldata demo, which may empty this folder's data, manifests and predictions.\n")
-        for name in ("data", "manifests", "predictions"):
-            if (folder / name).is_dir():
-                shutil.rmtree(folder / name)
-    except OSError as error:
-        raise EldataError(f"{error.filename or folder}: {error.strerror}") from error
 
 
 def _predict(manifest: Manifest, folder: Path, predictions: Path) -> None:

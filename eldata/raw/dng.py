@@ -19,6 +19,7 @@ from eldata.files import atomic_write
 from eldata.raw.cfa import packed_black_level_dn
 
 if TYPE_CHECKING:
+    from datetime import datetime
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -48,7 +49,7 @@ def _decimal(value: float) -> Fraction:
     return Fraction(repr(float(value)))
 
 
-def _exif_entries(exposure: Exposure) -> list[tuple[int, int, int, bytes]]:
+def _exif_entries(exposure: Exposure, taken: datetime | None) -> list[tuple[int, int, int, bytes]]:
     """Return EXIF entries (tag, type, count, value bytes), sorted by tag."""
     entries: list[tuple[int, int, int, bytes]] = []
     if exposure.exposure_s is not None:
@@ -64,6 +65,9 @@ def _exif_entries(exposure: Exposure) -> list[tuple[int, int, int, bytes]]:
         entries.append((34864, 3, 1, struct.pack("<H", 2)))
         entries.append((34866, 4, 1, struct.pack("<I", iso)))
     entries.append((36864, 7, 4, b"0232"))
+    if taken is not None:
+        entries.append((36867, 2, 20, taken.strftime("%Y:%m:%d %H:%M:%S\0").encode()))
+        entries.append((37521, 2, 4, f"{taken.microsecond // 1000:03d}\0".encode()))
     return sorted(entries)
 
 
@@ -149,6 +153,7 @@ def write_dng(
     exposure: Exposure,
     *,
     compression: Compression = "none",
+    taken: datetime | None = None,
 ) -> None:
     """Write a mosaic as a DNG, whole or not at all.
 
@@ -167,6 +172,8 @@ def write_dng(
         Fields that are ``None`` are left out of the file. ISO must be a whole number.
     compression
         ``"none"``, or ``"lossless-jpeg"`` (smaller on disk, several times slower to decode).
+    taken
+        When, by the camera's clock; kept to the millisecond.
 
     Raises
     ------
@@ -208,19 +215,19 @@ def write_dng(
             write(iter([bytes(imagecodecs.ljpeg_encode(whole, bitspersample=16))]), compression=_COMPRESSION_JPEG)
         else:
             write(whole)
-    _append_exif(buffer, exposure)
+    _append_exif(buffer, exposure, taken)
     with atomic_write(path) as file:
         file.write(buffer.getbuffer())
 
 
-def _append_exif(buffer: io.BytesIO, exposure: Exposure) -> None:
+def _append_exif(buffer: io.BytesIO, exposure: Exposure, taken: datetime | None) -> None:
     """Append an EXIF IFD and turn the placeholder into its pointer: tifffile reserves that tag for itself."""
     import tifffile
 
     end = buffer.seek(0, io.SEEK_END)
     offset = end + end % 2
     buffer.write(b"\0" * (end % 2))
-    buffer.write(_ifd_bytes(_exif_entries(exposure), offset))
+    buffer.write(_ifd_bytes(_exif_entries(exposure, taken), offset))
     buffer.seek(0)
     with tifffile.TiffFile(buffer) as tiff:
         entry = tiff.pages.first.tags[_EXIF_IFD_PLACEHOLDER].offset

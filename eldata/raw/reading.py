@@ -20,6 +20,8 @@ colour matrix
     A DNG's own ColorMatrix (that for D65 if there are two); else LibRaw's table for the model.
 white balance
     As shot; a DNG's exactly, LibRaw's float32 to six decimals.
+time taken
+    EXIF's DateTimeOriginal and SubSecTimeOriginal.
 ISO, exposure time, aperture
     EXIF, from the EXIF IFD or IFD0, as fractions; where a format has no EXIF that exifread can read (CR3), LibRaw's
     float32 as the simplest fraction that rounds to it.
@@ -43,6 +45,7 @@ import io
 import math
 import struct
 from contextlib import contextmanager
+from datetime import datetime
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
@@ -257,12 +260,25 @@ def _exif_tags(path: Path) -> Tags:
 
 
 def _header(path: Path, raw: rawpy.RawPy, tags: Tags) -> RawHeader:
-    return RawHeader(path, _ascii(tags, "Image Make"), _ascii(tags, "Image Model"), _exposure(tags, raw))
+    return RawHeader(path, _ascii(tags, "Image Make"), _ascii(tags, "Image Model"), _exposure(tags, raw), _taken(tags))
 
 
 def _ascii(tags: Tags, name: str) -> str:
     tag = tags.get(name)
     return "" if tag is None else str(tag.values).strip("\0 ")
+
+
+def _taken(tags: Tags) -> datetime | None:
+    """Return DateTimeOriginal with its SubSecTime; ``None`` if the file has none, or a clock that was never set."""
+    for ifd in ("EXIF", "Image"):
+        try:
+            taken = datetime.strptime(_ascii(tags, f"{ifd} DateTimeOriginal"), "%Y:%m:%d %H:%M:%S")  # noqa: DTZ007 # as stated
+        except ValueError:
+            continue
+        digits = _ascii(tags, f"{ifd} SubSecTimeOriginal")
+        fraction = digits[:6].ljust(6, "0") if digits.isascii() and digits.isdecimal() else "0"
+        return taken.replace(microsecond=int(fraction))
+    return None
 
 
 def _exposure(tags: Tags, raw: rawpy.RawPy) -> Exposure:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 MAGIC = (b"II*\0", b"MM\0*")
 
-WIDTH, HEIGHT, PHOTOMETRIC = 256, 257, 262
+WIDTH, HEIGHT, COMPRESSION, PHOTOMETRIC = 256, 257, 259, 262
 ACTIVE_AREA = 50829
 BLACK_REPEAT, BLACK_LEVEL, BLACK_DELTAS = 50713, 50714, (50715, 50716)
 CFA_PHOTOMETRIC = 32803
@@ -28,7 +28,7 @@ _DATA = ((273, 279), (324, 325))  # strips, tiles: offsets and byte counts
 # Tags whose values must lie inside of the file: those above, and what reading.py takes from EXIF and DNG tags.
 _EXIF = {33434, 33437, 34855, 34864, 34865, 34866, 34867}
 _READ = _EXIF | {
-    *(WIDTH, HEIGHT, PHOTOMETRIC),
+    *(WIDTH, HEIGHT, COMPRESSION, PHOTOMETRIC),
     *(271, 272, _SUB_IFDS, _EXIF_IFD, ACTIVE_AREA, BLACK_REPEAT, BLACK_LEVEL, *BLACK_DELTAS),
     *(50717, 50721, 50722, 50728, 50778, 50779),
     *(tag for pair in _DATA for tag in pair),

@@ -1,64 +1,39 @@
-"""Plots of the diagnostics, as SVG that looks the same everywhere: letters are drawn as outlines.
-
-Figures are made without pyplot, so no window, no global figure list and no backend setting is touched. The same
-diagnostics give the same bytes. Each plot comes for a light and for a dark page; the background is transparent.
-"""
+"""Plots of a noise profile's diagnostics."""
 
 from __future__ import annotations
 
-import io
 import math
-from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
-import matplotlib.style
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullLocator
+from matplotlib.ticker import MaxNLocator
 
-from eldata.reports.comparison import LIMIT, Comparison, Diagnostics
 from eldata.reports.diagnostics import CHANNELS, SIGNALS_E, read_fit
+from eldata.reports.figures import (
+    MARKERS,
+    Plot,
+    Theme,
+    deviation_band,
+    drawn,
+    figure,
+    fit_band,
+    log_log,
+    log_ticks,
+    plain_ticks,
+    thinned,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from typing import Any
 
     from matplotlib.axes import Axes
-    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
     from eldata.noise.profile import LogLogFit
-
-_SIZE_INCHES = (4.4, 3.6)  # about a phone's width at the page's own letter size
-_QUANTILES_SHOWN = 241
-
-
-@dataclass(frozen=True, slots=True)
-class Theme:
-    """Colours of a plot. Found values are points in ``found``, the theory is lines in ``theory``."""
-
-    ink: str
-    grid: str
-    theory: str
-    found: str
-    channels: tuple[str, str, str, str]
-
-
-LIGHT = Theme("#1f2933", "#d5dbe1", "#c2410c", "#0b62b8", ("#c81e1e", "#15803d", "#1d4ed8", "#7c8a06"))
-DARK = Theme("#e6eaee", "#434c56", "#ff9d5c", "#6cb6ff", ("#ff7b7b", "#56d364", "#7ab0ff", "#d3d35a"))
-_MARKERS = ("o", "s", "^", "D")
-
-
-@dataclass(frozen=True, slots=True)
-class Plot:
-    """One plot: an identifier, a heading, what it shows in words, what to look for, and the two images."""
-
-    name: str
-    title: str
-    alt: str
-    caption: str
-    light: bytes
-    dark: bytes
+    from eldata.reports.comparison import Comparison, Diagnostics
 
 
 def plots(diagnostics: Diagnostics) -> tuple[Plot, ...]:
@@ -149,8 +124,7 @@ def plots(diagnostics: Diagnostics) -> tuple[Plot, ...]:
         ),
     ]
     return tuple(
-        Plot(name, title, alt, caption, *(_svg(draw, diagnostics, theme, name) for theme in (LIGHT, DARK)))
-        for name, title, alt, caption, draw in wanted
+        drawn(name, title, alt, caption, partial(draw, diagnostics)) for name, title, alt, caption, draw in wanted
     )
 
 
@@ -175,69 +149,26 @@ def _letters(name: str) -> str:
 # --- figures ------------------------------------------------------------------------------------------------------
 
 
-def _svg(draw: Callable[[Diagnostics, Theme], Figure], diagnostics: Diagnostics, theme: Theme, name: str) -> bytes:
-    style = {
-        "axes.edgecolor": theme.ink,
-        "axes.facecolor": "none",
-        "axes.grid": True,
-        "axes.labelcolor": theme.ink,
-        "axes.labelsize": 10,
-        "axes.spines.right": False,
-        "axes.spines.top": False,
-        "figure.facecolor": "none",
-        "font.family": "DejaVu Sans",
-        "grid.color": theme.grid,
-        "grid.linewidth": 0.6,
-        "legend.fontsize": 9,
-        "legend.frameon": False,
-        "legend.labelcolor": theme.ink,
-        "lines.linewidth": 1.4,
-        "lines.markersize": 5,
-        "svg.fonttype": "path",
-        "svg.hashsalt": name,
-        "text.color": theme.ink,
-        "xtick.color": theme.ink,
-        "xtick.labelsize": 9.5,
-        "ytick.color": theme.ink,
-        "ytick.labelsize": 9.5,
-    }
-    buffer = io.BytesIO()
-    with matplotlib.style.context(["default", style]):
-        figure = draw(diagnostics, theme)
-        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    return buffer.getvalue()
-
-
-def _figure() -> Figure:
-    return Figure(figsize=_SIZE_INCHES, layout="constrained")
-
-
 def _with_deviations(comparisons: Sequence[Comparison], at: Sequence[float], theme: Theme) -> tuple[Figure, Axes, Axes]:
     """Return a figure whose lower axes show deviations in standard errors; the upper ones are to be filled."""
-    figure = _figure()
-    main, below = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [2.6, 1]})
+    drawing = figure()
+    main, below = drawing.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [2.6, 1]})
     points = [
         (x, item.deviation, item.verdict) for x, item in zip(at, comparisons, strict=True) if item.deviation is not None
     ]
-    below.axhspan(-LIMIT, LIMIT, color=theme.theory, alpha=0.13, linewidth=0)
-    below.axhline(0, color=theme.theory, linewidth=1)
+    deviation_band(below, max([0.0, *(abs(y) for _, y, _ in points)]), theme)
     for verdict, marker in (("ok", "o"), ("off", "X")):
         chosen = [(x, y) for x, y, which in points if which == verdict]
         if chosen:
             below.plot(*zip(*chosen, strict=True), marker, color=theme.found)
-    reach = max([LIMIT + 1, *(1.15 * abs(y) for _, y, _ in points)])
-    below.set_ylim(-reach, reach)
-    if reach == LIMIT + 1:
-        below.yaxis.set_major_locator(FixedLocator([-4, 0, 4]))
-    below.set_ylabel("dev. [s.e.]")
-    return figure, main, below
+    return drawing, main, below
 
 
 def _over_signal(
     comparisons: Sequence[Comparison], theory: Callable[[float], float], label: str, theme: Theme
 ) -> Figure:
     """Draw something against the signal; both axes are logarithmic, but for the neighbourhood of 0."""
-    figure, main, below = _with_deviations(comparisons, SIGNALS_E, theme)
+    drawing, main, below = _with_deviations(comparisons, SIGNALS_E, theme)
     main.set_xscale("asinh", linear_width=1)
     top = SIGNALS_E[-1]
     grid = np.sinh(np.linspace(0, math.asinh(top), 120))
@@ -248,38 +179,20 @@ def _over_signal(
     values = [*found, *curve]
     if min(values) > 0:
         main.set_yscale("log")
-        _log_ticks(main.yaxis, sum(1 for power in range(-9, 10) if min(values) < 10.0**power < max(values)))
+        log_ticks(main.yaxis, sum(1 for power in range(-9, 10) if min(values) < 10.0**power < max(values)))
     else:
         width = max(max(map(abs, values)) / top, 1e-6)
         main.set_yscale("asinh", linear_width=width)
         first = math.ceil(math.log10(2 * width))
         powers = [10.0 ** (first + step) for step in range(6)]
-        _plain_ticks(main, "y", [0, *powers, *(-power for power in powers)])
+        plain_ticks(main.yaxis, [0, *powers, *(-power for power in powers)])
         main.set_ylim(*main.get_ylim())
     main.set_ylabel(label)
     main.legend(loc="upper left")
     below.set_xlabel("signal [e⁻]")
-    _plain_ticks(below, "x", [0, 1, 3, 10, 30, 100, 300])
+    plain_ticks(below.xaxis, [0, 1, 3, 10, 30, 100, 300])
     below.set_xlim(-0.2, top * 1.25)
-    return figure
-
-
-def _log_ticks(axis: Axis, decades: int) -> None:
-    """Label a logarithmic axis with plain numbers: more in a decade, the fewer decades there are."""
-    axis.set_major_locator(LogLocator(10, (1, 2, 5) if decades < 3 else (1,), numticks=20))
-    axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter(FuncFormatter(_number))
-
-
-def _plain_ticks(axes: Axes, which: str, at: Sequence[float]) -> None:
-    axis = axes.xaxis if which == "x" else axes.yaxis
-    axis.set_major_locator(FixedLocator(list(at)))
-    axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter(FuncFormatter(_number))
-
-
-def _number(value: float, _position: object) -> str:
-    return f"{value:g}".replace("-", "−")
+    return drawing
 
 
 def _mean(diagnostics: Diagnostics, theme: Theme) -> Figure:
@@ -303,7 +216,7 @@ def _variance(diagnostics: Diagnostics, theme: Theme) -> Figure:
 
 def _colour_bias(diagnostics: Diagnostics, theme: Theme) -> Figure:
     places = list(range(4))
-    figure, main, below = _with_deviations(diagnostics.colour_bias, places, theme)
+    drawing, main, below = _with_deviations(diagnostics.colour_bias, places, theme)
     for place, item in zip(places, diagnostics.colour_bias, strict=True):
         # matplotlib leaves labels with an underscore out of the legend: one entry for four channels.
         label = ("closed form", "simulated") if place == 0 else ("_", "_")
@@ -316,18 +229,17 @@ def _colour_bias(diagnostics: Diagnostics, theme: Theme) -> Figure:
     main.legend(loc="best")
     below.set_xticks(places, CHANNELS)
     below.set_xlim(-0.5, 3.5)
-    return figure
+    return drawing
 
 
 def _row_means(diagnostics: Diagnostics, theme: Theme) -> Figure:
     from scipy.special import ndtri
 
-    figure = _figure()
-    axes = figure.subplots()
+    drawing = figure()
+    axes = drawing.subplots()
     means = diagnostics.row_means_dn
     levels = (np.arange(means.size) + 0.5) / means.size
-    shown = np.unique(np.linspace(0, means.size - 1, _QUANTILES_SHOWN).round().astype(int))
-    shown = np.union1d(shown, np.concatenate([np.arange(20), means.size - 1 - np.arange(20)]))  # tails in full
+    shown = thinned(means.size)
     z = ndtri(levels)
     expected = diagnostics.rows[0].expected
     ends = np.array([z[0], z[-1]])
@@ -336,14 +248,14 @@ def _row_means(diagnostics: Diagnostics, theme: Theme) -> Figure:
     axes.set_xlabel("normal quantile")
     axes.set_ylabel("row mean [DN]")
     axes.legend(loc="upper left")
-    return figure
+    return drawing
 
 
 def _read_noise(diagnostics: Diagnostics, theme: Theme) -> Figure:
     quantiles = diagnostics.quantiles
     if quantiles is None:
-        return _figure()
-    figure, main, below = _with_deviations(diagnostics.read, [item.expected for item in diagnostics.read], theme)
+        return figure()
+    drawing, main, below = _with_deviations(diagnostics.read, [item.expected for item in diagnostics.read], theme)
     ends = quantiles.expected_dn[[0, -1]]
     main.plot(ends, ends, color=theme.theory, label="closed form")
     main.plot(quantiles.expected_dn, quantiles.found_dn, "o", markersize=3, color=theme.found, label="simulated")
@@ -351,7 +263,7 @@ def _read_noise(diagnostics: Diagnostics, theme: Theme) -> Figure:
     main.legend(loc="upper left")
     read = "Gaussian" if diagnostics.model.components.read == "gaussian" else "Tukey-lambda"
     below.set_xlabel(f"{read} quantile [DN]")
-    return figure
+    return drawing
 
 
 def _read_fit(diagnostics: Diagnostics, theme: Theme) -> Figure:
@@ -376,14 +288,11 @@ def _fit(
     diagnostics: Diagnostics, fit: LogLogFit, scales: NDArray[np.float64], field: str, label: str, theme: Theme
 ) -> Figure:
     """Draw a log-log fit with its bands, the draws, the measured rows and the draw that is examined."""
-    figure = _figure()
-    axes = figure.subplots()
+    drawing = figure()
+    axes = drawing.subplots()
     low, high = diagnostics.profile.gain_range_dn_per_e
     gains = np.geomspace(low / 1.15, high * 1.15, 50)
-    for width, alpha in ((2.0, 0.13), (1.0, 0.2)):
-        lower, upper = ([fit.scale_dn(float(gain), z) for gain in gains] for z in (-width, width))
-        axes.fill_between(gains, lower, upper, color=theme.theory, alpha=alpha, linewidth=0)
-    axes.plot(gains, [fit.scale_dn(float(gain), 0.0) for gain in gains], color=theme.theory, label="fit, ±1σ, ±2σ")
+    fit_band(axes, fit, gains, theme)
     axes.plot(
         diagnostics.draws.gain_dn_per_e, scales, "o", markersize=2.5, alpha=0.75, color=theme.found, label="sampled"
     )
@@ -405,14 +314,9 @@ def _fit(
         color=theme.ink,
         label="examined here",
     )
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    for axis in (axes.xaxis, axes.yaxis):
-        _log_ticks(axis, 2)
-    axes.set_xlabel("K [DN/e⁻]")
-    axes.set_ylabel(label)
+    log_log(axes, label)
     axes.legend(loc="upper left")
-    return figure
+    return drawing
 
 
 def _by_iso(diagnostics: Diagnostics, axes: Axes) -> list[float]:
@@ -427,30 +331,30 @@ def _by_iso(diagnostics: Diagnostics, axes: Axes) -> list[float]:
     axes.set_xlabel("ISO")
     distinct = sorted(set(known))
     step = math.ceil(len(distinct) / 5)
-    _plain_ticks(axes, "x", distinct[::step])
+    plain_ticks(axes.xaxis, distinct[::step])
     return known
 
 
 def _lambda_rows(diagnostics: Diagnostics, theme: Theme) -> Figure:
-    figure = _figure()
-    axes = figure.subplots()
+    drawing = figure()
+    axes = drawing.subplots()
     places = _by_iso(diagnostics, axes)
     axes.axhline(0, color=theme.theory, linewidth=1)
     axes.plot(places, [row.tukey_lambda for row in diagnostics.profile.rows], "o", color=theme.found)
     axes.set_ylabel("λ")
-    return figure
+    return drawing
 
 
 def _bias_rows(diagnostics: Diagnostics, theme: Theme) -> Figure:
-    figure = _figure()
-    axes = figure.subplots()
+    drawing = figure()
+    axes = drawing.subplots()
     places = _by_iso(diagnostics, axes)
     step = 0.07 if axes.get_xscale() == "log" else 0.0  # side by side, where the channels' values are alike
     for channel, name in enumerate(CHANNELS):
         beside = [place * math.exp((channel - 1.5) * step) for place in places]
-        style: dict[str, Any] = {"marker": _MARKERS[channel], "color": theme.channels[channel], "linestyle": "none"}
+        style: dict[str, Any] = {"marker": MARKERS[channel], "color": theme.channels[channel], "linestyle": "none"}
         axes.plot(beside, [row.colour_bias_dn[channel] for row in diagnostics.profile.rows], label=name, **style)
     axes.axhline(0, color=theme.theory, linewidth=1)
     axes.set_ylabel("colour bias [DN]")
     axes.legend(loc="best", ncols=2)
-    return figure
+    return drawing

@@ -1,11 +1,16 @@
-"""A simulated camera for the tests, in plain numpy and scipy: nothing of the package's noise model is used."""
+"""The demo's simulated camera body as the tests of one ISO use it: one record of truths, frames by the list."""
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from eldata.demo.body import Body as Specimen
+from eldata.demo.body import FixedFeatures, KnownNoise, temporal_noise_dn
+from eldata.records import Sensor
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -53,51 +58,51 @@ class Camera:
         channel: NDArray[np.int64] = pattern[rows % period, columns % period]
         return channel
 
+    @property
+    def sensor(self) -> Sensor:
+        return Sensor("eldata", "Test", self.cfa, (self.black,) * len(self.bias), self.white, *self.shape)
+
+    @property
+    def noise(self) -> KnownNoise:
+        return KnownNoise(100, self.gain, self.tukey_lambda, self.sigma_tl, self.sigma_row, self.bias)
+
+    @property
+    def features(self) -> FixedFeatures:
+        """The figures in DN hold at this camera's own gain; the light falls to a half in the corners."""
+        return FixedFeatures(
+            prnu=self.prnu,
+            dsnu_dn=self.dsnu,
+            column_pattern_dn=self.column_pattern,
+            hot_share=self.hot_share,
+            bias_shading_dn=self.shading,
+            vignetting=0.5,
+            gain_dn_per_e=self.gain,
+        )
+
 
 class Body:
-    """One specimen: its fixed pattern is drawn once."""
+    """One specimen: its fixed pattern is drawn once, and its frames follow from the same generator."""
 
     def __init__(self, camera: Camera, generator: np.random.Generator) -> None:
         self.camera = camera
         self.generator = generator
-        shape = camera.shape
-        self.response = 1 + camera.prnu * generator.standard_normal(shape, dtype=np.float32)
-        fixed = camera.dsnu * generator.standard_normal(shape, dtype=np.float32)
-        fixed += camera.column_pattern * generator.standard_normal((1, shape[1]), dtype=np.float32)
-        y, x = np.ogrid[-1 : 1 : shape[0] * 1j, -1 : 1 : shape[1] * 1j]
-        fixed += (camera.shading * (y + x**2)).astype(np.float32)
-        self.hot = generator.random(shape, dtype=np.float32) < camera.hot_share
-        count = int(self.hot.sum())
-        fixed[self.hot] += (
-            generator.uniform(15, 3000, count) * np.where(generator.random(count) < 0.8, 1, -0.05)
-        ).astype(np.float32)
-        self.fixed = fixed + camera.black + np.array(camera.bias, dtype=np.float32)[camera.channel]
-        self.vignette = 1 - 0.25 * (y**2 + x**2).astype(np.float32)
+        # The same draws twice: one specimen, under even light and behind a lens.
+        even_light = replace(camera.features, vignetting=0.0)
+        self._even = Specimen(camera.sensor, even_light, copy.deepcopy(generator))
+        self._shaded = Specimen(camera.sensor, camera.features, generator)
+        self.hot = self._shaded.hot
+        self.fixed = self._shaded.offset_dn(camera.noise)
 
     def noise(self) -> NDArray[np.float32]:
-        """Tukey-lambda quantiles of uniforms in float64, and a normal offset per row."""
-        c = self.camera
-        u = np.clip(self.generator.random(c.shape), 1e-16, 1 - 1e-16)
-        if c.tukey_lambda == 0:
-            read = np.log(u / (1 - u))
-        else:
-            read = (u**c.tukey_lambda - (1 - u) ** c.tukey_lambda) / c.tukey_lambda
-        row = c.sigma_row * self.generator.standard_normal((c.shape[0], 1))
-        return (c.sigma_tl * read + row).astype(np.float32)
-
-    def _digitised(self, values: NDArray[np.float32]) -> NDArray[np.uint16]:
-        return np.clip(np.rint(values), 0, self.camera.white).astype(np.uint16)
+        return temporal_noise_dn(self.camera.noise, self.camera.shape, self.generator)
 
     def bias_frame(self) -> NDArray[np.uint16]:
-        return self._digitised(self.fixed + self.noise())
+        return self._shaded.bias_frame(self.camera.noise, self.generator)
 
     def flat_frame(self, level_dn: float, *, shaded: bool = True, drift: float = 0.0) -> NDArray[np.uint16]:
-        """A flat of a mean level over black, DN."""
-        light = level_dn / self.camera.gain * (1 + drift) * self.response
-        if shaded:
-            light = light * self.vignette
-        signal = self.camera.gain * self.generator.poisson(light).astype(np.float32)
-        return self._digitised(self.fixed + self.noise() + signal)
+        """A flat of a mean level over black in the middle, DN."""
+        specimen = self._shaded if shaded else self._even
+        return specimen.flat_frame(self.camera.noise, level_dn, self.generator, drift)
 
     def bias_frames(self, count: int) -> list[NDArray[np.uint16]]:
         return [self.bias_frame() for _ in range(count)]

@@ -14,7 +14,7 @@ from tests.cli.conftest import Cli, Outcome
 if TYPE_CHECKING:
     from tests.evaluation.helpers import Tree
 
-COMMANDS = ("demo", "verify", "lock", "evaluate")
+COMMANDS = ("demo", "verify", "lock", "evaluate", "calibrate")
 
 
 def assert_one_line(outcome: Outcome, *words: str) -> None:
@@ -47,7 +47,9 @@ def test_help_lists_commands_and_exit_codes(eldata: Cli) -> None:
 @pytest.mark.parametrize(
     ("command", "options"),
     [
-        ("demo", ["DIR", "--scenes", "--seed", "--debug"]),
+        ("demo", ["DIR", "--scenes", "--seed", "--calibration", "--without", "shading", "--jobs", "--debug"]),
+        ("calibrate", ["FRAMES", "--camera", "--output", "--html", "--iso", "--root", "--jobs", "--json", "--debug",
+                       "ELDATA_ROOT", "docs/calibration.md"]),
         ("verify", ["MANIFESTS", "--root", "--dataset", "--camera", "--level", "quick", "metadata", "full", "--jobs",
                     "--json", "--debug", "ELDATA_ROOT"]),
         ("lock", ["MANIFEST", "--root", "--camera", "--jobs", "--json", "--debug", "ELDATA_ROOT"]),
@@ -67,7 +69,7 @@ def test_help_of_each_command(command: str, options: list[str], eldata: Cli) -> 
 
 
 def test_every_command_is_tested_here(eldata: Cli) -> None:
-    listed = re.findall(r"^    (\w+) ", eldata("--help").out, re.MULTILINE)
+    listed = re.findall(r"^    (\w+)(?: |$)", eldata("--help").out, re.MULTILINE)
     assert set(COMMANDS) <= set(listed)
 
 
@@ -88,7 +90,9 @@ def test_unknown_command(eldata: Cli) -> None:
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_unknown_option(command: str, eldata: Cli) -> None:
-    required = {"verify": ["x"], "lock": ["x"], "evaluate": ["x", "--dataset", "eld"]}.get(command, [])
+    required = {"verify": ["x"], "lock": ["x"], "calibrate": ["x"], "evaluate": ["x", "--dataset", "eld"]}.get(
+        command, []
+    )
     assert_one_line(eldata(command, *required, "--frobnicate"), "--frobnicate", "--help")
 
 

@@ -4,16 +4,9 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import json
-import os
-import re
-import shutil
 import subprocess
 import sys
 from dataclasses import replace
-from html import unescape
-from html.parser import HTMLParser
-from itertools import pairwise
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET
 
@@ -22,48 +15,13 @@ import pytest
 from eldata.reports.diagnostics import diagnose, sample_parameters
 from eldata.reports.page import profile_page
 from eldata.reports.plots import plots
+from tests.reports.pages import HOSTILE, assert_self_contained, assert_well_formed, checked, seen_in_browser
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from eldata.noise.profile import CameraProfile
     from eldata.reports.comparison import Diagnostics
-
-HOSTILE = '<script>alert("x")</script>"\'&<img src=https://evil.example/x.png onerror=alert(1)>'
-VOID = {"meta", "img", "source", "br", "link", "input", "hr"}
-
-
-class Checker(HTMLParser):
-    """Collects elements and complains about ones that are not closed in their order."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.elements: list[tuple[str, dict[str, str]]] = []
-        self.text = ""
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.elements.append((tag, {name: value or "" for name, value in attrs}))
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open, f"</{tag}> closes nothing"
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        self.text += data
-
-    def all(self, *tags: str) -> list[dict[str, str]]:
-        return [attributes for tag, attributes in self.elements if tag in tags]
-
-
-def checked(page: str) -> Checker:
-    checker = Checker()
-    checker.feed(page)
-    checker.close()
-    assert checker.open == []
-    return checker
 
 
 @pytest.fixture(scope="module")
@@ -90,17 +48,7 @@ def hostile(sony: CameraProfile) -> str:
 
 
 def test_well_formed_with_semantic_headings(page: str) -> None:
-    checker = checked(page)
-    levels = [int(tag[1]) for tag, _ in checker.elements if re.fullmatch("h[1-6]", tag)]
-    assert levels.count(1) == 1
-    assert levels[0] == 1
-    assert all(deeper - level <= 1 for level, deeper in pairwise(levels))
-    identifiers = [attributes["id"] for _, attributes in checker.elements if "id" in attributes]
-    assert len(identifiers) == len(set(identifiers))
-    for _, attributes in checker.elements:
-        assert attributes.get("aria-labelledby", identifiers[0]) in identifiers
-    assert checker.all("html")[0]["lang"] == "en"
-    assert len(checker.all("main")) == 1
+    assert_well_formed(page)
 
 
 def test_says_what_was_found(page: str, diagnostics: Diagnostics) -> None:
@@ -115,18 +63,7 @@ def test_says_what_was_found(page: str, diagnostics: Diagnostics) -> None:
 
 @pytest.mark.parametrize("which", ["page", "hostile"])
 def test_self_contained(which: str, request: pytest.FixtureRequest) -> None:
-    text: str = request.getfixturevalue(which)
-    checker = checked(text)
-    assert checker.all("script", "link", "iframe", "object", "embed", "base", "form") == []
-    for tag, attributes in checker.elements:
-        for name, value in attributes.items():
-            assert not name.startswith("on"), f"{tag} has {name}"
-            if name in ("src", "srcset", "href", "data", "action", "poster"):
-                assert value.startswith(("data:image/svg+xml;base64,", "#")), f"{tag} has {name}={value[:60]}"
-    assert "@import" not in text
-    assert "url(" not in text
-    (policy,) = [item["content"] for item in checker.all("meta") if item.get("http-equiv") == "Content-Security-Policy"]
-    assert policy == "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+    assert_self_contained(request.getfixturevalue(which))
 
 
 def test_hostile_text_stays_text(hostile: str) -> None:
@@ -185,51 +122,11 @@ def test_another_process_makes_the_same_page_without_pyplot(page: str) -> None:
 
 # --- in a browser -------------------------------------------------------------------------------------------------
 
-PROBE = """<script>addEventListener("load", () => {
-  const out = (item) => item.getBoundingClientRect().right > innerWidth + 0.5;
-  const wide = [...document.querySelectorAll("body *")].filter((item) => !item.closest(".scroll, .skip") && out(item));
-  parent.postMessage(JSON.stringify({
-    width: innerWidth,
-    scroll: document.documentElement.scrollWidth,
-    wide: wide.map((item) => item.outerHTML.slice(0, 80)),
-    images: [...document.images].map((item) => [item.complete, item.naturalWidth, item.width, item.height]),
-    tables: [...document.querySelectorAll("div.scroll")].map((item) => item.scrollWidth - item.clientWidth),
-  }), "*");
-});</script></body>"""
-
-# A window of --dump-dom is never narrower than 500 pixels; a frame in it may be.
-FRAME = """<!DOCTYPE html><title>frame</title><pre id="probe"></pre><script>
-addEventListener("message", (event) => { document.getElementById("probe").textContent = event.data; });
-</script><iframe src="page.html" scrolling="no" style="border: 0; width: %dpx; height: 900px"></iframe>"""
-
-
-@pytest.fixture(scope="module")
-def chromium() -> str:
-    found = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if found is None:
-        if os.environ.get("ELDATA_REQUIRE_BROWSER"):
-            pytest.fail("ELDATA_REQUIRE_BROWSER is set and there is no chromium")
-        pytest.skip("no chromium here; apt-get install chromium")
-    return found
-
 
 @pytest.mark.parametrize("width", [390, 1280])
 @pytest.mark.parametrize("which", ["page", "hostile"])
 def test_in_a_browser(chromium: str, which: str, width: int, request: pytest.FixtureRequest, tmp_path: Path) -> None:
-    text: str = request.getfixturevalue(which)
-    # The probe is a script, which the page's own policy would refuse.
-    probed = re.sub('<meta http-equiv="Content-Security-Policy"[^>]*>', "", text).replace("</body>", PROBE)
-    (tmp_path / "page.html").write_text(probed, encoding="utf-8")
-    path = tmp_path / "frame.html"
-    path.write_text(FRAME % width, encoding="utf-8")
-    options = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"]
-    options += ["--disable-background-networking", "--disable-component-update", "--disable-sync"]
-    options += [f"--user-data-dir={tmp_path / 'user'}", "--window-size=1600,1000", "--virtual-time-budget=5000"]
-    command = [chromium, *options, "--dump-dom", path.as_uri()]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    match = re.search(r'<pre id="probe">(.+?)</pre>', done.stdout, flags=re.DOTALL)
-    assert match, done.stderr[-2000:]
-    found = json.loads(unescape(match[1]))
+    found = seen_in_browser(chromium, request.getfixturevalue(which), width, tmp_path)
     assert found["width"] == width
     assert found["scroll"] <= width
     assert found["wide"] == []

@@ -1,0 +1,180 @@
+"""A camera's bias and flat-field frames to its noise profile."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from tqdm import tqdm
+
+from eldata import __version__
+from eldata.calibration.frame_checks import FramesError, sorted_frames
+from eldata.calibration.joint import fit_log_log
+from eldata.calibration.one_iso import calibrate_iso, decodings
+from eldata.calibration.remarks import overall_remarks
+from eldata.calibration.results import Calibration
+from eldata.datasets.calibration_frames import CalibrationFrames
+from eldata.errors import ArgumentError, DatasetError
+from eldata.noise.profile import CameraProfile, LogLogFit, ProfileRow
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+    from pathlib import Path
+
+    from eldata.calibration.joint import LogLogEstimate
+    from eldata.calibration.results import IsoCalibration
+    from eldata.manifest.verify import Problem
+
+_NO_NOISE_DN = 1e-9  # a scale that a log-log line can hold in place of 0
+
+
+def calibrate(
+    frames: CalibrationFrames | Path | str,
+    camera: str | None = None,
+    *,
+    isos: Collection[int] | None = None,
+    jobs: int = 1,
+) -> Calibration:
+    """Measure a camera's noise from its bias and flat-field frames (section 3.3 of the paper).
+
+    Parameters
+    ----------
+    frames
+        The frames, or the folder that holds them (:class:`~eldata.datasets.calibration_frames.CalibrationFrames`).
+    camera
+        The camera's name, if a folder is given and holds several, or if the profile is to have another name.
+    isos
+        Only these ISOs, if a folder is given.
+    jobs
+        Threads that decode. Neither the figures nor, much, the memory depend on it.
+
+    Returns
+    -------
+    Calibration
+        Figures with standard errors by ISO, fits, remarks, and the profile for the noise model.
+
+    Raises
+    ------
+    FramesError
+        If frames are missing, unreadable, or unfit: every problem of every ISO, by file.
+    ArgumentError
+        If ``isos`` is given with frames that are chosen already, or ``jobs`` is not positive.
+    DatasetError
+        If there are no frames, or no ISO has pairs of flats.
+
+    References
+    ----------
+    K. Wei, Y. Fu, Y. Zheng and J. Yang, "Physics-based Noise Modeling for Extreme Low-light Photography", IEEE
+    Transactions on Pattern Analysis and Machine Intelligence, 2021.
+    """
+    if not isinstance(frames, CalibrationFrames):
+        frames = CalibrationFrames(frames, camera, isos=isos)
+    elif isos is not None:
+        raise ArgumentError("isos is about a folder; choose them with CalibrationFrames(..., isos=...)")
+    chosen = sorted_frames(frames, threads=jobs)
+    measured: list[IsoCalibration] = []
+    problems: list[Problem] = []
+    total = sum(map(decodings, chosen))
+    with tqdm(total=total, desc=f"calibrating {frames.camera}", unit="frame", disable=None, leave=False) as bar:
+        for one in chosen:
+            try:
+                measured.append(calibrate_iso(frames, one, threads=jobs, done=bar.update))
+            except FramesError as error:
+                problems += error.problems
+    if problems:
+        raise FramesError(problems)
+    return joined(camera or frames.camera, measured)
+
+
+def joined(camera: str, isos: Sequence[IsoCalibration]) -> Calibration:
+    """Return the calibration of a camera from that of its ISOs: fits over K, profile, remarks.
+
+    Raises
+    ------
+    DatasetError
+        If no ISO has a gain.
+    """
+    ordered = tuple(sorted(isos, key=lambda one: one.iso))
+    with_gain = [one for one in ordered if one.gain_dn_per_e is not None]
+    if not with_gain:
+        raise DatasetError(
+            f"{camera}: no ISO has two flats of the same exposure, so K is not known: take pairs of equal flats at "
+            "four exposures or more, from a tenth to nine tenths of the range"
+        )
+    remarks = overall_remarks(ordered)
+    points = {
+        "sigma_TL": [(one.gain_dn_per_e or 0.0, one.read.sigma_tl_dn) for one in with_gain],
+        "sigma_G": [(one.gain_dn_per_e or 0.0, one.read.sigma_gauss_dn) for one in with_gain],
+        "sigma_row": [(one.gain_dn_per_e or 0.0, one.rows.rows.sigma_dn) for one in with_gain],
+    }
+    estimates: dict[str, LogLogEstimate | None] = {}
+    fits: dict[str, LogLogFit] = {}
+    for name, pairs in points.items():
+        estimates[name], fits[name], remark = _fitted(name, pairs)
+        remarks += remark
+    blacks = {level for one in ordered for level in one.sensor.black_level_dn}
+    whites = {one.sensor.white_level_dn for one in ordered}
+    for name, levels in (("black", blacks), ("white", whites)):
+        if max(levels) - min(levels) >= 1:
+            listed = ", ".join(f"{level:g}" for level in sorted(levels)[:6])
+            remarks.append(f"the {name} level differs by ISO or channel ({listed} DN); the profile leaves it open")
+    lowest = min(with_gain, key=lambda one: one.gain_dn_per_e or 0.0)
+    highest = max(with_gain, key=lambda one: one.gain_dn_per_e or 0.0)
+    bias, flat = sum(one.bias_frames for one in ordered), sum(one.flat_frames for one in ordered)
+    notes = [f"ISO {one.iso:g}: {remark}" for one in ordered for remark in one.remarks] + remarks
+    profile = CameraProfile(
+        camera=camera,
+        source=f"eldata {__version__} calibrate: {bias} bias and {flat} flat frames at {len(ordered)} ISO(s)",
+        gain_range_dn_per_e=(lowest.gain_dn_per_e or 0.0, highest.gain_dn_per_e or 0.0),
+        tukey_lambda_fit=fits["sigma_TL"],
+        gauss_fit=fits["sigma_G"],
+        row_fit=fits["sigma_row"],
+        rows=tuple(map(_row, ordered)),
+        iso_range=(lowest.iso, highest.iso) if lowest.iso <= highest.iso else None,
+        black_level_dn=min(blacks) if max(blacks) - min(blacks) < 1 else None,
+        white_level_dn=min(whites) if len(whites) == 1 else None,
+        notes=tuple(notes),
+    )
+    return Calibration(
+        camera=camera,
+        isos=ordered,
+        profile=profile,
+        tukey_lambda_fit=estimates["sigma_TL"],
+        gauss_fit=estimates["sigma_G"],
+        row_fit=estimates["sigma_row"],
+        remarks=tuple(remarks),
+    )
+
+
+def _row(one: IsoCalibration) -> ProfileRow:
+    return ProfileRow(
+        tukey_lambda=one.read.tukey_lambda,
+        colour_bias_dn=one.colour_bias_dn,
+        iso=one.iso,
+        gain_dn_per_e=one.gain_dn_per_e,
+        sigma_tl_dn=one.read.sigma_tl_dn,
+        sigma_gauss_dn=one.read.sigma_gauss_dn,
+        sigma_row_dn=one.rows.rows.sigma_dn,
+        r_squared_tl=one.read.r_squared_tl,
+        r_squared_gauss=one.read.r_squared_gauss,
+    )
+
+
+def _fitted(name: str, points: Sequence[tuple[float, float]]) -> tuple[LogLogEstimate | None, LogLogFit, list[str]]:
+    """Return the fit of a scale over K; with too few ISOs for one, the line that they do give, and a remark."""
+    usable = sorted((gain, scale) for gain, scale in points if scale > 0 and math.isfinite(scale))
+    lost = len(points) - len(usable)
+    remarks = [f"{name} was 0 at {lost} ISO(s), which its fit leaves out"] if lost and usable else []
+    gains = [gain for gain, _ in usable]
+    if len(usable) >= 3 and len(set(gains)) >= 3:
+        estimate = fit_log_log(gains, [scale for _, scale in usable])
+        return estimate, estimate.fit, remarks
+    if not usable:
+        return None, LogLogFit(0.0, math.log(_NO_NOISE_DN), 0.0), [f"{name} was 0 at every ISO; the profile has none"]
+    (low, first), (high, last) = usable[0], usable[-1]
+    slope = math.log(last / first) / math.log(high / low) if high > low else 0.0
+    remarks.append(
+        f"{name} is known at {len(usable)} ISO(s): the profile has the line through them, without the spread around it "
+        "that three or more would show"
+    )
+    return None, LogLogFit(slope, math.log(first) - slope * math.log(low), 0.0), remarks

@@ -1,0 +1,269 @@
+"""Are these frames fit to calibrate from? What headers and pixels show, frame by frame."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from eldata.datasets.calibration_frames import flat_pairs
+from eldata.errors import DatasetError, EldataError, RawFileError
+from eldata.manifest.table import number_text
+from eldata.manifest.verify import RATIO_TOLERANCE, Problem
+from eldata.parallel import read_ahead
+from eldata.raw.reading import read_header
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from fractions import Fraction
+
+    from numpy.typing import NDArray
+
+    from eldata.datasets.calibration_frames import CalibrationFrames, FlatPair
+    from eldata.records import FrameRecord, RawFrame, RawHeader, Sensor
+
+ADVISED_BIAS_FRAMES = 10
+
+_CLIPPED_SHARE = 0.01  # of pixels at 0 DN
+_PAIR_DIFFERENCE = 0.05  # of the signal; drift below it does no harm (eldata.calibration.photon_transfer)
+_CENTRAL = (0.05, 0.95)
+_FEW = 30  # occurrences a code, below which a gap may be chance
+
+
+class FramesError(DatasetError):
+    """Frames that cannot be calibrated from: ``problems`` lists every one."""
+
+    def __init__(self, problems: Sequence[Problem]) -> None:
+        super().__init__(problems)
+        self.problems = tuple(problems)
+
+    def __str__(self) -> str:
+        more = f" (and {len(self.problems) - 1} more problems)" if len(self.problems) > 1 else ""
+        return f"{self.problems[0]}{more}"
+
+
+@dataclass(frozen=True, slots=True)
+class IsoFrames:
+    """The frames of one ISO, sorted out: bias frames, pairs of equal flats, and flats without a partner."""
+
+    iso: Fraction
+    bias: tuple[FrameRecord, ...]
+    pairs: tuple[FlatPair, ...]
+    single: tuple[FrameRecord, ...]
+    bias_exposure_s: Fraction | None
+
+
+def sorted_frames(frames: CalibrationFrames, *, threads: int = 1) -> tuple[IsoFrames, ...]:
+    """Read every frame's header and sort the frames by ISO.
+
+    Raises
+    ------
+    FramesError
+        If a file is missing or unreadable, was taken by another camera model, at another ISO than its folder or row
+        says or another exposure time than its row says, states no exposure, or the bias frames of one ISO differ in
+        exposure time.
+    """
+
+    def header_of(record: FrameRecord) -> RawHeader | EldataError:
+        try:
+            return read_header(frames.path(record))
+        except EldataError as error:
+            return error
+
+    problems: list[Problem] = []
+    headers: dict[FrameRecord, RawHeader] = {}
+    for record, found in zip(frames.records, read_ahead(header_of, frames.records, threads=threads), strict=True):
+        if isinstance(found, EldataError):
+            problems.append(unreadable(record, found))
+        else:
+            headers[record] = found
+    models = Counter(header.model for header in headers.values())
+    model = models.most_common(1)[0][0] if models else ""
+    for record, header in headers.items():
+        exposure = header.exposure
+        if header.model != model:
+            problems.append(_problem(record, "camera", model, header.model or "no model", "move it to its own camera"))
+        if exposure.iso is None or exposure.exposure_s is None:
+            lost = "ISO" if exposure.iso is None else "exposure time"
+            advice = "the file has lost its EXIF: copy the original"
+            problems.append(_problem(record, "exposure", "ISO and exposure time", f"no {lost}", advice))
+        elif exposure.iso != record.iso and record.iso is not None:
+            advice = "move it to the folder (or row) of its ISO"
+            problems.append(_problem(record, "iso", number_text(record.iso), number_text(exposure.iso), advice))
+        elif (stated := record.exposure_s) is not None and abs(exposure.exposure_s - stated) > RATIO_TOLERANCE * stated:
+            advice = "correct the manifest's row, or put the file there that it means"
+            problems.append(_problem(record, "exposure_s", _time_text(stated), _time_text(exposure.exposure_s), advice))
+    time_of = {record: header.exposure.exposure_s for record, header in headers.items()}
+    sorted_out = []
+    for iso in frames.isos:
+        bias = frames.of("bias", iso)
+        times = Counter(time_of[record] for record in bias if time_of.get(record) is not None)
+        usual = times.most_common(1)[0][0] if times else None
+        for record in bias:
+            found_time = time_of.get(record)
+            if usual is not None and found_time is not None and found_time != usual:
+                problems.append(
+                    _problem(
+                        record,
+                        "exposure_s",
+                        f"{_time_text(usual)} like the other bias frames of ISO {float(iso):g}",
+                        _time_text(found_time),
+                        "take all bias frames at the shortest exposure; is this a flat?",
+                    )
+                )
+        flats = [replace(record, exposure_s=time_of.get(record)) for record in frames.of("flat", iso)]
+        pairs, single = flat_pairs(flats)
+        sorted_out.append(IsoFrames(iso, bias, pairs, single, usual))
+    if problems:
+        raise FramesError(sorted(problems, key=lambda problem: problem.path))
+    return tuple(sorted_out)
+
+
+def _time_text(exposure_s: Fraction) -> str:
+    """Return an exposure time as cameras show it."""
+    return f"{exposure_s if exposure_s.numerator == 1 else number_text(exposure_s)} s"
+
+
+def _problem(record: FrameRecord, field: str, expected: str, found: str, advice: str) -> Problem:
+    return Problem(record.camera, record.path, field, expected, found, advice)
+
+
+# --- pixels ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class FrameFigures:
+    """A frame in two figures, DN: its mean, and half the distance of its 16th and 84th percentile."""
+
+    record: FrameRecord
+    level_dn: float
+    spread_dn: float
+
+    @classmethod
+    def of(cls, record: FrameRecord, mosaic: NDArray[np.uint16]) -> FrameFigures:
+        """Measure a frame on some 100,000 of its pixels."""
+        step = max(1, math.isqrt(mosaic.size // 100_000)) | 1  # odd: every site of the CFA takes part
+        sample = mosaic[::step, ::step]
+        low, high = np.quantile(sample, (0.159, 0.841))
+        return cls(record, float(sample.mean(dtype=np.float64)), float(high - low) / 2)
+
+
+def unlike(record: FrameRecord, found: Sensor, usual: Sensor, example: str) -> list[Problem]:
+    """Return in what a frame's sensor differs from that of the others of its ISO, such as the file ``example``."""
+    problems = []
+    advice = "take all frames of a camera in one raw mode, and leave this one out"
+    for field in ("height", "width", "cfa", "black_level_dn", "white_level_dn"):
+        expected, differs = getattr(usual, field), getattr(found, field)
+        # LibRaw measures some black levels in each file's masked pixels.
+        if expected != differs and not (field == "black_level_dn" and _within_1_dn(expected, differs)):
+            problems.append(_problem(record, field, f"{expected} as in {example}", str(differs), advice))
+    return problems
+
+
+def _within_1_dn(first: tuple[float, ...], second: tuple[float, ...]) -> bool:
+    return len(first) == len(second) and all(abs(a - b) < 1 for a, b in zip(first, second, strict=True))
+
+
+def unlike_most(sensors: Mapping[FrameRecord, Sensor]) -> list[Problem]:
+    """Return in what the frames of one ISO differ from most of them."""
+    kinds: list[tuple[FrameRecord, Sensor, list[FrameRecord]]] = []
+    for record, sensor in sensors.items():
+        for first, of_first, members in kinds:
+            if not unlike(record, sensor, of_first, first.path):
+                members.append(record)
+                break
+        else:
+            kinds.append((record, sensor, [record]))
+    if len(kinds) < 2:
+        return []
+    example, usual, alike = max(kinds, key=lambda kind: len(kind[2]))  # the first of equals
+    others = (record for record in sensors if record not in alike)
+    return [problem for record in others for problem in unlike(record, sensors[record], usual, example.path)]
+
+
+def unreadable(record: FrameRecord, error: EldataError) -> Problem:
+    """Return the problem of a file that cannot be read."""
+    reason = error.reason if isinstance(error, RawFileError) else str(error)
+    return _problem(record, "content", "a whole raw file", reason, "copy it again, or leave it out")
+
+
+def clipped_black(record: FrameRecord, mosaic: NDArray[np.uint16]) -> list[Problem]:
+    """Return a problem if more than 1 % of a bias frame's pixels are 0."""
+    share = float(np.count_nonzero(mosaic == 0)) / mosaic.size
+    if share <= _CLIPPED_SHARE:
+        return []
+    return [
+        _problem(
+            record,
+            "black",
+            "noise on both sides of a black level above 0",
+            f"{share:.0%} of the pixels at 0 DN",
+            "black is clipped in this file, so neither mean nor noise can be told: use raw files that keep the black "
+            "level, and never subtract it before",
+        )
+    ]
+
+
+def odd_bias_frames(figures: Sequence[FrameFigures]) -> list[Problem]:
+    """Return the bias frames whose level or spread is not like the others' (light leak, lens cap off, another ISO).
+
+    Off by more than 10 robust standard deviations of the frames' levels, a DN, and half the noise; or with a spread
+    that differs by a quarter and a DN.
+    """
+    if not figures:
+        return []
+    levels = np.array([one.level_dn for one in figures])
+    spreads = np.array([one.spread_dn for one in figures])
+    level, spread = float(np.median(levels)), float(np.median(spreads))
+    scatter = 1.4826 * float(np.median(np.abs(levels - level)))
+    advice = "is it a bias frame of this ISO? look for light and for a lens without its cap, and leave it out"
+    problems = []
+    for one in figures:
+        if abs(one.level_dn - level) > max(10 * scatter, 1.0, 0.5 * spread):
+            problems.append(
+                _problem(
+                    one.record, "level", f"about {level:.1f} DN as in the others", f"{one.level_dn:.1f} DN", advice
+                )
+            )
+        elif abs(one.spread_dn - spread) > max(0.25 * spread, 1.0):
+            problems.append(
+                _problem(
+                    one.record, "noise", f"about {spread:.1f} DN as in the others", f"{one.spread_dn:.1f} DN", advice
+                )
+            )
+    return problems
+
+
+def unequal_pair(pair: FlatPair, first: RawFrame, second: RawFrame) -> str | None:
+    """Return a remark if the two flats of a pair differ by more than 5 % of their signal, else ``None``."""
+    black = float(np.mean(first.sensor.black_level_dn))
+    levels = [FrameFigures.of(pair.first, frame.mosaic).level_dn - black for frame in (first, second)]
+    if abs(levels[0] - levels[1]) <= _PAIR_DIFFERENCE * max(levels[0], levels[1], 1.0) + 1.0:
+        return None
+    return (
+        f"{pair.first.path} and {pair.second.path} were left out: their levels over black are {levels[0]:.0f} and "
+        f"{levels[1]:.0f} DN; equal exposures of a constant light differ by less than {_PAIR_DIFFERENCE:.0%}"
+    )
+
+
+def missing_codes(mosaic: NDArray[np.uint16], pattern: NDArray[np.int64]) -> float:
+    """Return the largest share, of any CFA site, of DN values that never occur though their neighbours do.
+
+    0 for what a converter gives. Lossy compression by a curve leaves gaps in bright frames; multiplication after the
+    conversion (the highest ISOs of some cameras, white balance) leaves them everywhere.
+    """
+    worst = 0.0
+    period = len(pattern)
+    for row in range(min(period, 2)):
+        for column in range(min(period, 2)):
+            counts = np.bincount(mosaic[row :: 2 * period, column::period].ravel())
+            below = np.cumsum(counts)
+            low, high = (int(np.searchsorted(below, share * int(below[-1]))) for share in _CENTRAL)
+            inner = counts[low : high + 1]
+            if inner.size < 8 or int(inner.sum()) < _FEW * inner.size:
+                continue  # too few values, or too few of each, to tell a gap from chance
+            worst = max(worst, float(np.count_nonzero(inner == 0)) / inner.size)
+    return worst

@@ -1,0 +1,260 @@
+"""One ISO's frames to its figures: two passes over the bias frames, one over the flats, a frame at a time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from eldata._compiled import in_threads
+from eldata.calibration.colour_bias import ChannelMeans, colour_bias
+from eldata.calibration.defects import MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
+from eldata.calibration.frame_checks import (
+    ADVISED_BIAS_FRAMES,
+    FrameFigures,
+    FramesError,
+    clipped_black,
+    missing_codes,
+    odd_bias_frames,
+    unequal_pair,
+    unlike,
+    unlike_most,
+    unreadable,
+)
+from eldata.calibration.photon_transfer import (
+    FlatFrames,
+    FlatPairs,
+    PhotonTransfer,
+    photon_transfer,
+    spatial_photon_transfer,
+)
+from eldata.calibration.read_noise import Residuals, probability_plot, read_noise
+from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs
+from eldata.calibration.reproduction import reproduction
+from eldata.calibration.results import IsoCalibration, PatternSummary
+from eldata.calibration.row_noise import LineMeans, row_noise
+from eldata.calibration.spectrum import power_spectrum
+from eldata.errors import DatasetError, RawFileError
+from eldata.manifest.verify import Problem
+from eldata.parallel import read_ahead
+from eldata.raw.compression import lossy_compression
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from eldata.calibration.frame_checks import IsoFrames
+    from eldata.datasets.calibration_frames import CalibrationFrames
+    from eldata.records import FrameRecord, RawFrame, Sensor
+
+HOLD_OUT_FROM = 6
+"""With so many bias frames the last one is kept from the estimators, to hold the result against."""
+
+
+def calibrate_iso(
+    frames: CalibrationFrames, chosen: IsoFrames, *, threads: int = 1, done: Callable[[], object] = lambda: None
+) -> IsoCalibration:
+    """Measure the noise at one ISO.
+
+    Parameters
+    ----------
+    frames
+        Where the files are.
+    chosen
+        The ISO's frames (:func:`~eldata.calibration.frame_checks.sorted_frames`).
+    threads
+        That decode; the result does not depend on it. A frame more than that is in memory, besides the sums.
+    done
+        Called after each decoded frame; :func:`decodings` says how many there will be.
+
+    Raises
+    ------
+    FramesError
+        If frames differ in size, CFA or levels, are odd or clipped at 0; or if the estimators cannot use them. Every
+        problem found is in it.
+    """
+    reader = _Reader(frames, threads, done)
+    try:
+        return _calibrated(reader, chosen)
+    except FramesError:
+        raise
+    except DatasetError as error:
+        where = f"{frames.camera}, ISO {float(chosen.iso):g}"
+        raise FramesError(
+            [Problem(frames.camera, where, "frames", "what the estimate needs", str(error), "or leave this ISO out")]
+        ) from error
+
+
+def decodings(chosen: IsoFrames) -> int:
+    """Return how many frames :func:`calibrate_iso` decodes: bias frames twice."""
+    estimated, held_out = _split(chosen.bias)
+    return 2 * len(estimated) + len(held_out) + 2 * len(chosen.pairs)
+
+
+def _split(bias: Sequence[FrameRecord]) -> tuple[Sequence[FrameRecord], Sequence[FrameRecord]]:
+    return (bias[:-1], bias[-1:]) if len(bias) >= HOLD_OUT_FROM else (bias, ())
+
+
+class _Reader:
+    """Decodes frames ahead, and leaves out those that are unlike the first one."""
+
+    def __init__(self, frames: CalibrationFrames, threads: int, done: Callable[[], object]) -> None:
+        self._frames, self.threads, self._done = frames, threads, done
+        self._first: RawFrame | None = None
+        self._sensors: dict[FrameRecord, Sensor] = {}
+        self.problems: list[Problem] = []
+
+    def read(self, records: Sequence[FrameRecord]) -> Iterator[tuple[FrameRecord, RawFrame]]:
+        """Yield the frames that are like the first one; :meth:`refuse` says what is wrong with the others."""
+        decoded = read_ahead(self._read, records, threads=self.threads)
+        for record, frame in zip(records, decoded, strict=True):
+            self._done()
+            if isinstance(frame, RawFileError):
+                self.problems.append(unreadable(record, frame))
+                continue
+            self._first = self._first or frame
+            self._sensors[record] = frame.sensor
+            if not unlike(record, frame.sensor, self._first.sensor, ""):
+                yield record, frame
+
+    def _read(self, record: FrameRecord) -> RawFrame | RawFileError:
+        try:
+            return self._frames.read(record)
+        except RawFileError as error:
+            return error
+
+    @property
+    def first(self) -> RawFrame:
+        if self._first is None:
+            raise DatasetError("no bias frames: take ten or more with the lens capped, at the shortest exposure")
+        return self._first
+
+    def lossy(self, records: Sequence[FrameRecord]) -> str | None:
+        """Return what loses data in the first of some files."""
+        return next((lossy_compression(self._frames.path(record)) for record in records[:1]), None)
+
+    def refuse(self) -> None:
+        """Raise what is wrong with the frames so far, if anything is."""
+        problems = [*self.problems, *unlike_most(self._sensors)]
+        if problems:
+            raise FramesError(sorted(problems, key=lambda problem: problem.path))
+
+
+def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
+    fixed, held_out = _first_pass(reader, chosen.bias)
+    sensor = reader.first.sensor
+    estimated = _split(chosen.bias)[0]
+    lines, residuals = LineMeans(fixed), Residuals(fixed)
+    means = ChannelMeans(sensor.cfa, defects=fixed.defects)
+    spectrum, gaps = None, 0.0
+    for _, frame in reader.read(estimated):
+        if spectrum is None:
+            spectrum, gaps = power_spectrum(frame.mosaic, fixed), missing_codes(frame.mosaic, fixed.pattern)
+        in_threads(partial(_add, frame.mosaic), (residuals, lines, means), reader.threads)
+    reader.refuse()
+    if spectrum is None:
+        raise DatasetError("no bias frame could be read")
+    histogram = residuals.histogram()
+    transfer, spatial, flat_remarks = _flats(reader, chosen, fixed)
+    found = IsoCalibration(
+        iso=float(chosen.iso),
+        sensor=sensor,
+        bias_frames=len(estimated),
+        flat_frames=0 if transfer is None else transfer.frames,
+        transfer=transfer,
+        spatial=spatial,
+        bias=colour_bias(means, sensor.black_level_dn),
+        rows=row_noise(lines),
+        read=read_noise(histogram),
+        plot=probability_plot(histogram),
+        pattern=PatternSummary(
+            defects=int(np.count_nonzero(fixed.defects)),
+            off_level=fixed.off_level,
+            stuck=fixed.stuck,
+            pixels=fixed.defects.size,
+            dsnu_dn=fixed.dsnu_dn,
+            dsnu_error_dn=fixed.dsnu_error_dn,
+            shading_dn=fixed.shading_dn,
+        ),
+        spectrum_dn2=spectrum,
+        reproduction=None,
+        remarks=(),
+    )
+    if held_out is not None:
+        # Its own generator: the comparison of one ISO does not depend on which others are calibrated with it.
+        generator = np.random.default_rng(int(chosen.iso))
+        found = replace(found, reproduction=reproduction(held_out, fixed, sensor, found.parameters, generator))
+    lossy = reader.lossy(estimated) or reader.lossy([pair.first for pair in chosen.pairs])
+    return replace(found, remarks=(*bias_remarks(found, chosen, lossy, gaps), *flat_remarks))
+
+
+def _first_pass(reader: _Reader, bias: Sequence[FrameRecord]) -> tuple[FixedPattern, NDArray[np.uint16] | None]:
+    """Return what stays from frame to frame, and the frame that the estimators do not see."""
+    estimated, held_out = _split(bias)
+    if len(estimated) < MINIMUM_FRAMES:
+        raise DatasetError(
+            f"{len(estimated)} bias frame(s), and {MINIMUM_FRAMES} are needed, {ADVISED_BIAS_FRAMES} or more advised: "
+            "take them with the lens capped, at the shortest exposure"
+        )
+    stack, kept, figures = None, None, []
+    for record, frame in reader.read(bias):
+        reader.problems += clipped_black(record, frame.mosaic)
+        figures.append(FrameFigures.of(record, frame.mosaic))
+        stack = stack or BiasStack(frame.sensor.cfa)
+        if record in held_out:
+            kept = frame.mosaic
+        else:
+            stack.add(frame.mosaic)
+    reader.problems += odd_bias_frames(figures)
+    reader.refuse()
+    if stack is None:
+        raise DatasetError("no bias frame could be read")
+    return fixed_pattern(stack, threads=reader.threads), kept
+
+
+def _add(mosaic: NDArray[np.uint16], sums: Residuals | LineMeans | ChannelMeans) -> None:
+    sums.add(mosaic)
+
+
+def _flats(
+    reader: _Reader, chosen: IsoFrames, fixed: FixedPattern
+) -> tuple[PhotonTransfer | None, PhotonTransfer | None, tuple[str, ...]]:
+    """Return K from pairs, K as published, and remarks."""
+    if not chosen.pairs:
+        return None, None, (no_pairs(chosen),)
+    sensor = reader.first.sensor
+    # The measured level of no light: the recorded one may be off by the colour bias.
+    pairs = FlatPairs(sensor.cfa, fixed.level_dn, sensor.white_level_dn, defects=fixed.defects)
+    singles = FlatFrames(sensor.cfa, fixed.level_dn, sensor.white_level_dn, defects=fixed.defects)
+    pair_of = {pair.second: pair for pair in chosen.pairs}
+    remarks: list[str] = []
+    gaps = 0.0
+    waiting: tuple[FrameRecord, RawFrame] | None = None
+    for record, frame in reader.read([record for pair in chosen.pairs for record in (pair.first, pair.second)]):
+        pair = pair_of.get(record)
+        if pair is None:
+            waiting = record, frame
+            continue
+        if waiting is None or waiting[0] != pair.first:
+            continue  # its partner was refused, and is named
+        first = waiting[1]
+        unequal = unequal_pair(pair, first, frame)
+        if unequal is not None:
+            remarks.append(unequal)
+            continue
+        pairs.add(first.mosaic, frame.mosaic)
+        singles.add(first.mosaic)
+        singles.add(frame.mosaic)
+        gaps = max(gaps, missing_codes(first.mosaic, fixed.pattern))
+    reader.refuse()
+    if len(remarks) == len(chosen.pairs):
+        raise DatasetError(f"no pair of flats is usable: {'; '.join(remarks)}")
+    try:
+        spatial = spatial_photon_transfer(singles)
+    except DatasetError:
+        spatial = None  # it needs three brightnesses; it is for comparison alone
+    transfer = photon_transfer(pairs)
+    return transfer, spatial, (*remarks, *flat_remarks(transfer, chosen, sensor, gaps))

@@ -1,0 +1,143 @@
+"""What a person should know before believing a calibration: each remark says what was seen and what to do about it."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from eldata.calibration.frame_checks import ADVISED_BIAS_FRAMES
+from eldata.calibration.read_noise import RELIABLE_SIGMA_DN
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from eldata.calibration.frame_checks import IsoFrames
+    from eldata.calibration.photon_transfer import PhotonTransfer, PhotonTransferLine
+    from eldata.calibration.results import IsoCalibration
+    from eldata.records import Sensor
+
+_LONGEST_BIAS_S = 1 / 250
+_GAPS = 0.02  # share of DN values that never occur
+_LEAST_PAIRS = 4
+_POOR_FIT = 3.0  # chi^2 per degree of freedom of the photon transfer line
+_BY_CHANCE = 1e-5  # of one line
+_DISAGREEMENT = 6.0  # of the channels' K, likewise
+_POOR_PLOT = 0.995  # R^2 of the Tukey-lambda probability plot; simulated cameras stay above from 1.5 megapixels on
+_GAIN_TOLERANCE = 0.1  # of K / ISO around its median
+
+
+def bias_remarks(found: IsoCalibration, chosen: IsoFrames, lossy: str | None, gaps: float) -> tuple[str, ...]:
+    """Return what the bias frames and the figures from them show."""
+    read, rows, columns = found.read, found.rows.rows, found.rows.columns
+    remarks = []
+    if found.bias_frames < ADVISED_BIAS_FRAMES - 1:
+        remarks.append(f"{found.bias_frames} bias frames were used; {ADVISED_BIAS_FRAMES} or more are advised")
+    if chosen.bias_exposure_s is not None and chosen.bias_exposure_s > _LONGEST_BIAS_S:
+        remarks.append(
+            f"the bias frames were exposed for {float(chosen.bias_exposure_s):g} s, so dark current is in them; take "
+            "them at the camera's shortest exposure"
+        )
+    if lossy is not None:
+        remarks.append(f"the files have {lossy}, which changes noise: no figure here is the sensor's own")
+    if gaps > _GAPS:
+        remarks.append(
+            f"{gaps:.0%} of the DN values between others never occur in a bias frame: the camera multiplies after "
+            "conversion at this ISO, or compresses with loss; rounding noise is then larger than the model's"
+        )
+    if not read.is_reliable:
+        remarks.append(
+            f"the read noise ({read.sigma_gauss_dn:.2f} DN) is below {RELIABLE_SIGMA_DN:g} DN, so rounding hides its "
+            "shape: lambda and sigma_TL are uncertain by more than they say"
+        )
+    elif read.r_squared_tl < _POOR_PLOT - 1 / (12 * (found.bias_frames * read.sigma_gauss_dn) ** 2):
+        # Residuals are multiples of 1/n DN; those steps alone take 1/(12 n^2 sigma^2) from R^2.
+        remarks.append(
+            f"R2 of the Tukey-lambda plot is {read.r_squared_tl:.4f}: the read noise is not of this family (look at "
+            "its plot for steps and a second slope)"
+        )
+    if rows.sigma_dn == 0:
+        remarks.append(f"no row noise was seen; {rows.sigma_error_dn:.2g} DN would just have been")
+    elif rows.shapiro_p < 1e-3 and abs(rows.excess_kurtosis) > 0.5:
+        remarks.append(
+            f"the row noise is not normal (Shapiro-Wilk p = {rows.shapiro_p:.1g}, excess kurtosis "
+            f"{rows.excess_kurtosis:.1f}); the model takes it for normal"
+        )
+    if columns.variance_dn2 > 5 * columns.variance_error_dn2 and columns.sigma_dn > 0.3 * rows.sigma_dn:
+        remarks.append(
+            f"columns have noise of their own, {columns.sigma_dn:.2g} DN, which the model leaves out and the read "
+            "noise contains"
+        )
+    drift = max(error for error in found.bias.standard_error_dn if math.isfinite(error))
+    if drift > 0.25:
+        remarks.append(f"black drifts from frame to frame: the colour bias is uncertain by {drift:.2g} DN")
+    if found.pattern.defects > 0.01 * found.pattern.pixels:
+        remarks.append(f"{found.pattern.defects / found.pattern.pixels:.1%} of the pixels are defects; is it the cap?")
+    compared = found.reproduction
+    if compared is not None and compared.histogram_distance > max(4 * compared.histogram_distance_by_chance, 0.02):
+        remarks.append(
+            f"a bias frame kept out differs from simulated ones by {compared.histogram_distance:.1%} of its histogram "
+            f"({compared.histogram_distance_by_chance:.1%} by chance)"
+        )
+    return tuple(remarks)
+
+
+def no_pairs(chosen: IsoFrames) -> str:
+    """Return the remark on an ISO whose K is not known."""
+    what = "no flat frames" if not chosen.single else f"{len(chosen.single)} flat frame(s) and no two of one exposure"
+    return f"{what}, so K is not known: this ISO does not take part in the fits; take flats in pairs of equal exposure"
+
+
+def flat_remarks(transfer: PhotonTransfer, chosen: IsoFrames, sensor: Sensor, gaps: float) -> tuple[str, ...]:
+    """Return what the flats and K show."""
+    remarks = []
+    if chosen.single:
+        names = ", ".join(record.path for record in chosen.single[:3])
+        more = f" and {len(chosen.single) - 3} more" if len(chosen.single) > 3 else ""
+        remarks.append(f"flats without a partner of the same exposure were left out: {names}{more}")
+    if len(chosen.pairs) < _LEAST_PAIRS:
+        remarks.append(f"K comes from {len(chosen.pairs)} pair(s) of flats; {_LEAST_PAIRS} levels or more are advised")
+    if gaps > _GAPS:
+        remarks.append(f"{gaps:.0%} of the DN values between others never occur in a flat: lossy compression?")
+    if transfer.left_out > 0.5:
+        remarks.append(
+            f"{transfer.left_out:.0%} of the flats' area is saturated or clipped and was left out; expose less"
+        )
+    brightest = max(float(line.signal_dn.max()) for line in transfer.channels)
+    share = brightest / (sensor.white_level_dn - float(np.mean(sensor.black_level_dn)))
+    if share < 0.25:
+        remarks.append(f"the brightest usable flat reaches {share:.0%} of the range; some nine tenths are better")
+    worst = max((line.chi2_per_dof for line in transfer.channels if _is_bent(line)), default=0.0)
+    if worst > 0:
+        remarks.append(
+            f"the variance does not follow a line over the signal (chi2 per degree of freedom {worst:.1f}): flicker, "
+            "lossy compression, or a sensor that is not linear"
+        )
+    if transfer.agreement_chi2_per_dof > _DISAGREEMENT:
+        gains = ", ".join(f"{line.gain_dn_per_e:.4g}" for line in transfer.channels)
+        remarks.append(
+            f"K differs between the channels: {gains} DN/e-; does the camera scale colours in its raw files?"
+        )
+    return tuple(remarks)
+
+
+def _is_bent(line: PhotonTransferLine) -> bool:
+    """Whether the points are off their line by more than a little, and by more than chance: few points scatter more."""
+    from scipy.special import chdtrc
+
+    freedom = len(line.signal_dn) - 2
+    return line.chi2_per_dof > _POOR_FIT and float(chdtrc(freedom, freedom * line.chi2_per_dof)) < _BY_CHANCE
+
+
+def overall_remarks(isos: Sequence[IsoCalibration]) -> list[str]:
+    """Return what shows only when the ISOs are seen together."""
+    ratios = {one.iso: one.gain_dn_per_e / one.iso for one in isos if one.gain_dn_per_e is not None}
+    if len(ratios) < 3:
+        return []
+    usual = float(np.median(list(ratios.values())))
+    odd = {iso: ratio for iso, ratio in ratios.items() if abs(ratio - usual) > _GAIN_TOLERANCE * usual}
+    if not odd:
+        return []
+    listed = ", ".join(f"ISO {iso:g} ({ratio / usual:.2f} of it)" for iso, ratio in odd.items())
+    return [f"K / ISO is usually {usual:.4g} DN/e-, but not at {listed}: an extended ISO, or frames of another one?"]

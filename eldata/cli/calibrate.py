@@ -1,0 +1,87 @@
+"""`eldata calibrate`: a camera's noise profile from its bias and flat-field frames."""
+
+from __future__ import annotations
+
+import argparse
+
+from eldata.console import OK, PROBLEMS, add_debug, add_jobs, add_json, add_root, write_json
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add this command."""
+    parser = commands.add_parser(
+        "calibrate",
+        help="measure a camera's noise from bias and flat-field frames",
+        description=(
+            "Measure system gain, colour bias, row noise and read noise at each ISO from bias frames (lens capped, "
+            "shortest exposure) and pairs of flat-field frames, fit their joint distribution, and write the camera's "
+            "profile for the noise model. With frames that cannot be used, each is listed and nothing is written."
+        ),
+        epilog="What to shoot, and how failures show: docs/calibration.md.",
+    )
+    parser.add_argument(
+        "frames",
+        metavar="FRAMES",
+        help="folder with CAMERA/{bias,flat}/ISO100/... in it, the camera's own folder, or a manifest (.csv)",
+    )
+    parser.add_argument("--camera", metavar="NAME", help="the camera's name (default: the only one that is there)")
+    parser.add_argument("-o", "--output", metavar="FILE", help="write the camera profile to FILE (JSON)")
+    parser.add_argument("--html", metavar="FILE", help="write a report with plots to FILE")
+    parser.add_argument(
+        "--iso", action="append", dest="isos", type=_iso, metavar="ISO", help="only this ISO; may be repeated"
+    )
+    add_root(parser)
+    add_jobs(parser)
+    add_json(parser)
+    add_debug(parser)
+    parser.set_defaults(run=run, command="calibrate")
+
+
+def _iso(text: str) -> int:
+    if not (text.isascii() and text.isdecimal()) or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number of 1 or more, found {text!r}")
+    return int(text)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run this command."""
+    from dataclasses import asdict
+
+    from eldata.calibration.camera import calibrate
+    from eldata.calibration.frame_checks import FramesError
+    from eldata.datasets.calibration_frames import CalibrationFrames
+    from eldata.errors import ArgumentError
+    from eldata.files import write_text
+    from eldata.manifest.catalogue import load_manifest
+
+    if arguments.frames.endswith(".csv"):
+        folder = load_manifest(arguments.frames).folder(arguments.root)
+        frames = CalibrationFrames(folder, arguments.camera, manifest=arguments.frames, isos=arguments.isos)
+    else:
+        if arguments.root:
+            raise ArgumentError("--root says where a manifest's files lie; with a folder of frames, leave it out")
+        frames = CalibrationFrames(arguments.frames, arguments.camera, isos=arguments.isos)
+    try:
+        found = calibrate(frames, jobs=arguments.jobs)
+    except FramesError as error:
+        for problem in error.problems:
+            print(problem.format_text())
+        count = len(error.problems)
+        print(f"{frames.camera}: {count} problem{'s' if count > 1 else ''}; nothing was written")
+        if arguments.json:
+            write_json(arguments.json, {"camera": frames.camera, "problems": [asdict(one) for one in error.problems]})
+        return PROBLEMS
+    print(f"{found.camera}: {found.profile.source}\n\n{found.format_text()}")
+    if frames.skipped:
+        print(f"\n{len(frames.skipped)} file(s) that are no raw files were left alone, such as {frames.skipped[0]}")
+    if arguments.output:
+        found.profile.save(arguments.output)
+        print(f"\nprofile: {arguments.output}; look at it with eldata profile show {arguments.output}")
+    if arguments.json:
+        write_json(arguments.json, found.as_dict())
+    if arguments.html:
+        from eldata.reports.calibration_page import calibration_page
+
+        write_text(arguments.html, calibration_page(found))
+        print(f"\nreport: {arguments.html}")
+    return OK

@@ -1,0 +1,272 @@
+"""Bias and flat-field frames of one camera, by ISO, from a manifest or from folders."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from dataclasses import asdict, dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, TypedDict
+
+from eldata.errors import ArgumentError, DatasetError
+from eldata.files import inside
+from eldata.manifest.catalogue import data_root, load_manifest
+from eldata.raw.extensions import RAW_EXTENSIONS
+from eldata.records import FrameRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator
+
+    import numpy as np
+    import pandas as pd
+    from numpy.typing import NDArray
+
+    from eldata.records import RawFrame, Role
+
+_ROLES: tuple[Role, ...] = ("bias", "flat")
+_FOLDER = "calibration"
+_ISO_FOLDER = re.compile(r"ISO([1-9][0-9]{0,8})")
+
+
+class CalibrationSample(TypedDict):
+    """One frame as :class:`CalibrationFrames` gives it; the default collate of torch takes it."""
+
+    mosaic: NDArray[np.uint16]
+    role: str
+    camera: str
+    iso: float
+    exposure_s: float
+    path: str
+
+
+@dataclass(frozen=True, slots=True)
+class FlatPair:
+    """Two flats of one ISO and exposure, taken one after the other."""
+
+    first: FrameRecord
+    second: FrameRecord
+
+
+class CalibrationFrames:
+    """Bias and flat-field frames of one camera.
+
+    Nothing is decoded before it is asked for, and one frame at a time: the memory does not depend on their number.
+
+    Parameters
+    ----------
+    root
+        The folder that holds ``<camera>/{bias,flat}/ISO<iso>/...``, or the camera's own folder, with ``bias`` and
+        ``flat`` in it. Default: ``calibration`` below ``$ELDATA_ROOT``, else below ``./data``. With a manifest, the
+        folder that its paths start from; default the manifest's own below the data root.
+    camera
+        The camera's name; may be left out if there is one alone.
+    manifest
+        A manifest's CSV file, whose rows of role ``bias`` and ``flat`` are taken in place of what the folders hold.
+    isos
+        Only these ISOs.
+
+    Attributes
+    ----------
+    records
+        One :class:`~eldata.records.FrameRecord` a frame, sorted by path: bias and flat frames of the chosen ISOs. From
+        folders, the ISO is the folder's and the exposure time not known; :meth:`read` has what the file says.
+    skipped
+        Files in the folders that are no raw files, such as the JPEG beside a raw file.
+
+    Raises
+    ------
+    DatasetError
+        If there is no such folder, camera or ISO, or a frame lies where no ISO is named; the message lists what there
+        is.
+
+    Examples
+    --------
+    >>> from eldata import CalibrationFrames
+    >>> frames = CalibrationFrames("data/calibration", "SonyA7S2")  # doctest: +SKIP
+    >>> frames.isos  # doctest: +SKIP
+    (100, 200, 400)
+    >>> frames[0]["mosaic"].shape  # doctest: +SKIP
+    (2848, 4256)
+    """
+
+    def __init__(
+        self,
+        root: Path | str | None = None,
+        camera: str | None = None,
+        *,
+        manifest: Path | str | None = None,
+        isos: Collection[int] | None = None,
+    ) -> None:
+        self.skipped: tuple[str, ...] = ()
+        if manifest is not None:
+            loaded = load_manifest(manifest)
+            self.root = loaded.folder() if root is None else Path(root)
+            found = tuple(record for record in loaded.records if record.role in _ROLES)
+            self.camera = _chosen_camera(camera, {record.camera for record in found}, str(loaded.path))
+            found = tuple(record for record in found if record.camera == self.camera)
+            for record in found:
+                if record.iso is None:
+                    raise DatasetError(f"{loaded.path}, {record.path}: a calibration frame's row needs its ISO")
+        else:
+            self.root = data_root() / _FOLDER if root is None else Path(root)
+            self.camera, found, self.skipped = _from_folders(self.root, camera)
+        self.records = _of_isos(found, isos)
+
+    @property
+    def isos(self) -> tuple[Fraction, ...]:
+        """The ISOs, ascending."""
+        return tuple(sorted({record.iso for record in self.records if record.iso is not None}))
+
+    def of(self, role: Role, iso: Fraction | int) -> tuple[FrameRecord, ...]:
+        """Return the records of one role and ISO, sorted by path."""
+        return tuple(record for record in self.records if record.role == role and record.iso == iso)
+
+    def path(self, record: FrameRecord) -> Path:
+        """Return where a frame's file lies.
+
+        Raises
+        ------
+        ManifestError
+            If the path leads outside of the root.
+        """
+        return inside(self.root, record.path)
+
+    def read(self, record: FrameRecord) -> RawFrame:
+        """Decode one frame.
+
+        Raises
+        ------
+        RawFileError
+            If the file is missing, damaged or not a raw mosaic.
+        """
+        from eldata.raw.reading import read_raw
+
+        return read_raw(self.path(record))
+
+    @property
+    def frame(self) -> pd.DataFrame:
+        """The records as a pandas DataFrame, one row a frame, numbers as floats."""
+        import pandas as pd
+
+        rows = [
+            {key: float(value) if isinstance(value, Fraction) else value for key, value in asdict(record).items()}
+            for record in self.records
+        ]
+        return pd.DataFrame(rows)
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+    def __iter__(self) -> Iterator[CalibrationSample]:
+        return (self[index] for index in range(len(self)))
+
+    def __getitem__(self, index: int) -> CalibrationSample:
+        """Decode one frame: its mosaic in DN, black level not subtracted; 0 for an ISO or time that is not stated."""
+        record = self.records[index]
+        frame = self.read(record)
+        return CalibrationSample(
+            mosaic=frame.mosaic,
+            role=record.role,
+            camera=record.camera,
+            iso=float(frame.exposure.iso or 0),
+            exposure_s=float(frame.exposure.exposure_s or 0),
+            path=record.path,
+        )
+
+    def __repr__(self) -> str:
+        counts = ", ".join(
+            f"ISO {float(iso):g}: {len(self.of('bias', iso))} bias, {len(self.of('flat', iso))} flat"
+            for iso in self.isos
+        )
+        return f"CalibrationFrames({str(self.root)!r}, {self.camera!r}, {len(self)} frames; {counts})"
+
+
+def flat_pairs(flats: Collection[FrameRecord]) -> tuple[tuple[FlatPair, ...], tuple[FrameRecord, ...]]:
+    """Return pairs of equal flats, and the flats that have no partner.
+
+    Flats of the same exposure time are paired in the order of their paths, which cameras number by time: the first with
+    the second, the third with the fourth.
+
+    Parameters
+    ----------
+    flats
+        Of one ISO, with their exposure times.
+    """
+    by_exposure: dict[Fraction | None, list[FrameRecord]] = defaultdict(list)
+    for record in sorted(flats, key=lambda record: record.path):
+        by_exposure[record.exposure_s].append(record)
+    pairs, single = [], []
+    for exposure, same in by_exposure.items():
+        count = len(same) // 2 * 2 if exposure is not None else 0
+        pairs += [FlatPair(*same[index : index + 2]) for index in range(0, count, 2)]
+        single += same[count:]
+    return tuple(sorted(pairs, key=lambda pair: pair.first.path)), tuple(single)
+
+
+# --- finding --------------------------------------------------------------------------------------------------
+
+
+def _chosen_camera(wanted: str | None, found: Collection[str], where: str) -> str:
+    listed = ", ".join(sorted(found))
+    if not found:
+        raise DatasetError(f"{where}: holds no calibration frames (rows of role bias or flat)")
+    if wanted is None:
+        if len(found) > 1:
+            raise DatasetError(f"{where}: holds frames of {len(found)} cameras; choose one: {listed}")
+        return next(iter(found))
+    if wanted not in found:
+        raise DatasetError(f"{where}: has no camera {wanted!r}; there is {listed}")
+    return wanted
+
+
+def _from_folders(root: Path, camera: str | None) -> tuple[str, tuple[FrameRecord, ...], tuple[str, ...]]:
+    layout = "<camera>/bias/ISO100/..., <camera>/flat/ISO100/..., one folder an ISO"
+    if not root.is_dir():
+        raise DatasetError(f"{root}: there is no such folder; calibration frames lie in {layout}")
+    if any((root / role).is_dir() for role in _ROLES):  # the camera's own folder
+        name, prefix = camera or root.resolve().name, ""
+    else:
+        cameras = [path.name for path in sorted(root.iterdir()) if any((path / role).is_dir() for role in _ROLES)]
+        if not cameras:
+            raise DatasetError(f"{root}: holds no folder bias or flat, nor a camera's with them; expected {layout}")
+        name = _chosen_camera(camera, cameras, str(root))
+        prefix = f"{name}/"
+    records: list[FrameRecord] = []
+    skipped: list[str] = []
+    for role in _ROLES:
+        folder = root / prefix / role
+        for path in sorted(folder.rglob("*")) if folder.is_dir() else ():
+            relative = path.relative_to(root).as_posix()
+            if any(part.startswith(".") for part in path.relative_to(folder).parts):
+                continue
+            if path.is_dir():
+                if path.is_symlink():  # which the search does not follow: its frames would be missing without a word
+                    raise DatasetError(f"{path}: is a link to a folder; move the frames themselves there")
+                continue
+            if path.suffix.lower() not in RAW_EXTENSIONS:
+                skipped.append(relative)
+                continue
+            first = path.relative_to(folder).parts[0]
+            named = _ISO_FOLDER.fullmatch(first)
+            if named is None or first == path.name:
+                raise DatasetError(
+                    f"{path}: lies in no folder that names its ISO; expected {folder}/ISO100/{path.name} or the like"
+                )
+            records.append(FrameRecord(path=relative, role=role, camera=name, iso=Fraction(named[1])))
+    if not records:
+        raise DatasetError(f"{root / prefix}: holds no raw file ({', '.join(sorted(RAW_EXTENSIONS))}) in {layout}")
+    return name, tuple(sorted(records, key=lambda record: record.path)), tuple(skipped)
+
+
+def _of_isos(records: tuple[FrameRecord, ...], isos: Collection[int] | None) -> tuple[FrameRecord, ...]:
+    if isos is None:
+        return records
+    known = sorted({record.iso for record in records if record.iso is not None})
+    listed = ", ".join(f"{float(iso):g}" for iso in known)
+    if not isos:
+        raise ArgumentError(f"isos is empty; there are {listed}")
+    for iso in isos:
+        if iso not in known:
+            raise DatasetError(f"no frames of ISO {iso}; there are {listed}")
+    return tuple(record for record in records if record.iso in isos)

@@ -1,0 +1,372 @@
+"""Calibration frames of a simulated camera with known noise: real DNG files, their manifest, and the truth beside them.
+
+Bias frames stand at the shortest exposure. Flats are pairs of equal exposure under one constant lamp: only the time
+changes, in thirds of a stop, so that the signal is proportional to time x K over all ISOs.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, replace
+from fractions import Fraction
+from functools import lru_cache
+from typing import TYPE_CHECKING, Final, Literal
+
+import numpy as np
+
+from eldata.demo.body import Body, FixedFeatures, KnownNoise
+from eldata.errors import ArgumentError
+from eldata.files import write_text
+from eldata.manifest.card import CameraCard, Card, save_card
+from eldata.manifest.catalogue import load_manifest
+from eldata.manifest.table import number_text, save_records
+from eldata.parallel import check_jobs, run_units
+from eldata.raw.dng import write_dng
+from eldata.records import Exposure, FrameRecord, Sensor
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from eldata.manifest.catalogue import Manifest
+
+NAME: Final = "calibration-demo"
+_FOLDER: Final = "calibration"
+BIAS_EXPOSURE_S: Final = Fraction(1, 8000)
+
+# Exposure times as cameras name them, a third of a stop apart, from 1/8000 s to 30 s.
+_TIME_NAMES: Final = """
+1/8000 1/6400 1/5000 1/4000 1/3200 1/2500 1/2000 1/1600 1/1250 1/1000 1/800 1/640 1/500 1/400 1/320 1/250 1/200 1/160
+1/125 1/100 1/80 1/60 1/50 1/40 1/30 1/25 1/20 1/15 1/13 1/10 1/8 1/6 1/5 1/4 0.3 0.4 0.5 0.6 0.8 1 1.3 1.6 2 2.5 3.2
+4 5 6 8 10 13 15 20 25 30
+"""
+_TIMES_S: Final = tuple(Fraction(name) for name in _TIME_NAMES.split())
+# The lamp: at this time and the camera's lowest gain a flat's mean fills 80 % of the range over black. The times' names
+# are rounded, by 2.4 % along the powers of two from here, so the next ISOs may pass the 80 % by that.
+_BRIGHTEST_S = Fraction(8, 5)
+_BRIGHTEST_SHARE = 0.8
+_ROUNDING_OF_TIMES = 1.03
+# Four stops below it: 5 %.
+_RANGE_STEPS = 12
+_F_NUMBER = Fraction(28, 5)
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationCamera:
+    """A camera whose noise is known at some ISOs.
+
+    Attributes
+    ----------
+    name
+        Its folder in the dataset.
+    sensor
+        What its files say of it; the size of the frames is given when they are made.
+    noise
+        The truth, one record an ISO.
+    """
+
+    name: str
+    sensor: Sensor
+    noise: tuple[KnownNoise, ...]
+
+    def noise_at(self, iso: int) -> KnownNoise:
+        """Return the truth at an ISO.
+
+        Raises
+        ------
+        ArgumentError
+            If it is not known there.
+        """
+        for noise in self.noise:
+            if noise.iso == iso:
+                return noise
+        known = ", ".join(str(noise.iso) for noise in self.noise)
+        raise ArgumentError(f"the noise of {self.name} is known at ISO {known}; found {iso}")
+
+
+# ISO, lambda, sigma_TL, sigma_row (DN), colour bias of R, G1, B, G2 (DN). The scales scatter by some percent around
+# sigma_TL = 0.70 (ISO / 100)^0.47 and sigma_row = 0.16 (ISO / 100)^0.52, near the lines of the Sony A7S II; at ISO 400
+# lambda is 0, the logistic limit, as it is there; the bias is that of a black level that is a little off at each ISO.
+_DEMO_GAMMA: Final = (
+    (100, 0.11, 0.68, 0.165, (1.42, 1.36, 1.51, 1.38)),
+    (200, 0.06, 1.02, 0.215, (-1.05, -1.12, -0.94, -1.08)),
+    (400, 0.0, 1.26, 0.345, (-0.31, -0.24, -0.40, -0.27)),
+    (800, -0.04, 1.95, 0.452, (0.62, 0.55, 0.71, 0.58)),
+    (1600, -0.07, 2.66, 0.71, (2.31, 2.05, 2.47, 2.12)),
+    (3200, -0.09, 3.35, 0.94, (-1.36, -1.21, -1.50, -1.18)),
+    (6400, -0.11, 5.16, 1.36, (-2.20, -1.70, -2.46, -1.62)),
+    (12800, -0.13, 6.62, 2.09, (0.90, 1.40, 0.55, 1.25)),
+    (25600, -0.14, 9.80, 2.79, (1.80, 2.45, -1.30, -2.10)),
+)
+_DEMO_GAMMA_GAIN_PER_ISO: Final = 0.095 / 100
+
+DEMO_GAMMA: Final = CalibrationCamera(
+    name="DemoGamma",
+    sensor=Sensor(
+        make="eldata",
+        model="Demo Gamma",
+        cfa=((0, 1), (3, 2)),
+        black_level_dn=(512.0, 512.0, 512.0, 512.0),
+        white_level_dn=16383.0,
+        height=1024,
+        width=1536,
+        white_balance=(2.0, 1.0, 1.7, 1.0),
+        xyz_to_camera=((0.6640, -0.1847, -0.0503), (-0.5238, 1.3010, 0.2474), (-0.0993, 0.1673, 0.6527)),
+    ),
+    noise=tuple(
+        KnownNoise(iso, _DEMO_GAMMA_GAIN_PER_ISO * iso, shape, sigma_tl_dn, sigma_row_dn, bias_dn)
+        for iso, shape, sigma_tl_dn, sigma_row_dn, bias_dn in _DEMO_GAMMA
+    ),
+)
+
+DEMO_FEATURES: Final = FixedFeatures(
+    prnu=0.008, dsnu_dn=0.6, column_pattern_dn=0.3, hot_share=1e-4, bias_shading_dn=0.4, vignetting=0.3
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """All frames that are to be taken; ``times_s`` are the flats' at each ISO of ``noise``, rising."""
+
+    camera: CalibrationCamera
+    features: FixedFeatures
+    seed: int
+    lamp_e_per_s: float
+    bias_frames: int
+    noise: tuple[KnownNoise, ...]
+    times_s: tuple[tuple[Fraction, ...], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Shot:
+    """One frame to take: small, for worker processes. ``level_dn`` is that of the middle of a flat."""
+
+    path: Path
+    role: Literal["bias", "flat"]
+    sensor: Sensor
+    features: FixedFeatures
+    seed: int
+    noise: KnownNoise
+    iso_index: int
+    frame_index: int
+    exposure_s: Fraction
+    level_dn: float
+
+
+def make_calibration_frames(
+    folder: Path,
+    *,
+    camera: CalibrationCamera = DEMO_GAMMA,
+    isos: Sequence[int] = (100, 400, 1600, 6400),
+    bias_frames: int = 10,
+    flat_levels: int = 5,
+    size: tuple[int, int] = (1024, 1536),
+    seed: int = 0,
+    features: FixedFeatures = DEMO_FEATURES,
+    jobs: int = 1,
+) -> Manifest:
+    """Take bias and flat-field frames with a simulated camera into ``folder``.
+
+    Writes ``folder/data/calibration/<camera>/{bias,flat}/ISO<iso>/IMG_<nnnn>.dng``,
+    ``folder/manifests/calibration-demo.{csv,json}`` and ``folder/truth.json``, which holds all that is known.
+
+    Parameters
+    ----------
+    folder
+        Made if it is not there.
+    camera
+        The camera with its known noise.
+    isos
+        ISOs that the camera knows.
+    bias_frames
+        Bias frames per ISO.
+    flat_levels
+        Pairs of flats per ISO, 2 to 13: their mean goes from about 5 % to about 80 % of the range over black.
+    size
+        (H, W) of the mosaics in pixels.
+    seed
+        The same seed gives the same files, whatever ``jobs`` is.
+    features
+        How strong the fixed pattern is.
+    jobs
+        Number of worker processes.
+
+    Raises
+    ------
+    ArgumentError
+        If an argument is out of its range, or an ISO has no exposure time from 1/8000 s on that gives its flats.
+    """
+    _check(isos, bias_frames, flat_levels, seed)
+    check_jobs(jobs)
+    camera = replace(camera, sensor=replace(camera.sensor, height=size[0], width=size[1]))
+    noise = tuple(camera.noise_at(iso) for iso in isos)
+    body = _body(camera.sensor, features, seed)
+    lamp = _lamp_e_per_s(camera, body)
+    times = tuple(_flat_times_s(camera.sensor, known, lamp * _mean_light(body), flat_levels) for known in noise)
+    plan = _Plan(camera, features, seed, lamp, bias_frames, noise, times)
+
+    data, manifests = folder / "data" / _FOLDER, folder / "manifests"
+    shots = tuple(_shots(data, plan))
+    for place in (manifests, *sorted({shot.path.parent for shot in shots})):
+        place.mkdir(parents=True, exist_ok=True)
+    try:
+        for _ in run_units(_take, shots, jobs=jobs, label="calibration frames", unit="frame"):
+            pass
+    finally:
+        _body.cache_clear()  # a caller's process need not keep its arrays
+    write_text(folder / "truth.json", json.dumps(_truth(plan, body), indent=1) + "\n")
+    records = [_record(shot, data, camera.name) for shot in shots]
+    save_card(manifests / f"{NAME}.json", _card(camera, records))
+    save_records(manifests / f"{NAME}.csv", records)
+    return load_manifest(manifests / f"{NAME}.csv")
+
+
+def _check(isos: Sequence[int], bias_frames: int, flat_levels: int, seed: int) -> None:
+    if not isos or len(set(isos)) != len(isos):
+        raise ArgumentError(f"isos: expected one or more, each once; found {tuple(isos)}")
+    if bias_frames < 1:
+        raise ArgumentError(f"bias_frames must be 1 or more; found {bias_frames}")
+    if not 2 <= flat_levels <= _RANGE_STEPS + 1:
+        raise ArgumentError(f"flat_levels must be 2 to {_RANGE_STEPS + 1}; found {flat_levels}")
+    if seed < 0:
+        raise ArgumentError(f"seed must be 0 or more; found {seed}")
+
+
+@lru_cache(maxsize=1)
+def _body(sensor: Sensor, features: FixedFeatures, seed: int) -> Body:
+    """Draw the specimen, once in each process."""
+    return Body(sensor, features, np.random.default_rng([seed, 0]))
+
+
+def _span_dn(sensor: Sensor) -> float:
+    return sensor.white_level_dn - max(sensor.black_level_dn)
+
+
+def _lamp_e_per_s(camera: CalibrationCamera, body: Body) -> float:
+    """Return the lamp's light in the middle of the frame, photoelectrons a second: the same for any choice of ISOs."""
+    lowest_gain = min(noise.gain_dn_per_e for noise in camera.noise)
+    mean_e = _BRIGHTEST_SHARE * _span_dn(camera.sensor) / lowest_gain
+    return mean_e / float(_BRIGHTEST_S) / _mean_light(body)
+
+
+def _mean_light(body: Body) -> float:
+    return float(body.light.mean(dtype=np.float64))
+
+
+def _flat_times_s(sensor: Sensor, noise: KnownNoise, mean_e_per_s: float, levels: int) -> tuple[Fraction, ...]:
+    """Return the exposure times of the flats at one ISO, evenly spread over four stops and rising."""
+    longest_s = _ROUNDING_OF_TIMES * _BRIGHTEST_SHARE * _span_dn(sensor) / (mean_e_per_s * noise.gain_dn_per_e)
+    last = sum(time <= longest_s for time in _TIMES_S) - 1
+    first = last - _RANGE_STEPS
+    if first < 0:
+        raise ArgumentError(
+            f"flats at ISO {noise.iso} would need exposures below 1/8000 s: its gain of {noise.gain_dn_per_e:.3g} "
+            "DN/e- is too far above the camera's lowest"
+        )
+    return tuple(_TIMES_S[first + round(_RANGE_STEPS * index / (levels - 1))] for index in range(levels))
+
+
+def _shots(data: Path, plan: _Plan) -> Iterator[_Shot]:
+    """Yield the frames as a photographer would take them: all bias frames, then, cap off, the flats in pairs."""
+    bias = [(BIAS_EXPOSURE_S,) * plan.bias_frames] * len(plan.noise)
+    flats = [tuple(time for time in times for _ in range(2)) for times in plan.times_s]
+    sequence: tuple[tuple[Literal["bias", "flat"], list[tuple[Fraction, ...]], int, float], ...] = (
+        ("bias", bias, 0, 0.0),
+        ("flat", flats, plan.bias_frames, plan.lamp_e_per_s),
+    )
+    number = 0
+    for role, exposures, first, light in sequence:
+        for iso_index, (noise, times) in enumerate(zip(plan.noise, exposures, strict=True)):
+            for frame_index, exposure_s in enumerate(times, first):
+                number += 1
+                yield _Shot(
+                    path=data / plan.camera.name / role / f"ISO{noise.iso}" / f"IMG_{number:04d}.dng",
+                    role=role,
+                    sensor=plan.camera.sensor,
+                    features=plan.features,
+                    seed=plan.seed,
+                    noise=noise,
+                    iso_index=iso_index,
+                    frame_index=frame_index,
+                    exposure_s=exposure_s,
+                    level_dn=light * float(exposure_s) * noise.gain_dn_per_e,
+                )
+
+
+def _take(shot: _Shot) -> None:
+    """Take one frame and write it."""
+    # 1 + the index: the specimen's own draws have 0 there.
+    generator = np.random.default_rng([shot.seed, 1 + shot.iso_index, shot.frame_index])
+    body = _body(shot.sensor, shot.features, shot.seed)
+    if shot.role == "bias":
+        mosaic = body.bias_frame(shot.noise, generator)
+    else:
+        mosaic = body.flat_frame(shot.noise, shot.level_dn, generator)
+    exposure = Exposure(Fraction(shot.noise.iso), shot.exposure_s, _F_NUMBER)
+    write_dng(shot.path, mosaic, shot.sensor, exposure, compression="lossless-jpeg")
+
+
+def _record(shot: _Shot, data: Path, camera: str) -> FrameRecord:
+    return FrameRecord(
+        path=shot.path.relative_to(data).as_posix(),
+        role=shot.role,
+        camera=camera,
+        iso=Fraction(shot.noise.iso),
+        exposure_s=shot.exposure_s,
+        width=shot.sensor.width,
+        height=shot.sensor.height,
+    )
+
+
+def _card(camera: CalibrationCamera, records: Sequence[FrameRecord]) -> Card:
+    roles = [record.role for record in records]
+    return Card(
+        name=NAME,
+        title="Simulated calibration frames",
+        version="1.0",
+        folder=_FOLDER,
+        citation="none: made by eldata demo",
+        licence="CC0",
+        homepage="made by eldata demo",
+        cfa="bayer" if len(camera.sensor.cfa) == 2 else "xtrans",
+        cameras={camera.name: CameraCard((camera.sensor.model,))},
+        counts={role: roles.count(role) for role in sorted(set(roles))},
+        sources=("eldata.demo: a simulated camera; truth.json beside the manifests' folder holds its noise",),
+    )
+
+
+def _truth(plan: _Plan, body: Body) -> dict[str, object]:
+    """Return all that is known, for JSON; exposure times as exact text, as in the manifest."""
+    sensor, mean_light = plan.camera.sensor, _mean_light(body)
+    return {
+        "camera": plan.camera.name,
+        "seed": plan.seed,
+        "height": sensor.height,
+        "width": sensor.width,
+        "cfa": sensor.cfa,
+        "black_level_dn": sensor.black_level_dn,
+        "white_level_dn": sensor.white_level_dn,
+        "features": asdict(plan.features),
+        "hot_pixels": int(body.hot.sum()),
+        "lamp_e_per_s": plan.lamp_e_per_s,
+        "mean_light": mean_light,
+        "bias_frames": plan.bias_frames,
+        "bias_exposure_s": number_text(BIAS_EXPOSURE_S),
+        "isos": [
+            {
+                **asdict(noise),
+                "sigma_gauss_dn": noise.sigma_gauss_dn,
+                # What this specimen's frames hold: the mean of its fixed pattern over pixels that are not hot added.
+                "colour_bias_with_pattern_dn": body.colour_bias_dn(noise),
+                "pattern_scale": plan.features.scale(noise.gain_dn_per_e),
+                "flats": [
+                    {
+                        "exposure_s": number_text(time),
+                        "mean_level_dn": plan.lamp_e_per_s * mean_light * float(time) * noise.gain_dn_per_e,
+                    }
+                    for time in times
+                ],
+            }
+            for noise, times in zip(plan.noise, plan.times_s, strict=True)
+        ],
+    }

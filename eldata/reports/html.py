@@ -1,0 +1,96 @@
+"""What the pages of every report share: templates, and the signs that a page has and a terminal may not.
+
+A page is one file: images and style inside, no script, nothing from the network.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+import re
+from functools import cache
+from pathlib import Path
+
+import jinja2
+
+from eldata import __version__
+from eldata.tables import with_error
+
+_TEMPLATES = Path(__file__).parent / "templates"
+
+
+def rendered(template: str, **values: object) -> str:
+    """Return a page; every text that is put in is escaped."""
+    return _environment().get_template(template).render(version=__version__, **values)
+
+
+@cache
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_TEMPLATES),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters["svg_uri"] = svg_uri
+    environment.filters["png_uri"] = png_uri
+    environment.filters["typeset"] = typeset
+    environment.filters["signed"] = signed
+    environment.filters["prose"] = prose
+    return environment
+
+
+def svg_uri(svg: bytes) -> str:
+    """Return a drawing as the address of itself."""
+    return f"data:image/svg+xml;base64,{base64.b64encode(svg).decode('ascii')}"
+
+
+def png_uri(png: bytes) -> str:
+    """Return a picture as the address of itself."""
+    return f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"
+
+
+_TYPESET = (
+    (re.compile(r"DN\^2"), "DN²"),
+    (re.compile(r"\be-(?!\w)"), "e⁻"),
+    (re.compile(r"\bsigma_"), "σ "),
+    (re.compile(r"(?<![\w-])sigma\b"), "σ"),
+    (re.compile(r"(?<![\w-])lambda\b"), "λ"),
+    (re.compile(r"\bR2\b"), "R²"),
+)
+
+
+def typeset(text: str) -> str:
+    """Return a symbol or a unit with the signs that a page has and a terminal may not."""
+    for plain, sign in _TYPESET:
+        text = plain.sub(sign, text)
+    return text
+
+
+def signed(text: str) -> str:
+    """Return a number with a minus sign in place of its hyphen."""
+    return text.replace("-", "−")
+
+
+def prose(text: str) -> str:
+    """Return a sentence with typeset symbols, and minus signs where a number is negative."""
+    return re.sub(r"(?<![\w.)-])-(?=\.?\d)", "−", typeset(text))
+
+
+def digits(value: float, count: int = 3) -> str:
+    """Return a number with so many significant digits; "not known" for what is not a number."""
+    return signed(f"{value:.{count}g}") if math.isfinite(value) else "not known"
+
+
+def measured(value: float, error: float, unit: str = "") -> str:
+    """Return a value with its standard error, where it has one, and its unit."""
+    if not math.isfinite(value):
+        return "not known"
+    return f"{signed(with_error(value, error))} {unit}".rstrip()
+
+
+def grouped(count: int) -> str:
+    """Return a count with its digits in threes."""
+    return f"{count:,}".replace(",", "\N{NARROW NO-BREAK SPACE}")

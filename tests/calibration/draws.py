@@ -1,0 +1,79 @@
+"""Random cameras for tests of calibration, over the ranges of the shipped profiles."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from eldata.demo.body import KnownNoise
+from eldata.demo.calibration_frames import CalibrationCamera
+from eldata.records import Sensor
+from tests.calibration.simulation import XTRANS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+# Of eldata/noise/profiles/*.json: gains, lambdas and biases of the rows, scales on the fitted lines. (The line of
+# NikonD850-2 goes down to 0.1 DN; noise that quiet is lost in rounding, and the calibration says so.)
+GAIN_DN_PER_E = (0.09, 29.0)
+TUKEY_LAMBDA = (-0.24, 0.2)
+SIGMA_TL_DN = (0.6, 35.0)
+SIGMA_ROW_DN = (0.1, 4.2)
+COLOUR_BIAS_DN = (-2.9, 6.1)
+
+BAYER_PHASES = (((0, 1), (3, 2)), ((1, 0), (2, 3)), ((3, 2), (0, 1)), ((2, 3), (1, 0)))
+
+
+def drawn_noise(generator: np.random.Generator, isos: Sequence[int], channels: int = 4) -> tuple[KnownNoise, ...]:
+    """Draw a camera's noise at ISOs that span at most a factor of 300.
+
+    The gain is in proportion to the ISO. The scales lie on a line over the gain in log-log coordinates, with a scatter
+    of a tenth; lambda and the bias are drawn at each ISO anew.
+    """
+    ratio = max(isos) / min(isos)
+    base = _log_uniform(generator, GAIN_DN_PER_E[0], GAIN_DN_PER_E[1] / ratio) / min(isos)
+    slope = generator.uniform(0.45, 0.65)
+    sigma_tl = _log_uniform(generator, SIGMA_TL_DN[0], max(SIGMA_TL_DN[1] / ratio**slope, SIGMA_TL_DN[0]))
+    row_share = generator.uniform(0.1, 0.3)
+    drawn = []
+    for iso in isos:
+        line, scatter = sigma_tl * (iso / min(isos)) ** slope, np.exp(0.1 * generator.standard_normal(2))
+        common = generator.uniform(-2.0, 4.0)
+        drawn.append(
+            KnownNoise(
+                iso=iso,
+                gain_dn_per_e=base * iso,
+                tukey_lambda=float(generator.uniform(*TUKEY_LAMBDA)),
+                sigma_tl_dn=float(np.clip(line * scatter[0], *SIGMA_TL_DN)),
+                sigma_row_dn=float(np.clip(row_share * line * scatter[1], *SIGMA_ROW_DN)),
+                colour_bias_dn=tuple(np.clip(generator.normal(common, 0.7, channels), *COLOUR_BIAS_DN).tolist()),
+            )
+        )
+    return tuple(drawn)
+
+
+def drawn_bayer(generator: np.random.Generator, isos: Sequence[int]) -> CalibrationCamera:
+    """Draw a Bayer camera: any phase, black and white level; a black level that the loudest noise stays above."""
+    sensor = Sensor(
+        make="eldata",
+        model="Drawn Bayer",
+        cfa=BAYER_PHASES[generator.integers(4)],
+        black_level_dn=tuple(float(level) for level in generator.choice([1023, 2048]) + generator.integers(-1, 2, 4)),
+        white_level_dn=float(generator.choice([15303, 16383])),
+        height=1024,
+        width=1536,
+    )
+    return CalibrationCamera("DrawnBayer", sensor, drawn_noise(generator, isos))
+
+
+def drawn_xtrans(generator: np.random.Generator, isos: Sequence[int]) -> CalibrationCamera:
+    """Draw an X-Trans camera; all its channels have one black level, as LibRaw wants."""
+    black = float(generator.choice([1023, 2048]))
+    sensor = Sensor("eldata", "Drawn X-Trans", XTRANS, (black,) * 3, 16383.0, height=1026, width=1536)
+    return CalibrationCamera("DrawnXTrans", sensor, drawn_noise(generator, isos, channels=3))
+
+
+def _log_uniform(generator: np.random.Generator, low: float, high: float) -> float:
+    return float(np.exp(generator.uniform(math.log(low), math.log(high))))

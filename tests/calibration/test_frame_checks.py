@@ -1,0 +1,600 @@
+"""Frames that cannot be calibrated from are found and named, each by its file; good frames are left in peace."""
+
+from __future__ import annotations
+
+import math
+import pickle
+import shutil
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from eldata import calibrate
+from eldata.calibration import FramesError
+from eldata.calibration.frame_checks import (
+    FrameFigures,
+    missing_codes,
+    odd_bias_frames,
+    sorted_frames,
+    unequal_pair,
+    unlike,
+    unlike_most,
+)
+from eldata.calibration.one_iso import decodings
+from eldata.datasets.calibration_frames import FlatPair
+from eldata.manifest.table import load_records, save_records
+from eldata.raw import read_raw, write_dng
+from eldata.records import Exposure, FrameRecord, RawFrame, Sensor
+from tests.calibration.simulation import BAYER, XTRANS, Body, Camera
+from tests.calibration.trees import FrameTree, calibrated_iso, made_tree, problems_of, relative, rewritten
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from eldata.manifest.verify import Problem
+
+ISOS = (100, 1600)
+
+
+@pytest.fixture(scope="module")
+def pristine(tmp_path_factory: pytest.TempPathFactory) -> FrameTree:
+    """Two ISOs, six bias frames and three pairs of flats each. Not to be changed."""
+    return made_tree(tmp_path_factory.mktemp("checks") / "tree", isos=ISOS)
+
+
+@pytest.fixture
+def tree(pristine: FrameTree, tmp_path: Path) -> FrameTree:
+    """A copy of one's own."""
+    return pristine.copy(tmp_path / "tree")
+
+
+def only(problems: list[Problem]) -> Problem:
+    (problem,) = problems
+    return problem
+
+
+# --- good frames ----------------------------------------------------------------------------------------------------
+
+
+def test_good_frames_have_no_problem(pristine: FrameTree) -> None:
+    assert problems_of(pristine.frames()) == []
+    assert problems_of(pristine.frames(manifest=pristine.manifest)) == []
+
+
+def test_good_frames_are_sorted_out(pristine: FrameTree) -> None:
+    """Against the manifest, which the simulator wrote."""
+    rows = load_records(pristine.manifest)
+    for one in sorted_frames(pristine.frames(), threads=2):
+        bias = [row for row in rows if row.role == "bias" and row.iso == one.iso]
+        flats = [row for row in rows if row.role == "flat" and row.iso == one.iso]
+        assert [record.path for record in one.bias] == [row.path for row in bias]
+        assert one.bias_exposure_s == bias[0].exposure_s == Fraction(1, 8000)
+        assert one.single == ()
+        assert [record.path for pair in one.pairs for record in (pair.first, pair.second)] == [r.path for r in flats]
+        assert [pair.first.exposure_s for pair in one.pairs] == [row.exposure_s for row in flats[::2]]
+        assert decodings(one) == 2 * 5 + 1 + 6
+
+
+# --- headers ----------------------------------------------------------------------------------------------------------
+
+
+def truncated(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-5000])
+
+
+def emptied(path: Path) -> None:
+    path.write_bytes(b"")
+
+
+def no_raw_file(path: Path) -> None:
+    path.write_bytes(b"a text, with the name of a raw file\n" * 100)
+
+
+def other_model(path: Path) -> None:
+    rewritten(path, model="Another")
+
+
+def other_iso(path: Path) -> None:
+    rewritten(path, iso=Fraction(200))
+
+
+def without_exif(path: Path) -> None:
+    raw = read_raw(path)
+    write_dng(path, raw.mosaic, raw.sensor, Exposure())
+
+
+def without_time(path: Path) -> None:
+    raw = read_raw(path)
+    write_dng(path, raw.mosaic, raw.sensor, replace(raw.exposure, exposure_s=None))
+
+
+def longer(path: Path) -> None:
+    rewritten(path, exposure_s=Fraction(1, 4))
+
+
+def leading_outside(path: Path) -> None:
+    outside = path.parents[5] / "outside.dng"
+    path.rename(outside)
+    path.symlink_to(outside)
+
+
+HEADERS: dict[str, tuple[Callable[[Path], None], str, list[str]]] = {
+    "truncated": (truncated, "content", ["a whole raw file", "truncated", "copy it again"]),
+    "empty": (emptied, "content", ["empty"]),
+    "not raw": (no_raw_file, "content", ["a whole raw file"]),
+    "other model": (other_model, "camera", ["Demo Gamma", "Another", "its own camera"]),
+    "other ISO": (other_iso, "iso", ["100", "200", "folder"]),
+    "no EXIF": (without_exif, "exposure", ["no ISO", "lost its EXIF"]),
+    "no exposure time": (without_time, "exposure", ["no exposure time"]),
+    "link": (leading_outside, "content", ["leads outside"]),
+}
+
+
+@pytest.mark.parametrize("role", ["bias", "flat"])
+@pytest.mark.parametrize("name", HEADERS)
+def test_headers(name: str, role: str, tree: FrameTree) -> None:
+    spoil, field, words = HEADERS[name]
+    path = tree.files(role, 100)[2]  # type: ignore[arg-type] # a role
+    expected = relative(tree, path)
+    spoil(path)
+    problem = only(problems_of(tree.frames()))
+    assert (problem.path, problem.field, problem.dataset) == (expected, field, "DemoGamma")
+    for word in words:
+        assert word in str(problem)
+
+
+def test_a_bias_frame_of_another_exposure(tree: FrameTree) -> None:
+    longer(tree.files("bias", 100)[4])
+    problem = only(problems_of(tree.frames()))
+    assert (problem.path, problem.field) == (relative(tree, tree.files("bias", 100)[4]), "exposure_s")
+    assert problem.expected == "1/8000 s like the other bias frames of ISO 100"
+    assert problem.found == "1/4 s"
+
+
+def test_the_manifests_exposure(tree: FrameTree) -> None:
+    """A tenth off is a rounded name (1/13 for 1/12.5), more is another frame."""
+    rows = load_records(tree.manifest)
+    chosen = next(index for index, row in enumerate(rows) if row.role == "flat")
+    for factor, found in ((Fraction(15, 14), []), (Fraction(2), [rows[chosen].path])):
+        time = rows[chosen].exposure_s
+        assert time is not None
+        save_records(
+            tree.manifest, [*rows[:chosen], replace(rows[chosen], exposure_s=time * factor), *rows[chosen + 1 :]]
+        )
+        frames = tree.frames(manifest=tree.manifest, isos=[100])
+        try:
+            sorted_frames(frames)
+            problems: list[Problem] = []
+        except FramesError as error:
+            problems = list(error.problems)
+        assert [problem.path for problem in problems] == found
+        assert {problem.field for problem in problems} <= {"exposure_s"}
+
+
+def test_every_problem_of_every_iso_at_once(tree: FrameTree) -> None:
+    spoilt = {
+        tree.files("bias", 100)[0]: truncated,
+        tree.files("bias", 1600)[5]: other_model,
+        tree.files("flat", 100)[1]: without_exif,
+        tree.files("flat", 1600)[3]: emptied,
+        tree.files("bias", 1600)[2]: longer,
+    }
+    for path, spoil in spoilt.items():
+        spoil(path)
+    with pytest.raises(FramesError) as raised:
+        calibrate(tree.root, jobs=2)
+    assert [problem.path for problem in raised.value.problems] == sorted(relative(tree, path) for path in spoilt)
+    first = str(raised.value.problems[0])
+    assert str(raised.value) == f"{first} (and 4 more problems)"
+    again = pickle.loads(pickle.dumps(raised.value))
+    assert again.problems == raised.value.problems
+
+
+def test_one_file_may_have_several(tree: FrameTree) -> None:
+    path = tree.files("bias", 100)[1]
+    rewritten(path, model="Another", iso=Fraction(800), exposure_s=Fraction(1, 2))
+    assert sorted(problem.field for problem in problems_of(tree.frames())) == ["camera", "exposure_s", "iso"]
+
+
+# --- pixels -----------------------------------------------------------------------------------------------------------
+
+
+def bright(mosaic: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    brighter: NDArray[np.uint16] = (mosaic + 300.0).astype(np.uint16)
+    return brighter
+
+
+def leaking(mosaic: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    """Light from one side, 12 DN on average."""
+    return (mosaic + np.linspace(0, 24, mosaic.shape[1])).astype(np.uint16)
+
+
+def noisier(mosaic: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    level = mosaic.mean()
+    wider: NDArray[np.uint16] = np.rint(level + 3 * (mosaic - level)).astype(np.uint16)
+    return wider
+
+
+def cropped(mosaic: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    return mosaic[:-2]
+
+
+CFA_ENTRY = b"\x06\x01\x03\x00\x01\x00\x00\x00\x23\x80"  # PhotometricInterpretation: one SHORT, 32803
+
+
+def rgb_dng(path: Path) -> None:
+    """Opens as a raw file by its header, and has no mosaic."""
+    raw = read_raw(path)
+    write_dng(path, raw.mosaic, raw.sensor, raw.exposure)
+    content = path.read_bytes()
+    assert content.count(CFA_ENTRY) == 1
+    path.write_bytes(
+        content.replace(CFA_ENTRY, CFA_ENTRY[:-2] + b"\x4c\x88")  # LinearRaw
+    )
+
+
+PIXELS: dict[str, tuple[Callable[[Path], None], str, list[str]]] = {
+    "light": (lambda path: rewritten(path, mosaic=bright), "level", ["DN as in the others", "lens without its cap"]),
+    "light leak": (lambda path: rewritten(path, mosaic=leaking), "level", ["DN as in the others"]),
+    "noise of another ISO": (lambda path: rewritten(path, mosaic=noisier), "noise", ["DN as in the others"]),
+    "size": (lambda path: rewritten(path, mosaic=cropped), "height", ["256 as in DemoGamma/bias/ISO100/", "254"]),
+    "CFA phase": (lambda path: rewritten(path, cfa=((1, 0), (2, 3))), "cfa", ["((0, 1), (3, 2))", "((1, 0), (2, 3))"]),
+    "white level": (lambda path: rewritten(path, white_level_dn=16000.0), "white_level_dn", ["16383", "16000"]),
+    "black level": (lambda path: rewritten(path, black_level_dn=(500.0,) * 4), "black_level_dn", ["512", "500"]),
+    "another kind of sensor": (
+        lambda path: rewritten(path, cfa=XTRANS, black_level_dn=(512.0,) * 3),
+        "cfa",
+        ["((0, 1), (3, 2))", "(0, 2, 1, 2, 0, 1)"],
+    ),
+    "no mosaic": (rgb_dng, "content", ["a mosaic of a Bayer or X-Trans sensor is needed"]),
+}
+
+
+@pytest.mark.parametrize("place", [0, 3, 5], ids=["first", "middle", "held out"])
+@pytest.mark.parametrize("name", PIXELS)
+def test_bias_frames(name: str, place: int, tree: FrameTree) -> None:
+    """The odd one is named whichever it is, the first one and the one that is kept out included."""
+    spoil, field, words = PIXELS[name]
+    path = tree.files("bias", 100)[place]
+    spoil(path)
+    problems = problems_of(tree.frames(isos=[100]))
+    assert {problem.path for problem in problems} == {relative(tree, path)}
+    (problem,) = (problem for problem in problems if problem.field == field)
+    for word in words:
+        assert word in str(problem)
+
+
+@pytest.mark.parametrize("name", ["size", "CFA phase", "white level", "black level", "no mosaic"])
+def test_flat_frames(name: str, tree: FrameTree) -> None:
+    spoil, field, words = PIXELS[name]
+    path = tree.files("flat", 100)[3]
+    spoil(path)
+    problem = only(problems_of(tree.frames(isos=[100])))
+    assert (problem.path, problem.field) == (relative(tree, path), field)
+    for word in words:
+        assert word in str(problem)
+
+
+def test_several_isos_at_once(tree: FrameTree) -> None:
+    """Through the whole calibration: decoded frames of one ISO do not hide those of another."""
+    paths = [tree.files("bias", 100)[1], tree.files("bias", 100)[4], tree.files("bias", 1600)[0]]
+    rewritten(paths[0], mosaic=bright)
+    rewritten(paths[1], mosaic=cropped)
+    rewritten(paths[2], white_level_dn=16000.0)
+    with pytest.raises(FramesError) as raised:
+        calibrate(tree.root)
+    assert [problem.path for problem in raised.value.problems] == [relative(tree, path) for path in paths]
+
+
+def black_at(level: int) -> Callable[[NDArray[np.uint16]], NDArray[np.uint16]]:
+    def moved(mosaic: NDArray[np.uint16]) -> NDArray[np.uint16]:
+        shifted: NDArray[np.uint16] = np.clip(mosaic.astype(np.int64) - 512 + level, 0, 65535).astype(np.uint16)
+        return shifted
+
+    return moved
+
+
+@pytest.mark.parametrize("level", [0, 1, 4])
+def test_clipped_black(level: int, tree: FrameTree) -> None:
+    """Black subtracted by a converter, or hardly any left: at ISO 1600 the noise is 6 DN."""
+    for path in tree.files("bias", 1600):
+        rewritten(path, mosaic=black_at(level), black_level_dn=(float(level),) * 4)
+    problems = problems_of(tree.frames(isos=[1600]))
+    assert [problem.path for problem in problems] == [relative(tree, path) for path in tree.files("bias", 1600)]
+    assert {problem.field for problem in problems} == {"black"}
+    assert "black is clipped" in problems[0].advice
+
+
+def test_a_black_level_of_0_in_the_file_alone_is_no_clipping(tree: FrameTree) -> None:
+    """Some cameras keep the offset and do not record it: then all of it is colour bias."""
+    for path in (*tree.files("bias", 1600), *tree.files("flat", 1600)):
+        rewritten(path, black_level_dn=(0.0,) * 4)
+    found = calibrated_iso(tree.frames(isos=[1600]), 1600)
+    whole = tree.truth["isos"][1]
+    assert found.bias.bias_dn == pytest.approx([512 + bias for bias in whole["colour_bias_with_pattern_dn"]], abs=0.2)
+    assert found.gain_dn_per_e == pytest.approx(whole["gain_dn_per_e"], rel=0.03)
+
+
+def test_noise_that_just_reaches_0_is_taken(tree: FrameTree) -> None:
+    """Black at 28 DN, five standard deviations of the noise: 0 occurs, and hides nothing."""
+    for path in (*tree.files("bias", 1600), *tree.files("flat", 1600)):
+        rewritten(path, mosaic=black_at(28), black_level_dn=(28.0,) * 4, white_level_dn=15899.0)
+    zeros = sum(int((read_raw(path).mosaic == 0).sum()) for path in tree.files("bias", 1600))
+    assert zeros > 3
+    assert problems_of(tree.frames(isos=[1600])) == []
+
+
+def test_a_black_level_that_is_too_low_for_the_noise(tree: FrameTree) -> None:
+    for path in tree.files("bias", 1600):
+        rewritten(path, mosaic=black_at(20), black_level_dn=(20.0,) * 4)
+    problem = only(problems_of(tree.frames(isos=[1600])))
+    assert "too close to 0" in problem.found
+    assert problem.path == "DemoGamma, ISO 1600"
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_too_few_bias_frames(count: int, tree: FrameTree) -> None:
+    for path in tree.files("bias", 100)[count:]:
+        path.unlink()
+    problem = only(problems_of(tree.frames(isos=[100])))
+    assert problem.path == "DemoGamma, ISO 100"
+    assert f"{count} bias frame(s), and 4 are needed" in problem.found
+
+
+def test_no_bias_frames(tree: FrameTree) -> None:
+    shutil.rmtree(tree.camera / "bias" / "ISO100")
+    assert "0 bias frame(s)" in only(problems_of(tree.frames(isos=[100]))).found
+
+
+def test_copies_of_one_frame(tree: FrameTree) -> None:
+    first, *others = tree.files("bias", 100)
+    for path in others:
+        shutil.copy(first, path)
+    assert "copies of one another" in only(problems_of(tree.frames(isos=[100]))).found
+
+
+# --- flats ------------------------------------------------------------------------------------------------------------
+
+
+def saturated(mosaic: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    return np.full_like(mosaic, 16383)
+
+
+def test_saturated_flats_are_left_out(pristine: FrameTree, tree: FrameTree) -> None:
+    """The brightest pair of three: K comes from the other two; within 4 of its standard errors of the truth."""
+    for path in tree.files("flat", 1600)[4:]:
+        rewritten(path, mosaic=saturated)
+    found = calibrated_iso(tree.frames(isos=[1600]), 1600)
+    assert found.transfer is not None
+    assert found.transfer.left_out == pytest.approx(1 / 3, abs=0.01)
+    truth = tree.truth["isos"][1]["gain_dn_per_e"]
+    assert abs(found.transfer.gain_dn_per_e - truth) < 4 * found.transfer.gain_error < 0.1 * truth
+    for path in tree.files("flat", 1600)[2:4]:
+        rewritten(path, mosaic=saturated)
+    remarks = calibrated_iso(tree.frames(isos=[1600]), 1600).remarks
+    assert any("67% of the flats' area is saturated or clipped and was left out" in remark for remark in remarks)
+
+
+def test_flats_that_are_all_saturated(tree: FrameTree) -> None:
+    for path in tree.files("flat", 100):
+        rewritten(path, mosaic=saturated)
+    problem = only(problems_of(tree.frames(isos=[100])))
+    assert problem.path == "DemoGamma, ISO 100"
+    assert "usable level" in problem.found
+    assert "saturated" in problem.found
+
+
+def dimmed(mosaic: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    return np.rint(512 + 0.9 * (mosaic.astype(float) - 512)).astype(np.uint16)
+
+
+def test_a_partner_of_another_level_is_left_out_and_said(pristine: FrameTree, tree: FrameTree) -> None:
+    changed = tree.files("flat", 1600)[3]
+    rewritten(changed, mosaic=dimmed)
+    found = calibrated_iso(tree.frames(isos=[1600]), 1600)
+    assert found.transfer is not None
+    assert found.flat_frames == 4
+    remark = next(remark for remark in found.remarks if relative(tree, changed) in remark)
+    assert relative(tree, tree.files("flat", 1600)[2]) in remark
+    truth = tree.truth["isos"][1]["gain_dn_per_e"]
+    assert abs(found.transfer.gain_dn_per_e - truth) < 4 * found.transfer.gain_error
+    for path in tree.files("flat", 1600)[1:6:4]:
+        rewritten(path, mosaic=dimmed)
+    problem = only(problems_of(tree.frames(isos=[1600])))
+    assert "no pair of flats is usable" in problem.found
+    assert problem.found.count("left out") == 3
+
+
+def test_swapped_partners_of_other_exposures(tree: FrameTree) -> None:
+    """The names say nothing, the exposure times do: exchanged files still find their partners."""
+    files = tree.files("flat", 100)
+    aside = files[0].with_name("aside")
+    files[1].rename(aside)
+    files[2].rename(files[1])
+    aside.rename(files[2])
+    chosen = sorted_frames(tree.frames(isos=[100]))[0]
+    names = [(pair.first.path[-8:-4], pair.second.path[-8:-4]) for pair in chosen.pairs]
+    number = int(files[0].stem[-4:])
+    assert names == [(f"{number + a:04d}", f"{number + b:04d}") for a, b in ((0, 2), (1, 3), (4, 5))]
+    assert problems_of(tree.frames(isos=[100])) == []
+
+
+def test_a_flat_without_a_partner(tree: FrameTree) -> None:
+    lost = tree.files("flat", 100)[3]
+    kept = relative(tree, tree.files("flat", 100)[2])
+    lost.unlink()
+    found = calibrated_iso(tree.frames(isos=[100]), 100)
+    assert found.flat_frames == 4
+    assert f"flats without a partner of the same exposure were left out: {kept}" in found.remarks
+
+
+def test_flats_without_any_partner(tree: FrameTree) -> None:
+    for path in tree.files("flat", 100)[::2]:
+        path.unlink()
+    found = calibrated_iso(tree.frames(isos=[100]), 100)
+    assert found.transfer is None
+    assert found.gain_dn_per_e is None
+    assert found.reproduction is not None, "a bias frame needs no gain"
+    assert any("3 flat frame(s) and no two of one exposure, so K is not known" in text for text in found.remarks)
+
+
+def test_problems_of_flats_hide_no_partner(tree: FrameTree) -> None:
+    """Both flats of one pair, one of another: three problems, and nothing about frames that are fine."""
+    files = tree.files("flat", 100)
+    for path in (files[0], files[1], files[4]):
+        rewritten(path, mosaic=cropped)
+    problems = problems_of(tree.frames(isos=[100]))
+    assert [problem.path for problem in problems] == [relative(tree, path) for path in (files[0], files[1], files[4])]
+
+
+# --- by itself --------------------------------------------------------------------------------------------------------
+
+
+RECORD = FrameRecord(path="C/bias/ISO100/1.dng", role="bias", camera="C")
+SENSOR = Sensor("Make", "Model", BAYER, (512.0,) * 4, 16383.0, 256, 384)
+
+
+def test_black_levels_that_are_measured_in_each_file_differ_a_little() -> None:
+    assert unlike(RECORD, replace(SENSOR, black_level_dn=(512.4, 511.8, 512.9, 511.1)), SENSOR, "x") == []
+    (problem,) = unlike(RECORD, replace(SENSOR, black_level_dn=(512.0, 512.0, 513.0, 512.0)), SENSOR, "x")
+    assert problem.field == "black_level_dn"
+
+
+def test_most_frames_are_right() -> None:
+    records = [replace(RECORD, path=f"{number}.dng") for number in range(5)]
+    small = replace(SENSOR, height=254)
+    for odd in range(5):
+        sensors = {record: small if index == odd else SENSOR for index, record in enumerate(records)}
+        assert [problem.path for problem in unlike_most(sensors)] == [f"{odd}.dng"]
+    sensors = dict(zip(records, (small, SENSOR, small, SENSOR, small), strict=True))
+    assert [(problem.path, problem.found) for problem in unlike_most(sensors)] == [("1.dng", "256"), ("3.dng", "256")]
+    assert unlike_most(dict.fromkeys(records, SENSOR)) == unlike_most({}) == []
+
+
+def figures(*levels: float, spread: float = 5.0) -> list[FrameFigures]:
+    return [FrameFigures(replace(RECORD, path=str(index)), level, spread) for index, level in enumerate(levels)]
+
+
+def test_levels_may_drift() -> None:
+    """As a sensor warms up: by a DN, by half the noise, or as the others do."""
+    assert odd_bias_frames(figures(512, 512.2, 512.4, 512.6, 513)) == []
+    assert odd_bias_frames(figures(512, 512, 512, 512, 514.4)) == []
+    assert odd_bias_frames(figures(512, 515, 518, 521, 524, 527)) == []
+    assert [problem.path for problem in odd_bias_frames(figures(512, 512, 512, 512, 514.6))] == ["4"]
+    assert [problem.path for problem in odd_bias_frames(figures(506, 512, 512.1, 512, 512.3, 530))] == ["0", "5"]
+    assert odd_bias_frames([]) == []
+    spread = figures(512, 512, 512, 512)
+    spread[2] = replace(spread[2], spread_dn=6.5)
+    assert [problem.field for problem in odd_bias_frames(spread)] == ["noise"]
+
+
+def test_the_two_figures_of_a_frame() -> None:
+    """Normal noise of 7 DN, 1.5 million pixels, some 100,000 of them used: 5 standard errors, 7 / sqrt(n) / ..."""
+    mosaic = np.rint(np.random.default_rng(0).normal(600, 7, (1024, 1536))).astype(np.uint16)
+    found = FrameFigures.of(RECORD, mosaic)
+    assert found.level_dn == pytest.approx(600, abs=5 * 7 / math.sqrt(90_000))
+    assert found.spread_dn == pytest.approx(7, abs=0.5 + 5 * 7 / math.sqrt(90_000))  # quantiles of whole DN
+
+
+def test_unequal_pairs() -> None:
+    body = Body(Camera(shape=(256, 384)), np.random.default_rng(1))
+    pair = FlatPair(replace(RECORD, path="a"), replace(RECORD, path="b"))
+    exposure = Exposure()
+
+    def frame(level: float) -> RawFrame:
+        return RawFrame(Path("x"), body.flat_frame(level, shaded=False), body.camera.sensor, exposure)
+
+    assert unequal_pair(pair, frame(5000), frame(5100)) is None
+    assert unequal_pair(pair, frame(5000), frame(5300)) is not None
+    remark = unequal_pair(pair, frame(4000), frame(5000))
+    assert remark is not None
+    assert remark.startswith("a and b were left out: ")
+    assert unequal_pair(pair, frame(10), frame(11)) is None, "a DN is no difference"
+
+
+# --- gaps -------------------------------------------------------------------------------------------------------------
+
+PATTERN = np.array(BAYER)
+
+
+def sony_curve(values: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    """Steps of 1, 2, 4, 8 DN in four parts of the range: the shape of Sony's 11-bit curve."""
+    steps = np.repeat([1, 2, 4, 8], [2000, 1000, 1000, 1024])
+    codes = np.concatenate([[0], np.cumsum(steps)])
+    nearest = np.searchsorted(codes, np.minimum(values, codes[-1]), side="right") - 1
+    kept: NDArray[np.uint16] = codes[nearest].astype(np.uint16)
+    return kept
+
+
+def test_honest_frames_have_no_gaps() -> None:
+    """Bias frames of quiet and loud cameras, flats of all levels: converters leave out nothing."""
+    for seed, sigma_tl in enumerate((0.1, 0.3, 0.6, 2.0, 10.0, 35.0)):
+        camera = Camera(shape=(512, 768), sigma_tl=sigma_tl, black=2048.0)
+        body = Body(camera, np.random.default_rng(seed))
+        assert missing_codes(body.bias_frame(), PATTERN) == 0
+        for level in (20.0, 600.0, 6000.0):
+            assert missing_codes(body.flat_frame(level), PATTERN) == 0
+            assert missing_codes(body.flat_frame(level, shaded=False), PATTERN) == 0
+
+
+def test_multiplication_leaves_a_comb() -> None:
+    camera = Camera(shape=(512, 768), sigma_tl=6.0)
+    frame = Body(camera, np.random.default_rng(3)).bias_frame()
+    assert missing_codes(512 + 2 * (frame - 512), PATTERN) == pytest.approx(0.5, abs=0.02)
+    one_channel = frame.copy()
+    one_channel[1::2, 1::2] = 512 + (frame[1::2, 1::2].astype(np.int64) - 512) * 4 // 3
+    assert missing_codes(one_channel, PATTERN) == pytest.approx(0.25, abs=0.03)
+    xtrans = Camera(shape=(516, 768), cfa=XTRANS, bias=(0.0, 0.0, 0.0), sigma_tl=6.0)
+    frame = Body(xtrans, np.random.default_rng(3)).bias_frame()
+    assert missing_codes(frame, np.array(XTRANS)) == 0
+    assert missing_codes(512 + 2 * (frame - 512), np.array(XTRANS)) > 0.4
+
+
+def test_a_curve_leaves_gaps_where_it_is_steep() -> None:
+    body = Body(Camera(shape=(1024, 1536), gain=0.2), np.random.default_rng(4))
+    bias = body.bias_frame()
+    assert missing_codes(sony_curve(bias), PATTERN) == 0, "steps of 1 DN there"
+    for level, share in ((3000.0, 0.5), (5200.0, 0.75), (9000.0, 0.875)):
+        found = missing_codes(sony_curve(body.flat_frame(level, shaded=False)), PATTERN)
+        assert found == pytest.approx(share, abs=0.06)
+
+
+def test_few_values_show_no_gaps() -> None:
+    assert missing_codes(np.full((256, 384), 512, dtype=np.uint16), PATTERN) == 0
+    wide = np.random.default_rng(5).integers(0, 65535, (256, 384), dtype=np.uint16)
+    assert missing_codes(wide, PATTERN) == 0
+
+
+def test_gaps_are_remarked_on(tree: FrameTree) -> None:
+    """Bias frames multiplied by 2 after conversion, flats too: the frames are taken, and the remark says so."""
+
+    def doubled(mosaic: NDArray[np.uint16]) -> NDArray[np.uint16]:
+        return np.clip(512 + 2 * (mosaic.astype(np.int64) - 512), 0, 32767).astype(np.uint16)
+
+    for path in (*tree.files("bias", 1600), *tree.files("flat", 1600)):
+        rewritten(path, mosaic=doubled, white_level_dn=32254.0)
+    remarks = calibrated_iso(tree.frames(isos=[1600]), 1600).remarks
+    assert any("of the DN values between others never occur in a bias frame" in remark for remark in remarks)
+
+
+def test_lossy_compression_is_remarked_on(tree: FrameTree, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("eldata.calibration.one_iso.lossy_compression", lambda path: f"loss in {path.name}")
+    remarks = calibrated_iso(tree.frames(isos=[100]), 100).remarks
+    first = tree.files("bias", 100)[0].name
+    assert f"the files have loss in {first}, which changes noise: no figure here is the sensor's own" in remarks
+
+
+def test_good_frames_need_few_remarks(pristine: FrameTree) -> None:
+    """What is said of these frames is true: they are few."""
+    for iso in ISOS:
+        found = calibrated_iso(pristine.frames(), iso)
+        assert found.remarks == (
+            "5 bias frames were used; 10 or more are advised",
+            "K comes from 3 pair(s) of flats; 4 levels or more are advised",
+        )

@@ -1,0 +1,193 @@
+"""The noise model with the right parameters makes frames like the camera's, with wrong ones it does not."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from eldata.calibration import reproduction
+from eldata.errors import ArgumentError
+from eldata.noise import NoiseModel, NoiseParameters
+from eldata.noise.model import Adc
+from tests.calibration.chain import stacked
+from tests.calibration.simulation import XTRANS, Body, Camera
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from eldata.calibration import FixedPattern, Reproduction
+
+FRAMES = 8
+SHAPE = (512, 768)
+CAMERAS = {
+    "middle": Camera(shape=SHAPE),
+    "heavy tails, no pattern": Camera(
+        shape=SHAPE, tukey_lambda=-0.1, sigma_tl=6.0, sigma_row=1.5, dsnu=0.0, column_pattern=0.0, hot_share=0.0
+    ),
+    "light tails, shading": Camera(shape=SHAPE, tukey_lambda=0.15, sigma_tl=3.0, shading=3.0, hot_share=1e-3),
+    # Rounding leaves ripples, which the pixels' fixed levels blur.
+    "quiet": Camera(shape=SHAPE, gain=0.4, tukey_lambda=0.11, sigma_tl=0.77, sigma_row=0.14, dsnu=0.38),
+    "quiet, shading": Camera(
+        shape=SHAPE, tukey_lambda=0.12, sigma_tl=0.65, sigma_row=0.12, dsnu=0.0, column_pattern=0.0, shading=0.3
+    ),
+    "quiet, no pattern": Camera(
+        shape=SHAPE, tukey_lambda=0.11, sigma_tl=0.77, sigma_row=0.14, dsnu=0.0, column_pattern=0.0, hot_share=0.0
+    ),
+    "X-Trans": Camera(shape=(516, 768), cfa=XTRANS, bias=(1.0, -0.5, 0.3), shading=1.0),
+}
+
+
+def true_parameters(camera: Camera, **changes: float) -> NoiseParameters:
+    bias = camera.bias if len(camera.bias) == 4 else (*camera.bias, camera.bias[1])
+    values: dict[str, float] = {
+        "gain_dn_per_e": camera.gain,
+        "tukey_lambda": camera.tukey_lambda,
+        "sigma_tl_dn": camera.sigma_tl,
+        "sigma_gauss_dn": camera.noise.sigma_gauss_dn,
+        "sigma_row_dn": camera.sigma_row,
+        **changes,
+    }
+    return NoiseParameters(**values, colour_bias_dn=bias)  # type: ignore[arg-type] # four numbers
+
+
+def taken(camera: Camera) -> tuple[NDArray[np.uint16], FixedPattern]:
+    """A bias frame, and the fixed pattern of eight others."""
+    *frames, last = Body(camera, np.random.default_rng(0)).bias_frames(FRAMES + 1)
+    return last, stacked(camera, frames)
+
+
+def compared(camera: Camera, **changes: float) -> Reproduction:
+    held_out, fixed = taken(camera)
+    return reproduction(held_out, fixed, camera.sensor, true_parameters(camera, **changes), np.random.default_rng(7))
+
+
+def chance(camera: Camera, found: Reproduction) -> float:
+    """What 1 - R^2 of the quantiles of two samples is on average, by the variance of a quantile, u (1 - u) / n f^2.
+
+    Their errors go together, as neighbouring quantiles share their extreme values: it scatters by a multiple.
+    """
+    noise = stats.tukeylambda(camera.tukey_lambda)
+    quantiles = noise.ppf(found.levels)
+    variances = found.levels * (1 - found.levels) / found.pixels / noise.pdf(quantiles) ** 2
+    return float(2 * variances.sum() / ((quantiles - quantiles.mean()) ** 2).sum())
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_the_truth_reproduces_the_camera(name: str) -> None:
+    """393,000 pixels. The simulated camera shares no code with the noise model.
+
+    Standard deviations of heavy-tailed residuals scatter by some 0.2 % here, those of 512 row means by 3.1 % each.
+    """
+    found = compared(CAMERAS[name])
+    assert found.pixels == pytest.approx(SHAPE[0] * SHAPE[1], rel=0.01)
+    assert found.frames == FRAMES
+    assert 1 - found.r_squared < 4 * chance(CAMERAS[name], found)
+    assert found.r_squared > 0.995
+    assert found.histogram_distance < 2 * found.histogram_distance_by_chance
+    assert found.histogram_distance_by_chance < 0.015
+    assert found.sigma_simulated_dn == pytest.approx(found.sigma_real_dn, rel=0.01)
+    assert found.row_sigma_simulated_dn == pytest.approx(found.row_sigma_real_dn, rel=5 * 0.031 * 2**0.5)
+
+
+WRONG = {
+    "lambda": {"tukey_lambda": 0.1},
+    "sigma_TL 5 % too high": {"sigma_tl_dn": 2.1},
+    "sigma_TL 5 % too low": {"sigma_tl_dn": 1.9},
+    "row noise": {"sigma_row_dn": 2.0},
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_parameters_are_told_apart(name: str) -> None:
+    right, wrong = compared(CAMERAS["middle"]), compared(CAMERAS["middle"], **WRONG[name])
+    assert wrong.histogram_distance > 2 * right.histogram_distance
+    assert wrong.histogram_distance > 2 * wrong.histogram_distance_by_chance
+    assert wrong.histogram_distance_by_chance < 0.015, "two simulations are still alike"
+
+
+def test_what_each_figure_shows() -> None:
+    camera = CAMERAS["middle"]
+    right = compared(camera)
+    assert compared(camera, tukey_lambda=0.15).r_squared < right.r_squared - 0.005, "the shape"
+    louder = compared(camera, sigma_tl_dn=2.4)
+    assert louder.sigma_simulated_dn / right.sigma_simulated_dn == pytest.approx(1.2, abs=0.02)
+    assert louder.r_squared > 0.997, "a scale is none of its business"
+    rows = compared(camera, sigma_row_dn=1.5)
+    assert rows.row_sigma_simulated_dn / right.row_sigma_simulated_dn == pytest.approx(3, rel=0.15)
+    assert rows.row_power_simulated_dn2[1:].mean() == pytest.approx(9 * right.row_power_real_dn2[1:].mean(), rel=0.3)
+
+
+def test_the_same_generator_gives_the_same() -> None:
+    camera = CAMERAS["middle"].with_(shape=(256, 384))
+    first, second = compared(camera), compared(camera)
+    assert first.as_dict() == second.as_dict()
+    for name in ("quantiles_real_dn", "quantiles_simulated_dn", "row_power_simulated_dn2", "real_dn", "simulated_dn"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+    held_out, fixed = taken(camera)
+    other = reproduction(held_out, fixed, camera.sensor, true_parameters(camera), np.random.default_rng(8))
+    assert other.sigma_simulated_dn != first.sigma_simulated_dn
+    assert other.sigma_real_dn == first.sigma_real_dn
+
+
+def test_the_pieces_that_are_shown() -> None:
+    """The middle of the frame, (128, 192): the real one is the frame itself less the black level."""
+    camera = CAMERAS["middle"]
+    held_out, fixed = taken(camera)
+    found = reproduction(held_out, fixed, camera.sensor, true_parameters(camera), np.random.default_rng(7))
+    np.testing.assert_array_equal(found.real_dn, held_out[192:320, 288:480] - 512.0)
+    assert found.simulated_dn.shape == (128, 192)
+    np.testing.assert_array_equal(found.simulated_dn, np.rint(found.simulated_dn))
+    for channel in range(4):
+        chosen = camera.channel[:128, :192] == channel
+        # 5 standard errors of the mean of 64 rows of 96 pixels
+        error = (camera.sigma_row**2 / 64 + (4 * camera.sigma_tl) ** 2 / (64 * 96)) ** 0.5
+        assert found.simulated_dn[chosen].mean() == pytest.approx(camera.bias[channel], abs=5 * error)
+
+
+def test_defects_take_no_part() -> None:
+    camera = CAMERAS["middle"].with_(hot_share=0.0)
+    held_out, fixed = taken(camera)
+    clean = reproduction(held_out, fixed, camera.sensor, true_parameters(camera), np.random.default_rng(7))
+    body = Body(camera, np.random.default_rng(0))
+    frames = body.bias_frames(FRAMES + 1)
+    for frame in frames:
+        frame[100:110, 100:110] = 9000
+    fixed = stacked(camera, frames[:-1])
+    assert fixed.defects[100:110, 100:110].all()
+    spoilt = reproduction(frames[-1], fixed, camera.sensor, true_parameters(camera), np.random.default_rng(7))
+    assert spoilt.pixels < clean.pixels
+    assert spoilt.sigma_real_dn == pytest.approx(clean.sigma_real_dn, rel=0.005)
+    assert spoilt.row_sigma_real_dn == pytest.approx(clean.row_sigma_real_dn, rel=0.05)
+
+
+def test_its_simulation_is_the_noise_models() -> None:
+    """Against frames that the public model makes from the same parameters: the same residual's deviation."""
+    camera = CAMERAS["heavy tails, no pattern"]
+    found = compared(camera)
+    model = NoiseModel("G*+B+R", adc=Adc(camera.black, camera.white))
+    generator = np.random.default_rng(99)
+    packed = model(
+        np.zeros((20, 4, 128, 192), dtype=np.float32),
+        parameters=true_parameters(camera),
+        ratio=1.0,
+        range_dn=camera.white - camera.black,
+        generator=generator,
+    )
+    own = (packed[:FRAMES] - packed[FRAMES : 2 * FRAMES].mean(axis=0)) * (camera.white - camera.black)
+    assert float(own.std()) == pytest.approx(found.sigma_simulated_dn, rel=0.03)
+
+
+@pytest.mark.parametrize("shape", [(126, 768), (512, 190)])
+def test_small_frames_are_refused(shape: tuple[int, int]) -> None:
+    held_out, fixed = taken(Camera(shape=shape))
+    with pytest.raises(ArgumentError, match="128 x 192"):
+        reproduction(held_out, fixed, Camera(shape=shape).sensor, true_parameters(Camera()), np.random.default_rng(0))
+
+
+def test_a_frame_of_another_shape_is_refused() -> None:
+    held_out, fixed = taken(Camera(shape=(256, 384)))
+    with pytest.raises(ArgumentError, match="the held-out frame is"):
+        reproduction(held_out[:-2], fixed, Camera().sensor, true_parameters(Camera()), np.random.default_rng(0))

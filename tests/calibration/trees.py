@@ -1,0 +1,119 @@
+"""Calibration frames of the simulated camera in DNG files: made once, copied where a test spoils them."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from eldata.calibration.frame_checks import FramesError, sorted_frames
+from eldata.calibration.one_iso import calibrate_iso
+from eldata.datasets.calibration_frames import CalibrationFrames
+from eldata.demo.calibration_frames import make_calibration_frames
+from eldata.raw.dng import write_dng
+from eldata.raw.reading import read_raw
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from fractions import Fraction
+    from pathlib import Path
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from eldata.calibration.results import IsoCalibration
+    from eldata.manifest.verify import Problem
+    from eldata.records import FrameRecord, Role
+
+SIZE = (256, 384)
+ISOS = (100, 400, 1600)
+CAMERA = "DemoGamma"
+
+
+@dataclass(frozen=True)
+class FrameTree:
+    """Frames on disk, as ``make_calibration_frames`` lays them out."""
+
+    folder: Path
+
+    @property
+    def root(self) -> Path:
+        """The folder that holds the cameras' folders."""
+        return self.folder / "data" / "calibration"
+
+    @property
+    def camera(self) -> Path:
+        (camera,) = self.root.iterdir()
+        return camera
+
+    @property
+    def manifest(self) -> Path:
+        return self.folder / "manifests" / "calibration-demo.csv"
+
+    @property
+    def truth(self) -> dict[str, Any]:
+        read: dict[str, Any] = json.loads((self.folder / "truth.json").read_text(encoding="utf-8"))
+        return read
+
+    def files(self, role: Role, iso: int) -> list[Path]:
+        return sorted((self.camera / role / f"ISO{iso}").glob("*.dng"))
+
+    def frames(self, **options: Any) -> CalibrationFrames:
+        return CalibrationFrames(self.root, **options)
+
+    def copy(self, folder: Path) -> FrameTree:
+        shutil.copytree(self.folder, folder)
+        return FrameTree(folder)
+
+
+def made_tree(folder: Path, **options: Any) -> FrameTree:
+    """Three ISOs, six bias frames and three pairs of flats each, 256 x 384 pixels, unless told otherwise."""
+    given: dict[str, Any] = {"isos": ISOS, "bias_frames": 6, "flat_levels": 3, "size": SIZE, **options}
+    make_calibration_frames(folder, **given)
+    return FrameTree(folder)
+
+
+def rewritten(
+    path: Path,
+    *,
+    mosaic: Callable[[NDArray[np.uint16]], NDArray[np.uint16]] | None = None,
+    exposure_s: Fraction | None = None,
+    iso: Fraction | None = None,
+    **sensor: Any,
+) -> None:
+    """Write a raw file again with other pixels, exposure, or fields of its sensor."""
+    raw = read_raw(path)
+    pixels = raw.mosaic if mosaic is None else mosaic(raw.mosaic)
+    changed = replace(raw.sensor, **{"height": pixels.shape[0], "width": pixels.shape[1], **sensor})
+    exposure = replace(raw.exposure, iso=iso or raw.exposure.iso, exposure_s=exposure_s or raw.exposure.exposure_s)
+    write_dng(path, pixels, changed, exposure, compression="lossless-jpeg")
+
+
+def problems_of(frames: CalibrationFrames) -> list[Problem]:
+    """What the checks of the headers and, where they find nothing, of the pixels list."""
+    try:
+        chosen = sorted_frames(frames)
+    except FramesError as error:
+        return list(error.problems)
+    found: list[Problem] = []
+    for one in chosen:
+        try:
+            calibrate_iso(frames, one)
+        except FramesError as error:
+            found += error.problems
+    return found
+
+
+def calibrated_iso(frames: CalibrationFrames, iso: int) -> IsoCalibration:
+    (chosen,) = (one for one in sorted_frames(frames) if one.iso == iso)
+    return calibrate_iso(frames, chosen)
+
+
+def relative(tree: FrameTree, path: Path) -> str:
+    """A file's path as a record has it."""
+    return path.relative_to(tree.root).as_posix()
+
+
+def named(records: tuple[FrameRecord, ...]) -> list[str]:
+    return [record.path for record in records]

@@ -1,0 +1,284 @@
+"""`eldata calibrate`: exit codes, one-line errors, what is written and what is not."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from eldata.noise import CameraProfile
+from tests.calibration.trees import CAMERA, FrameTree, made_tree, relative, rewritten
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.cli.conftest import Cli, Outcome
+
+ISOS = (100, 400, 1600)
+
+
+@pytest.fixture(scope="module")
+def pristine(tmp_path_factory: pytest.TempPathFactory) -> FrameTree:
+    """Three ISOs, four bias frames and two pairs of flats each. Not to be changed."""
+    return made_tree(tmp_path_factory.mktemp("calibrate") / "tree", isos=ISOS, bias_frames=4, flat_levels=2)
+
+
+@pytest.fixture
+def tree(pristine: FrameTree, tmp_path: Path) -> FrameTree:
+    """A copy of one's own."""
+    return pristine.copy(tmp_path / "tree")
+
+
+def assert_one_line(outcome: Outcome, *words: str) -> None:
+    assert outcome.code == 2
+    assert outcome.out == ""
+    assert outcome.err.startswith("eldata calibrate: ")
+    assert outcome.err.count("\n") == 1
+    assert "unexpected" not in outcome.err
+    for word in words:
+        assert word in outcome.err
+
+
+# --- all well -------------------------------------------------------------------------------------------------------
+
+
+def test_a_profile_and_figures(eldata: Cli, pristine: FrameTree, tmp_path: Path) -> None:
+    targets = ("-o", tmp_path / "p.json", "--json", tmp_path / "d.json")
+    outcome = eldata("calibrate", pristine.root, "--camera", CAMERA, *targets)
+    assert (outcome.code, outcome.err) == (0, "")
+    assert outcome.out.startswith(f"{CAMERA}: eldata ")
+    for words in ("12 bias and 12 flat frames at 3 ISO(s)", "K [DN/e-]", "fit over ln K", "remarks", "±"):
+        assert words in outcome.out
+    assert f"look at it with eldata profile show {tmp_path / 'p.json'}" in outcome.out
+    assert not list(tmp_path.glob(".*")), "no temporary file is left"
+
+    data = json.loads((tmp_path / "d.json").read_text(encoding="utf-8"))
+    profile = CameraProfile.load(tmp_path / "p.json")
+    assert data["camera"] == profile.camera == CAMERA
+    for one, row, true in zip(data["isos"], profile.rows, pristine.truth["isos"], strict=True):
+        assert (one["iso"], one["gain_dn_per_e"], one["tukey_lambda"]) == (row.iso, row.gain_dn_per_e, row.tukey_lambda)
+        assert one["gain_dn_per_e"] == pytest.approx(true["gain_dn_per_e"], abs=5 * one["gain_error"])
+        assert one["sigma_tl_dn"] == pytest.approx(true["sigma_tl_dn"], abs=5 * one["sigma_tl_error_dn"])
+        assert one["reproduction"] is None
+    for remark in data["remarks"]:
+        assert remark in outcome.out
+
+
+def test_a_report(eldata: Cli, pristine: FrameTree, tmp_path: Path) -> None:
+    outcome = eldata("calibrate", pristine.root, "--iso", "400", "--html", tmp_path / "r.html")
+    assert (outcome.code, outcome.err) == (0, "")
+    assert f"report: {tmp_path / 'r.html'}" in outcome.out
+    page = (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert page.startswith("<!DOCTYPE html>")
+    assert CAMERA in page
+    assert [path.name for path in tmp_path.iterdir() if path.is_file()] == ["r.html"]
+
+
+def test_without_targets_nothing_is_written(eldata: Cli, pristine: FrameTree) -> None:
+    from pathlib import Path
+
+    outcome = eldata("calibrate", pristine.root, "--iso", "100")
+    assert outcome.code == 0
+    assert "profile:" not in outcome.out
+    assert not any(Path.cwd().iterdir())
+
+
+def test_jobs_do_not_change_the_figures(eldata: Cli, pristine: FrameTree, tmp_path: Path) -> None:
+    for jobs in ("1", "3"):
+        targets = ("-o", tmp_path / jobs, "--json", tmp_path / f"{jobs}.json")
+        assert eldata("calibrate", pristine.root, "--jobs", jobs, *targets).code == 0
+    assert (tmp_path / "1").read_bytes() == (tmp_path / "3").read_bytes()
+    assert (tmp_path / "1.json").read_bytes() == (tmp_path / "3.json").read_bytes()
+
+
+def test_a_choice_of_isos(eldata: Cli, pristine: FrameTree, tmp_path: Path) -> None:
+    arguments = ("calibrate", pristine.camera, "--json", tmp_path / "d.json")
+    outcome = eldata(*arguments, "--iso", "100", "--iso", "1600")
+    assert outcome.code == 0
+    assert [one["iso"] for one in json.loads((tmp_path / "d.json").read_text())["isos"]] == [100, 1600]
+    assert_one_line(eldata(*arguments, "--iso", "200"), "no frames of ISO 200; there are 100, 400, 1600")
+
+
+def test_a_manifest_and_its_root(
+    eldata: Cli, pristine: FrameTree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """--root wins over the environment, as for every command."""
+    data = pristine.folder / "data"
+    for name, options in (("a", ("--root", data)), ("b", ())):
+        monkeypatch.setenv("ELDATA_ROOT", str(tmp_path / "none") if options else str(data))
+        outcome = eldata("calibrate", pristine.manifest, "--iso", "400", *options, "-o", tmp_path / name)
+        assert (outcome.code, outcome.err) == (0, "")
+    assert eldata("calibrate", pristine.root, "--iso", "400", "-o", tmp_path / "c").code == 0
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes() == (tmp_path / "c").read_bytes()
+    outcome = eldata("calibrate", pristine.manifest, "--root", tmp_path / "none")
+    assert outcome.code == 1
+    assert outcome.out.count("No such file") == 24
+
+
+def test_files_that_are_no_raw_files_are_mentioned(eldata: Cli, tree: FrameTree) -> None:
+    (tree.camera / "bias" / "ISO100" / "IMG_0001.JPG").write_bytes(b"x")
+    outcome = eldata("calibrate", tree.root, "--iso", "100")
+    assert outcome.code == 0
+    assert f"1 file(s) that are no raw files were left alone, such as {CAMERA}/bias/ISO100/IMG_0001.JPG" in outcome.out
+
+
+# --- problems -------------------------------------------------------------------------------------------------------
+
+
+def test_problems_are_listed_and_nothing_is_written(eldata: Cli, tree: FrameTree, tmp_path: Path) -> None:
+    spoilt = [tree.files("bias", 100)[1], tree.files("flat", 1600)[2]]
+    spoilt[0].write_bytes(b"")
+    spoilt[1].write_bytes(spoilt[1].read_bytes()[:-3000])
+    (tmp_path / "p.json").write_text("older")
+    targets = ("-o", tmp_path / "p.json", "--json", tmp_path / "d.json", "--html", tmp_path / "r.html")
+    outcome = eldata("calibrate", tree.root, *targets)
+    assert (outcome.code, outcome.err) == (1, "")
+    for path in spoilt:
+        assert f"{relative(tree, path)}: content\n    expected  a whole raw file\n" in outcome.out
+    assert outcome.out.endswith(f"{CAMERA}: 2 problems; nothing was written\n")
+    assert (tmp_path / "p.json").read_text() == "older"
+    assert not (tmp_path / "r.html").exists()
+    data = json.loads((tmp_path / "d.json").read_text())
+    assert data["camera"] == CAMERA
+    assert [problem["path"] for problem in data["problems"]] == [relative(tree, path) for path in spoilt]
+
+
+def test_problems_that_pixels_show(eldata: Cli, tree: FrameTree) -> None:
+    path = tree.files("bias", 400)[2]
+    rewritten(path, mosaic=lambda mosaic: (mosaic + 100.0).astype(np.uint16))
+    outcome = eldata("calibrate", tree.root)
+    assert outcome.code == 1
+    assert outcome.out.endswith(f"{CAMERA}: 1 problem; nothing was written\n")
+    assert f"{relative(tree, path)}: level" in outcome.out
+
+
+# --- wrong usage ------------------------------------------------------------------------------------------------------
+
+
+def test_unusable_input_is_one_line(eldata: Cli, pristine: FrameTree, tree: FrameTree, tmp_path: Path) -> None:
+    assert_one_line(eldata("calibrate", tmp_path / "none"), "none: there is no such folder")
+    assert_one_line(eldata("calibrate", tmp_path / "none.csv"), "none.csv", "cannot be read")
+    assert_one_line(eldata("calibrate", tmp_path), "holds no folder bias or flat")
+    assert_one_line(eldata("calibrate", pristine.root, "--camera", "Sony"), f"no camera 'Sony'; there is {CAMERA}")
+    assert_one_line(eldata("calibrate", pristine.root, "--root", tmp_path), "--root", "manifest")
+    for path in tree.camera.glob("flat/*/*"):
+        path.unlink()
+    assert_one_line(eldata("calibrate", tree.root), "K is not known: take pairs of equal flats")
+    debug = eldata("calibrate", tmp_path / "none", "--debug")
+    assert debug.code == 2
+    assert "Traceback" in debug.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], ["FRAMES", "eldata calibrate --help"]),
+        (["x", "--iso", "0"], ["--iso", "'0'"]),
+        (["x", "--iso", "auto"], ["--iso", "'auto'"]),
+        (["x", "--iso", "²"], ["--iso", "'²'"]),
+        (["x", "--jobs", "0"], ["--jobs"]),
+        (["x", "-o"], ["-o", "expected one argument"]),
+    ],
+)
+def test_wrong_usage_is_one_line(arguments: list[str], words: list[str], eldata: Cli) -> None:
+    assert_one_line(eldata("calibrate", *arguments), *words)
+
+
+@pytest.mark.parametrize("option", ["-o", "--json"])
+def test_a_target_that_cannot_be_written(option: str, eldata: Cli, pristine: FrameTree, tmp_path: Path) -> None:
+    target = tmp_path / "no" / "such" / "x"
+    outcome = eldata("calibrate", pristine.root, "--iso", "400", option, target)
+    assert outcome.code == 2
+    assert outcome.err == f"eldata calibrate: cannot write {target}: No such file or directory\n"
+
+
+def test_a_report_that_cannot_be_written_costs_no_profile(
+    eldata: Cli, pristine: FrameTree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("eldata.reports.calibration_page.calibration_page", lambda found: found.camera)
+    target = tmp_path / "no" / "r.html"
+    outcome = eldata("calibrate", pristine.root, "--iso", "400", "--html", target, "-o", tmp_path / "p.json")
+    assert outcome.code == 2
+    assert outcome.err == f"eldata calibrate: cannot write {target}: No such file or directory\n"
+    assert CameraProfile.load(tmp_path / "p.json").camera == CAMERA
+
+
+# --- a process of its own ---------------------------------------------------------------------------------------------
+
+
+def test_help_names_every_option(eldata: Cli) -> None:
+    outcome = eldata("calibrate", "--help")
+    assert (outcome.code, outcome.err) == (0, "")
+    for words in ("FRAMES", "--camera", "--output", "--html", "--iso", "--root", "--jobs", "--json", "--debug"):
+        assert words in outcome.out
+
+
+INTERRUPTED = """
+import os, signal, sys
+import eldata.calibration.one_iso as one_iso
+from eldata.cli.main import main
+
+measured = one_iso.fixed_pattern
+def then_interrupted(stack):
+    print("measuring", flush=True)
+    signal.pause()
+    return measured(stack)
+one_iso.fixed_pattern = then_interrupted
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_ctrl_c_leaves_nothing_half(jobs: str, pristine: FrameTree, tmp_path: Path) -> None:
+    targets = ["-o", str(tmp_path / "p.json"), "--json", str(tmp_path / "d.json"), "--html", str(tmp_path / "r.html")]
+    with subprocess.Popen(
+        [sys.executable, "-c", INTERRUPTED, "calibrate", str(pristine.root), "--jobs", jobs, *targets],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    ) as process:
+        assert process.stdout is not None
+        try:
+            assert process.stdout.readline() == "measuring\n"
+            time.sleep(0.1)
+            os.killpg(process.pid, signal.SIGINT)
+            out, err = process.communicate(timeout=30)
+        finally:
+            process.kill()
+    assert process.returncode == 130
+    assert (out, err.count("\n")) == ("", 1)
+    assert "eldata calibrate: interrupted" in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_c_at_any_moment(pristine: FrameTree, tmp_path: Path) -> None:
+    """While threads decode: one line, and an end."""
+    command = [sys.executable, "-m", "eldata.cli.main", "calibrate", str(pristine.root), "--jobs", "2"]
+    for delay_s in (1.0, 1.6):
+        with subprocess.Popen(
+            [*command, "-o", str(tmp_path / "p.json")],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        ) as process:
+            try:
+                time.sleep(delay_s)
+                os.killpg(process.pid, signal.SIGINT)
+                out, err = process.communicate(timeout=30)
+            finally:
+                process.kill()
+        if process.returncode == 0:  # a fast machine
+            (tmp_path / "p.json").unlink()
+            continue
+        assert "p.json" not in out
+        assert list(tmp_path.iterdir()) == []
+        assert process.returncode in (130, -signal.SIGINT), err

@@ -1,0 +1,281 @@
+from __future__ import annotations
+
+import functools
+import json
+import subprocess
+import sys
+from pathlib import PurePosixPath
+from typing import TYPE_CHECKING
+
+import pytest
+
+from eldata.download import fetching
+from eldata.manifest import catalogue
+from eldata.manifest.card import Download
+from tests.cli.test_usage import assert_one_line
+from tests.download import server
+from tests.download.helpers import HASTY, contents, make_shelf, sevenzipped, tree, zipped
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from tests.cli.conftest import Cli, Outcome
+
+FILES = contents()
+PACKED = {f"SID/{name}": content for name, content in FILES.items()}
+BY_HAND = Download("https://drive.google.com/open?id=1", None, "a mirror")
+
+
+def archive_at(address: str) -> Download:
+    """An archive that a program may fetch; its part is called as its file."""
+    part = PurePosixPath(address).stem
+    return Download(address, None, "the authors pay for each download", direct=True, part=part, about="25 GB")
+
+
+@pytest.fixture
+def site(monkeypatch: pytest.MonkeyPatch) -> Iterator[server.Site]:
+    monkeypatch.setenv("NO_PROXY", "127.0.0.1")
+    with server.running() as site:
+        site.content = zipped(PACKED)
+        yield site
+
+
+@pytest.fixture
+def data(tmp_path: Path, eldata: Cli) -> Path:
+    """The data root that no --root names, and that is not there yet."""
+    return tmp_path / "cwd" / "data"
+
+
+@pytest.fixture
+def small(site: server.Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> server.Site:
+    """One dataset called small is known, which the site serves."""
+    know(tmp_path, monkeypatch, archive_at(site.address), BY_HAND)
+    monkeypatch.setattr(fetching, "Fetcher", functools.partial(fetching.Fetcher, HASTY, ["127.0.0.1"]))
+    return site
+
+
+def know(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *downloads: Download) -> None:
+    shelf = make_shelf(tmp_path / "shelf", *downloads)
+    monkeypatch.setattr(catalogue, "shipped_folder", lambda: shelf.folder)
+
+
+def one_line(outcome: Outcome, *words: str) -> None:
+    """As assert_one_line, after the terms on stdout."""
+    assert (outcome.code, outcome.err.count("\n")) == (2, 1)
+    assert "--debug shows where" not in outcome.err
+    for word in ("eldata download: ", *words):
+        assert word in outcome.err
+
+
+# --- fetching ---------------------------------------------------------------------------------------------------------
+
+
+def test_without_yes_the_terms_are_shown_and_nothing_is_fetched(eldata: Cli, small: server.Site, data: Path) -> None:
+    outcome = eldata("download", "small")
+    assert (outcome.code, outcome.err) == (1, "")
+    for words in (
+        small.address,
+        "the authors pay for each download",
+        "licence: MIT",
+        "https://drive.google.com/open?id=1",
+        "fetch an archive once, keep it",
+        "eldata download small --root data --yes",
+        "eldata download small --root data --from FILE",
+        "0 of 6 files are in data/SID",
+    ):
+        assert words in outcome.out
+    assert small.requests == []
+    assert not data.exists()
+
+
+def test_yes_fetches_unpacks_and_says_what_is_next(eldata: Cli, small: server.Site, data: Path) -> None:
+    outcome = eldata("download", "small", "--yes")
+    assert (outcome.code, outcome.err) == (0, "")
+    assert outcome.out.index(small.address) < outcome.out.index("set.zip: 6 files unpacked")
+    assert "small: all 6 files are in data/SID; check them: eldata verify" in outcome.out
+    assert tree(data) == {f"SID/{name}": content for name, content in FILES.items()} | {
+        "archives/set.zip": small.content
+    }
+
+
+def test_nothing_is_fetched_or_unpacked_twice(eldata: Cli, small: server.Site, data: Path) -> None:
+    eldata("download", "small", "--yes")
+    for arguments in (["--yes"], [], ["--part", "set", "--yes"]):
+        outcome = eldata("download", "small", *arguments)
+        assert outcome.code == 0
+        assert outcome.out.startswith("small: all 6 files are in data/SID")
+    assert len(small.requests) == 1
+    # Not even once the archive is deleted.
+    (data / "archives" / "set.zip").unlink()
+    assert eldata("download", "small", "--yes").code == 0
+    assert len(small.requests) == 1
+
+
+def test_an_archive_that_is_there_is_not_fetched(eldata: Cli, small: server.Site, data: Path) -> None:
+    eldata("download", "small", "--yes")
+    name = next(iter(FILES))
+    (data / "SID" / name).unlink()
+    outcome = eldata("download", "small", "--yes")
+    assert outcome.code == 0
+    assert "1 files unpacked, 5 were there already" in outcome.out
+    assert len(small.requests) == 1
+
+
+def test_a_broken_download_goes_on_in_the_next_run(eldata: Cli, small: server.Site, data: Path) -> None:
+    small.content = zipped({f"SID/{name}": content * 10 for name, content in FILES.items()})
+    small.then(server.breaking_after(16_384), server.breaking_after(0))
+    one_line(eldata("download", "small", "--yes"), "gave up after 3 tries", "the same command goes on")
+    small.then(server.serve)
+    small.requests.clear()
+    assert eldata("download", "small", "--yes").code == 0
+    assert small.ranges == ["bytes=16384-"]
+
+
+def test_an_archive_cut_short_by_its_server(eldata: Cli, small: server.Site, data: Path) -> None:
+    small.then(server.claiming(-1_000))
+    one_line(
+        eldata("download", "small", "--yes"), "data/archives/set.zip", "End-of-central-directory", "fetch it again"
+    )
+    assert not (data / "SID").exists()
+
+
+def test_a_web_page_in_place_of_the_archive(eldata: Cli, small: server.Site, data: Path) -> None:
+    small.then(server.page)
+    one_line(eldata("download", "small", "--yes"), small.address, "web page", "--from")
+
+
+def test_interrupted(eldata: Cli, small: server.Site, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("time.sleep", interrupt)
+    small.then(server.breaking_after(10))
+    outcome = eldata("download", "small", "--yes")
+    assert (outcome.code, outcome.err.count("\n")) == (130, 1)
+    assert "the same command goes on from there" in outcome.err
+    assert "Traceback" in eldata("download", "small", "--yes", "--debug").err
+
+
+def test_by_hand_only(eldata: Cli, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    know(tmp_path, monkeypatch, BY_HAND)
+    outcome = eldata("download", "small", "--yes")
+    assert (outcome.code, outcome.err) == (1, "")
+    assert "by hand, in a browser" in outcome.out
+    assert "--from FILE" in outcome.out
+    assert "To fetch what is marked direct" not in outcome.out
+
+
+# --- parts ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def parts(small: server.Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> server.Site:
+    base = small.address.removesuffix("set.zip")
+    know(tmp_path, monkeypatch, archive_at(f"{base}long.zip"), archive_at(f"{base}short.zip"))
+    return small
+
+
+def of_kind(kind: str) -> dict[str, bytes]:
+    return {name: content for name, content in FILES.items() if f"/{kind}/" in name}
+
+
+def test_several_archives_have_to_be_named(eldata: Cli, parts: server.Site, data: Path) -> None:
+    assert_one_line(eldata("download", "small", "--yes"), "--part", "long, short")
+    assert_one_line(eldata("download", "small", "--part", "middle"), "'middle'", "long, short")
+    assert eldata("download", "small").code == 1
+    assert parts.requests == []
+
+
+def test_one_part_and_then_the_other(eldata: Cli, parts: server.Site, data: Path) -> None:
+    parts.content = zipped(of_kind("long"))
+    outcome = eldata("download", "small", "--part", "long", "--yes")
+    assert outcome.code == 1
+    assert "3 of 6 files are in data/SID" in outcome.out
+    parts.content = zipped(of_kind("short"))
+    assert eldata("download", "small", "--part", "long", "--part", "short", "--yes").code == 0
+    assert [request["path"] for request in parts.requests] == ["/long.zip", "/short.zip"]
+
+
+# --- --from -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("pack", [zipped, sevenzipped])
+@pytest.mark.parametrize("name", ["Sony.zip", "download(1)"])
+def test_an_archive_saved_by_hand(name: str, pack: object, eldata: Cli, small: server.Site, data: Path) -> None:
+    saved = data.parent / name
+    saved.write_bytes(pack(PACKED | {"README": b"x"}))  # type: ignore[operator]
+    outcome = eldata("download", "small", "--from", saved)
+    assert (outcome.code, outcome.err) == (0, "")
+    assert f"{name}: 6 files unpacked, 0 were there already; 6 of its files are listed in the manifest" in outcome.out
+    assert "1 files beside the dataset's folder stay in it" in outcome.out
+    assert tree(data) == {f"SID/{name}": content for name, content in FILES.items()}
+    assert small.requests == []
+
+
+def test_two_archives_saved_by_hand(eldata: Cli, small: server.Site, data: Path, tmp_path: Path) -> None:
+    for kind in ("long", "short"):
+        (tmp_path / kind).write_bytes(zipped(of_kind(kind)))
+    assert eldata("download", "small", "--from", tmp_path / "long").code == 1
+    assert eldata("download", "small", "--from", tmp_path / "long", "--from", tmp_path / "short").code == 0
+
+
+def test_files_that_differ_are_listed(eldata: Cli, small: server.Site, data: Path, tmp_path: Path) -> None:
+    name = next(iter(FILES))
+    (data / "SID" / name).parent.mkdir(parents=True)
+    (data / "SID" / name).write_bytes(b"mine")
+    (tmp_path / "x.zip").write_bytes(zipped(PACKED))
+    outcome = eldata("download", "small", "--from", tmp_path / "x.zip", "--json", tmp_path / "x.json")
+    assert (outcome.code, outcome.err) == (1, "")
+    assert f"left alone, differs from the archive: {name}" in outcome.out
+    assert "some differ from the archive; move those away" in outcome.out
+    assert (data / "SID" / name).read_bytes() == b"mine"
+    report = json.loads((tmp_path / "x.json").read_text())
+    assert report["archives"][0]["unpacked"]["differing"] == [name]
+    assert report["presence"]["complete"] is True
+    assert report["folder"] == "data/SID"
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (zipped(PACKED)[:-50], ["End-of-central-directory"]),
+        (b"<html>Sign in", ["web page"]),
+        (zipped({"../evil": b"x"}), ["'..'", "do not unpack"]),
+        (zipped({"Fuji/long/1.RAF": b"x"}), ["none of its 1 files is listed", "another dataset"]),
+    ],
+)
+def test_what_cannot_be_used(content: bytes, words: list[str], eldata: Cli, small: server.Site, data: Path) -> None:
+    saved = data.parent / "saved.zip"
+    saved.write_bytes(content)
+    assert_one_line(eldata("download", "small", "--from", saved), str(saved), *words)
+    assert not data.exists()
+
+
+# --- usage ------------------------------------------------------------------------------------------------------------
+
+
+def test_wrong_usage(eldata: Cli) -> None:
+    assert_one_line(eldata("download"), "DATASET")
+    assert_one_line(eldata("download", "led"), "'led'", "eld, ")
+    assert_one_line(eldata("download", "eld", "--yes", "--from", "x"), "--from", "--yes")
+    assert_one_line(eldata("download", "eld", "--from", "none.7z"), "none.7z", "No such file")
+
+
+def test_help(eldata: Cli) -> None:
+    outcome = eldata("download", "--help")
+    assert outcome.code == 0
+    for word in ("DATASET", "--root", "--yes", "--from", "--part", "--json", "--debug", "Exit codes"):
+        assert word in outcome.out
+
+
+@pytest.mark.parametrize("arguments", [["download", "--help"], ["info", "--help"], ["info"], ["download", "eld"]])
+def test_neither_torch_nor_rawpy_is_loaded(arguments: list[str], tmp_path: Path) -> None:
+    code = (
+        "import sys; from eldata.cli.main import main; main(sys.argv[1:])\n"
+        "print('LOADED', *(name for name in ('torch', 'rawpy', 'requests') if name in sys.modules))"
+    )
+    command = [sys.executable, "-c", code, *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.splitlines()[-1] == "LOADED"

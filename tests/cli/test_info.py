@@ -1,0 +1,128 @@
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import pytest
+
+from eldata.manifest import catalogue
+from eldata.manifest.card import Download
+from eldata.manifest.catalogue import shipped_manifest, shipped_names
+from tests.cli.test_usage import assert_one_line
+from tests.download.helpers import contents, file_names, make_shelf
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.cli.conftest import Cli
+
+
+@pytest.fixture
+def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """One dataset called small is known, and nothing else; its folder."""
+    downloads = (
+        Download("https://example.org/Sony.zip", None, "fetch it once", direct=True, part="Sony", about="25 GB"),
+        Download("https://drive.google.com/open?id=1", None, "a mirror", about="25 GB"),
+    )
+    shelf = make_shelf(tmp_path / "shelf", *downloads)
+    monkeypatch.setattr(catalogue, "shipped_folder", lambda: shelf.folder)
+    return tmp_path / "cwd" / "data" / "SID"
+
+
+def put(folder: Path, count: int) -> None:
+    for name in file_names()[:count]:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(contents()[name])
+
+
+def test_the_table_has_every_shipped_dataset(eldata: Cli) -> None:
+    outcome = eldata("info")
+    assert (outcome.code, outcome.err) == (0, "")
+    header, rule, *rows = outcome.out.splitlines()[: 2 + len(shipped_names())]
+    assert header.split() == ["name", "title", "files", "size", "in", "data", "licence"]
+    assert set(rule) == {"-", " "}
+    assert tuple(row.split()[0] for row in rows) == shipped_names()
+    for row, name in zip(rows, shipped_names(), strict=True):
+        manifest = shipped_manifest(name)
+        assert manifest.card.title in row
+        assert f" {len(manifest.records)} " in row
+        assert manifest.card.licence in row
+        assert "absent" in row
+
+
+@pytest.mark.parametrize(("count", "shown"), [(0, "absent"), (1, "1 of 6 files"), (6, "present")])
+def test_what_is_there(count: int, shown: str, eldata: Cli, small: Path) -> None:
+    put(small, count)
+    row = eldata("info").out.splitlines()[2]
+    assert f"  {shown}  " in row
+    assert f"({shown})" in eldata("info", "small").out
+
+
+def test_an_empty_file_is_not_there(eldata: Cli, small: Path) -> None:
+    put(small, 6)
+    (small / file_names()[0]).write_bytes(b"")
+    assert "5 of 6 files" in eldata("info", "small").out
+
+
+def test_all_of_one_dataset(eldata: Cli, small: Path) -> None:
+    outcome = eldata("info", "small")
+    assert (outcome.code, outcome.err) == (0, "")
+    for words in (
+        "small: Small set",
+        "licence    MIT",
+        "citation   A. Author, A Paper, 2018",
+        "homepage   https://example.org/small",
+        "files      6: 6 noisy",
+        "folder     data/SID",
+        "data/SID/Sony/long/00001_00_10s.ARW",
+        "    https://example.org/Sony.zip\n        direct, part Sony, 25 GB: fetch it once",
+        "    https://drive.google.com/open?id=1\n        by hand, in a browser, 25 GB: a mirror",
+        "- Frame 3 is blurred.",
+        "- The paper.",
+        "next\n    eldata download small --root data\n",
+    ):
+        assert words in outcome.out
+    assert max(len(line) for line in outcome.out.splitlines()) <= 120
+
+
+def test_the_next_command_is_to_verify_what_is_there(eldata: Cli, small: Path) -> None:
+    put(small, 6)
+    next_line = eldata("info", "small").out.splitlines()[-1]
+    assert next_line.split()[:2] == ["eldata", "verify"]
+    (small / file_names()[0]).unlink()
+    verified = eldata(*next_line.split()[1:])
+    assert verified.code == 1
+    assert file_names()[0] in verified.out
+
+
+@pytest.mark.parametrize("name", shipped_names())
+def test_every_shipped_dataset_has_its_page(name: str, eldata: Cli) -> None:
+    outcome = eldata("info", name)
+    assert (outcome.code, outcome.err) == (0, "")
+    card = shipped_manifest(name).card
+    for place in card.downloads:
+        assert place.address in outcome.out
+    assert card.citation in " ".join(outcome.out.split())
+
+
+def test_the_root_is_looked_at(eldata: Cli, small: Path, tmp_path: Path) -> None:
+    put(tmp_path / "disk" / "SID", 6)
+    assert "(present)" in eldata("info", "small", "--root", tmp_path / "disk").out
+    assert "(absent)" in eldata("info", "small").out
+
+
+def test_json(eldata: Cli, small: Path, tmp_path: Path) -> None:
+    put(small, 2)
+    assert eldata("info", "--json", tmp_path / "x.json").code == 0
+    (dataset,) = json.loads((tmp_path / "x.json").read_text())["datasets"]
+    assert dataset["name"] == "small"
+    assert dataset["presence"]["files_present"] == 2
+    assert dataset["presence"]["complete"] is False
+    assert dataset["places"][0] | {"direct": True, "part": "Sony"} == dataset["places"][0]
+    eldata("info", "small", "--json", tmp_path / "y.json")
+    assert json.loads((tmp_path / "y.json").read_text()) == {"datasets": [dataset]}
+
+
+def test_wrong_usage(eldata: Cli) -> None:
+    assert_one_line(eldata("info", "led"), "'led'", "eld", "sid-sony")
+    assert_one_line(eldata("info", "eld", "more"), "more")

@@ -1,0 +1,413 @@
+"""Bias and flat frames by folder and by manifest: what is found, what is refused, and that nothing is read early."""
+
+from __future__ import annotations
+
+import csv
+import pickle
+import shutil
+import subprocess
+import sys
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import rawpy
+import torch
+from torch.utils.data import DataLoader
+
+from eldata import CalibrationFrames
+from eldata.datasets.calibration_frames import flat_pairs
+from eldata.errors import ArgumentError, DatasetError, ManifestError, RawFileError
+from eldata.manifest.table import load_records, save_records
+from eldata.records import FrameRecord
+from tests.calibration.trees import CAMERA, FrameTree, made_tree, named
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+ISOS = (100, 1600)
+SIZE = (64, 96)  # these tests measure nothing
+
+
+@pytest.fixture(scope="module")
+def pristine(tmp_path_factory: pytest.TempPathFactory) -> FrameTree:
+    """Two ISOs, three bias frames and two pairs of flats each. Not to be changed."""
+    folder = tmp_path_factory.mktemp("calibration") / "tree"
+    return made_tree(folder, isos=ISOS, bias_frames=3, flat_levels=2, size=SIZE)
+
+
+@pytest.fixture
+def tree(pristine: FrameTree, tmp_path: Path) -> FrameTree:
+    """A copy of one's own."""
+    return pristine.copy(tmp_path / "tree")
+
+
+# --- finding --------------------------------------------------------------------------------------------------------
+
+
+def listed(tree: FrameTree) -> list[FrameRecord]:
+    """The manifest's rows, which the simulator wrote: the truth about the folders."""
+    return sorted(load_records(tree.manifest), key=lambda record: record.path)
+
+
+def test_the_folders_hold_what_was_made(pristine: FrameTree) -> None:
+    frames = CalibrationFrames(pristine.root, CAMERA)
+    assert [(r.path, r.role, r.camera, r.iso) for r in frames.records] == [
+        (r.path, r.role, r.camera, r.iso) for r in listed(pristine)
+    ]
+    assert all(record.exposure_s is None for record in frames.records), "folders do not say it"
+    assert (len(frames), list(frames.isos), frames.camera, frames.skipped) == (14, [*map(Fraction, ISOS)], CAMERA, ())
+    assert [len(frames.of("bias", iso)) for iso in ISOS] == [3, 3]
+    assert [len(frames.of("flat", iso)) for iso in ISOS] == [4, 4]
+
+
+def test_the_cameras_own_folder_will_do(pristine: FrameTree) -> None:
+    """Its name is the camera's, unless another is given; paths are then relative to it."""
+    whole, own = CalibrationFrames(pristine.root), CalibrationFrames(pristine.camera)
+    assert own.camera == whole.camera == CAMERA
+    assert [f"{CAMERA}/{path}" for path in named(own.records)] == named(whole.records)
+    assert own[0]["mosaic"].tobytes() == whole[0]["mosaic"].tobytes()
+    renamed = CalibrationFrames(pristine.camera, "Mine")
+    assert renamed.camera == "Mine"
+    assert {record.camera for record in renamed.records} == {"Mine"}
+
+
+def test_the_folder_that_one_stands_in(pristine: FrameTree, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(pristine.camera)
+    assert CalibrationFrames(".").camera == CAMERA
+    monkeypatch.chdir(pristine.root)
+    assert CalibrationFrames(Path()).camera == CAMERA
+
+
+def test_the_default_root(pristine: FrameTree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ELDATA_ROOT", str(pristine.folder / "data"))
+    assert len(CalibrationFrames()) == 14
+    monkeypatch.delenv("ELDATA_ROOT")
+    monkeypatch.chdir(pristine.folder)
+    assert len(CalibrationFrames()) == 14
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(DatasetError, match=r"data/calibration: there is no such folder"):
+        CalibrationFrames()
+
+
+def test_the_manifest_route(pristine: FrameTree, monkeypatch: pytest.MonkeyPatch) -> None:
+    frames = CalibrationFrames(pristine.root, manifest=pristine.manifest)
+    assert frames.records == tuple(listed(pristine)), "with their exposure times"
+    monkeypatch.setenv("ELDATA_ROOT", str(pristine.folder / "data"))
+    assert CalibrationFrames(manifest=pristine.manifest).root == pristine.root
+    assert frames[3]["exposure_s"] == float(frames.records[3].exposure_s or 0)
+
+
+def test_a_manifest_may_hold_other_rows_and_lack_files(tree: FrameTree) -> None:
+    """Only its bias and flat rows count; what the folders hold besides does not."""
+    shutil.copy(tree.files("bias", 100)[0], tree.files("bias", 100)[0].with_name("IMG_9999.dng"))
+    (tree.files("flat", 100)[0]).unlink()
+    frames = CalibrationFrames(tree.root, manifest=tree.manifest)
+    assert len(frames) == 14
+    with pytest.raises(RawFileError, match="No such file"):
+        frames.read(frames.of("flat", 100)[0])
+
+
+def test_a_manifest_without_isos(tree: FrameTree) -> None:
+    from dataclasses import replace
+
+    records = load_records(tree.manifest)
+    save_records(tree.manifest, [replace(records[0], iso=None), *records[1:]])
+    with pytest.raises(DatasetError, match="needs its ISO") as raised:
+        CalibrationFrames(tree.root, manifest=tree.manifest)
+    assert records[0].path in str(raised.value)
+
+
+def test_a_manifest_without_calibration_frames(tmp_path: Path) -> None:
+    from eldata.manifest.catalogue import shipped_manifest
+
+    with pytest.raises(DatasetError, match="holds no calibration frames"):
+        CalibrationFrames(tmp_path, manifest=shipped_manifest("eld").path)
+
+
+def two_cameras(tree: FrameTree) -> None:
+    shutil.copytree(tree.camera, tree.root / "Other")
+
+
+def test_a_choice_of_cameras(tree: FrameTree) -> None:
+    two_cameras(tree)
+    (tree.root / "notes").mkdir()
+    (tree.root / "readme.txt").write_text("x")
+    with pytest.raises(DatasetError, match=f"frames of 2 cameras; choose one: {CAMERA}, Other"):
+        CalibrationFrames(tree.root)
+    assert {record.path.split("/")[0] for record in CalibrationFrames(tree.root, "Other").records} == {"Other"}
+    with pytest.raises(DatasetError, match=f"no camera 'Sony'; there is {CAMERA}, Other"):
+        CalibrationFrames(tree.root, "Sony")
+    with pytest.raises(DatasetError, match=f"no camera 'Sony'; there is {CAMERA}"):
+        CalibrationFrames(tree.root, "Sony", manifest=tree.manifest)
+
+
+def test_a_choice_of_isos(pristine: FrameTree) -> None:
+    frames = CalibrationFrames(pristine.root, isos=[1600])
+    assert list(frames.isos) == [Fraction(1600)]
+    assert len(frames) == 7
+    assert len(CalibrationFrames(pristine.root, isos=(100, Fraction(1600)))) == 14  # type: ignore[arg-type] # equal
+    with pytest.raises(DatasetError, match="no frames of ISO 200; there are 100, 1600"):
+        CalibrationFrames(pristine.root, isos=[100, 200])
+    with pytest.raises(ArgumentError, match="isos is empty; there are 100, 1600"):
+        CalibrationFrames(pristine.root, isos=[])
+
+
+def lost_root(tree: FrameTree) -> Path:
+    return tree.root / "none"
+
+
+def empty_root(tree: FrameTree) -> Path:
+    (tree.folder / "empty").mkdir()
+    return tree.folder / "empty"
+
+
+def no_raw_files(tree: FrameTree) -> Path:
+    for path in tree.root.rglob("*.dng"):
+        path.rename(path.with_suffix(".jpg"))
+    return tree.root
+
+
+def misnamed(name: str) -> Callable[[FrameTree], Path]:
+    def rename(tree: FrameTree) -> Path:
+        (tree.camera / "bias" / "ISO100").rename(tree.camera / "bias" / name)
+        return tree.root
+
+    return rename
+
+
+def outside_an_iso_folder(tree: FrameTree) -> Path:
+    tree.files("flat", 100)[0].rename(tree.camera / "flat" / "IMG_0001.dng")
+    return tree.root
+
+
+def linked_folder(tree: FrameTree) -> Path:
+    """The search follows no links to folders, and must not pass over their frames without a word."""
+    (tree.camera / "flat" / "ISO100").rename(tree.folder / "elsewhere")
+    (tree.camera / "flat" / "ISO100").symlink_to(tree.folder / "elsewhere")
+    return tree.root
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lost_root, ["none: there is no such folder", "<camera>/bias/ISO100/"]),
+        (empty_root, ["holds no folder bias or flat", "<camera>/flat/ISO100/"]),
+        (no_raw_files, ["holds no raw file", ".arw", ".dng"]),
+        (misnamed("iso100"), ["iso100/IMG_0001.dng: lies in no folder that names its ISO", "bias/ISO100/IMG_0001.dng"]),
+        (misnamed("ISO 100"), ["ISO 100/IMG_0001.dng: lies in no folder that names its ISO"]),
+        (misnamed("ISO0100"), ["lies in no folder that names its ISO"]),
+        (misnamed("ISO100-again"), ["lies in no folder that names its ISO"]),
+        (misnamed("100"), ["lies in no folder that names its ISO"]),
+        (outside_an_iso_folder, ["flat/IMG_0001.dng: lies in no folder that names its ISO", "flat/ISO100/IMG_0001"]),
+        (linked_folder, ["flat/ISO100: is a link to a folder"]),
+    ],
+)
+def test_unusable_folders_say_what_is_expected(
+    spoil: Callable[[FrameTree], Path], words: list[str], tree: FrameTree
+) -> None:
+    with pytest.raises(DatasetError) as raised:
+        CalibrationFrames(spoil(tree))
+    for word in words:
+        assert word in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+def test_what_is_no_raw_file_is_left_alone_and_listed(tree: FrameTree) -> None:
+    """The JPEG beside a raw file, sidecars; hidden files are not worth a word, in hidden folders neither."""
+    bias = tree.camera / "bias"
+    for name in ("ISO100/IMG_0001.JPG", "ISO100/IMG_0001.xmp", "notes.txt"):
+        (bias / name).write_bytes(b"x")
+    for name in ("ISO100/.DS_Store", "ISO100/._IMG_0001.dng", ".thumbnails/a.dng", "ISO100/.trash/b.dng"):
+        (bias / name).parent.mkdir(exist_ok=True)
+        (bias / name).write_bytes(b"x")
+    frames = CalibrationFrames(tree.root)
+    assert frames.skipped == tuple(
+        f"{CAMERA}/bias/{name}" for name in ("ISO100/IMG_0001.JPG", "ISO100/IMG_0001.xmp", "notes.txt")
+    )
+    assert len(frames) == 14
+
+
+def test_folders_inside_of_an_isos_folder_and_capital_extensions(tree: FrameTree) -> None:
+    first = tree.files("bias", 100)[0]
+    (first.parent / "more").mkdir()
+    first.rename(first.parent / "more" / "A.DNG")
+    frames = CalibrationFrames(tree.root)
+    assert named(frames.of("bias", 100))[-1] == f"{CAMERA}/bias/ISO100/more/A.DNG"
+    assert frames.read(frames.of("bias", 100)[-1]).mosaic.shape == SIZE
+
+
+def test_bias_frames_alone(tree: FrameTree) -> None:
+    shutil.rmtree(tree.camera / "flat")
+    assert {record.role for record in CalibrationFrames(tree.root).records} == {"bias"}
+    assert CalibrationFrames(tree.camera).camera == CAMERA
+
+
+# --- samples --------------------------------------------------------------------------------------------------------
+
+
+def libraws(path: Path) -> np.ndarray[Any, np.dtype[np.uint16]]:
+    with rawpy.imread(str(path)) as raw:
+        return raw.raw_image_visible.copy()
+
+
+def test_samples_are_what_libraw_reads(pristine: FrameTree) -> None:
+    frames = CalibrationFrames(pristine.root)
+    rows = listed(pristine)
+    for sample, row in zip(frames, rows, strict=True):
+        np.testing.assert_array_equal(sample["mosaic"], libraws(pristine.root / row.path))
+        assert sample["mosaic"].dtype == np.uint16
+        assert (sample["role"], sample["camera"], sample["path"]) == (row.role, row.camera, row.path)
+        assert (sample["iso"], sample["exposure_s"]) == (float(row.iso or 0), float(row.exposure_s or 0))
+    assert len(list(frames)) == 14, "it can be iterated twice"
+    with pytest.raises(IndexError):
+        frames[14]
+
+
+def test_what_a_file_does_not_state_is_0(tree: FrameTree) -> None:
+    from eldata.raw import read_raw, write_dng
+    from eldata.records import Exposure
+
+    path = tree.files("bias", 100)[0]
+    raw = read_raw(path)
+    write_dng(path, raw.mosaic, raw.sensor, Exposure())
+    sample = CalibrationFrames(tree.root)[0]
+    assert (sample["iso"], sample["exposure_s"]) == (0.0, 0.0)
+
+
+def test_the_frame_is_a_table_of_the_records(pristine: FrameTree) -> None:
+    table = CalibrationFrames(pristine.root, manifest=pristine.manifest).frame
+    with pristine.manifest.open(newline="") as file:
+        rows = sorted(csv.DictReader(file), key=lambda row: row["path"])
+    assert list(table["path"]) == [row["path"] for row in rows]
+    assert table["iso"].tolist() == [float(row["iso"]) for row in rows]
+    assert table["exposure_s"].tolist() == [float(Fraction(row["exposure_s"])) for row in rows]
+    assert dict(table.groupby(["role", "iso"]).size()) == {
+        ("bias", 100.0): 3, ("bias", 1600.0): 3, ("flat", 100.0): 4, ("flat", 1600.0): 4,
+    }  # fmt: skip
+
+
+def test_repr_says_what_is_in_it(pristine: FrameTree) -> None:
+    text = repr(CalibrationFrames(pristine.root))
+    for part in (str(pristine.root), CAMERA, "14 frames", "ISO 100: 3 bias, 4 flat", "ISO 1600: 3 bias, 4 flat"):
+        assert part in text
+
+
+@pytest.mark.timeout(120)
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+# Newer Pythons warn of any fork of a process with threads; that this one is safe is what the test is about.
+@pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")
+def test_workers_and_the_default_collate(pristine: FrameTree, method: str) -> None:
+    frames = CalibrationFrames(pristine.root)
+    expected = list(frames)  # reads in the parent first, so that whatever a fork could trip over is there
+    loader: DataLoader[Any] = DataLoader(
+        frames,  # type: ignore[arg-type] # has what a map-style dataset has
+        batch_size=7,
+        num_workers=2,
+        multiprocessing_context=method,
+        timeout=60,
+    )
+    batches = list(loader)
+    assert len(batches) == 2
+    for number, batch in enumerate(batches):
+        part = expected[7 * number : 7 * number + 7]
+        assert batch["mosaic"].dtype == torch.uint16
+        np.testing.assert_array_equal(batch["mosaic"].numpy(), np.stack([sample["mosaic"] for sample in part]))
+        assert batch["path"] == [sample["path"] for sample in part]
+        assert batch["role"] == [sample["role"] for sample in part]
+        assert batch["iso"].tolist() == [sample["iso"] for sample in part]
+        assert batch["exposure_s"].tolist() == [sample["exposure_s"] for sample in part]
+
+
+def test_pickle_round_trip(pristine: FrameTree) -> None:
+    frames = CalibrationFrames(pristine.root, isos=[100])
+    again = pickle.loads(pickle.dumps(frames))
+    assert repr(again) == repr(frames)
+    assert again.records == frames.records
+
+
+def test_a_link_that_leads_outside_is_refused_when_it_is_read(tree: FrameTree) -> None:
+    path = tree.files("bias", 100)[1]
+    outside = tree.folder / "outside.dng"
+    path.rename(outside)
+    path.symlink_to(outside)
+    frames = CalibrationFrames(tree.root)
+    frames[0]
+    with pytest.raises(ManifestError, match="leads outside"):
+        frames[1]
+
+
+def test_a_link_inside_of_the_root_is_fine(tree: FrameTree) -> None:
+    first, second = tree.files("bias", 100)[:2]
+    second.unlink()
+    second.symlink_to(first)
+    frames = CalibrationFrames(tree.root)
+    np.testing.assert_array_equal(frames[0]["mosaic"], frames[1]["mosaic"])
+
+
+# --- nothing early --------------------------------------------------------------------------------------------------
+
+
+def test_choosing_reads_no_file(tree: FrameTree) -> None:
+    for path in tree.root.rglob("*.dng"):
+        path.write_bytes(b"")
+    for frames in (CalibrationFrames(tree.root), CalibrationFrames(tree.root, manifest=tree.manifest)):
+        assert len(frames) == len(frames.frame) == 14
+        with pytest.raises(RawFileError, match="empty"):
+            frames[0]
+
+
+def test_choosing_loads_neither_torch_nor_rawpy(pristine: FrameTree) -> None:
+    code = (
+        "import sys\n"
+        "from eldata import CalibrationFrames\n"
+        "frames = CalibrationFrames(sys.argv[1])\n"
+        "again = CalibrationFrames(sys.argv[1], manifest=sys.argv[2])\n"
+        "repr(frames), frames.isos, frames.of('bias', 100), frames.path(frames.records[0])\n"
+        "print(len(frames), len(again), *(name for name in ('torch', 'rawpy', 'numba') if name in sys.modules))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(pristine.root), str(pristine.manifest)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert (done.stdout, done.stderr) == ("14 14\n", "")
+
+
+# --- pairs ----------------------------------------------------------------------------------------------------------
+
+
+def flat(number: int, exposure_s: Fraction | None = Fraction(1, 10)) -> FrameRecord:
+    return FrameRecord(path=f"C/flat/ISO100/{number:04d}.dng", role="flat", camera="C", exposure_s=exposure_s)
+
+
+def numbers(*records: FrameRecord) -> tuple[int, ...]:
+    return tuple(int(record.path[-8:-4]) for record in records)
+
+
+@pytest.mark.parametrize(
+    ("exposures", "pairs", "single"),
+    [
+        ("", [], ()),
+        ("a", [], (1,)),
+        ("aa", [(1, 2)], ()),
+        ("aaa", [(1, 2)], (3,)),
+        ("aaaa", [(1, 2), (3, 4)], ()),
+        ("abab", [(1, 3), (2, 4)], ()),
+        ("aabbcc", [(1, 2), (3, 4), (5, 6)], ()),
+        ("abbcca", [(1, 6), (2, 3), (4, 5)], ()),
+        ("abc", [], (1, 2, 3)),
+        ("??", [], (1, 2)),
+        ("a?a?", [(1, 3)], (2, 4)),
+    ],
+)
+def test_pairs(exposures: str, pairs: list[tuple[int, int]], single: tuple[int, ...]) -> None:
+    """Letters are exposure times, ? an unknown one: two of those may differ. Given in another order than taken."""
+    time = {"a": Fraction(1, 10), "b": Fraction(2, 10), "c": Fraction(3, 10), "?": None}
+    flats = [flat(index, time[letter]) for index, letter in enumerate(exposures, 1)]
+    found, left = flat_pairs(flats[::-1])
+    assert [numbers(pair.first, pair.second) for pair in found] == pairs
+    assert tuple(sorted(numbers(*left))) == single

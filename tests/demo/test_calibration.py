@@ -1,0 +1,185 @@
+"""The calibration demo, end to end with small frames, and its table of errors."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+import eldata.demo.calibration
+from eldata.cli.main import main
+from eldata.demo.body import FixedFeatures
+from eldata.demo.calibration import against_truth, run_calibration_demo
+from eldata.demo.calibration_frames import DEMO_FEATURES, make_calibration_frames
+from eldata.errors import EldataError
+from eldata.noise import CameraProfile
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from eldata.calibration import Calibration
+
+ISOS = (100, 400, 1600)
+SMALL = partial(make_calibration_frames, isos=ISOS, bias_frames=6, flat_levels=4, size=(256, 384))
+
+
+def page(found: Calibration) -> str:
+    """In place of the real page, which takes seconds and has its own tests."""
+    return f"page of {found.camera}\n{found.format_text()}"
+
+
+def patched(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(eldata.demo.calibration, "make_calibration_frames", SMALL)
+    patch.setattr(eldata.demo.calibration, "calibration_page", page)
+    patch.setattr("eldata.reports.calibration_page.calibration_page", page)
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    patched(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Calibration, str]:
+    """Folder, result, and what was printed."""
+    folder = tmp_path_factory.mktemp("demo") / "new" / "folder"
+    with pytest.MonkeyPatch.context() as patch:
+        patched(patch)
+        lines: list[str] = []
+        patch.setattr("builtins.print", lambda *words, **_: lines.append(" ".join(map(str, words))))
+        found = run_calibration_demo(folder, jobs=2)
+    return folder, found, "\n".join(lines)
+
+
+def truth_of(folder: Path) -> dict[str, Any]:
+    read: dict[str, Any] = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    return read
+
+
+def test_what_it_leaves(demo: tuple[Path, Calibration, str]) -> None:
+    folder, found, _ = demo
+    assert len(list((folder / "data").rglob("*.dng"))) == 3 * (6 + 8)
+    assert CameraProfile.load(folder / "DemoGamma.json") == found.profile
+    assert (folder / "calibration.html").read_text(encoding="utf-8") == page(found)
+    assert not list(folder.rglob("*.part"))
+
+
+def test_what_it_prints(demo: tuple[Path, Calibration, str]) -> None:
+    folder, found, out = demo
+    for words in (
+        "42 raw files (DNG), bias and flat-field frames of DemoGamma",
+        f"$ eldata calibrate {folder / 'data' / 'calibration'} --camera DemoGamma -o {folder / 'DemoGamma.json'}",
+        found.format_text(),
+        against_truth(found, truth_of(folder)),
+        str(folder / "calibration.html"),
+    ):
+        assert words in out
+
+
+def test_the_command_that_it_names_gives_the_same(demo: tuple[Path, Calibration, str], tmp_path: Path) -> None:
+    """Its own line, with another target."""
+    folder, found, out = demo
+    line = re.search(r"^\$ eldata (.*)$", out, re.MULTILINE)
+    assert line is not None
+    arguments = line[1].replace(str(folder / "DemoGamma.json"), str(tmp_path / "p.json")).split()
+    arguments[arguments.index("--html") + 1] = str(tmp_path / "r.html")
+    assert main(arguments) == 0
+    assert CameraProfile.load(tmp_path / "p.json") == found.profile
+    assert (tmp_path / "r.html").read_bytes() == (folder / "calibration.html").read_bytes()
+
+
+def cells(text: str) -> list[list[str]]:
+    return [re.split(r"  +", line.strip()) for line in text.splitlines()]
+
+
+def test_the_table_of_errors_is_found_less_true(demo: tuple[Path, Calibration, str]) -> None:
+    folder, found, _ = demo
+    truth = truth_of(folder)
+    header, _, *rows = cells(against_truth(found, truth))
+    assert header == ["ISO", "K [%]", "lambda", "sigma_TL [%]", "sigma_G [%]", "sigma_row [%]", "colour bias [DN]"]
+    assert len(rows) == 3
+    for row, one, true in zip(rows, found.isos, truth["isos"], strict=True):
+        assert one.transfer is not None
+        read, lines = one.read, one.rows.rows
+        assert row[0] == f"{true['iso']}"
+        for cell, value, known, error in (
+            (row[1], one.transfer.gain_dn_per_e, true["gain_dn_per_e"], one.transfer.gain_error),
+            (row[3], read.sigma_tl_dn, true["sigma_tl_dn"], read.sigma_tl_error_dn),
+            (row[4], read.sigma_gauss_dn, true["sigma_gauss_dn"], read.sigma_gauss_error_dn),
+            (row[5], lines.sigma_dn, true["sigma_row_dn"], lines.sigma_error_dn),
+        ):
+            percent, errors = map(float, re.fullmatch(r"(\S+) \((\S+)\)", cell).groups())  # type: ignore[union-attr] # it is one
+            assert percent == pytest.approx(100 * (value - known) / known, abs=0.006)
+            assert errors == pytest.approx((value - known) / error, abs=0.06)
+            assert abs(errors) < 5
+        shape, errors = map(float, re.fullmatch(r"(\S+) \((\S+)\)", row[2]).groups())  # type: ignore[union-attr] # it is one
+        assert shape == pytest.approx(read.tukey_lambda - true["tukey_lambda"], abs=6e-5)
+        assert errors == pytest.approx((read.tukey_lambda - true["tukey_lambda"]) / read.tukey_lambda_error, abs=0.06)
+        offsets = zip(one.bias.bias_dn, true["colour_bias_with_pattern_dn"], strict=True)
+        largest = max((value - known for value, known in offsets), key=abs)
+        assert float(row[6]) == pytest.approx(largest, abs=6e-4)
+
+
+def test_the_table_without_gains(demo: tuple[Path, Calibration, str]) -> None:
+    folder, found, _ = demo
+    without = replace(found, isos=(replace(found.isos[0], transfer=None), *found.isos[1:]))
+    _, _, first, second, _ = cells(against_truth(without, truth_of(folder)))
+    assert first[1] == "-"
+    assert second[1] != "-"
+
+
+OFF = {
+    "shading": {"bias_shading_dn": 0.0, "vignetting": 0.0},
+    "hot-pixels": {"hot_share": 0.0},
+    "fixed-pattern": {"prnu": 0.0, "dsnu_dn": 0.0, "column_pattern_dn": 0.0},
+}
+
+
+@pytest.mark.parametrize("without", [["shading"], ["hot-pixels"], ["fixed-pattern"], list(OFF)])
+def test_without(without: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each option switches off what its name says, and no more."""
+    asked: list[FixedFeatures] = []
+    monkeypatch.setattr(
+        eldata.demo.calibration, "run_calibration_demo", lambda *_, features, **__: asked.append(features)
+    )
+    options = [word for name in without for word in ("--without", name)]
+    assert main(["demo", str(tmp_path / "x"), "--calibration", *options]) == 0
+    off = {field: value for name in without for field, value in OFF[name].items()}
+    assert asked == [replace(DEMO_FEATURES, **off)]
+    if len(without) == len(OFF):
+        assert asked == [FixedFeatures()]
+
+
+def test_through_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "x"
+    arguments = ["demo", str(folder), "--calibration", "--without", "hot-pixels", "--seed", "3", "--jobs", "1"]
+    assert main(arguments) == 0
+    truth = truth_of(folder)
+    assert (truth["seed"], truth["features"]["hot_share"], truth["features"]["prnu"]) == (3, 0.0, 0.008)
+    assert "found - true" in capsys.readouterr().out
+
+
+def test_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["demo", str(tmp_path / "x"), "--without", "shading"]) == 2
+    assert "give --calibration too" in capsys.readouterr().err
+    assert main(["demo", str(tmp_path / "x"), "--calibration", "--without", "noise"]) == 2
+    assert main(["demo", str(tmp_path / "x"), "--calibration", "--seed", "-1"]) == 2
+    assert not (tmp_path / "x").exists()
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "mine.jpg").write_bytes(b"x")
+    with pytest.raises(EldataError, match="holds something else"):
+        run_calibration_demo(tmp_path / "photos")
+
+
+def test_again_over_an_earlier_demo(tmp_path: Path) -> None:
+    """Of another kind or of the same: nothing of the other is left in data and manifests."""
+    folder = tmp_path / "x"
+    folder.mkdir()
+    (folder / ".eldata-demo").write_text("x")
+    (folder / "data" / "ELD-demo").mkdir(parents=True)
+    run_calibration_demo(folder, jobs=2)
+    assert [path.name for path in (folder / "data").iterdir()] == ["calibration"]

@@ -1,0 +1,312 @@
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict, replace
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from eldata.demo.body import Body, FixedFeatures
+from eldata.demo.calibration_frames import _TIMES_S, DEMO_FEATURES, DEMO_GAMMA, make_calibration_frames
+from eldata.errors import ArgumentError
+from eldata.manifest import verify
+from eldata.manifest.catalogue import load_manifest
+from eldata.raw.dng import write_dng
+from eldata.raw.reading import read_raw
+from tests.calibration import draws
+from tests.demo.test_tree import digests
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from eldata.demo.calibration_frames import CalibrationCamera
+    from eldata.manifest.catalogue import Manifest
+
+SIZE = (64, 96)
+ISOS = (100, 800)
+SMALL: dict[str, Any] = {"isos": ISOS, "bias_frames": 3, "flat_levels": 3, "size": SIZE}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Manifest]:
+    folder = tmp_path_factory.mktemp("calibration") / "new"
+    return folder, make_calibration_frames(folder, **SMALL)
+
+
+@pytest.fixture(scope="module")
+def truth(made: tuple[Path, Manifest]) -> dict[str, Any]:
+    read: dict[str, Any] = json.loads((made[0] / "truth.json").read_text())
+    return read
+
+
+# --- files ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_layout_and_numbers_of_one_card(made: tuple[Path, Manifest]) -> None:
+    """Nine frames an ISO; numbers run through: all bias frames, then all flats."""
+    folder = made[0] / "data" / "calibration" / "DemoGamma"
+    names = [path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()]
+    expected: list[str] = []
+    for role, count in (("bias", 3), ("flat", 6)):
+        for iso in ISOS:
+            expected += [f"{role}/ISO{iso}/IMG_{len(expected) + i:04d}.dng" for i in range(1, count + 1)]
+    assert sorted(names) == sorted(expected)
+    everything = {path.relative_to(made[0]).as_posix() for path in made[0].rglob("*") if path.is_file()}
+    assert {name for name in everything if not name.startswith("data/calibration/DemoGamma/")} == {
+        "manifests/calibration-demo.csv",
+        "manifests/calibration-demo.json",
+        "truth.json",
+    }
+
+
+def test_the_manifest(made: tuple[Path, Manifest]) -> None:
+    folder, manifest = made
+    assert load_manifest(folder / "manifests" / "calibration-demo.csv") == manifest
+    assert manifest.name == "calibration-demo"
+    assert manifest.folder(folder / "data") == folder / "data" / "calibration"
+    assert manifest.card.counts == {"bias": 6, "flat": 12}
+    assert manifest.card.cfa == "bayer"
+    for record in manifest.records:
+        assert record.path.startswith(f"DemoGamma/{record.role}/ISO{record.iso}/")
+        assert (record.height, record.width) == SIZE
+
+
+@pytest.mark.parametrize("level", ["metadata", "full"])
+def test_it_verifies(level: str, made: tuple[Path, Manifest]) -> None:
+    report = verify([made[1]], made[0] / "data", level=level)  # type: ignore[arg-type]
+    assert report.ok
+    assert report.datasets[0].files_checked == 18
+
+
+def test_files_read_back_as_the_frames_that_were_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    taken: dict[str, NDArray[np.uint16]] = {}
+
+    def noted(path: Path, mosaic: NDArray[np.uint16], *rest: Any, **options: Any) -> None:
+        taken[path.name] = mosaic
+        write_dng(path, mosaic, *rest, **options)
+
+    monkeypatch.setattr("eldata.demo.calibration_frames.write_dng", noted)
+    manifest = make_calibration_frames(tmp_path, **SMALL)
+    sensor = replace(DEMO_GAMMA.sensor, height=SIZE[0], width=SIZE[1])
+    assert len({frame.tobytes() for frame in taken.values()}) == len(manifest.records) == 18
+    for record in manifest.records:
+        frame = read_raw(manifest.folder(tmp_path / "data") / record.path)
+        np.testing.assert_array_equal(frame.mosaic, taken[record.path.rpartition("/")[2]])
+        assert frame.sensor == sensor
+        assert (frame.exposure.iso, frame.exposure.exposure_s) == (record.iso, record.exposure_s)
+
+
+def test_each_frame_has_its_own_seed(made: tuple[Path, Manifest]) -> None:
+    """The specimen is [seed, 0]; the frames of the ISO at index i are [seed, 1 + i, 0, 1, ...], bias then flats."""
+    folder = made[0] / "data" / "calibration" / "DemoGamma"
+    sensor = replace(DEMO_GAMMA.sensor, height=SIZE[0], width=SIZE[1])
+    body = Body(sensor, DEMO_FEATURES, np.random.default_rng([0, 0]))
+    frame = body.bias_frame(DEMO_GAMMA.noise_at(800), np.random.default_rng([0, 2, 1]))
+    np.testing.assert_array_equal(read_raw(folder / "bias" / "ISO800" / "IMG_0005.dng").mosaic, frame)
+
+
+# --- exposures ------------------------------------------------------------------------------------------------------
+
+
+def exposures(manifest: Manifest, role: str, iso: int) -> list[Fraction]:
+    chosen = [record for record in manifest.records if record.role == role and record.iso == iso]
+    return [record.exposure_s for record in chosen if record.exposure_s is not None]
+
+
+def test_bias_frames_are_short_and_flats_come_in_pairs(made: tuple[Path, Manifest]) -> None:
+    for iso in ISOS:
+        assert exposures(made[1], "bias", iso) == [Fraction(1, 8000)] * 3
+        times = exposures(made[1], "flat", iso)
+        assert times[::2] == times[1::2] == sorted(set(times))
+    assert exposures(made[1], "flat", 100)[::2] == [Fraction(1, 10), Fraction(2, 5), Fraction(8, 5)]
+    assert exposures(made[1], "flat", 800)[::2] == [Fraction(1, 80), Fraction(1, 20), Fraction(1, 5)]
+
+
+def test_times_are_thirds_of_stops() -> None:
+    """As cameras name them, which rounds by up to 9 %: 0.3 s and 30 s."""
+    times = [float(time) for time in _TIMES_S]
+    assert (times[0], times[-1], len(times)) == (1 / 8000, 30, 55)
+    for index, time in enumerate(times):
+        assert time == pytest.approx(2 ** (index / 3) / 8000, rel=0.09)
+
+
+@pytest.mark.parametrize("levels", [2, 5, 13])
+def test_levels_from_5_to_80_percent_under_one_lamp(levels: int, tmp_path: Path) -> None:
+    """At every ISO that the camera knows; time x K in proportion to the level."""
+    isos = tuple(noise.iso for noise in DEMO_GAMMA.noise)
+    options = {**SMALL, "isos": isos, "bias_frames": 1, "flat_levels": levels, "size": (32, 48)}
+    make_calibration_frames(tmp_path, **options)
+    truth = json.loads((tmp_path / "truth.json").read_text())
+    span = 16383 - 512
+    lamp = truth["lamp_e_per_s"] * truth["mean_light"]
+    for entry in truth["isos"]:
+        shares = [flat["mean_level_dn"] / span for flat in entry["flats"]]
+        assert len(shares) == levels
+        assert shares == sorted(set(shares))
+        assert shares[0] == pytest.approx(0.05, rel=0.05)
+        assert shares[-1] == pytest.approx(0.8, rel=0.03)
+        for flat in entry["flats"]:
+            light = lamp * float(Fraction(flat["exposure_s"])) * entry["gain_dn_per_e"]
+            assert flat["mean_level_dn"] == pytest.approx(light)
+
+
+def test_the_lamp_does_not_depend_on_the_chosen_isos(tmp_path: Path, truth: dict[str, Any]) -> None:
+    make_calibration_frames(tmp_path, **{**SMALL, "isos": (800,), "bias_frames": 1})
+    other = json.loads((tmp_path / "truth.json").read_text())
+    assert other["lamp_e_per_s"] == truth["lamp_e_per_s"]
+    assert other["isos"][0] == truth["isos"][1]
+
+
+def test_frames_have_the_level_and_noise_that_the_truth_says(tmp_path: Path) -> None:
+    """Without pattern, n = 24 576: means and variances of pairs within 5 standard errors of the closed forms."""
+    manifest = make_calibration_frames(tmp_path, **{**SMALL, "size": (128, 192)}, features=FixedFeatures())
+    truth = json.loads((tmp_path / "truth.json").read_text())
+    pixels, rows = 128 * 192, 128
+    for entry in truth["isos"]:
+        flats = [r.path for r in manifest.records if r.role == "flat" and r.iso == entry["iso"]]
+        bias = [r.path for r in manifest.records if r.role == "bias" and r.iso == entry["iso"]]
+        levels = [0.0] + [flat["mean_level_dn"] for flat in entry["flats"]]
+        for level, pair in zip(levels, (bias[:2], flats[:2], flats[2:4], flats[4:6]), strict=True):
+            frames = [read_raw(manifest.folder(tmp_path / "data") / path).mosaic.astype(np.float64) for path in pair]
+            own = entry["gain_dn_per_e"] * level + entry["sigma_gauss_dn"] ** 2 + 1 / 12
+            error = math.sqrt(own / pixels + entry["sigma_row_dn"] ** 2 / rows)
+            for frame in frames:
+                expected = 512 + np.mean(entry["colour_bias_dn"]) + level
+                assert frame.mean() == pytest.approx(expected, abs=5 * error)
+            variance = (frames[0] - frames[1]).var() / 2
+            row = entry["sigma_row_dn"] ** 2
+            error = math.sqrt(4 * own**2 / pixels + 2 * row**2 / rows)
+            assert variance == pytest.approx(own + row, abs=5 * error)
+
+
+# --- truth ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_truth_is_complete(truth: dict[str, Any]) -> None:
+    assert (truth["camera"], truth["seed"], truth["bias_frames"]) == ("DemoGamma", 0, 3)
+    assert (truth["height"], truth["width"]) == SIZE
+    assert truth["cfa"] == [[0, 1], [3, 2]]
+    assert (truth["black_level_dn"], truth["white_level_dn"]) == ([512.0] * 4, 16383.0)
+    assert FixedFeatures(**truth["features"]) == DEMO_FEATURES
+    assert truth["bias_exposure_s"] == "0.000125"
+    assert [entry["iso"] for entry in truth["isos"]] == list(ISOS)
+    sensor = replace(DEMO_GAMMA.sensor, height=SIZE[0], width=SIZE[1])
+    body = Body(sensor, DEMO_FEATURES, np.random.default_rng([0, 0]))
+    assert truth["hot_pixels"] == body.hot.sum()
+    for entry in truth["isos"]:
+        noise = DEMO_GAMMA.noise_at(entry["iso"])
+        stated = {**asdict(noise), "colour_bias_dn": list(noise.colour_bias_dn)}
+        assert {key: entry[key] for key in stated} == stated
+        assert entry["sigma_gauss_dn"] == noise.sigma_gauss_dn
+        assert entry["pattern_scale"] == math.sqrt(noise.gain_dn_per_e)
+        assert entry["colour_bias_with_pattern_dn"] == list(body.colour_bias_dn(noise))
+
+
+def test_the_default_camera_is_of_the_published_kind() -> None:
+    """K in proportion to ISO; scales near a line over K; the published ranges of lambda and bias."""
+    noise = DEMO_GAMMA.noise
+    iso = np.array([entry.iso for entry in noise])
+    assert [entry.gain_dn_per_e for entry in noise] == pytest.approx(0.095 * iso / 100)
+    for scales, low, high in (
+        ([entry.sigma_tl_dn for entry in noise], 0.6, 0.8),
+        ([entry.sigma_row_dn for entry in noise], 0.1, 0.3),
+    ):
+        assert low < scales[0] < high
+        slope, intercept = np.polyfit(np.log(iso), np.log(scales), 1)
+        left = np.log(scales) - slope * np.log(iso) - intercept
+        assert 0.4 < slope < 0.6
+        assert 0.02 < left.std() < 0.1
+    shapes = [entry.tukey_lambda for entry in noise]
+    assert shapes == sorted(shapes, reverse=True)
+    assert shapes[0] > 0.1 > -0.1 > shapes[-1]
+    biases = np.array([entry.colour_bias_dn for entry in noise])
+    assert 2 < np.abs(biases).max() <= 2.5
+    assert (np.ptp(biases, axis=1) > 0.05).all()
+
+
+# --- seeds and jobs ---------------------------------------------------------------------------------------------------
+
+
+def test_any_number_of_jobs_gives_the_same_bytes(made: tuple[Path, Manifest], tmp_path: Path) -> None:
+    make_calibration_frames(tmp_path, **SMALL, jobs=2)
+    assert digests(tmp_path) == digests(made[0])
+    assert len(digests(tmp_path)) == 21
+
+
+def test_another_seed_is_another_specimen(made: tuple[Path, Manifest], tmp_path: Path) -> None:
+    make_calibration_frames(tmp_path, **SMALL, seed=1)
+    here, there = digests(tmp_path), digests(made[0])
+    assert {name for name in here if here[name] == there[name]} == {
+        "manifests/calibration-demo.csv",
+        "manifests/calibration-demo.json",
+    }
+
+
+# --- other cameras ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("draw", [draws.drawn_bayer, draws.drawn_xtrans])
+def test_drawn_cameras(draw: Any, tmp_path: Path) -> None:
+    camera: CalibrationCamera = draw(np.random.default_rng(3), (200, 3200))
+    options = {**SMALL, "isos": (200, 3200), "bias_frames": 1, "size": (66, 96)}
+    manifest = make_calibration_frames(tmp_path, camera=camera, **options)
+    truth = json.loads((tmp_path / "truth.json").read_text())
+    assert manifest.card.cfa == ("xtrans" if len(camera.sensor.cfa) == 6 else "bayer")
+    assert verify([manifest], tmp_path / "data", level="full").ok
+    path = manifest.folder(tmp_path / "data") / manifest.records[0].path
+    sensor = read_raw(path).sensor
+    assert (sensor.cfa, sensor.white_level_dn) == (camera.sensor.cfa, camera.sensor.white_level_dn)
+    assert sensor.black_level_dn == camera.sensor.black_level_dn
+    span = camera.sensor.white_level_dn - max(camera.sensor.black_level_dn)
+    for entry in truth["isos"]:
+        assert 0.6 < entry["flats"][-1]["mean_level_dn"] / span < 0.83
+
+
+def test_draws_stay_in_the_shipped_ranges() -> None:
+    isos = (100, 400, 1600, 6400, 25600)
+    drawn = [noise for seed in range(50) for noise in draws.drawn_noise(np.random.default_rng(seed), isos)]
+    for name, (low, high) in {
+        "gain_dn_per_e": draws.GAIN_DN_PER_E,
+        "tukey_lambda": draws.TUKEY_LAMBDA,
+        "sigma_tl_dn": draws.SIGMA_TL_DN,
+        "sigma_row_dn": draws.SIGMA_ROW_DN,
+        "colour_bias_dn": draws.COLOUR_BIAS_DN,
+    }.items():
+        values = np.array([getattr(noise, name) for noise in drawn])
+        assert values.min() >= low * (1 - 1e-9) if low > 0 else values.min() >= low
+        assert values.max() <= high * (1 + 1e-9)
+        assert np.ptp(values) > 0.5 * (high - low)
+
+
+# --- arguments --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"isos": ()}, "one or more"),
+        ({"isos": (100, 100)}, "each once"),
+        ({"isos": (100, 125)}, "known at ISO 100, 200, 400.*found 125"),
+        ({"bias_frames": 0}, "bias_frames"),
+        ({"flat_levels": 1}, "flat_levels must be 2 to 13"),
+        ({"flat_levels": 14}, "flat_levels must be 2 to 13"),
+        ({"seed": -1}, "seed"),
+        ({"jobs": 0}, "jobs"),
+    ],
+)
+def test_unusable_arguments(changes: dict[str, Any], words: str, tmp_path: Path) -> None:
+    with pytest.raises(ArgumentError, match=words):
+        make_calibration_frames(tmp_path / "x", **{**SMALL, **changes})
+    assert not (tmp_path / "x").exists()
+
+
+def test_gains_too_far_apart_for_the_shutter(tmp_path: Path) -> None:
+    far = replace(DEMO_GAMMA.noise_at(800), iso=409600, gain_dn_per_e=0.095 * 4096)
+    camera = replace(DEMO_GAMMA, noise=(*DEMO_GAMMA.noise, far))
+    with pytest.raises(ArgumentError, match="ISO 409600 would need exposures below 1/8000 s"):
+        make_calibration_frames(tmp_path, **{**SMALL, "isos": (409600,)}, camera=camera)

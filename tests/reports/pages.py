@@ -1,0 +1,121 @@
+"""Checks of pages: their text, and what a browser makes of them."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+from html import unescape
+from html.parser import HTMLParser
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+HOSTILE = '<script>alert("x")</script>"\'&<img src=https://evil.example/x.png onerror=alert(1)>'
+EMBEDDED = ("data:image/svg+xml;base64,", "data:image/png;base64,", "#")
+VOID = {"meta", "img", "source", "br", "link", "input", "hr"}
+
+
+class Checker(HTMLParser):
+    """Collects elements and complains about ones that are not closed in their order."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.elements: list[tuple[str, dict[str, str]]] = []
+        self.text = ""
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, {name: value or "" for name, value in attrs}))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open, f"</{tag}> closes nothing"
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+    def all(self, *tags: str) -> list[dict[str, str]]:
+        return [attributes for tag, attributes in self.elements if tag in tags]
+
+
+def checked(page: str) -> Checker:
+    checker = Checker()
+    checker.feed(page)
+    checker.close()
+    assert checker.open == []
+    return checker
+
+
+def assert_self_contained(text: str) -> None:
+    """No script, and nothing from outside."""
+    checker = checked(text)
+    assert checker.all("script", "link", "iframe", "object", "embed", "base", "form") == []
+    for tag, attributes in checker.elements:
+        for name, value in attributes.items():
+            assert not name.startswith("on"), f"{tag} has {name}"
+            if name in ("src", "srcset", "href", "data", "action", "poster"):
+                assert value.startswith(EMBEDDED), f"{tag} has {name}={value[:60]}"
+    assert "@import" not in text
+    assert "url(" not in text
+    (policy,) = [item["content"] for item in checker.all("meta") if item.get("http-equiv") == "Content-Security-Policy"]
+    assert policy == "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+
+
+def assert_well_formed(text: str) -> None:
+    """One first heading, no level left out, every name once, and every reference to a name that is there."""
+    checker = checked(text)
+    levels = [int(tag[1]) for tag, _ in checker.elements if re.fullmatch("h[1-6]", tag)]
+    assert levels.count(1) == 1
+    assert levels[0] == 1
+    assert all(deeper - level <= 1 for level, deeper in pairwise(levels))
+    identifiers = [attributes["id"] for _, attributes in checker.elements if "id" in attributes]
+    assert len(identifiers) == len(set(identifiers))
+    for _, attributes in checker.elements:
+        assert attributes.get("aria-labelledby", identifiers[0]) in identifiers
+        if attributes.get("href", "").startswith("#"):
+            assert attributes["href"][1:] in identifiers
+    assert checker.all("html")[0]["lang"] == "en"
+    assert len(checker.all("main")) == 1
+
+
+# --- in a browser -------------------------------------------------------------------------------------------------
+
+PROBE = """<script>addEventListener("load", () => {
+  const out = (item) => item.getBoundingClientRect().right > innerWidth + 0.5;
+  const wide = [...document.querySelectorAll("body *")].filter((item) => !item.closest(".scroll, .skip") && out(item));
+  parent.postMessage(JSON.stringify({
+    width: innerWidth,
+    scroll: document.documentElement.scrollWidth,
+    wide: wide.map((item) => item.outerHTML.slice(0, 80)),
+    images: [...document.images].map((item) => [item.complete, item.naturalWidth, item.width, item.height]),
+    tables: [...document.querySelectorAll("div.scroll")].map((item) => item.scrollWidth - item.clientWidth),
+  }), "*");
+});</script></body>"""
+
+# A window of --dump-dom is never narrower than 500 pixels; a frame in it may be.
+FRAME = """<!DOCTYPE html><title>frame</title><pre id="probe"></pre><script>
+addEventListener("message", (event) => { document.getElementById("probe").textContent = event.data; });
+</script><iframe src="page.html" scrolling="no" style="border: 0; width: %dpx; height: 900px"></iframe>"""
+
+
+def seen_in_browser(chromium: str, text: str, width: int, folder: Path) -> dict[str, Any]:
+    """Return what a browser with a window of this width says about a page."""
+    # The probe is a script, which the page's own policy would refuse.
+    probed = re.sub('<meta http-equiv="Content-Security-Policy"[^>]*>', "", text).replace("</body>", PROBE)
+    (folder / "page.html").write_text(probed, encoding="utf-8")
+    path = folder / "frame.html"
+    path.write_text(FRAME % width, encoding="utf-8")
+    options = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"]
+    options += ["--disable-background-networking", "--disable-component-update", "--disable-sync"]
+    options += [f"--user-data-dir={folder / 'user'}", "--window-size=1600,1000", "--virtual-time-budget=5000"]
+    command = [chromium, *options, "--dump-dom", path.as_uri()]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    match = re.search(r'<pre id="probe">(.+?)</pre>', done.stdout, flags=re.DOTALL)
+    assert match, done.stderr[-2000:]
+    found = json.loads(unescape(match[1]))
+    return dict(found)

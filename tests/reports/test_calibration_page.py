@@ -1,0 +1,282 @@
+"""The calibration page: complete, self-contained, safe with any text, the same each time, and right in a browser."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import io
+import math
+import subprocess
+import sys
+from dataclasses import replace
+from typing import TYPE_CHECKING
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from eldata.reports.calibration_page import calibration_page
+from eldata.reports.html import digits, measured, prose, typeset
+from eldata.reports.pictures import grey, pooled
+from tests.calibration.simulation import XTRANS
+from tests.reports import calibrations
+from tests.reports.calibrations import camera_at
+from tests.reports.pages import HOSTILE, assert_self_contained, assert_well_formed, checked, seen_in_browser
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from eldata.calibration.results import Calibration, IsoCalibration
+
+DRAWINGS, PICTURES = 9, 1 + 2 + 4  # of an ISO that has everything: spectrum, two frames, shading by channel
+CODE = (
+    "import hashlib, sys\n"
+    "from eldata.reports.calibration_page import calibration_page\n"
+    "from tests.reports.calibrations import calibration, camera_at, measured\n"
+    "page = calibration_page(calibration([measured(800.0, camera_at(800.0))]))\n"
+    "print(hashlib.sha256(page.encode()).hexdigest())\n"
+    "print([name for name in ('matplotlib.pyplot',) if name in sys.modules])\n"
+)
+
+
+@pytest.fixture(scope="module")
+def isos() -> tuple[IsoCalibration, ...]:
+    """Three ISOs with all that there can be, the noise of the middle one off the line."""
+    off = camera_at(800.0, sigma_tl=2.9, sigma_row=0.4, prnu=0.003)
+    cameras = {100.0: camera_at(100.0), 800.0: off, 6400.0: camera_at(6400.0, shading=4.0)}
+    return tuple(calibrations.measured(iso, camera) for iso, camera in cameras.items())
+
+
+@pytest.fixture(scope="module")
+def calibration(isos: tuple[IsoCalibration, ...]) -> Calibration:
+    wary = ("K comes from 2 pair(s) of flats; 4 levels or more are advised", "R2 of the Tukey-lambda plot is 0.9")
+    first, second, third = isos
+    return replace(
+        calibrations.calibration((replace(first, remarks=wary[:1]), second, replace(third, remarks=wary))),
+        remarks=("sigma_row was 0 at 1 ISO(s), which its fit leaves out",),
+    )
+
+
+@pytest.fixture(scope="module")
+def page(calibration: Calibration) -> str:
+    return calibration_page(calibration)
+
+
+@pytest.fixture(scope="module")
+def sparse(isos: tuple[IsoCalibration, ...]) -> str:
+    """Two ISOs and a hostile name: one without flats, comparison, row noise or errors, one without a second method."""
+    bare = calibrations.measured(200.0, camera_at(200.0, sigma_row=0.0, dsnu=0.0, column_pattern=0.0), frames=4)
+    quiet = replace(bare.rows.rows, sigma_dn=0.0, sigma_error_dn=0.03, fixed_sigma_dn=0.0)
+    bare = replace(
+        bare,
+        transfer=None,
+        spatial=None,
+        flat_frames=0,
+        rows=replace(bare.rows, rows=quiet),
+        read=replace(bare.read, tukey_lambda_error=math.nan, sigma_gauss_error_dn=math.nan, is_reliable=False),
+        bias=replace(bare.bias, standard_error_dn=(math.nan,) * 4),
+        pattern=replace(bare.pattern, shading_dn=np.zeros_like(bare.pattern.shading_dn)),
+        remarks=(HOSTILE, "long" * 100),
+    )
+    return calibration_page(calibrations.calibration((bare, replace(isos[1], spatial=None)), HOSTILE))
+
+
+@pytest.fixture(scope="module")
+def xtrans() -> str:
+    """One ISO of a camera with three channels."""
+    camera = camera_at(800.0, cfa=XTRANS, bias=(1.0, -1.0, 0.5))
+    return calibration_page(calibrations.calibration([calibrations.measured(800.0, camera)]))
+
+
+EVERY = pytest.mark.parametrize("which", ["page", "sparse", "xtrans"])
+
+
+@EVERY
+def test_well_formed(which: str, request: pytest.FixtureRequest) -> None:
+    assert_well_formed(request.getfixturevalue(which))
+
+
+@EVERY
+def test_self_contained(which: str, request: pytest.FixtureRequest) -> None:
+    assert_self_contained(request.getfixturevalue(which))
+
+
+def test_says_what_was_measured(page: str, calibration: Calibration) -> None:
+    text = checked(page).text
+    assert "Noise calibration of TestCamera" in text
+    assert "Made from 15 bias and 24 flat frames of 384 × 264 pixels, and held against 3 more bias frames." in text
+    gains = [digits(one.gain_dn_per_e or 0.0) for one in calibration.isos]
+    assert f"3 ISOs from 100 to 6400, K from {gains[0]} to {gains[-1]} DN/e⁻." in text
+    for one in calibration.isos:
+        assert f"ISO {one.iso:g}" in text
+        assert one.transfer is not None
+        assert measured(one.transfer.gain_dn_per_e, one.transfer.gain_error) in text
+    for header, rows in (calibration.table(), calibration.bias_table(), calibration.reproduction_table()):
+        for cell in (*header, *(cell for row in rows for cell in row)):
+            assert typeset(cell).replace("-", "−") in text.replace("-", "−")
+    for row in calibration.fit_table():
+        for cell in row[1:]:
+            assert cell.replace("-", "−") in text
+    for plain in ("DN^2", "sigma", "lambda", "R2 ", "nan"):
+        assert plain not in text.replace("Tukey-lambda", "").replace("Tukey lambda", "")
+
+
+def test_remarks_come_first_and_once(page: str) -> None:
+    text = checked(page).text
+    assert "Read before use: 4 remarks, on ISO 100, ISO 6400 and the calibration as a whole." in text
+    top = text[: text.index("Measured values")]
+    assert "ISO 100 and 6400: K comes from 2 pair(s) of flats" in top
+    assert top.count("K comes from 2 pair(s)") == 1
+    assert "ISO 6400: R² of the Tukey-lambda plot is 0.9" in top
+    assert "σ row was 0 at 1 ISO(s)" in top
+
+
+def test_nothing_to_be_wary_of(xtrans: str, isos: tuple[IsoCalibration, ...]) -> None:
+    quiet = replace(calibrations.calibration(isos[:1]), remarks=())
+    assert "Nothing was found to be wary of." in checked(calibration_page(quiet)).text
+    assert "Read before use: 3 remarks, on the calibration as a whole." in checked(xtrans).text  # no fit over one ISO
+
+
+def test_sections_are_linked_and_the_first_is_open(page: str) -> None:
+    checker = checked(page)
+    assert [item["href"] for item in checker.all("a")] == ["#main", "#iso-100", "#iso-800", "#iso-6400"]
+    assert ["open" in item for item in checker.all("details")] == [True, False, False]
+    assert page.count("<h3>Row noise</h3>") == 3
+
+
+def test_images_have_words_and_are_sound(page: str) -> None:
+    images = checked(page).all("img")
+    assert len(images) == 6 + 3 * (DRAWINGS + PICTURES)
+    for image in images:
+        assert len(image["alt"]) > 20
+        assert any(letter.isdigit() for letter in image["alt"])
+        kind, _, data = image["src"].partition(",")
+        content = base64.b64decode(data)
+        sides = int(image["width"]), int(image["height"])
+        if kind.startswith("data:image/png"):
+            assert Image.open(io.BytesIO(content)).size == sides
+        else:
+            svg = ET.fromstring(content)  # noqa: S314 # our own
+            assert svg.tag == "{http://www.w3.org/2000/svg}svg"
+            found = [float(svg.attrib[side].removesuffix("pt")) for side in ("width", "height")]
+            assert found == pytest.approx(sides, abs=1)
+            # What it draws with is in it.
+            names = {element.attrib["id"] for element in svg.iter() if "id" in element.attrib}
+            used = {element.attrib["href"].removeprefix("#") for element in svg.iter() if "href" in element.attrib}
+            assert used <= names
+    assert len({image["alt"] for image in images}) == len(images)
+
+
+def test_both_themes_are_drawn(page: str) -> None:
+    checker = checked(page)
+    light = [image["src"] for image in checker.all("img") if image["src"].startswith("data:image/svg")]
+    dark = [source["srcset"] for source in checker.all("source")]
+    assert len(light) == len(dark)
+    for first, second in zip(light, dark, strict=True):
+        drawings = [base64.b64decode(uri.partition(",")[2]).decode() for uri in (first, second)]
+        assert "#1f2933" in drawings[0]
+        assert "#1f2933" not in drawings[1]
+        assert "#e6eaee" in drawings[1]
+
+
+def test_what_is_missing_is_said(sparse: str) -> None:
+    checker = checked(sparse)
+    assert "K is not known and there is no photon transfer line" in checker.text
+    assert "None was kept out: there were only 4 bias frames" in checker.text
+    assert "not known at 1 of them" in checker.text
+    assert "Rounding to whole DN hides the shape" in checker.text
+    assert "Lines of ln σ over ln K" not in checker.text  # two ISOs make none
+    assert "nan" not in checker.text
+    assert not any("nan" in image["alt"] for image in checker.all("img"))
+    assert "–" in checker.text
+
+
+def test_no_gain_at_all(isos: tuple[IsoCalibration, ...], calibration: Calibration) -> None:
+    without = replace(isos[0], transfer=None, spatial=None, reproduction=None)
+    text = calibration_page(replace(calibration, isos=(without,), tukey_lambda_fit=None, gauss_fit=None, row_fit=None))
+    assert "ISO 100; K is not known, for want of flats." in checked(text).text
+    assert "K over ISO" not in text
+
+
+def test_a_high_chi_square_is_explained(isos: tuple[IsoCalibration, ...]) -> None:
+    rippled = replace(isos[1], read=replace(isos[1].read, chi2_per_dof=171.0))
+    assert "χ² is far above 1" in checked(calibration_page(calibrations.calibration([rippled]))).text
+
+
+def test_three_channels(xtrans: str) -> None:
+    text = checked(xtrans).text
+    assert "K of G" in text
+    assert "G1" not in text
+    assert "ISO 800, K is" in text
+
+
+def test_hostile_text_stays_text(sparse: str) -> None:
+    checker = checked(sparse)
+    assert checker.text.count(HOSTILE) == 4  # title, heading, remark above and at its ISO
+    assert "<script" not in sparse
+    assert not any(HOSTILE in value for _, attributes in checker.elements for value in attributes.values())
+
+
+def test_another_process_makes_the_same_page_without_pyplot() -> None:
+    made = calibration_page(calibrations.calibration([calibrations.measured(800.0, camera_at(800.0))]))
+    done = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, timeout=120)
+    assert done.stdout.split() == [hashlib.sha256(made.encode()).hexdigest(), "[]"], done.stderr
+
+
+def test_size(page: str) -> None:
+    """Nine ISOs stay below 8 MB."""
+    assert len(page) / 3 * 9 < 8.5e6
+
+
+# --- parts --------------------------------------------------------------------------------------------------------
+
+
+def test_typeset_leaves_words_alone() -> None:
+    assert typeset("sigma_TL in DN^2, 3 e-, lambda, R2") == "σ TL in DN², 3 e⁻, λ, R²"
+    assert typeset("single-frame, Tukey-lambda, one-") == "single-frame, Tukey-lambda, one-"
+
+
+def test_prose_signs_numbers_alone() -> None:
+    assert prose("from -0.05 to 3-4, p = -.1 (-2), ISO-100") == "from −0.05 to 3-4, p = −.1 (−2), ISO-100"
+
+
+def test_numbers() -> None:
+    assert [digits(value) for value in (-0.01234, 12345.0, math.nan)] == ["−0.0123", "1.23e+04", "not known"]
+    assert measured(-1.234, 0.02, "DN") == "−1.234 ± 0.020 DN"
+    assert measured(1.0, math.nan) == "1"
+    assert measured(math.nan, 1.0) == "not known"
+
+
+def test_grey_spans_black_and_white() -> None:
+    picture = grey("", "words", np.array([[-1.0, 0.0, 1.0, 9.0]]), -1.0, 1.0)
+    found = np.asarray(Image.open(io.BytesIO(picture.png)))
+    assert found[0, 0] == 0
+    assert found[0, 1] == pytest.approx(127.5, abs=5)
+    assert found[0, 2] == found[0, 3] == 255
+
+
+def test_pooled_takes_means() -> None:
+    plane = np.arange(60.0).reshape(6, 10)
+    np.testing.assert_allclose(pooled(plane, 5), plane.reshape(3, 2, 5, 2).mean(axis=(1, 3)))
+    assert pooled(plane, 10) is not plane
+    np.testing.assert_array_equal(pooled(plane, 10), plane)
+
+
+# --- in a browser -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+@EVERY
+def test_in_a_browser(chromium: str, which: str, width: int, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+    text: str = request.getfixturevalue(which)
+    text = text.replace('<details class="iso">', '<details class="iso" open>')
+    found = seen_in_browser(chromium, text, width, tmp_path)
+    assert found["width"] == width
+    assert found["scroll"] <= width
+    assert found["wide"] == []
+    for complete, natural, shown_width, shown_height in found["images"]:
+        assert complete
+        assert natural > 0
+        assert shown_width > 130
+        assert shown_height > 80

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import MISSING, asdict, dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
 from eldata.errors import ManifestError
@@ -16,11 +16,35 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Download:
-    """A place to get the files from: an address, its size if known, and what to know about it."""
+    """A place to get the files from.
+
+    Attributes
+    ----------
+    address, size_bytes, notes
+        Web address, its size if known, and what to know about it.
+    direct
+        Whether the publisher lets a program fetch it; the others are web pages for a person.
+    part
+        Name of the archive's share of the dataset, if it comes in several.
+    paths
+        Pattern of the manifest's paths that the archive holds.
+    below
+        Folder of the dataset to unpack it into if the manifest lists none of its files; ``None``: not known.
+    sha256
+        ``sha256:<hex>`` of the archive, if published.
+    about
+        Its size in words, where ``size_bytes`` is not known.
+    """
 
     address: str
     size_bytes: int | None = None
     notes: str = ""
+    direct: bool = False
+    part: str = ""
+    paths: str = "*"
+    below: str | None = None
+    sha256: str | None = None
+    about: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +92,18 @@ class Card:
     sources: tuple[str, ...] = field(default=())
 
 
+_DOWNLOAD_KINDS: dict[str, type] = {
+    "size_bytes": int,
+    "notes": str,
+    "direct": bool,
+    "part": str,
+    "paths": str,
+    "below": str,
+    "sha256": str,
+    "about": str,
+}
+
+
 def load_card(path: Path) -> Card:
     """Read a dataset card.
 
@@ -103,12 +139,14 @@ def load_card(path: Path) -> Card:
     for index, entry in enumerate(_typed(path, "downloads", data.get("downloads", []), list)):
         where = f"downloads[{index}]"
         _check_keys(path, f"{where}.", _typed(path, where, entry, dict), Download)
-        size = entry.get("size_bytes")
         downloads.append(
             Download(
                 _typed(path, f"{where}.address", entry["address"], str),
-                None if size is None else _typed(path, f"{where}.size_bytes", size, int),
-                _typed(path, f"{where}.notes", entry.get("notes", ""), str),
+                **{
+                    key: _typed(path, f"{where}.{key}", entry[key], kind)
+                    for key, kind in _DOWNLOAD_KINDS.items()
+                    if entry.get(key) is not None
+                },
             )
         )
     return Card(
@@ -151,17 +189,16 @@ def _subsets(path: Path, value: Any) -> tuple[Subset, ...]:
 
 def _check_keys(path: Path, prefix: str, data: dict[str, Any], record: type) -> None:
     known = {item.name: item for item in fields(record)}
-    optional = {"downloads", "subsets", "known_defects", "sources", "size_bytes", "notes", "splits", "scenes", "paths"}
     for key in data:
         if key not in known:
             raise ManifestError(f"{path}, field {prefix}{key}: is unknown; known are {', '.join(known)}")
-    for key in known:
-        if key not in data and key not in optional:
+    for key, item in known.items():
+        if key not in data and item.default is MISSING and item.default_factory is MISSING:
             raise ManifestError(f"{path}, field {prefix}{key}: is missing")
 
 
 def _typed(path: Path, name: str, value: Any, kind: type) -> Any:
-    if not isinstance(value, kind) or isinstance(value, bool):
+    if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
         raise ManifestError(f"{path}, field {name}: expected {kind.__name__}, found {value!r}")
     return value
 

@@ -152,7 +152,8 @@ def published_eld() -> tuple[Card, tuple[FrameRecord, ...]]:
             Download(
                 "https://drive.google.com/file/d/13Ge6-FY9RMPrvGiPvw7O4KS3LNfUXqEX",
                 None,
-                "one archive, 11.46 GB according to the PMN README",
+                "one archive, according to the PMN README",
+                about="11.46 GB",
             ),
         ),
         known_defects=(

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eldata.files import sha256_of
+from eldata.manifest.card import save_card
 from eldata.manifest.catalogue import load_manifest
+from eldata.manifest.patterns import expand
 from eldata.manifest.table import save_records
 from eldata.manifest.verify import Problem, VerifyReport, verify
 from eldata.parallel import run_units
@@ -37,6 +40,9 @@ def lock(
 ) -> LockReport:
     """Record size and hash of every file of a manifest, and write the manifest whole or not at all.
 
+    A row that stands for several files (:mod:`eldata.manifest.patterns`) becomes a row for each file of this copy; then
+    the card, which says how many rows there are, is written too.
+
     The copy must pass :func:`~eldata.manifest.verify.verify` at level ``metadata`` first, and may not contradict a size
     or hash that is recorded already; with any problem nothing is written.
 
@@ -63,7 +69,8 @@ def lock(
     if checks.problems:
         return LockReport(checks, checks.problems, 0)
     folder = loaded.folder(root)
-    chosen = [record for record in loaded.records if not cameras or record.camera in cameras]
+    listed = expand(loaded.records, folder)
+    chosen = [record for record in listed if not cameras or record.camera in cameras]
     locked = dict(
         zip(
             [record.path for record in chosen],
@@ -85,7 +92,10 @@ def lock(
     )
     if problems:
         return LockReport(checks, problems, 0)
-    save_records(Path(manifest), [locked.get(record.path, record) for record in loaded.records])
+    counts = dict(sorted(Counter(str(record.role) for record in listed).items()))
+    if counts != loaded.card.counts:
+        save_card(Path(manifest).with_suffix(".json"), replace(loaded.card, counts=counts))
+    save_records(Path(manifest), [locked.get(record.path, record) for record in listed])
     return LockReport(checks, (), len(chosen))
 
 

@@ -71,9 +71,14 @@ _HALVES = {
             Download(
                 "https://storage.googleapis.com/isl-datasets/SID/Sony2025.zip",
                 None,
-                "25 GB; the authors pay for each download and ask for one, by hand",
+                "the authors removed their download script over storage bills and ask people to download once, by hand",
+                direct=True,
+                part="sony",
+                about="25 GB",
             ),
-            Download("https://drive.google.com/open?id=1G6VruemZtpOyHjOC5N8Ww3ftVXOydSXx", None, "25 GB, a mirror"),
+            Download(
+                "https://drive.google.com/open?id=1G6VruemZtpOyHjOC5N8Ww3ftVXOydSXx", None, "a mirror", about="25 GB"
+            ),
             Download("https://pan.baidu.com/s/1fk8EibhBe_M1qG0ax9LQZA", None, "in parts: cat SonyPart* > Sony.zip"),
         ),
         known_defects=(
@@ -129,9 +134,14 @@ _HALVES = {
             Download(
                 "https://storage.googleapis.com/isl-datasets/SID/Fuji2025.zip",
                 None,
-                "52 GB; the authors pay for each download and ask for one, by hand",
+                "the authors removed their download script over storage bills and ask people to download once, by hand",
+                direct=True,
+                part="fuji",
+                about="52 GB",
             ),
-            Download("https://drive.google.com/open?id=1C7GeZ3Y23k1B8reRL79SqnZbRBc4uizH", None, "52 GB, a mirror"),
+            Download(
+                "https://drive.google.com/open?id=1C7GeZ3Y23k1B8reRL79SqnZbRBc4uizH", None, "a mirror", about="52 GB"
+            ),
             Download("https://pan.baidu.com/s/1fk8EibhBe_M1qG0ax9LQZA", None, "in parts: cat FujiPart* > Fuji.zip"),
         ),
         known_defects=(

@@ -1,0 +1,156 @@
+"""`eldata download`: fetch a dataset where its publisher allows it, or unpack what was fetched by hand."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from eldata.console import INTERRUPTED, OK, PROBLEMS, add_debug, add_json, add_root, write_json
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Sequence
+
+    from eldata.download.installing import Installed
+    from eldata.download.overview import Overview, Presence
+    from eldata.download.places import Place
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add this command."""
+    parser = commands.add_parser(
+        "download",
+        help="fetch a dataset where its publisher allows it; unpack and check what was fetched by hand",
+        description=(
+            "Say where a dataset is to be had, how large it is and under which licence; with --yes, fetch the archives "
+            "that the publisher lets programs fetch, go on where a broken connection ended, check their structure and "
+            "unpack them into the dataset's folder. With --from, do the same with an archive that you saved by hand. "
+            "Nothing that is there is fetched again or replaced."
+        ),
+        epilog=(
+            "Exit codes: 0 the listed files are there; 1 they are not (yet), and what to do was printed; 2 a download "
+            "or an archive failed. docs/downloads.md says more."
+        ),
+    )
+    parser.add_argument("dataset", metavar="DATASET", help="a dataset's name; eldata info lists them")
+    add_root(parser)
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument("--yes", action="store_true", help="fetch: you have read the addresses, sizes and licence")
+    source.add_argument(
+        "--from",
+        action="append",
+        default=[],
+        type=Path,
+        dest="archives",
+        metavar="FILE",
+        help="unpack this archive, saved by hand; may be repeated",
+    )
+    parser.add_argument(
+        "--part",
+        action="append",
+        default=[],
+        dest="parts",
+        metavar="NAME",
+        help="only this archive of a dataset that comes in several; may be repeated",
+    )
+    add_json(parser)
+    add_debug(parser)
+    parser.set_defaults(run=run, command="download")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run this command."""
+    try:
+        return _run(arguments)
+    except KeyboardInterrupt:
+        if arguments.debug:
+            raise
+        # The general sentence would leave open whether the gigabytes that have come are lost.
+        print(
+            "eldata download: interrupted; what has come is kept, and the same command goes on from there",
+            file=sys.stderr,
+        )
+        return INTERRUPTED
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from eldata.download.installing import unpack_dataset
+    from eldata.download.overview import overview, presence_of
+    from eldata.download.places import choose_parts
+    from eldata.manifest.catalogue import shipped_manifest
+
+    manifest = shipped_manifest(arguments.dataset)
+    found = overview(manifest, arguments.root)
+    parts = choose_parts(found.places, arguments.parts) if arguments.yes or arguments.parts else ()
+    wanted = [
+        record for record in manifest.records if not arguments.parts or any(place.holds(record.path) for place in parts)
+    ]
+    installed: list[Installed] = []
+    if arguments.archives:
+        installed = [unpack_dataset(path, manifest, found.folder) for path in arguments.archives]
+    elif not presence_of(found.folder, wanted).complete:
+        print(_terms(found, parts or found.places))
+        if arguments.yes:
+            installed = _fetch(found, parts)
+    for one in installed:
+        print(one.format_text())
+    presence = presence_of(found.folder, wanted)
+    differing = sum(len(one.unpacked.differing) for one in installed)
+    print(_conclusion(found, presence, differing))
+    if arguments.json:
+        data = {
+            "dataset": manifest.name,
+            "folder": str(found.folder),
+            "presence": asdict(presence) | {"complete": presence.complete},
+            "archives": [one.as_dict() for one in installed],
+        }
+        write_json(arguments.json, data)
+    return OK if presence.complete and not differing else PROBLEMS
+
+
+def _terms(found: Overview, places: Sequence[Place]) -> str:
+    from eldata.download.overview import format_places
+
+    card = found.manifest.card
+    lines = [
+        f"{card.name}: {card.title}",
+        f"    licence: {card.licence}",
+        f"    cite: {card.citation}",
+        f"    homepage: {card.homepage}",
+        "",
+        *format_places(places),
+        "",
+        "Each download costs its publisher money: fetch an archive once, keep it, and copy it between your machines.",
+    ]
+    if any(place.direct for place in places):
+        lines.append(f"To fetch what is marked direct: {found.download_command} --yes")
+    lines.append(f"What is marked by hand, open in a browser and save; then: {found.download_command} --from FILE")
+    return "\n".join(lines) + "\n"
+
+
+def _fetch(found: Overview, parts: Sequence[Place]) -> list[Installed]:
+    from eldata.download.fetching import Fetcher
+    from eldata.download.installing import fetch_dataset
+    from eldata.download.overview import presence_of
+
+    fetcher = Fetcher()
+    return [
+        fetch_dataset(place, found.manifest, found.root, fetcher)
+        for place in parts
+        if not presence_of(
+            found.folder, [record for record in found.manifest.records if place.holds(record.path)]
+        ).complete
+    ]
+
+
+def _conclusion(found: Overview, presence: Presence, differing: int) -> str:
+    name = found.manifest.name
+    if not presence.complete:
+        unfinished = ", and an unpacking ended early: run it again" if presence.unfinished else ""
+        return f"{name}: {presence.files_present} of {presence.files_listed} files are in {found.folder}{unfinished}"
+    done = f"{name}: all {presence.files_listed} files are in {found.folder}"
+    if differing:
+        return f"{done}, but some differ from the archive; move those away and run this again, or check them"
+    return f"{done}; check them: {found.verify_command}"

@@ -1,0 +1,58 @@
+"""`eldata info`: which datasets there are, where to get them, and what of them is here."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from eldata.console import OK, add_debug, add_json, add_root, write_json
+
+if TYPE_CHECKING:
+    import argparse
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add this command."""
+    parser = commands.add_parser(
+        "info",
+        help="datasets known: where to get them, size, licence, citation",
+        description=(
+            "List the datasets that eldata knows, or all that is known of one: where to get it, size, licence, "
+            "citation, known defects, where its files belong and whether they are there. Names are looked at, not "
+            "contents: eldata verify checks those."
+        ),
+    )
+    parser.add_argument("dataset", metavar="DATASET", nargs="?", help="a dataset's name, such as eld")
+    add_root(parser)
+    add_json(parser)
+    add_debug(parser)
+    parser.set_defaults(run=run, command="info")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run this command."""
+    from eldata.download.overview import overview
+    from eldata.manifest.catalogue import data_root, shipped_manifest, shipped_names
+    from eldata.tables import text_table
+
+    names = shipped_names() if arguments.dataset is None else (arguments.dataset,)
+    found = [overview(shipped_manifest(name), arguments.root) for name in names]
+    if arguments.dataset is not None:
+        print(found[0].format_text())
+    else:
+        header = ("name", "title", "files", "size", f"in {data_root(arguments.root)}", "licence")
+        rows = [
+            (
+                one.manifest.name,
+                one.manifest.card.title,
+                str(one.presence.files_listed),
+                one.size,
+                str(one.presence),
+                one.manifest.card.licence,
+            )
+            for one in found
+        ]
+        print(text_table(header, rows, left=(0, 1, 4, 5)))
+        print("\neldata info NAME shows one: addresses, citation, known defects")
+    if arguments.json:
+        write_json(arguments.json, {"datasets": [one.as_dict() for one in found]})
+    return OK

@@ -1,0 +1,164 @@
+"""Archives: what is in one and whether it is safe to unpack, seen before a byte of it is written."""
+
+from __future__ import annotations
+
+import unicodedata
+from dataclasses import dataclass
+from pathlib import PurePosixPath
+from typing import TYPE_CHECKING, Literal, Protocol
+
+from eldata.download.errors import ArchiveError
+from eldata.download.formats import HEAD_BYTES, archive_format, looks_like
+from eldata.files import path_problem
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+Kind = Literal["file", "folder", "link", "special"]
+
+# Zip's deflate reaches 1000:1 on zeros; raw files of dark scenes shrink to a third, never to a hundredth.
+MOST_EXPANSION = 100
+SURELY_HARMLESS_BYTES = 64 * 2**20
+MOST_MEMBERS = 500_000  # the largest of the known datasets has a tenth of it
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """One entry of an archive.
+
+    ``name`` is a clean relative path, ``stored_name`` what the archive calls it. ``packed_bytes`` and ``crc32`` are
+    ``None`` where the format does not state them.
+    """
+
+    name: str
+    stored_name: str
+    kind: Kind
+    size_bytes: int
+    packed_bytes: int | None = None
+    crc32: int | None = None
+
+
+class Sink(Protocol):
+    """Takes one member's bytes; ``finish`` is called once all have come and their checksum is right."""
+
+    def write(self, piece: bytes) -> None:
+        """Take the next bytes."""
+
+    def finish(self) -> None:
+        """Take note that the member is whole."""
+
+
+class Reader(Protocol):
+    """Reads one archive format."""
+
+    def members(self, path: Path) -> tuple[Member, ...]:
+        """Return every entry, files and others, as stored."""
+
+    def deliver(self, path: Path, members: Sequence[Member], receive: Callable[[Member], Sink]) -> None:
+        """Send each of these members' bytes to the sink that ``receive`` opens for it, in the archive's order."""
+
+
+@dataclass(frozen=True, slots=True)
+class Archive:
+    """An archive that :func:`open_archive` found whole in structure and safe to unpack; ``files`` are its files."""
+
+    path: Path
+    files: tuple[Member, ...]
+    reader: Reader
+
+    def deliver(self, members: Sequence[Member], receive: Callable[[Member], Sink]) -> None:
+        """Send members' bytes to sinks (see :class:`Reader`).
+
+        Raises
+        ------
+        ArchiveError
+            If a member is damaged.
+        """
+        self.reader.deliver(self.path, members, receive)
+
+
+def open_archive(path: Path) -> Archive:
+    """Look into an archive, by its content and not by its name, and refuse what is not safe to unpack.
+
+    Raises
+    ------
+    ArchiveError
+        If it is no archive, cut short, encrypted, or has a member that would leave the folder, is a link or a device,
+        collides with another, or expands beyond reason; the message names it.
+    DownloadError
+        If a reader for the format is missing; the message says how to go on.
+    """
+    from eldata.download.readers import reader_of
+
+    try:
+        with path.open("rb") as file:
+            head = file.read(HEAD_BYTES)
+    except OSError as error:
+        raise ArchiveError(path, f"cannot be read: {error.strerror}") from error
+    found = archive_format(head)
+    if found is None:
+        raise ArchiveError(path, f"is not a zip, tar or 7z archive but {looks_like(head)}; save the archive itself")
+    reader = reader_of(found, path)
+    members = reader.members(path)
+    check_members(path, members)
+    files = tuple(member for member in members if member.kind == "file")
+    if not files:
+        raise ArchiveError(path, "holds no file")
+    return Archive(path, files, reader)
+
+
+def check_members(path: Path, members: Sequence[Member]) -> None:
+    """Refuse an archive for what its list of members says.
+
+    Raises
+    ------
+    ArchiveError
+        See :func:`open_archive`.
+    """
+    unsafe = "it was not made by the publisher; do not unpack it"
+    if len(members) > MOST_MEMBERS:
+        raise ArchiveError(path, f"lists {len(members)} members; {unsafe}")
+    seen: dict[str, str] = {}
+    folders: dict[str, str] = {}
+    for member in members:
+        name = member.stored_name
+        problem = path_problem(member.name)
+        if problem is not None:
+            raise ArchiveError(path, f"member {name!r} {problem}; {unsafe}")
+        if member.kind == "link":
+            raise ArchiveError(path, f"member {name!r} is a link, which could lead out of the folder; {unsafe}")
+        if member.kind == "special":
+            raise ArchiveError(path, f"member {name!r} is a device or the like; {unsafe}")
+        if member.kind == "folder":
+            continue
+        key = _as_file_systems_see(member.name)
+        if key in seen:
+            raise ArchiveError(
+                path, f"members {seen[key]!r} and {name!r} would be one file where case does not count; {unsafe}"
+            )
+        seen[key] = name
+        for parent in PurePosixPath(key).parents:
+            folders.setdefault(parent.as_posix(), name)
+    for key, name in seen.items():
+        if key in folders:
+            raise ArchiveError(path, f"member {name!r} is a file, and a folder of {folders[key]!r}; {unsafe}")
+    _check_sizes(path, members)
+
+
+def _as_file_systems_see(name: str) -> str:
+    return unicodedata.normalize("NFC", name).casefold()
+
+
+def _check_sizes(path: Path, members: Sequence[Member]) -> None:
+    size = path.stat().st_size
+    packed = sum(member.packed_bytes or 0 for member in members)
+    if packed > size:  # members that share their bytes: a bomb that every ratio of one member misses
+        raise ArchiveError(path, f"its members claim {packed} bytes of a file of {size}; it is damaged or a zip bomb")
+    unpacked = sum(member.size_bytes for member in members)
+    if unpacked > max(SURELY_HARMLESS_BYTES, MOST_EXPANSION * size):
+        raise ArchiveError(
+            path,
+            f"would expand from {size} to {unpacked} bytes, more than {MOST_EXPANSION}-fold, as photographs never do; "
+            "it is damaged or a zip bomb",
+        )

@@ -1,0 +1,182 @@
+"""What is known of a dataset and what of it is on the disk: the content of `eldata info`."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import textwrap
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from eldata.download.places import Place, places_of
+from eldata.download.unpacking import STAGING
+from eldata.manifest.catalogue import data_root
+from eldata.manifest.patterns import is_pattern, matching
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+    from eldata.manifest.catalogue import Manifest
+    from eldata.records import FrameRecord
+
+
+@dataclass(frozen=True, slots=True)
+class Presence:
+    """How many of the manifest's rows have their file there (and not empty), and how large those files are.
+
+    A row that stands for a whole clip (a pattern) counts once a single file of it is there. ``unfinished``: there are
+    such rows, and an unpacking that ended early, so that others of their files may be missing.
+    """
+
+    files_listed: int
+    files_present: int
+    bytes_present: int
+    unfinished: bool
+
+    @property
+    def complete(self) -> bool:
+        """Whether every listed file is there."""
+        return self.files_present == self.files_listed > 0 and not self.unfinished
+
+    def __str__(self) -> str:
+        if self.unfinished:
+            return "unpacked in part"
+        if not self.files_present:
+            return "absent"
+        return "present" if self.complete else f"{self.files_present} of {self.files_listed} files"
+
+
+@dataclass(frozen=True, slots=True)
+class Overview:
+    """A dataset's manifest with what is on the disk below ``root``."""
+
+    manifest: Manifest
+    root: Path
+    places: tuple[Place, ...]
+    presence: Presence
+
+    @property
+    def folder(self) -> Path:
+        """Where the dataset's files lie, or should."""
+        return self.manifest.folder(self.root)
+
+    @property
+    def verify_command(self) -> str:
+        """The command that checks the files."""
+        manifest = os.path.relpath(self.manifest.path)
+        shown = manifest if not manifest.startswith("..") else str(self.manifest.path)
+        return f"eldata verify {shlex.quote(shown)} --root {shlex.quote(str(self.root))} --level metadata"
+
+    @property
+    def size(self) -> str:
+        """The size of the archives, as far as it is known."""
+        first_of: dict[str, Place] = {}
+        for place in self.places:
+            if place.size_text:
+                first_of.setdefault(place.part, place)
+        named = {part: place for part, place in first_of.items() if part} or first_of  # no mirrors beside them
+        return " + ".join(place.size_text for place in named.values()) or "not known"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON types."""
+        return asdict(self.manifest.card) | {
+            "manifest": str(self.manifest.path),
+            "folder_on_disk": str(self.folder),
+            "places": [asdict(place) for place in self.places],
+            "presence": asdict(self.presence) | {"complete": self.presence.complete},
+            "verify": self.verify_command,
+        }
+
+    def format_text(self) -> str:
+        """Return it as text for one dataset."""
+        card = self.manifest.card
+        counts = ", ".join(f"{count} {role}" for role, count in sorted(card.counts.items()))
+        lines = [
+            f"{card.name}: {card.title} (manifest version {card.version})",
+            "",
+            *_wrapped(f"licence    {card.licence}", " " * 11),
+            *_wrapped(f"citation   {card.citation}", " " * 11),
+            f"homepage   {card.homepage}",
+            *_wrapped(f"cameras    {', '.join(card.cameras)}", " " * 11),
+            f"files      {self.presence.files_listed}: {counts}",
+            f"folder     {self.folder} ({self.presence})",
+            f"such as    {self.folder / self.manifest.records[0].path}",
+            "",
+            "where to get it",
+            *format_places(self.places),
+        ]
+        if card.subsets:
+            lines += ["", "subsets (eldata evaluate --subset)"]
+            for subset in card.subsets:
+                lines += _wrapped(f"    {subset.name}: {subset.title} ({subset.pairs} pairs)", " " * 8)
+        for title, texts in (("known defects", card.known_defects), ("sources", card.sources)):
+            if texts:
+                lines += ["", title]
+                for text in texts:
+                    lines += _wrapped(f"    - {text}", " " * 6)
+        lines += ["", "next", f"    {self.next_command}"]
+        return "\n".join(lines)
+
+    @property
+    def next_command(self) -> str:
+        """The command to run next: get the files, or check them."""
+        if self.presence.complete:
+            return self.verify_command
+        return self.download_command
+
+    @property
+    def download_command(self) -> str:
+        """The command that says where to get the files."""
+        return f"eldata download {self.manifest.name} --root {shlex.quote(str(self.root))}"
+
+
+def _wrapped(text: str, indent: str) -> list[str]:
+    # Paths and addresses are for copying: they stay whole.
+    return textwrap.wrap(text, 100, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+
+
+def format_places(places: Iterable[Place]) -> list[str]:
+    """Return lines that say where archives are to be had."""
+    lines = []
+    for place in places:
+        size = f", {place.size_text}" if place.size_text else ""
+        how = "direct" if place.direct else "by hand, in a browser"
+        part = f", part {place.part}" if place.part else ""
+        lines.append(f"    {place.address}")
+        lines.append(f"        {how}{part}{size}{': ' if place.notes else ''}{place.notes}")
+    return lines or ["    see the homepage"]
+
+
+def presence_of(folder: Path, records: Iterable[FrameRecord]) -> Presence:
+    """Return how much of what is listed is in a folder; names and sizes alone are looked at."""
+    listed = present = size = 0
+    patterns = False
+    for record in records:
+        listed += 1
+        patterns = patterns or is_pattern(record.path)
+        sizes = [_size_of(folder / path) for path in _files_of(folder, record.path)]
+        present += any(sizes)
+        size += sum(sizes)
+    return Presence(listed, present, size, patterns and (folder / STAGING).exists())
+
+
+def _files_of(folder: Path, path: str) -> tuple[str, ...]:
+    return matching(folder, path) if is_pattern(path) else (path,)
+
+
+def _size_of(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0
+
+
+def overview(manifest: Manifest, root: Path | str | None = None) -> Overview:
+    """Return what is known of a dataset and what of it lies below ``root``."""
+    return Overview(
+        manifest,
+        data_root(root),
+        places_of(manifest.card),
+        presence_of(manifest.folder(root), manifest.records),
+    )

@@ -1,0 +1,242 @@
+"""Unpacking an archive into a dataset's folder: files appear there once they are whole, and none is replaced.
+
+Members are written into the hidden folder ``.eldata-unpacking`` of the dataset's folder, so on the same disk, and
+renamed into place one by one. A run that ends early, be it by kill -9, leaves whole files and that hidden folder: the
+sign that files may be missing. The next run goes on with those, and removes the folder at its end.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+import stat
+import zlib
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass
+from typing import IO, TYPE_CHECKING, Any
+
+from tqdm import tqdm
+
+from eldata.download.errors import ArchiveError, DownloadError
+from eldata.download.sizes import size_text
+from eldata.errors import ManifestError
+from eldata.files import inside
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
+
+    from eldata.download.archives import Archive, Member, Sink
+
+STAGING = ".eldata-unpacking"
+_PIECE_BYTES = 2**20
+
+
+@dataclass(frozen=True, slots=True)
+class Unpacked:
+    """What :func:`unpack` did, as paths relative to the dataset's folder.
+
+    ``differing`` were there already with other content (or as something else than a file) and were left alone.
+    """
+
+    written: tuple[str, ...]
+    identical: tuple[str, ...]
+    differing: tuple[str, ...]
+
+
+def unpack(archive: Archive, targets: Mapping[str, str], folder: Path) -> Unpacked:
+    """Write an archive's files below ``folder``, without following links out of it and without replacing a file.
+
+    Parameters
+    ----------
+    targets
+        Member's name: where it belongs, relative to ``folder``. Other members stay in the archive.
+
+    Raises
+    ------
+    ArchiveError
+        If a member is damaged, or would be written through a link that leads out of the folder. Files written before
+        that are whole and stay.
+    DownloadError
+        If the disk is full or cannot be written to, or another process is unpacking there.
+    """
+    members = [member for member in archive.files if member.name in targets]
+    places = {}
+    for member in members:
+        try:
+            places[member.name] = inside(folder, targets[member.name])
+        except ManifestError as error:
+            raise ArchiveError(archive.path, str(error)) from error
+    result: dict[str, str] = {}
+    with _staging_folder(folder) as staging, _progress_bar(archive, members) as bar:
+        to_read, missing = [], 0
+        for member in members:
+            verdict = _verdict(member, places[member.name], bar)
+            if verdict is not None:
+                result[member.name] = verdict
+                continue
+            to_read.append(member)
+            missing += 0 if places[member.name].exists() else member.size_bytes
+        _check_room(folder, missing)
+        with ExitStack() as opened:
+
+            def receive(member: Member) -> Sink:
+                opened.close()  # members come one after the other
+                place = places[member.name]
+                if place.exists():
+                    return opened.enter_context(closing(_Comparison(member, place, result, bar)))
+                return opened.enter_context(closing(_NewFile(member, staging, place, result, bar)))
+
+            archive.deliver(to_read, receive)
+    lost = [member.name for member in members if member.name not in result]
+    if lost:
+        raise ArchiveError(archive.path, f"member {lost[0]!r} is listed, but did not come out of it; fetch it again")
+
+    def of(verdict: str) -> tuple[str, ...]:
+        return tuple(sorted(targets[name] for name, found in result.items() if found == verdict))
+
+    return Unpacked(of("written"), of("identical"), of("differing"))
+
+
+def _verdict(member: Member, place: Path, bar: tqdm[Any]) -> str | None:
+    """Return what is known of a member without reading it: identical, differing, or nothing yet."""
+    if not os.path.lexists(place):
+        return None
+    if not place.is_file() or place.stat().st_size != member.size_bytes:
+        verdict = "differing"
+    elif member.crc32 is None:
+        return None  # it takes the archive's bytes to tell
+    else:
+        verdict = "identical" if _crc32_of(place) == member.crc32 else "differing"
+    bar.update(member.size_bytes)
+    return verdict
+
+
+def _crc32_of(path: Path) -> int:
+    crc = 0
+    with path.open("rb") as file:
+        while piece := file.read(_PIECE_BYTES):
+            crc = zlib.crc32(piece, crc)
+    return crc
+
+
+class _NewFile:
+    """Writes a member that is not there yet."""
+
+    def __init__(self, member: Member, staging: Path, place: Path, result: dict[str, str], bar: tqdm[Any]) -> None:
+        self._member = member
+        self._place = place
+        self._result = result
+        self._bar = bar
+        self._staged = staging / "member"
+        self._left = member.size_bytes
+        with _disk_named(place):
+            self._file: IO[bytes] = self._staged.open("wb", buffering=0)
+
+    def write(self, piece: bytes) -> None:
+        self._left -= len(piece)
+        if self._left < 0:  # a bomb that lies about its size
+            self._file.close()
+            raise ArchiveError(
+                self._place, f"is longer than the {self._member.size_bytes} bytes that the archive states"
+            )
+        with _disk_named(self._place):
+            rest = memoryview(piece)
+            while rest:
+                rest = rest[self._file.write(rest) :]
+        self._bar.update(len(piece))
+
+    def close(self) -> None:
+        self._file.close()
+
+    def finish(self) -> None:
+        with _disk_named(self._place):
+            os.fsync(self._file.fileno())
+            self.close()
+            self._place.parent.mkdir(parents=True, exist_ok=True)
+            # A link would refuse to replace a file that came meanwhile, but not every disk knows links.
+            if os.path.lexists(self._place):
+                self._result[self._member.name] = "differing"
+                return
+            self._staged.rename(self._place)
+        self._result[self._member.name] = "written"
+
+
+class _Comparison:
+    """Compares a member with the file of its size that is there already."""
+
+    def __init__(self, member: Member, place: Path, result: dict[str, str], bar: tqdm[Any]) -> None:
+        self._member = member
+        self._result = result
+        self._bar = bar
+        self._file = place.open("rb")
+        self._same = True
+
+    def write(self, piece: bytes) -> None:
+        self._same = self._same and self._file.read(len(piece)) == piece
+        self._bar.update(len(piece))
+
+    def close(self) -> None:
+        self._file.close()
+
+    def finish(self) -> None:
+        self._result[self._member.name] = "identical" if self._same else "differing"
+
+
+@contextmanager
+def _staging_folder(folder: Path) -> Iterator[Path]:
+    """Give one process at a time an empty hidden folder; it is gone at the end if all went well."""
+    staging = folder / STAGING
+    with _disk_named(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        handle = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise DownloadError(f"{folder}: another process is unpacking there; wait for that one") from error
+        with _disk_named(staging):
+            if os.path.lexists(staging):  # of a run that was killed
+                _remove(staging)
+            staging.mkdir()
+        try:
+            yield staging
+        finally:
+            for left in staging.iterdir():
+                left.unlink()
+        staging.rmdir()
+    finally:
+        os.close(handle)
+
+
+def _remove(path: Path) -> None:
+    if stat.S_ISDIR(path.lstat().st_mode):
+        shutil.rmtree(path)
+    else:
+        path.unlink()  # a link is removed, not followed
+
+
+def _check_room(folder: Path, missing: int) -> None:
+    free = shutil.disk_usage(folder).free
+    if missing > free:
+        raise DownloadError(
+            f"{folder}: {size_text(missing)} are to be unpacked, {size_text(free)} are free; make room, or choose "
+            "another disk with --root"
+        )
+
+
+@contextmanager
+def _disk_named(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise DownloadError(
+            f"cannot write {path}: {error.strerror}; files unpacked before are whole, and the same command goes on"
+        ) from error
+
+
+def _progress_bar(archive: Archive, members: list[Member]) -> tqdm[Any]:
+    total = sum(member.size_bytes for member in members)
+    name = f"unpacking {archive.path.name}"
+    return tqdm(desc=name, total=total, unit="B", unit_scale=True, unit_divisor=1000, disable=None, leave=False)

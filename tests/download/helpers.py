@@ -1,0 +1,111 @@
+from __future__ import annotations
+
+import io
+import json
+import tarfile
+import zipfile
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from eldata.download.fetching import Fetcher, Patience
+from eldata.manifest.card import CameraCard, Card, Download, save_card
+from eldata.manifest.catalogue import Manifest, load_manifest
+from eldata.manifest.table import save_records
+from eldata.records import FrameRecord
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+HASTY = Patience(tries=3, first_wait_s=0.001, longest_wait_s=0.002, silence_s=5)
+
+
+def fetcher(patience: Patience = HASTY) -> Fetcher:
+    return Fetcher(patience, plain_http_hosts=["127.0.0.1"])
+
+
+def noise(size: int, seed: int = 0) -> bytes:
+    return np.random.default_rng(seed).bytes(size)
+
+
+def file_names() -> list[str]:
+    shots = (("long", "10s"), ("short", "0.1s"))
+    return [f"Sony/{kind}/0000{scene}_00_{time}.ARW" for scene in range(1, 4) for kind, time in shots]
+
+
+def contents(size: int = 3000) -> dict[str, bytes]:
+    return {name: noise(size + index, index) for index, name in enumerate(file_names())}
+
+
+def zipped(files: dict[str, bytes], method: int = zipfile.ZIP_DEFLATED) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", method) as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    return buffer.getvalue()
+
+
+def tarred(files: dict[str, bytes], mode: str = "w:gz") -> bytes:
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode=mode) as archive:  # type: ignore[call-overload]
+        for name, content in files.items():
+            info = tarfile.TarInfo(name)
+            info.size = len(content)
+            archive.addfile(info, io.BytesIO(content))
+    return buffer.getvalue()
+
+
+def sevenzipped(files: dict[str, bytes]) -> bytes:
+    import py7zr
+
+    buffer = io.BytesIO()
+    with py7zr.SevenZipFile(buffer, "w") as archive:
+        for name, content in files.items():
+            archive.writestr(content, name)
+    return buffer.getvalue()
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    """Every file below a folder, hidden ones too."""
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@dataclass(frozen=True)
+class Shelf:
+    """A folder of manifests such as the shipped ones, with one small dataset called ``small``."""
+
+    folder: Path
+
+    @property
+    def manifest(self) -> Manifest:
+        return load_manifest(self.folder / "small.csv")
+
+
+def make_shelf(folder: Path, *downloads: Download) -> Shelf:
+    folder.mkdir(parents=True, exist_ok=True)
+    names = file_names()
+    records = [FrameRecord(path=name, role="noisy", camera="SonyA7S2", scene="1", split="test") for name in names]
+    save_records(folder / "small.csv", records)
+    card = Card(
+        name="small",
+        title="Small set",
+        version="1.0",
+        folder="SID",
+        citation="A. Author, A Paper, 2018",
+        licence="MIT",
+        homepage="https://example.org/small",
+        cfa="bayer",
+        cameras={"SonyA7S2": CameraCard(("ILCE-7SM2",))},
+        counts={"noisy": len(names)},
+        downloads=downloads,
+        known_defects=("Frame 3 is blurred.",),
+        sources=("The paper.",),
+    )
+    save_card(folder / "small.json", card)
+    return Shelf(folder)
+
+
+def note_of(target: Path) -> dict[str, object]:
+    data: dict[str, object] = json.loads(target.with_name(f"{target.name}.part.json").read_text())
+    return data

@@ -1,0 +1,353 @@
+from __future__ import annotations
+
+import io
+import stat
+import struct
+import subprocess
+import sys
+import tarfile
+import warnings
+import zipfile
+import zlib
+from typing import TYPE_CHECKING
+
+import pytest
+
+from eldata.download import archives
+from eldata.download.archives import Archive, Member, check_members, open_archive
+from eldata.download.errors import ArchiveError, DownloadError
+from tests.download.helpers import contents, noise, sevenzipped, tarred, zipped
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+PACKERS: dict[str, Callable[[dict[str, bytes]], bytes]] = {
+    "zip": zipped,
+    "zip-stored": lambda files: zipped(files, zipfile.ZIP_STORED),
+    "zip-lzma": lambda files: zipped(files, zipfile.ZIP_LZMA),
+    "tar": lambda files: tarred(files, "w:"),
+    "tar.gz": tarred,
+    "tar.xz": lambda files: tarred(files, "w:xz"),
+    "7z": sevenzipped,
+}
+
+
+@pytest.fixture(params=PACKERS)
+def pack(request: pytest.FixtureRequest) -> Callable[[dict[str, bytes]], bytes]:
+    return PACKERS[request.param]
+
+
+def saved(tmp_path: Path, content: bytes) -> Path:
+    """Under a name that says nothing: content counts."""
+    path = tmp_path / "saved"
+    path.write_bytes(content)
+    return path
+
+
+def refused(path: Path, *words: str) -> None:
+    with pytest.raises(ArchiveError) as caught:
+        read(open_archive(path))
+    message = str(caught.value)
+    for word in (str(path), *words):
+        assert word in message
+    assert "\n" not in message
+
+
+class Bytes:
+    def __init__(self) -> None:
+        self.content = b""
+        self.whole = False
+
+    def write(self, piece: bytes) -> None:
+        self.content += piece
+
+    def finish(self) -> None:
+        self.whole = True
+
+
+def read(archive: Archive) -> dict[str, bytes]:
+    sinks: dict[str, Bytes] = {}
+    archive.deliver(archive.files, lambda member: sinks.setdefault(member.name, Bytes()))
+    assert all(sink.whole for sink in sinks.values())
+    return {name: sink.content for name, sink in sinks.items()}
+
+
+# --- what is in it ----------------------------------------------------------------------------------------------------
+
+
+def test_members_and_their_bytes(pack: Callable[[dict[str, bytes]], bytes], tmp_path: Path) -> None:
+    files = contents()
+    archive = open_archive(saved(tmp_path, pack(files)))
+    assert {member.name: member.size_bytes for member in archive.files} == {
+        name: len(content) for name, content in files.items()
+    }
+    assert read(archive) == files
+
+
+def test_some_members(pack: Callable[[dict[str, bytes]], bytes], tmp_path: Path) -> None:
+    files = contents()
+    archive = open_archive(saved(tmp_path, pack(files)))
+    sinks: dict[str, Bytes] = {}
+    archive.deliver(archive.files[2:4], lambda member: sinks.setdefault(member.name, Bytes()))
+    assert {name: sink.content for name, sink in sinks.items()} == {
+        member.name: files[member.name] for member in archive.files[2:4]
+    }
+
+
+def test_empty_files_and_folders(tmp_path: Path) -> None:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.mkdir("Sony")
+        archive.writestr("Sony/empty", b"")
+    assert read(open_archive(saved(tmp_path, buffer.getvalue()))) == {"Sony/empty": b""}
+    assert read(open_archive(saved(tmp_path, sevenzipped({"Sony/empty": b"", "Sony/a": b"a"})))) == {
+        "Sony/empty": b"",
+        "Sony/a": b"a",
+    }
+
+
+def test_a_tar_of_the_current_folder(tmp_path: Path) -> None:
+    (tmp_path / "in" / "Sony").mkdir(parents=True)
+    (tmp_path / "in" / "Sony" / "a").write_bytes(b"a")
+    with tarfile.open(tmp_path / "x", "w:gz") as archive:
+        archive.add(tmp_path / "in", ".")
+    assert read(open_archive(tmp_path / "x")) == {"Sony/a": b"a"}
+
+
+def test_no_file_in_it(tmp_path: Path) -> None:
+    refused(saved(tmp_path, zipped({})), "holds no file")
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", ["empty file"]),
+        (b"\0" * 5000, ["nothing but zeros"]),
+        (b"\n <!DOCTYPE html><html>Virus scan warning", ["web page", "Google Drive"]),
+        (b"Rar!\x1a\x07\x01\x00" + b"x" * 600, ["RAR", "unrar"]),
+        (b"II*\x00" + b"x" * 600, ["no archive", "II*"]),
+    ],
+)
+def test_what_is_no_archive_is_named(content: bytes, words: list[str], tmp_path: Path) -> None:
+    refused(saved(tmp_path, content), "not a zip, tar or 7z archive", *words)
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    refused(tmp_path / "none.zip", "cannot be read", "No such file")
+    refused(tmp_path, "cannot be read")
+
+
+def test_seven_zip_without_its_reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = saved(tmp_path, sevenzipped(contents()))
+    monkeypatch.setitem(sys.modules, "py7zr", None)
+    with pytest.raises(DownloadError, match=r"pip install 'eldata\[7z\]'.* by hand"):
+        open_archive(path)
+
+
+# --- damage -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("share", [0.999, 0.9, 0.5, 0.1])
+def test_cut_short(share: float, pack: Callable[[dict[str, bytes]], bytes], tmp_path: Path) -> None:
+    content = pack(contents())
+    if pack is PACKERS["tar"]:
+        content = content.rstrip(b"\0")  # which a tar file may have any number of
+    refused(saved(tmp_path, content[: int(share * len(content))]))
+
+
+def test_a_zip_cut_short_says_so(tmp_path: Path) -> None:
+    content = zipped(contents())
+    refused(saved(tmp_path, content[:-30]), "End-of-central-directory", "not finished", "not all parts were joined")
+
+
+def test_a_tar_cut_between_members(tmp_path: Path) -> None:
+    content = tarred({"a": b"x" * 512, "b": b"y" * 512}, "w:")
+    refused(saved(tmp_path, content[:1024]), "end mark is missing")
+
+
+@pytest.mark.parametrize("name", ["zip", "zip-stored", "zip-lzma", "7z", "tar.gz", "tar.xz"])
+def test_a_flipped_bit_is_found(name: str, tmp_path: Path) -> None:
+    content = bytearray(PACKERS[name](contents()))
+    content[len(content) // 3] ^= 1
+    refused(saved(tmp_path, bytes(content)), "damaged")
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_damage_anywhere_is_one_error_or_none(
+    seed: int, pack: Callable[[dict[str, bytes]], bytes], tmp_path: Path
+) -> None:
+    """Whatever the libraries raise on nonsense; and what is read without an error is right, where a CRC says so."""
+    files = contents(200)
+    content = bytearray(pack(files))
+    for at in noise(4, seed):
+        content[-1 - at * len(content) // 256] ^= 1 + seed
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # zipfile's, of doubled names
+        try:
+            found = read(open_archive(saved(tmp_path, bytes(content))))
+        except (ArchiveError, DownloadError):
+            return
+    if not tarfile.is_tarfile(io.BytesIO(bytes(content))):
+        assert all(content == files[name] for name, content in found.items() if name in files)
+
+
+# --- what is unsafe ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "word"),
+    [
+        ("../evil", ".."),
+        ("Sony/../../evil", ".."),
+        ("/etc/evil", "absolute"),
+        ("C:/evil", "drive"),
+        ("..\\evil", "backslash"),
+        ("Sony//evil", "empty"),
+        ("Sony/./evil", "'.'"),
+        ("Sony/e\nvil", "control character"),
+    ],
+)
+def test_names_that_leave_the_folder(name: str, word: str, tmp_path: Path) -> None:
+    refused(saved(tmp_path, zipped({"Sony/good": b"x", name: b"x"})), word, "do not unpack it")
+    refused(saved(tmp_path, tarred({"Sony/good": b"x", name: b"x"})), word, "do not unpack it")
+
+
+def renamed(content: bytes, old: str, new: str) -> bytes:
+    """A 7z archive with a member's name changed in its plain header, and the header's checksums made right again."""
+    offset, size, _ = struct.unpack_from("<QQL", content, 12)
+    header = content[32 + offset : 32 + offset + size].replace(old.encode("utf-16le"), new.encode("utf-16le"))
+    start = struct.pack("<QQL", offset, size, zlib.crc32(header))
+    return content[:8] + struct.pack("<L", zlib.crc32(start)) + start + content[32 : 32 + offset] + header
+
+
+@pytest.mark.parametrize("name", ["../../evil", "/etc/evill", "C:/evil/ab"])
+def test_seven_zip_names_that_leave_the_folder(name: str, tmp_path: Path) -> None:
+    import py7zr
+
+    buffer = io.BytesIO()
+    with py7zr.SevenZipFile(buffer, "w") as archive:
+        archive.set_encoded_header_mode(False)
+        archive.writestr(b"x" * 50, "aa/bb/evil")
+    assert read(open_archive(saved(tmp_path, renamed(buffer.getvalue(), "aa/", "bb/")))) == {"bb/bb/evil": b"x" * 50}
+    refused(saved(tmp_path, renamed(buffer.getvalue(), "aa/bb/evil", name)), "do not unpack it")
+
+
+@pytest.mark.parametrize("kind", [tarfile.SYMTYPE, tarfile.LNKTYPE, tarfile.CHRTYPE, tarfile.BLKTYPE, tarfile.FIFOTYPE])
+def test_links_and_devices_in_a_tar(kind: bytes, tmp_path: Path) -> None:
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w:gz") as archive:
+        info = tarfile.TarInfo("Sony/a")
+        info.type = kind
+        info.linkname = "/etc"
+        archive.addfile(info)
+    word = "a link" if kind in (tarfile.SYMTYPE, tarfile.LNKTYPE) else "a device"
+    refused(saved(tmp_path, buffer.getvalue()), "'Sony/a'", word)
+
+
+@pytest.mark.parametrize(("mode", "word"), [(stat.S_IFLNK, "a link"), (stat.S_IFIFO, "a device")])
+def test_links_and_devices_in_a_zip(mode: int, word: str, tmp_path: Path) -> None:
+    info = zipfile.ZipInfo("Sony/a")
+    info.external_attr = (mode | 0o777) << 16
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr(info, "/etc")
+    refused(saved(tmp_path, buffer.getvalue()), "'Sony/a'", word)
+
+
+def test_links_in_a_7z(tmp_path: Path) -> None:
+    import py7zr
+
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "a").symlink_to("/etc")
+    with py7zr.SevenZipFile(tmp_path / "x", "w") as archive:
+        archive.writeall(tmp_path / "in", "in")
+    refused(tmp_path / "x", "'in/a'", "a link")
+
+
+@pytest.mark.parametrize(
+    ("first", "second"), [("Sony/a.ARW", "Sony/A.arw"), ("stra\u00dfe", "STRASSE"), ("caf\u00e9", "cafe\u0301")]
+)
+def test_names_that_some_disks_take_for_one(first: str, second: str, tmp_path: Path) -> None:
+    refused(saved(tmp_path, tarred({first: b"x", second: b"y"})), "would be one file", repr(first))
+
+
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+def test_a_name_twice(tmp_path: Path) -> None:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr("a", "x")
+        archive.writestr("a", "y")
+    refused(saved(tmp_path, buffer.getvalue()), "would be one file")
+
+
+def test_a_file_that_is_a_folder_too(tmp_path: Path) -> None:
+    refused(saved(tmp_path, zipped({"Sony": b"x", "Sony/a": b"y"})), "is a file, and a folder of")
+
+
+def test_an_encrypted_zip(tmp_path: Path) -> None:
+    content = bytearray(zipped({"a": b"x"}))
+    for mark, offset in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+        content[content.index(mark) + offset] |= 1
+    refused(saved(tmp_path, bytes(content)), "encrypted")
+
+
+def test_an_encrypted_7z(tmp_path: Path) -> None:
+    import py7zr
+
+    for hide_names in (False, True):
+        with py7zr.SevenZipFile(tmp_path / "x", "w", password="secret", header_encryption=hide_names) as archive:  # noqa: S106
+            archive.writestr(b"x", "a")
+        refused(tmp_path / "x", "encrypted")
+
+
+def test_a_method_that_python_does_not_know(tmp_path: Path) -> None:
+    content = bytearray(zipped({"a": b"x"}))
+    for mark, offset in ((b"PK\x03\x04", 8), (b"PK\x01\x02", 10)):
+        struct.pack_into("<H", content, content.index(mark) + offset, 9)
+    refused(saved(tmp_path, bytes(content)), "method 9", "by hand (7z x)")
+
+
+# --- bombs ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["zip", "tar.gz", "7z"])
+def test_a_bomb(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = saved(tmp_path, PACKERS[name]({"a": bytes(2 * 2**20)}))
+    assert open_archive(path).files  # small enough to be harmless
+    monkeypatch.setattr(archives, "SURELY_HARMLESS_BYTES", 2**20)
+    refused(path, "more than 100-fold", "bomb")
+
+
+def test_dark_frames_are_no_bomb(tmp_path: Path) -> None:
+    assert open_archive(saved(tmp_path, zipped({"a": bytes(10 * 2**20)}))).files[0].size_bytes == 10 * 2**20
+
+
+def test_members_that_share_their_bytes(tmp_path: Path) -> None:
+    """Each member is harmless by itself: https://www.bamsoftware.com/hacks/zipbomb/."""
+    path = saved(tmp_path, b"x" * 1000)
+    members = [Member(str(n), str(n), "file", 900, packed_bytes=900) for n in range(10)]
+    with pytest.raises(ArchiveError, match=r"its members claim 9000 bytes of a file of 1000"):
+        check_members(path, members)
+
+
+def test_more_members_than_any_dataset(tmp_path: Path) -> None:
+    path = saved(tmp_path, b"x")
+    with pytest.raises(ArchiveError, match="lists 500001 members"):
+        check_members(path, [Member("a", "a", "file", 0)] * 500_001)
+
+
+def test_a_member_longer_than_stated(tmp_path: Path) -> None:
+    content = bytearray(zipped({"a": b"x" * 1000}))
+    struct.pack_into("<L", content, content.index(b"PK\x01\x02") + 24, 10)
+    refused(saved(tmp_path, bytes(content)), "damaged")
+
+
+def test_looking_into_archives_is_light() -> None:
+    code = (
+        "import sys, eldata.download\n"
+        "for name in eldata.download.__all__: getattr(eldata.download, name)\n"
+        "print(*(name for name in ('torch', 'rawpy', 'py7zr', 'requests') if name in sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout.strip(), done.stderr) == (0, "", "")

@@ -1,0 +1,208 @@
+from __future__ import annotations
+
+import errno
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+
+from eldata.download.archives import Archive, open_archive
+from eldata.download.errors import ArchiveError, DownloadError
+from eldata.download.unpacking import STAGING, Unpacked, unpack
+from tests.download.helpers import contents, noise, sevenzipped, tarred, tree, zipped
+from tests.download.test_archives import PACKERS
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+FILES = contents()
+NAMES = tuple(sorted(FILES))
+
+
+def archive_of(tmp_path: Path, content: bytes) -> Archive:
+    path = tmp_path / "set.archive"
+    path.write_bytes(content)
+    return open_archive(path)
+
+
+def unpack_all(archive: Archive, folder: Path) -> Unpacked:
+    return unpack(archive, {member.name: member.name for member in archive.files}, folder)
+
+
+@pytest.mark.parametrize("name", PACKERS)
+def test_unpacked_once_and_then_identical(name: str, tmp_path: Path) -> None:
+    archive = archive_of(tmp_path, PACKERS[name](FILES))
+    assert unpack_all(archive, tmp_path / "SID") == Unpacked(NAMES, (), ())
+    assert tree(tmp_path / "SID") == FILES
+    assert sorted(path.name for path in (tmp_path / "SID").iterdir()) == ["Sony"]
+    assert unpack_all(archive, tmp_path / "SID") == Unpacked((), NAMES, ())
+
+
+def test_members_go_where_they_are_told(tmp_path: Path) -> None:
+    archive = archive_of(tmp_path, zipped({"x/a": b"a", "x/b": b"b"}))
+    assert unpack(archive, {"x/a": "y/z/a"}, tmp_path / "SID").written == ("y/z/a",)
+    assert tree(tmp_path / "SID") == {"y/z/a": b"a"}
+
+
+@pytest.mark.parametrize("name", ["zip", "tar.gz", "7z"])
+@pytest.mark.parametrize("change", ["content", "size", "folder", "link"])
+def test_what_differs_is_left_alone(name: str, change: str, tmp_path: Path) -> None:
+    archive = archive_of(tmp_path, PACKERS[name](FILES))
+    place = tmp_path / "SID" / NAMES[2]
+    place.parent.mkdir(parents=True)
+    if change == "folder":
+        place.mkdir()
+    elif change == "link":
+        place.symlink_to("nowhere")
+    else:
+        place.write_bytes(FILES[NAMES[2]][:-1] + (b"" if change == "size" else b"\0"))
+    before = tree(tmp_path / "SID")
+    assert unpack_all(archive, tmp_path / "SID") == Unpacked(NAMES[:2] + NAMES[3:], (), (NAMES[2],))
+    after = tree(tmp_path / "SID")
+    assert {path: after[path] for path in before} == before
+    assert place.is_symlink() == (change == "link")
+
+
+@pytest.mark.parametrize("link", ["Sony", "Sony/short"])
+def test_a_link_that_leads_out_is_not_followed(link: str, tmp_path: Path) -> None:
+    archive = archive_of(tmp_path, zipped(FILES))
+    (tmp_path / "outside").mkdir()
+    place = tmp_path / "SID" / link
+    place.parent.mkdir(parents=True, exist_ok=True)
+    place.symlink_to(tmp_path / "outside")
+    with pytest.raises(ArchiveError, match="leads outside"):
+        unpack_all(archive, tmp_path / "SID")
+    assert list((tmp_path / "outside").iterdir()) == []
+
+
+def test_the_datasets_folder_may_be_a_link(tmp_path: Path) -> None:
+    (tmp_path / "large-disk").mkdir()
+    (tmp_path / "SID").symlink_to("large-disk")
+    unpack_all(archive_of(tmp_path, zipped(FILES)), tmp_path / "SID")
+    assert tree(tmp_path / "large-disk") == FILES
+
+
+def test_a_staging_folder_that_is_a_link_is_not_followed(tmp_path: Path) -> None:
+    (tmp_path / "SID").mkdir()
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "file").write_text("mine")
+    (tmp_path / "SID" / STAGING).symlink_to(tmp_path / "mine")
+    unpack_all(archive_of(tmp_path, zipped(FILES)), tmp_path / "SID")
+    assert tree(tmp_path / "mine") == {"file": b"mine"}
+    assert tree(tmp_path / "SID") == FILES
+
+
+@pytest.mark.parametrize("pack", [zipped, tarred, sevenzipped])
+def test_damage_in_the_middle_leaves_whole_files_alone(pack: object, tmp_path: Path) -> None:
+    packer = PACKERS[{"zipped": "zip-stored", "tarred": "tar.gz", "sevenzipped": "7z"}[pack.__name__]]  # type: ignore[attr-defined]
+    files = contents(100_000)
+    content = bytearray(packer(files))
+    content[len(content) * 2 // 3] ^= 1
+    path = tmp_path / "set.archive"
+    path.write_bytes(content)
+    with pytest.raises(ArchiveError, match=r"damaged|end mark is missing"):
+        unpack_all(open_archive(path), tmp_path / "SID")
+    if (tmp_path / "SID").exists():
+        found = tree(tmp_path / "SID")
+        assert found.items() < files.items()
+        if packer is not PACKERS["tar.gz"]:  # which is read through before the first file is written
+            assert found
+        assert (tmp_path / "SID" / STAGING).is_dir() == bool(found)
+
+
+def test_too_little_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    archive = archive_of(tmp_path, zipped(FILES))
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: type("Usage", (), {"free": 18_000}))
+    with pytest.raises(DownloadError, match=r"18 kB are to be unpacked, 18 kB are free; make room.*--root"):
+        unpack_all(archive, tmp_path / "SID")
+    assert tree(tmp_path / "SID") == {}
+    (tmp_path / "SID" / "Sony" / "long").mkdir(parents=True)
+    (tmp_path / "SID" / NAMES[0]).write_bytes(FILES[NAMES[0]])
+    assert unpack_all(archive, tmp_path / "SID").identical == NAMES[:1]  # what is there needs no room
+
+
+@pytest.mark.parametrize("pack", [zipped, tarred, sevenzipped])
+def test_a_disk_that_fills_up(pack: object, tmp_path: Path) -> None:
+    files = {"a": noise(1000), "b": noise(90_000, 1), "c": noise(1000, 2)}
+    archive = archive_of(tmp_path, pack(files))  # type: ignore[operator]
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, limit[1]))
+        with pytest.raises(DownloadError, match=r"cannot write .*/b: File too large; .* the same command goes on"):
+            unpack_all(archive, tmp_path / "SID")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+        signal.signal(signal.SIGXFSZ, ignored)
+    assert tree(tmp_path / "SID") == {"a": files["a"]}
+    assert unpack_all(archive, tmp_path / "SID") == Unpacked(("b", "c"), ("a",), ())
+
+
+def test_no_space_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(DownloadError, match="No space left on device"):
+        unpack_all(archive_of(tmp_path, zipped(FILES)), tmp_path / "SID")
+    assert tree(tmp_path / "SID") == {}
+
+
+# A run that stops by itself at the third file, halfway through it, to be killed there.
+UNPACK = """
+import os, sys, time
+from pathlib import Path
+from eldata.download import unpacking
+from eldata.download.archives import open_archive
+
+class Slow(unpacking._NewFile):
+    made = 0
+    def write(self, piece):
+        if Slow.made == 2:
+            super().write(piece[:1000])
+            print("half", flush=True)
+            time.sleep(60)
+        super().write(piece)
+    def finish(self):
+        super().finish()
+        Slow.made += 1
+
+unpacking._NewFile = Slow
+archive = open_archive(Path(sys.argv[1]))
+unpacking.unpack(archive, {member.name: member.name for member in archive.files}, Path(sys.argv[2]))
+"""
+
+
+def start_and_stop_halfway(archive: Archive, folder: Path, sent: signal.Signals) -> None:
+    command = [sys.executable, "-c", UNPACK, str(archive.path), str(folder)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"half\n"
+        with pytest.raises(DownloadError, match="another process is unpacking there"):
+            unpack_all(archive, folder)
+        process.send_signal(sent)
+        process.communicate(timeout=10)
+    finally:
+        process.kill()
+
+
+@pytest.mark.parametrize("sent", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize("name", ["zip", "tar.gz", "7z"])
+def test_a_killed_run_is_gone_on_with(sent: signal.Signals, name: str, tmp_path: Path) -> None:
+    archive = archive_of(tmp_path, PACKERS[name](FILES))
+    folder = tmp_path / "SID"
+    start_and_stop_halfway(archive, folder, sent)
+    left = {path: content for path, content in tree(folder).items() if not path.startswith(STAGING)}
+    assert len(left) == 2
+    assert left.items() < FILES.items()
+    assert (folder / STAGING).is_dir()
+    again = unpack_all(archive, folder)
+    assert (len(again.written), len(again.identical), again.differing) == (4, 2, ())
+    assert tree(folder) == FILES
+    assert not (folder / STAGING).exists()

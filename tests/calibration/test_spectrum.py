@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from eldata.calibration import power_spectrum
-from eldata.errors import ArgumentError
+from eldata.errors import DatasetError
 from tests.calibration.chain import stacked
 from tests.calibration.simulation import XTRANS, Body, Camera
 
@@ -119,5 +119,5 @@ def test_many_tiles_are_thinned_evenly() -> None:
 def test_a_frame_smaller_than_a_tile_is_refused(shape: tuple[int, int]) -> None:
     camera = QUIET.with_(shape=shape)
     frames = Body(camera, np.random.default_rng(6)).bias_frames(4)
-    with pytest.raises(ArgumentError, match=f"256 x 256 pixels or more; found {shape[0]} x {shape[1]}"):
+    with pytest.raises(DatasetError, match=f"256 x 256 pixels or more; found {shape[0]} x {shape[1]}"):
         power_spectrum(frames[0], stacked(camera, frames))

@@ -1,7 +1,8 @@
 """Write the shipped manifests and their cards: ``python manifests/generate.py`` (or ``make manifests``).
 
 The SID rows come from ``facts/sid-*.csv``, one line a scene. ``python manifests/generate.py --sid-lists FOLDER`` writes
-those anew first, from the file lists of the SID repository (its folder ``dataset``).
+those anew first, from the file lists of the SID repository (its folder ``dataset``). ``--drv-lists FOLDER`` does the
+same for ``facts/drv.csv``, one line a clip, from the lists of the DRV repository (its folder ``DRV``).
 """
 
 import argparse
@@ -9,6 +10,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from eldata.manifest.card import Card, save_card
+from eldata.manifest.drv_published import load_splits, published_drv, save_splits, splits_from_lists
 from eldata.manifest.eld import published_eld
 from eldata.manifest.sid import SID_CAMERAS, load_scenes, save_scenes, scenes_from_lists
 from eldata.manifest.sid_published import published_sid
@@ -35,15 +37,20 @@ def published() -> Iterable[tuple[Card, tuple[FrameRecord, ...]]]:
     yield published_eld()
     for name in SID_CAMERAS:
         yield published_sid(name, load_scenes(facts_of(name)))
+    yield published_drv(load_splits(facts_of("drv")))
 
 
 def main() -> None:
     """Write every manifest that the package ships."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sid-lists", type=Path, metavar="FOLDER", help="folder of the official SID file lists")
+    parser.add_argument("--drv-lists", type=Path, metavar="FOLDER", help="folder of the official DRV lists of clips")
     arguments = parser.parse_args()
     if arguments.sid_lists is not None:
         condense_sid_lists(arguments.sid_lists)
+    if arguments.drv_lists is not None:
+        lists = {split: arguments.drv_lists / f"{split}_list.txt" for split in ("train", "val", "test")}
+        save_splits(facts_of("drv"), splits_from_lists(lists))
     for card, records in published():
         save_records(FOLDER / f"{card.name}.csv", records)
         save_card(FOLDER / f"{card.name}.json", card)

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata._compiled import in_threads
 from eldata.calibration._frames import channels_of, checked_mosaic, pattern_of
 from eldata.errors import ArgumentError, DatasetError
 
@@ -114,7 +113,7 @@ class BiasStack:
         self.frames += 1
 
 
-def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0, threads: int = 1) -> FixedPattern:
+def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
     """Find the defects and measure the fixed pattern.
 
     A pixel is a defect if its trimmed mean over time (its lowest and highest value left out, so that one extreme draw
@@ -123,8 +122,7 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0, threads: int = 1)
     the noise should move it.
 
     Dark-signal non-uniformity: ``DSNU^2 = Var(mean frame) - sigma_t^2 / n`` inside of blocks, with sigma_t^2 the mean
-    variance over time (EMVA 1288's correction for n frames). Channels are worked on by ``threads`` threads; the result
-    does not depend on their number.
+    variance over time (EMVA 1288's correction for n frames).
 
     Raises
     ------
@@ -160,7 +158,7 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0, threads: int = 1)
             off_level[site] = np.abs(distance) > far
         return far
 
-    limits = in_threads(limit, range(channels), threads)
+    limits = [limit(channel) for channel in range(channels)]
     defects = off_level | stuck
 
     def measure(channel: int) -> _Channel:
@@ -182,7 +180,7 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0, threads: int = 1)
         shading = np.where(pixels > 0, level - mean, 0.0)
         return _Channel(variance, mean, dsnu, dsnu_error, shading, max(float(np.median(pixels)), 1.0))
 
-    measured = in_threads(measure, range(channels), threads)
+    measured = [measure(channel) for channel in range(channels)]
     return FixedPattern(
         pattern=pattern,
         frames=frames,

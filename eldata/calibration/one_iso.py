@@ -212,7 +212,7 @@ def _first_pass(reader: _Reader, bias: Sequence[FrameRecord]) -> tuple[FixedPatt
     reader.refuse()
     if stack is None:
         raise DatasetError("no bias frame could be read")
-    return fixed_pattern(stack, threads=reader.threads), kept
+    return fixed_pattern(stack), kept
 
 
 def _add(mosaic: NDArray[np.uint16], sums: Residuals | LineMeans | ChannelMeans) -> None:

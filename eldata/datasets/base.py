@@ -12,7 +12,7 @@ import torch
 from torch.utils.data import Dataset
 
 from eldata.errors import ArgumentError, DatasetError
-from eldata.manifest.catalogue import Manifest, data_root, load_manifest, shipped_manifest
+from eldata.manifest.catalogue import Manifest, data_root, load_manifest, shipped_manifest, shipped_names
 from eldata.manifest.pairs import UNCERTAIN_ISO, select_pairs
 from eldata.manifest.subsets import find_subset
 from eldata.manifest.verify import RATIO_TOLERANCE
@@ -25,8 +25,9 @@ if TYPE_CHECKING:
     import pandas as pd
     from numpy.typing import NDArray
 
+    from eldata.manifest.card import Card
     from eldata.raw.cfa import Clip
-    from eldata.records import Exposure, PairRecord
+    from eldata.records import Exposure, PairRecord, RawFrame, RawHeader
 
 Amplification = Literal["metadata", "nominal"]
 AMPLIFICATIONS: tuple[Amplification, ...] = get_args(Amplification)
@@ -137,10 +138,7 @@ class PairDataset(Dataset[Sample]):
     def _check_folders(self, manifest: Manifest) -> None:
         if not self.root.is_dir():
             folders = dict.fromkeys(record.path.split("/")[0] for record in manifest.records)
-            raise DatasetError(
-                f"{self.root}: there is no such folder; give the folder of {manifest.card.title}, which holds "
-                f"{', '.join(folders)} (where to get it: {manifest.card.homepage})"
-            )
+            raise no_folder(self.root, manifest.card, ", ".join(folders))
         tops = {record.path.split("/")[0]: record.camera for record in self.records}
         present = [camera for top, camera in tops.items() if (self.root / top).is_dir()]
         for top, camera in tops.items():
@@ -176,7 +174,7 @@ class PairDataset(Dataset[Sample]):
             If the files' exposure ratio is more than a tenth off the manifest's, or their sizes differ.
         """
         from eldata.files import inside
-        from eldata.raw.reading import exposure_ratio, read_raw
+        from eldata.raw.reading import read_raw
 
         record = self.records[index]
         reference = read_raw(inside(self.root, record.reference))
@@ -185,13 +183,7 @@ class PairDataset(Dataset[Sample]):
         if noisy_path.suffix == ".npy":
             return self._sample(record, _packed_noisy(noisy_path, target.shape, self.clip), target, record.ratio, None)
         noisy = read_raw(noisy_path)
-        ratio = exposure_ratio(reference, noisy)
-        differs = abs(ratio - record.ratio) > RATIO_TOLERANCE * record.ratio
-        if differs and UNCERTAIN_ISO not in record.flags:
-            raise DatasetError(
-                f"{noisy.path}: expected an exposure ratio of {float(record.ratio):g} to {record.reference}, found "
-                f"{float(ratio):g}; are both the frames that their names say? (eldata verify finds all such files)"
-            )
+        ratio = checked_ratio(record, reference, noisy)
         if noisy.mosaic.shape != reference.mosaic.shape or noisy.sensor.cfa != reference.sensor.cfa:
             raise DatasetError(
                 f"{noisy.path}: {noisy.mosaic.shape} pixels, CFA {noisy.sensor.cfa}, but its reference "
@@ -241,6 +233,36 @@ class PairDataset(Dataset[Sample]):
             f"ISO {counted([r.iso for r in self.records])}; ratios {counted([r.ratio for r in self.records])}; "
             f"levels={self.levels!r}, clip={self.clip!r}, amplification={self.amplification!r})"
         )
+
+
+def checked_ratio(record: PairRecord, reference: RawFrame | RawHeader, noisy: RawFrame | RawHeader) -> Fraction:
+    """Return the exposure ratio that a pair's files state.
+
+    Raises
+    ------
+    DatasetError
+        If it is more than a tenth off the manifest's.
+    """
+    from eldata.raw.reading import exposure_ratio
+
+    ratio = exposure_ratio(reference, noisy)
+    differs = abs(ratio - record.ratio) > RATIO_TOLERANCE * record.ratio
+    if differs and UNCERTAIN_ISO not in record.flags:
+        raise DatasetError(
+            f"{noisy.path}: expected an exposure ratio of {float(record.ratio):g} to {record.reference}, found "
+            f"{float(ratio):g}; are both the frames that their names say? (eldata verify finds all such files)"
+        )
+    return ratio
+
+
+def no_folder(folder: Path, card: Card, holds: str) -> DatasetError:
+    """Return the error that a dataset's folder is not there, with what it should hold and where to get it."""
+    known = card.name in shipped_names()  # the commands do not know a set of the user's own
+    commands = f"; eldata info {card.name} says more, eldata download {card.name} fetches or unpacks it"
+    return DatasetError(
+        f"{folder}: there is no such folder; give the folder of {card.title}, which holds {holds} "
+        f"(where to get it: {card.homepage}{commands if known else ''})"
+    )
 
 
 def _manifest(manifest: Path | str) -> Manifest:

@@ -1,18 +1,24 @@
-"""The datasets that this package knows, by name."""
+"""The datasets by name: those of this package, and those that other installed packages register.
+
+A package of yours registers a dataset with an entry point of the group ``eldata.datasets``: its name, and the place of
+its class (docs/adding-a-dataset.md). Nothing of it is imported before that dataset is asked for.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from importlib import import_module
+from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any
 
-from eldata.errors import ArgumentError
+from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from eldata.datasets.base import PairDataset
+# The group of entry points under which other packages name their datasets.
+ENTRY_POINTS = "eldata.datasets"
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,28 +34,35 @@ _ENTRIES = {
     "eld": _Entry("eldata.datasets.eld:ELDDataset"),
     "sid-sony": _Entry("eldata.datasets.sid:SIDDataset", {"camera": "sony"}),
     "sid-fuji": _Entry("eldata.datasets.sid:SIDDataset", {"camera": "fuji"}),
+    "drv": _Entry("eldata.datasets.drv:DRVDataset"),
 }
 
 
 def dataset_names() -> tuple[str, ...]:
-    """Return the names of all datasets."""
-    return tuple(_ENTRIES)
+    """Return the names of all datasets: this package's own, then those of other packages."""
+    return tuple(dict.fromkeys((*_ENTRIES, *sorted(point.name for point in entry_points(group=ENTRY_POINTS)))))
 
 
-def dataset_class(name: str) -> type[PairDataset]:
-    """Return a dataset's class.
+def dataset_class(name: str) -> type[Any]:
+    """Return a dataset's class: one of pairs (:class:`~eldata.datasets.base.PairDataset`) or of clips (DRV).
 
     Raises
     ------
     ArgumentError
-        If the name is unknown; the message lists the known ones.
+        If the name is unknown (the message lists the known ones), or several packages register it.
+    DatasetError
+        If the class that another package registers is not to be found.
     """
-    module, _, attribute = _entry(name).place.partition(":")
-    found: type[PairDataset] = getattr(import_module(module), attribute)
+    place = _entry(name).place
+    module, _, attribute = place.partition(":")
+    try:
+        found: type[Any] = getattr(import_module(module), attribute)
+    except (ImportError, AttributeError) as error:
+        raise DatasetError(f"dataset {name!r} is registered as {place}, which cannot be imported: {error}") from error
     return found
 
 
-def open_dataset(name: str, root: Path | str | None = None, **options: Any) -> PairDataset:
+def open_dataset(name: str, root: Path | str | None = None, **options: Any) -> Any:
     """Return a dataset by name: ``open_dataset("sid-fuji", root)`` is ``SIDDataset(root, camera="fuji")``.
 
     Parameters
@@ -64,16 +77,19 @@ def open_dataset(name: str, root: Path | str | None = None, **options: Any) -> P
     Raises
     ------
     ArgumentError
-        If the name is unknown; the message lists the known ones.
+        If the name is unknown (the message lists the known ones), or several packages register it.
     EldataError
-        As the class does.
+        As :func:`dataset_class` and the class do.
     """
-    build: Any = dataset_class(name)  # each class has keyword arguments of its own
-    opened: PairDataset = build(root, **{**_entry(name).options, **options})
-    return opened
+    return dataset_class(name)(root, **{**_entry(name).options, **options})  # each class has keywords of its own
 
 
 def _entry(name: str) -> _Entry:
-    if name not in _ENTRIES:
-        raise ArgumentError(f"no dataset is called {name!r}; known are {', '.join(_ENTRIES)}")
-    return _ENTRIES[name]
+    own = [_ENTRIES[name]] if name in _ENTRIES else []
+    found = own + [_Entry(point.value) for point in entry_points(group=ENTRY_POINTS, name=name)]
+    if not found:
+        raise ArgumentError(f"no dataset is called {name!r}; known are {', '.join(dataset_names())}")
+    if len(found) > 1:
+        places = ", ".join(entry.place for entry in found)
+        raise ArgumentError(f"{len(found)} datasets are called {name!r}: {places}; import the one that you want")
+    return found[0]

@@ -108,8 +108,9 @@ class Overview:
         ]
         if card.subsets:
             lines += ["", "subsets (eldata evaluate --subset)"]
+            counted = "clips" if any(is_pattern(record.path) for record in self.manifest.records) else "pairs"
             for subset in card.subsets:
-                lines += _wrapped(f"    {subset.name}: {subset.title} ({subset.pairs} pairs)", " " * 8)
+                lines += _wrapped(f"    {subset.name}: {subset.title} ({subset.pairs} {counted})", " " * 8)
         for title, texts in (("known defects", card.known_defects), ("sources", card.sources)):
             if texts:
                 lines += ["", title]

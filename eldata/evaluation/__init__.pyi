@@ -4,3 +4,7 @@ from .predictions import load_prediction as load_prediction
 from .predictions import save_prediction as save_prediction
 from .results import EvaluationResult as EvaluationResult
 from .results import ImageScore as ImageScore
+from .video import evaluate_video as evaluate_video
+from .video import save_clip_prediction as save_clip_prediction
+from .video_results import VideoResult as VideoResult
+from .video_results import VideoScore as VideoScore

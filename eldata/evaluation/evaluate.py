@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import platform
 from dataclasses import dataclass
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldata.errors import ArgumentError, DatasetError, PredictionError
+from eldata.evaluation.common import EvaluationProblem, file_problems, software
 from eldata.evaluation.predictions import FoundPredictions, find_predictions, load_prediction
-from eldata.evaluation.results import EvaluationProblem, EvaluationResult, ImageScore
+from eldata.evaluation.results import EvaluationResult, ImageScore
 from eldata.files import inside
 from eldata.manifest.catalogue import Manifest, load_manifest, shipped_manifest
 from eldata.manifest.pairs import select_pairs
@@ -100,7 +99,7 @@ def evaluate(
     folder = loaded.folder(root)
     _require_dataset(loaded, folder, pairs, jobs)
 
-    problems = _file_problems(found, allow_missing=allow_missing)
+    problems = file_problems(found, allow_missing=allow_missing)
     scores: dict[str, ImageScore] = {}
     if allow_missing or not problems:
         scores, unusable = _score_all(folder, chosen_protocol, pairs, found, jobs)
@@ -144,23 +143,6 @@ def _require_dataset(manifest: Manifest, folder: Path, pairs: Sequence[PairRecor
         raise DatasetError(f"{folder}: the dataset is not what its manifest says: {problems[0]}{more}")
 
 
-def _file_problems(found: FoundPredictions, *, allow_missing: bool) -> list[EvaluationProblem]:
-    problems = [
-        EvaluationProblem(path, f"expected one prediction, found {len(names)}: {', '.join(names)}; keep one")
-        for path, names in found.ambiguous.items()
-    ]
-    problems += [
-        EvaluationProblem(name, "is the prediction of no noisy frame in the manifest; rename it or move it away")
-        for name in found.extra
-    ]
-    if not allow_missing:
-        problems += [
-            EvaluationProblem(path, "has no prediction; add it, or score the rest with --allow-missing")
-            for path in found.missing
-        ]
-    return problems
-
-
 def _notes(found: FoundPredictions, images: Sequence[ImageScore]) -> list[str]:
     notes = []
     if found.unscored:
@@ -181,9 +163,6 @@ def _notes(found: FoundPredictions, images: Sequence[ImageScore]) -> list[str]:
 def _provenance(
     manifest: Manifest, protocol: Protocol, predictions: Path | str, cameras: Collection[str] | None
 ) -> dict[str, Any]:
-    import rawpy
-
-    packages = ("eldata", "numpy", "numba", "rawpy", "exifread")
     return {
         "dataset": manifest.name,
         "manifest_version": manifest.card.version,
@@ -191,9 +170,7 @@ def _provenance(
         "protocol_digest": protocol.digest,
         "cameras": "all" if cameras is None else [name for name in manifest.card.cameras if name in cameras],
         "predictions": str(predictions),
-        "python": platform.python_version(),
-        "libraw": ".".join(map(str, rawpy.libraw_version)),
-        **{name: version(name) for name in packages},
+        **software(),
     }
 
 

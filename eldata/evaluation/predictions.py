@@ -10,12 +10,13 @@ from __future__ import annotations
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from eldata.errors import EldataError, PredictionError, RawFileError
 from eldata.files import atomic_write
+from eldata.images import decode_png
 from eldata.raw.cfa import normalise, pack, packed_shape
 from eldata.raw.levels import white_level_dn
 
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.raw.levels import Levels
-    from eldata.records import PairRecord, Sensor
+    from eldata.records import Sensor
 
 EXTENSIONS = (".npy", ".npz", ".h5", ".tif", ".tiff", ".png", ".dng")
 
@@ -59,8 +60,16 @@ class FoundPredictions:
     unscored: int
 
 
-def find_predictions(folder: Path, pairs: Iterable[PairRecord], known: Iterable[str]) -> FoundPredictions:
-    """Match the files of a folder with pairs. ``known`` are the paths of all noisy frames of the manifest.
+class NoisyFrame(Protocol):
+    """What has the path of a noisy frame, as a :class:`~eldata.records.PairRecord` has."""
+
+    @property
+    def path(self) -> str:
+        """POSIX path; the prediction lies at the same one, but for its extension."""
+
+
+def find_predictions(folder: Path, pairs: Iterable[NoisyFrame], known: Iterable[str]) -> FoundPredictions:
+    """Match the files of a folder with noisy frames. ``known`` are the paths of all that the manifest has.
 
     Raises
     ------
@@ -143,6 +152,48 @@ def load_prediction(path: Path, sensor: Sensor, levels: Levels) -> NDArray[np.fl
     """
     if path.suffix.lower() == ".dng":
         return _from_dng(path, sensor, levels)
+    values = _packed(path, _read_values(path), sensor)
+    span = white_level_dn(sensor, levels) - max(sensor.black_level_dn)
+    _check_values(path, values, f"divide by {span:g} (white - black) or 255")
+    return values
+
+
+def load_rgb_prediction(path: Path, shape: tuple[int, int, int]) -> NDArray[np.float32 | np.float64]:
+    """Load a prediction of an RGB frame, such as DRV's preprocessed ones.
+
+    Parameters
+    ----------
+    path
+        A file of one of :data:`EXTENSIONS` but dng. A PNG is 16-bit RGB, the others are channels first.
+    shape
+        (3, h, w), the reference's.
+
+    Returns
+    -------
+    ndarray
+        (3, h, w) in the order R, G, B, float32 or float64, finite; not clamped.
+
+    Raises
+    ------
+    PredictionError
+        As :func:`load_prediction`.
+    """
+    if path.suffix.lower() == ".dng":
+        raise PredictionError(path, "expected an RGB frame, found a DNG; save npy (3, h, w) or a 16-bit RGB PNG")
+    values = _read_values(path)
+    if path.suffix.lower() == ".png" and values.ndim == 3:
+        values = np.ascontiguousarray(values.transpose(2, 0, 1))
+    if values.shape != shape:
+        hint = "predict the whole frame, in the reference's orientation"
+        if values.shape == (*shape[1:], shape[0]):
+            hint = "it is channels-last: transpose(2, 0, 1) it"
+        raise PredictionError(path, f"expected shape {shape} (R, G, B), found {values.shape}; {hint}")
+    _check_values(path, values, "divide by 65535 or 255")
+    return values
+
+
+def _read_values(path: Path) -> NDArray[Any]:
+    """Return a file's array as float32 or float64, uint16 as [0, 1]."""
     array = _read_array(path)
     array = array.astype(array.dtype.newbyteorder("="), copy=False)
     if array.dtype == np.uint16:
@@ -153,9 +204,7 @@ def load_prediction(path: Path, sensor: Sensor, levels: Levels) -> NDArray[np.fl
         raise PredictionError(
             path, f"expected float in [0, 1] or uint16 with 65535 = 1.0, found {array.dtype}; convert it"
         )
-    values = _packed(path, np.ascontiguousarray(values), sensor)
-    _check_values(path, values, sensor, levels)
-    return values
+    return np.ascontiguousarray(values)
 
 
 def _packed(path: Path, values: NDArray[Any], sensor: Sensor) -> NDArray[Any]:
@@ -177,7 +226,8 @@ def _packed(path: Path, values: NDArray[Any], sensor: Sensor) -> NDArray[Any]:
     )
 
 
-def _check_values(path: Path, values: NDArray[Any], sensor: Sensor, levels: Levels) -> None:
+def _check_values(path: Path, values: NDArray[Any], cure: str) -> None:
+    """Refuse values that are not finite, or of another scale, for which ``cure`` says what to do."""
     low, high = float(values.min()), float(values.max())  # NaN comes through both
     if not (np.isfinite(low) and np.isfinite(high)):
         bad = ~np.isfinite(values)
@@ -190,11 +240,10 @@ def _check_values(path: Path, values: NDArray[Any], sensor: Sensor, levels: Leve
         return
     share = float(np.mean(values > _SCALE_LIMIT))
     if share > _SCALE_SHARE:
-        span = white_level_dn(sensor, levels) - max(sensor.black_level_dn)
         raise PredictionError(
             path,
             f"expected values in [0, 1], found {low:.4g} to {high:.4g} with {share:.1%} above {_SCALE_LIMIT:g}: is it "
-            f"in DN or 0..255? divide by {span:g} (white - black) or 255, or save uint16 with 65535 = 1.0",
+            f"in DN or 0..255? {cure}, or save uint16 with 65535 = 1.0",
         )
 
 
@@ -266,10 +315,7 @@ def _only(path: Path, names: list[str]) -> str:
 
 
 def _read_png(path: Path) -> NDArray[Any]:
-    import imagecodecs
-
-    array: NDArray[Any] = imagecodecs.png_decode(path.read_bytes())
-    return array
+    return decode_png(path.read_bytes())
 
 
 def _read_tiff(path: Path) -> NDArray[Any]:

@@ -5,20 +5,20 @@ from __future__ import annotations
 import csv
 import io
 import json
-import math
 from collections import Counter
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+from eldata.evaluation.common import csv_number, json_safe, mean
 from eldata.files import write_text
 from eldata.tables import text_table
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
     import pandas as pd
 
+    from eldata.evaluation.common import EvaluationProblem
     from eldata.protocols import Protocol
     from eldata.records import PairRecord
 
@@ -44,17 +44,6 @@ class ImageScore:
     psnr_db: float
     ssim: float
     rescale: float
-
-
-@dataclass(frozen=True, slots=True)
-class EvaluationProblem:
-    """Something that kept a prediction from being scored, or that should not lie where it lies."""
-
-    path: str
-    reason: str
-
-    def __str__(self) -> str:
-        return f"{self.path}: {self.reason}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +101,11 @@ class EvaluationResult:
     notes: tuple[str, ...]
 
     @property
+    def scored(self) -> int:
+        """How many images were scored."""
+        return len(self.images)
+
+    @property
     def frame(self) -> pd.DataFrame:
         """The scores as a pandas DataFrame, one row an image."""
         import pandas as pd
@@ -139,8 +133,8 @@ class EvaluationResult:
             ratio,
             sum(belongs(pair) for pair in self.pairs),
             len(images),
-            _mean([image.psnr_db for image in images]),
-            _mean([image.ssim for image in images]),
+            mean([image.psnr_db for image in images]),
+            mean([image.ssim for image in images]),
         )
 
     def format_table(self) -> str:
@@ -210,7 +204,7 @@ class EvaluationResult:
             "problems": [asdict(problem) for problem in self.problems],
             "notes": list(self.notes),
         }
-        return _json_safe(result)  # type: ignore[no-any-return] # a dict stays a dict
+        return json_safe(result)  # type: ignore[no-any-return] # a dict stays a dict
 
     def write_json(self, path: Path | str) -> None:
         """Write :meth:`as_dict` as JSON, whole or not at all."""
@@ -223,20 +217,5 @@ class EvaluationResult:
         writer.writerow(CSV_COLUMNS)
         for image in self.images:
             values = [getattr(image, column) for column in CSV_COLUMNS]
-            # 800, not 800.0; repr of any other float reads back the same.
-            writer.writerow([int(v) if isinstance(v, float) and v.is_integer() else v for v in values])
+            writer.writerow([csv_number(value) for value in values])
         write_text(path, text.getvalue())
-
-
-def _mean(values: Sequence[float]) -> float:
-    return math.fsum(values) / len(values) if values else math.nan
-
-
-def _json_safe(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _json_safe(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_json_safe(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None if math.isnan(value) else str(value)
-    return value

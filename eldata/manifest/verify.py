@@ -216,7 +216,7 @@ def check_files(
 ) -> tuple[tuple[Problem, ...], tuple[FrameRecord, ...]]:
     """Check some of a manifest's files; return the problems, by path, and the records whose files are there."""
     listed = expand(records, folder)
-    present, problems = _check_presence(manifest.name, folder, listed)
+    present, problems = _check_presence(manifest, folder, listed)
     problems += _check_unlisted(manifest, folder, listed)
     findings = pattern_findings(records, folder)
     if level != "quick":
@@ -241,9 +241,10 @@ def _problem(dataset: str, finding: Finding) -> Problem:
 
 
 def _check_presence(
-    dataset: str, folder: Path, records: Sequence[FrameRecord]
+    manifest: Manifest, folder: Path, records: Sequence[FrameRecord]
 ) -> tuple[list[FrameRecord], list[Problem]]:
     """Return the records whose files can be looked into, and what is wrong with the rest."""
+    dataset = manifest.name
     present: list[FrameRecord] = []
     problems: list[Problem] = []
     missing: dict[str, list[FrameRecord]] = defaultdict(list)
@@ -276,11 +277,11 @@ def _check_presence(
         if size > 0:
             present.append(record)
     for top, lost in missing.items():
-        problems.append(_missing(dataset, folder, top, lost))
+        problems.append(_missing(manifest, folder, top, lost))
     return present, problems
 
 
-def _missing(dataset: str, folder: Path, top: str, lost: list[FrameRecord]) -> Problem:
+def _missing(manifest: Manifest, folder: Path, top: str, lost: list[FrameRecord]) -> Problem:
     path = folder / top
     if top == lost[0].path:
         like = [name for name in _names(path.parent) if name.casefold() == path.name.casefold()]
@@ -289,11 +290,11 @@ def _missing(dataset: str, folder: Path, top: str, lost: list[FrameRecord]) -> P
             found, advice = "a folder", "move it away and copy the file"
         elif like:
             found, advice = f"only {like[0]}", f"rename it to {path.name}"
-        return Problem(dataset, top, "file", "a file", found, advice)
+        return Problem(manifest.name, top, "file", "a file", found, advice)
     advice = "unpack it there"
-    if len({record.camera for record in lost}) == 1:
+    if len(manifest.card.cameras) > 1 and len({record.camera for record in lost}) == 1:
         advice += f", or check the cameras you have with --camera (this is {lost[0].camera})"
-    return Problem(dataset, f"{top}/", "folder", f"{len(lost)} files", "no such folder", advice)
+    return Problem(manifest.name, f"{top}/", "folder", f"{len(lost)} files", "no such folder", advice)
 
 
 def _names(folder: Path) -> list[str]:
@@ -319,7 +320,7 @@ def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRec
         expected = sum(Path(path).parent.as_posix() == parent for path in listed)
         raws = [name for name in _names(folder / parent) if Path(name).suffix.lower() in kinds]
         for name in raws:
-            path = f"{parent}/{name}"
+            path = name if parent == "." else f"{parent}/{name}"
             if path not in listed and path.casefold() not in respelled:
                 problems.append(
                     Problem(

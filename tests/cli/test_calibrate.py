@@ -226,10 +226,10 @@ import eldata.calibration.one_iso as one_iso
 from eldata.cli.main import main
 
 measured = one_iso.fixed_pattern
-def then_interrupted(stack, **options):
+def then_interrupted(stack):
     print("measuring", flush=True)
     signal.pause()
-    return measured(stack, **options)
+    return measured(stack)
 one_iso.fixed_pattern = then_interrupted
 sys.exit(main(sys.argv[1:]))
 """

@@ -105,6 +105,11 @@ def test_every_shipped_dataset_has_its_page(name: str, eldata: Cli) -> None:
     assert card.citation in " ".join(outcome.out.split())
 
 
+@pytest.mark.parametrize(("name", "counted"), [("sid-sony", "(129 pairs)"), ("drv", "(129 clips)")])
+def test_subsets_count_pairs_or_clips(name: str, counted: str, eldata: Cli) -> None:
+    assert counted in " ".join(eldata("info", name).out.split())
+
+
 def test_the_root_is_looked_at(eldata: Cli, small: Path, tmp_path: Path) -> None:
     put(tmp_path / "disk" / "SID", 6)
     assert "(present)" in eldata("info", "small", "--root", tmp_path / "disk").out

@@ -1,17 +1,28 @@
-"""What every dataset of the registry must do. A new dataset is tested by being registered."""
+"""What every dataset of the registry must do. A new dataset is tested by being registered.
+
+A class that takes no such argument, or has nothing to choose, says why in ``NOT_TAKEN``.
+"""
 
 from __future__ import annotations
 
+import os
+import pickle
+from collections import Counter
 from dataclasses import fields
-from typing import TYPE_CHECKING
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
 import pytest
 import torch
+from torch.utils.data import ConcatDataset, DataLoader, default_collate
+from torch.utils.data import Subset as Some
 
-from eldata.datasets import PairDataset, dataset_class, dataset_names, open_dataset
+from eldata.datasets import PairDataset, dataset_class, dataset_names, open_dataset, registry
 from eldata.errors import ArgumentError, DatasetError
-from eldata.manifest.catalogue import shipped_manifest, shipped_names
+from eldata.manifest.catalogue import Manifest, shipped_manifest, shipped_names
+from eldata.manifest.pairs import select_pairs
 from eldata.manifest.verify import verify
+from tests.drv_tree import build_drv_tree
 from tests.sid_tree import build_sid_tree
 from tests.trees import build_published_tree
 
@@ -19,46 +30,169 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from eldata.manifest.catalogue import Manifest
-
-# How each dataset's files are faked: every published name, small DNG content.
+# How each dataset's files are faked: every published name, small content.
 TREES: dict[str, Callable[[Manifest, Path], None]] = {
     "eld": build_published_tree,
     "sid-sony": build_sid_tree,
     "sid-fuji": build_sid_tree,
+    "drv": build_drv_tree,
 }
-EVERY = pytest.mark.parametrize("name", dataset_names())
+
+# The argument that chooses among values of a kind: a list of them ...
+ARGUMENTS = {
+    "camera": "cameras",
+    "scene": "scenes",
+    "split": "splits",
+    "iso": "isos",
+    "ratio": "ratios",
+    "subset": "subset",
+}
+# ... unless a class calls it otherwise, or takes one value.
+OWN_ARGUMENTS = {
+    ("sid-sony", "camera"): "camera",
+    ("sid-fuji", "camera"): "camera",
+    ("sid-sony", "split"): "split",
+    ("sid-fuji", "split"): "split",
+    ("drv", "scene"): "ids",
+    ("drv", "split"): "split",
+}
+TAKE_ONE_VALUE = ("camera", "split", "subset")
+NOT_TAKEN = {
+    ("eld", "split"): "all of it is one split, test",
+    ("eld", "subset"): "its card names none: the protocol chooses by ratio",
+    ("drv", "camera"): "there is one",
+    ("drv", "iso"): "the preprocessed files state none, and it is not published",
+    ("drv", "ratio"): "as for ISO",
+    ("drv", "subset"): "its subsets are its splits; they are for evaluate, which has one choice for images and clips",
+}
+# Values that the message lists where they are not those of the manifest: SID's cameras choose the manifest, and its
+# split eval is val and test; clips of drv without a reference are another class's, with a split of their own.
+OWN_VALUES = {
+    ("sid-sony", "camera"): {"sony", "fuji"},
+    ("sid-fuji", "camera"): {"sony", "fuji"},
+    ("sid-sony", "split"): {"train", "val", "test", "eval"},
+    ("sid-fuji", "split"): {"train", "val", "test", "eval"},
+    ("drv", "scene"): {f"{number:04d}" for number in range(1, 203)},
+    ("drv", "split"): {"train", "val", "test"},
+}
+
+NAMES = tuple(registry._ENTRIES)  # not those of packages that happen to be installed beside this one
+EVERY = pytest.mark.parametrize("name", NAMES)
+OF_PAIRS = [name for name in NAMES if issubclass(dataset_class(name), PairDataset)]
+OF_CLIPS = [name for name in NAMES if name not in OF_PAIRS]
+METHODS = [
+    pytest.param("fork", marks=pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")),
+    "spawn",
+]
+
+# Python 3.12 and later warn of any fork in a process that has threads.
+pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
 
 
 @pytest.fixture(scope="module")
-def roots(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Per dataset a data root whose files have the published names and small DNG content."""
-    made = {}
-    for name in dataset_names():
+def roots(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Per dataset a data root whose files have the published names and small content."""
+
+    @cache
+    def made(name: str) -> Path:
+        root = tmp_path_factory.mktemp(name)
         manifest = shipped_manifest(name)
-        made[name] = tmp_path_factory.mktemp(name)
-        TREES[name](manifest, made[name] / manifest.card.folder)
+        TREES[name](manifest, root / manifest.card.folder)
+        return root
+
     return made
 
 
-def opened(name: str, roots: dict[str, Path], **options: object) -> PairDataset:
-    return open_dataset(name, roots[name] / shipped_manifest(name).card.folder, **options)
+@pytest.fixture
+def opened(roots: Callable[[str], Path]) -> Callable[..., Any]:
+    """Opens a dataset by name over its fake files."""
+
+    def opened(name: str, **options: object) -> Any:
+        return open_dataset(name, roots(name) / shipped_manifest(name).card.folder, **options)
+
+    return opened
+
+
+@pytest.fixture
+def few(opened: Callable[..., Any]) -> Callable[[str], Any]:
+    """Opens one scene of a dataset."""
+
+    def few(name: str) -> Any:
+        record = next(record for record in shipped_manifest(name).records if record.role == "noisy")
+        return opened(name, **chosen(name, "scene", record.scene))
+
+    return few
+
+
+def chosen(name: str, kind: str, value: object) -> dict[str, object]:
+    """The keyword argument with which a dataset's class chooses a value."""
+    argument = OWN_ARGUMENTS.get((name, kind), ARGUMENTS[kind])
+    return {argument: value if argument in TAKE_ONE_VALUE else [value]}
+
+
+def known_values(name: str, kind: str) -> set[object]:
+    """What the message of an unknown value lists."""
+    manifest = shipped_manifest(name)
+    if kind == "subset":
+        return {subset.name for subset in manifest.card.subsets}
+    in_pairs = {getattr(record, kind) for record in manifest.records if record.role == "noisy"}
+    return set(OWN_VALUES.get((name, kind), in_pairs - {None}))
+
+
+# --- the registry -----------------------------------------------------------------------------------------------------
 
 
 def test_there_are_datasets() -> None:
-    assert "eld" in dataset_names()
-    assert set(dataset_names()) <= set(shipped_names())
+    assert "eld" in NAMES
+    assert set(NAMES) <= set(dataset_names())
+    assert set(NAMES) == set(shipped_names()) == set(TREES)
 
 
 def test_an_unknown_name_lists_the_known() -> None:
-    with pytest.raises(ArgumentError, match="no dataset is called 'elf'; known are eld"):
+    for find in (dataset_class, open_dataset):
+        with pytest.raises(ArgumentError, match="no dataset is called 'elf'; known are eld, sid-sony"):
+            find("elf")
+
+
+def install(folder: Path, package: str, line: str) -> None:
+    """Make an installed package as pip leaves it: metadata with one entry point."""
+    info = folder / f"{package}-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(f"[{registry.ENTRY_POINTS}]\n{line}\n")
+
+
+def test_another_package_registers_a_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    install(tmp_path, "dusk", "dusk = eldata_test_dusk:Dusk")
+    install(tmp_path, "lost", "lost = eldata_test_dusk:Lost")
+    (tmp_path / "eldata_test_dusk.py").write_text(
+        "class Dusk:\n    def __init__(self, root):\n        self.root = root\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    assert [name for name in dataset_names() if name in ("eld", "dusk", "lost")] == ["eld", "dusk", "lost"]
+    assert open_dataset("dusk", "data/DUSK").root == "data/DUSK"
+    with pytest.raises(ArgumentError, match=r"known are eld, .*dusk"):
         dataset_class("elf")
-    with pytest.raises(ArgumentError, match="no dataset is called 'elf'; known are eld"):
-        open_dataset("elf")
+    with pytest.raises(DatasetError, match="'lost' is registered as eldata_test_dusk:Lost, which cannot be imported"):
+        dataset_class("lost")
+
+
+def test_a_name_that_two_packages_register(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whose numbers would they be?"""
+    install(tmp_path, "mine", "eld = mine:Dataset")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert Counter(dataset_names())["eld"] == 1
+    with pytest.raises(ArgumentError, match=r"2 datasets are called 'eld': eldata\.datasets\.eld:ELDDataset, mine:Dat"):
+        open_dataset("eld")
+    assert dataset_class("drv")
+
+
+# --- the card ---------------------------------------------------------------------------------------------------------
 
 
 @EVERY
 def test_the_card_is_filled_in(name: str) -> None:
+    """Name, version, citation, licence, homepage, counts and all else."""
     manifest = shipped_manifest(name)
     assert manifest.name == manifest.path.stem == name
     for item in fields(manifest.card):
@@ -75,9 +209,24 @@ def test_the_card_is_filled_in(name: str) -> None:
 
 
 @EVERY
-def test_the_published_names_can_be_read(name: str, roots: dict[str, Path]) -> None:
+def test_the_counts_are_the_manifests(name: str) -> None:
+    manifest = shipped_manifest(name)
+    assert manifest.card.counts == Counter(record.role for record in manifest.records)
+    for subset in manifest.card.subsets:
+        if name in OF_PAIRS:
+            assert len(select_pairs(manifest.records, subset=subset)) == subset.pairs
+        else:  # a row stands for a clip: it has no ratio, which a pair has
+            noisy = [record for record in manifest.records if record.role == "noisy" and record.split in subset.splits]
+            assert len({record.scene for record in noisy}) == subset.pairs
+
+
+# --- samples ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", OF_PAIRS)
+def test_the_published_names_can_be_read(name: str, opened: Callable[..., Any]) -> None:
     """The real names with their extensions in their real case; and every camera's files open."""
-    dataset = opened(name, roots)
+    dataset = opened(name)
     assert isinstance(dataset, PairDataset)
     assert dataset.name == name
     seen = set()
@@ -92,52 +241,139 @@ def test_the_published_names_can_be_read(name: str, roots: dict[str, Path]) -> N
     assert seen == set(shipped_manifest(name).card.cameras)
 
 
-@EVERY
-def test_the_published_names_verify(name: str, roots: dict[str, Path]) -> None:
-    assert verify([shipped_manifest(name)], roots[name], dataset=name, level="quick").ok
+@pytest.mark.parametrize("name", OF_CLIPS)
+def test_the_published_clips_can_be_read(name: str, opened: Callable[..., Any]) -> None:
+    dataset = opened(name)
+    records = shipped_manifest(name).records
+    assert {record.scene for record in dataset.records} == {row.scene for row in records if row.role == "reference"}
+    sample = dataset[0]
+    assert sample["path"] == dataset.records[0].path
+    assert sample["input"].shape[1:] == sample["target"].shape
+    assert sample["input"].dtype == sample["target"].dtype == torch.float32
 
 
 @EVERY
-@pytest.mark.parametrize(
-    ("options", "said", "field"),
-    [
-        ({"scenes": ["nowhere"]}, "no pair has scene nowhere; known are", "scene"),
-        ({"isos": [7]}, "no pair has ISO 7; known are", "iso"),
-        ({"ratios": [7]}, "no pair has ratio 7; known are", "ratio"),
-    ],
-)
-def test_unknown_values_list_the_known(
-    name: str, options: dict[str, object], said: str, field: str, roots: dict[str, Path]
-) -> None:
-    known = {getattr(record, field) for record in shipped_manifest(name).records if record.role == "noisy"} - {None}
-    with pytest.raises(ArgumentError, match=said) as raised:
-        opened(name, roots, **options)
-    for value in known:
-        assert str(value) in str(raised.value)
+def test_length_iteration_and_indices(name: str, few: Callable[[str], Any]) -> None:
+    dataset = few(name)
+    count = len(dataset)
+    assert count == len(dataset.records) > 0
+    assert [sample["path"] for sample in dataset] == [record.path for record in dataset.records]
+    assert dataset[-1]["path"] == dataset[count - 1]["path"] == dataset.records[-1].path
+    assert dataset[-count]["path"] == dataset.records[0].path
+    for index in (count, -count - 1):
+        with pytest.raises(IndexError):
+            dataset[index]
 
 
-@pytest.mark.parametrize(("name", "options"), [("eld", {"cameras": ["Obscura"]}), ("sid-sony", {"camera": "Obscura"})])
-def test_unknown_cameras_are_refused(name: str, options: dict[str, object], roots: dict[str, Path]) -> None:
-    with pytest.raises(ArgumentError, match="Obscura"):
-        opened(name, roots, **options)
+@EVERY
+def test_samples_collate(name: str, few: Callable[[str], Any]) -> None:
+    samples = [few(name)[0]] * 2
+    batch = default_collate(samples)
+    assert set(batch) == set(samples[0])
+    for key, value in samples[0].items():
+        if isinstance(value, torch.Tensor):
+            assert torch.equal(batch[key], torch.stack([value, value]))
+        else:
+            assert isinstance(value, (str, int, float)), f"{key}: one scalar a sample"
+            assert len(batch[key]) == 2
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_workers_give_the_same_samples(method: str, few: Callable[[str], Any]) -> None:
+    """All datasets in one loader: a spawned worker takes seconds to start."""
+    parts = [Some(dataset, range(min(2, len(dataset)))) for dataset in map(few, NAMES)]
+    every: ConcatDataset[Any] = ConcatDataset(parts)
+    loader = DataLoader(every, batch_size=None, num_workers=1, multiprocessing_context=method)
+    assert same_samples(list(loader), [part[index] for part in parts for index in range(len(part))]) == len(every)
+
+
+@EVERY
+def test_a_pickled_dataset_gives_the_same_samples(name: str, few: Callable[[str], Any]) -> None:
+    """What spawning does, by dataset."""
+    dataset = few(name)
+    again = pickle.loads(pickle.dumps(dataset))
+    assert again.records == dataset.records
+    assert same_samples([again[0]], [dataset[0]]) == 1
+
+
+def same_samples(found: list[Any], expected: list[Any]) -> int:
+    """How many samples were compared, in order."""
+    for one, other in zip(found, expected, strict=True):
+        assert one["path"] == other["path"]
+        for key in ("input", "target"):
+            assert torch.equal(one[key], other[key])
+    return len(found)
+
+
+# --- records ----------------------------------------------------------------------------------------------------------
+
+
+@EVERY
+def test_records_and_frame_open_no_file(name: str, roots: Callable[[str], Path], tmp_path: Path) -> None:
+    """The same names, all of them empty: opening one would fail."""
+    folder = roots(name) / shipped_manifest(name).card.folder
+    for path in folder.rglob("*"):
+        if path.is_file():
+            hollow = tmp_path / path.relative_to(folder)
+            hollow.parent.mkdir(parents=True, exist_ok=True)
+            hollow.touch()
+    dataset = open_dataset(name, tmp_path)
+    frame = dataset.frame
+    assert len(frame) == len(dataset) == len(dataset.records)
+    for column in ("camera", "scene", "split", "reference"):
+        assert list(frame[column]) == [getattr(record, column) for record in dataset.records]
+    assert repr(dataset)
+    with pytest.raises(Exception, match="empty"):
+        dataset[0]
+
+
+@EVERY
+def test_the_published_names_verify(name: str, roots: Callable[[str], Path]) -> None:
+    assert verify([shipped_manifest(name)], roots(name), dataset=name, level="quick").ok
+
+
+@EVERY
+def test_the_class_says_what_it_is(name: str, few: Callable[[str], Any]) -> None:
+    dataset = few(name)
+    text = repr(dataset)
+    assert text.startswith(f"{type(dataset).__name__}({str(dataset.root)!r}, ")
+    assert str(len(dataset)) in text
+    assert "References" in (type(dataset).__doc__ or "")
+
+
+# --- refusals ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ARGUMENTS)
+@EVERY
+def test_unknown_values_list_the_known(name: str, kind: str, opened: Callable[..., Any]) -> None:
+    wrong = 7 if kind in ("iso", "ratio") else "nowhere"
+    if (name, kind) in NOT_TAKEN:
+        with pytest.raises(TypeError, match="unexpected keyword"):
+            opened(name, **chosen(name, kind, wrong))
+        return
+    known = known_values(name, kind)
+    with pytest.raises(ArgumentError) as raised:
+        opened(name, **chosen(name, kind, wrong))
+    message = str(raised.value)
+    assert str(wrong) in message
+    for value in known or {"none"}:
+        assert str(value) in message
 
 
 @EVERY
 def test_a_missing_folder_says_where_to_get_the_files(name: str, tmp_path: Path) -> None:
     with pytest.raises(DatasetError) as raised:
         open_dataset(name, tmp_path / "nowhere")
-    assert shipped_manifest(name).card.homepage in str(raised.value)
+    for words in ("nowhere", shipped_manifest(name).card.homepage, f"eldata info {name}", f"eldata download {name}"):
+        assert words in str(raised.value)
 
 
-@EVERY
-def test_the_class_says_what_it_is(name: str, roots: dict[str, Path]) -> None:
-    dataset = opened(name, roots)
-    assert repr(dataset).startswith(f"{type(dataset).__name__}(")
-    assert "References" in (type(dataset).__doc__ or "")
+# --- ELD's own --------------------------------------------------------------------------------------------------------
 
 
-def test_the_published_eld_set_is_240_pairs(roots: dict[str, Path]) -> None:
-    dataset = opened("eld", roots)
+def test_the_published_eld_set_is_240_pairs(opened: Callable[..., Any]) -> None:
+    dataset = opened("eld")
     assert len(dataset) == 240
-    sample = opened("eld", roots, cameras=["NikonD850"], scenes=[1], isos=[3200], ratios=[1])[0]
+    sample = opened("eld", cameras=["NikonD850"], scenes=[1], isos=[3200], ratios=[1])[0]
     assert (sample["ratio"], sample["nominal_ratio"], sample["flags"]) == (0.9375, 1.0, "inexact-ratio")

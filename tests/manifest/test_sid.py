@@ -373,7 +373,9 @@ def test_a_missing_file(tree: SmallTree) -> None:
 def test_a_missing_reference_folder(tree: SmallTree) -> None:
     folder = f"{FOLDERS[tree.manifest.name][0]}/long"
     shutil.rmtree(tree.data / folder)
-    assert [(problem.path, problem.expected) for problem in problems(tree)] == [(f"{folder}/", "2 files")]
+    (problem,) = problems(tree)
+    assert (problem.path, problem.expected) == (f"{folder}/", "2 files")
+    assert problem.advice == "unpack it there", "there is no other camera to choose"
 
 
 @pytest.mark.parametrize("kept", [0.1, 0.9])

@@ -1,0 +1,103 @@
+"""Checks of ``eldata verify`` on files of clips: PNG frames, and whether the frames of a clip belong together."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from typing import TYPE_CHECKING
+
+from eldata.errors import FileError
+from eldata.images import read_png_header, read_rgb16
+from eldata.manifest.patterns import Finding
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+    from fractions import Fraction
+    from pathlib import Path
+
+    from eldata.records import FrameRecord
+
+_AGAIN = "copy or download it again"
+
+
+def is_png(path: str) -> bool:
+    """Return whether a row is a PNG file."""
+    return path.lower().endswith(".png")
+
+
+def png_findings(folder: Path, record: FrameRecord) -> list[Finding]:
+    """Check one PNG frame's header and end: that it is whole, 16-bit RGB, of the recorded size."""
+    try:
+        header = read_png_header(folder / record.path)
+    except FileError as error:
+        return [Finding(record.path, "content", "a whole PNG file", error.reason, _AGAIN)]
+    if (header.bit_depth, header.colour) != (16, "RGB"):
+        advice = "this file was converted: take the original"
+        return [Finding(record.path, "content", "a 16-bit RGB PNG", str(header), advice)]
+    return [
+        Finding(record.path, name, str(size), str(found), "this file is of another clip or was scaled")
+        for name, size, found in (
+            ("width", record.width, header.width),
+            ("height", record.height, header.height),
+        )
+        if size is not None and size != found
+    ]
+
+
+def png_decode_findings(folder: Path, record: FrameRecord) -> list[Finding]:
+    """Decode one PNG frame, which checks the checksums that the format has of every part."""
+    try:
+        read_rgb16(folder / record.path)
+    except FileError as error:
+        return [Finding(record.path, "content", "a PNG file that decodes", error.reason, _AGAIN)]
+    return []
+
+
+def png_size_findings(folder: Path, records: Iterable[FrameRecord]) -> list[Finding]:
+    """Compare the sizes of the PNG files of each clip, its reference among them, with the most frequent one."""
+    sizes: dict[str, dict[str, str]] = defaultdict(dict)
+    for record in records:
+        if is_png(record.path):
+            try:
+                header = read_png_header(folder / record.path)
+            except FileError:
+                continue  # named already
+            sizes[record.scene][record.path] = f"{header.width} x {header.height}"
+    findings = []
+    for of_path in sizes.values():
+        usual = Counter(of_path.values()).most_common(1)[0][0]
+        findings += [
+            Finding(path, "size", f"{usual} as the clip's other files", size, "is this file of another clip?")
+            for path, size in of_path.items()
+            if size != usual
+        ]
+    return findings
+
+
+def exposure_findings(
+    records: Sequence[FrameRecord], products: Mapping[str, Fraction | None], tolerance: Fraction
+) -> list[Finding]:
+    """Compare ISO times exposure time of the raw frames of each clip with each other and with their reference's.
+
+    For rows without a nominal ratio, where that is all that can be said: a frame of another clip or a swapped reference
+    shows if its exposure differs.
+    """
+    clips: dict[str, list[FrameRecord]] = defaultdict(list)
+    for record in records:
+        if record.role == "noisy" and record.ratio is None and products.get(record.path) is not None:
+            clips[record.scene].append(record)
+    findings = []
+    for frames in clips.values():
+        exposures = [products[frame.path] for frame in frames]
+        usual = Counter(exposures).most_common(1)[0][0] or 0
+        for frame, product in zip(frames, exposures, strict=True):
+            if product is not None and abs(product - usual) > tolerance * usual:
+                expected = f"{float(usual):.6g} (ISO times seconds) as most frames of the clip"
+                advice = "is this a frame of another clip, or the reference?"
+                findings.append(Finding(frame.path, "exposure", expected, f"{float(product):.6g}", advice))
+        reference = frames[0].reference
+        bright = None if reference is None else products.get(reference)
+        if reference is not None and bright is not None and bright <= usual:
+            expected = f"more than {float(usual):.6g} (ISO times seconds), its clip's"
+            advice = "is this the reference? look for swapped files"
+            findings.append(Finding(reference, "exposure", expected, f"{float(bright):.6g}", advice))
+    return findings

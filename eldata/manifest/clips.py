@@ -1,0 +1,203 @@
+"""Clips of a manifest: rows of one scene in the order of their numbers, and windows of consecutive frames.
+
+Rows of role ``noisy`` with the same scene are a clip, their common ``reference`` is its reference. Positions count from
+0 in the clip, whatever the numbers in the file names.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import PurePosixPath
+from typing import TYPE_CHECKING, Literal, get_args
+
+from eldata.errors import ArgumentError, DatasetError
+from eldata.manifest.patterns import is_pattern, sequence_of
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable
+
+    from eldata.records import FrameRecord
+
+FrameRange = Literal["all", "authors", "evaluation"]
+FRAME_RANGES: tuple[FrameRange, ...] = get_args(FrameRange)
+
+# Neither the DRV nor the ELD paper says which five frames were scored. These are the first of the authors' range; the
+# first of them is the one that the DRV repository's test_image.py writes.
+EVALUATION_FRAMES = range(4, 9)
+
+
+@dataclass(frozen=True, slots=True)
+class Clip:
+    """One clip.
+
+    Attributes
+    ----------
+    scene, split, camera
+        As in the manifest.
+    frames
+        Files of its frames in order, POSIX paths relative to the dataset's folder.
+    numbers
+        The running number in each frame's name, if there is one.
+    reference
+        The file of its reference, if it has one.
+    """
+
+    scene: str
+    split: str
+    camera: str
+    frames: tuple[str, ...]
+    numbers: tuple[int, ...] | None
+    reference: str | None
+
+    def continuous(self, start: int, stop: int) -> bool:
+        """Return whether no number is left out between the frames at these positions."""
+        return self.numbers is None or self.numbers[stop - 1] - self.numbers[start] == stop - 1 - start
+
+
+@dataclass(frozen=True, slots=True)
+class ClipRecord:
+    """A window of consecutive frames of a clip.
+
+    Attributes
+    ----------
+    paths
+        Its frames, POSIX paths relative to the dataset's folder.
+    start
+        Position of the first one in the clip.
+    reference
+        The clip's reference, if it has one.
+    """
+
+    paths: tuple[str, ...]
+    start: int
+    reference: str | None
+    camera: str
+    scene: str
+    split: str
+
+    @property
+    def path(self) -> str:
+        """The first frame."""
+        return self.paths[0]
+
+
+def select_rows(
+    records: Iterable[FrameRecord], *, splits: Collection[str], ids: Collection[str] | None
+) -> tuple[FrameRecord, ...]:
+    """Return the rows of these splits and, unless it is ``None``, of these clips.
+
+    Raises
+    ------
+    ArgumentError
+        If no row has one of the splits, or a clip does not occur; the message lists those that do.
+    """
+    given = tuple(records)
+    if isinstance(ids, str):
+        raise ArgumentError(f"give ids as a list: [{ids!r}]")
+    rows = tuple(row for row in given if row.split in splits)
+    if not rows:
+        known_splits = ", ".join(sorted({row.split for row in given}))
+        raise ArgumentError(f"no clip has split {' or '.join(splits)}; known are {known_splits or 'none'}")
+    if ids is None:
+        return rows
+    known = sorted({row.scene for row in rows})
+    for scene in ids:
+        if scene not in known:
+            raise ArgumentError(f"no clip of {', '.join(splits)} is called {scene!r}; known are {', '.join(known)}")
+    return tuple(row for row in rows if row.scene in ids)
+
+
+def clips_of(records: Iterable[FrameRecord]) -> tuple[Clip, ...]:
+    """Return the clips of a manifest's rows, sorted by scene. Every row must be a file (:func:`expand`).
+
+    Raises
+    ------
+    DatasetError
+        If a clip has no frames or no file for its reference, or the frames' names do not follow one numbering.
+    """
+    scenes: dict[str, list[FrameRecord]] = defaultdict(list)
+    files: set[str] = set()
+    for row in records:
+        files.add(row.path)
+        if row.role == "noisy":
+            scenes[row.scene].append(row)
+    without = sorted(scene for scene, rows in scenes.items() if any(is_pattern(row.path) for row in rows))
+    if without:
+        have = sorted(set(scenes) - set(without))
+        hint = f"choose those that you have with ids={have!r}" if have else "is this the right folder?"
+        raise DatasetError(f"no frames of {len(without)} clips, {', '.join(without[:5])} ...: {hint}")
+    clips = []
+    for scene, rows in sorted(scenes.items()):
+        by_path = {row.path: row for row in rows}
+        parents = {PurePosixPath(path).parent for path in by_path}
+        sequence = sequence_of(PurePosixPath(path).name for path in by_path)
+        if sequence.odd or sequence.doubles or len(parents) > 1:
+            raise DatasetError(
+                f"clip {scene}: its frames do not follow one numbering in one folder: "
+                f"{', '.join(sequence.odd) or sequence.doubles or sorted(map(str, parents))}; eldata verify names them"
+            )
+        (parent,) = parents
+        references = {row.reference for row in rows}
+        reference = references.pop()
+        if references or (reference is not None and (is_pattern(reference) or reference not in files)):
+            raise DatasetError(
+                f"clip {scene}: expected one file as its reference, {reference}; found none, or several "
+                "(eldata verify names them)"
+            )
+        clips.append(
+            Clip(
+                scene=scene,
+                split=rows[0].split,
+                camera=rows[0].camera,
+                frames=tuple(str(parent / name) for name in sequence.names),
+                numbers=sequence.numbers,
+                reference=reference,
+            )
+        )
+    return tuple(clips)
+
+
+def frame_range(name: FrameRange, count: int) -> range:
+    """Return the positions of a named choice of frames in a clip of ``count`` frames.
+
+    ``"all"``; ``"authors"``: 4 to ``count - 4``, the frames that the DRV repository's test_video.py takes;
+    ``"evaluation"``: 4 to 8, five continuous frames a clip as in the ELD paper.
+
+    Raises
+    ------
+    ArgumentError
+        If there is no choice of that name.
+    """
+    if name not in FRAME_RANGES:
+        raise ArgumentError(f"frames must be one of {', '.join(map(repr, FRAME_RANGES))}; found {name!r}")
+    chosen = {"all": range(count), "authors": range(4, count - 3), "evaluation": EVALUATION_FRAMES}[name]
+    return range(chosen.start, max(chosen.start, min(chosen.stop, count)))
+
+
+def windows(clip: Clip, *, length: int, stride: int, frames: FrameRange) -> list[ClipRecord]:
+    """Return the windows of ``length`` consecutive frames, ``stride`` apart, that lie inside of a named range.
+
+    A window in which a number is left out is no window of consecutive frames: it is not returned.
+
+    Raises
+    ------
+    ArgumentError
+        If ``length`` or ``stride`` is below 1, or the range is unknown.
+    DatasetError
+        If there is no window.
+    """
+    if length < 1 or stride < 1:
+        raise ArgumentError(f"window and stride must be 1 or more; found {length}, {stride}")
+    inside = frame_range(frames, len(clip.frames))
+    found = [
+        ClipRecord(clip.frames[start : start + length], start, clip.reference, clip.camera, clip.scene, clip.split)
+        for start in range(inside.start, inside.stop - length + 1, stride)
+        if clip.continuous(start, start + length)
+    ]
+    if not found:
+        raise DatasetError(
+            f"clip {clip.scene}: has no {length} continuous frames among its {len(clip.frames)} (frames={frames!r}); "
+            "is the copy whole? eldata verify finds gaps"
+        )
+    return found

@@ -1,0 +1,240 @@
+"""What a copy of the Dark Raw Video dataset (DRV) holds: its layout, and its files as a manifest.
+
+A static clip (``0001`` to ``0202``) is a burst of short exposures with one long one as the reference; a dynamic clip
+(``M0000`` to ``M0022``) has no reference. There are two forms:
+
+preprocessed
+    What the authors' code reads: ``VBM4D_rawRGB/<clip>/*.png``, denoised by VBM4D and amplified, and
+    ``long/<clip>/half0001*.png``, both 16-bit RGB. Neither names nor numbers of the frames are published, so the
+    shipped rows are patterns (:mod:`eldata.manifest.patterns`).
+raw
+    The camera's own files, in the archives ``short1`` to ``short5`` and ``long``. How they lie there is not published:
+    :func:`scan_raw` looks and says what it found.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter, defaultdict
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING
+
+from eldata.errors import DatasetError
+from eldata.manifest.card import Card, save_card
+from eldata.manifest.catalogue import Manifest, load_manifest, shipped_manifest
+from eldata.manifest.drv_published import CAMERA, DYNAMIC_CLIPS
+from eldata.manifest.patterns import expand, is_pattern
+from eldata.manifest.table import save_records
+from eldata.raw.extensions import RAW_EXTENSIONS
+from eldata.records import FrameRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+# Flag of a long exposure that is not the one that was chosen as the reference.
+UNUSED = "unused"
+
+_DIGITS = re.compile(r"[0-9]+")
+_SHOWN = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """How a copy's files lie: for each kind of name, how many clips and files have it.
+
+    Attributes
+    ----------
+    kinds
+        (role or ``unused``, name, clips, files), where the clip stands as ``<clip>`` and other numbers of the name as
+        ``<n>``.
+    frames_per_clip
+        Fewest and most noisy frames of a clip; (0, 0) if there are none.
+    without_reference
+        Clips of noisy frames without a reference.
+    """
+
+    kinds: tuple[tuple[str, str, int, int], ...]
+    frames_per_clip: tuple[int, int]
+    without_reference: tuple[str, ...]
+
+    @classmethod
+    def of(cls, records: Iterable[FrameRecord]) -> Layout:
+        """Describe rows of a manifest; patterns, which stand for no file, are left out."""
+        rows = [row for row in records if not is_pattern(row.path)]
+        clips: dict[tuple[str, str], set[str]] = defaultdict(set)
+        files: Counter[tuple[str, str]] = Counter()
+        for row in rows:
+            kind = (UNUSED if UNUSED in row.flags else row.role, _kind_of_name(row.path, row.scene))
+            clips[kind].add(row.scene)
+            files[kind] += 1
+        frames = Counter(row.scene for row in rows if row.role == "noisy")
+        referenced = {row.scene for row in rows if row.role == "reference" and UNUSED not in row.flags}
+        return cls(
+            tuple((*kind, len(clips[kind]), files[kind]) for kind in sorted(files)),
+            (min(frames.values(), default=0), max(frames.values(), default=0)),
+            tuple(clip for clip in frames if clip not in referenced),
+        )
+
+    def __str__(self) -> str:
+        kinds = "; ".join(f"{role} {name}: {clips} clips, {files} files" for role, name, clips, files in self.kinds)
+        low, high = self.frames_per_clip
+        lone = self.without_reference
+        return (
+            f"{kinds or 'no files'}; {low} to {high} frames a clip"
+            f"{f'; without a reference: {_some(lone)}' if lone else ''}"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """The files of one copy as a manifest: its card, its rows, one a file, and notes on what was left out."""
+
+    card: Card
+    records: tuple[FrameRecord, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def layout(self) -> Layout:
+        """How the files lie."""
+        return Layout.of(self.records)
+
+    def save(self, path: Path | str) -> Manifest:
+        """Write the manifest's CSV and, beside it, its card; ``eldata verify`` and ``eldata lock`` take it then."""
+        path = Path(path)
+        save_card(path.with_suffix(".json"), self.card)
+        save_records(path, self.records)
+        return load_manifest(path)
+
+
+def scan_preprocessed(folder: Path | str) -> Scan:
+    """List the preprocessed files of a copy.
+
+    Parameters
+    ----------
+    folder
+        The dataset's folder, which holds ``VBM4D_rawRGB`` and ``long``.
+
+    Raises
+    ------
+    DatasetError
+        If it holds none, or a clip has several references.
+    """
+    folder = Path(folder)
+    manifest = shipped_manifest("drv")
+    rows = [row for row in expand(manifest.records, folder) if not is_pattern(row.path)]
+    if not rows:
+        raise DatasetError(
+            f"{folder}: holds no VBM4D_rawRGB/<clip>/*.png (where to get them: {manifest.card.homepage})"
+        )
+    several = {row.scene for row in rows if row.role == "noisy" and is_pattern(row.reference or "")}
+    present = {row.path for row in rows}
+    doubled = sorted(several & {row.scene for row in rows if row.role == "reference"})
+    if doubled:
+        raise DatasetError(
+            f"{folder}: several files long/<clip>/half0001*.png in clips {_some(doubled)}; which one is the reference "
+            "is not known: move the others away"
+        )
+    records = [row if row.reference in present else replace(row, reference=None) for row in rows]
+    return Scan(_listing_card(manifest.card, "preprocessed files of one copy", "drv", records), tuple(records))
+
+
+def scan_raw(folder: Path | str, *, reference: str = "*") -> Scan:
+    """List the camera raws of a copy, wherever its archives were unpacked below ``folder``.
+
+    A file belongs to the clip whose name one of its folders has. It is a reference if one of its folders is called
+    ``long``, a noisy frame if one is called ``short`` or begins so. Nothing else is assumed, and what does not fit is
+    an error. Raws of dynamic clips below ``long`` are left out: what they are is not published.
+
+    Parameters
+    ----------
+    folder
+        The dataset's folder, such as ``data/DRV``.
+    reference
+        Pattern of the references' file names, for copies with several raws of a clip below ``long``; the others are
+        listed with the flag ``unused``.
+
+    Raises
+    ------
+    DatasetError
+        If there is no raw file; if raws lie elsewhere than described; if a clip's files lie in several folders, or
+        several fit ``reference``. The message says what was found.
+    """
+    folder = Path(folder)
+    published = shipped_manifest("drv")
+    split_of = {row.scene: row.split for row in published.records if row.role == "noisy"}
+    noisy: dict[str, list[str]] = defaultdict(list)
+    bright: dict[str, list[str]] = defaultdict(list)
+    unused: dict[str, list[str]] = defaultdict(list)
+    stray: list[str] = []
+    for path in sorted(folder.rglob("*")):
+        relative = path.relative_to(folder)
+        if path.suffix.lower() not in RAW_EXTENSIONS or any(part.startswith(".") for part in relative.parts):
+            continue
+        clips = [part for part in relative.parts[:-1] if part in split_of]
+        long = any(part.casefold() == "long" for part in relative.parts[:-1])
+        short = any(part.casefold().startswith("short") for part in relative.parts[:-1])
+        if len(clips) != 1 or long == short:
+            stray.append(relative.as_posix())
+        elif short:
+            noisy[clips[0]].append(relative.as_posix())
+        elif fnmatchcase(relative.name, reference):
+            bright[clips[0]].append(relative.as_posix())
+        else:
+            unused[clips[0]].append(relative.as_posix())
+    if stray:
+        raise DatasetError(
+            f"{folder}: cannot tell to which clip {len(stray)} raw files belong, such as {_some(stray)}; expected each "
+            "below a folder called short, short1 ... or long, in one called as a clip is (0001, M0000)"
+        )
+    if not noisy:
+        raise DatasetError(f"{folder}: holds no camera raw of a clip, such as short/0001/<name>.ARW")
+    left_out = sum(len(bright.pop(clip, ())) + len(unused.pop(clip, ())) for clip in DYNAMIC_CLIPS)
+    _check_one_place(folder, noisy)
+    _check_one_place(folder, bright)
+    for clip, paths in bright.items():
+        if len(paths) > 1:
+            raise DatasetError(
+                f"{folder}: clip {clip} has {len(paths)} long exposures, and which is the reference is not published: "
+                f"{_some(paths)}; name it with reference='PATTERN'"
+            )
+    records = [
+        replace(row, scene=clip, split=split_of[clip], path=path, reference=clip_reference)
+        for row, paths_of in (
+            (FrameRecord("", "noisy", CAMERA), noisy),
+            (FrameRecord("", "reference", CAMERA), bright),
+            (FrameRecord("", "reference", CAMERA, flags=(UNUSED,)), unused),
+        )
+        for clip, paths in paths_of.items()
+        for clip_reference in [bright[clip][0] if row.role == "noisy" and clip in bright else None]
+        for path in paths
+    ]
+    notes = (f"{left_out} raws of dynamic clips below long are left out",) if left_out else ()
+    card = _listing_card(published.card, "camera raws of one copy", "drv-raw", records)
+    return Scan(card, tuple(sorted(records, key=lambda row: row.path)), notes)
+
+
+def _check_one_place(folder: Path, paths_of: Mapping[str, Sequence[str]]) -> None:
+    for clip, paths in paths_of.items():
+        places = sorted({PurePosixPath(path).parent.as_posix() for path in paths})
+        if len(places) > 1:
+            raise DatasetError(f"{folder}: clip {clip} lies in {len(places)} folders: {_some(places)}; keep one")
+
+
+def _listing_card(card: Card, what: str, name: str, records: Iterable[FrameRecord]) -> Card:
+    counts = dict(sorted(Counter(str(row.role) for row in records).items()))
+    sources = (*card.sources, "the files of one copy: what is missing there is missing here")
+    return replace(card, name=name, title=f"{card.title}: {what}", counts=counts, sources=sources)
+
+
+def _kind_of_name(path: str, clip: str) -> str:
+    """Return a path with its clip and its other numbers replaced by placeholders."""
+    parts = PurePosixPath(path).parts
+    named = ["<clip>" if part == clip else part for part in parts[:-1]]
+    return "/".join([*named, _DIGITS.sub("<n>", parts[-1])])
+
+
+def _some(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+    return f"{', '.join(names[:_SHOWN])}{more}"

@@ -1,0 +1,175 @@
+"""Rows that stand for several files, where the names are not published: the last part of the path has a ``*``.
+
+``VBM4D_rawRGB/0001/*.png`` is every PNG file of that folder. :func:`expand` puts the files of one copy in the place of
+such rows; ``eldata lock`` writes them into the manifest. Until then a missing file shows as a gap in the numbering, or
+not at all: how many there should be is not known.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from itertools import pairwise
+from pathlib import PurePosixPath
+from typing import TYPE_CHECKING
+
+from eldata.files import inside
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    from eldata.records import FrameRecord
+
+_DIGITS = re.compile(r"([0-9]+)")
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Something wrong with files of a manifest; ``eldata.manifest.verify`` makes a problem of it."""
+
+    path: str
+    field: str
+    expected: str
+    found: str
+    advice: str
+
+
+def is_pattern(path: str) -> bool:
+    """Return whether a row's path stands for all files that it matches."""
+    return "*" in path
+
+
+def matching(folder: Path, pattern: str) -> tuple[str, ...]:
+    """Return the files that a pattern matches, relative to the dataset's folder, in the order of their numbers.
+
+    Hidden files are left out.
+
+    Raises
+    ------
+    ManifestError
+        If the pattern's folder leads outside of the dataset's folder.
+    """
+    place = PurePosixPath(pattern)
+    parent = inside(folder, place.parent.as_posix())
+    if not parent.is_dir():
+        return ()
+    names = [path.name for path in parent.iterdir() if fnmatchcase(path.name, place.name) and path.is_file()]
+    visible = [name for name in names if not name.startswith(".")]
+    return tuple(str(place.with_name(name)) for name in sequence_of(visible).names)
+
+
+def expand(records: Iterable[FrameRecord], folder: Path) -> tuple[FrameRecord, ...]:
+    """Return rows with the files of a copy in the place of patterns, sorted by path.
+
+    A pattern that matches nothing stays, and so does one in ``reference`` unless it matches one file.
+    """
+    rows = tuple(records)
+    files = {row.path: matching(folder, row.path) for row in rows if is_pattern(row.path)}
+    only = {pattern: found[0] for pattern, found in files.items() if len(found) == 1}
+    expanded = [
+        replace(row, path=path, reference=None if row.reference is None else only.get(row.reference, row.reference))
+        for row in rows
+        for path in files.get(row.path) or (row.path,)
+    ]
+    return tuple(sorted(expanded, key=lambda row: row.path))
+
+
+def pattern_findings(records: Iterable[FrameRecord], folder: Path) -> list[Finding]:
+    """Return what is wrong with the files that patterns match: several references, names or numbers out of line."""
+    findings = []
+    for row in records:
+        if not is_pattern(row.path):
+            continue
+        files = matching(folder, row.path)
+        if row.role == "reference" and len(files) > 1:
+            names = ", ".join(PurePosixPath(path).name for path in files)
+            advice = "which one is the reference is not known: move the others away"
+            findings.append(Finding(row.path, "file", "one file", names, advice))
+        elif row.role != "reference":
+            findings += sequence_findings(files)
+    return findings
+
+
+# --- running numbers --------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class FrameSequence:
+    """The names of a clip's frames in order.
+
+    Attributes
+    ----------
+    names
+        In the order of the numbers in them (``2.png`` before ``10.png``).
+    numbers
+        The running number of each name of ``names`` that is not ``odd``; ``None`` if they have none.
+    odd
+        Names that are not like most others, such as ``0005 (1).png``.
+    """
+
+    names: tuple[str, ...]
+    numbers: tuple[int, ...] | None
+    odd: tuple[str, ...]
+
+    @property
+    def gaps(self) -> tuple[tuple[int, int], ...]:
+        """First and last missing number of each gap."""
+        return tuple((a + 1, b - 1) for a, b in pairwise(self.numbers or ()) if b > a + 1)
+
+    @property
+    def doubles(self) -> tuple[int, ...]:
+        """Numbers that two names have, such as ``5.png`` and ``05.png``."""
+        return tuple(a for a, b in pairwise(self.numbers or ()) if a == b)
+
+
+def sequence_of(names: Iterable[str]) -> FrameSequence:
+    """Return names in order, with the one number that runs through them if there is one."""
+    split = {name: _DIGITS.split(name) for name in names}
+    ordered = sorted(split, key=lambda name: ([_key(part) for part in split[name]], name))
+    kinds = Counter("0".join(split[name][::2]) for name in ordered)
+    if not kinds:
+        return FrameSequence((), None, ())
+    usual = kinds.most_common(1)[0][0]
+    alike = [name for name in ordered if "0".join(split[name][::2]) == usual]
+    columns = list(zip(*([int(part) for part in split[name][1::2]] for name in alike), strict=True))
+    running = [column for column in columns if len(set(column)) > 1]
+    numbers = running[0] if len(running) == 1 else None
+    return FrameSequence(tuple(ordered), numbers, tuple(name for name in ordered if name not in alike))
+
+
+def _key(part: str) -> tuple[int, int, str]:
+    return (0, int(part), "") if part.isdecimal() else (1, 0, part)
+
+
+def sequence_findings(paths: Sequence[str]) -> list[Finding]:
+    """Return what is wrong with the names of one clip's frames."""
+    if not paths:
+        return []
+    parent = PurePosixPath(paths[0]).parent
+    sequence = sequence_of(PurePosixPath(path).name for path in paths)
+    advice = (
+        "copy or download the folder again; if it is whole as published, list the copy's files in a manifest of their "
+        "own (eldata.manifest.drv.scan_preprocessed)"
+    )
+    findings = [
+        Finding(f"{parent}/{name}", "name", "a name like the clip's others", name, "move it away: it shifts the frames")
+        for name in sequence.odd
+    ]
+    findings += [
+        Finding(f"{parent}", "number", f"each frame once, and so one frame {number}", "two", "move one away")
+        for number in sequence.doubles
+    ]
+    findings += [
+        Finding(
+            f"{parent}",
+            "number",
+            f"frames {(sequence.numbers or (0,))[0]} to {(sequence.numbers or (0,))[-1]} without a gap",
+            f"none of {first}" if first == last else f"none of {first} to {last}",
+            advice,
+        )
+        for first, last in sequence.gaps
+    ]
+    return findings

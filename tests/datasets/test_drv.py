@@ -1,0 +1,338 @@
+"""DRV: items against plain numpy, windows, refusals, DataLoader workers, memory."""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import psutil
+import pytest
+import torch
+from torch.utils.data import ConcatDataset, DataLoader
+
+from eldata.datasets.drv import DRVDataset, DRVDynamicDataset, DRVRawDataset, DRVRawDynamicDataset
+from eldata.errors import ArgumentError, DatasetError, FileError, RawFileError
+from eldata.manifest.drv import scan_raw
+from eldata.manifest.lock import lock
+from tests.drv_tree import (
+    NOISY,
+    REFERENCE,
+    RGB_SIZE,
+    SENSOR,
+    SmallDrv,
+    mosaic_of,
+    rgb_frame_of,
+    small_drv,
+    still_of,
+    write_png,
+    write_raw,
+    write_raw_clip,
+    write_rgb_clip,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from numpy.typing import NDArray
+
+# Python 3.12 and later warn of any fork in a process that has threads.
+pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
+
+METHODS = [
+    pytest.param("fork", marks=pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")),
+    "spawn",
+]
+FRAMES = 13
+HEIGHT, WIDTH = RGB_SIZE
+
+
+@pytest.fixture(scope="module")
+def drv(tmp_path_factory: pytest.TempPathFactory) -> SmallDrv:
+    return small_drv(tmp_path_factory.mktemp("drv"), ("0007", "0013", "M0003"), FRAMES)
+
+
+@pytest.fixture(scope="module")
+def raw(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("raw")
+    for clip in ("0007", "0013", "M0003"):
+        write_raw_clip(folder, clip, 7)
+    return folder
+
+
+def opened(drv: SmallDrv, **options: Any) -> DRVDataset:
+    return DRVDataset(drv.data, manifest=drv.csv, **{"split": "test"} | options)
+
+
+def numbers_of(paths: Iterable[str]) -> list[int]:
+    return [int(Path(path).stem) for path in paths]
+
+
+def normalised(pixels: NDArray[np.uint16]) -> NDArray[np.float32]:
+    return pixels.transpose(2, 0, 1).astype(np.float32) / np.float32(65535)
+
+
+# --- preprocessed -----------------------------------------------------------------------------------------------------
+
+
+def test_items_are_the_files_pixels(drv: SmallDrv) -> None:
+    dataset = opened(drv)
+    assert len(dataset) == 4  # two windows of five in each of two clips of thirteen
+    for index, (clip, start) in enumerate((clip, start) for clip in ("0007", "0013") for start in (0, 5)):
+        sample = dataset[index]
+        expected = np.stack([normalised(rgb_frame_of(clip, number)) for number in range(start + 1, start + 6)])
+        np.testing.assert_array_equal(sample["input"].numpy(), expected)
+        np.testing.assert_array_equal(sample["target"].numpy(), normalised(still_of(clip)))
+        assert sample["input"].dtype == sample["target"].dtype == torch.float32
+        assert sample["input"].shape == (5, 3, HEIGHT, WIDTH)
+        assert (sample["scene"], sample["split"], sample["start"]) == (clip, "test", start)
+        assert sample["path"] == f"VBM4D_rawRGB/{clip}/{start + 1:04d}.png"
+        assert sample["reference"] == f"long/{clip}/half0001_0.png"
+        assert sample["camera"] == "SonyRX100M6"
+        assert all(math.isnan(sample[name]) for name in ("ratio", "iso", "exposure_s"))
+        assert torch.equal(sample["target"].expand_as(sample["input"])[3], sample["target"])
+        assert dataset.records[index].paths[0] == sample["path"]
+
+
+def test_windows_strides_and_ranges(drv: SmallDrv) -> None:
+    assert [record.start for record in opened(drv, window=4, stride=3, ids=["0007"]).records] == [0, 3, 6, 9]
+    authors = opened(drv, window=1, frames="authors", ids=["0013"])
+    assert numbers_of(record.path for record in authors.records) == [5, 6, 7, 8, 9, 10]  # range(4, 13 - 3)
+    evaluation = opened(drv, frames="evaluation")
+    assert [numbers_of(record.paths) for record in evaluation.records] == [[5, 6, 7, 8, 9]] * 2
+    whole = opened(drv, window=FRAMES)
+    assert whole[0]["input"].shape == (FRAMES, 3, HEIGHT, WIDTH)
+
+
+def test_dynamic_clips_are_input_alone(drv: SmallDrv) -> None:
+    dataset = DRVDynamicDataset(drv.data, manifest=drv.csv, window=2)
+    assert len(dataset) == 6
+    sample = dataset[1]
+    assert set(sample) == {
+        *("input", "ratio", "iso", "exposure_s", "camera", "scene", "split", "path", "start"),
+    }
+    np.testing.assert_array_equal(sample["input"][0].numpy(), normalised(rgb_frame_of("M0003", 3)))
+    assert (sample["scene"], sample["split"]) == ("M0003", "dynamic")
+
+
+def test_a_region_is_cut_from_every_frame(drv: SmallDrv) -> None:
+    whole, part = opened(drv)[1], opened(drv, region=(4, 6, 10, 20))[1]
+    assert torch.equal(part["input"], whole["input"][..., 4:14, 6:26])
+    assert torch.equal(part["target"], whole["target"][..., 4:14, 6:26])
+    for region in ((0, 0, HEIGHT + 1, 4), (40, 0, 20, 4), (0, WIDTH, 1, 1)):
+        with pytest.raises(DatasetError, match="is not inside of"):
+            opened(drv, region=region)[0]
+    for region in ((-1, 0, 4, 4), (0, 0, 0, 4)):
+        with pytest.raises(ArgumentError, match="region must be"):
+            opened(drv, region=region)
+
+
+def test_the_shipped_manifest_is_the_default(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_rgb_clip(tmp_path / "DRV", "0007", 5)
+    monkeypatch.setenv("ELDATA_ROOT", str(tmp_path))
+    dataset = DRVDataset(split="test", ids=["0007"])
+    assert len(dataset) == 1
+    with pytest.raises(DatasetError, match=r"no frames of 48 clips.*ids=\['0007'\]"):
+        DRVDataset(split="test")
+
+
+def test_a_locked_manifest_gives_the_same_items(drv: SmallDrv, tmp_path: Path) -> None:
+    shutil.copytree(drv.csv.parent, tmp_path / "m")
+    lock(tmp_path / "m" / "drv.csv", drv.root)
+    assert DRVDataset(drv.data, manifest=tmp_path / "m" / "drv.csv").records == opened(drv, split=None).records
+
+
+def test_unknown_splits_and_clips_list_the_known(drv: SmallDrv) -> None:
+    with pytest.raises(ArgumentError, match="split must be one of 'train', 'val', 'test'; found 'dynamic'"):
+        opened(drv, split="dynamic")
+    with pytest.raises(ArgumentError, match="no clip has split train; known are dynamic, test"):
+        opened(drv, split="train")
+    with pytest.raises(ArgumentError, match="no clip of test is called '0008'; known are 0007, 0013"):
+        opened(drv, ids=["0008"])
+    with pytest.raises(ArgumentError, match="frames must be one of"):
+        opened(drv, frames="some")
+    with pytest.raises(DatasetError, match=r"there is no such folder.*github\.com/cchen156"):
+        DRVDataset(drv.data / "nowhere")
+
+
+def test_damage_is_named(drv: SmallDrv, tmp_path: Path) -> None:
+    shutil.copytree(drv.data, tmp_path / "DRV")
+    copy = replace(drv, root=tmp_path)
+    frame = tmp_path / "DRV/VBM4D_rawRGB/0007/0002.png"
+    write_png(frame, rgb_frame_of("0007", 2, (40, 40)))
+    with pytest.raises(DatasetError, match=r"0002\.png: \(3, 40, 40\).*0001\.png has \(3, 48, 56\)"):
+        opened(copy)[0]
+    write_png(frame, rgb_frame_of("0007", 2).astype(np.uint8))
+    with pytest.raises(FileError, match="expected a 16-bit RGB PNG, found 8-bit RGB"):
+        opened(copy)[0]
+    dataset = opened(copy, window=2)
+    assert len(dataset) == 12
+    frame.unlink()
+    with pytest.raises(FileError, match="cannot be read"):
+        dataset[0]
+    assert [record.start for record in opened(copy, window=3, stride=1, ids=["0007"]).records] == list(range(1, 10))
+
+
+def test_the_repr_says_what_was_found(drv: SmallDrv) -> None:
+    text = repr(opened(drv))
+    for part in (
+        "DRVDataset(",
+        "2 clips, 4 windows of 5 frames",
+        "noisy VBM4D_rawRGB/<clip>/<n>.png: 2 clips, 26 files",
+    ):
+        assert part in text
+    assert list(opened(drv).frame["scene"]) == ["0007", "0007", "0013", "0013"]
+
+
+# --- raw --------------------------------------------------------------------------------------------------------------
+
+
+def packed(mosaic: NDArray[np.uint16], gain: float, clip: str = "both") -> NDArray[np.float64]:
+    """Black per channel and white of the file, both clips as published."""
+    planes = mosaic[0::2, 0::2], mosaic[0::2, 1::2], mosaic[1::2, 1::2], mosaic[1::2, 0::2]
+    black = np.array(SENSOR.black_level_dn)[:, None, None]
+    values = (np.stack(planes).astype(np.float64) - black) / (SENSOR.white_level_dn - black)
+    low = 0.0 if clip == "both" else -np.inf
+    amplified: NDArray[np.float64] = np.clip(np.clip(values, low, 1) * gain, low, 1)
+    return amplified
+
+
+@pytest.mark.parametrize("clip", ["both", "upper"])
+def test_raw_items_are_packed_and_amplified_exactly(clip: str, raw: Path) -> None:
+    dataset = DRVRawDataset(raw, split="test", window=3, clip=clip)  # type: ignore[arg-type]
+    assert len(dataset) == 4
+    sample = dataset[1]
+    expected = [packed(mosaic_of(f"DSC{number:05d}.ARW0007", NOISY), 100.0, clip) for number in (1001, 1002, 1003)]
+    np.testing.assert_allclose(sample["input"].numpy(), np.stack(expected), rtol=0, atol=2e-6 * 100)
+    np.testing.assert_allclose(
+        sample["target"].numpy(), packed(mosaic_of("DSC00001.ARW0007", REFERENCE), 1.0, clip), rtol=0, atol=2e-6
+    )
+    assert (sample["ratio"], sample["iso"], sample["exposure_s"]) == (100.0, 6400.0, 0.02)
+    assert (sample["path"], sample["start"]) == ("short/0007/DSC01001.ARW", 3)
+    assert (sample["input"].min() < 0) == (clip == "upper")
+
+
+def test_the_ratio_is_exact(tmp_path: Path) -> None:
+    for number in range(2):
+        write_raw(tmp_path / f"short/0007/DSC{number:05d}.ARW", replace(NOISY, exposure_s=Fraction(1, 30)))
+    write_raw(tmp_path / "long/0007/DSC00009.ARW", replace(REFERENCE, exposure_s=Fraction(10, 3)))
+    assert DRVRawDataset(tmp_path, window=2)[0]["ratio"] == float(Fraction(200 * 10, 3) / Fraction(6400, 30))
+
+
+def test_levels_come_from_the_file(raw: Path) -> None:
+    own, published = (DRVRawDataset(raw, window=1, levels=levels)[0]["target"] for levels in ("metadata", "published"))
+    black = np.array(SENSOR.black_level_dn, np.float64)[:, None, None]
+    np.testing.assert_allclose(own.numpy() * (16300 - black), published.numpy() * (16383 - black), atol=0.01)
+    with pytest.raises(ArgumentError, match="levels must be one of 'metadata', 'published'"):
+        DRVRawDataset(raw, levels="sid-sony")  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match="clip must be one of"):
+        DRVRawDataset(raw, clip="lower")  # type: ignore[arg-type]
+
+
+def test_dynamic_raws_are_not_amplified(raw: Path) -> None:
+    dataset = DRVRawDynamicDataset(raw, window=7)
+    sample = dataset[0]
+    assert sample["ratio"] == 1.0
+    assert sample["iso"] == 6400
+    np.testing.assert_allclose(
+        sample["input"][2].numpy(), packed(mosaic_of("DSC01000.ARWM0003", NOISY), 1.0), rtol=0, atol=2e-6
+    )
+
+
+def test_raws_of_a_manifest(raw: Path, tmp_path: Path) -> None:
+    manifest = scan_raw(raw).save(tmp_path / "drv-raw.csv")
+    listed = DRVRawDataset(raw, split="test", manifest=manifest.path)
+    assert listed.records == DRVRawDataset(raw, split="test").records
+    assert "short/<clip>/DSC<n>.ARW: 2 clips, 14 files" in repr(listed)
+
+
+def damaged(raw: Path, tmp_path: Path) -> Path:
+    shutil.copytree(raw, tmp_path / "DRV")
+    return tmp_path / "DRV"
+
+
+def test_raw_damage_is_named(raw: Path, tmp_path: Path) -> None:
+    folder = damaged(raw, tmp_path)
+    frame = folder / "short/0007/DSC00999.ARW"
+    write_raw(frame, replace(NOISY, iso=Fraction(3200)))
+    with pytest.raises(DatasetError, match=r"DSC00999\.ARW: its exposure ratio is 200, that of DSC00998\.ARW 100"):
+        DRVRawDataset(folder)[0]
+    write_raw(frame, NOISY, sensor=replace(SENSOR, width=100))
+    with pytest.raises(DatasetError, match=r"\(4, 48, 50\).*\(4, 48, 56\)"):
+        DRVRawDataset(folder)[0]
+    frame.write_bytes(frame.read_bytes()[:2000])
+    with pytest.raises(RawFileError, match="truncated"):
+        DRVRawDataset(folder)[0]
+    shutil.copy(folder / "short/0013/DSC00998.ARW", folder / "aside")
+    (folder / "long/0013/DSC00001.ARW").rename(folder / "short/0013/DSC00998.ARW")
+    (folder / "aside").rename(folder / "long/0013/DSC00001.ARW")
+    with pytest.raises(DatasetError, match=r"exposed 100 times as much as its reference.*swapped"):
+        DRVRawDataset(folder, ids=["0013"])[0]
+    (folder / "long/0013/DSC00001.ARW").unlink()
+    with pytest.raises(DatasetError, match="no reference of 1 clips: 0013"):
+        DRVRawDataset(folder, ids=["0013"])
+
+
+# --- loaders ----------------------------------------------------------------------------------------------------------
+
+
+def same(first: Mapping[str, Any], second: Mapping[str, Any]) -> None:
+    assert list(first) == list(second)
+    for key, value in first.items():
+        if isinstance(value, torch.Tensor):
+            torch.testing.assert_close(value, second[key], rtol=0, atol=0, equal_nan=True)
+        elif isinstance(value, float) and math.isnan(value):
+            assert math.isnan(second[key])
+        else:
+            assert value == second[key], key
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_workers_change_nothing(method: str, drv: SmallDrv, raw: Path) -> None:
+    """Preprocessed and raw, with a reference and without, in one loader: starting workers takes the time."""
+    every: list[Any] = [opened(drv, window=3), DRVRawDataset(raw, window=3), DRVRawDynamicDataset(raw, window=3)]
+    expected = [sample for dataset in every for sample in dataset]
+    loader: DataLoader[Any] = DataLoader(
+        ConcatDataset(every), batch_size=None, num_workers=2, multiprocessing_context=method, timeout=120
+    )
+    for sample, wanted in zip(loader, expected, strict=True):
+        same(sample, wanted)
+
+
+def test_default_collate(drv: SmallDrv, raw: Path) -> None:
+    batch = next(iter(DataLoader(opened(drv, window=3), batch_size=2)))
+    assert batch["input"].shape == (2, 3, 3, HEIGHT, WIDTH)
+    assert batch["target"].shape == (2, 3, HEIGHT, WIDTH)
+    assert batch["target"][:, None].expand_as(batch["input"]).shape == batch["input"].shape
+    assert batch["path"] == ["VBM4D_rawRGB/0007/0001.png", "VBM4D_rawRGB/0007/0004.png"]
+    assert batch["start"].tolist() == [0, 3]
+    batch = next(iter(DataLoader(DRVRawDataset(raw, window=2), batch_size=3)))
+    assert batch["input"].shape == (3, 2, 4, 48, 56)
+    assert batch["ratio"].tolist() == [100.0] * 3
+
+
+def test_memory_does_not_grow_with_the_number_of_windows(tmp_path: Path) -> None:
+    """Twelve megapixels, thirty windows of five frames (48 MB a packed frame), of which a part is kept.
+
+    A frame decodes into a mosaic of 24 MB and a packed one of 48 MB, and the reference is held beside it: 120 MB. Whole
+    frames of one window would take 240 MB.
+    """
+    sensor = replace(SENSOR, height=3000, width=4000)
+    write_raw(tmp_path / "short/0007/DSC00001.ARW", NOISY, sensor=sensor)
+    for number in range(2, 35):
+        os.link(tmp_path / "short/0007/DSC00001.ARW", tmp_path / f"short/0007/DSC{number:05d}.ARW")
+    write_raw(tmp_path / "long/0007/DSC00001.ARW", REFERENCE, sensor=sensor)
+    dataset = DRVRawDataset(tmp_path, window=5, stride=1, region=(100, 100, 256, 256))
+    assert len(dataset) == 30
+    process = psutil.Process()
+    before = process.memory_info().rss
+    largest = 0
+    for index in (0, 10, 20, 29, 1, 2):
+        assert dataset[index]["input"].shape == (5, 4, 256, 256)
+        largest = max(largest, process.memory_info().rss)
+    assert largest - before < 200e6

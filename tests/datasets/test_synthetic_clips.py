@@ -1,0 +1,306 @@
+"""Synthetic clips: one draw for all frames, fresh noise in each, frames aligned, and what an item depends on."""
+
+from __future__ import annotations
+
+import math
+import os
+import pickle
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import psutil
+import pytest
+import torch
+from torch.utils.data import DataLoader
+
+from eldata.datasets.draws import CleanCrop
+from eldata.datasets.synthetic_clips import ArrayClips, RawClips, SyntheticClips, SyntheticClipSample
+from eldata.errors import ArgumentError, DatasetError, ProfileError
+from eldata.noise import NoiseModel, NoiseParameters
+from eldata.raw import write_dng
+from eldata.raw.cfa import XTRANS_CFA, pack_normalised
+from tests.noise.helpers import Law
+from tests.raw.helpers import BAYER, EXPOSURE, make_sensor, random_mosaic
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+# Python 3.12 and later warn of any fork in a process that has threads.
+pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
+
+METHODS = [
+    pytest.param("fork", marks=pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")),
+    "spawn",
+]
+NUMBERS = ("gain_dn_per_e", "tukey_lambda", "sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn")
+RANGE_DN = 15871.0
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two clips, of 4 and 6 frames, whose numbers are not padded."""
+    top = tmp_path_factory.mktemp("clean")
+    for clip, (first, count) in {"a": (8, 4), "b": (97, 6)}.items():
+        (top / clip).mkdir()
+        for number in range(first, first + count):
+            mosaic = random_mosaic(60, 64, seed=number)
+            write_dng(top / clip / f"{number}.dng", mosaic, make_sensor(BAYER["GBRG"]), EXPOSURE)
+    return top
+
+
+def clips(source: Any, **options: Any) -> SyntheticClips:
+    return SyntheticClips(source, "SonyA7S2", **{"crop": 8, "frames": 3} | options)
+
+
+def raw_clips(folder: Path, **options: Any) -> SyntheticClips:
+    return clips(RawClips(folder), **{"windows_per_clip": 3, "seed": 3} | options)
+
+
+def flat(frames: int = 6, value: float = 0.3, height: int = 16, width: int = 16, **options: Any) -> SyntheticClips:
+    source = ArrayClips([np.full((frames, 4, height, width), value, np.float32)], range_dn=RANGE_DN)
+    return clips(source, **{"frames": frames, "crop": None, "augment": False} | options)
+
+
+def same(first: Mapping[str, Any], second: Mapping[str, Any]) -> None:
+    assert list(first) == list(second) == list(SyntheticClipSample.__annotations__)
+    for key, value in first.items():
+        assert torch.equal(value, second[key]) if isinstance(value, torch.Tensor) else value == second[key], key
+
+
+# --- where the pixels come from ---------------------------------------------------------------------------------------
+
+
+def test_frames_are_consecutive_and_cut_alike(folder: Path) -> None:
+    """Each target frame is the same part of its own file, found by the first frame's."""
+    cfa = BAYER["GBRG"]
+    starts = {0: set[int](), 1: set[int]()}
+    dataset = raw_clips(folder, augment=False, windows_per_clip=40)
+    sensor = make_sensor(cfa)
+    for index in range(len(dataset)):
+        item = dataset[index]
+        assert item["clip"] == index % 2
+        first = (8, 97)[item["clip"]] + item["start"]
+        assert item["path"] == str(folder / "ab"[item["clip"]] / f"{first}.dng")
+        whole = [
+            pack_normalised(random_mosaic(60, 64, seed=first + step), cfa, sensor.black_level_dn, sensor.white_level_dn)
+            for step in range(3)
+        ]
+        target = item["target"].numpy()
+        ((top, left),) = [
+            (y, x)
+            for y, x in np.argwhere(whole[0][0, :23, :25] == target[0, 0, 0, 0])
+            if np.array_equal(whole[0][:, y : y + 8, x : x + 8], target[0])
+        ]
+        for step in range(3):
+            np.testing.assert_array_equal(target[step], whole[step][:, top : top + 8, left : left + 8])
+        starts[item["clip"]].add(item["start"])
+    assert starts == {0: {0, 1}, 1: {0, 1, 2, 3}}  # 40 draws of four: one is missed with probability 4e-5
+
+
+@pytest.mark.parametrize("channels", [4, 9])
+def test_augmentation_is_the_same_for_all_frames(channels: int) -> None:
+    """Frames of one clip that differ by a factor still do after any turn: none is turned otherwise."""
+    generator = np.random.default_rng(0)
+    still = generator.uniform(0.1, 0.4, (channels, 24, 36)).astype(np.float32)
+    cfa = BAYER["RGGB"] if channels == 4 else XTRANS_CFA
+    source = ArrayClips([np.stack([still, 2 * still])], range_dn=1000.0, cfa=cfa)
+    dataset = clips(source, frames=2, windows_per_clip=40, crop=6)
+    different = set()
+    for item in dataset:
+        np.testing.assert_allclose(item["target"][1], 2 * item["target"][0], rtol=1e-6)
+        different.add(item["target"][0].numpy().tobytes())
+    assert len(different) > 20
+
+
+def test_sizes_and_levels_of_one_clip_must_agree(tmp_path: Path) -> None:
+    sensor = make_sensor()
+    write_dng(tmp_path / "1.dng", random_mosaic(60, 64), sensor, EXPOSURE)
+    for other, message in (
+        (replace(sensor, height=62), "size"),
+        (make_sensor(BAYER["BGGR"]), "CFA"),
+        (replace(sensor, white_level_dn=15000.0), "white level"),
+    ):
+        write_dng(tmp_path / "2.dng", random_mosaic(other.height, 64), other, EXPOSURE)
+        with pytest.raises(DatasetError, match=f"2.dng: {message} .* is it one clip?"):
+            clips(RawClips(tmp_path), frames=2)[0]
+
+
+# --- the noise --------------------------------------------------------------------------------------------------------
+
+
+def test_one_draw_for_all_frames_and_fresh_noise_in_each() -> None:
+    """8 flat windows of 3 frames of 4 x 1024 x 8 pixels.
+
+    Mean and variance of each frame lie within 5 standard errors of the closed form for the item's one draw; the
+    correlation of the noise of two frames, of n = 32768 pixels, within 5 of 0. Row noise is 1024 x 2 draws for the
+    four channels, so the standard error of the correlation is at most 1 / sqrt(2048) where it is all row noise.
+    """
+    height, width = 1024, 8
+    gains = set()
+    dataset = flat(3, 0.5, height, width, model=NoiseModel(clip="none"), windows_per_clip=8)
+    for item in dataset:
+        bias = item["colour_bias_dn"].tolist()
+        parameters = NoiseParameters(
+            **{name: item[name] for name in NUMBERS},  # type: ignore[literal-required]
+            colour_bias_dn=(bias[0], bias[1], bias[2], bias[3]),
+        )
+        gains.add(parameters.gain_dn_per_e)
+        signal_e = 0.5 * RANGE_DN / (item["ratio"] * parameters.gain_dn_per_e)
+        law = Law.of("P*+G*+B+R+U", parameters, signal_e)
+        dn = item["input"].numpy().astype(np.float64) * RANGE_DN / item["ratio"]
+        noise = dn - law.mean - np.array(bias)[:, None, None]
+        for frame in noise:
+            assert abs(frame.mean()) < 5 * law.mean_error(frame.size, 2 * height)
+            error = law.variance_error(frame.size, 2 * height)
+            assert abs(np.mean(frame**2) - law.variance - law.row_variance) < 5 * error
+        total = law.variance + law.row_variance
+        spread = math.sqrt(law.variance**2 + 2 * law.variance * law.row_variance) / total / math.sqrt(noise[0].size)
+        spread += law.row_variance / total / math.sqrt(2 * height)
+        for one, two in ((0, 1), (0, 2), (1, 2)):
+            assert abs(np.mean(noise[one] * noise[two]) / total) < 5 * spread
+        assert torch.equal(item["target"], torch.full((3, 4, height, width), 0.5))
+    assert len(gains) == 8
+
+
+def test_the_ratio_the_model_and_the_iso_are_passed_on() -> None:
+    item = flat(ratio=150.0, iso=800, model=NoiseModel("P*", clip="none"))[0]
+    assert item["ratio"] == 150.0
+    counts = item["input"].double().numpy() * RANGE_DN / 150.0 / item["gain_dn_per_e"]
+    np.testing.assert_allclose(counts, np.rint(counts), atol=2e-3)
+    bright = flat(iso=6400, ratio=900.0)[0]["input"]
+    assert (float(bright.min()), float(bright.max())) == (0, 1)  # the default clips both ways
+
+
+# --- what an item depends on ------------------------------------------------------------------------------------------
+
+
+def test_an_item_depends_on_seed_epoch_and_index_alone(folder: Path) -> None:
+    reference = list(raw_clips(folder))
+    assert len(reference) == 6
+    shuffled = raw_clips(folder)
+    for index in (5, 2, 2, -1, 0, -6):
+        same(shuffled[index], reference[index])
+    again = pickle.loads(pickle.dumps(shuffled))
+    same(again[3], reference[3])
+    shuffled.set_epoch(2)
+    assert (shuffled.epoch, again.epoch) == (2, 0)
+    for other in (shuffled[0], raw_clips(folder, seed=4)[0], reference[2]):
+        assert not torch.equal(other["input"], reference[0]["input"])
+        assert other["gain_dn_per_e"] != reference[0]["gain_dn_per_e"]
+    for index in (6, -7):
+        with pytest.raises(IndexError, match=f"index {index} is outside of 6 items"):
+            shuffled[index]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_workers_and_epochs(method: str, folder: Path) -> None:
+    dataset, reference = raw_clips(folder), raw_clips(folder)
+    loader = DataLoader(
+        dataset,
+        batch_size=None,
+        num_workers=2,
+        multiprocessing_context=method,
+        persistent_workers=True,
+        timeout=60,
+    )
+    for epoch in (0, 3):
+        dataset.set_epoch(epoch)
+        reference.set_epoch(epoch)
+        for item, wanted in zip(loader, reference, strict=True):
+            same(item, wanted)
+
+
+def test_default_collate(folder: Path) -> None:
+    batch = next(iter(DataLoader(raw_clips(folder), batch_size=4)))
+    assert batch["input"].shape == batch["target"].shape == (4, 3, 4, 8, 8)
+    assert batch["clip"].tolist() == [0, 1, 0, 1]
+    assert batch["ratio"].dtype == torch.float64
+
+
+# --- sources ----------------------------------------------------------------------------------------------------------
+
+
+def test_raw_clips_are_the_folders_with_raws(folder: Path, tmp_path: Path) -> None:
+    source = RawClips(folder)
+    assert [path.name for path in source.folders] == ["a", "b"]
+    assert [path.name for path in source.clip(1).paths] == [
+        "97.dng",
+        "98.dng",
+        "99.dng",
+        "100.dng",
+        "101.dng",
+        "102.dng",
+    ]
+    assert len(RawClips([folder / "b"])) == 1
+    with pytest.raises(DatasetError, match="holds no folder"):
+        RawClips(tmp_path)
+    with pytest.raises(DatasetError, match="no folder was given"):
+        RawClips([])
+    with pytest.raises(DatasetError, match="holds no camera raw file"):
+        RawClips([tmp_path])
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (["1.dng", "2.dng", "5.dng"], "nothing from 3 to 4"),
+        (["1.dng", "2.dng", "2 (1).dng"], r"found 2 \(1\)\.dng"),
+        (["1.dng", "01.dng", "2.dng"], r"two of \(1,\)"),
+    ],
+)
+def test_frames_out_of_line_are_refused(names: list[str], message: str, tmp_path: Path) -> None:
+    for name in names:
+        (tmp_path / name).write_bytes(b"x")
+    with pytest.raises(DatasetError, match=message):
+        RawClips(tmp_path)
+
+
+def test_clips_that_are_too_short(folder: Path) -> None:
+    dataset = raw_clips(folder, frames=5)
+    with pytest.raises(DatasetError, match="4 frames are too few for a window of 5"):
+        dataset[0]
+    assert dataset[1]["input"].shape[0] == 5
+
+
+def test_numbers_that_make_no_sense(folder: Path) -> None:
+    for options in ({"frames": 0}, {"windows_per_clip": 0}, {"crop": 1}):
+        with pytest.raises(ArgumentError, match="must be 1 or more and crop 2 or more"):
+            raw_clips(folder, **options)
+    with pytest.raises(ArgumentError, match="seed must be 0 or more"):
+        raw_clips(folder, seed=-1)
+    with pytest.raises(ArgumentError, match="ratio must be"):
+        raw_clips(folder, ratio=(2.0, 1.0))
+    with pytest.raises(ProfileError):
+        SyntheticClips(RawClips(folder), "Leica")
+    with pytest.raises(ArgumentError, match="no array was given"):
+        ArrayClips([], range_dn=1.0)
+    with pytest.raises(DatasetError, match="take a smaller crop"):
+        raw_clips(folder, crop=64)[0]
+
+
+def test_a_crop_drawn_for_one_frame_fits_another() -> None:
+    source = ArrayClips([np.random.default_rng(1).uniform(0, 1, (2, 4, 20, 20)).astype(np.float32)], range_dn=1000.0)
+    frame = source.clip(0).frame(0)
+    crop = CleanCrop.draw(frame, np.random.default_rng(5), crop=6, augment=True)
+    assert crop.packed(frame).shape == crop.packed(source.clip(0).frame(1)).shape == (4, 6, 6)
+
+
+def test_the_repr_says_what_is_made(folder: Path) -> None:
+    text = repr(raw_clips(folder))
+    for part in ("SyntheticClips(RawClips(2 clips", "6 windows of 3 frames", "cameras: SonyA7S2", "seed=3"):
+        assert part in text
+
+
+def test_one_whole_frame_is_in_memory_at_a_time(tmp_path: Path) -> None:
+    """Eight frames of 4 megapixels (8 MB each as mosaics): the crops are small, so the growth stays below 50 MB."""
+    write_dng(tmp_path / "1.dng", random_mosaic(2000, 2000), make_sensor(height=2000, width=2000), EXPOSURE)
+    for number in range(2, 9):
+        os.link(tmp_path / "1.dng", tmp_path / f"{number}.dng")
+    dataset = clips(RawClips(tmp_path), frames=8, crop=64, windows_per_clip=2)
+    dataset[0]
+    process = psutil.Process()
+    before = process.memory_info().rss
+    dataset[1]
+    assert process.memory_info().rss - before < 50e6

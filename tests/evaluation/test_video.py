@@ -1,0 +1,329 @@
+"""The evaluation of clips against a plain route: scikit-image, and ST-RRED on clips put together by hand."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import shutil
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from skimage.metrics import peak_signal_noise_ratio, structural_similarity
+
+from eldata.datasets.drv import DRVDataset, DRVRawDataset
+from eldata.errors import ArgumentError, DatasetError, EldataError, ManifestError
+from eldata.evaluation.video import evaluate_video, save_clip_prediction
+from eldata.evaluation.video_results import VIDEO_COLUMNS, VideoResult
+from eldata.manifest.drv import scan_raw
+from eldata.metrics import PEAK_ELD, st_rred
+from eldata.protocols import PROTOCOLS
+from eldata.raw.cfa import unpack
+from eldata.video_protocols import VIDEO_PROTOCOLS, default_video_protocol, get_video_protocol
+from tests.drv_tree import SENSOR, SmallDrv, generator_of, rgb_frame_of, small_drv, still_of, write_png, write_raw_clip
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+CLIPS = ("0007", "0013")
+IDS = list(CLIPS)
+SCORED = range(5, 10)  # frames numbered from 1
+SIZE = (48, 56)
+
+
+@pytest.fixture(scope="module")
+def drv(tmp_path_factory: pytest.TempPathFactory) -> SmallDrv:
+    return small_drv(tmp_path_factory.mktemp("drv"), (*CLIPS, "M0003"), 12, size=SIZE)
+
+
+def predicted(clip: str, number: int) -> NDArray[np.float32]:
+    """A prediction as a network would make it: too bright, somewhat noisy, in places beyond [0, 1]."""
+    still = still_of(clip, SIZE).transpose(2, 0, 1) / 65535
+    noisy = rgb_frame_of(clip, number, SIZE).transpose(2, 0, 1) / 65535
+    frame = 1.1 * (0.8 * still + 0.2 * noisy) + generator_of(f"{clip}-{number}").normal(0, 0.005, still.shape)
+    frame[:, 3:5, 7:9] = 1.2
+    frame[:, 9:11, 2:5] = -0.1
+    return frame.astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def predictions(drv: SmallDrv, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("preds")
+    dataset = DRVDataset(drv.data, split="test", frames="evaluation", manifest=drv.csv)
+    for record in dataset.records:
+        frames = np.stack([predicted(record.scene, number) for number in SCORED])
+        written = save_clip_prediction(folder, record, frames)
+        assert [path.relative_to(folder).as_posix() for path in written] == [
+            f"{record.scene}/{number:04d}.npy" for number in SCORED
+        ]
+    return folder
+
+
+def score(drv: SmallDrv, predictions: Path, **options: Any) -> VideoResult:
+    return evaluate_video(predictions, manifest=drv.csv, root=drv.root, **{"ids": IDS} | options)
+
+
+@pytest.fixture(scope="module")
+def result(drv: SmallDrv, predictions: Path) -> VideoResult:
+    return score(drv, predictions)
+
+
+# --- the numbers ------------------------------------------------------------------------------------------------------
+
+
+def corrected(frame: NDArray[np.float32], still: NDArray[Any], *, scalar: bool) -> tuple[NDArray[np.float64], float]:
+    p, g = np.clip(frame.astype(np.float64), 0, 1), still.astype(np.float64)
+    counts = g != 1
+    alpha = float((p * g)[counts].sum() / (p * p)[counts].sum()) if scalar else 1.0
+    return np.clip(alpha * p, 0, 1), alpha
+
+
+def check_against_the_plain_route(
+    result: VideoResult,
+    frames_of: Callable[[str], list[NDArray[np.float32]]],
+    still_in: Callable[[str], NDArray[np.float32]],
+    grey: Callable[[NDArray[Any]], NDArray[np.float64]],
+    *,
+    scalar: bool,
+) -> None:
+    """Correction, PSNR and SSIM frame by frame, means, ST-RRED of whole clips; averages over videos."""
+    means = []
+    for video in result.videos:
+        still = still_in(video.scene)
+        fixed = [corrected(frame, still, scalar=scalar) for frame in frames_of(video.scene)]
+        # scikit-image has annotations in part only.
+        psnr: Any = peak_signal_noise_ratio
+        ssim: Any = structural_similarity
+        wide = still.astype(np.float64)
+        psnrs = [float(psnr(wide, frame, data_range=1.0)) for frame, _ in fixed]
+        ssims = [float(ssim(wide, frame, data_range=1.0, channel_axis=0)) for frame, _ in fixed]
+        clip = np.stack([grey(frame) for frame, _ in fixed])
+        repeated = np.stack([grey(wide)] * len(fixed))
+        rred = st_rred(clip, repeated, data_range=1.0, peak=PEAK_ELD)
+        assert [frame.psnr_db for frame in video.frames] == pytest.approx(psnrs, rel=1e-9)
+        assert [frame.ssim for frame in video.frames] == pytest.approx(ssims, rel=1e-9)
+        assert [frame.rescale for frame in video.frames] == pytest.approx([alpha for _, alpha in fixed], rel=1e-9)
+        # The corrected frames are rounded to float32 before ST-RRED is taken.
+        assert video.st_rred == pytest.approx(rred.st_rred, rel=1e-4)
+        assert (video.spatial_rred, video.temporal_rred) == pytest.approx((rred.spatial, rred.temporal), rel=1e-4)
+        assert video.psnr_db == pytest.approx(np.mean(psnrs))
+        assert video.ssim == pytest.approx(np.mean(ssims))
+        assert video.st_rred > 0
+        means.append((video.psnr_db, video.ssim, video.st_rred))
+    assert [video.scene for video in result.videos] == IDS
+    assert (result.psnr_db, result.ssim, result.st_rred) == pytest.approx(np.mean(means, axis=0))
+
+
+@pytest.mark.parametrize("protocol", ["drv-rgb", "drv-rgb-uncorrected"])
+def test_rgb_scores_are_those_of_the_plain_route(protocol: str, drv: SmallDrv, predictions: Path) -> None:
+    check_against_the_plain_route(
+        score(drv, predictions, protocol=protocol),
+        lambda clip: [predicted(clip, number) for number in SCORED],
+        lambda clip: still_of(clip, SIZE).transpose(2, 0, 1).astype(np.float32) / np.float32(65535),
+        lambda frame: np.tensordot([0.2989, 0.5870, 0.1140], frame, 1),
+        scalar=protocol == "drv-rgb",
+    )
+
+
+def test_raw_scores_are_those_of_the_plain_route(tmp_path: Path) -> None:
+    for clip in CLIPS:
+        write_raw_clip(tmp_path / "DRV", clip, 12)
+    manifest = scan_raw(tmp_path / "DRV").save(tmp_path / "drv-raw.csv")
+    dataset = DRVRawDataset(tmp_path / "DRV", split="test", frames="evaluation")
+    stills, frames = {}, {}
+    for index, record in enumerate(dataset.records):
+        still = dataset[index]["target"].numpy()
+        noise = generator_of(record.scene).normal(0, 0.02, (5, *still.shape))
+        stills[record.scene] = still
+        frames[record.scene] = (0.9 * still + noise).astype(np.float32)
+        save_clip_prediction(tmp_path / "preds", record, frames[record.scene])
+    result = evaluate_video(tmp_path / "preds", manifest=manifest.path, root=tmp_path, ids=IDS)
+    assert result.protocol.name == "drv-raw"
+    check_against_the_plain_route(
+        result,
+        lambda clip: list(frames[clip]),
+        lambda clip: stills[clip],
+        lambda x: 0.2989 * x[0] + 0.5870 * (x[1] + x[3]) / 2 + 0.1140 * x[2],
+        scalar=True,
+    )
+    # A mosaic scores as the packed prediction does.
+    for path in sorted((tmp_path / "preds").rglob("*.npy")):
+        np.save(path, unpack(np.load(path), SENSOR.cfa))
+    assert evaluate_video(tmp_path / "preds", manifest=manifest.path, root=tmp_path, ids=IDS).videos == result.videos
+
+
+def test_scores_do_not_depend_on_jobs(drv: SmallDrv, predictions: Path, result: VideoResult) -> None:
+    assert score(drv, predictions, jobs=2).videos == result.videos
+
+
+def test_a_16_bit_png_is_read_as_rgb(drv: SmallDrv, tmp_path: Path) -> None:
+    for clip in CLIPS:
+        for number in SCORED:
+            pixels = np.clip(predicted(clip, number), 0, 1).transpose(1, 2, 0)
+            write_png(tmp_path / "png" / clip / f"{number:04d}.png", np.round(pixels * 65535).astype(np.uint16))
+            (tmp_path / "npy" / clip).mkdir(parents=True, exist_ok=True)
+            np.save(
+                tmp_path / "npy" / clip / f"{number:04d}.npy",
+                np.round(pixels * 65535).astype(np.uint16).transpose(2, 0, 1),
+            )
+    assert score(drv, tmp_path / "png").videos == score(drv, tmp_path / "npy").videos
+
+
+def test_a_perfect_prediction(drv: SmallDrv, tmp_path: Path) -> None:
+    for clip in CLIPS:
+        for number in SCORED:
+            write_png(tmp_path / clip / f"{number:04d}.png", still_of(clip, SIZE))
+    found = score(drv, tmp_path, protocol="drv-rgb-uncorrected")
+    assert (found.psnr_db, found.ssim, found.st_rred) == (math.inf, 1.0, 0.0)
+    assert any("equals the reference exactly: 2 videos" in note for note in found.notes)
+    assert json.loads(json.dumps(found.as_dict(), allow_nan=False))["table"]["psnr_db"] == "inf"
+
+
+# --- coverage and problems --------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def own(predictions: Path, tmp_path: Path) -> Path:
+    shutil.copytree(predictions, tmp_path / "preds")
+    return tmp_path / "preds"
+
+
+def test_a_video_needs_all_of_its_frames(drv: SmallDrv, own: Path, result: VideoResult) -> None:
+    (own / "0007/0006.npy").unlink()
+    found = score(drv, own)
+    assert [problem.path for problem in found.problems] == ["0007/0006.png"]
+    assert found.videos == ()
+    assert "nothing was scored" in found.format_text()
+    rest = score(drv, own, allow_missing=True)
+    assert rest.videos == result.videos[1:]
+    assert rest.missing == ("0007",)
+    assert "1 of 2" in rest.format_table()
+    assert "INCOMPLETE: 1 videos" in rest.format_text()
+
+
+def test_unusable_predictions_are_named(drv: SmallDrv, own: Path) -> None:
+    shape = (3, *SIZE)
+    for number, array in (
+        (5, np.zeros((*SIZE, 3), np.float32)),
+        (6, np.zeros(shape, np.uint8)),
+        (7, np.full(shape, np.nan, np.float32)),
+        (8, np.full(shape, 200.0, np.float32)),
+        (9, np.zeros((3, 10, 10), np.float32)),
+    ):
+        np.save(own / f"0007/{number:04d}.npy", array)
+    (own / "0013/0005.npy").rename(own / "0013/0005.dng")
+    reasons = [problem.reason for problem in score(drv, own).problems]
+    for part in ("channels-last", "found uint8", "NaN", "divide by 65535 or 255", "expected shape", "found a DNG"):
+        assert sum(part in reason for reason in reasons) >= 1, part
+
+
+def test_extra_ambiguous_and_unscored_predictions(drv: SmallDrv, own: Path) -> None:
+    np.save(own / "0007/0001.npy", np.zeros(1))  # a frame of the clip that is not scored
+    (own / "M0003").mkdir()
+    np.save(own / "M0003/0001.npy", np.zeros(1))
+    found = score(drv, own)
+    assert not found.problems
+    assert any("leaves their frames out: 2 predictions" in note for note in found.notes)
+    np.save(own / "0007/9999.npy", np.zeros(1))
+    shutil.copy(own / "0007/0005.npy", own / "0007/0005.tif")
+    problems = score(drv, own).problems
+    assert {problem.path for problem in problems} == {"0007/9999.npy", "0007/0005.png"}
+
+
+def test_a_damaged_dataset_stops_the_evaluation(drv: SmallDrv, predictions: Path, tmp_path: Path) -> None:
+    shutil.copytree(drv.csv.parent.parent, tmp_path / "tree")
+    copy = SmallDrv(tmp_path / "tree/manifests/drv.csv", tmp_path / "tree/data")
+    frame = copy.data / "VBM4D_rawRGB/0007/0006.png"
+    content = frame.read_bytes()
+    frame.write_bytes(content[:100])
+    with pytest.raises(DatasetError, match=r"not what its manifest says: .*0006\.png"):
+        score(copy, predictions)
+    frame.write_bytes(content)
+    (copy.data / "VBM4D_rawRGB/0007/0002.png").unlink()  # not scored, but it would shift those that are
+    with pytest.raises(DatasetError, match="without a gap"):
+        score(copy, predictions)
+    shutil.rmtree(copy.root)
+    with pytest.raises(DatasetError, match=r"the dataset is not there.*github\.com"):
+        score(copy, predictions)
+
+
+# --- names ------------------------------------------------------------------------------------------------------------
+
+
+def test_the_default_is_the_papers_49_test_clips(drv: SmallDrv, predictions: Path, tmp_path: Path) -> None:
+    (tmp_path / "DRV").mkdir()
+    with pytest.raises(DatasetError, match="VBM4D_rawRGB/: folder: expected 49 files"):
+        evaluate_video(predictions, "drv", root=tmp_path)
+    with pytest.raises(DatasetError, match="VBM4D_rawRGB/: folder: expected 24 files"):
+        evaluate_video(predictions, "drv", root=tmp_path, subset="val")
+
+
+def test_unknown_names_list_the_known(drv: SmallDrv, predictions: Path) -> None:
+    with pytest.raises(ArgumentError, match="eld is no dataset of clips; those are drv and drv-raw"):
+        evaluate_video(predictions, "eld")
+    with pytest.raises(ManifestError, match="known are drv"):
+        evaluate_video(predictions, "drw")
+    with pytest.raises(ArgumentError, match="known are drv-rgb, drv-rgb-uncorrected, drv-raw"):
+        score(drv, predictions, protocol="eld")
+    with pytest.raises(ArgumentError, match="'drv-raw' is for dataset 'drv-raw', not 'drv'"):
+        score(drv, predictions, protocol="drv-raw")
+    with pytest.raises(ArgumentError, match="is called '0099'; known are 0007, 0013"):
+        score(drv, predictions, ids=["0099"])
+    with pytest.raises(ArgumentError, match="give a subset or ids"):
+        score(drv, predictions, subset="test")
+    with pytest.raises(ArgumentError, match="its card names no subset"):
+        score(drv, predictions, ids=None)
+    with pytest.raises(EldataError, match="no such folder of predictions"):
+        score(drv, predictions / "none")
+
+
+def test_protocols_for_clips() -> None:
+    assert not set(VIDEO_PROTOCOLS) & set(PROTOCOLS)
+    digests = {protocol.digest for protocol in VIDEO_PROTOCOLS.values()}
+    assert len(digests) == 4
+    for name, protocol in VIDEO_PROTOCOLS.items():
+        assert get_video_protocol(name) is protocol
+        assert protocol.st_rred_peak == PEAK_ELD
+        assert (protocol.frames, protocol.frame_count) == ("evaluation", 5)
+    own = [default_video_protocol(dataset) for dataset in ("drv", "drv-raw", "eld")]
+    assert [None if protocol is None else protocol.name for protocol in own] == ["drv-rgb", "drv-raw", None]
+
+
+# --- what is written --------------------------------------------------------------------------------------------------
+
+
+def test_csv_and_json(result: VideoResult, tmp_path: Path) -> None:
+    result.write_csv(tmp_path / "r.csv")
+    with (tmp_path / "r.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == list(VIDEO_COLUMNS)
+    for row, video in zip(rows, result.videos, strict=True):
+        assert (row["scene"], row["start"], row["frames"]) == (video.scene, "4", "5")
+        for name in ("psnr_db", "ssim", "st_rred", "spatial_rred", "temporal_rred", "rescale"):
+            assert float(row[name]) == getattr(video, name)
+    result.write_json(tmp_path / "r.json")
+    data = json.loads((tmp_path / "r.json").read_text())
+    assert data["coverage"] == {"videos": 2, "scored": 2, "missing": []}
+    assert [len(video["frame_scores"]) for video in data["videos"]] == [5, 5]
+    assert data["table"]["st_rred"] == result.st_rred
+    assert data["provenance"]["layout"].startswith("noisy VBM4D_rawRGB/<clip>/<n>.png: 2 clips, 24 files")
+    assert list(result.frame.columns) == list(VIDEO_COLUMNS)
+
+
+def test_the_table_is_printed_as_in_the_paper(result: VideoResult) -> None:
+    header, _, values = result.format_table().splitlines()
+    assert header.split() == ["videos", "PSNR", "[dB]", "SSIM", "ST-RRED"]
+    assert values.split() == ["2", f"{result.psnr_db:.2f}", f"{result.ssim:.3f}", f"{result.st_rred:.3f}"]
+    text = result.format_text()
+    assert "drv, protocol drv-rgb: 2 of 2 videos, only 0007, 0013" in text
+    assert result.protocol.digest[:15] in text
+
+
+def test_a_window_of_another_length_is_refused(drv: SmallDrv, tmp_path: Path) -> None:
+    record = DRVDataset(drv.data, frames="evaluation", manifest=drv.csv).records[0]
+    with pytest.raises(ArgumentError, match="expected 5 predicted frames, found 4"):
+        save_clip_prediction(tmp_path, record, np.zeros((4, 3, 8, 8)))

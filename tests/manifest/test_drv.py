@@ -1,0 +1,606 @@
+"""DRV's manifest: published clips and splits, patterns, the layout of a copy, verify and lock."""
+
+from __future__ import annotations
+
+import shutil
+from collections import Counter
+from dataclasses import replace
+from fractions import Fraction
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from eldata.download.places import choose_parts, places_of
+from eldata.errors import ArgumentError, DatasetError, FileError, ManifestError
+from eldata.images import decode_png, read_png_header, read_rgb16, rgb_frame
+from eldata.manifest.card import load_card, save_card
+from eldata.manifest.catalogue import shipped_folder, shipped_manifest
+from eldata.manifest.clips import FRAME_RANGES, Clip, clips_of, frame_range, select_rows, windows
+from eldata.manifest.drv import UNUSED, scan_preprocessed, scan_raw
+from eldata.manifest.drv_published import load_splits, published_drv, save_splits, splits_from_lists
+from eldata.manifest.lock import lock
+from eldata.manifest.patterns import expand, matching, sequence_of
+from eldata.manifest.table import save_records
+from eldata.manifest.verify import verify
+from eldata.records import FrameRecord
+from tests.drv_tree import (
+    NOISY,
+    REFERENCE,
+    SENSOR,
+    SmallDrv,
+    rgb_frame_of,
+    small_drv,
+    still_of,
+    write_png,
+    write_raw,
+    write_raw_clip,
+)
+from tests.trees import swap
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from eldata.manifest.verify import Level, VerifyReport
+
+ROOT = Path(__file__).parents[2]
+CLIPS = ("0007", "0013", "M0003")
+
+
+# --- the published set ------------------------------------------------------------------------------------------------
+
+
+def test_every_clip_of_every_split() -> None:
+    manifest = shipped_manifest("drv")
+    noisy = [record for record in manifest.records if record.role == "noisy"]
+    assert Counter(record.split for record in noisy) == {"train": 129, "val": 24, "test": 49, "dynamic": 23}
+    static = {record.scene for record in noisy if record.split != "dynamic"}
+    assert static == {f"{number:04d}" for number in range(1, 203)}
+    assert {record.scene for record in noisy} - static == {f"M{number:04d}" for number in range(23)}
+    assert len(manifest.records) == 225 + 202
+    for record in noisy:
+        assert record.path == f"VBM4D_rawRGB/{record.scene}/*.png"
+        assert record.reference == (None if record.scene.startswith("M") else f"long/{record.scene}/half0001*.png")
+        assert {record.iso, record.exposure_s, record.ratio, record.sha256, record.width} == {None}
+
+
+def test_some_clips_stand_where_the_lists_have_them() -> None:
+    split_of = {record.scene: record.split for record in shipped_manifest("drv").records}
+    assert {split_of[clip] for clip in ("0013", "0009", "0020", "0007", "0010")} == {"test"}
+    assert {split_of[clip] for clip in ("0004", "0018", "0024", "0031", "0045")} == {"val"}
+    assert {split_of[clip] for clip in ("0022", "0006", "0003", "0016", "0011")} == {"train"}
+
+
+def test_committed_files_are_what_the_generator_writes(tmp_path: Path) -> None:
+    facts = ROOT / "manifests" / "facts" / "drv.csv"
+    card, records = published_drv(load_splits(facts))
+    save_records(tmp_path / "drv.csv", records)
+    save_card(tmp_path / "drv.json", card)
+    save_splits(tmp_path / "facts.csv", load_splits(facts))
+    for name in ("drv.csv", "drv.json"):
+        assert (tmp_path / name).read_bytes() == (shipped_folder() / name).read_bytes(), f"run make manifests ({name})"
+    assert (tmp_path / "facts.csv").read_bytes() == facts.read_bytes()
+
+
+def test_splits_from_lists(tmp_path: Path) -> None:
+    lists = {split: tmp_path / f"{split}_list.txt" for split in ("train", "val", "test")}
+    for text, path in zip(("0003\n0001\n", "0002\n", "0004\n"), lists.values(), strict=True):
+        path.write_text(text)
+    found = splits_from_lists(lists)
+    assert list(found)[:5] == ["0001", "0002", "0003", "0004", "M0000"]
+    assert Counter(found.values()) == {"train": 2, "val": 1, "test": 1, "dynamic": 23}
+    lists["test"].write_text("0002\n")
+    with pytest.raises(ManifestError, match="0002 is in split val already"):
+        splits_from_lists(lists)
+
+
+def test_subsets_count_clips() -> None:
+    card = shipped_manifest("drv").card
+    assert [(subset.name, subset.pairs) for subset in card.subsets] == [("test", 49), ("val", 24), ("train", 129)]
+
+
+def test_a_program_fetches_what_the_manifest_lists() -> None:
+    """Whether an archive of raws is here already, the manifest cannot tell: those are fetched by hand."""
+    manifest = shipped_manifest("drv")
+    places = {place.file_name: place for place in places_of(manifest.card)}
+    shorts = [f"short{number}" for number in range(1, 6)]
+    assert set(places) == {"long.zip", "VBM4D_rawRGB.zip", *(f"{part}.zip" for part in shorts)}
+    assert [place.part for place in choose_parts(tuple(places.values()), ["long", "noisy"])] == ["long", "noisy"]
+    for part in shorts:
+        assert (places[f"{part}.zip"].part, places[f"{part}.zip"].below) == (part, "short")
+        with pytest.raises(ArgumentError, match="known are long, noisy"):
+            choose_parts(tuple(places.values()), [part])
+    for record in manifest.records:
+        holders = [place.part for place in places.values() if place.holds(record.path)]
+        assert holders == ["long" if record.role == "reference" else "noisy"]
+
+
+# --- numbering and windows --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("names", "ordered", "numbers"),
+    [
+        (["10.png", "9.png", "1.png"], ["1.png", "9.png", "10.png"], (1, 9, 10)),
+        (["0002.png", "0001.png"], ["0001.png", "0002.png"], (1, 2)),
+        (["a1_7.png", "a1_6.png"], ["a1_6.png", "a1_7.png"], (6, 7)),
+        (["only.png"], ["only.png"], None),
+        (["b.png"], ["b.png"], None),
+        (["1_2.png", "2_1.png"], ["1_2.png", "2_1.png"], None),  # two numbers run: neither is the frame's
+        ([], [], None),
+    ],
+)
+def test_names_in_order(names: list[str], ordered: list[str], numbers: tuple[int, ...] | None) -> None:
+    sequence = sequence_of(names)
+    assert list(sequence.names) == ordered
+    assert sequence.numbers == numbers
+    assert sequence.odd == ()
+
+
+def test_gaps_doubles_and_odd_names() -> None:
+    sequence = sequence_of(["0001.png", "0002.png", "0005.png", "0009.png", "0005 (1).png"])
+    assert sequence.gaps == ((3, 4), (6, 8))
+    assert sequence.odd == ("0005 (1).png",)
+    assert sequence_of(["5.png", "05.png", "6.png"]).doubles == (5,)
+
+
+def clip_of(numbers: list[int]) -> Clip:
+    return Clip("0001", "train", "C", tuple(f"{n}.png" for n in numbers), tuple(numbers), "r.png")
+
+
+def test_windows_exhaustively() -> None:
+    for count, length, stride in product(range(1, 9), range(1, 5), range(1, 5)):
+        clip = clip_of(list(range(count)))
+        expected = [start for start in range(0, count, stride) if start + length <= count]
+        if not expected:
+            with pytest.raises(DatasetError, match=f"no {length} continuous frames among its {count}"):
+                windows(clip, length=length, stride=stride, frames="all")
+            continue
+        found = windows(clip, length=length, stride=stride, frames="all")
+        assert [window.start for window in found] == expected
+        for window in found:
+            assert window.paths == tuple(f"{n}.png" for n in range(window.start, window.start + length))
+            assert (window.path, window.reference) == (window.paths[0], "r.png")
+
+
+def test_windows_do_not_span_gaps() -> None:
+    for missing in range(1, 7):
+        numbers = [n for n in range(8) if n != missing]
+        found = windows(clip_of(numbers), length=2, stride=1, frames="all")
+        pairs = [tuple(int(path[:-4]) for path in window.paths) for window in found]
+        assert pairs == [(n, n + 1) for n in range(7) if missing not in (n, n + 1)]
+    with pytest.raises(DatasetError, match="eldata verify finds gaps"):
+        windows(clip_of([0, 2, 4]), length=2, stride=1, frames="all")
+
+
+def test_named_frame_ranges() -> None:
+    for count in range(30):
+        positions = list(range(count))
+        assert list(frame_range("all", count)) == positions
+        assert list(frame_range("authors", count)) == list(range(4, count - 3))  # test_video.py
+        assert list(frame_range("evaluation", count)) == positions[4:9]
+    with pytest.raises(ArgumentError, match="'all', 'authors', 'evaluation'; found 'some'"):
+        frame_range("some", 3)  # type: ignore[arg-type]
+    assert len(FRAME_RANGES) == 3
+
+
+@pytest.mark.parametrize(("length", "stride"), [(0, 1), (1, 0), (-1, 1)])
+def test_windows_that_make_no_sense(length: int, stride: int) -> None:
+    with pytest.raises(ArgumentError, match="must be 1 or more"):
+        windows(clip_of([0, 1]), length=length, stride=stride, frames="all")
+
+
+def test_unknown_clips_and_splits_list_the_known() -> None:
+    records = shipped_manifest("drv").records
+    with pytest.raises(ArgumentError, match="no clip has split holidays; known are dynamic, test, train, val"):
+        select_rows(records, splits=["holidays"], ids=None)
+    with pytest.raises(ArgumentError, match=r"no clip of val is called '0001'; known are 0004, 0018"):
+        select_rows(records, splits=["val"], ids=["0001"])
+    with pytest.raises(ArgumentError, match="give ids as a list"):
+        select_rows(records, splits=["val"], ids="0004")
+
+
+# --- patterns ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory: pytest.TempPathFactory) -> SmallDrv:
+    return small_drv(tmp_path_factory.mktemp("drv"), CLIPS, 6)
+
+
+@pytest.fixture
+def drv(original: SmallDrv, tmp_path: Path) -> SmallDrv:
+    shutil.copytree(original.csv.parent.parent, tmp_path / "tree")
+    return SmallDrv(tmp_path / "tree" / "manifests" / "drv.csv", tmp_path / "tree" / "data")
+
+
+def test_expanding_puts_the_files_of_a_copy_in(drv: SmallDrv) -> None:
+    rows = expand(drv.manifest.records, drv.data)
+    assert [row.path for row in rows] == sorted(
+        path.relative_to(drv.data).as_posix() for path in drv.data.rglob("*.png")
+    )
+    assert {row.reference for row in rows if row.role == "noisy"} == {
+        "long/0007/half0001_0.png",
+        "long/0013/half0001_0.png",
+        None,
+    }
+    assert expand(rows, drv.data) == rows
+
+
+def test_hidden_files_and_other_files_match_nothing(drv: SmallDrv) -> None:
+    place = drv.data / "VBM4D_rawRGB/0007"
+    for name in (".0007.png", "notes.txt", "0007.PNG"):
+        (place / name).write_bytes(b"x")
+    assert len(matching(drv.data, "VBM4D_rawRGB/0007/*.png")) == 6
+    assert matching(drv.data, "VBM4D_rawRGB/0099/*.png") == ()
+
+
+def test_a_folder_that_leads_outside_is_refused(drv: SmallDrv, tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    (drv.data / "VBM4D_rawRGB/0099").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(ManifestError, match="leads outside"):
+        matching(drv.data, "VBM4D_rawRGB/0099/*.png")
+
+
+def test_clips_need_frames_and_one_reference(drv: SmallDrv) -> None:
+    records = drv.manifest.records
+    assert [clip.scene for clip in clips_of(expand(records, drv.data))] == list(CLIPS)
+    shutil.copy(drv.data / "long/0007/half0001_0.png", drv.data / "long/0007/half0001_1.png")
+    with pytest.raises(DatasetError, match="clip 0007: expected one file as its reference"):
+        clips_of(expand(records, drv.data))
+    (drv.data / "VBM4D_rawRGB/0007/x.png").write_bytes(b"x")
+    with pytest.raises(DatasetError, match=r"clip 0007: .* do not follow one numbering"):
+        clips_of(expand(records, drv.data))
+    shutil.rmtree(drv.data / "VBM4D_rawRGB/0013")
+    with pytest.raises(DatasetError, match=r"no frames of 1 clips, 0013 .*ids=\['0007', 'M0003'\]"):
+        clips_of(expand(records, drv.data))
+
+
+# --- PNG --------------------------------------------------------------------------------------------------------------
+
+
+def test_png_samples_come_in_the_order_of_the_file(tmp_path: Path) -> None:
+    pixels = np.zeros((3, 4, 3), np.uint16)
+    pixels[...] = (60000, 30000, 257)  # red, green, blue
+    write_png(tmp_path / "x.png", pixels)
+    assert np.array_equal(read_rgb16(tmp_path / "x.png"), pixels)
+    frame = rgb_frame(tmp_path / "x.png")
+    assert frame.shape == (3, 3, 4)
+    assert frame.dtype == np.float32
+    np.testing.assert_array_equal(frame[:, 0, 0], np.array([60000, 30000, 257], np.float32) / np.float32(65535))
+    assert str(read_png_header(tmp_path / "x.png")) == "16-bit RGB"
+    assert np.array_equal(decode_png((tmp_path / "x.png").read_bytes()), pixels)
+
+
+@pytest.mark.parametrize(
+    ("pixels", "kind"),
+    [
+        (np.zeros((4, 5), np.uint16), "16-bit grey"),
+        (np.zeros((4, 5, 3), np.uint8), "8-bit RGB"),
+        (np.zeros((4, 5, 4), np.uint16), "16-bit RGB with alpha"),
+    ],
+)
+def test_other_pngs_are_refused(pixels: NDArray[np.generic], kind: str, tmp_path: Path) -> None:
+    write_png(tmp_path / "x.png", pixels)
+    with pytest.raises(FileError, match=f"expected a 16-bit RGB PNG, found {kind}"):
+        read_rgb16(tmp_path / "x.png")
+
+
+def test_damaged_pngs_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "x.png"
+    write_png(path, still_of("0001"))
+    content = path.read_bytes()
+    for cut in (0, 5, 20, 100, len(content) // 2, len(content) - 1):
+        path.write_bytes(content[:cut])
+        with pytest.raises(FileError, match=r"is empty|is not a PNG|truncated"):
+            read_rgb16(path)
+    flipped = bytearray(content)
+    flipped[len(content) // 2] ^= 1
+    path.write_bytes(flipped)
+    with pytest.raises(FileError, match="cannot be decoded"):
+        read_rgb16(path)
+    with pytest.raises(FileError, match="cannot be read"):
+        read_rgb16(tmp_path / "none.png")
+
+
+# --- verify and lock, preprocessed ------------------------------------------------------------------------------------
+
+
+def report(drv: SmallDrv, level: Level = "metadata") -> VerifyReport:
+    return verify([drv.manifest], drv.root, dataset="drv", level=level)
+
+
+def found(drv: SmallDrv, level: Level = "metadata") -> list[tuple[str, str]]:
+    return [(problem.path, problem.field) for problem in report(drv, level).problems]
+
+
+@pytest.mark.parametrize("level", ["quick", "metadata", "full"])
+def test_a_whole_copy_is_well(level: Level, drv: SmallDrv) -> None:
+    result = report(drv, level)
+    assert result.ok, result.format_text()
+    assert (result.datasets[0].files_checked, result.datasets[0].files_listed) == (20, 20)
+
+
+FRAME = "VBM4D_rawRGB/0007/0004.png"
+
+
+def delete(data: Path) -> None:
+    (data / FRAME).unlink()
+
+
+def truncate(data: Path) -> None:
+    (data / FRAME).write_bytes((data / FRAME).read_bytes()[:-50])
+
+
+def empty(data: Path) -> None:
+    (data / FRAME).write_bytes(b"")
+
+
+def misnumber(data: Path) -> None:
+    (data / FRAME).rename((data / FRAME).with_name("0017.png"))
+
+
+def add_copy(data: Path) -> None:
+    shutil.copy(data / FRAME, (data / FRAME).with_name("0004 (1).png"))
+
+
+def convert(data: Path) -> None:
+    write_png(data / FRAME, rgb_frame_of("0007", 4).astype(np.uint8))
+
+
+def resize(data: Path) -> None:
+    write_png(data / FRAME, rgb_frame_of("0007", 4, (40, 40)))
+
+
+def no_reference(data: Path) -> None:
+    (data / "long/0007/half0001_0.png").unlink()
+
+
+def two_references(data: Path) -> None:
+    shutil.copy(data / "long/0007/half0001_0.png", data / "long/0007/half0001_1.png")
+
+
+def no_folder(data: Path) -> None:
+    shutil.rmtree(data / "VBM4D_rawRGB/0007")
+
+
+@pytest.mark.parametrize(
+    ("damage", "level", "expected"),
+    [
+        (delete, "quick", [("VBM4D_rawRGB/0007", "number")]),
+        (truncate, "metadata", [(FRAME, "content")]),
+        (empty, "quick", [(FRAME, "size_bytes")]),
+        (misnumber, "quick", [("VBM4D_rawRGB/0007", "number")] * 2),
+        (add_copy, "quick", [("VBM4D_rawRGB/0007/0004 (1).png", "name")]),
+        (convert, "metadata", [(FRAME, "content")]),
+        (resize, "metadata", [(FRAME, "size")]),
+        (no_reference, "quick", [("long/0007/half0001*.png", "file")]),
+        (two_references, "quick", [("long/0007/half0001*.png", "file")]),
+        (no_folder, "quick", [("VBM4D_rawRGB/0007/", "folder")]),
+    ],
+)
+def test_what_shows_before_the_files_are_listed(
+    damage: Callable[[Path], None], level: Level, expected: list[tuple[str, str]], drv: SmallDrv
+) -> None:
+    damage(drv.data)
+    assert found(drv, level) == expected
+    assert not report(drv, level).ok
+
+
+def test_flipped_bits_show_at_level_full(drv: SmallDrv) -> None:
+    content = bytearray((drv.data / FRAME).read_bytes())
+    content[len(content) // 2] ^= 1
+    (drv.data / FRAME).write_bytes(content)
+    assert found(drv, "metadata") == []
+    assert found(drv, "full") == [(FRAME, "content")]
+
+
+def test_locking_lists_the_files(drv: SmallDrv) -> None:
+    assert lock(drv.csv, drv.root).files_locked == 20
+    manifest = drv.manifest
+    assert manifest.card.counts == {"noisy": 18, "reference": 2}
+    assert not any("*" in record.path for record in manifest.records)
+    assert all(record.sha256 for record in manifest.records)
+    assert found(drv, "full") == []
+    before = drv.csv.read_bytes(), drv.csv.with_suffix(".json").read_bytes()
+    lock(drv.csv, drv.root)
+    assert (drv.csv.read_bytes(), drv.csv.with_suffix(".json").read_bytes()) == before
+
+
+def test_a_copy_with_problems_is_not_listed(drv: SmallDrv) -> None:
+    before = drv.csv.read_bytes()
+    delete(drv.data)
+    assert lock(drv.csv, drv.root).files_locked == 0
+    assert drv.csv.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("damage", "expected"),
+    [
+        (delete, [(FRAME, "file")]),
+        (truncate, [(FRAME, "content"), (FRAME, "size_bytes")]),
+        (misnumber, [(FRAME, "file"), ("VBM4D_rawRGB/0007/0017.png", "file")]),
+        (add_copy, [("VBM4D_rawRGB/0007/0004 (1).png", "file")]),
+        (lambda data: swap(data / FRAME, data / "VBM4D_rawRGB/0013/0002.png"), [(FRAME, "sha256")]),
+        (lambda data: swap(data / FRAME, data / "VBM4D_rawRGB/0007/0005.png"), [(FRAME, "sha256")]),
+        (lambda data: swap(data / FRAME, data / "long/0007/half0001_0.png"), [(FRAME, "sha256")]),
+        (no_reference, [("long/0007/half0001_0.png", "file")]),
+    ],
+)
+def test_what_shows_once_the_files_are_listed(
+    damage: Callable[[Path], None], expected: list[tuple[str, str]], drv: SmallDrv
+) -> None:
+    lock(drv.csv, drv.root)
+    damage(drv.data)
+    shown = found(drv, "full")
+    assert set(expected) <= set(shown)
+
+
+def test_other_pictures_beside_a_reference_are_no_problem(drv: SmallDrv) -> None:
+    """The folders below long hold more than the reference: camera raws among them."""
+    lock(drv.csv, drv.root)
+    write_png(drv.data / "long/0007/other.png", still_of("x"))
+    write_raw(drv.data / "long/0007/DSC00001.ARW", REFERENCE)
+    assert found(drv, "full") == []
+
+
+def test_a_scan_lists_a_copy_whatever_its_numbers(drv: SmallDrv, tmp_path: Path) -> None:
+    delete(drv.data)
+    scan = scan_preprocessed(drv.data)
+    assert str(scan.layout) == (
+        "noisy VBM4D_rawRGB/<clip>/<n>.png: 3 clips, 17 files; reference long/<clip>/half<n>_<n>.png: 2 clips, 2 "
+        "files; 5 to 6 frames a clip; without a reference: M0003"
+    )
+    manifest = scan.save(tmp_path / "mine.csv")
+    assert verify([manifest], drv.root, level="full").ok
+    assert lock(tmp_path / "mine.csv", drv.root).files_locked == 19
+    two_references(drv.data)
+    with pytest.raises(DatasetError, match=r"several files .* in clips 0007"):
+        scan_preprocessed(drv.data)
+    with pytest.raises(DatasetError, match="holds no VBM4D_rawRGB"):
+        scan_preprocessed(tmp_path / "nothing")
+
+
+# --- raws -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("short", ["short", "short1", "short/part", "archives/short2/short"])
+def test_raws_are_found_wherever_the_archives_were_unpacked(short: str, tmp_path: Path) -> None:
+    for clip in CLIPS:
+        write_raw_clip(tmp_path, clip, 4, short=short)
+    scan = scan_raw(tmp_path)
+    assert Counter(record.role for record in scan.records) == {"noisy": 12, "reference": 2}
+    assert f"noisy {short}/<clip>/DSC<n>.ARW: 3 clips, 12 files" in str(scan.layout)
+    assert "reference long/<clip>/DSC<n>.ARW: 2 clips, 2 files" in str(scan.layout)
+    assert scan.layout.without_reference == ("M0003",)
+    for record in scan.records:
+        assert record.split == {"0007": "test", "0013": "test", "M0003": "dynamic"}[record.scene]
+        if record.role == "noisy":
+            assert record.reference == (None if record.scene == "M0003" else f"long/{record.scene}/DSC00001.ARW")
+
+
+def test_parts_in_folders_of_their_own(tmp_path: Path) -> None:
+    write_raw_clip(tmp_path, "0007", 2, short="short1")
+    write_raw_clip(tmp_path, "0013", 2, short="short4")
+    kinds = scan_raw(tmp_path).layout.kinds
+    assert [name for _, name, *_ in kinds] == ["short1/<clip>/DSC<n>.ARW", "short4/<clip>/DSC<n>.ARW",
+                                               "long/<clip>/DSC<n>.ARW"]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("stray", "message"),
+    [
+        ("short/DSC00001.ARW", r"cannot tell to which clip 1 raw files belong, such as short/DSC00001.ARW"),
+        ("0007/DSC00001.ARW", r"cannot tell .* 0007/DSC00001.ARW"),
+        ("short/0999/DSC00001.ARW", r"cannot tell .* short/0999"),
+        ("short/0007/0013/DSC00001.ARW", r"cannot tell .* short/0007/0013"),
+        ("long/short/0007/DSC00001.ARW", r"cannot tell .* long/short"),
+        ("short2/0007/DSC09999.ARW", r"clip 0007 lies in 2 folders: short/0007, short2/0007"),
+        ("long/0007/DSC00002.ARW", r"clip 0007 has 2 long exposures, and which is the reference is not published"),
+    ],
+)
+def test_what_cannot_be_told_is_an_error(stray: str, message: str, tmp_path: Path) -> None:
+    write_raw_clip(tmp_path, "0007", 2)
+    (tmp_path / stray).parent.mkdir(parents=True, exist_ok=True)
+    shutil.copy(tmp_path / "short/0007/DSC00998.ARW", tmp_path / stray)
+    with pytest.raises(DatasetError, match=message):
+        scan_raw(tmp_path)
+
+
+def test_no_raws_at_all(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="holds no camera raw of a clip"):
+        scan_raw(tmp_path)
+
+
+def test_the_reference_is_named_where_there_are_several(tmp_path: Path) -> None:
+    data = tmp_path / "DRV"
+    write_raw_clip(data, "0007", 2)
+    write_raw(data / "long/0007/DSC00002.ARW", REFERENCE)
+    scan = scan_raw(data, reference="*2.ARW")
+    assert {row.reference for row in scan.records if row.role == "noisy"} == {"long/0007/DSC00002.ARW"}
+    assert [row.path for row in scan.records if UNUSED in row.flags] == ["long/0007/DSC00001.ARW"]
+    assert verify([scan.save(tmp_path / "raw.csv")], tmp_path, level="metadata").ok
+
+
+def test_long_raws_of_dynamic_clips_are_left_out(tmp_path: Path) -> None:
+    write_raw_clip(tmp_path, "M0003", 2)
+    write_raw(tmp_path / "long/M0003/DSC00001.ARW", REFERENCE)
+    scan = scan_raw(tmp_path)
+    assert {record.role for record in scan.records} == {"noisy"}
+    assert scan.notes == ("1 raws of dynamic clips below long are left out",)
+
+
+@pytest.fixture
+def raw(tmp_path: Path) -> SmallDrv:
+    for clip in CLIPS:
+        write_raw_clip(tmp_path / "data" / "DRV", clip, 4)
+    scan_raw(tmp_path / "data" / "DRV").save(tmp_path / "drv-raw.csv")
+    return SmallDrv(tmp_path / "drv-raw.csv", tmp_path / "data")
+
+
+RAW_FRAME = "short/0007/DSC00999.ARW"
+
+
+def retake(data: Path) -> None:
+    write_raw(data / RAW_FRAME, replace(NOISY, iso=Fraction(3200)))
+
+
+def other_camera(data: Path) -> None:
+    write_raw(data / RAW_FRAME, NOISY, sensor=replace(SENSOR, model="ILCE-7SM2"))
+
+
+def cut_raw(data: Path) -> None:
+    (data / RAW_FRAME).write_bytes((data / RAW_FRAME).read_bytes()[:4000])
+
+
+@pytest.mark.parametrize(
+    ("damage", "level", "expected"),
+    [
+        (lambda data: (data / RAW_FRAME).unlink(), "quick", {(RAW_FRAME, "file")}),
+        (
+            lambda data: (data / RAW_FRAME).rename((data / RAW_FRAME).with_name("DSC02000.ARW")),
+            "quick",
+            {(RAW_FRAME, "file"), ("short/0007/DSC02000.ARW", "file")},
+        ),
+        (cut_raw, "metadata", {(RAW_FRAME, "content")}),
+        (other_camera, "metadata", {(RAW_FRAME, "camera")}),
+        (retake, "metadata", {(RAW_FRAME, "exposure")}),
+        (
+            lambda data: swap(data / RAW_FRAME, data / "long/0007/DSC00001.ARW"),
+            "metadata",
+            {(RAW_FRAME, "exposure"), ("long/0007/DSC00001.ARW", "exposure")},
+        ),
+    ],
+)
+def test_what_shows_in_raws(
+    damage: Callable[[Path], object], level: Level, expected: set[tuple[str, str]], raw: SmallDrv
+) -> None:
+    assert verify([raw.manifest], raw.root, level="full").ok
+    damage(raw.data)
+    problems = verify([raw.manifest], raw.root, level=level).problems
+    assert {(problem.path, problem.field) for problem in problems} == expected
+
+
+def test_frames_of_equal_exposure_that_are_swapped_show_once_locked(raw: SmallDrv) -> None:
+    assert lock(raw.csv, raw.root).files_locked == 14
+    swap(raw.data / RAW_FRAME, raw.data / "short/0013/DSC00999.ARW")
+    problems = verify([raw.manifest], raw.root, level="full").problems
+    assert {(problem.path, problem.field) for problem in problems} == {
+        (RAW_FRAME, "sha256"),
+        ("short/0013/DSC00999.ARW", "sha256"),
+    }
+
+
+def test_the_card_can_be_read_back(raw: SmallDrv) -> None:
+    card = load_card(raw.csv.with_suffix(".json"))
+    assert (card.name, card.folder) == ("drv-raw", "DRV")
+    assert "camera raws of one copy" in card.title
+
+
+def test_records_of_a_pattern_and_of_a_file_mix(drv: SmallDrv) -> None:
+    rows = [*drv.manifest.records, FrameRecord("long/0007/DSC00001.ARW", "reference", "SonyRX100M6", scene="0007")]
+    assert len(expand(rows, drv.data)) == 21

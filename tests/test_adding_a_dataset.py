@@ -1,0 +1,171 @@
+"""docs/adding-a-dataset.md, executed: its blocks are written to the files that they name, and its commands run."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eldata.raw import write_dng
+from eldata.records import Exposure, Sensor
+
+ROOT = Path(__file__).parents[1]
+DOCUMENT = ROOT / "docs" / "adding-a-dataset.md"
+_FENCE = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block: ``kind`` is ``diff``, ``sh`` or the language of a whole file, ``path`` where it belongs."""
+
+    kind: str
+    path: str
+    text: str
+
+
+def blocks(section: str) -> list[Block]:
+    """The blocks below a heading of the second level."""
+    sections = dict(part.split("\n", 1) for part in DOCUMENT.read_text(encoding="utf-8").split("\n## ")[1:])
+    return [Block(*found) for found in _FENCE.findall(sections[section])]
+
+
+def apply_change(text: str, change: str) -> str:
+    """Change a file's text as a diff without line numbers says; each hunk fits in one place, or the page is old."""
+    for hunk in change.split("@@\n"):
+        lines = hunk.splitlines(keepends=True)
+        before = "".join(line[1:] for line in lines if line[0] != "+")
+        assert text.count(before) == 1, f"{text.count(before)} places fit:\n{before}"
+        text = text.replace(before, "".join(line[1:] for line in lines if line[0] != "-"))
+    return text
+
+
+class Place:
+    """A folder in which a section's blocks are executed; what lies in ``source`` is imported first."""
+
+    def __init__(self, folder: Path, source: Path) -> None:
+        self.folder = folder
+        path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+        self._environment = {**os.environ, "PYTHONPATH": str(source), "PATH": path}
+        self._environment.pop("ELDATA_ROOT", None)
+
+    def run(self, commands: str) -> str:
+        """Run shell commands; what they print."""
+        done = subprocess.run(
+            ["/bin/bash", "-euc", commands],
+            cwd=self.folder,
+            env=self._environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            timeout=300,
+        )
+        assert done.returncode == 0, done.stdout
+        return done.stdout
+
+    def execute(self, found: list[Block]) -> str:
+        """Take blocks in their order; what the commands print."""
+        printed = ""
+        for block in found:
+            path = self.folder / block.path
+            if block.kind == "sh":
+                printed += self.run(block.text)
+            elif block.kind == "diff":
+                path.write_text(apply_change(path.read_text(encoding="utf-8"), block.text), encoding="utf-8")
+            else:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_text(block.text, encoding="utf-8")
+        return printed
+
+
+def test_the_page_has_what_is_tested() -> None:
+    for section, files in (("Your own files", 2), ("From a package of yours", 3), ("In eldata", 6)):
+        found = blocks(section)
+        assert sum(block.kind not in ("sh", "diff") for block in found) == files
+        assert all(bool(block.path) != (block.kind == "sh") for block in found), "a block is a file or commands"
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"), [("a\nb\nc\n", "a\nb\nnew\nc\n"), ("b\nb\nc\n", "b\nb\nnew\nc\n"), ("a\n", None)]
+)
+def test_changes_are_applied_where_they_fit(text: str, expected: str | None) -> None:
+    change = " b\n+new\n c\n"
+    if expected is None:
+        with pytest.raises(AssertionError, match="0 places fit"):
+            apply_change(text, change)
+    else:
+        assert apply_change(text, change) == expected
+
+
+# --- a set of one's own -----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def mine(tmp_path: Path) -> Place:
+    """A folder with two scenes in data/MINE."""
+    generator = np.random.default_rng(3)
+    sensor = Sensor("MAKER", "MODEL 3", ((0, 1), (3, 2)), (512.0,) * 4, 16300.0, 32, 48)
+    for scene in ("hall", "stairs"):
+        folder = tmp_path / "data" / "MINE" / scene
+        folder.mkdir(parents=True)
+        light = generator.uniform(0, 15000, (32, 48))
+        for name, factor in (("clean", 1), ("dark_100", 100), ("dark_200", 200)):
+            mosaic = np.rint(light / factor + 512 + generator.normal(0, 3, light.shape)).clip(0).astype(np.uint16)
+            iso, seconds = (Fraction(100), Fraction(4)) if factor == 1 else (Fraction(1600), Fraction(1, 4 * factor))
+            write_dng(folder / f"{name}.dng", mosaic, sensor, Exposure(iso, seconds))
+    return Place(tmp_path, ROOT)
+
+
+def test_your_own_files_and_a_package_of_yours(mine: Place) -> None:
+    printed = mine.execute(blocks("Your own files"))
+    assert "mine: 6 of 6 files checked (metadata) in data/MINE: all well" in printed
+    assert "PairDataset('data/MINE', 4 pairs, cameras: MyCamera; 2 scenes" in printed
+    assert "4 of 4 pairs" in printed
+    assert "sha256:" in (mine.folder / "mine.csv").read_text()
+
+    package = blocks("From a package of yours")
+    mine.execute(package)
+    for name in ("mine.csv", "mine.json"):
+        shutil.copy(mine.folder / name, mine.folder / "hallway" / name)
+    # What pip leaves of the project file, so that no package index is needed.
+    (project,) = [tomllib.loads(block.text)["project"] for block in package if block.path == "pyproject.toml"]
+    info = mine.folder / "hallway-1.0.dist-info"
+    info.mkdir()
+    info.joinpath("METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: 1.0\n")
+    for group, points in project["entry-points"].items():
+        lines = [f"{name} = {place}\n" for name, place in points.items()]
+        info.joinpath("entry_points.txt").write_text(f"[{group}]\n{''.join(lines)}")
+    assert mine.run("python open_it.py").startswith("HallwayDataset('data/MINE', 4 pairs")
+
+
+# --- a set in eldata --------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def checkout(tmp_path: Path) -> Place:
+    """A copy of the sources, with the kernels that are compiled already."""
+    for name in ("eldata", "tests", "manifests"):
+        shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("*.pyc"))
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    return Place(tmp_path, tmp_path)
+
+
+def test_a_published_set_in_eldata(checkout: Place) -> None:
+    found = blocks("In eldata")
+    printed = checkout.execute(found)
+    assert "night: Two cameras at night (NIGHT) (manifest version 1.0)" in printed
+    assert "night: 20 of 20 files checked (full) in data/NIGHT: all well" in printed
+    assert re.search(r"^[0-9]+ passed, [0-9]+ deselected", printed, re.MULTILINE)
+    assert "night, protocol night: 4 of 4 pairs" in printed
+    sources = [block.path for block in found if block.path.endswith((".py", ".pyi"))]
+    checkout.run(f"ruff check --no-cache {' '.join(sources)}")
+    wholes = [block.path for block in found if block.kind == "python"]
+    checkout.run(f"ruff format --no-cache --check {' '.join(wholes)}")

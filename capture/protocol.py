@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from eldata.errors import ArgumentError
 
@@ -164,3 +164,6 @@ PAPER = CaptureProtocol(low_light_factors=(100, 200))
 
 Its frames are numbered on their own, 1 to 10; the released files keep the numbers of :data:`RELEASED`.
 """
+
+PROTOCOLS: Final = {"released": RELEASED, "paper": PAPER}
+"""The named protocols."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
+    from datetime import datetime
     from fractions import Fraction
     from pathlib import Path
 
@@ -90,12 +91,16 @@ class Exposure:
 
 @dataclass(frozen=True, slots=True)
 class RawHeader:
-    """What a raw file says of itself before its pixels are decoded."""
+    """What a raw file says of itself before its pixels are decoded.
+
+    ``taken``: by the camera's clock, which knows no time zone, with a fraction of a second where the file has one.
+    """
 
     path: Path
     make: str
     model: str
     exposure: Exposure
+    taken: datetime | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

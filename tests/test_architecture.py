@@ -56,13 +56,19 @@ def test_imports_load_neither_torch_nor_rawpy(code: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "command", ["", "verify", "lock", "evaluate", "demo", "calibrate", "synthesize", "profile", "profile show"]
+    "command",
+    [
+        *("", "verify", "lock", "evaluate", "demo", "calibrate", "synthesize", "profile", "profile show"),
+        *("info", "download", "pack"),
+    ],
 )
 def test_help_loads_neither_torch_nor_rawpy(command: str) -> None:
     assert loaded_after(RUN_ELDATA, *command.split(), "--help") == set()
 
 
-@pytest.mark.parametrize("command", ["", "protocol"])
+@pytest.mark.parametrize(
+    "command", ["", "protocol", "camera", "plan", "checklist", "manifest", "check", "run"]
+)
 def test_help_of_capture_loads_neither_torch_nor_rawpy(command: str) -> None:
     assert loaded_after(RUN_CAPTURE, *command.split(), "--help") == set()
 
@@ -165,6 +171,11 @@ ALLOWED = {
     "eldata._compiled": ("nothing",),
     "eldata.raw": ("eldata.records", "eldata.errors", "eldata.files", "eldata._compiled"),
     "eldata.metrics": ("eldata.errors", "eldata._compiled", "eldata.tensors"),
+    "eldata.store": (
+        *("eldata.manifest", "eldata.raw", "eldata.records", "eldata.errors", "eldata.files", "eldata.parallel"),
+        "eldata.__version__",  # which a store states
+    ),
+    "eldata.download": ("eldata.manifest", "eldata.records", "eldata.errors", "eldata.files"),
     "capture": (
         *("eldata.records", "eldata.manifest", "eldata.raw", "eldata.errors", "eldata.files"),
         # What the two command lines share, as light as errors; files are read by several processes.
@@ -187,8 +198,9 @@ REFUSED = {
 @pytest.mark.parametrize("room", ALLOWED)
 def test_a_room_imports_only(room: str) -> None:
     found = violations(room, allowed=ALLOWED[room])
-    # The version alone, which every command prints.
-    assert [(importer, name) for importer, name in found if (room, name) != ("capture", "eldata")] == []
+    # The version alone, which every command prints and every download tells the server.
+    tells_the_version = room in ("capture", "eldata.download")
+    assert [(importer, name) for importer, name in found if not (tells_the_version and name == "eldata")] == []
 
 
 @pytest.mark.parametrize("room", REFUSED)
@@ -298,8 +310,10 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_wheel_holds_what_it_must(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
-    for name in ("eld.csv", "eld.json", "sid-sony.csv", "sid-sony.json", "sid-fuji.csv", "sid-fuji.json"):
-        assert f"eldata/manifest/shipped/{name}" in names
+    for name in ("eld", "sid-sony", "sid-fuji", "drv"):
+        assert {f"eldata/manifest/shipped/{name}.csv", f"eldata/manifest/shipped/{name}.json"} <= names
+    beside = {path.name for path in (ROOT / "manifests").iterdir() if path.suffix in (".csv", ".json")}
+    assert {Path(name).name for name in names if name.startswith("eldata/manifest/shipped/")} == beside
     assert {"eldata/py.typed", "capture/py.typed"} <= names
     sources = [*(ROOT / "eldata").rglob("*.py*"), *(ROOT / "capture").rglob("*.py*")]
     ours = {path.relative_to(ROOT).as_posix() for path in sources if path.suffix in (".py", ".pyi")}

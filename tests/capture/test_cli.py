@@ -164,12 +164,14 @@ def test_without_arguments_asks_for_a_command(capsys: pytest.CaptureFixture[str]
     assert errors.endswith("capture: a command is needed; see capture --help\n")
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["protocol", "--help"]])
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["protocol", "--help"], ["plan", "--help"], ["camera", "--help"], ["manifest", "--help"]]
+)
 def test_help(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(arguments) == 0
     output = capsys.readouterr().out
     assert output.startswith("usage: capture ")
-    assert "protocol" in output
+    assert ("protocol" if arguments == ["--help"] else f"capture {arguments[0]}") in output
 
 
 def test_arguments_of_the_process_are_the_default(
@@ -180,7 +182,17 @@ def test_arguments_of_the_process_are_the_default(
     assert capsys.readouterr().out == METERED
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["protocol", "--help"], ["protocol", "--metered", "4"]])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--help"],
+        ["protocol", "--help"],
+        ["plan", "--help"],
+        ["camera", "--help"],
+        ["manifest", "--help"],
+        ["protocol", "--metered", "4"],
+    ],
+)
 def test_heavy_packages_stay_out(arguments: list[str]) -> None:
     code = (
         "import sys, capture\n"

@@ -1,100 +1,66 @@
-"""The command ``capture``: what to photograph, on the terminal."""
+"""`capture protocol`: the frames of one scene, on the terminal."""
 
 from __future__ import annotations
 
-import argparse
-import re
-from fractions import Fraction
 from typing import TYPE_CHECKING
 
+from capture.cli.values import seconds, spaced, whole
 from capture.protocol import RELEASED, CaptureProtocol
-from eldata import __version__
-from eldata.console import OK, Parser, add_debug, add_json, run, write_json
+from eldata.console import OK, add_debug, add_json, write_json
 from eldata.tables import text_table
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Sequence
+    from fractions import Fraction
 
     from capture.protocol import ProtocolFrame
 
-# Bounded: a mistyped key must not ask for products of thousands of digits.
-_WHOLE = re.compile(r"-?[0-9]{1,9}")
-_SECONDS = re.compile(r"-?(?:[0-9]{1,9}(?:/[0-9]{1,9}|\.[0-9]{1,9})?|\.[0-9]{1,9})")
 
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command ``capture``; return its exit code (:mod:`eldata.console`)."""
-    return run(_parser(), argv)
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = Parser(prog="capture", description="Photograph scenes for a low-light denoising dataset.")
-    parser.add_argument("--version", action="version", version=f"capture {__version__}")
-    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
-    protocol = commands.add_parser(
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add this command."""
+    parser = commands.add_parser(
         "protocol",
         help="print the frames of one scene: order, ISO, low-light factor, exposure time, reference",
         description="Print the frames that the capture protocol takes of one scene, in order. The defaults "
         "are those of the released ELD dataset; the paper's own settings are --factors 100 200.",
     )
-    protocol.add_argument(
+    parser.add_argument(
         "--metered",
-        type=_seconds,
+        type=seconds,
         metavar="SECONDS",
         help="time that exposes the scene well at the base ISO, as 4, 1/2 or 0.5; adds the exposure times",
     )
-    protocol.add_argument(
+    parser.add_argument(
         "--base-iso",
-        type=_whole,
+        type=whole,
         default=RELEASED.base_iso,
         metavar="ISO",
         help="ISO of the references (default: %(default)s)",
     )
-    protocol.add_argument(
+    parser.add_argument(
         "--isos",
-        type=_whole,
+        type=whole,
         nargs="+",
         default=RELEASED.noisy_isos,
         metavar="ISO",
-        help=f"ISOs of the noisy frames (default: {_spaced(RELEASED.noisy_isos)})",
+        help=f"ISOs of the noisy frames (default: {spaced(RELEASED.noisy_isos)})",
     )
-    protocol.add_argument(
+    parser.add_argument(
         "--factors",
-        type=_whole,
+        type=whole,
         nargs="+",
         default=RELEASED.low_light_factors,
         metavar="FACTOR",
-        help=f"low-light factors (default: {_spaced(RELEASED.low_light_factors)})",
+        help=f"low-light factors (default: {spaced(RELEASED.low_light_factors)})",
     )
-    add_json(protocol)
-    add_debug(protocol)
-    protocol.set_defaults(run=_protocol, command="protocol")
-    return parser
+    add_json(parser)
+    add_debug(parser)
+    parser.set_defaults(run=run, command="protocol")
 
 
-def _spaced(numbers: Sequence[int]) -> str:
-    return " ".join(map(str, numbers))
-
-
-def _whole(text: str) -> int:
-    if _WHOLE.fullmatch(text) is None:
-        raise argparse.ArgumentTypeError(f"expected a whole number of at most nine digits, found {text!r}")
-    return int(text)
-
-
-def _seconds(text: str) -> Fraction:
-    if _SECONDS.fullmatch(text) is None:
-        raise argparse.ArgumentTypeError(f"expected seconds such as 4, 1/2 or 0.5, found {text!r}")
-    try:
-        seconds = Fraction(text)
-    except ZeroDivisionError:
-        raise argparse.ArgumentTypeError(f"expected seconds such as 1/2, found {text!r}: a division by 0") from None
-    if seconds <= 0:
-        raise argparse.ArgumentTypeError(f"expected a time above 0 seconds, found {text!r}")
-    return seconds
-
-
-def _protocol(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Run this command."""
     protocol = CaptureProtocol(options.base_iso, tuple(options.isos), tuple(options.factors))
     metered_s: Fraction | None = options.metered
     frames = protocol.frames()

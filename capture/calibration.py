@@ -1,0 +1,159 @@
+"""Which calibration frames to take: bias frames, and flat-field frames in pairs, for each ISO.
+
+The recipe and where it comes from:
+
+- Bias frames: "under a lightless environment with the shortest exposure time ... at a dark room and the camera lens is
+  capped-on" (the paper, section 3.3). Ten an ISO: the noise's shape needs some, and from six on one is kept out to test
+  the result (docs/calibration.md). The paper gives no number; EMVA 1288 takes two dark frames an exposure time, which
+  is enough for a variance but not for a distribution.
+- Flats: "a white paper on a uniformly-lit wall ... the lens is focused on infinity" (the paper). Two of each exposure,
+  one after the other, since the difference of two equal frames is free of shading and fixed pattern (EMVA 1288). Six
+  levels from a tenth to nine tenths of the range (docs/calibration.md: four to eight; EMVA 1288 asks for many more, to
+  test linearity, where we want a slope).
+- ISOs: full stops from the base ISO to the highest noisy one, since a camera with two conversion gains changes its
+  noise at one of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING, Final
+
+from capture.errors import ImpossibleShotError, PlanError
+from capture.exact import ExactNumber, as_exact
+from capture.shots import Shot
+
+if TYPE_CHECKING:
+    from capture.camera import CameraDescription, ShutterTime
+    from capture.protocol import CaptureProtocol
+
+BIAS_FRAMES: Final = 10
+LEAST_BIAS_FRAMES: Final = 4  # below, eldata calibrate refuses
+FRAMES_A_LEVEL: Final = 2
+# Wanted mean of the flats over the range above black. Their distances stay above half a stop, so that rounding down to
+# thirds or halves of a stop leaves them apart.
+FLAT_LEVELS: Final = tuple(Fraction(text) for text in ("1/10", "1/6", "1/4", "2/5", "3/5", "9/10"))
+SOURCES: Final = (
+    "Wei, Fu, Zheng and Yang, TPAMI 2021, section 3.3: what bias and flat-field frames are, and how to take them",
+    "EMVA Standard 1288: two frames of each exposure, differenced",
+    "docs/calibration.md: how many, and at which levels",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationPlan:
+    """The calibration frames to take.
+
+    Attributes
+    ----------
+    isos
+        Rising.
+    bias_frames
+        Number of bias frames at each ISO.
+    flat_levels
+        Wanted means of the flats, as shares of the range over black; two frames of each.
+    flat_clips_at_s
+        Exposure time at the base ISO from which on the evenly lit surface clips.
+    shots
+        Bias frames of all ISOs, then, cap off, the flats of all ISOs by rising exposure.
+    remarks
+        What the plan had to leave out.
+    """
+
+    isos: tuple[int, ...]
+    bias_frames: int
+    flat_levels: tuple[Fraction, ...]
+    flat_clips_at_s: Fraction
+    shots: tuple[Shot, ...]
+    remarks: tuple[str, ...] = ()
+
+
+def default_isos(camera: CameraDescription, protocol: CaptureProtocol) -> tuple[int, ...]:
+    """Return the full stops from the base ISO to the highest noisy ISO, and the protocol's own ISOs."""
+    stops = {protocol.base_iso * 2**stop for stop in range(32)}
+    used = {protocol.base_iso, *protocol.noisy_isos}
+    return tuple(iso for iso in camera.isos if iso in used or (iso in stops and iso <= max(protocol.noisy_isos)))
+
+
+def plan_calibration(
+    camera: CameraDescription,
+    base_iso: int,
+    isos: tuple[int, ...],
+    flat_clips_at_s: Fraction,
+    *,
+    bias_frames: int = BIAS_FRAMES,
+    flat_levels: tuple[Fraction, ...] = FLAT_LEVELS,
+) -> CalibrationPlan:
+    """Return the calibration frames of a camera.
+
+    Raises
+    ------
+    PlanError
+        If the camera has no such ISO, or a number is out of its range.
+    ImpossibleShotError
+        If a flat needs a time that the camera does not have; the message says what to change.
+    """
+    for iso in isos:
+        if iso not in camera.isos:
+            raise PlanError(f"{camera.name} has no ISO {iso}; it has {', '.join(map(str, camera.isos))}")
+    if not isos or list(isos) != sorted(set(isos)):
+        raise PlanError(f"calibration ISOs: expected one or more, rising; found {list(isos)}")
+    if bias_frames < LEAST_BIAS_FRAMES:
+        raise PlanError(f"bias frames an ISO: expected {LEAST_BIAS_FRAMES} or more, found {bias_frames}")
+    if (
+        not flat_levels
+        or list(flat_levels) != sorted(set(flat_levels))
+        or not 0 < flat_levels[0] <= flat_levels[-1] < 1
+    ):
+        raise PlanError(
+            f"flat levels: expected shares between 0 and 1, rising; found {', '.join(map(str, flat_levels))}"
+        )
+    shots: list[Shot] = []
+    remarks: list[str] = []
+    clips_at = _given(camera, flat_clips_at_s)
+    for iso in isos:
+        fastest = camera.fastest
+        shots += [Shot(len(shots) + 1 + n, "bias", iso, fastest.nominal_s, fastest) for n in range(bias_frames)]
+    for iso in isos:
+        taken: list[Fraction] = []
+        for level in flat_levels:
+            target_s = flat_clips_at_s * level * Fraction(base_iso, iso)
+            setting = _flat_setting(camera, iso, level, clips_at * level * Fraction(base_iso, iso), flat_clips_at_s)
+            if setting.nominal_s in taken:
+                remarks.append(
+                    f"ISO {iso}: no flats at {float(100 * level):.0f} %, which the camera's steps round to "
+                    f"{setting.dial} s again"
+                )
+                continue
+            taken.append(setting.nominal_s)
+            numbers = range(len(shots) + 1, len(shots) + 1 + FRAMES_A_LEVEL)
+            shots += [Shot(n, "flat", iso, target_s, setting, level=level) for n in numbers]
+    return CalibrationPlan(isos, bias_frames, flat_levels, flat_clips_at_s, tuple(shots), tuple(remarks))
+
+
+def _given(camera: CameraDescription, seconds: Fraction) -> ExactNumber:
+    """Return what the camera gives for a time that it may have a setting of."""
+    named = camera.named(seconds)
+    return as_exact(seconds) if named is None else named.true_exact
+
+
+def _flat_setting(
+    camera: CameraDescription, iso: int, level: Fraction, wanted: ExactNumber, clips_at_s: Fraction
+) -> ShutterTime:
+    what = f"the flat of {float(100 * level):.0f} % at ISO {iso} needs {float(wanted):.3g} s"
+    # Rounded down, never up: a flat that clips is of no use, a darker one is.
+    setting = camera.not_above(wanted)
+    if setting is None or setting == camera.fastest:
+        second = camera.shutter.times[min(1, len(camera.shutter.times) - 1)]
+        least_s = float(second.true_exact / wanted) * float(clips_at_s)
+        raise ImpossibleShotError(
+            f"{what}, and the fastest time that {camera.name} has for flats is {second.dial} s (the one above it is "
+            "that of the bias frames, which EXIF could not tell apart). Dim its light, stop down or add a "
+            f"neutral-density filter until it clips at {least_s:.2g} s or later, or leave ISO {iso} out"
+        )
+    if camera.slowest.true_exact * ExactNumber(Fraction(1), camera.shutter.step) < wanted:
+        raise ImpossibleShotError(
+            f"{what}, and {camera.name}'s slowest time is {camera.slowest.dial} s: light the surface more or open up"
+        )
+    return setting

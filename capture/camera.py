@@ -1,0 +1,397 @@
+"""What a camera can be set to: its exposure times, ISOs and file names.
+
+A shutter time has two values. The camera *names* it 1/60 s, on its dial and mostly in EXIF; what it *gives* is a step
+of an even ladder of powers of two, 1/64 s. Names were rounded for people: 15 s is 16 s, 0.3 s is 2^(-5/3) = 0.315 s.
+Exposure ratios follow from what is given. So both are kept.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from bisect import bisect_left
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args
+
+from capture.errors import CameraError
+from capture.exact import ExactNumber, as_exact, parse_seconds
+from capture.fields import Fields
+from eldata.errors import ArgumentError
+from eldata.files import write_text
+from eldata.raw.extensions import RAW_EXTENSIONS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+SCHEMA: Final = 1
+TrueTimes = Literal["powers-of-two", "as-named"]
+Cfa = Literal["bayer", "xtrans"]
+
+_NAME: Final = re.compile(r"[A-Za-z0-9][\w.+-]*", re.ASCII)
+
+# The times as cameras name them, from 2^-15 s in steps of a third and from 2^-14 s in steps of half a stop. Steps of
+# halves and thirds share some names with other meanings: 10 s is 2^(10/3) s by thirds and 2^(7/2) s by halves.
+_THIRDS: Final = tuple(
+    """
+1/32000 1/25600 1/20000 1/16000 1/12800 1/10000 1/8000 1/6400 1/5000 1/4000 1/3200 1/2500 1/2000 1/1600 1/1250 1/1000
+1/800 1/640 1/500 1/400 1/320 1/250 1/200 1/160 1/125 1/100 1/80 1/60 1/50 1/40 1/30 1/25 1/20 1/15 1/13 1/10 1/8 1/6
+1/5 1/4 0.3 0.4 0.5 0.6 0.8 1 1.3 1.6 2 2.5 3.2 4 5 6 8 10 13 15 20 25 30 40 50 60
+""".split()  # noqa: SIM905 # read as a dial, not as a list
+)
+_HALVES: Final = tuple(
+    """
+1/16000 1/12000 1/8000 1/6000 1/4000 1/3000 1/2000 1/1500 1/1000 1/750 1/500 1/350 1/250 1/180 1/125 1/90 1/60 1/45
+1/30 1/20 1/15 1/10 1/8 1/6 1/4 0.3 0.5 0.7 1 1.5 2 3 4 6 8 10 15 20 30 45 60
+""".split()  # noqa: SIM905 # read as a dial, not as a list
+)
+_LADDERS: Final[dict[Fraction, tuple[tuple[str, ...], int]]] = {
+    Fraction(1, 3): (_THIRDS, -15),
+    Fraction(1, 2): (_HALVES, -14),
+    Fraction(1): (_THIRDS[::3], -15),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ShutterTime:
+    """One setting of the shutter.
+
+    Attributes
+    ----------
+    dial
+        As the camera shows it: ``1/60``, ``0.3``, ``15``.
+    nominal_s
+        What the name says, in seconds: what EXIF states with most makers.
+    true_exact
+        What the camera gives, in seconds.
+    """
+
+    dial: str
+    nominal_s: Fraction
+    true_exact: ExactNumber
+
+    @property
+    def true_s(self) -> float:
+        """What the camera gives, in seconds."""
+        return float(self.true_exact)
+
+    def stops_off(self, exposure_s: Fraction) -> float:
+        """Return how far a time lies from this setting, in stops: from its name or what it gives, the nearer one.
+
+        Some makers write the name into EXIF, others what the camera gives.
+        """
+        observed = as_exact(exposure_s)
+        return min(abs((observed / self.nominal_s).log2), abs((observed / self.true_exact).log2))
+
+
+@cache
+def ladder(step: Fraction) -> dict[Fraction, ShutterTime]:
+    """Return the standard times of a step (a third, half or full stop), fastest first, by what their names say."""
+    names, first = _LADDERS[step]
+    times = [
+        ShutterTime(name, parse_seconds(name), ExactNumber(Fraction(1), first + step * index))
+        for index, name in enumerate(names)
+    ]
+    return {time.nominal_s: time for time in times}
+
+
+@dataclass(frozen=True, slots=True)
+class Shutter:
+    """The exposure times of a camera.
+
+    Attributes
+    ----------
+    dials
+        Names of the times, fastest first.
+    step
+        Distance of the camera's steps in stops: 1/3, 1/2 or 1. It says what a name means.
+    true_times
+        ``"powers-of-two"``: names are rounded, what the camera gives is a power of two of its steps. ``"as-named"``:
+        the camera gives exactly what it names, as machine-vision cameras and phones do.
+
+    Raises
+    ------
+    CameraError
+        If there is no time, a time is named twice, or a name is none of the step's.
+    """
+
+    dials: tuple[str, ...]
+    step: Fraction = Fraction(1, 3)
+    true_times: TrueTimes = "powers-of-two"
+
+    def __post_init__(self) -> None:
+        if self.step not in _LADDERS:
+            raise CameraError(f"shutter step: expected 1/3, 1/2 or 1 stop, found {self.step}")
+        if self.true_times not in get_args(TrueTimes):
+            raise CameraError(
+                f"true_times: expected one of {', '.join(get_args(TrueTimes))}, found {self.true_times!r}"
+            )
+        if not self.dials:
+            raise CameraError("shutter times: expected at least one, found none")
+        nominal = [time.nominal_s for time in self.times]
+        for index, time in enumerate(nominal[1:], 1):
+            if time == nominal[index - 1]:
+                raise CameraError(f"shutter times: expected each time once, found {self.dials[index]} twice")
+            if time < nominal[index - 1]:
+                raise CameraError(
+                    f"shutter times: expected the fastest first, found {self.dials[index]} after "
+                    f"{self.dials[index - 1]}"
+                )
+
+    @classmethod
+    def between(cls, fastest: str, slowest: str, step: Fraction, true_times: TrueTimes = "powers-of-two") -> Shutter:
+        """Return the standard times from the fastest to the slowest.
+
+        Raises
+        ------
+        CameraError
+            If one of them is no standard time of this step, or the fastest is slower than the slowest.
+        """
+        if step not in _LADDERS:
+            raise CameraError(f"shutter step: expected 1/3, 1/2 or 1 stop, found {step}")
+        first, last = (_standard(name, step).nominal_s for name in (fastest, slowest))
+        if first > last:
+            raise CameraError(f"shutter: the fastest time, {fastest} s, is slower than the slowest, {slowest} s")
+        dials = tuple(time.dial for nominal_s, time in ladder(step).items() if first <= nominal_s <= last)
+        return cls(dials, step, true_times)
+
+    @property
+    def times(self) -> tuple[ShutterTime, ...]:
+        """The times, fastest first."""
+        return _times(self.dials, self.step, self.true_times)
+
+
+@cache
+def _times(dials: tuple[str, ...], step: Fraction, true_times: TrueTimes) -> tuple[ShutterTime, ...]:
+    if true_times == "powers-of-two":
+        return tuple(_standard(dial, step) for dial in dials)
+    nominal = [(dial, _seconds(dial)) for dial in dials]
+    return tuple(ShutterTime(dial, nominal_s, as_exact(nominal_s)) for dial, nominal_s in nominal)
+
+
+@cache
+def _borders(times: tuple[ShutterTime, ...]) -> tuple[ExactNumber, ...]:
+    """Return the squares of the borders between neighbouring times."""
+    return tuple(one.true_exact * other.true_exact for one, other in pairwise(times))
+
+
+def _seconds(name: str) -> Fraction:
+    try:
+        return parse_seconds(name)
+    except ArgumentError as error:
+        raise CameraError(f"shutter times: {error}") from None
+
+
+def _standard(name: str, step: Fraction) -> ShutterTime:
+    seconds = _seconds(name)
+    known = ladder(step)
+    found = known.get(seconds)
+    if found is not None:
+        return found
+    near = min(known.values(), key=lambda time: abs((as_exact(seconds) / time.nominal_s).log2))
+    raise CameraError(
+        f"shutter times: {name} s is no standard time in steps of {step} stop; the nearest is {near.dial} s. If the "
+        'camera has just this time, list its times and say "true_times": "as-named"'
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class CameraDescription:
+    """What a camera can be set to.
+
+    Attributes
+    ----------
+    name
+        Short name: its folder in the dataset, such as ``SonyA7S2``.
+    models
+        How the camera names itself in EXIF, under any name that it is sold by, such as ``ILCE-7SM2``.
+    raw_extension
+        Of its raw files, with the dot, as the files have it: ``.ARW``.
+    isos
+        The ISOs that it has, rising.
+    base_iso
+        The ISO of its references: the lowest that is not an extended ("L") one.
+    shutter
+        Its exposure times.
+    cfa
+        ``"bayer"`` or ``"xtrans"``.
+
+    Raises
+    ------
+    CameraError
+        If a field is not of its kind, or the base ISO is not among the ISOs.
+    """
+
+    name: str
+    models: tuple[str, ...]
+    raw_extension: str
+    isos: tuple[int, ...]
+    base_iso: int
+    shutter: Shutter
+    cfa: Cfa = "bayer"
+
+    def __post_init__(self) -> None:
+        if _NAME.fullmatch(self.name) is None:
+            raise CameraError(f"camera name: expected letters, digits and . _ + - as in SonyA7S2, found {self.name!r}")
+        if not self.models or not all(model.strip() == model and model for model in self.models):
+            raise CameraError(
+                f"models of {self.name}: expected the camera's name as EXIF has it, such as ILCE-7SM2 (one or more); "
+                f"found {list(self.models)}"
+            )
+        if self.raw_extension.lower() not in RAW_EXTENSIONS:
+            raise CameraError(
+                f"raw_extension of {self.name}: expected a raw file's, with the dot, such as .ARW or .CR2; found "
+                f"{self.raw_extension!r}"
+            )
+        if not self.isos or any(low >= high for low, high in pairwise(self.isos)):
+            raise CameraError(f"isos of {self.name}: expected one or more, rising; found {list(self.isos)}")
+        if self.base_iso not in self.isos:
+            raise CameraError(
+                f"base_iso of {self.name}: expected one of its ISOs, {', '.join(map(str, self.isos))}; found "
+                f"{self.base_iso}"
+            )
+        if self.cfa not in get_args(Cfa):
+            raise CameraError(f"cfa of {self.name}: expected {' or '.join(get_args(Cfa))}, found {self.cfa!r}")
+
+    @classmethod
+    def load(cls, path: Path | str) -> CameraDescription:
+        """Read a camera description.
+
+        Raises
+        ------
+        CameraError
+            If the file cannot be read, or a field is missing, unknown or wrong; the message names it.
+        """
+        path = Path(path)
+        top = Fields.of_file(path, CameraError)
+        top.schema(SCHEMA)
+        return camera_from(top)
+
+    def save(self, path: Path | str) -> None:
+        """Write the description as JSON, whole or not at all."""
+        write_text(path, json.dumps({"schema": SCHEMA} | camera_as_dict(self), indent=2) + "\n")
+
+    @property
+    def fastest(self) -> ShutterTime:
+        """The fastest time: that of bias frames."""
+        return self.shutter.times[0]
+
+    @property
+    def slowest(self) -> ShutterTime:
+        """The slowest time."""
+        return self.shutter.times[-1]
+
+    def named(self, seconds: Fraction) -> ShutterTime | None:
+        """Return the setting that is marked with this time, if there is one."""
+        return next((time for time in self.shutter.times if time.nominal_s == seconds), None)
+
+    def nearest(self, wanted_s: ExactNumber | Fraction) -> ShutterTime | None:
+        """Return the setting whose given time is nearest by ratio; of two equally near the faster.
+
+        ``None`` if the wanted time lies beyond the camera's fastest or slowest by more than half of a step there.
+        """
+        times, wanted = self.shutter.times, as_exact(wanted_s)
+        # Nearest by ratio: the border between two neighbours is the root of their product. Squares stay exact.
+        square = wanted * wanted
+        index = bisect_left(_borders(times), square)
+        if index in (0, len(times) - 1) and self._beyond(times, square, index):
+            return None
+        return times[index]
+
+    def _beyond(self, times: Sequence[ShutterTime], square: ExactNumber, index: int) -> bool:
+        end = times[index].true_exact
+        step = ExactNumber(Fraction(1), self.shutter.step)
+        if index == 0:
+            ratio = step if len(times) == 1 else times[1].true_exact / end
+            if square < end * end / ratio:
+                return True
+        if index == len(times) - 1:
+            ratio = step if len(times) == 1 else end / times[-2].true_exact
+            return end * end * ratio < square
+        return False
+
+    def not_above(self, wanted_s: ExactNumber | Fraction) -> ShutterTime | None:
+        """Return the slowest setting that gives no more than the wanted time; ``None`` if all give more."""
+        wanted = as_exact(wanted_s)
+        return next((time for time in reversed(self.shutter.times) if time.true_exact <= wanted), None)
+
+
+_FIELDS: Final = ("name", "models", "raw_extension", "isos", "base_iso", "shutter", "cfa")
+_SHUTTER_FIELDS: Final = ("step", "fastest", "slowest", "times", "true_times")
+
+
+def camera_from(top: Fields) -> CameraDescription:
+    """Return the camera description that stands in a JSON object."""
+    top.only(("schema", *_FIELDS))
+    shutter = top.inside("shutter")
+    shutter.only(_SHUTTER_FIELDS)
+    true_times = shutter.data.get("true_times", "powers-of-two")
+    if true_times not in get_args(TrueTimes):
+        raise shutter.wrong("true_times", f"one of {', '.join(get_args(TrueTimes))}", true_times)
+    step = shutter.seconds("step") if "step" in shutter.data or "times" not in shutter.data else Fraction(1, 3)
+    if step not in _LADDERS:
+        raise shutter.wrong("step", '"1/3", "1/2" or "1" (stops)', shutter.data["step"])
+    if "times" in shutter.data and {"fastest", "slowest"} & set(shutter.data):
+        raise shutter.wrong("times", "either a list of times, or fastest and slowest", "both")
+    cfa = top.data.get("cfa", "bayer")
+    if cfa not in get_args(Cfa):
+        raise top.wrong("cfa", f"one of {', '.join(get_args(Cfa))}", cfa)
+    values: dict[str, Any] = {
+        "name": top.text("name"),
+        "models": top.texts("models"),
+        "raw_extension": top.text("raw_extension"),
+        "isos": top.wholes("isos"),
+        "base_iso": top.whole("base_iso"),
+    }
+    try:
+        if "times" in shutter.data:
+            found = Shutter(shutter.texts("times"), step, true_times)
+        else:
+            found = Shutter.between(shutter.text("fastest"), shutter.text("slowest"), step, true_times)
+        return CameraDescription(**values, shutter=found, cfa=cfa)
+    except CameraError as error:
+        text = str(error)
+        raise error if text.startswith(f"{top.path}") else CameraError(f"{top.path}: {text}") from None
+
+
+def camera_as_dict(camera: CameraDescription) -> dict[str, Any]:
+    """Return a camera description as plain JSON types, without the schema number."""
+    shutter = camera.shutter
+    content: dict[str, Any] = {"step": str(shutter.step), "true_times": shutter.true_times}
+    if _is_standard_range(shutter):
+        content |= {"fastest": shutter.dials[0], "slowest": shutter.dials[-1]}
+    else:
+        content |= {"times": list(shutter.dials)}
+    return {
+        "name": camera.name,
+        "models": list(camera.models),
+        "raw_extension": camera.raw_extension,
+        "isos": list(camera.isos),
+        "base_iso": camera.base_iso,
+        "shutter": content,
+        "cfa": camera.cfa,
+    }
+
+
+def _is_standard_range(shutter: Shutter) -> bool:
+    try:
+        return shutter == Shutter.between(shutter.dials[0], shutter.dials[-1], shutter.step, shutter.true_times)
+    except CameraError:
+        return False
+
+
+EXAMPLE: Final = CameraDescription(
+    name="SonyA7S2",
+    models=("ILCE-7SM2",),
+    raw_extension=".ARW",
+    isos=(
+        *(100, 125, 160, 200, 250, 320, 400, 500, 640, 800, 1000, 1250, 1600, 2000, 2500, 3200, 4000, 5000, 6400, 8000),
+        *(10000, 12800, 16000, 20000, 25600),
+    ),
+    base_iso=100,
+    shutter=Shutter.between("1/8000", "30", Fraction(1, 3)),
+)
+"""The Sony A7S II of the released set, to start one's own description from."""

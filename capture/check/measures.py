@@ -1,0 +1,167 @@
+"""What a check finds: one measured value, its standard error, its limits and where they come from.
+
+A value counts as beyond a limit if it is further from what is expected than the limit *and* than ``sigmas`` standard
+errors: the limit says what would matter, the standard errors what cannot be chance.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Final, Literal, get_args
+
+from eldata.manifest.verify import RATIO_TOLERANCE
+from eldata.tables import with_error
+
+Verdict = Literal["keep", "look", "shoot again"]
+VERDICTS: Final[tuple[Verdict, ...]] = get_args(Verdict)
+
+SIGMAS: Final = 5.0
+"""Standard errors below which a deviation may be chance: 6e-7 for one normal value."""
+
+# A change of brightness by a share e makes the error e * rms of a frame against its reference. With an rms of 0.3 of
+# full scale it reaches the error of the best published denoising of ELD (46.5 dB at x100) at 1.6 %, and stays ten
+# decibels below it, where it changes a score by 0.4 dB, up to 0.5 %.
+_BEST_PSNR_DB: Final = 46.5
+_RMS_OF_SCENE: Final = 0.3
+BRIGHTNESS_AGAIN: Final = 10 ** (-_BEST_PSNR_DB / 20) / _RMS_OF_SCENE
+BRIGHTNESS_LOOK: Final = BRIGHTNESS_AGAIN / math.sqrt(10)
+BRIGHTNESS_SOURCE: Final = (
+    f"an error of that share, at an rms of {_RMS_OF_SCENE} of full scale, lies ten decibels below that of the best "
+    f"published denoising ({_BEST_PSNR_DB} dB, ELD x100); to shoot again: equals it"
+)
+
+RATIO_LOOK: Final = float(RATIO_TOLERANCE)
+RATIO_AGAIN: Final = 2 ** (1 / 3) - 1
+RATIO_SOURCE: Final = (
+    "the tolerance of eldata verify, for EXIF times that are rounded; to shoot again: a whole step of the shutter, a "
+    "third of a stop"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """From which deviation on to look and to shoot again, and why these.
+
+    Attributes
+    ----------
+    look, again
+        In the unit of the value; infinite where a value alone never leads there.
+    source
+        Where the limits come from, in words.
+    """
+
+    look: float
+    again: float
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class Measure:
+    """One measured value of a frame, of two, or of a scene.
+
+    Attributes
+    ----------
+    name
+        Such as ``"drift"``.
+    path
+        The file that it is about, as in the manifest; for two, the later one.
+    value, standard_error, expected
+        In ``unit``; the standard error is 0 for a count.
+    unit
+        ``"%"``, ``"px"`` (of the mosaic), ``"DN"`` or ``""``.
+    limits
+        Of the distance from ``expected``.
+    text
+        What it says, as a clause that the value fits behind: ``"brightness of R against IMG_0001.dng"``.
+    advice
+        What to do if it is beyond its limits.
+    sigmas
+        Standard errors that the deviation must exceed.
+    """
+
+    name: str
+    path: str
+    value: float
+    standard_error: float
+    expected: float
+    unit: str
+    limits: Limits
+    text: str
+    advice: str
+    sigmas: float = SIGMAS
+
+    @property
+    def deviation(self) -> float:
+        """Distance from what is expected, in the unit of the value."""
+        return abs(self.value - self.expected)
+
+    @property
+    def verdict(self) -> Verdict:
+        """What the value alone asks for."""
+        if self.deviation <= self.sigmas * self.standard_error:
+            return "keep"
+        if self.deviation > self.limits.again:
+            return "shoot again"
+        return "look" if self.deviation > self.limits.look else "keep"
+
+    def __str__(self) -> str:
+        unit = f" {self.unit}" if self.unit else ""
+        limits = [f"expected {self.expected:.4g}{unit}"] if self.expected else []
+        off = " off" if self.expected else ""
+        limits.append(f"look from {self.limits.look:.3g}{unit}{off}")
+        if math.isfinite(self.limits.again):
+            limits.append(f"shoot again from {self.limits.again:.3g}{unit}{off}")
+        found = with_error(self.value, self.standard_error)
+        return f"{self.path}: {self.name}: {self.text}: {found}{unit} ({', '.join(limits)}); {self.advice}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the measure as plain JSON types."""
+        return {
+            "name": self.name,
+            "path": self.path,
+            "value": _finite(self.value),
+            "standard_error": _finite(self.standard_error),
+            "expected": self.expected,
+            "unit": self.unit,
+            "look_from": _finite(self.limits.look),
+            "shoot_again_from": _finite(self.limits.again),
+            "limits_from": self.limits.source,
+            "least_standard_errors": self.sigmas,
+            "verdict": self.verdict,
+            "text": self.text,
+            "advice": self.advice,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A value and its standard error."""
+
+    value: float
+    standard_error: float
+
+
+@dataclass(frozen=True, slots=True)
+class Remark:
+    """What cannot be put as a measure: a file that cannot be read, a reference that is not there."""
+
+    path: str
+    text: str
+    verdict: Verdict
+
+    def __str__(self) -> str:
+        return f"{self.path}: {self.text}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the remark as plain JSON types."""
+        return {"path": self.path, "text": self.text, "verdict": self.verdict}
+
+
+def worst(verdicts: list[Verdict]) -> Verdict:
+    """Return the most severe verdict; ``"keep"`` of none."""
+    return max(verdicts, key=VERDICTS.index, default="keep")
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,188 @@
+"""The exposure ratio that the pixels show: a line through the block means of a noisy frame over those of its reference.
+
+``mean_noisy = offset_c + mean_reference / ratio`` over all strips of 4 x 16 packed pixels that are not clipped, with an
+offset a channel, since the black level of a noisy frame may be off by some DN (colour bias), which at a ratio of 200
+is a good part of its signal. Weighted least squares with Huber's weights: the scatter as a function of the level comes
+from the residuals themselves, so no noise model is needed, and hot pixels count little. The standard error allows for
+any correlation within rows (row noise): clusters of one cell's height, sandwich estimator.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from capture.check.measures import SIGMAS, Estimate
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from capture.check.cells import Cells
+
+    Array = NDArray[np.float64]
+
+STRIP: Final = (1, 4)  # cells
+
+_ROUNDS: Final = 4
+_HUBER: Final = 2.5  # standard deviations
+_LEVELS: Final = 12  # bins of the scatter
+_LEAST_STRIPS: Final = 100
+_ZERO_SHARE: Final = (
+    0.01  # of pixels at 0 DN: black is clipped, and means of dark parts are no longer those of the light
+)
+_TO_SIGMA: Final = 1.4826
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Residuals:
+    """What is left of the strips of a frame after what another frame leads to expect, (C, rows, columns), DN.
+
+    Attributes
+    ----------
+    expected_dn
+        The expected signal.
+    residual_dn, sigma_dn
+        What is left, limited to 2.5 standard deviations, and its standard deviation; the latter is infinite for strips
+        that were left out.
+    """
+
+    expected_dn: Array
+    residual_dn: Array
+    sigma_dn: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RatioFit:
+    """The line through a noisy frame over its reference.
+
+    Attributes
+    ----------
+    slope
+        Signal of the noisy frame over that of the reference, with its standard error.
+    offset_dn
+        Of each channel, DN.
+    match
+        Share of the variance of the scene in the noisy frame that the reference explains, noise left out: 1 for the
+        same scene.
+    residuals
+        Of the line; ``slope * mean_reference`` is expected.
+    """
+
+    slope: Estimate
+    offset_dn: tuple[float, ...]
+    match: Estimate
+    residuals: Residuals
+
+    @property
+    def ratio(self) -> Estimate | None:
+        """The exposure ratio; ``None`` if the signal is not above five of its standard errors."""
+        slope, error = self.slope.value, self.slope.standard_error
+        return Estimate(1 / slope, error / slope**2) if slope > SIGMAS * error else None
+
+
+def fit_ratio(reference: Cells, noisy: Cells) -> RatioFit | None:
+    """Fit the line; ``None`` if too little is well exposed, or the noisy frame's black is clipped."""
+    x32, unclipped_x = reference.pooled(*STRIP)
+    y32, unclipped_y = noisy.pooled(*STRIP)
+    x, y, usable = x32.astype(np.float64), y32.astype(np.float64), unclipped_x & unclipped_y
+    if int(usable.sum()) < _LEAST_STRIPS or noisy.zero_share > _ZERO_SHARE:
+        return None
+    level = _levels(x, usable)
+    weight = usable.astype(np.float64)
+    sigma = np.ones_like(x)
+    for _ in range(_ROUNDS):
+        slope, offset, about_x = _line(x, y, weight)
+        residual = y - offset[:, None, None] - slope * x
+        sigma = _scatter(residual, level, usable)[level]
+        distance = np.abs(residual) / sigma
+        weight = np.where(usable, np.minimum(1, _HUBER / np.maximum(distance, 1e-9)) / sigma**2, 0)
+    score = (weight * about_x * residual).sum(axis=(0, 2))
+    rows = len(score)
+    information = float((weight * about_x**2).sum())
+    error = float(np.sqrt(rows / max(1, rows - 1) * np.sum(score**2))) / information
+    match = _match(slope, x, residual, usable)
+    return RatioFit(
+        slope=Estimate(slope, error),
+        offset_dn=tuple(map(float, offset)),
+        match=match,
+        residuals=_limited(slope * x, residual, sigma, usable),
+    )
+
+
+def residuals_between(first: Cells, second: Cells, ratios: Sequence[float]) -> Residuals | None:
+    """Return what differs between two bright frames whose channels have these ratios of brightness.
+
+    For frames of equal exposure, whose noise is alike: a fitted line would be too flat by the noise of the first.
+    ``None`` if too little is well exposed.
+    """
+    x32, unclipped_x = first.pooled(*STRIP)
+    y32, unclipped_y = second.pooled(*STRIP)
+    usable = unclipped_x & unclipped_y
+    if int(usable.sum()) < _LEAST_STRIPS:
+        return None
+    expected = x32 * np.asarray(ratios, dtype=np.float64)[:, None, None]
+    residual = y32 - expected
+    sigma = _scatter(residual, _levels(expected, usable), usable)[_levels(expected, usable)]
+    return _limited(expected, residual, sigma, usable)
+
+
+def _limited(expected: Array, residual: Array, sigma: Array, usable: NDArray[np.bool_]) -> Residuals:
+    limited = np.clip(residual, -_HUBER * sigma, _HUBER * sigma)
+    return Residuals(expected, limited, np.where(usable, sigma, np.inf))
+
+
+def _levels(values: Array, usable: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return the level of each strip, of twelve with as many usable strips each."""
+    edges = np.quantile(values[usable], np.linspace(0, 1, _LEVELS + 1)[1:-1])
+    return np.searchsorted(edges, values)
+
+
+def _line(x: Array, y: Array, weight: Array) -> tuple[float, Array, Array]:
+    """Return slope, offsets of the channels, and x less the channels' weighted means."""
+    total = np.maximum(weight.sum(axis=(1, 2)), 1e-300)
+    mean_x = (weight * x).sum(axis=(1, 2)) / total
+    mean_y = (weight * y).sum(axis=(1, 2)) / total
+    about_x = x - mean_x[:, None, None]
+    spread = float((weight * about_x**2).sum())
+    slope = float((weight * about_x * (y - mean_y[:, None, None])).sum()) / spread if spread > 0 else 0.0
+    return slope, mean_y - slope * mean_x, about_x
+
+
+def _scatter(residual: Array, level: NDArray[np.intp], usable: NDArray[np.bool_]) -> Array:
+    """Return the robust standard deviation of the residuals at each level."""
+    whole = _TO_SIGMA * float(np.median(np.abs(residual[usable])))
+    floor = max(whole / 100, 1e-6)
+    found = np.full(_LEVELS, max(whole, floor))
+    for index in range(_LEVELS):
+        chosen = residual[usable & (level == index)]
+        if len(chosen) >= 2 * _LEVELS:
+            found[index] = max(_TO_SIGMA * float(np.median(np.abs(chosen - np.median(chosen)))), floor)
+    return found
+
+
+def _match(slope: float, x: Array, residual: Array, usable: NDArray[np.bool_]) -> Estimate:
+    """Return the share of the scene's variance that the line explains.
+
+    Noise differs from row to row, a scene that is not in the reference does not: of the residuals' variance, what half
+    the variance of differences between rows does not explain is such a scene.
+    """
+    pairs = usable[:, 1:] & usable[:, :-1]
+    if not pairs.any():
+        return Estimate(float("nan"), float("inf"))
+    limit = 10 * _TO_SIGMA * float(np.median(np.abs(residual[usable])))
+    limited = np.clip(residual, -limit, limit)  # hot pixels
+    products = (limited[:, 1:] * limited[:, :-1])[pairs]
+    unexplained = max(0.0, float(products.mean()))
+    about_mean = [
+        channel[chosen] - channel[chosen].mean() for channel, chosen in zip(x, usable, strict=True) if chosen.any()
+    ]
+    explained = max(slope, 0.0) ** 2 * float(np.concatenate(about_mean).var())
+    total = explained + unexplained
+    if total <= 0:
+        return Estimate(float("nan"), float("inf"))
+    error = float(products.std()) / len(products) ** 0.5
+    return Estimate(explained / total, error * explained / total**2 if explained else error / total)

@@ -1,0 +1,121 @@
+"""Check a manifest's files by their pixels, a scene or a set of calibration frames at a time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, TypeAlias
+
+from capture.check.bias import BiasUnit, check_bias
+from capture.check.flat import FlatUnit, check_flats
+from capture.check.result import CheckedGroup, CheckReport
+from capture.check.scene import SceneUnit, check_scene
+from eldata.errors import ArgumentError, ManifestError
+from eldata.manifest.catalogue import Manifest, load_manifest
+from eldata.parallel import check_jobs, run_units
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Sequence
+    from pathlib import Path
+
+    from eldata.records import FrameRecord
+
+Unit: TypeAlias = SceneUnit | BiasUnit | FlatUnit
+
+
+def check(
+    manifest: Manifest | Path | str,
+    root: Path | str | None = None,
+    *,
+    scenes: Collection[str] = (),
+    cameras: Collection[str] = (),
+    jobs: int = 1,
+) -> CheckReport:
+    """Check the pixels of a manifest's scenes and calibration frames.
+
+    Parameters
+    ----------
+    manifest
+        A manifest, or its CSV file.
+    root
+        The folder that holds the dataset; default ``$ELDATA_ROOT``, else ``./data``.
+    scenes
+        Just these scenes, by name or number (``"scene-3"``, ``"3"``), without the calibration frames; none means all.
+    cameras
+        Just these cameras; none means all.
+    jobs
+        Number of worker processes; with fewer scenes than that, files are also decoded ahead.
+
+    Raises
+    ------
+    ArgumentError
+        If there is no such scene or camera, or nothing to check.
+    ManifestError
+        If the manifest is malformed, or its dataset's folder is not there.
+    """
+    check_jobs(jobs)
+    loaded = manifest if isinstance(manifest, Manifest) else load_manifest(manifest)
+    folder = loaded.folder(root)
+    if not folder.is_dir():
+        raise ManifestError(f"no folder {folder}: --root names the folder that holds {loaded.card.folder}")
+    records = _of_cameras(loaded.records, cameras)
+    groups = _groups(_of_scenes(records, scenes))
+    if not groups:
+        raise ArgumentError(f"{loaded.name}: no scenes and no calibration frames to check")
+    threads = max(1, jobs // len(groups))
+    units = [_unit(key, folder, tuple(group), threads) for key, group in groups.items()]
+    found = run_units(check_unit, units, jobs=jobs, label=loaded.name, unit="scene")
+    return CheckReport(loaded.name, tuple(found))
+
+
+def check_unit(unit: Unit) -> CheckedGroup:
+    """Check one unit of work."""
+    if isinstance(unit, SceneUnit):
+        return check_scene(unit)
+    return check_bias(unit) if isinstance(unit, BiasUnit) else check_flats(unit)
+
+
+Key: TypeAlias = tuple[str, str, str]
+
+
+def _groups(records: Sequence[FrameRecord]) -> dict[Key, list[FrameRecord]]:
+    """Return the records of each unit: by camera and scene, or camera, role and ISO."""
+    groups: dict[Key, list[FrameRecord]] = {}
+    for record in records:
+        if record.role in ("bias", "flat"):
+            iso = "?" if record.iso is None else f"{float(record.iso):g}"
+            key: Key = (record.camera, record.role, iso)
+        else:
+            key = (record.camera, "", record.scene)
+        groups.setdefault(key, []).append(record)
+    return groups
+
+
+def _unit(key: Key, folder: Path, records: tuple[FrameRecord, ...], threads: int) -> Unit:
+    camera, role, which = key
+    kinds: dict[str, Callable[[str, str, Path, tuple[FrameRecord, ...], int], Unit]] = {
+        "": SceneUnit,
+        "bias": BiasUnit,
+        "flat": FlatUnit,
+    }
+    name = f"{camera} {role} ISO {which}" if role else f"{camera} {which}".rstrip()
+    return kinds[role](str(folder / records[0].path), name, folder, records, threads)
+
+
+def _of_cameras(records: Sequence[FrameRecord], cameras: Collection[str]) -> list[FrameRecord]:
+    known = sorted({record.camera for record in records})
+    for camera in cameras:
+        if camera not in known:
+            raise ArgumentError(f"no camera called {camera!r}; the manifest has {', '.join(known)}")
+    return [record for record in records if not cameras or record.camera in cameras]
+
+
+def _of_scenes(records: Sequence[FrameRecord], scenes: Collection[str]) -> list[FrameRecord]:
+    if not scenes:
+        return list(records)
+    known = sorted({record.scene for record in records if record.scene})
+    wanted = set()
+    for scene in scenes:
+        name = scene if scene in known else f"scene-{scene}"
+        if name not in known:
+            raise ArgumentError(f"no scene {scene!r}; the manifest has {', '.join(known) or 'none'}")
+        wanted.add(name)
+    return [record for record in records if record.scene in wanted]

@@ -1,0 +1,46 @@
+"""The contact sheet: one HTML page that needs no network, with a row of pictures a scene and what was found."""
+
+from __future__ import annotations
+
+import base64
+from typing import TYPE_CHECKING
+
+from eldata.errors import ArgumentError
+from eldata.files import write_text
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from capture.check.result import CheckReport, Picture
+
+
+def write_sheet(path: Path | str, report: CheckReport) -> None:
+    """Write the contact sheet of a report, whole or not at all.
+
+    Raises
+    ------
+    ArgumentError
+        If the name does not end in .html.
+    """
+    check_sheet_name(path)
+    write_text(path, sheet_page(report))
+
+
+def check_sheet_name(path: Path | str) -> None:
+    """Raise :class:`ArgumentError` unless a contact sheet can have this name."""
+    if not str(path).endswith((".html", ".htm")):
+        raise ArgumentError(f"--sheet {path}: the contact sheet is an HTML page: end its name in .html")
+
+
+def sheet_page(report: CheckReport) -> str:
+    """Return the page; the same report gives the same text."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("capture.check", "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    return environment.get_template("sheet.html").render(report=report, source=_source)
+
+
+def _source(picture: Picture) -> str:
+    return f"data:image/jpeg;base64,{base64.b64encode(picture.jpeg).decode()}"

@@ -1,0 +1,262 @@
+"""Did the camera move, or its focus? Phase correlation of tiles, and the contrast of their fine detail.
+
+Both frames are cut into the same tiles of the luminance (:func:`capture.check.cells.luminance`), windowed and
+transformed. For a shift d, measured in packed pixels, and independent noise, the spectra are
+``F2(k) = B(k) F1(k) exp(-2 pi i k d) + noise``.
+
+Shift
+    The peak of the phase correlation, summed over the tiles, gives d to a packed pixel. From there each tile's d is the
+    least-squares solution over the frequencies of the scene, ``min sum |F2 - F1 exp(-2 pi i k d)|^2`` (Gauss-Newton):
+    each frequency counts by its power over the white noise, none is interpolated and no phase is unwrapped. The
+    residual gives the noise and with it the standard error. Frequencies below 3 cycles a tile, where the window shows,
+    and above 0.2 cycles a packed pixel, where aliasing shows, stay out.
+Focus
+    With P1, P2 the powers and C the real part of the cross power after undoing the shift, all summed over the band of
+    fine detail, equal noise N in both: ``P1 = S + N, P2 = B^2 S + N, C = B S``. So ``(P1 - P2) / C = (1 - B^2) / B``,
+    whatever N is, and ``B = (sqrt(q^2 + 4) - q) / 2`` with q that quotient. Standard error: jackknife over tiles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from capture.check.measures import Estimate
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Spectra = NDArray[np.complexfloating[Any, Any]]
+
+_SIDES: Final = (256, 128, 64, 32)
+_LEAST_TILES_A_SIDE: Final = 3  # with the largest tiles; smaller frames take smaller tiles
+_MOST_TILES: Final = (4, 6)
+_SHIFT_BAND: Final = (3.0, 0.2)  # cycles a tile, cycles a packed pixel
+_FOCUS_BAND: Final = (0.1, 0.4)  # cycles a packed pixel
+_ROUNDS: Final = 6
+_FURTHEST: Final = 1.5  # packed pixels: the peak is certain to one
+_WORST_ERROR: Final = 0.25  # packed pixels: a tile that is less certain has no detail to tell a shift by
+_ODD_TILE_SIGMAS: Final = 6.0
+_ODD_TILE_LEAST: Final = 0.5  # packed pixels
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tiles:
+    """Windowed spectra of a frame's tiles, (tiles, side, side // 2 + 1), and where the tiles begin, (tiles, 2)."""
+
+    spectra: Spectra
+    starts: NDArray[np.intp]
+    side: int
+
+
+@dataclass(frozen=True, slots=True)
+class Shift:
+    """How far the second frame lies from the first, in packed pixels.
+
+    Attributes
+    ----------
+    down, right
+        Of the whole frame, with standard errors.
+    tiles
+        Number of tiles with enough detail.
+    odd_tiles
+        Those of them that moved otherwise than the frame and were left out: something in the scene moved.
+    """
+
+    down: Estimate
+    right: Estimate
+    tiles: int
+    odd_tiles: int
+
+    def length(self, pixels: tuple[int, int], scale: int) -> Estimate:
+        """Return the distance between the frames, which lie ``pixels`` more apart, times ``scale``.
+
+        Its standard error is the larger of the two.
+        """
+        down, right = (value + whole for value, whole in zip((self.down.value, self.right.value), pixels, strict=True))
+        return Estimate(
+            scale * float(np.hypot(down, right)), scale * max(self.down.standard_error, self.right.standard_error)
+        )
+
+
+def make_tiles(image: NDArray[np.float32]) -> Tiles | None:
+    """Return the spectra of an image's tiles; ``None`` if the frame is too small for a tile."""
+    shortest = min(image.shape)
+    fitting = [side for side in _SIDES if side <= shortest]
+    if not fitting:
+        return None
+    side = next((side for side in fitting if _LEAST_TILES_A_SIDE * side <= shortest), fitting[-1])
+    tops, lefts = (
+        np.linspace(0, size - side, min(most, size // side)).astype(np.intp)
+        for size, most in zip(image.shape, _MOST_TILES, strict=True)
+    )
+    starts = np.stack(np.meshgrid(tops, lefts, indexing="ij"), axis=-1).reshape(-1, 2)
+    return Tiles(_spectra(image, starts, side), starts, side)
+
+
+def _spectra(image: NDArray[np.float32], starts: NDArray[np.intp], side: int) -> Spectra:
+    import scipy.fft
+
+    tiles = np.stack([image[top : top + side, left : left + side] for top, left in starts])
+    tiles -= tiles.mean(axis=(1, 2), keepdims=True)
+    hann = np.hanning(side + 2)[1:-1].astype(np.float32)
+    tiles *= hann[:, None] * hann
+    spectra: Spectra = scipy.fft.rfft2(tiles)
+    return spectra
+
+
+def moved_tiles(first: Tiles, image: NDArray[np.float32]) -> tuple[Tiles, Tiles, tuple[int, int]] | None:
+    """Return the tiles of two frames that show the same part of the scene, and the whole pixels between them.
+
+    The window stays where it is when the scene moves, which pulls a shift towards 0 by some percent. So the second
+    frame's tiles are cut where the first's have moved to; tiles that leave the frame are left out. ``None`` if all do.
+    """
+    down, right = _whole_pixels(first, _spectra(image, first.starts, first.side))
+    starts = first.starts + np.array([down, right])
+    inside = np.all((starts >= 0) & (starts + first.side <= np.array(image.shape)), axis=1)
+    if not inside.any():
+        return None
+    same = Tiles(first.spectra[inside], first.starts[inside], first.side)
+    return same, Tiles(_spectra(image, starts[inside], first.side), starts[inside], first.side), (down, right)
+
+
+def _frequencies(side: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    down, right = (frequencies.astype(np.float64) for frequencies in (np.fft.fftfreq(side), np.fft.rfftfreq(side)))
+    return down[:, None], right[None, :]
+
+
+def _unshift(down: NDArray[np.float64], right: NDArray[np.float64], side: int) -> Spectra:
+    """Return the factors that undo each tile's shift."""
+    fy, fx = _frequencies(side)
+    turns = down[:, None, None] * fy + right[:, None, None] * fx
+    factors: Spectra = np.exp(2j * np.pi * turns)
+    return factors
+
+
+def _band(side: int) -> NDArray[np.bool_]:
+    fy, fx = _frequencies(side)
+    radius = np.hypot(fy, fx)
+    return (radius * side >= _SHIFT_BAND[0]) & (radius <= _SHIFT_BAND[1])
+
+
+def _whole_pixels(first: Tiles, second: Spectra) -> tuple[int, int]:
+    """Return the peak of the phase correlation of all tiles, in whole pixels within half a tile."""
+    import scipy.fft
+
+    side = first.side
+    cross = np.where(_band(side), np.conj(first.spectra) * second, 0)
+    magnitude = np.abs(cross)
+    # Well below the mean magnitude a frequency is mostly noise: it counts in proportion instead of fully.
+    floor = magnitude.mean(axis=(1, 2), keepdims=True) / 10 + np.finfo(np.float32).tiny
+    surface = scipy.fft.irfft2((cross / (magnitude + floor)).sum(axis=0), s=(side, side))
+    row, column = np.unravel_index(int(np.argmax(surface)), surface.shape)
+    down, right = (int((index + side // 2) % side - side // 2) for index in (row, column))
+    return down, right
+
+
+def measure_shift(first: Tiles, second: Tiles) -> Shift | None:
+    """Return by how much the second tiles' scene lies below and to the right of the first's, within 1.5 packed pixels.
+
+    ``None`` if no tile has enough detail. The shift between the frames is that and the pixels between the tiles.
+    """
+    side = first.side
+    fy, fx = _frequencies(side)
+    band = _band(side)
+    cross = np.conj(first.spectra).astype(np.complex128) * second.spectra
+    down = right = np.zeros(len(cross))
+    wave_y, wave_x = (2 * np.pi * np.broadcast_to(axis, band.shape)[band] for axis in (fy, fx))
+    # The half of the plane that a real transform stores counts twice but for its own mirror, the columns 0 and side/2.
+    twice = np.broadcast_to(np.where((fx == 0) | (fx == 0.5), 1.0, 2.0), band.shape)[band]
+    # One round: Im(C exp(2 pi i k d)) is about -Re(...) 2 pi k (d_true - d), linear in what is left of the shift.
+    for _ in range(_ROUNDS):
+        turned = (cross * _unshift(down, right, side))[:, band]
+        # Of the real part, noise has the mean 0: the information of a tile without detail is about 0, not above.
+        yy, xy, xx = (turned.real @ (twice * product) for product in (wave_y**2, wave_y * wave_x, wave_x**2))
+        by, bx = (-(turned.imag @ (twice * wave)) for wave in (wave_y, wave_x))
+        determinant = yy * xx - xy**2
+        regular = (yy > 0) & (xx > 0) & (determinant > 0)
+        determinant = np.where(regular, determinant, np.inf)
+        down = np.clip(down + (xx * by - xy * bx) / determinant, -_FURTHEST, _FURTHEST)
+        right = np.clip(right + (yy * bx - xy * by) / determinant, -_FURTHEST, _FURTHEST)
+    one = first.spectra[:, band]
+    gain = (turned.real @ twice) / (np.abs(one) ** 2 @ twice)
+    residual = (second.spectra * _unshift(down, right, side))[:, band] - gain[:, None] * one
+    noise = (np.abs(residual) ** 2 @ twice) / twice.sum() * _HANN_CORRELATION
+    regular &= gain > 0
+    information = np.where(regular, np.stack([xx, yy]), 1) / np.where(regular, determinant, 1)
+    errors = np.where(regular, np.sqrt(noise / np.where(regular, gain, 1) * information), np.inf)
+    return _combined(np.stack([down, right]), errors)
+
+
+# A Hann window's independent frequencies are fewer than the frequencies by sum(w^4) n / sum(w^2)^2 in each direction,
+# w^2 being the noise's variance along the tile: (35/128) / (3/8)^2 = 1.94.
+_HANN_CORRELATION: Final = (35 / 128 / (3 / 8) ** 2) ** 2
+
+
+def _combined(values: NDArray[np.float64], errors: NDArray[np.float64]) -> Shift | None:
+    """Return the shift of the frame from those of its tiles: weighted mean of the tiles that agree with the median."""
+    certain = np.all(np.isfinite(errors) & (errors > 0) & (errors < _WORST_ERROR), axis=0)
+    if not certain.any():
+        return None
+    values, errors = values[:, certain], errors[:, certain]
+    middle = np.array([_weighted_median(value, error**-2.0) for value, error in zip(values, errors, strict=True)])
+    distance = np.abs(values - middle[:, None])
+    odd = np.any(distance > np.maximum(_ODD_TILE_SIGMAS * errors, _ODD_TILE_LEAST), axis=0)
+    if odd.all():
+        return None
+    weights = np.where(odd, 0, errors**-2.0)
+    mean = (weights * values).sum(axis=1) / weights.sum(axis=1)
+    count = int((~odd).sum())
+    # Where the tiles scatter more than their errors say, the scatter counts.
+    chi2 = (weights * (values - mean[:, None]) ** 2).sum(axis=1) / max(1, count - 1)
+    found = np.sqrt(np.maximum(chi2, 1) / weights.sum(axis=1))
+    return Shift(
+        down=Estimate(float(mean[0]), float(found[0])),
+        right=Estimate(float(mean[1]), float(found[1])),
+        tiles=values.shape[1],
+        odd_tiles=int(odd.sum()),
+    )
+
+
+def _weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
+    order = np.argsort(values)
+    summed = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(summed, summed[-1] / 2)])
+
+
+def measure_focus(first: Tiles, second: Tiles, shift: Shift, brightness: float) -> Estimate | None:
+    """Return the contrast of fine detail of the second frame over that of the first.
+
+    Parameters
+    ----------
+    first, second
+        The frames.
+    shift
+        From :func:`measure_shift`.
+    brightness
+        Ratio of the frames' brightness, which is taken off.
+    """
+    side = first.side
+    fy, fx = _frequencies(side)
+    radius = np.hypot(fy, fx)
+    band = (radius >= _FOCUS_BAND[0]) & (radius <= _FOCUS_BAND[1])
+    ones = np.ones(1)
+    undo = _unshift(shift.down.value * ones, shift.right.value * ones, side)[0][band] / brightness
+    one = first.spectra[:, band]
+    two = second.spectra[:, band] * undo
+    power_1, power_2 = (np.sum(np.abs(spectra) ** 2, axis=1, dtype=np.float64) for spectra in (one, two))
+    cross = np.sum((np.conj(one) * two).real, axis=1, dtype=np.float64)
+    tiles = cross.size
+    if tiles < 2 or cross.sum() <= 0:
+        return None
+    value = float(_contrast((power_1 - power_2).sum(), cross.sum()))
+    left_out = _contrast((power_1 - power_2).sum() - (power_1 - power_2), np.maximum(cross.sum() - cross, 1e-30))
+    error = float(np.sqrt((tiles - 1) / tiles * np.sum((left_out - left_out.mean()) ** 2)))
+    return Estimate(value, error)
+
+
+def _contrast(difference: Any, cross: Any) -> Any:
+    quotient = difference / cross
+    return (np.sqrt(quotient**2 + 4) - quotient) / 2

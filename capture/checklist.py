@@ -1,0 +1,195 @@
+"""The checklist of a plan: one page for a phone or tablet in the dark, or plain text, or Markdown.
+
+The page is one file with its style and script inside; its policy lets it load nothing else. What is entered stays in
+the browser, under the plan's digest, and can be exported (:func:`load_progress`). A scene that meters otherwise than
+planned is planned anew in the page, with the rounding of :mod:`capture.shots`: there in sixth powers, which turn the
+camera's halves and thirds of a stop into fractions.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from fractions import Fraction
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from capture.checklist_content import (
+    BEFORE_BIAS,
+    BEFORE_FLATS,
+    at_each_scene,
+    bias_and_flats,
+    every_item,
+    preparation,
+    rows,
+)
+from capture.checklist_progress import (
+    KIND,
+    LONGEST_TEXT,
+    MOST_REPEATS,
+    SCHEMA,
+    Progress,
+    ProgressError,
+    SceneProgress,
+    ShotProgress,
+    load_progress,
+)
+from capture.checklist_text import markdown_checklist, text_checklist
+from eldata import __version__
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import jinja2
+
+    from capture.exact import ExactNumber
+    from capture.plan import Plan
+
+__all__ = [
+    "FORMATS",
+    "Progress",
+    "ProgressError",
+    "SceneProgress",
+    "ShotProgress",
+    "html_checklist",
+    "load_progress",
+    "markdown_checklist",
+    "plan_digest",
+    "text_checklist",
+]
+
+_TEMPLATES: Final = Path(__file__).parent / "templates"
+
+
+def plan_digest(plan: Plan) -> str:
+    """Return ``sha256:<hex>`` of what a plan decides; notes may change without losing what was ticked."""
+    content = plan.as_dict()
+    for scene in content["scenes"]:
+        del scene["notes"], scene["shots"]
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
+
+
+def html_checklist(plan: Plan) -> str:
+    """Return the checklist as a page; the same plan gives the same page."""
+    # With the line end that stands before them in the page, since the policy's hashes are of elements' whole content.
+    style, script = (
+        "\n" + (_TEMPLATES / f"checklist.{suffix}").read_text(encoding="utf-8") for suffix in ("css", "js")
+    )
+    bias, flats = bias_and_flats(plan)
+    return (
+        _environment()
+        .get_template("checklist.html")
+        .render(
+            plan=plan,
+            protocol=plan.protocol,
+            calibration=plan.calibration,
+            frames=len(plan.shots),
+            scene_rows=[(scene, rows(scene.shots)) for scene in plan.scenes],
+            bias=bias,
+            flats=flats,
+            preparation=preparation(plan),
+            before_bias=BEFORE_BIAS,
+            before_flats=BEFORE_FLATS,
+            at_each_scene=at_each_scene(plan),
+            longest_text=LONGEST_TEXT,
+            data=_embedded(_page_data(plan)),
+            style=style,
+            script=script,
+            style_hash=_policy_hash(style),
+            script_hash=_policy_hash(script),
+            version=__version__,
+        )
+    )
+
+
+FORMATS: Final[dict[str, Callable[[Plan], str]]] = {
+    "html": html_checklist,
+    "md": markdown_checklist,
+    "txt": text_checklist,
+}
+"""The formats by their names, which are their files' suffixes too."""
+
+
+@cache
+def _environment() -> jinja2.Environment:
+    import jinja2
+
+    return jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_TEMPLATES),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+
+
+def _policy_hash(text: str) -> str:
+    """Return how a page's policy names the one script, or style, that may run."""
+    return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"
+
+
+def _embedded(data: dict[str, Any]) -> str:
+    """Return JSON that may stand in a ``script`` element: no text in it can close that."""
+    text = json.dumps(data, sort_keys=True, separators=(",", ":"))
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def _page_data(plan: Plan) -> dict[str, Any]:
+    """Return what the page's script reckons with."""
+    camera, protocol = plan.camera, plan.protocol
+    bias, flats = bias_and_flats(plan)
+    return {
+        "kind": KIND,
+        "schema": SCHEMA,
+        "digest": plan_digest(plan),
+        "camera": camera.name,
+        "isos": camera.isos,
+        "base_iso": protocol.base_iso,
+        "noisy_isos": protocol.noisy_isos,
+        "step_sixth": _sixth(Fraction(2) ** int(6 * camera.shutter.step)),
+        "times": [
+            {"dial": time.dial, "nominal": str(time.nominal_s), "sixth": _sixth(_sixth_power(time.true_exact))}
+            for time in camera.shutter.times
+        ],
+        "fitting": _fitting(plan),
+        "frames": [
+            {"number": frame.number, "role": frame.role, "iso": frame.iso, "factor": frame.factor}
+            for frame in protocol.frames()
+        ],
+        "scenes": [{"name": scene.name, "metered": str(scene.metered_s)} for scene in plan.scenes],
+        "calibration": [
+            {"number": row.number, "count": row.count, "role": row.role, "iso": row.iso, "dial": row.dial}
+            for row in (*bias, *flats)
+        ],
+        "preparation": [item.name for item in every_item(plan)],
+        "longest_text": LONGEST_TEXT,
+        "most_repeats": MOST_REPEATS,
+    }
+
+
+def _sixth_power(number: ExactNumber) -> Fraction:
+    # Steps are thirds, halves or whole stops, so that six of them are whole.
+    return number.coefficient**6 * Fraction(2) ** int(6 * number.stops)
+
+
+def _sixth(power: Fraction) -> str:
+    return str(power)
+
+
+def _fitting(plan: Plan) -> list[int]:
+    """Return the indices of the first and last setting at which references can be exposed so that all shots fit."""
+    camera, protocol = plan.camera, plan.protocol
+    scales = [
+        Fraction(protocol.base_iso, frame.iso * frame.factor) for frame in protocol.frames() if frame.factor is not None
+    ]
+    ends = (min(scales), max(scales))
+    found = [
+        index
+        for index, time in enumerate(camera.shutter.times)
+        if all(camera.nearest(time.true_exact * scale) is not None for scale in ends)
+    ]
+    return [found[0], found[-1]] if found else []

@@ -1,0 +1,184 @@
+"""What a checklist says, whatever its format: preparation, each scene's rows, calibration frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import groupby
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from fractions import Fraction
+
+    from capture.plan import Plan
+    from capture.shots import Shot
+    from eldata.records import Role
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """Something to see to before the first shot.
+
+    Attributes
+    ----------
+    name
+        Short, for files: what is ticked stays ticked when the words change.
+    text, why
+        What to do, and in one line what goes wrong otherwise.
+    """
+
+    name: str
+    text: str
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What has one box to tick: a shot, or calibration shots that follow each other with the same settings.
+
+    Attributes
+    ----------
+    number, count
+        Number of the (first) shot, and how many shots these are.
+    role, iso, dial
+        As the shots have them; ``dial`` is the exposure time as the camera marks it.
+    factor, reference
+        Of a noisy frame.
+    level
+        Of flats: wanted mean, as a share of the range over black.
+    """
+
+    number: int
+    count: int
+    role: Role
+    iso: int
+    dial: str
+    factor: int | None = None
+    reference: int | None = None
+    level: Fraction | None = None
+
+    @property
+    def numbers(self) -> str:
+        """Number, or first and last: ``1-10``."""
+        return str(self.number) if self.count == 1 else f"{self.number}-{self.number + self.count - 1}"
+
+    @property
+    def what(self) -> str:
+        """The role in words, with what belongs to it."""
+        words: str = self.role
+        if self.factor is not None:
+            words = f"noisy x{self.factor}"
+        if self.level is not None:
+            words = f"flat {float(100 * self.level):.0f} %"
+        return words if self.count == 1 else f"{words}, {self.count} frames"
+
+
+def rows(shots: Iterable[Shot]) -> tuple[Row, ...]:
+    """Return the rows of shots: one a shot, but calibration shots with equal settings together."""
+    found = []
+    for _, group in groupby(shots, key=_together):
+        same = list(group)
+        shot = same[0]
+        found.append(
+            Row(
+                shot.number,
+                len(same),
+                shot.role,
+                shot.iso,
+                shot.setting.dial,
+                shot.factor,
+                shot.reference,
+                shot.level,
+            )
+        )
+    return tuple(found)
+
+
+def _together(shot: Shot) -> tuple[object, ...]:
+    alone = shot.number if shot.role in ("reference", "noisy") else None
+    return (alone, shot.role, shot.iso, shot.setting.dial, shot.level)
+
+
+def preparation(plan: Plan) -> tuple[Item, ...]:
+    """Return what to see to before the first shot, and why."""
+    camera = plan.camera
+    return (
+        Item("tripod", "Tripod on firm ground, everything locked", "Half a pixel of movement spoils a pair."),
+        Item("release", "Remote release, app or self-timer", "A finger on the camera moves it."),
+        Item("manual", "Mode M, automatic ISO off", "Every setting below is dialled by hand."),
+        Item("steps", f"Exposure steps of {camera.shutter.step} stop", "The times below are those of this setting."),
+        Item(
+            "aperture",
+            "One aperture for the whole scene",
+            "The ratio of two frames is reckoned from ISO and time alone.",
+        ),
+        Item("focus", "Manual focus, ring taped", "Autofocus moves the lens between two frames."),
+        Item(
+            "raw",
+            f"Raw ({camera.raw_extension}) in full size, uncompressed or losslessly compressed",
+            "Lossy compression changes the noise itself.",
+        ),
+        Item(
+            "long-exposure-nr",
+            "Long-exposure noise reduction off",
+            "It subtracts a hidden second frame, and doubles the wait.",
+        ),
+        Item("high-iso-nr", "High-ISO noise reduction off", "Some cameras smooth their raw files too."),
+        Item("corrections", "Lens corrections and dual-pixel raw off", "They change the raw values of some cameras."),
+        Item("stabiliser", "Image stabilisation off, camera and lens", "On a tripod it lets the picture drift."),
+        Item(
+            "shutter",
+            "Mechanical or electronic shutter: one of them, for scenes and calibration alike",
+            "They read the sensor in different ways, with different noise.",
+        ),
+        Item(
+            "lamp",
+            "Light that does not flicker (daylight, DC lamp, battery), lamps on for half an hour",
+            "Flicker shows as bands at short times; a lamp that warms up changes its brightness.",
+        ),
+        Item("stray-light", "No screens, status lights or people that move", "Frames of one scene must see one light."),
+        Item("white-balance", "White balance fixed, such as daylight", "Previews stay comparable from frame to frame."),
+        Item(
+            "battery", f"Battery full, a spare at hand, room for {len(plan.shots)} files", "A change moves the camera."
+        ),
+        Item("clock", "Date and time set", "Files are matched to this list by the order in which they were taken."),
+    )
+
+
+AT_EACH_SCENE: Final = (
+    "Compose, lock the head, focus, tape the ring. From here on the camera is not touched.",
+    "Meter at ISO {base_iso}: the longest time at which nothing that matters clips. Not the time planned? Enter it.",
+    "Take the shots in order, up to the last reference. Change ISO and shutter alone.",
+    "If the camera moved or the light changed, take the scene again from its first reference.",
+)
+
+BEFORE_BIAS: Final = (
+    Item("bias-cap", "Lens cap on, viewfinder covered, dark room", "Light that leaks in lifts the black level."),
+    Item("bias-rest", "Camera rested, a pause after each ISO", "Black drifts as the sensor warms up."),
+)
+BEFORE_FLATS: Final = (
+    Item(
+        "flat-surface",
+        "White paper, wall or screen that fills the frame, evenly lit, without flicker",
+        "Flat frames must differ in their noise alone.",
+    ),
+    Item("flat-focus", "Lens at infinity, surface out of focus", "Paper has a grain, screens have pixels."),
+    Item("flat-pairs", "Both frames of a pair one after the other", "The gain is measured from their difference."),
+)
+
+
+def bias_and_flats(plan: Plan) -> tuple[tuple[Row, ...], tuple[Row, ...]]:
+    """Return the rows of the calibration frames; both are empty in a plan without."""
+    shots = () if plan.calibration is None else plan.calibration.shots
+    found = rows(shots)
+    return tuple(row for row in found if row.role == "bias"), tuple(row for row in found if row.role == "flat")
+
+
+def at_each_scene(plan: Plan) -> tuple[str, ...]:
+    """Return how a scene goes, in steps."""
+    return tuple(text.format(base_iso=plan.protocol.base_iso) for text in AT_EACH_SCENE)
+
+
+def every_item(plan: Plan) -> tuple[Item, ...]:
+    """Return all that can be ticked besides shots."""
+    return (*preparation(plan), *(() if plan.calibration is None else (*BEFORE_BIAS, *BEFORE_FLATS)))

@@ -1,0 +1,218 @@
+"""What was ticked and written down at the tripod: the file that the checklist's page exports.
+
+The file is JSON::
+
+    {
+      "kind": "capture-progress", "schema": 1,
+      "plan": "sha256:...",                         the plan that the page was made from
+      "camera": "SonyA7S2",
+      "preparation": ["tripod", ...],               what of the preparation was ticked
+      "scenes": [
+        {"name": "scene-1", "metered_s": "1/2",     as entered in the page, else as planned
+         "shots": [{"number": 1, "count": 1, "role": "reference", "iso": 100, "dial": "1/2",
+                    "taken_at": "1/2", "repeats": 0, "file": "DSC01234", "remark": ""}, ...]}, ...],
+      "calibration": [{"number": 1, "count": 10, "role": "bias", ...}, ...]
+    }
+
+``taken_at`` is the exposure time at which a shot was ticked, ``null`` where it was not. It differs from ``dial`` where
+the scene was metered anew and the shot not taken again; ``dial`` is ``null`` where the metered time asks for what the
+camera does not have, which :func:`load_progress` refuses with what to change. A plan that has changed since may
+still be read with the file, as long as its scenes and shots are the same.
+"""
+
+from __future__ import annotations
+
+import unicodedata
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from capture.checklist_content import Row, every_item, rows
+from capture.errors import PlanError
+from capture.fields import Fields
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from fractions import Fraction
+
+    from capture.plan import Plan
+    from eldata.records import Role
+
+KIND: Final = "capture-progress"
+SCHEMA: Final = 1
+LONGEST_TEXT: Final = 500
+MOST_REPEATS: Final = 99
+
+
+class ProgressError(PlanError):
+    """A checklist's exported progress is malformed, or is that of another plan."""
+
+
+@dataclass(frozen=True, slots=True)
+class ShotProgress:
+    """One row of the checklist.
+
+    Attributes
+    ----------
+    number, count
+        Number of the (first) shot, and how many shots the row stands for: more than one with calibration frames.
+    role, iso, dial
+        What was to be set.
+    taken_at
+        The exposure time at which it was ticked, as the camera marks it; ``None`` if it was not.
+    repeats
+        How often it was taken again: so many more frames (times ``count``) are on the card, and the last ones count.
+    file, remark
+        As written down; empty if nothing was. ``file`` names the first of several.
+    """
+
+    number: int
+    count: int
+    role: Role
+    iso: int
+    dial: str
+    taken_at: str | None
+    repeats: int
+    file: str
+    remark: str
+
+    @property
+    def done(self) -> bool:
+        """Whether it was ticked, at the setting that it is to have."""
+        return self.taken_at == self.dial
+
+
+@dataclass(frozen=True, slots=True)
+class SceneProgress:
+    """One scene: its name, its metered time as entered at the scene, and its shots."""
+
+    name: str
+    metered_s: Fraction
+    shots: tuple[ShotProgress, ...]
+
+    @property
+    def done(self) -> bool:
+        """Whether every shot is ticked."""
+        return all(shot.done for shot in self.shots)
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """What was ticked and written down.
+
+    Attributes
+    ----------
+    plan_digest
+        Of the plan that the page was made from (:func:`capture.checklist.plan_digest`).
+    camera
+        The plan's camera.
+    preparation
+        Names of what was ticked before the first shot.
+    scenes, calibration
+        In the plan's order.
+    """
+
+    plan_digest: str
+    camera: str
+    preparation: tuple[str, ...]
+    scenes: tuple[SceneProgress, ...]
+    calibration: tuple[ShotProgress, ...]
+
+    def as_metered(self, plan: Plan) -> Plan:
+        """Return the plan with the metered times that were entered at the scenes.
+
+        Raises
+        ------
+        PlanError
+            If the plan has no such scene.
+        """
+        for scene in self.scenes:
+            if plan.scene(scene.name).metered_s != scene.metered_s:
+                plan = plan.remeter(scene.name, scene.metered_s)
+        return plan
+
+
+def load_progress(path: Path | str, plan: Plan) -> Progress:
+    """Read what the checklist's page exported.
+
+    Raises
+    ------
+    ProgressError
+        If the file cannot be read, a field is missing, unknown or wrong, or its scenes and shots are not the plan's;
+        the message names the field, what was expected and what was found.
+    """
+    top = Fields.of_file(Path(path), ProgressError)
+    top.only(("kind", "schema", "plan", "camera", "preparation", "scenes", "calibration"))
+    if top.value("kind") != KIND:
+        raise top.wrong("kind", f'"{KIND}", the file that the page\'s Export gives', top.data["kind"])
+    top.schema(SCHEMA)
+    if top.text("camera") != plan.camera.name:
+        raise top.wrong("camera", f"{plan.camera.name!r}, the plan's", top.data["camera"])
+    known = [item.name for item in every_item(plan)]
+    # Calibration frames may have left the plan since, and their preparation with them.
+    preparation = tuple(name for name in top.texts("preparation") if name in known)
+    scenes: list[SceneProgress] = []
+    for index, item in enumerate(top.items("scenes")):
+        scenes.append(_scene(top.inside(f"scenes[{index}]", item), plan, [scene.name for scene in scenes]))
+    frames = () if plan.calibration is None else rows(plan.calibration.shots)
+    return Progress(top.text("plan"), plan.camera.name, preparation, tuple(scenes), _shots(top, "calibration", frames))
+
+
+def _scene(fields: Fields, plan: Plan, before: Sequence[str]) -> SceneProgress:
+    fields.only(("name", "metered_s", "shots"))
+    name = fields.text("name")
+    if name in before or name not in (scene.name for scene in plan.scenes):
+        raise fields.wrong("name", "one of the plan's scenes, each once", name)
+    metered_s = fields.seconds("metered_s")
+    try:
+        scene = plan.remeter(name, metered_s).scene(name)
+    except PlanError as error:
+        raise ProgressError(
+            f"{fields.path}, field {fields.place}.metered_s: {error}. Enter the time that was used in the page, and "
+            "export again"
+        ) from None
+    return SceneProgress(name, metered_s, _shots(fields, "shots", rows(scene.shots)))
+
+
+def _shots(fields: Fields, name: str, expected: Sequence[Row]) -> tuple[ShotProgress, ...]:
+    items = fields.items(name)
+    if len(items) != len(expected):
+        raise fields.wrong(name, f"the plan's {len(expected)} rows", f"{len(items)} rows")
+    found = []
+    for index, (item, row) in enumerate(zip(items, expected, strict=True)):
+        shot = fields.inside(f"{name}[{index}]", item)
+        shot.only(("number", "count", "role", "iso", "dial", "taken_at", "repeats", "file", "remark"))
+        for key in ("number", "count", "role", "iso", "dial"):
+            value, there = getattr(row, key), shot.value(key)
+            if there != value or not isinstance(there, type(value)):
+                raise shot.wrong(key, f"{value!r}, as in the plan", there)
+        found.append(
+            ShotProgress(
+                row.number,
+                row.count,
+                row.role,
+                row.iso,
+                row.dial,
+                taken_at=None if shot.value("taken_at") is None else shot.text("taken_at"),
+                repeats=_repeats(shot),
+                file=_words(shot, "file"),
+                remark=_words(shot, "remark"),
+            )
+        )
+    return tuple(found)
+
+
+def _repeats(fields: Fields) -> int:
+    found = fields.value("repeats")
+    if not isinstance(found, int) or isinstance(found, bool) or not 0 <= found <= MOST_REPEATS:
+        raise fields.wrong("repeats", f"a whole number from 0 to {MOST_REPEATS}", found)
+    return found
+
+
+def _words(fields: Fields, name: str) -> str:
+    found = fields.value(name)
+    if not isinstance(found, str) or len(found) > LONGEST_TEXT:
+        raise fields.wrong(name, f"a text of at most {LONGEST_TEXT} characters", found)
+    if any(unicodedata.category(character) in ("Cc", "Cs") for character in found):
+        raise fields.wrong(name, "a text without control characters", found)
+    return found.strip()

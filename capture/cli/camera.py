@@ -1,0 +1,69 @@
+"""`capture camera`: look at a camera description, or get one to start from."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from eldata.console import OK, add_debug, add_json, write_json
+from eldata.errors import ArgumentError
+
+if TYPE_CHECKING:
+    import argparse
+
+    from capture.camera import CameraDescription
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add this command."""
+    parser = commands.add_parser(
+        "camera",
+        help="check a camera description, or write an example to start from",
+        description=(
+            "Check a camera description and show its exposure times, as the camera names them and as it gives them; or "
+            "write an example (the Sony A7S II) to change for your own camera."
+        ),
+    )
+    parser.add_argument("camera", metavar="CAMERA", nargs="?", help="a camera description (JSON)")
+    parser.add_argument("--example", metavar="FILE", help="write an example description to FILE, which must be new")
+    add_json(parser)
+    add_debug(parser)
+    parser.set_defaults(run=run, command="camera")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run this command."""
+    from capture.camera import EXAMPLE, CameraDescription, camera_as_dict
+
+    if (arguments.camera is None) == (arguments.example is None):
+        raise ArgumentError("give either a camera description to check, or --example FILE to write one")
+    if arguments.example is not None:
+        if Path(arguments.example).exists():
+            raise ArgumentError(f"{arguments.example} is there already: give another name")
+        EXAMPLE.save(arguments.example)
+        camera = EXAMPLE
+        print(f"{arguments.example}: the {EXAMPLE.name}'s; change it to your camera's, then: capture camera FILE")
+    else:
+        camera = CameraDescription.load(arguments.camera)
+        print(_text(camera))
+    if arguments.json:
+        times = [
+            {"dial": time.dial, "nominal_s": str(time.nominal_s), "true_s": time.true_s}
+            for time in camera.shutter.times
+        ]
+        write_json(arguments.json, json.loads(json.dumps(camera_as_dict(camera))) | {"times": times})
+    return OK
+
+
+def _text(camera: CameraDescription) -> str:
+    from eldata.tables import text_table
+
+    rows = [(f"{time.dial} s", f"{time.true_s:.6g} s") for time in camera.shutter.times]
+    return "\n".join(
+        (
+            f"{camera.name} ({', '.join(camera.models)}): {camera.raw_extension}, {camera.cfa}",
+            f"ISO {', '.join(map(str, camera.isos))}; base {camera.base_iso}",
+            text_table(("marked", "gives"), rows, left=()),
+        )
+    )

@@ -1,0 +1,62 @@
+"""`capture check`: look at the pixels of each scene, and say whether to keep it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from eldata.console import OK, PROBLEMS, add_cameras, add_debug, add_jobs, add_json, add_root, write_json
+
+if TYPE_CHECKING:
+    import argparse
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add this command."""
+    parser = commands.add_parser(
+        "check",
+        help="check the pixels of each scene: keep, look or shoot again",
+        description=(
+            "Check the pixels of each scene: do the references agree (light, position, focus), is each noisy frame "
+            "exposed as its name says, is there flicker; light leaks in bias frames, saturated or uneven flats. Gives "
+            "a verdict a scene: keep, look, shoot again, with the reasons. Nothing is changed."
+        ),
+    )
+    parser.add_argument("manifest", metavar="MANIFEST", help="the manifest's CSV file, its card beside it")
+    add_root(parser)
+    parser.add_argument(
+        "--scene",
+        action="append",
+        dest="scenes",
+        default=[],
+        metavar="N",
+        help="only this scene, by name or number, and no calibration frames; may be repeated",
+    )
+    add_cameras(parser)
+    add_jobs(parser)
+    parser.add_argument("--sheet", metavar="FILE", help="write a contact sheet, an HTML page that needs no network")
+    add_json(parser)
+    add_debug(parser)
+    parser.set_defaults(run=run, command="check")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run this command."""
+    from capture.check.run import check
+    from capture.check.sheet import check_sheet_name, write_sheet
+
+    if arguments.sheet:
+        check_sheet_name(arguments.sheet)  # before the work, not after it
+    report = check(
+        arguments.manifest,
+        arguments.root,
+        scenes=arguments.scenes,
+        cameras=arguments.cameras or (),
+        jobs=arguments.jobs,
+    )
+    print(report.format_text())
+    if arguments.json:
+        write_json(arguments.json, report.as_dict())
+    if arguments.sheet:
+        write_sheet(arguments.sheet, report)
+        print(f"contact sheet: {arguments.sheet}")
+    return OK if report.ok else PROBLEMS

@@ -1,0 +1,68 @@
+"""`capture checklist`: a plan as a page for the phone, or to print."""
+
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from eldata.console import OK, add_debug, add_json, write_json
+from eldata.errors import ArgumentError
+from eldata.files import write_text
+
+if TYPE_CHECKING:
+    import argparse
+
+_FORMATS = ("html", "md", "txt")
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add this command."""
+    parser = commands.add_parser(
+        "checklist",
+        help="turn a plan into a checklist for the phone, or for paper",
+        description=(
+            "Turn a plan into a checklist: preparation, then each shot in order with what to dial. The page (html) is "
+            "one file for a phone or tablet in the dark. It needs no network, plans a scene anew from another metered "
+            "time, keeps ticks, file names and remarks in the browser, and exports them."
+        ),
+    )
+    parser.add_argument("plan", metavar="PLAN", help="a plan (capture plan)")
+    parser.add_argument("-o", "--output", metavar="FILE", help="write it there; without, md and txt go to the terminal")
+    parser.add_argument("--format", choices=_FORMATS, help="default: by the suffix of FILE; without FILE txt")
+    add_json(parser)
+    add_debug(parser)
+    parser.set_defaults(run=run, command="checklist")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run this command."""
+    from capture.checklist import FORMATS, plan_digest
+    from capture.plan import Plan
+
+    form = _format(arguments)
+    plan = Plan.load(arguments.plan)
+    text = FORMATS[form](plan)
+    if arguments.output is None:
+        print(text, end="")
+    else:
+        write_text(arguments.output, text)
+        print(f"{arguments.output}: {len(plan.scenes)} scenes, {len(plan.shots)} frames")
+    if arguments.json:
+        content = {"file": arguments.output, "format": form, "plan": plan_digest(plan), "frames": len(plan.shots)}
+        write_json(arguments.json, content)
+    return OK
+
+
+def _format(arguments: argparse.Namespace) -> str:
+    output = arguments.output
+    if output is None:
+        if arguments.format == "html":
+            raise ArgumentError("a page needs a file: -o checklist.html")
+        return arguments.format or "txt"
+    if Path(output).exists() and Path(output).samefile(arguments.plan):
+        raise ArgumentError(f"{output} is the plan itself: give another name for the checklist")
+    suffix = Path(output).suffix.lower().removeprefix(".")
+    if arguments.format is None and suffix not in _FORMATS:
+        raise ArgumentError(f"{output}: expected a name that ends in .html, .md or .txt, or --format")
+    return arguments.format or suffix

@@ -1,0 +1,209 @@
+"""`capture manifest`: from the camera's files to a dataset with its manifest."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from eldata.console import OK, PROBLEMS, add_debug, add_jobs, add_json, write_json
+from eldata.errors import ArgumentError
+
+if TYPE_CHECKING:
+    import argparse
+
+    from capture.manifest import Dataset
+    from capture.matching import Match
+    from capture.observed import Observed
+    from capture.plan import Plan
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add this command."""
+    parser = commands.add_parser(
+        "manifest",
+        help="match the camera's files to a plan, and make the dataset and its manifest",
+        description=(
+            "Match raw files to the shots of a plan by ISO, exposure time and the order in which they were taken; name "
+            "everything missing, repeated, out of order or not of the plan; write the manifest (CSV) and its card "
+            "(JSON). With --copy-to or --link-to, place the files in the dataset's layout. Originals stay as they are."
+        ),
+        epilog="Where something had to be decided, you are asked; without a terminal the mapping is written to a file, "
+        "to be looked at, edited and passed back with --mapping.",
+    )
+    parser.add_argument("plan", metavar="PLAN", help="the plan (JSON) that was shot")
+    parser.add_argument("files", metavar="FILES", nargs="+", help="the camera's raw files, or folders of them")
+    parser.add_argument(
+        "-o", "--output", metavar="FILE", required=True, help="the manifest, such as manifests/mine.csv"
+    )
+    place = parser.add_mutually_exclusive_group()
+    place.add_argument("--copy-to", metavar="DIR", help="copy the files to DIR/<camera>/scene-<n>/IMG_<nnnn>.<ext>")
+    place.add_argument("--link-to", metavar="DIR", help="the same with hard links, which take no space")
+    parser.add_argument("--mapping", metavar="FILE", help="use this mapping of files to shots (JSON)")
+    parser.add_argument(
+        "--only",
+        action="append",
+        metavar="SCENE",
+        help="only this scene, or calibration, of the plan; may be repeated",
+    )
+    parser.add_argument(
+        "--repeated",
+        choices=("last", "first"),
+        default="last",
+        help="which of the frames of a shot that was taken several times in a row (default: %(default)s)",
+    )
+    parser.add_argument("--allow-gaps", action="store_true", help="write the manifest though shots are missing")
+    parser.add_argument("--yes", action="store_true", help="accept what was decided, without being asked")
+    parser.add_argument("--replace", action="store_true", help="replace an older manifest of this name")
+    add_jobs(parser)
+    add_json(parser)
+    add_debug(parser)
+    parser.set_defaults(run=run, command="manifest")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run this command."""
+    from capture.mapping import load_mapping, mapping_as_dict
+    from capture.matching import match
+    from capture.observed import observe, raw_files
+    from capture.plan import Plan
+
+    output = Path(arguments.output)
+    if output.suffix != ".csv":
+        raise ArgumentError(f"--output: expected a name that ends in .csv, found {arguments.output!r}")
+    if output.with_suffix(".json").resolve() == Path(arguments.plan).resolve():
+        raise ArgumentError(f"--output {output}: its card would be {arguments.plan}, the plan; give another name")
+    place = arguments.copy_to or arguments.link_to
+    plan = Plan.load(arguments.plan)
+    if arguments.only:
+        plan = plan.only(arguments.only)
+    files = raw_files(arguments.files, plan.camera.raw_extension, outside=None if place is None else Path(place))
+    observed = observe(files, plan.camera.models, jobs=arguments.jobs)
+    if arguments.mapping is None:
+        found = match(plan, observed, repeated=arguments.repeated)
+    else:
+        found = load_mapping(arguments.mapping, plan, observed)
+    print(format_match(plan, observed, found))
+    if arguments.json:
+        write_json(arguments.json, mapping_as_dict(plan, observed, found))
+    if not found.frames:
+        print("\nno file is a shot of this plan; nothing was written. Is it the right plan, with the right camera?")
+        return PROBLEMS
+    if found.missing and not arguments.allow_gaps:
+        print(
+            f"\n{len(found.missing)} of {len(plan.shots)} shots have no file. Take them again, or accept the gaps with"
+        )
+        print("--allow-gaps; --only names the scenes to begin with.")
+        return _leave_mapping(output, plan, observed, found)
+    if found.doubtful and arguments.mapping is None and not arguments.yes and not _confirmed():
+        return _leave_mapping(output, plan, observed, found)
+    _write(plan, found, output, arguments)
+    return OK
+
+
+def _confirmed() -> bool:
+    """Ask on a terminal; elsewhere nobody can confirm."""
+    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+        return False
+    try:
+        return input("\nuse this mapping? [y/N] ").strip().casefold() in ("y", "yes")
+    except EOFError:
+        return False
+
+
+def _leave_mapping(output: Path, plan: Plan, observed: Observed, found: Match) -> int:
+    """Write the mapping for a person to edit, unless one that may be edited is there."""
+    from capture.mapping import mapping_text
+    from eldata.files import write_text
+
+    path = output.with_suffix(".mapping.json")
+    text = mapping_text(plan, observed, found)
+    if path.exists() and path.read_bytes() != text.encode():
+        print(f"no manifest was written. {path} is there already, perhaps edited, and was left as it is:")
+        print(f"use it with --mapping {path}, or delete it to get a new one")
+        return PROBLEMS
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_text(path, text)
+    print(f"no manifest was written. The mapping is in {path}: look at it, edit it and pass it back with")
+    print(f"--mapping {path}, or accept it as it is with --yes")
+    return PROBLEMS
+
+
+def _write(plan: Plan, found: Match, output: Path, arguments: argparse.Namespace) -> None:
+    from capture.manifest import card_of, in_place, into_layout, with_hashes
+    from capture.placing import Placement, check_free, copy, link
+    from eldata.manifest.card import save_card
+    from eldata.manifest.table import save_records
+    from eldata.parallel import run_units
+
+    place = arguments.copy_to or arguments.link_to
+    dataset = in_place(plan, found) if place is None else into_layout(plan, found, Path(place).absolute())
+    card_path = output.with_suffix(".json")
+    if not arguments.replace:
+        for path in (output, card_path):
+            if path.exists():
+                raise ArgumentError(f"{path} is there already: give another name, or --replace it")
+    dataset = with_hashes(dataset, jobs=arguments.jobs)
+    records = [row.record for row in dataset.rows]
+    if place is not None:
+        placements = [
+            Placement(row.source, dataset.folder / row.record.path, row.record.sha256 or "") for row in dataset.rows
+        ]
+        check_free(placements)
+        work = copy if arguments.copy_to else link
+        for _ in run_units(work, placements, jobs=arguments.jobs, label="copying" if arguments.copy_to else "linking"):
+            pass
+    output.parent.mkdir(parents=True, exist_ok=True)
+    save_card(card_path, card_of(plan, output.stem, dataset.folder.name, records))
+    save_records(output, records)
+    print()
+    for remark in dataset.remarks:
+        print(remark)
+    print(f"manifest: {output}, {len(records)} files below {dataset.folder}")
+    print(f"card: {card_path}; fill in its licence and homepage before you give the set to others")
+    print(f"check it with: eldata verify {output} --root {dataset.folder.parent} --level full")
+    _warn_of_unlisted(dataset, place)
+
+
+def _warn_of_unlisted(dataset: Dataset, place: str | None) -> None:
+    if place is not None:
+        return
+    from eldata.raw.extensions import RAW_EXTENSIONS
+
+    listed = {(dataset.folder / row.record.path).resolve() for row in dataset.rows}
+    beside = [
+        path
+        for folder in sorted({path.parent for path in listed})
+        for path in sorted(folder.iterdir())
+        if path.suffix.lower() in RAW_EXTENSIONS and path.resolve() not in listed
+    ]
+    if beside:
+        print(
+            f"{len(beside)} other raw file(s) lie in the same folders, such as {beside[0].name}: eldata verify will "
+            "name them. --copy-to and --link-to make a folder without them"
+        )
+
+
+def format_match(plan: Plan, observed: Observed, found: Match) -> str:
+    """Return what was matched, a line a scene, and everything that did not go as planned."""
+    from capture.matching import blocks_of
+    from eldata.tables import text_table
+
+    rows = []
+    for block in blocks_of(plan):
+        frames = [found.frames.get((block.scene, shot.number)) for shot in block.shots]
+        there = [frame for frame in frames if frame is not None]
+        names = "-" if not there else f"{there[0].path.name} to {there[-1].path.name}"
+        times = [frame.taken for frame in there if frame.taken is not None]
+        when = "-" if not times else f"{min(times):%Y-%m-%d %H:%M:%S} to {max(times):%H:%M:%S}"
+        rows.append((block.title, f"{len(there)} of {len(frames)}", names, when))
+    lines = [text_table(("scene", "frames", "files", "taken"), rows, left=(0, 2, 3))]
+    kinds = list(dict.fromkeys(remark.kind for remark in found.remarks))
+    for kind in kinds:
+        # A scene without any frame is one line, not sixteen.
+        texts = list(dict.fromkeys(remark.text for remark in found.remarks if remark.kind == kind))
+        lines.append(f"{kind}:")
+        lines += [f"    {text}" for text in texts]
+    total = len(observed.frames) + len(observed.unusable)
+    lines.append(f"{len(found.frames)} of {len(plan.shots)} shots have a file; {total} files were given")
+    return "\n".join(lines)

@@ -1,0 +1,276 @@
+"""`capture plan`: which shots to take, with the settings to dial."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from capture.cli.values import metered, scene_time, seconds, spaced, whole
+from capture.protocol import PROTOCOLS, RELEASED
+from eldata.console import OK, add_debug, add_json, write_json
+from eldata.errors import ArgumentError
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Sequence
+    from fractions import Fraction
+
+    from capture.calibration import CalibrationPlan
+    from capture.camera import CameraDescription
+    from capture.plan import Plan
+    from capture.protocol import CaptureProtocol
+    from capture.shots import Shot
+
+_CREATING = ("camera", "scenes", "metered", "protocol", "isos", "factors")
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add this command."""
+    parser = commands.add_parser(
+        "plan",
+        help="plan the shots of scenes with the settings of your camera; change a plan",
+        description=(
+            "Plan the shots of each scene: the setting to dial, what the camera then really gives, and by how much the "
+            "exposure ratio misses its low-light factor. With PLAN, show that plan or change it."
+        ),
+        epilog="A new plan: capture plan --camera cam.json --scenes 10 --metered 1/2 -o plan.json. At the scene, when "
+        "the meter says something else: capture plan plan.json --remeter scene-2=1/4",
+    )
+    parser.add_argument("plan", metavar="PLAN", nargs="?", help="a plan to show or to change in place")
+    new = parser.add_argument_group("a new plan")
+    new.add_argument("--camera", metavar="FILE", help="camera description; capture camera --example writes one")
+    new.add_argument("--scenes", type=whole, metavar="N", help="number of scenes: scene-1 to scene-N")
+    new.add_argument(
+        "--metered",
+        type=metered,
+        action="append",
+        metavar="SECONDS",
+        help="time that exposes the scenes well at the base ISO, as 4, 1/2 or 0.5; for one scene: scene-3=4",
+    )
+    new.add_argument(
+        "--protocol",
+        choices=tuple(PROTOCOLS),
+        help="frames a scene: those of the released set (default) or of the paper, without the factors 1 and 10",
+    )
+    new.add_argument("--isos", type=whole, nargs="+", metavar="ISO", help="other ISOs of the noisy frames")
+    new.add_argument(
+        "--factors", type=whole, nargs="+", metavar="FACTOR", help="other low-light factors than the protocol's"
+    )
+    change = parser.add_argument_group("changes")
+    change.add_argument(
+        "--remeter",
+        type=scene_time,
+        action="append",
+        default=[],
+        metavar="SCENE=SECONDS",
+        help="compute a scene's shots from another metered time, as scene-2=1/4; may be repeated",
+    )
+    change.add_argument(
+        "--add-scene",
+        type=scene_time,
+        action="append",
+        default=[],
+        metavar="SCENE=SECONDS",
+        help="one more scene, as scene-11=1/2; may be repeated",
+    )
+    change.add_argument(
+        "--note",
+        action="append",
+        default=[],
+        metavar="SCENE=TEXT",
+        help="a note on a scene, as scene-2=bookshelf; may be repeated",
+    )
+    calibration = parser.add_argument_group("calibration frames, in a new plan or an older one")
+    calibration.add_argument(
+        "--calibration", action="store_true", help="plan bias frames and flats too; needs --flat-clips-at"
+    )
+    calibration.add_argument(
+        "--flat-clips-at",
+        type=seconds,
+        metavar="SECONDS",
+        help="time at the base ISO from which on the evenly lit surface is overexposed in raw",
+    )
+    calibration.add_argument(
+        "--calibration-isos",
+        type=whole,
+        nargs="+",
+        metavar="ISO",
+        help="ISOs to calibrate (default: full stops from the base ISO to the highest noisy one)",
+    )
+    calibration.add_argument("--bias-frames", type=whole, metavar="N", help="bias frames an ISO (default: 10)")
+    parser.add_argument(
+        "-o", "--output", metavar="FILE", help="the new plan's file; with PLAN: write the changes there"
+    )
+    add_json(parser)
+    add_debug(parser)
+    parser.set_defaults(run=run, command="plan")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run this command."""
+    from capture.plan import Plan
+
+    if arguments.plan is None:
+        plan = before = _new(arguments)
+    else:
+        given = [name for name in _CREATING if getattr(arguments, name) is not None]
+        if given:
+            raise ArgumentError(f"--{given[0]} is for a new plan; {arguments.plan} has its own: leave one of them out")
+        before = plan = Plan.load(arguments.plan)
+    plan = _changed(plan, arguments)
+    target = arguments.output or (arguments.plan if plan != before else None)
+    if arguments.output is not None and Path(arguments.output).exists() and arguments.output != arguments.plan:
+        raise ArgumentError(
+            f"{arguments.output} is there already, and may have been shot from: give another name, or change it with "
+            f"capture plan {arguments.output} --remeter or --add-scene"
+        )
+    print(format_plan(plan))
+    if target is not None:
+        plan.save(target)
+        print(f"\nplan: {target}")
+    if arguments.json:
+        write_json(arguments.json, plan.as_dict())
+    return OK
+
+
+def _new(arguments: argparse.Namespace) -> Plan:
+    from capture.camera import CameraDescription
+    from capture.plan import make_plan
+
+    if arguments.camera is None:
+        raise ArgumentError("a new plan needs --camera FILE; capture camera --example cam.json writes one to change")
+    camera = CameraDescription.load(arguments.camera)
+    protocol = _protocol(camera, arguments)
+    times = _metered(arguments)
+    return make_plan(camera, protocol, times, _calibration(camera, protocol, arguments))
+
+
+def _protocol(camera: CameraDescription, arguments: argparse.Namespace) -> CaptureProtocol:
+    chosen = PROTOCOLS[arguments.protocol or "released"]
+    return replace(
+        chosen,
+        base_iso=camera.base_iso,
+        noisy_isos=tuple(arguments.isos or RELEASED.noisy_isos),
+        low_light_factors=tuple(arguments.factors or chosen.low_light_factors),
+    )
+
+
+def _metered(arguments: argparse.Namespace) -> dict[str, Fraction]:
+    if arguments.scenes is None and arguments.calibration and not arguments.metered:
+        return {}  # calibration frames alone
+    if arguments.scenes is None or not 1 <= arguments.scenes <= 1000:
+        raise ArgumentError(f"--scenes: expected a number of scenes from 1 to 1000, found {arguments.scenes or 'none'}")
+    names = [f"scene-{number}" for number in range(1, arguments.scenes + 1)]
+    times: dict[str, Fraction] = {}
+    for name, time in arguments.metered or ():
+        if name is None:
+            times = dict.fromkeys(names, time)
+    for name, time in arguments.metered or ():
+        if name is not None and name not in names:
+            raise ArgumentError(f"--metered {name}: the scenes are scene-1 to scene-{arguments.scenes}")
+        if name is not None:
+            times[name] = time
+    lacking = [name for name in names if name not in times]
+    if lacking:
+        raise ArgumentError(
+            f"--metered: {', '.join(lacking)} need a metered time; --metered 1/2 gives one to every scene"
+        )
+    return {name: times[name] for name in names}
+
+
+def _calibration(
+    camera: CameraDescription, protocol: CaptureProtocol, arguments: argparse.Namespace
+) -> CalibrationPlan | None:
+    from capture.calibration import BIAS_FRAMES, default_isos, plan_calibration
+
+    if not arguments.calibration:
+        for name in ("flat_clips_at", "calibration_isos", "bias_frames"):
+            if getattr(arguments, name) is not None:
+                raise ArgumentError(f"--{name.replace('_', '-')} goes with --calibration")
+        return None
+    if arguments.flat_clips_at is None:
+        raise ArgumentError(
+            "--calibration needs --flat-clips-at SECONDS: point the camera at the evenly lit surface, at the base ISO, "
+            "and lengthen the exposure until the raw histogram touches its right end"
+        )
+    isos = tuple(sorted(arguments.calibration_isos)) if arguments.calibration_isos else default_isos(camera, protocol)
+    frames = BIAS_FRAMES if arguments.bias_frames is None else arguments.bias_frames
+    return plan_calibration(camera, protocol.base_iso, isos, arguments.flat_clips_at, bias_frames=frames)
+
+
+def _changed(plan: Plan, arguments: argparse.Namespace) -> Plan:
+    for name, time in arguments.add_scene:
+        plan = plan.add_scene(name, time)
+    for name, time in arguments.remeter:
+        plan = plan.remeter(name, time)
+    for text in arguments.note:
+        name, equals, note = text.partition("=")
+        if not equals or not note.strip():
+            raise ArgumentError(f"--note: expected a scene and a text, such as scene-2=bookshelf; found {text!r}")
+        plan = plan.add_note(name, note.strip())
+    if arguments.plan is not None:
+        calibration = _calibration(plan.camera, plan.protocol, arguments)
+        if calibration is not None:
+            plan = replace(plan, calibration=calibration)
+    return plan
+
+
+# --- text ---------------------------------------------------------------------------------------------------------
+
+
+def format_plan(plan: Plan) -> str:
+    """Return a plan as text: a table for the scenes of each metered time, and one for the calibration frames."""
+    protocol = plan.protocol
+    settings = f"base ISO {protocol.base_iso}, ISOs {spaced(protocol.noisy_isos)}"
+    factors = spaced(protocol.low_light_factors)
+    parts = [f"{plan.camera.name}: {len(plan.shots)} shots; {settings}, low-light factors {factors}"]
+    times = list(dict.fromkeys(scene.metered_s for scene in plan.scenes))
+    for time in times:
+        scenes = [scene for scene in plan.scenes if scene.metered_s == time]
+        title = f"{', '.join(scene.name for scene in scenes)}: metered at {time} s"
+        notes = [f"{scene.name}: {note}" for scene in scenes for note in scene.notes]
+        parts.append("\n".join([title, *notes, _table(scenes[0].shots), *scenes[0].remarks]))
+    if plan.calibration is not None:
+        title = f"calibration: the surface clips at {plan.calibration.flat_clips_at_s} s, ISO {protocol.base_iso}"
+        parts.append("\n".join([title, _calibration_table(plan.calibration.shots), *plan.calibration.remarks]))
+    return "\n\n".join(parts)
+
+
+def _table(shots: Sequence[Shot]) -> str:
+    from eldata.tables import text_table
+
+    header = ("frame", "role", "ISO", "factor", "asked", "set", "gives", "ratio", "error", "stops", "reference")
+    rows = []
+    for shot in shots:
+        noisy = shot.true_ratio is not None and shot.error_percent is not None and shot.error_stops is not None
+        rows.append(
+            (
+                str(shot.number),
+                shot.role,
+                str(shot.iso),
+                "-" if shot.factor is None else f"x{shot.factor}",
+                f"{shot.target_s} s",
+                f"{shot.setting.dial} s",
+                f"{shot.setting.true_s:.4g} s",
+                f"{float(shot.true_ratio):.2f}" if noisy and shot.true_ratio is not None else "-",
+                f"{shot.error_percent:+.1f} %" if noisy else "-",
+                f"{shot.error_stops:+.3f}" if noisy else "-",
+                "-" if shot.reference is None else str(shot.reference),
+            )
+        )
+    return text_table(header, rows, left=(1,))
+
+
+def _calibration_table(shots: Sequence[Shot]) -> str:
+    from eldata.tables import text_table
+
+    groups: dict[tuple[str, int, str, str], list[int]] = {}
+    for shot in shots:
+        level = "-" if shot.level is None else f"{float(100 * shot.level):.0f} %"
+        groups.setdefault((shot.role, shot.iso, level, shot.setting.dial), []).append(shot.number)
+    rows = [
+        (f"{numbers[0]}-{numbers[-1]}", role, str(iso), level, f"{dial} s", str(len(numbers)))
+        for (role, iso, level, dial), numbers in groups.items()
+    ]
+    return text_table(("frames", "role", "ISO", "level", "set", "count"), rows, left=(1,))

@@ -1,0 +1,169 @@
+"""From matched files to a dataset: its layout, its manifest and its card, as ``eldata`` reads them."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from capture.errors import MappingError
+from capture.plan import CALIBRATION
+from eldata.files import sha256_of
+from eldata.manifest.card import CameraCard, Card
+from eldata.parallel import run_units
+from eldata.records import FrameRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from capture.matching import Match
+    from capture.observed import ObservedFrame
+    from capture.plan import Plan
+    from capture.shots import Shot
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A row of the manifest, and the file that it is made from."""
+
+    source: Path
+    record: FrameRecord
+
+
+@dataclass(frozen=True, slots=True)
+class Dataset:
+    """What the matched files become.
+
+    Attributes
+    ----------
+    folder
+        The dataset's folder, which the rows' paths start from.
+    rows
+        By scene and number.
+    remarks
+        What gaps led to: other references, noisy frames left out.
+    """
+
+    folder: Path
+    rows: tuple[Row, ...]
+    remarks: tuple[str, ...]
+
+
+def layout_path(plan: Plan, scene: str, shot: Shot, source: Path) -> str:
+    """Return a shot's path in the dataset: ``<camera>/scene-1/IMG_0004.ARW``, ``<camera>/bias/ISO100/IMG_0001.ARW``."""
+    place = f"{shot.role}/ISO{shot.iso}" if scene == CALIBRATION else scene
+    return f"{plan.camera.name}/{place}/IMG_{shot.number:04d}{source.suffix}"
+
+
+def into_layout(plan: Plan, match: Match, folder: Path) -> Dataset:
+    """Return the dataset with its files under their protocol names in ``folder``."""
+    paths = {
+        (scene, shot.number): layout_path(plan, scene, shot, match.frames[scene, shot.number].path)
+        for scene, shot in plan.shots
+        if (scene, shot.number) in match.frames
+    }
+    return _dataset(plan, match, folder, paths)
+
+
+def in_place(plan: Plan, match: Match) -> Dataset:
+    """Return the dataset with its files where they are, below the folder that their folders have in common.
+
+    Raises
+    ------
+    MappingError
+        If they have none but the root of the file system.
+    """
+    files = {slot: Path(os.path.abspath(frame.path)) for slot, frame in match.frames.items()}  # noqa: PTH100 # links stay
+    if not files:
+        raise MappingError("no file was matched to a shot; nothing to list")
+    # One folder above that of the files: eldata looks for unlisted files in the folders below a dataset's own.
+    folder = Path(os.path.commonpath([path.parent.parent for path in files.values()]))
+    if folder == folder.parent:
+        raise MappingError(f"the files have no folder in common but {folder}; use --copy-to")
+    return _dataset(plan, match, folder, {slot: path.relative_to(folder).as_posix() for slot, path in files.items()})
+
+
+def _dataset(plan: Plan, match: Match, folder: Path, paths: dict[tuple[str, int], str]) -> Dataset:
+    references: dict[str, list[int]] = {}
+    for scene, shot in plan.shots:
+        if shot.role == "reference" and (scene, shot.number) in paths:
+            references.setdefault(scene, []).append(shot.number)
+    rows, remarks = [], []
+    for scene, shot in plan.shots:
+        slot = (scene, shot.number)
+        if slot not in paths:
+            continue
+        frame = match.frames[slot]
+        reference = None
+        if shot.reference is not None:
+            there = references.get(scene, [])
+            if not there:
+                remarks.append(f"{scene} frame {shot.number} is left out: the scene has no reference")
+                continue
+            number = min(there, key=lambda other, shot=shot: _distance(shot, other))  # type: ignore[misc] # bound here
+            if number != shot.reference:
+                remarks.append(
+                    f"{scene} frame {shot.number}: compared with frame {number}, as {shot.reference} is missing"
+                )
+            reference = paths[scene, number]
+        rows.append(Row(frame.path, _record(plan, scene, shot, frame, paths[slot], reference)))
+    return Dataset(folder, tuple(rows), tuple(remarks))
+
+
+def _distance(shot: Shot, other: int) -> tuple[bool, int, int]:
+    # The planned one first; else the nearest by number, the earlier of two, as the protocol has it.
+    return other != shot.reference, abs(other - shot.number), other
+
+
+def _record(plan: Plan, scene: str, shot: Shot, frame: ObservedFrame, path: str, reference: str | None) -> FrameRecord:
+    return FrameRecord(
+        path=path,
+        role=shot.role,
+        camera=plan.camera.name,
+        scene="" if scene == CALIBRATION else scene,
+        split="" if scene == CALIBRATION else "test",
+        iso=frame.iso,
+        exposure_s=frame.exposure_s,
+        ratio=None if shot.factor is None else Fraction(shot.factor),
+        reference=reference,
+    )
+
+
+def with_hashes(dataset: Dataset, *, jobs: int = 1) -> Dataset:
+    """Return the dataset with size and SHA-256 of each original filled in: copies are checked against them."""
+    found = run_units(_size_and_hash, [row.source for row in dataset.rows], jobs=jobs, label="hashing")
+    rows = [
+        replace(row, record=replace(row.record, size_bytes=size, sha256=digest))
+        for row, (size, digest) in zip(dataset.rows, found, strict=True)
+    ]
+    return replace(dataset, rows=tuple(rows))
+
+
+def _size_and_hash(path: Path) -> tuple[int, str]:
+    return path.stat().st_size, sha256_of(path)
+
+
+def card_of(plan: Plan, name: str, folder: str, records: Sequence[FrameRecord]) -> Card:
+    """Return the dataset's card; what only the photographer knows, such as the licence, is left to be filled in."""
+    roles = Counter(record.role for record in records)
+    scenes = len({record.scene for record in records} - {""})
+    what = [f"{scenes} scene{'' if scenes == 1 else 's'}"] if scenes else []
+    isos, factors = (", ".join(map(str, some)) for some in (plan.protocol.noisy_isos, plan.protocol.low_light_factors))
+    settings = f"protocol of base ISO {plan.protocol.base_iso}, ISOs {isos}, low-light factors {factors}"
+    what += ["calibration frames"] if {"bias", "flat"} & set(roles) else []
+    return Card(
+        name=name,
+        title=f"{' and '.join(what)} taken with {plan.camera.name}",
+        version="1.0",
+        folder=folder,
+        citation="not stated",
+        licence="not stated",
+        homepage="not stated",
+        cfa=plan.camera.cfa,
+        cameras={plan.camera.name: CameraCard(plan.camera.models)},
+        counts={role: roles[role] for role in sorted(roles)},
+        sources=(f"capture manifest: {settings}; ISO and exposure times as the files state them",),
+    )

@@ -1,0 +1,94 @@
+"""The mapping of files to shots as a JSON file, to be looked at, edited and passed back."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from capture.errors import MappingError
+from capture.fields import Fields
+from capture.matching import Match, Remark, checked
+
+if TYPE_CHECKING:
+    from capture.matching import Slot
+    from capture.observed import Observed, ObservedFrame
+    from capture.plan import Plan
+
+SCHEMA: Final = 1
+
+
+def mapping_as_dict(plan: Plan, observed: Observed, match: Match) -> dict[str, Any]:
+    """Return the mapping as plain JSON types: a line a shot, the files that have none, and the remarks."""
+    shots = []
+    for scene, shot in plan.shots:
+        frame = match.frames.get((scene, shot.number))
+        shots.append(
+            {
+                "scene": scene,
+                "number": shot.number,
+                "shot": f"{shot.role}, ISO {shot.iso}, {shot.setting.dial} s",
+                "file": None if frame is None else str(frame.path.absolute()),
+            }
+        )
+    used = {frame.path for frame in match.frames.values()}
+    unused = [
+        {"file": str(frame.path.absolute()), "settings": frame.settings}
+        for frame in observed.frames
+        if frame.path not in used
+    ]
+    return {
+        "schema": SCHEMA,
+        "shots": shots,
+        "unused": unused,
+        "remarks": [f"{remark.kind}: {remark.text}" for remark in match.remarks],
+    }
+
+
+def mapping_text(plan: Plan, observed: Observed, match: Match) -> str:
+    """Return the mapping as the text of its file."""
+    return json.dumps(mapping_as_dict(plan, observed, match), indent=1, ensure_ascii=False) + "\n"
+
+
+def load_mapping(path: Path | str, plan: Plan, observed: Observed) -> Match:
+    """Read a mapping that was written before and, perhaps, edited.
+
+    Only ``scene``, ``number`` and ``file`` of its ``shots`` are read. A shot without a file, or without a line, is
+    missing.
+
+    Raises
+    ------
+    MappingError
+        If the file is malformed, names a shot that the plan does not have, or a file that was not given, is used twice
+        or has other settings than its shot; the message says which.
+    """
+    path = Path(path)
+    top = Fields.of_file(path, MappingError)
+    top.only(("schema", "shots", "unused", "remarks"))
+    top.schema(SCHEMA)
+    known = {(scene, shot.number) for scene, shot in plan.shots}
+    given: dict[Path, ObservedFrame] = {frame.path.resolve(): frame for frame in observed.frames}
+    frames: dict[Slot, ObservedFrame] = {}
+    used: dict[Path, Slot] = {}
+    for index, item in enumerate(top.items("shots")):
+        fields = top.inside(f"shots[{index}]", item)
+        fields.only(("scene", "number", "shot", "file"))
+        slot = (fields.text("scene"), fields.whole("number"))
+        if slot not in known:
+            raise fields.wrong("number", f"a shot of the plan ({slot[0]} has none of this number)", slot[1])
+        if fields.value("file") is None:
+            continue
+        if slot in frames:
+            raise fields.wrong("number", f"each shot once ({slot[0]} frame {slot[1]} has a file already)", slot[1])
+        file = Path(fields.text("file")).resolve()
+        if file not in given:
+            raise fields.wrong("file", "one of the files given, with the camera's ISO and exposure time", str(file))
+        if file in used:
+            raise fields.wrong("file", f"each file once ({used[file][0]} frame {used[file][1]} has it)", str(file))
+        frames[slot], used[file] = given[file], slot
+    left = [frame for frame in observed.frames if frame.path.resolve() not in used]
+    remarks = [
+        Remark("extra", f"{frame.path.name}: {frame.settings}: left out by the mapping", path=frame.path)
+        for frame in left
+    ]
+    return checked(plan, Match(frames, tuple(remarks)))

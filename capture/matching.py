@@ -1,0 +1,436 @@
+"""Which file is which shot of the plan, and everything that did not go as planned.
+
+Frames are matched by their settings and by the order in which they were taken (:mod:`capture.alignment`). What that
+leaves over is explained: a repeated shot is usually a retake, a shot that is missing here and stands there was taken
+out of order, the rest are test shots or wrong settings. Nothing is dropped without a word.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final, Literal, get_args
+
+from capture.alignment import Stretch, align
+from capture.errors import MappingError
+from capture.plan import CALIBRATION
+from eldata.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from capture.observed import Observed, ObservedFrame
+    from capture.plan import Plan
+    from capture.shots import Shot
+
+# EXIF states the name of a setting or what it gives, rounded in either case; neighbouring settings are a third of a
+# stop apart, of which names take up to a tenth.
+STOPS_TOLERANCE: Final = 0.125
+_NEAR_STOPS: Final = 1.05  # a wrong setting that was meant for a shot: up to a stop off
+
+Repeated = Literal["last", "first"]
+Kind = Literal[
+    "missing", "repeated", "out-of-order", "extra", "wrong-setting", "unusable", "ambiguous", "scene-order", "no-times"
+]
+# What only informs: the mapping does not depend on it.
+_HARMLESS: Final = ("scene-order", "no-times")
+Slot = tuple[str, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Remark:
+    """One thing that did not go as planned: what kind, which shot or file, and what was made of it."""
+
+    kind: Kind
+    text: str
+    scene: str = ""
+    number: int | None = None
+    path: Path | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """Files and shots, matched.
+
+    Attributes
+    ----------
+    frames
+        The file of each shot that has one, by scene (or ``"calibration"``) and number.
+    remarks
+        What did not go as planned.
+    """
+
+    frames: dict[Slot, ObservedFrame]
+    remarks: tuple[Remark, ...]
+
+    @property
+    def missing(self) -> tuple[Remark, ...]:
+        """The shots that have no file."""
+        return tuple(remark for remark in self.remarks if remark.kind == "missing")
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether something was decided that a person should confirm."""
+        return any(remark.kind not in _HARMLESS for remark in self.remarks)
+
+
+@dataclass(frozen=True, slots=True)
+class _Block:
+    """Shots that are taken in one go: a scene, or the bias frames or flats of one ISO."""
+
+    scene: str
+    title: str
+    shots: tuple[Shot, ...]
+
+    @property
+    def settings(self) -> tuple[tuple[int, str], ...]:
+        return tuple((shot.iso, shot.setting.dial) for shot in self.shots)
+
+
+@dataclass(slots=True)
+class _Found:
+    """A block with the frames that it was found at."""
+
+    block: _Block
+    frames: list[int | None]
+    first: int
+    last: int
+
+
+def match(plan: Plan, observed: Observed, *, repeated: Repeated = "last") -> Match:
+    """Match files to a plan's shots.
+
+    Parameters
+    ----------
+    plan
+        The plan, or a part of it (:meth:`~capture.plan.Plan.only`).
+    observed
+        The files, in the order in which they were taken.
+    repeated
+        Which frame of a shot that was taken several times in a row.
+
+    Raises
+    ------
+    ArgumentError
+        If ``repeated`` is neither ``"last"`` nor ``"first"``.
+    """
+    if repeated not in get_args(Repeated):
+        raise ArgumentError(f"repeated must be 'last' or 'first'; found {repeated!r}")
+    matcher = _Matcher(plan, observed.frames, repeated)
+    remarks = [Remark("unusable", f"{file.path.name}: {file.reason}", path=file.path) for file in observed.unusable]
+    if not observed.by_time:
+        remarks.append(Remark("no-times", "not every file says when it was taken; the order is that of the file names"))
+    frames, found = matcher.run()
+    return Match(frames, (*remarks, *found))
+
+
+def can_be(shot: Shot, frame: ObservedFrame) -> bool:
+    """Return whether a frame has a shot's settings."""
+    return frame.iso == shot.iso and shot.setting.stops_off(frame.exposure_s) <= STOPS_TOLERANCE
+
+
+def blocks_of(plan: Plan) -> tuple[_Block, ...]:
+    """Return what is taken in one go: scenes, then bias frames and flats by ISO."""
+    blocks = [_Block(scene.name, scene.name, scene.shots) for scene in plan.scenes]
+    groups: dict[tuple[str, int], list[Shot]] = defaultdict(list)
+    for shot in () if plan.calibration is None else plan.calibration.shots:
+        groups[shot.role, shot.iso].append(shot)
+    for (role, iso), shots in groups.items():
+        blocks.append(_Block(CALIBRATION, f"{role} frames of ISO {iso}", tuple(shots)))
+    return tuple(blocks)
+
+
+class _Matcher:
+    def __init__(self, plan: Plan, frames: Sequence[ObservedFrame], repeated: Repeated) -> None:
+        self.blocks = blocks_of(plan)
+        self.frames = frames
+        self.repeated = repeated
+        self.remarks: list[Remark] = []
+        self.used: dict[int, tuple[_Block, Shot]] = {}
+        self._can_be: dict[tuple[int, str, int], bool] = {}
+        start = frames[0].taken if frames else None
+        self.times_s = [
+            (frame.taken - start).total_seconds() if start is not None and frame.taken is not None else 0.0
+            for frame in frames
+        ]
+
+    def can_be(self, shot: Shot, index: int) -> bool:
+        key = (shot.iso, shot.setting.dial, index)
+        if key not in self._can_be:
+            self._can_be[key] = can_be(shot, self.frames[index])
+        return self._can_be[key]
+
+    def run(self) -> tuple[dict[Slot, ObservedFrame], list[Remark]]:
+        found = self.stretches()
+        for place in found:
+            for shot, index in zip(place.block.shots, place.frames, strict=True):
+                if index is not None:
+                    self.used[index] = (place.block, shot)
+        self.settle_repeats()
+        self.fill_gaps(found)
+        self.name_missing(found)
+        self.name_extra(found)
+        frames = {(block.scene, shot.number): self.frames[index] for index, (block, shot) in self.used.items()}
+        return frames, self.remarks
+
+    # --- which stretch is which block ---------------------------------------------------------------------------------
+
+    def stretches(self) -> list[_Found]:
+        """Return the blocks that were found, in the order of time."""
+        kinds: dict[tuple[tuple[int, str], ...], list[_Block]] = defaultdict(list)
+        for block in self.blocks:
+            kinds[block.settings].append(block)
+        alike = list(kinds.values())
+        stretches = align(
+            [len(blocks[0].shots) for blocks in alike],
+            lambda sequence, shot, frame: self.can_be(alike[sequence][0].shots[shot], frame),
+            self.times_s,
+        )
+        found: list[_Found] = []
+        for sequence, blocks in enumerate(alike):
+            places = self.most_whole([one for one in stretches if one.sequence == sequence], blocks)
+            for block, place in zip(blocks, places, strict=False):
+                found.append(_Found(block, list(place.frames), place.first, place.last))
+            if 0 < len(places) < len(blocks):
+                titles = ", ".join(block.title for block in blocks)
+                lost = ", ".join(block.title for block in blocks[len(places) :])
+                verb = "is" if len(blocks) - len(places) == 1 else "are"
+                self.remarks.append(
+                    Remark(
+                        "ambiguous",
+                        f"{titles} have equal exposures, and {len(places)} of these {len(blocks)} were found: taken "
+                        f"for the first ones, so {lost} {verb} missing. If another one is, edit the mapping",
+                    )
+                )
+        found.sort(key=lambda place: place.first)
+        self.note_order(found)
+        return found
+
+    def most_whole(self, places: list[Stretch], blocks: Sequence[_Block]) -> list[Stretch]:
+        """Return as many stretches as there are blocks: those with the most shots, the later of two equal ones."""
+        spare = len(places) - len(blocks)
+        if spare <= 0:
+            return places
+        ranked = sorted(places, key=lambda place: (place.matched, place.first))
+        dropped, kept = ranked[:spare], ranked[spare:]
+        if len(blocks) > 1:
+            titles = ", ".join(block.title for block in blocks)
+            names = ", ".join(f"{self.name(place.first)} to {self.name(place.last)}" for place in dropped)
+            self.remarks.append(
+                Remark(
+                    "ambiguous",
+                    f"{titles} have equal exposures, and {len(places)} such series were found for {len(blocks)}: "
+                    f"left out as a first attempt: {names}. If another one is, edit the mapping",
+                )
+            )
+        return sorted(kept, key=lambda place: place.first)
+
+    def note_order(self, found: Sequence[_Found]) -> None:
+        planned = [block.title for block in self.blocks]
+        taken = [place.block.title for place in found]
+        if taken != [title for title in planned if title in taken]:
+            self.remarks.append(Remark("scene-order", f"taken in the order {', '.join(taken)}"))
+
+    # --- what is left over --------------------------------------------------------------------------------------------
+
+    def settle_repeats(self) -> None:
+        """Of frames with equal settings in a row, take the last (or first) ones for the shots among them."""
+        same_as_before = [
+            index > 0 and self._settings(index) == self._settings(index - 1) for index in range(len(self.frames))
+        ]
+        starts = [index for index, same in enumerate(same_as_before) if not same]
+        for start, stop in pairwise([*starts, len(self.frames)]):
+            for run in self.by_block(range(start, stop)):
+                shots = [self.used[index] for index in run if index in self.used]
+                if not shots or len(shots) == len(run):
+                    continue
+                chosen = run[-len(shots) :] if self.repeated == "last" else run[: len(shots)]
+                for index in run:
+                    self.used.pop(index, None)
+                for index, used in zip(chosen, shots, strict=True):
+                    self.used[index] = used
+                self.name_repeated([index for index in run if index not in self.used], chosen)
+
+    def _settings(self, index: int) -> tuple[object, object]:
+        return self.frames[index].iso, self.frames[index].exposure_s
+
+    def by_block(self, run: range) -> list[list[int]]:
+        """Split a run of equal settings where one scene ends and another begins: at its longest pause there.
+
+        The reference at a scene's end and the one at the next scene's beginning may be equal, and so may be the first
+        one of an attempt that was given up.
+        """
+        cuts = set()
+        used = [index for index in run if index in self.used]
+        for one, other in pairwise(used):
+            if self.used[one][0] is not self.used[other][0]:
+                cuts.add(max(range(one + 1, other + 1), key=self.pause))
+        if used:
+            block, shot = self.used[used[-1]]
+            if shot is block.shots[-1]:
+                cuts.update(index for index in run if index > used[-1] and self.begins(index))
+            block, shot = self.used[used[0]]
+            if shot is block.shots[0]:
+                cuts.update(index for index in run if index <= used[0] and self.begins(index))
+        borders = [run.start, *sorted(cuts - {run.start}), run.stop]
+        return [list(range(first, last)) for first, last in pairwise(borders)]
+
+    def pause(self, index: int) -> float:
+        """Return the seconds before a frame."""
+        return self.times_s[index] - self.times_s[index - 1] if index else 0.0
+
+    def begins(self, index: int) -> bool:
+        """Return whether a frame belongs to what follows: the pause before it is the longer one."""
+        return index + 1 < len(self.frames) and self.pause(index) > 3 * self.pause(index + 1)
+
+    def name_repeated(self, unused: Sequence[int], chosen: Sequence[int]) -> None:
+        block, shot = self.used[chosen[-1]]
+        for index in unused:
+            taken = self.name(chosen[-1]) if len(chosen) == 1 else f"{self.name(chosen[0])} to {self.name(chosen[-1])}"
+            which = "last" if self.repeated == "last" else "first"
+            self.remarks.append(
+                Remark(
+                    "repeated",
+                    f"{self.name(index)}: {block.title} frame {shot.number} was taken more than once; the {which} one "
+                    f"is used, {taken}",
+                    block.scene,
+                    shot.number,
+                    self.frames[index].path,
+                )
+            )
+
+    def windows(self, found: Sequence[_Found]) -> dict[int, range]:
+        """Return the frames between which each block's forgotten shots may stand: up to its neighbours' own."""
+        result = {}
+        for index in range(len(found)):
+            after = found[index - 1].last + 1 if index else 0
+            before = found[index + 1].first if index + 1 < len(found) else len(self.frames)
+            result[index] = range(after, before)
+        return result
+
+    def fill_gaps(self, found: Sequence[_Found]) -> None:
+        """Give shots without a frame the frame of their settings that stands elsewhere around the scene."""
+        reported = {remark.path for remark in self.remarks if remark.kind == "repeated"}
+        for index, window in self.windows(found).items():
+            place = found[index]
+            at = {shot.number: i for i, (block, shot) in self.used.items() if block is place.block}
+            for shot in place.block.shots:
+                if shot.number in at:
+                    continue
+                spare = [
+                    i
+                    for i in window
+                    if i not in self.used and self.can_be(shot, i) and self.frames[i].path not in reported
+                ]
+                if not spare:
+                    continue
+                before = [i for number, i in at.items() if number < shot.number]
+                middle = max(before) if before else place.first
+                chosen = min(spare, key=lambda i: abs(i - middle))
+                self.used[chosen] = (place.block, shot)
+                at[shot.number] = chosen
+                after = [number for number, i in at.items() if i < chosen]
+                where = f"after frame {max(after, key=lambda number: at[number])}" if after else "before all others"
+                self.remarks.append(
+                    Remark(
+                        "out-of-order",
+                        f"{self.name(chosen)}: {place.block.title} frame {shot.number}, taken out of order ({where})",
+                        place.block.scene,
+                        shot.number,
+                        self.frames[chosen].path,
+                    )
+                )
+
+    def name_missing(self, found: Sequence[_Found]) -> None:
+        have = {(block.scene, shot.number) for block, shot in self.used.values()}
+        windows = self.windows(found)
+        for block in self.blocks:
+            lacking = [shot for shot in block.shots if (block.scene, shot.number) not in have]
+            if len(lacking) == len(block.shots):
+                text = f"{block.title}: none of its {len(lacking)} frames"
+                self.remarks += [Remark("missing", text, block.scene, shot.number) for shot in lacking]
+                continue
+            for shot in lacking:
+                settings = f"{shot.role}, ISO {shot.iso}, {shot.setting.dial} s"
+                text = f"{block.title} frame {shot.number} ({settings}): no file"
+                at = next(index for index, place in enumerate(found) if place.block is block)
+                near = self.meant_for(shot, windows[at], found[at])
+                if near is not None:
+                    frame = self.frames[near]
+                    text += f"; {frame.path.name} may be meant, but was taken at {frame.settings}"
+                    self.remarks.append(
+                        Remark(
+                            "wrong-setting",
+                            f"{frame.path.name}: {frame.settings}, where {block.title} frame {shot.number} asks for "
+                            f"ISO {shot.iso}, {shot.setting.dial} s; not used",
+                            block.scene,
+                            shot.number,
+                            frame.path,
+                        )
+                    )
+                self.remarks.append(Remark("missing", text, block.scene, shot.number))
+
+    def meant_for(self, shot: Shot, window: range, place: _Found) -> int | None:
+        """Return the left-over frame that stands where a missing shot should, with the ISO or time slightly off."""
+        explained = {remark.path for remark in self.remarks}
+        before = [i for i, (block, other) in self.used.items() if block is place.block and other.number < shot.number]
+        after = [i for i, (block, other) in self.used.items() if block is place.block and other.number > shot.number]
+        low, high = max(before, default=window.start - 1), min(after, default=window.stop)
+        for index in range(low + 1, high):
+            frame = self.frames[index]
+            if index in self.used or frame.path in explained:
+                continue
+            off = shot.setting.stops_off(frame.exposure_s)
+            if (frame.iso == shot.iso and off <= _NEAR_STOPS) or (frame.iso != shot.iso and off <= STOPS_TOLERANCE):
+                return index
+        return None
+
+    def name_extra(self, found: Sequence[_Found]) -> None:
+        explained = {remark.path for remark in self.remarks}
+        windows = self.windows(found)
+        for index, frame in enumerate(self.frames):
+            if index in self.used or frame.path in explained:
+                continue
+            text = f"{frame.path.name}: {frame.settings}: no shot of the plan; not used"
+            kind: Kind = "extra"
+            for at, window in windows.items():
+                block = found[at].block
+                around = range(min(window.start, found[at].first), max(window.stop, found[at].last + 1))
+                same = [shot for shot in block.shots if index in around and self.can_be(shot, index)]
+                if same:
+                    kind = "repeated"
+                    numbers = " or ".join(str(shot.number) for shot in same[:4])
+                    text = (
+                        f"{frame.path.name}: {frame.settings}, as {block.title} frame {numbers}, which other files in "
+                        "their order were taken for; not used"
+                    )
+                    break
+            self.remarks.append(Remark(kind, text, path=frame.path))
+
+    def name(self, index: int) -> str:
+        return self.frames[index].path.name
+
+
+def checked(plan: Plan, given: Match) -> Match:
+    """Return a mapping that a person made, with what is missing; refuse files that do not have their shot's settings.
+
+    Raises
+    ------
+    MappingError
+        If a file's settings are not those of its shot.
+    """
+    remarks = list(given.remarks)
+    for scene, shot in plan.shots:
+        frame = given.frames.get((scene, shot.number))
+        settings = f"ISO {shot.iso}, {shot.setting.dial} s"
+        if frame is None:
+            text = f"{scene} frame {shot.number} ({shot.role}, {settings}): no file"
+            remarks.append(Remark("missing", text, scene, shot.number))
+        elif not can_be(shot, frame):
+            raise MappingError(
+                f"mapping, {scene} frame {shot.number}: asks for {settings}, and {frame.path} was taken at "
+                f"{frame.settings}: its ratio would be wrong. Choose another file, or null to leave the frame out"
+            )
+    return replace(given, remarks=tuple(remarks))

@@ -1,0 +1,130 @@
+"""Files into the dataset's layout by copy or hard link: originals stay, what is there already is never replaced.
+
+Symbolic links are not made: a dataset whose files lie elsewhere is refused by ``eldata verify`` and every reader, since
+a link that leads outside of its folder is how a manifest from a stranger would reach other files.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import secrets
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from capture.errors import MappingError
+from eldata.files import sha256_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+_PIECE: Final = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """One file to place: where it is, where it goes, and the hash of its content (``sha256:<hex>``)."""
+
+    source: Path
+    target: Path
+    sha256: str
+
+    @property
+    def path(self) -> Path:
+        """The source: what an error of a worker names."""
+        return self.source
+
+
+def check_free(placements: Iterable[Placement]) -> None:
+    """Refuse, before anything is written, if a target holds another content.
+
+    Raises
+    ------
+    MappingError
+        If so; the message names the first such file.
+    """
+    for placement in placements:
+        if os.path.lexists(placement.target) and not _holds(placement):
+            raise MappingError(
+                f"{placement.target} is there already with another content than {placement.source}; nothing was "
+                "copied. Choose another folder, or move that file away"
+            )
+
+
+def copy(placement: Placement) -> None:
+    """Copy a file, whole or not at all, unless its target holds the same content already.
+
+    Raises
+    ------
+    MappingError
+        If the target holds something else, or the source changed meanwhile.
+    """
+    source, target = placement.source, placement.target
+    if _holds(placement):
+        return
+    target.parent.mkdir(parents=True, exist_ok=True)
+    temporary = target.parent / f".{target.name}.{secrets.token_hex(8)}.part"
+    try:
+        digest = hashlib.sha256()
+        with source.open("rb") as reading, temporary.open("xb") as writing:
+            while piece := reading.read(_PIECE):
+                digest.update(piece)
+                writing.write(piece)
+            writing.flush()
+            os.fsync(writing.fileno())
+            seen = os.fstat(reading.fileno())
+        if f"sha256:{digest.hexdigest()}" != placement.sha256:
+            raise MappingError(f"{source} changed while it was being copied; run this again")
+        os.utime(temporary, ns=(seen.st_atime_ns, seen.st_mtime_ns))
+        _rename_to_new(temporary, target)
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def link(placement: Placement) -> None:
+    """Give a file a second name (a hard link), unless its target holds the same content already.
+
+    Raises
+    ------
+    MappingError
+        If the target holds something else, or lies on another file system.
+    """
+    if _holds(placement):
+        return
+    placement.target.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        placement.target.hardlink_to(placement.source)
+    except FileExistsError:
+        raise _occupied(placement.target) from None
+    except OSError as error:
+        raise MappingError(
+            f"{placement.target} cannot be a hard link to {placement.source} ({error.strerror}); use --copy-to"
+        ) from error
+
+
+def _holds(placement: Placement) -> bool:
+    source, target = placement.source, placement.target
+    if not target.is_file():
+        return False
+    if target.samefile(source):
+        return True
+    return target.stat().st_size == source.stat().st_size and sha256_of(target) == placement.sha256
+
+
+def _rename_to_new(temporary: Path, target: Path) -> None:
+    """Rename, but fail if the target exists: a plain rename would replace it without a word."""
+    try:
+        target.hardlink_to(temporary)
+    except FileExistsError:
+        raise _occupied(target) from None
+    except OSError:  # a file system without hard links, such as a memory card's
+        if os.path.lexists(target):
+            raise _occupied(target) from None
+        temporary.rename(target)
+
+
+def _occupied(target: Path) -> MappingError:
+    return MappingError(f"{target} appeared meanwhile; it was left as it is. Is another copy of this command running?")

@@ -1,0 +1,379 @@
+"""The capture plan: what to photograph with one camera, scene by scene, as a file that can be changed and resumed.
+
+The file states what was decided (camera, protocol, metered times) and, for readers in other languages, the shots that
+follow. On load they are computed again and must agree: a shot changed by hand would give a ratio that nobody notices.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from capture.calibration import CalibrationPlan, plan_calibration
+from capture.camera import CameraDescription, camera_as_dict, camera_from
+from capture.errors import PlanError
+from capture.fields import Fields
+from capture.protocol import CaptureProtocol
+from capture.shots import Shot, check_isos, scene_shots
+from eldata.errors import EldataError
+from eldata.files import write_text
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+SCHEMA: Final = 1
+CALIBRATION: Final = "calibration"
+# As eldata verify has it: a pair whose ratio is further off its nominal one is refused there.
+RATIO_TOLERANCE: Final = Fraction(1, 10)
+_SCENE: Final = re.compile(r"scene-[1-9][0-9]{0,5}")
+
+
+@dataclass(frozen=True, slots=True)
+class ScenePlan:
+    """One scene.
+
+    Attributes
+    ----------
+    name
+        Its folder: ``scene-1``.
+    metered_s
+        What the meter said at the base ISO, in seconds.
+    shots
+        In the order in which they are taken.
+    notes
+        The photographer's own: what the scene shows.
+    """
+
+    name: str
+    metered_s: Fraction
+    shots: tuple[Shot, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What to know about these shots: a metered time that was rounded, ratios far off their factor."""
+        found = []
+        base = self.shots[0].setting
+        if base.nominal_s != self.metered_s:
+            found.append(f"metered at {self.metered_s} s, set as {base.dial} s, the camera's nearest time")
+        far = [shot for shot in self.shots if _far_off(shot)]
+        if far:
+            listed = ", ".join(str(shot.number) for shot in far)
+            found.append(
+                f"frames {listed}: the ratio is more than {float(100 * RATIO_TOLERANCE):.0f} % off its factor, which "
+                "eldata verify refuses; set the camera to thirds of a stop, or meter another time"
+            )
+        return tuple(found)
+
+
+def _far_off(shot: Shot) -> bool:
+    if shot.factor is None or shot.true_ratio is None or shot.named_ratio is None:
+        return False
+    ratios = (float(shot.true_ratio), float(shot.named_ratio))
+    return any(abs(ratio - shot.factor) > RATIO_TOLERANCE * shot.factor for ratio in ratios)
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What to photograph with one camera.
+
+    Attributes
+    ----------
+    camera, protocol
+        What the camera can be set to; the frames of a scene.
+    scenes
+        In the order in which they are taken.
+    calibration
+        Calibration frames, or ``None``.
+
+    Raises
+    ------
+    PlanError
+        If there is nothing to take, a scene's name is not ``scene-<n>`` or occurs twice.
+    """
+
+    camera: CameraDescription
+    protocol: CaptureProtocol
+    scenes: tuple[ScenePlan, ...] = ()
+    calibration: CalibrationPlan | None = None
+
+    def __post_init__(self) -> None:
+        check_isos(self.camera, self.protocol)
+        if not self.scenes and self.calibration is None:
+            raise PlanError("a plan needs at least one scene, or calibration frames; found neither")
+        names: list[str] = []
+        for scene in self.scenes:
+            if _SCENE.fullmatch(scene.name) is None:
+                raise PlanError(
+                    f"scene name: expected scene-1, scene-2 and so on, as the dataset's folders are called; found "
+                    f"{scene.name!r} (what it shows belongs into its notes)"
+                )
+            if scene.name in names:
+                raise PlanError(f"scene names: expected each once, found {scene.name} twice")
+            names.append(scene.name)
+
+    @property
+    def shots(self) -> tuple[tuple[str, Shot], ...]:
+        """All shots in the order in which they are taken, each with its scene's name or ``"calibration"``."""
+        scenes = [(scene.name, shot) for scene in self.scenes for shot in scene.shots]
+        frames = () if self.calibration is None else self.calibration.shots
+        return (*scenes, *((CALIBRATION, shot) for shot in frames))
+
+    def scene(self, name: str) -> ScenePlan:
+        """Return a scene by its name.
+
+        Raises
+        ------
+        PlanError
+            If there is none of that name; the message lists those that there are.
+        """
+        for scene in self.scenes:
+            if scene.name == name:
+                return scene
+        known = ", ".join(scene.name for scene in self.scenes) or "none"
+        raise PlanError(f"the plan has no scene called {name!r}; it has {known}")
+
+    def add_scene(self, name: str, metered_s: Fraction, notes: Sequence[str] = ()) -> Plan:
+        """Return the plan with one more scene at its end.
+
+        Raises
+        ------
+        PlanError
+            If the name is no ``scene-<n>`` or is taken.
+        ImpossibleShotError
+            If one of its shots is beyond the camera.
+        """
+        return replace(self, scenes=(*self.scenes, self._planned(name, metered_s, tuple(notes))))
+
+    def remeter(self, name: str, metered_s: Fraction) -> Plan:
+        """Return the plan with a scene's shots computed from another metered time; its notes stay.
+
+        Raises
+        ------
+        PlanError
+            If there is no such scene.
+        ImpossibleShotError
+            If one of its shots is beyond the camera.
+        """
+        changed = self._planned(name, metered_s, self.scene(name).notes)
+        return replace(self, scenes=tuple(changed if scene.name == name else scene for scene in self.scenes))
+
+    def add_note(self, name: str, note: str) -> Plan:
+        """Return the plan with one more note on a scene.
+
+        Raises
+        ------
+        PlanError
+            If there is no such scene.
+        """
+        noted = replace(self.scene(name), notes=(*self.scene(name).notes, note))
+        return replace(self, scenes=tuple(noted if scene.name == name else scene for scene in self.scenes))
+
+    def only(self, names: Sequence[str]) -> Plan:
+        """Return the plan of some scenes alone; ``"calibration"`` names the calibration frames.
+
+        Raises
+        ------
+        PlanError
+            If there is no such scene, or there are no calibration frames.
+        """
+        if CALIBRATION in names and self.calibration is None:
+            raise PlanError("the plan has no calibration frames")
+        wanted = {self.scene(name).name for name in names if name != CALIBRATION}
+        return replace(
+            self,
+            scenes=tuple(scene for scene in self.scenes if scene.name in wanted),
+            calibration=self.calibration if CALIBRATION in names else None,
+        )
+
+    def _planned(self, name: str, metered_s: Fraction, notes: tuple[str, ...]) -> ScenePlan:
+        return plan_scene(self.camera, self.protocol, name, metered_s, notes)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the plan as plain JSON types: the content of its file."""
+        return {
+            "schema": SCHEMA,
+            "camera": camera_as_dict(self.camera),
+            "protocol": {
+                "base_iso": self.protocol.base_iso,
+                "noisy_isos": list(self.protocol.noisy_isos),
+                "low_light_factors": list(self.protocol.low_light_factors),
+            },
+            "scenes": [
+                {
+                    "name": scene.name,
+                    "metered_s": str(scene.metered_s),
+                    "notes": list(scene.notes),
+                    "shots": [_shot_as_dict(shot) for shot in scene.shots],
+                }
+                for scene in self.scenes
+            ],
+            "calibration": None if self.calibration is None else _calibration_as_dict(self.calibration),
+        }
+
+    def save(self, path: Path | str) -> None:
+        """Write the plan as JSON, whole or not at all."""
+        write_text(path, json.dumps(self.as_dict(), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+
+    @classmethod
+    def load(cls, path: Path | str) -> Plan:
+        """Read a plan.
+
+        Raises
+        ------
+        PlanError
+            If the file cannot be read, a field is missing, unknown or wrong, or the shots are not those that follow
+            from the rest; the message names the field, what was expected and what was found.
+        """
+        return _load(Path(path))
+
+
+def plan_scene(
+    camera: CameraDescription, protocol: CaptureProtocol, name: str, metered_s: Fraction, notes: tuple[str, ...] = ()
+) -> ScenePlan:
+    """Return a scene with its shots computed.
+
+    Raises
+    ------
+    PlanError
+        If the camera does not have one of the protocol's ISOs.
+    ImpossibleShotError
+        If one of its shots is beyond the camera; the message names the scene and says what to change.
+    """
+    try:
+        return ScenePlan(name, metered_s, scene_shots(camera, protocol, metered_s), notes)
+    except PlanError as error:
+        raise type(error)(f"{name}: {error}") from None
+
+
+def make_plan(
+    camera: CameraDescription,
+    protocol: CaptureProtocol,
+    metered_s: dict[str, Fraction],
+    calibration: CalibrationPlan | None = None,
+) -> Plan:
+    """Return a plan of scenes by name and metered time.
+
+    Raises
+    ------
+    PlanError
+        If there is nothing to take, a name is no ``scene-<n>``, or the camera does not have one of the ISOs.
+    ImpossibleShotError
+        If one of the shots is beyond the camera.
+    """
+    scenes = tuple(plan_scene(camera, protocol, name, seconds) for name, seconds in metered_s.items())
+    return Plan(camera, protocol, scenes, calibration)
+
+
+# --- the file -----------------------------------------------------------------------------------------------------
+
+
+def _shot_as_dict(shot: Shot) -> dict[str, Any]:
+    content: dict[str, Any] = {
+        "number": shot.number,
+        "role": shot.role,
+        "iso": shot.iso,
+        "target_s": str(shot.target_s),
+        "dial": shot.setting.dial,
+        "nominal_s": str(shot.setting.nominal_s),
+        "true_s": shot.setting.true_s,
+    }
+    if shot.role == "noisy":
+        content |= {
+            "factor": shot.factor,
+            "reference": shot.reference,
+            "named_ratio": str(shot.named_ratio),
+            "true_ratio": None if shot.true_ratio is None else float(shot.true_ratio),
+        }
+    if shot.level is not None:
+        content["level"] = str(shot.level)
+    return content
+
+
+def _calibration_as_dict(calibration: CalibrationPlan) -> dict[str, Any]:
+    return {
+        "isos": list(calibration.isos),
+        "bias_frames": calibration.bias_frames,
+        "flat_levels": [str(level) for level in calibration.flat_levels],
+        "flat_clips_at_s": str(calibration.flat_clips_at_s),
+        "shots": [_shot_as_dict(shot) for shot in calibration.shots],
+    }
+
+
+def _load(path: Path) -> Plan:
+    top = Fields.of_file(path, PlanError)
+    top.only(("schema", "camera", "protocol", "scenes", "calibration"))
+    top.schema(SCHEMA)
+    with _naming(path):
+        camera = camera_from(top.inside("camera"))
+        fields = top.inside("protocol")
+        fields.only(("base_iso", "noisy_isos", "low_light_factors"))
+        isos, factors = fields.wholes("noisy_isos"), fields.wholes("low_light_factors")
+        protocol = CaptureProtocol(fields.whole("base_iso"), isos, factors)
+        check_isos(camera, protocol)
+        scenes = tuple(
+            _scene(top.inside(f"scenes[{index}]", item), camera, protocol)
+            for index, item in enumerate(top.items("scenes"))
+        )
+        calibration = None
+        if top.value("calibration") is not None:
+            calibration = _calibration(top.inside("calibration"), camera, protocol)
+        return Plan(camera, protocol, scenes, calibration)
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Let errors from inside be a plan's, and name the file."""
+    try:
+        yield
+    except EldataError as error:
+        if isinstance(error, PlanError) and str(error).startswith(f"{path}"):
+            raise
+        raise PlanError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
+
+
+def _scene(fields: Fields, camera: CameraDescription, protocol: CaptureProtocol) -> ScenePlan:
+    fields.only(("name", "metered_s", "notes", "shots"))
+    scene = plan_scene(camera, protocol, fields.text("name"), fields.seconds("metered_s"), fields.texts("notes"))
+    _check_shots(fields, scene.shots)
+    return scene
+
+
+def _calibration(fields: Fields, camera: CameraDescription, protocol: CaptureProtocol) -> CalibrationPlan:
+    fields.only(("isos", "bias_frames", "flat_levels", "flat_clips_at_s", "shots"))
+    levels = (fields.seconds(f"flat_levels[{index}]", item) for index, item in enumerate(fields.items("flat_levels")))
+    calibration = plan_calibration(
+        camera,
+        protocol.base_iso,
+        fields.wholes("isos"),
+        fields.seconds("flat_clips_at_s"),
+        bias_frames=fields.whole("bias_frames"),
+        flat_levels=tuple(levels),
+    )
+    _check_shots(fields, calibration.shots)
+    return calibration
+
+
+def _check_shots(fields: Fields, shots: Sequence[Shot]) -> None:
+    """Refuse a file whose shots are not those that its decisions give."""
+    items = fields.items("shots")
+    advice = "(shots follow from the rest: change that with capture plan --remeter, not the shots)"
+    for index, (item, shot) in enumerate(zip(items, shots, strict=False)):
+        found = fields.inside(f"shots[{index}]", item)
+        expected = _shot_as_dict(shot)
+        found.only(tuple(expected))
+        for key, value in expected.items():
+            there = found.value(key)
+            same = there == value and isinstance(there, type(value))
+            if isinstance(value, float):
+                same = isinstance(there, float) and math.isclose(there, value, rel_tol=1e-9)
+            if not same:
+                raise found.wrong(key, f"{value!r} {advice}", there)
+    if len(items) != len(shots):
+        raise fields.wrong("shots", f"{len(shots)} shots {advice}", f"{len(items)} shots")

@@ -1,0 +1,192 @@
+"""One shot of a plan, and the shots of a scene: which setting each exposure becomes on a given camera."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+from capture.errors import ImpossibleShotError, PlanError
+
+if TYPE_CHECKING:
+    from capture.camera import CameraDescription, ShutterTime
+    from capture.exact import ExactNumber
+    from capture.protocol import CaptureProtocol, ProtocolFrame
+    from eldata.records import Role
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """One frame to take.
+
+    Attributes
+    ----------
+    number
+        Its place in the scene, or among the calibration frames, from 1.
+    role
+        ``"reference"``, ``"noisy"``, ``"bias"`` or ``"flat"``.
+    iso
+        ISO to set.
+    target_s
+        The exposure time that the protocol asks for, ``t* / f``, exactly.
+    setting
+        The exposure time to set: how it is marked, and what the camera then gives.
+    factor, reference
+        Low-light factor and number of the reference of a noisy frame; else ``None``.
+    true_ratio
+        (ISO t) of the reference over (ISO t) of the noisy frame, by the times that the camera gives.
+    named_ratio
+        The same by the times that it names: what EXIF will say with most makers.
+    level
+        Of a flat: wanted mean, as a share of the range over black.
+    """
+
+    number: int
+    role: Role
+    iso: int
+    target_s: Fraction
+    setting: ShutterTime
+    factor: int | None = None
+    reference: int | None = None
+    true_ratio: ExactNumber | None = None
+    named_ratio: Fraction | None = None
+    level: Fraction | None = None
+
+    @property
+    def error_stops(self) -> float | None:
+        """By how many stops the true ratio lies above the nominal factor."""
+        if self.true_ratio is None or self.factor is None:
+            return None
+        return (self.true_ratio / self.factor).log2
+
+    @property
+    def error_percent(self) -> float | None:
+        """By how much per cent the true ratio lies above the nominal factor."""
+        if self.true_ratio is None or self.factor is None:
+            return None
+        return 100 * (float(self.true_ratio / self.factor) - 1)
+
+
+def scene_shots(camera: CameraDescription, protocol: CaptureProtocol, metered_s: Fraction) -> tuple[Shot, ...]:
+    """Return the shots of a scene, in order.
+
+    The metered time becomes a setting first: the one marked so, else the nearest. Each noisy frame then gets the
+    setting whose given time is nearest, by ratio, to ``t* / f`` with ``t`` the time that the references are really
+    given: the light is what counts, not the names.
+
+    Raises
+    ------
+    PlanError
+        If the camera does not have one of the protocol's ISOs.
+    ImpossibleShotError
+        If a shot needs a time that the camera does not have; the message says what to change.
+    """
+    check_isos(camera, protocol)
+    shots = _shots_or_none(camera, protocol, metered_s)
+    if isinstance(shots, tuple):
+        return shots
+    raise ImpossibleShotError(_what_to_change(camera, protocol, metered_s, shots))
+
+
+def check_isos(camera: CameraDescription, protocol: CaptureProtocol) -> None:
+    """Refuse a protocol with an ISO that the camera does not have."""
+    for iso in (protocol.base_iso, *protocol.noisy_isos):
+        if iso not in camera.isos:
+            raise PlanError(
+                f"{camera.name} has no ISO {iso}; it has {', '.join(map(str, camera.isos))}: choose others, or correct "
+                "the camera description"
+            )
+
+
+def reference_setting(camera: CameraDescription, metered_s: Fraction) -> ShutterTime | None:
+    """Return the setting of a metered time: the one marked so, else the nearest; ``None`` beyond the camera's."""
+    return camera.named(metered_s) or camera.nearest(metered_s)
+
+
+def _shots_or_none(
+    camera: CameraDescription, protocol: CaptureProtocol, metered_s: Fraction
+) -> tuple[Shot, ...] | ProtocolFrame:
+    """Return the shots, or the first frame that the camera cannot take."""
+    frames = protocol.frames()
+    base = reference_setting(camera, metered_s)
+    if base is None:
+        return frames[0]
+    shots = []
+    for frame in frames:
+        target_s = protocol.exposure_s(frame, base.nominal_s)
+        if frame.factor is None:
+            shots.append(Shot(frame.number, frame.role, frame.iso, target_s, base))
+            continue
+        wanted = base.true_exact * Fraction(protocol.base_iso, frame.iso * frame.factor)
+        setting = camera.nearest(wanted)
+        if setting is None:
+            return frame
+        speeds = Fraction(protocol.base_iso, frame.iso)
+        shots.append(
+            Shot(
+                number=frame.number,
+                role=frame.role,
+                iso=frame.iso,
+                target_s=target_s,
+                setting=setting,
+                factor=frame.factor,
+                reference=frame.reference,
+                true_ratio=base.true_exact / setting.true_exact * speeds,
+                named_ratio=base.nominal_s / setting.nominal_s * speeds,
+            )
+        )
+    return tuple(shots)
+
+
+# --- what to change -----------------------------------------------------------------------------------------------
+
+
+def _what_to_change(
+    camera: CameraDescription, protocol: CaptureProtocol, metered_s: Fraction, frame: ProtocolFrame
+) -> str:
+    exposures_s = [protocol.exposure_s(one, metered_s) for one in protocol.frames()]
+    shortest_s, longest_s = min(exposures_s), max(exposures_s)
+    metered = f"metered at {metered_s} s (ISO {protocol.base_iso})"
+    fitting = [
+        time for time in camera.shutter.times if isinstance(_shots_or_none(camera, protocol, time.nominal_s), tuple)
+    ]
+    if not fitting:
+        return (
+            f"{metered}: the protocol asks for times from {shortest_s} s to {longest_s} s, and no metered time brings "
+            f"all of them between {camera.name}'s {camera.fastest.dial} s and {camera.slowest.dial} s: take smaller "
+            "low-light factors, or fewer ISOs"
+        )
+    target_s = protocol.exposure_s(frame, metered_s)
+    what = f"{frame.role} frame {frame.number} (ISO {frame.iso}{f', x{frame.factor}' if frame.factor else ''})"
+    too_fast = metered_s < fitting[0].nominal_s
+    limit = camera.fastest if too_fast else camera.slowest
+    bound = fitting[0] if too_fast else fitting[-1]
+    stops = _stops_up(abs((bound.true_exact / metered_s).log2))
+    message = (
+        f"{metered}: {what} needs {target_s} s, and {camera.name}'s {'fastest' if too_fast else 'slowest'} time is "
+        f"{limit.dial} s. "
+    )
+    if too_fast:
+        return message + (
+            f"Let {stops} less light in, so that the scene meters at {bound.dial} s or longer: stop down by {stops}, "
+            f"or add a neutral-density filter of {stops}, or dim the lamps. Another base ISO does not help: "
+            "ISO x time stays the same"
+        )
+    message += (
+        f"Let {stops} more light in, so that the scene meters at {bound.dial} s or shorter: open up by {stops}, or add "
+        "light"
+    )
+    raised = protocol.base_iso * metered_s / bound.nominal_s
+    other = next((iso for iso in camera.isos if iso >= raised and iso < min(protocol.noisy_isos)), None)
+    if frame.factor is None and other is not None:
+        message += f"; or take ISO {other} as the base"
+    return message
+
+
+def _stops_up(stops: float) -> str:
+    """Return a number of stops, rounded up to thirds: ``6 1/3 stops``."""
+    thirds = max(1, math.ceil(3 * stops - 1e-6))
+    whole, rest = divmod(thirds, 3)
+    text = " ".join([*([str(whole)] if whole else []), *([f"{rest}/3"] if rest else [])])
+    return f"{text} stop{'' if thirds <= 3 else 's'}"

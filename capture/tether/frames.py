@@ -1,0 +1,103 @@
+"""Is this file the frame that was to be taken? Names of frames, and what EXIF and pixels say of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import count
+from typing import TYPE_CHECKING, Any
+
+from capture.matching import can_be
+from capture.observed import ObservedFrame
+from eldata.errors import RawFileError
+
+if TYPE_CHECKING:
+    from datetime import datetime
+    from pathlib import Path
+
+    from capture.camera import CameraDescription
+    from capture.matching import Slot
+    from capture.shots import Shot
+
+
+def frame_name(slot: Slot, camera: CameraDescription) -> str:
+    """Return a frame's name: ``scene-1_0004.ARW``, ``calibration_0012.ARW``."""
+    scene, number = slot
+    return f"{scene}_{number:04d}{camera.raw_extension}"
+
+
+def aside_path(folder: Path, slot: Slot, observed: ObservedFrame | None, suffix: str) -> Path:
+    """Return a free name for a frame that is none of the plan's: it says why, and is no raw file's name.
+
+    Such as ``scene-1_0004.wrong-ISO800-1_60s.1.ARW.aside``.
+    """
+    scene, number = slot
+    why = "unusable" if observed is None else f"wrong-{observed.settings}"
+    plain = why.replace(", ", "-").replace(" ", "").replace("/", "_")
+    names = (folder / f"{scene}_{number:04d}.{plain}.{attempt}{suffix}.aside" for attempt in count(1))
+    return next(path for path in names if not path.exists())
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What became of looking at a file: ``problem`` is ``None`` if it is the frame; ``observed`` if it is readable."""
+
+    observed: ObservedFrame | None
+    problem: str | None
+
+    @property
+    def exif(self) -> dict[str, Any]:
+        """What EXIF says, in plain types."""
+        if self.observed is None:
+            return {}
+        taken = self.observed.taken
+        return {
+            "iso": str(self.observed.iso),
+            "exposure_s": str(self.observed.exposure_s),
+            "taken": None if taken is None else taken.isoformat(),
+            "model": self.observed.model,
+        }
+
+
+def look(path: Path, shot: Shot, camera: CameraDescription) -> Look:
+    """Decode a downloaded file, and compare its EXIF with a shot.
+
+    Decoded, since gphoto2 ends well after a download that the disk had no room for, and not every format's header
+    tells how long the file should be.
+    """
+    from eldata.raw.reading import read_header, read_raw
+
+    if path.suffix.lower() != camera.raw_extension.lower():
+        return Look(
+            None,
+            f"the camera sent a {path.suffix or 'nameless'} file, not {camera.raw_extension}: set its image format to "
+            "raw alone",
+        )
+    try:
+        read_raw(path)
+        header = read_header(path)
+    except RawFileError as error:
+        return Look(None, f"the file that came is not whole: {error.reason}")
+    iso, exposure_s = header.exposure.iso, header.exposure.exposure_s
+    if iso is None or exposure_s is None:
+        return Look(None, f"the file that came states no {'ISO' if iso is None else 'exposure time'}")
+    observed = ObservedFrame(path, iso, exposure_s, header.taken, header.model)
+    if header.model.casefold() not in {model.casefold() for model in camera.models}:
+        return Look(
+            observed,
+            f"the frame was taken by {header.model or 'a camera that it does not name'}; the plan is for "
+            f"{' or '.join(camera.models)}",
+        )
+    if not can_be(shot, observed):
+        return Look(
+            observed,
+            f"the frame was taken at {observed.settings}, and the plan asks for ISO {shot.iso}, {shot.setting.dial} s",
+        )
+    return Look(observed, None)
+
+
+def taken_of(exif: dict[str, Any]) -> datetime | None:
+    """Return when a journal's frame was taken, by the camera's clock."""
+    from datetime import datetime
+
+    text = exif.get("taken")
+    return datetime.fromisoformat(text) if isinstance(text, str) else None

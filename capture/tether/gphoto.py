@@ -1,0 +1,376 @@
+"""The program ``gphoto2``: its command lines, what it prints, and what its errors mean.
+
+What was seen of the real program (2.5.28) and shaped this module:
+
+- Its exit code is 1 for every failure, and 0 for a download that filled the disk: the file is then cut short under its
+  final name. So an exit code of 0 proves nothing, and every frame is decoded before it counts.
+- ``--set-config`` takes a number for a place in the list: 25 is the 26th choice, not 25 s. ``--set-config-value`` takes
+  the text.
+- Without a terminal it asks "Overwrite? [y|n]" and fails where a file is there: each shot has a folder of its own.
+- It remembers the last port in ~/.gphoto/settings and takes it where none is given: so the port is always given.
+- Messages follow the language of the environment; ``LC_ALL=C`` keeps them, and decimal points, readable.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import tempfile
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import IO, TYPE_CHECKING, Final
+
+from capture.tether.errors import CameraLostError, GphotoError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+INSTALL: Final = "install it with: apt install gphoto2 (macOS: brew install gphoto2), or name it with --gphoto2 PATH"
+PATTERN: Final = "frame.%C"  # %C is the camera's own extension: a JPEG beside the raw gets another name
+LOG: Final = "gphoto2.log"
+_GRACE_S: Final = 5.0
+_CAMERA: Final = re.compile(r"(?P<model>\S.*?)\s+(?P<port>[a-z0-9]+:\S.*?)\s*")
+_NO_CAPTURE_PORTS: Final = ("disk:", "usbdiskdirect:", "usbscsi:")  # memory cards, which are listed too
+_NEW_FILE: Final = re.compile(r"New file is in location (?P<path>/.*?) on the camera")
+_LISTED: Final = re.compile(r"FILENAME='(?P<path>/[^']*)'.*?FILESIZE=\s*(?P<size>\d+)(?:.*?FILEMTIME=(?P<time>\d+))?")
+_CHOICE: Final = re.compile(r"Choice: (?P<index>\d+) (?P<text>.*)")
+
+
+@dataclass(frozen=True, slots=True)
+class _Meaning:
+    """What a message of gphoto2 means and what to do; ``lost`` if the camera is out of reach."""
+
+    pattern: str
+    advice: str
+    lost: bool = False
+
+
+# The first that fits counts.
+_MEANINGS: Final = (
+    _Meaning(
+        r"Could not claim the USB device|Could not claim interface|Could not lock the device",
+        "another program holds the camera. Close photo programs, and let the file manager go of it: gio mount -s "
+        "gphoto2 (or eject the camera there)",
+        lost=True,
+    ),
+    _Meaning(
+        r"Could not open USB device|Access denied|LIBUSB_ERROR_ACCESS|Permission denied",
+        "the camera's USB port may not be opened by you: unplug the camera and plug it in again; if that does not "
+        "help, add yourself to the group plugdev",
+        lost=True,
+    ),
+    _Meaning(
+        r"Could not detect any camera|No camera found|Unknown model|Could not find the requested device"
+        r"|No such device|disconnected|Unknown port|Port .* not found",
+        "no camera answers: plug the cable in, switch the camera on, wake it, and set its USB mode to PC remote or "
+        "PTP. gphoto2 --auto-detect shows whether it is found; its port changes with every plugging, so --port may be "
+        "out of date",
+        lost=True,
+    ),
+    _Meaning(r"No space left|Disk full|'Fixed limit exceeded'", "the disk, or the camera's card, is full: make room"),
+    _Meaning(
+        r"I/O in progress|Device Busy",
+        "the camera is busy: wait for its card light to go out, and leave its menus",
+    ),
+    _Meaning(
+        r"Timeout|I/O problem|Error reading from the port|Error writing to the port|PTP General Error|PTP Session",
+        "the connection broke: check cable and battery, switch the camera off and on",
+    ),
+    _Meaning(r"can ?not capture|does not support generic capture", "this camera cannot be released by gphoto2"),
+    _Meaning(
+        r"not found in configuration tree|within list of choices|does not provide any configuration|was not set",
+        "the camera does not take this setting now: turn its mode dial to M, and switch ISO automatics off",
+    ),
+    _Meaning(
+        r"Out of Focus|autofocus|Could not capture",
+        "the camera did not release: set lens and body to manual focus, the mode dial to M, the drive to single, and "
+        "see what its display says",
+    ),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Detected:
+    """A camera that gphoto2 found: its own name for it, and the port."""
+
+    model: str
+    port: str
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """A setting as the camera has it now; ``choices`` is empty if it is no list."""
+
+    name: str
+    current: str
+    choices: tuple[str, ...] = ()
+    read_only: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class CardFile:
+    """A file on the camera: ``time`` is seconds by its clock, 0 if it does not say."""
+
+    path: PurePosixPath
+    size_bytes: int
+    time: int
+
+
+def set_arguments(values: dict[str, str]) -> list[str]:
+    """Return the options that set some settings, by the camera's own text."""
+    return [part for name, value in values.items() for part in ("--set-config-value", f"{name}={value}")]
+
+
+def get_arguments(names: Sequence[str]) -> list[str]:
+    """Return the options that read some settings."""
+    return [part for name in names for part in ("--get-config", name)]
+
+
+CAPTURE: Final = ("--capture-image-and-download", "--filename", PATTERN, "--force-overwrite")
+
+
+@dataclass(frozen=True, slots=True)
+class Gphoto:
+    """The program, and the camera that it is to talk to.
+
+    Attributes
+    ----------
+    program
+        Its path.
+    port
+        The camera's, as ``usb:001,005``; empty for the only one.
+    timeout_s
+        How long a command may take beyond the exposure; then it is killed with all that it started.
+    inherited
+        File descriptors that the program keeps open: the session's lock, which so outlives a killed session for as long
+        as its gphoto2 is still downloading.
+    started
+        Told the process id of each run.
+    """
+
+    program: str
+    port: str = ""
+    timeout_s: float = 60.0
+    inherited: tuple[int, ...] = ()
+    started: Callable[[int], None] | None = None
+
+    @classmethod
+    def find(cls, name: str, *, timeout_s: float) -> Gphoto:
+        """Return the program of this name or path.
+
+        Raises
+        ------
+        GphotoError
+            If it is not installed.
+        """
+        path = shutil.which(name)
+        if path is None:
+            raise GphotoError(f"{name}: there is no such program; {INSTALL}")
+        return cls(str(Path(path).absolute()), timeout_s=timeout_s)
+
+    def command(self, *arguments: str) -> list[str]:
+        """Return a whole command line."""
+        return [self.program, *(("--port", self.port) if self.port else ()), *arguments]
+
+    # --- what is asked of it ------------------------------------------------------------------------------------------
+
+    def detect(self) -> tuple[Detected, ...]:
+        """Return the cameras that can be reached; memory cards, which are listed too, are left out.
+
+        Asked without a port: with one, the program lists whatever it is told that there is.
+        """
+        return parse_cameras(self._run(["--auto-detect"]))
+
+    def setting_names(self) -> tuple[str, ...]:
+        """Return the names of the camera's settings, without the sections that they stand in."""
+        lines = self._run(["--list-config"]).splitlines()
+        return tuple(line.strip().rpartition("/")[2] for line in lines if line.startswith("/"))
+
+    def settings(self, names: Sequence[str]) -> dict[str, Setting]:
+        """Read some settings of the camera."""
+        found = parse_settings(self._run(get_arguments(names)))
+        if len(found) != len(names):
+            raise GphotoError(
+                f"gphoto2 was asked for {', '.join(names)} and told {len(found)} of {len(names)} settings"
+            )
+        return {name: Setting(name, *one) for name, one in zip(names, found, strict=True)}
+
+    def set(self, values: dict[str, str]) -> None:
+        """Set some settings."""
+        self._run(set_arguments(values))
+
+    def capture(self, folder: Path, exposure_s: float) -> None:
+        """Release, and download what the camera took into an empty folder as ``frame.<its extension>``.
+
+        What the program says is kept beside it, so that a later session still knows where on the card the frame is.
+        """
+        # Twice the exposure: a camera whose long-exposure noise reduction is on takes a dark frame of equal length.
+        with (folder / LOG).open("ab+") as log:
+            self._run(list(CAPTURE), folder=folder, limit_s=2 * exposure_s + self.timeout_s, log=log)
+
+    def card(self) -> tuple[CardFile, ...]:
+        """List the files on the camera, oldest first as far as it says."""
+        return parse_card(self._run(["--parsable", "--list-files"]))
+
+    def fetch(self, path: PurePosixPath, folder: Path) -> None:
+        """Download a file from the camera as ``frame.<its extension>``; it stays on the camera."""
+        arguments = ["--folder", str(path.parent), "--get-file", path.name, "--filename", PATTERN, "--force-overwrite"]
+        self._run(arguments, folder=folder)
+
+    # --- the process --------------------------------------------------------------------------------------------------
+
+    def _run(
+        self,
+        arguments: list[str],
+        *,
+        folder: Path | None = None,
+        limit_s: float | None = None,
+        log: IO[bytes] | None = None,
+    ) -> str:
+        """Run a command; return its output and errors as one text.
+
+        Raises
+        ------
+        CameraLostError
+            If the camera is out of reach, or the program hangs and was killed.
+        GphotoError
+            If it fails in another way.
+        """
+        if log is None:
+            # A file, not a pipe: a helper that the program leaves behind would keep a pipe open.
+            with tempfile.TemporaryFile() as file:
+                return self._run(arguments, folder=folder, limit_s=limit_s, log=file)
+        limit_s = self.timeout_s if limit_s is None else limit_s
+        environment = {name: value for name, value in os.environ.items() if name not in ("LANGUAGE", "LC_MESSAGES")}
+        begun = log.seek(0, os.SEEK_END)
+        try:
+            process = subprocess.Popen(  # noqa: S603 # arguments as a list, no shell
+                self.command(*arguments),
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                cwd=folder,
+                env=environment | {"LC_ALL": "C", "LANG": "C"},
+                # A group of its own: it can be ended with all that it started, and Ctrl-C does not end it half-way.
+                start_new_session=True,
+                pass_fds=self.inherited,
+            )
+        except OSError as error:
+            raise GphotoError(f"{self.program} cannot be run ({error.strerror}); {INSTALL}") from error
+        if self.started is not None:
+            self.started(process.pid)
+        try:
+            code = process.wait(limit_s)
+        except subprocess.TimeoutExpired:
+            _end(process)
+            raise CameraLostError(
+                f"gphoto2 {arguments[0]} did not end within {limit_s:g} s and was ended: switch the camera off and on, "
+                "check cable and battery; if it only is slow, give more time with --timeout",
+                _text(log, begun),
+            ) from None
+        except BaseException:  # Ctrl-C above all: nothing may go on behind the back of the journal
+            _end(process)
+            raise
+        output = _text(log, begun)
+        if code != 0:
+            raise explained(arguments[0], output)
+        return output
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End a process and all that it started: first with the interrupt that lets it close the camera's session."""
+    for number in (signal.SIGINT, signal.SIGKILL):
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.pid, number)
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(_GRACE_S)
+            break
+    with suppress(ProcessLookupError, PermissionError):
+        os.killpg(process.pid, signal.SIGKILL)  # a helper that outlived its parent
+    process.wait()
+
+
+def _text(log: IO[bytes], begun: int) -> str:
+    log.seek(begun)
+    return log.read().decode("utf-8", "replace")
+
+
+def explained(what: str, output: str) -> GphotoError:
+    """Return the error that a failed command stands for, to be raised."""
+    said = " ".join(line for line in map(str.strip, output.splitlines()) if line and not _is_advice(line))
+    said = re.sub(r"\*\*\* Error[ *]*\*\*\*", " ", said).replace("*** Error", "").replace("***", "")
+    said = " ".join(said.split())[:300] or "nothing"
+    for meaning in _MEANINGS:
+        if re.search(meaning.pattern, output, re.IGNORECASE):
+            kind = CameraLostError if meaning.lost else GphotoError
+            return kind(f"{meaning.advice}. gphoto2 {what} said: {said}", output)
+    return GphotoError(f"gphoto2 {what} failed and said: {said}", output)
+
+
+_ADVICE: Final = (
+    "For debugging messages",
+    "Debugging messages",
+    "If you intend",
+    "developer mailing list",
+    "gphoto2 as follows",
+    "env LANG=C",
+    "Please make sure",
+)
+
+
+def _is_advice(line: str) -> bool:
+    return line.startswith(_ADVICE)
+
+
+# --- what it prints ---------------------------------------------------------------------------------------------------
+
+
+def parse_cameras(output: str) -> tuple[Detected, ...]:
+    """Return the cameras of ``--auto-detect``."""
+    lines = output.splitlines()
+    rule = next((index for index, line in enumerate(lines) if line.startswith("-----")), len(lines))
+    matches = (_CAMERA.fullmatch(line) for line in lines[rule + 1 :])
+    found = (Detected(one["model"], one["port"]) for one in matches if one is not None)
+    return tuple(camera for camera in found if not camera.port.startswith(_NO_CAPTURE_PORTS))
+
+
+def parse_settings(output: str) -> list[tuple[str, tuple[str, ...], bool]]:
+    """Return the settings of ``--get-config``, in their order: current value, choices, whether read-only."""
+    found: list[tuple[str, tuple[str, ...], bool]] = []
+    current: str | None = None
+    choices: list[str] = []
+    read_only = False
+    for line in output.splitlines():
+        text = line.strip()
+        if text.startswith("Label:"):
+            current, choices, read_only = None, [], False
+        elif text.startswith("Readonly:"):
+            read_only = text.endswith("1")
+        elif text.startswith("Current:"):
+            current = text.removeprefix("Current:").strip()
+        elif (choice := _CHOICE.fullmatch(text)) is not None:
+            choices.append(choice["text"].strip())
+        elif text == "END" and current is not None:
+            found.append((current, tuple(choices), read_only))
+            current = None
+    return found
+
+
+def parse_card(output: str) -> tuple[CardFile, ...]:
+    """Return the files of ``--parsable --list-files``, oldest first, then by name."""
+    matches = (_LISTED.search(line) for line in output.splitlines())
+    found = [
+        CardFile(PurePosixPath(one["path"]), int(one["size"]), int(one["time"] or 0))
+        for one in matches
+        if one is not None
+    ]
+    return tuple(sorted(found, key=lambda file: (file.time, str(file.path))))
+
+
+def parse_taken(output: str) -> tuple[PurePosixPath, ...]:
+    """Return where on the camera the frames of a capture are."""
+    return tuple(PurePosixPath(one["path"]) for one in _NEW_FILE.finditer(output))

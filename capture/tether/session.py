@@ -1,0 +1,392 @@
+"""A tethered session: the camera set, released and checked, shot by shot, so that it can be cut off at any moment.
+
+The order of steps is what makes that so. For each shot: intent into the journal; release and download into a folder of
+that attempt alone; decode and compare with the plan; final name; done into the journal. Whoever comes after a crash
+finds an intent without an end, and looks: at the final name, into the attempt's folder, on the camera's card. Only if
+the frame is nowhere, it is taken again.
+"""
+
+from __future__ import annotations
+
+import secrets
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+from capture.tether.choices import Choices, is_iso, is_time
+from capture.tether.errors import CameraLostError, GphotoError, JournalError, TetherError
+from capture.tether.frames import Look, aside_path, frame_name, look, taken_of
+from capture.tether.gphoto import LOG, Gphoto, parse_taken
+from capture.tether.journal import NAME as JOURNAL
+from capture.tether.journal import Entry, Journal, fingerprint, place
+from capture.tether.lock import locked
+from capture.tether.preparing import prepare
+from capture.tether.stages import stages_of
+from eldata.files import sha256_of
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from capture.matching import Slot
+    from capture.plan import Plan
+    from capture.shots import Shot
+    from capture.tether.gphoto import CardFile
+
+INCOMING: Final = ".incoming"
+ATTEMPTS: Final = 2
+_LEAST_FREE_BYTES: Final = 200 << 20  # a raw of the largest sensors; gphoto2 does not notice a full disk
+_READ_BACK: Final = 3
+_READ_BACK_PAUSE_S: Final = 0.5
+
+Say = Callable[[str], None]
+Ask = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a session did: files by shot, and how many of them it took itself."""
+
+    files: dict[Slot, Path]
+    taken: int
+    seconds: float
+
+
+def run_session(
+    plan: Plan,
+    folder: Path,
+    gphoto: Gphoto,
+    *,
+    whole: Plan | None = None,
+    path: Path | str = "the plan",
+    ask: Ask,
+    say: Say,
+) -> Outcome:
+    """Take every shot of a plan that the folder does not have yet.
+
+    Parameters
+    ----------
+    plan
+        What to take: a plan, or a part of it.
+    folder
+        Where frames and journal go; made if it is not there.
+    gphoto
+        The program; with a port if several cameras are connected.
+    whole
+        The plan that ``plan`` is a part of: the journal belongs to it.
+    path
+        What to call the plan in messages.
+    ask
+        Shows what a stage needs, and returns when it is ready.
+    say
+        Shows a line of progress.
+
+    Raises
+    ------
+    TetherError
+        If the session cannot start or go on. Frames that were taken are kept; the same call goes on where this ended.
+    """
+    begun = time.monotonic()
+    whole = plan if whole is None else whole
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise TetherError(f"{folder}: cannot be made ({error.strerror})") from error
+    with locked(folder) as lock:
+        journal = Journal(folder / JOURNAL)
+        journal.check(whole, path)
+        gphoto = replace(gphoto, inherited=(lock.descriptor,), started=lock.note)
+        session = _Session(plan, whole, folder, gphoto, journal, ask, say)
+        return Outcome(session.run(), session.taken, time.monotonic() - begun)
+
+
+class _Session:
+    def __init__(
+        self, plan: Plan, whole: Plan, folder: Path, gphoto: Gphoto, journal: Journal, ask: Ask, say: Say
+    ) -> None:
+        self.plan, self.whole, self.folder, self.gphoto = plan, whole, folder, gphoto
+        self.journal, self.ask, self.say = journal, ask, say
+        self.shots = {(scene, shot.number): shot for scene, shot in whole.shots}
+        self.taken = 0
+        self.state: dict[str, str] = {}
+
+    def run(self) -> dict[Slot, Path]:
+        """Take what is missing; return the files of the plan."""
+        self.check_done()
+        stages = stages_of(self.plan)
+        if all(slot in self.have for stage in stages for slot, _ in stage.shots) and not self.journal.open_intents():
+            self.sweep()
+            return self.files()
+        ready = prepare(self.plan, self.gphoto)
+        self.gphoto = ready.gphoto
+        for remark in ready.remarks:
+            self.say(remark)
+        self.journal.write_plan(self.whole)
+        for intent in self.journal.open_intents():
+            self.settle(intent)
+        self.sweep()
+        for stage in stages:
+            missing = [(slot, shot) for slot, shot in stage.shots if slot not in self.have]
+            if not missing:
+                continue
+            if len(missing) == len(stage.shots):
+                head = f"{stage.title}: {len(missing)} frames"
+            else:
+                head = f"{stage.title}: {len(stage.shots) - len(missing)} of {len(stage.shots)} frames are here; go on"
+            self.ask("\n".join([head, *(f"    {line}" for line in stage.prepare)]))
+            for slot, shot in missing:
+                self.take(slot, shot, ready.choices)
+                number = next(n for n, (other, _) in enumerate(stage.shots, 1) if other == slot)
+                self.say(
+                    f"{stage.title}  {number}/{len(stage.shots)}  {shot.role}, ISO {shot.iso}, {shot.setting.dial} s  "
+                    f"{self.have[slot].details['file']}"
+                )
+        self.sweep()
+        return self.files()
+
+    @property
+    def have(self) -> dict[Slot, Entry]:
+        """The frames that are here."""
+        return {slot: entry for slot, entry in self.journal.done().items() if slot not in self.gone}
+
+    def files(self) -> dict[Slot, Path]:
+        """Return the files of the plan, in its order."""
+        have = self.have
+        slots = [(scene, shot.number) for scene, shot in self.plan.shots]
+        return {slot: self.folder / str(have[slot].details["file"]) for slot in slots if slot in have}
+
+    # --- before the first shot ----------------------------------------------------------------------------------------
+
+    def check_done(self) -> None:
+        """See that the frames of the journal are there; those that were deleted are taken again."""
+        self.gone: set[Slot] = set()
+        begun_again = {intent.slot for intent in self.journal.open_intents()}
+        for slot, entry in self.journal.done().items():
+            path = self.folder / str(entry.details["file"])
+            if slot in begun_again:
+                self.gone.add(slot)  # it was deleted; what is there now, if anything, is that later attempt's
+            elif not path.is_file():
+                self.gone.add(slot)
+                self.say(f"{path.name} is gone; it will be taken again")
+            elif path.stat().st_size != entry.details["size_bytes"]:
+                raise JournalError(
+                    f"{path} has {path.stat().st_size} bytes, and had {entry.details['size_bytes']} when it was taken: "
+                    "bring the original back, or delete it to have it taken again"
+                )
+
+    # --- one shot -----------------------------------------------------------------------------------------------------
+
+    def take(self, slot: Slot, shot: Shot, choices: Choices) -> None:
+        """Take one frame; set anew and try once more if it came out wrong."""
+        target = self.folder / frame_name(slot, self.plan.camera)
+        if target.exists():
+            raise JournalError(f"{target} is there already, and this session did not take it: move it away")
+        problems: list[str] = []
+        for attempt in range(1, ATTEMPTS + 1):
+            self.check_room()
+            if attempt > 1:
+                self.say(f"{slot[0]} frame {slot[1]}: {problems[-1]}; once more")
+            try:
+                self.set(shot, choices)
+                problem = self.release(slot, shot)
+            except CameraLostError:
+                raise
+            except GphotoError as error:
+                problem = str(error)
+            if problem is None:
+                self.taken += 1
+                return
+            self.state = {}
+            problems.append(problem)
+        raise TetherError(
+            f"{slot[0]} frame {slot[1]} (ISO {shot.iso}, {shot.setting.dial} s) failed {ATTEMPTS} times: "
+            f"{problems[-1]}. Look at the camera: mode dial on M, ISO and exposure automatics off, image format raw, "
+            "drive single; then run the same command again, it goes on with this frame"
+        )
+
+    def set(self, shot: Shot, choices: Choices) -> None:
+        """Set ISO and time where they are others now, and read them back."""
+        wanted = choices.values(shot)
+        if self.state == wanted:
+            return
+        self.state = {}
+        self.gphoto.set(wanted)
+        said = ""
+        for reading in range(_READ_BACK):
+            if reading:
+                time.sleep(_READ_BACK_PAUSE_S)  # some bodies step through their times one by one
+            now = self.gphoto.settings(tuple(wanted))
+            iso, shutter = now[choices.iso_name].current, now[choices.shutter_name].current
+            if (is_iso(iso, shot.iso) or iso == wanted[choices.iso_name]) and (
+                shutter == wanted[choices.shutter_name] or is_time(shutter, shot.setting)
+            ):
+                self.state = wanted
+                return
+            said = f"ISO {iso}, {shutter}"
+        raise GphotoError(f"the camera shows {said} after it was set to ISO {shot.iso}, {shot.setting.dial} s")
+
+    def release(self, slot: Slot, shot: Shot) -> str | None:
+        """Release, and bring the frame home; return what is wrong with it, or ``None``."""
+        token = f"{slot[0]}_{slot[1]:04d}.{secrets.token_hex(6)}"
+        folder = self.folder / INCOMING / token
+        folder.mkdir(parents=True)
+        mark = fingerprint(self.whole, shot)
+        self.journal.write("intent", slot, mark, token)
+        failure: GphotoError | None = None
+        try:
+            self.gphoto.capture(folder, shot.setting.true_s)
+        except GphotoError as error:
+            failure = error
+        found = self.bring_home(slot, shot, token, failure)
+        if found is not None and found.problem is None:
+            return None
+        if isinstance(failure, CameraLostError):
+            raise failure  # the intent stays open: the frame may be on the card
+        if found is None:
+            problem = str(failure) if failure is not None else "gphoto2 ended well and downloaded nothing"
+            self.journal.write("failed", slot, mark, token, reason=problem)
+            shutil.rmtree(folder, ignore_errors=True)
+            return problem
+        return found.problem
+
+    def bring_home(self, slot: Slot, shot: Shot, token: str, failure: GphotoError | None) -> Look | None:
+        """Find an attempt's frame in its folder, or on the card if the download failed; ``None`` if it is nowhere.
+
+        A frame gets its final name and a ``done``; a wrong one is kept aside, and gets a ``wrong``.
+        """
+        folder = self.folder / INCOMING / token
+        path, seen = self.downloaded(folder, shot)
+        if seen is None or seen.observed is None:
+            if isinstance(failure, CameraLostError):
+                return None
+            path, seen = self.from_card(folder, shot) or (path, seen)
+        if path is None or seen is None:
+            return None
+        mark = fingerprint(self.whole, shot)
+        twin = self.twin(path)
+        if seen.problem is None and twin is not None:
+            seen = Look(seen.observed, f"the camera sent the frame of {twin} once more")
+        if seen.problem is None:
+            self.finish(slot, mark, token, path, seen)
+        else:
+            aside = aside_path(self.folder, slot, seen.observed, path.suffix)
+            place(path, aside)
+            self.journal.write("wrong", slot, mark, token, file=aside.name, reason=seen.problem, exif=seen.exif)
+        shutil.rmtree(folder, ignore_errors=True)
+        return seen
+
+    def twin(self, path: Path) -> str | None:
+        """Return the name of an earlier frame with the very same content."""
+        digest = sha256_of(path)
+        same = (entry for entry in self.have.values() if entry.details["sha256"] == digest)
+        return next((str(entry.details["file"]) for entry in same), None)
+
+    def finish(self, slot: Slot, mark: str, token: str, path: Path, seen: Look) -> None:
+        """Give a frame its final name, and write it down."""
+        target = self.folder / frame_name(slot, self.plan.camera)
+        digest, size = sha256_of(path), path.stat().st_size
+        if path != target:
+            place(path, target)
+        details = {"file": target.name, "size_bytes": size, "sha256": digest, "exif": seen.exif}
+        self.journal.write("done", slot, mark, token, **details)
+        self.gone.discard(slot)
+
+    def downloaded(self, folder: Path, shot: Shot) -> tuple[Path | None, Look | None]:
+        """Return the best of the files that came, and what it is; raw files before others."""
+        if not folder.is_dir():
+            return None, None
+        extension = self.plan.camera.raw_extension.lower()
+        paths = [path for path in sorted(folder.iterdir()) if path.name.startswith("frame.") and path.is_file()]
+        looks = [
+            (path, look(path, shot, self.plan.camera))
+            for path in sorted(paths, key=lambda p: p.suffix.lower() != extension)
+        ]
+        return min(looks, key=lambda one: one[1].problem is not None, default=(None, None))
+
+    def from_card(self, folder: Path, shot: Shot) -> tuple[Path, Look] | None:
+        """Download the frame from the camera's card, where a broken download left it; ``None`` if it is not there.
+
+        It must be where gphoto2 said that it was; or be the newest on the card, and have been taken after the last
+        frame that is here, by the camera's own clock.
+        """
+        log = folder / LOG
+        said = parse_taken(log.read_text("utf-8", "replace")) if log.is_file() else ()
+        try:
+            card = self.gphoto.card()
+        except CameraLostError:
+            raise
+        except GphotoError:
+            return None  # many bodies do not show their card in remote mode
+        extension = self.plan.camera.raw_extension.lower()
+        raws = [file for file in card if file.path.suffix.lower() == extension]
+        wanted: list[CardFile] = [file for file in raws if file.path in said]
+        named = bool(wanted)
+        for file in wanted or raws[-1:]:
+            inside = folder / "card"
+            shutil.rmtree(inside, ignore_errors=True)
+            inside.mkdir(parents=True)
+            try:
+                self.gphoto.fetch(file.path, inside)
+            except CameraLostError:
+                raise
+            except GphotoError:
+                continue
+            path, seen = self.downloaded(inside, shot)
+            if path is not None and seen is not None and seen.problem is None and (named or self.is_new(seen)):
+                self.say(f"the download had failed; {file.path.name} was fetched from the camera's card")
+                return path, seen
+        return None
+
+    def is_new(self, seen: Look) -> bool:
+        """Return whether a frame was taken after the last one that is here."""
+        times = [taken_of(entry.details.get("exif", {})) for entry in self.journal.entries if entry.details.get("exif")]
+        known = [one for one in times if one is not None]
+        taken = None if seen.observed is None else seen.observed.taken
+        return taken is not None and bool(known) and taken > max(known)
+
+    # --- after a crash ------------------------------------------------------------------------------------------------
+
+    def settle(self, intent: Entry) -> None:
+        """Find out what became of a shot that was begun and not ended."""
+        slot = intent.slot
+        shot = self.shots.get(slot)
+        if shot is None or fingerprint(self.whole, shot) != intent.shot:
+            reason = "the plan asks for another shot by now"
+            self.journal.write("failed", slot, intent.shot, intent.token, reason=reason)
+            return
+        target = self.folder / frame_name(slot, self.plan.camera)
+        before = self.journal.done().get(slot)
+        if target.is_file() and (before is None or slot in self.gone):
+            seen = look(target, shot, self.plan.camera)
+            if seen.problem is not None:
+                raise JournalError(f"{target}: {seen.problem}; move it away, then run this again")
+            self.finish(slot, intent.shot, intent.token, target, seen)
+            self.taken += 1
+            self.say(f"{target.name} had been taken when the last session was cut off")
+            return
+        found = self.bring_home(slot, shot, intent.token, GphotoError("the last session was cut off"))
+        if found is None:
+            reason = "the last session was cut off, and the frame is neither here nor on the card"
+            self.journal.write("failed", slot, intent.shot, intent.token, reason=reason)
+            self.say(f"{slot[0]} frame {slot[1]}: {reason}; it will be taken again")
+        elif found.problem is not None:
+            self.say(f"{slot[0]} frame {slot[1]}: {found.problem}; it will be taken again")
+        else:
+            self.taken += 1
+            self.say(f"{target.name} had been taken when the last session was cut off")
+
+    def sweep(self) -> None:
+        """Remove what ended attempts left in the folder for downloads."""
+        shutil.rmtree(self.folder / INCOMING, ignore_errors=True)
+
+    def check_room(self) -> None:
+        """Refuse to release where the frame would not fit: gphoto2 would cut it short without a word."""
+        sizes = [int(entry.details["size_bytes"]) for entry in self.journal.done().values()]
+        needed = 2 * max(sizes) if sizes else _LEAST_FREE_BYTES
+        free = shutil.disk_usage(self.folder).free
+        if free < needed:
+            raise TetherError(
+                f"{self.folder}: {free >> 20} MiB are free, and a frame may need {needed >> 20}; make room, then run "
+                "the same command again"
+            )

@@ -1,0 +1,95 @@
+"""A photographer who follows a plan, or nearly: small DNG files with arbitrary names and a running clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from fractions import Fraction
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from capture.camera import CameraDescription, Shutter
+from capture.plan import Plan, make_plan
+from capture.protocol import RELEASED
+from eldata.raw.dng import write_dng
+from eldata.records import Exposure, Sensor
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    from capture.shots import Shot
+
+SENSOR = Sensor(
+    make="Acme",
+    model="Nocturne 1",
+    cfa=((0, 1), (3, 2)),
+    black_level_dn=(512.0,) * 4,
+    white_level_dn=16383.0,
+    height=24,
+    width=32,
+)
+CAMERA = CameraDescription(
+    name="AcmeNocturne",
+    models=("Nocturne 1",),
+    raw_extension=".dng",
+    isos=(100, 200, 400, 800, 1600, 3200, 6400),
+    base_iso=100,
+    shutter=Shutter.between("1/8000", "30", Fraction(1, 3)),
+)
+START = datetime(2026, 11, 21, 23, 50, 0)  # noqa: DTZ001 # a camera's clock; the shooting runs over midnight
+
+
+@dataclass(frozen=True)
+class Taken:
+    """One press of the release: settings, when after the one before, and which camera."""
+
+    iso: int
+    exposure_s: Fraction
+    pause_s: float = 3.0
+    model: str = "Nocturne 1"
+
+
+def plan_of(*metered: str, factors: Sequence[int] = (1, 10, 100, 200)) -> Plan:
+    """A plan of scene-1, scene-2 ... with these metered times."""
+    protocol = replace(RELEASED, low_light_factors=tuple(factors))
+    return make_plan(CAMERA, protocol, {f"scene-{n}": Fraction(time) for n, time in enumerate(metered, 1)})
+
+
+def as_planned(shots: Iterable[Shot]) -> list[Taken]:
+    return [Taken(shot.iso, shot.setting.nominal_s) for shot in shots]
+
+
+def whole_plan(plan: Plan, between_s: float = 240.0) -> list[Taken]:
+    """Every scene as planned, with pauses between scenes."""
+    result: list[Taken] = []
+    for scene in plan.scenes:
+        first, *rest = as_planned(scene.shots)
+        result += [replace(first, pause_s=between_s), *rest]
+    return result + as_planned(() if plan.calibration is None else plan.calibration.shots)
+
+
+@cache
+def _mosaic(seed: int) -> np.ndarray[tuple[int, int], np.dtype[np.uint16]]:
+    return np.random.default_rng(seed).integers(600, 15000, (SENSOR.height, SENSOR.width), dtype=np.uint16)
+
+
+def shoot(folder: Path, taken: Iterable[Taken], *, times: bool = True, shuffle: int | None = None) -> list[Path]:
+    """Write a file a press; return the files in order. Names count up, or say nothing at all (``shuffle``)."""
+    folder.mkdir(parents=True, exist_ok=True)
+    presses = list(taken)
+    numbers = np.arange(9990, 9990 + len(presses)) % 10000  # the counter turns over
+    if shuffle is not None:
+        numbers = np.random.default_rng(shuffle).permutation(len(presses))
+    now = START
+    files = []
+    for index, (press, number) in enumerate(zip(presses, numbers, strict=True)):
+        now += timedelta(seconds=press.pause_s)
+        path = folder / f"DSC{number:04d}.dng" if times else folder / f"DSC{index + 1}.dng"
+        sensor = replace(SENSOR, model=press.model)
+        exposure = Exposure(Fraction(press.iso), press.exposure_s)
+        write_dng(path, _mosaic(index), sensor, exposure, taken=now if times else None)
+        files.append(path)
+    return files

@@ -1,0 +1,115 @@
+"""Scenes of the released protocol as a simulated photographer takes them, with a mishap at one frame or another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cache
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+from scipy import ndimage
+
+from eldata.demo.camera import BASE_ISO, CAMERAS, SimulatedCamera
+from eldata.demo.scenes import scene_radiance
+from eldata.manifest import Manifest, load_manifest, save_records
+from eldata.manifest.card import CameraCard, Card, save_card
+from eldata.manifest.eld import EldCamera, eld_records
+from eldata.raw.dng import write_dng
+from eldata.records import Exposure
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from eldata.records import FrameRecord
+
+ALPHA, BETA = CAMERAS
+SIZE = (384, 576)
+METERED_S = Fraction(4)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shot:
+    """What reaches the sensor, and what the file says: a mishap changes either."""
+
+    radiance: NDArray[np.float32]
+    iso: int
+    exposure_s: Fraction
+    exif: Exposure
+
+    def lit(self, factor: NDArray[np.float64] | float) -> Shot:
+        return replace(self, radiance=(self.radiance * factor).astype(np.float32))
+
+    def moved(self, down: float, right: float = 0.0) -> Shot:
+        return replace(self, radiance=moved(self.radiance, down, right))
+
+    def blurred(self, sigma: float) -> Shot:
+        return replace(self, radiance=ndimage.gaussian_filter(self.radiance, (0, sigma, sigma)))
+
+
+def moved(radiance: NDArray[np.float32], down: float, right: float) -> NDArray[np.float32]:
+    """Return the picture moved, by splines of the fifth order."""
+    shifted: NDArray[np.float32] = ndimage.shift(radiance, (0, down, right), order=5, mode="nearest")
+    return np.clip(shifted, 0, None)
+
+
+@cache
+def radiance(scene: int, size: tuple[int, int] = SIZE) -> NDArray[np.float32]:
+    return scene_radiance(scene, *size)
+
+
+def write_scenes(
+    folder: Path,
+    mishaps: Mapping[tuple[int, int], Callable[[Shot], Shot]] | None = None,
+    *,
+    scenes: Sequence[int] = (1,),
+    camera: SimulatedCamera = ALPHA,
+    seed: int = 0,
+    size: tuple[int, int] = SIZE,
+    ids: Sequence[int] = range(1, 17),
+    change_rows: Callable[[list[FrameRecord]], list[FrameRecord]] = list,
+) -> Manifest:
+    """Photograph scenes into ``folder``; ``mishaps`` are by scene and frame number."""
+    camera = camera.with_size(*size)
+    eld = EldCamera(camera.name, ".dng", BASE_ISO, dict.fromkeys(scenes, METERED_S))
+    records = [one for one in eld_records([eld], scenes) if number_of(one) in ids]
+    for record in records:
+        scene, number = int(record.scene.removeprefix("scene-")), number_of(record)
+        iso, exposure_s = int(cast("Fraction", record.iso)), cast("Fraction", record.exposure_s)
+        shot = Shot(radiance(scene, size), iso, exposure_s, Exposure(Fraction(iso), exposure_s))
+        mishap = (mishaps or {}).get((scene, number))
+        shot = shot if mishap is None else mishap(shot)
+        generator = np.random.default_rng([seed, scene, number])
+        mosaic = camera.photograph(shot.radiance, shot.exposure_s / METERED_S, shot.iso, generator)
+        path = folder / "data" / "MY" / record.path
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_dng(path, mosaic, camera.sensor, shot.exif, compression="none")
+    return write_manifest(folder, change_rows(records), camera)
+
+
+def number_of(record: FrameRecord) -> int:
+    return int(record.path.rpartition("_")[2].removesuffix(".dng"))
+
+
+def write_manifest(folder: Path, records: Sequence[FrameRecord], camera: SimulatedCamera) -> Manifest:
+    roles = [record.role for record in records]
+    card = Card(
+        name="my",
+        title="Mine",
+        version="1.0",
+        folder="MY",
+        citation="none",
+        licence="CC0",
+        homepage="none",
+        cfa="bayer",
+        cameras={camera.name: CameraCard((camera.sensor.model,))},
+        counts={role: roles.count(role) for role in sorted(set(roles))},
+        sources=("simulated",),
+    )
+    (folder / "manifests").mkdir(parents=True, exist_ok=True)
+    save_card(folder / "manifests" / "my.json", card)
+    save_records(folder / "manifests" / "my.csv", records)
+    return load_manifest(folder / "manifests" / "my.csv")

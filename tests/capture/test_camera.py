@@ -1,0 +1,243 @@
+from __future__ import annotations
+
+import json
+import math
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from capture.camera import EXAMPLE, CameraDescription, Shutter, ladder
+from capture.errors import CameraError
+from capture.exact import ExactNumber, as_exact
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+THIRD, HALF, FULL = Fraction(1, 3), Fraction(1, 2), Fraction(1)
+
+
+def camera(shutter: Shutter) -> CameraDescription:
+    return CameraDescription("Acme", ("Nocturne 1",), ".dng", (100, 800), 100, shutter)
+
+
+@pytest.mark.parametrize("step", [THIRD, HALF, FULL])
+def test_names_lie_near_what_the_camera_gives(step: Fraction) -> None:
+    """Or a name would be missing in the list, or stand twice: every later one would be a step off."""
+    times = list(ladder(step).values())
+    for index, time in enumerate(times):
+        assert abs(math.log2(time.nominal_s) - (times[0].true_exact.log2 + float(step) * index)) < 0.25
+    assert [time.true_exact for time in times] == sorted((time.true_exact for time in times), key=float)
+
+
+@pytest.mark.parametrize(
+    ("step", "dial", "exact"),
+    [
+        (THIRD, "1/60", Fraction(1, 64)),
+        (THIRD, "1/4000", Fraction(1, 4096)),
+        (THIRD, "15", Fraction(16)),
+        (THIRD, "30", Fraction(32)),
+        (HALF, "1/60", Fraction(1, 64)),
+        (FULL, "1/125", Fraction(1, 128)),
+        (FULL, "1/8", Fraction(1, 8)),
+    ],
+)
+def test_full_stops_are_fractions(step: Fraction, dial: str, exact: Fraction) -> None:
+    assert ladder(step)[Fraction(dial)].true_exact.exact == exact
+
+
+@pytest.mark.parametrize(
+    ("step", "dial", "exponent"),
+    [
+        (THIRD, "0.3", Fraction(-5, 3)),
+        (THIRD, "1/50", Fraction(-17, 3)),
+        (THIRD, "10", Fraction(10, 3)),
+        (HALF, "10", Fraction(7, 2)),
+        (HALF, "0.3", Fraction(-3, 2)),
+        (HALF, "1/45", Fraction(-11, 2)),
+    ],
+)
+def test_steps_between_are_powers_of_two(step: Fraction, dial: str, exponent: Fraction) -> None:
+    assert ladder(step)[Fraction(dial)].true_exact == ExactNumber(Fraction(1), exponent)
+
+
+@given(st.fractions(Fraction(1, 10**5), 60, max_denominator=10**6), st.sampled_from((THIRD, HALF, FULL)))
+def test_nearest_is_the_nearest_by_ratio(wanted: Fraction, step: Fraction) -> None:
+    cam = camera(Shutter.between("1/4000", "30", step))
+    found = cam.nearest(wanted)
+    off = {time: abs(time.true_exact.log2 - math.log2(wanted)) for time in cam.shutter.times}
+    if found is None:
+        assert min(off.values()) > float(step) / 2 - 1e-9
+    else:
+        assert off[found] <= float(step) / 2 + 1e-9
+        assert off[found] <= min(off.values()) + 1e-9
+
+
+@given(st.integers(-36, 14), st.integers(-(10**12), 10**12))
+def test_rounding_has_no_near_misses(thirds: int, wobble: int) -> None:
+    """Right beside the border between two settings, closer than floating point can tell."""
+    cam = camera(Shutter.between("1/8000", "30", THIRD))
+    border = ExactNumber(Fraction(1), Fraction(2 * thirds + 1, 6))
+    found = cam.nearest(border * (1 + Fraction(wobble, 10**30)))
+    assert found is not None
+    expected = thirds + 1 if wobble > 0 else thirds  # the border itself: the faster one
+    assert found.true_exact == ExactNumber(Fraction(1), Fraction(expected, 3))
+
+
+@given(st.fractions(Fraction(1, 10**5), 100, max_denominator=10**6))
+def test_not_above_gives_no_more(wanted: Fraction) -> None:
+    cam = camera(Shutter.between("1/8000", "30", THIRD))
+    found = cam.not_above(wanted)
+    more = [time for time in cam.shutter.times if as_exact(wanted) < time.true_exact]
+    if found is None:
+        assert more == list(cam.shutter.times)
+    else:
+        assert [*cam.shutter.times[: cam.shutter.times.index(found) + 1], *more] == list(cam.shutter.times)
+
+
+def test_limits_reach_half_a_step_beyond_the_ends() -> None:
+    cam = camera(Shutter.between("1/8000", "30", THIRD))
+    sixth = Fraction(1, 6)
+    fast, slow = cam.fastest.true_exact, cam.slowest.true_exact
+    inside = 1 - Fraction(1, 10**20)
+    down, up = ExactNumber(Fraction(1), -sixth), ExactNumber(Fraction(1), sixth)
+    assert cam.nearest(fast * down / inside) == cam.fastest
+    assert cam.nearest(fast * down * inside) is None
+    assert cam.nearest(slow * up * inside) == cam.slowest
+    assert cam.nearest(slow * up / inside) is None
+
+
+def test_listed_times_that_are_given_as_named() -> None:
+    cam = camera(Shutter(("1/1000", "1/90", "0.25"), true_times="as-named"))
+    assert [time.true_exact.exact for time in cam.shutter.times] == [Fraction(1, 1000), Fraction(1, 90), Fraction(1, 4)]
+    assert cam.nearest(Fraction(1, 300)) == cam.shutter.times[0]  # the root of their product, exactly: the faster
+    assert cam.nearest(Fraction(1, 299)) == cam.shutter.times[1]
+    single = camera(Shutter(("1/100",), true_times="as-named"))
+    assert single.nearest(Fraction(1, 110)) == single.fastest
+    assert single.nearest(Fraction(1, 130)) is single.nearest(Fraction(1, 70)) is None
+
+
+@pytest.mark.parametrize(("observed", "stops"), [("1/60", 0), ("1/64", 0), ("1/62", 0.0458), ("1/50", 0.263)])
+def test_exif_may_state_the_name_or_what_is_given(observed: str, stops: float) -> None:
+    assert ladder(THIRD)[Fraction(1, 60)].stops_off(Fraction(observed)) == pytest.approx(stops, abs=0.001)
+
+
+@pytest.mark.parametrize(
+    "shutter",
+    [
+        EXAMPLE.shutter,
+        Shutter.between("1/4000", "30", HALF),
+        Shutter.between("1/4000", "30", THIRD, "as-named"),
+        Shutter(("1/1000", "1/90", "0.25"), true_times="as-named"),
+        Shutter(("1/1000", "1/125", "4"), FULL),
+    ],
+)
+def test_round_trip(shutter: Shutter, tmp_path: Path) -> None:
+    description = camera(shutter)
+    description.save(tmp_path / "cam.json")
+    assert CameraDescription.load(tmp_path / "cam.json") == description
+
+
+def test_example_is_the_released_sets_camera(tmp_path: Path) -> None:
+    EXAMPLE.save(tmp_path / "cam.json")
+    content = json.loads((tmp_path / "cam.json").read_text())
+    assert content["shutter"] == {
+        "step": "1/3", "true_times": "powers-of-two", "fastest": "1/8000", "slowest": "30",
+    }  # fmt: skip
+    assert CameraDescription.load(tmp_path / "cam.json") == EXAMPLE
+
+
+GOOD: dict[str, Any] = {
+    "schema": 1,
+    "name": "Acme",
+    "models": ["Nocturne 1"],
+    "raw_extension": ".dng",
+    "isos": [100, 800],
+    "base_iso": 100,
+    "shutter": {"step": "1/3", "fastest": "1/8000", "slowest": "30"},
+}
+
+
+@pytest.mark.parametrize("field", sorted(GOOD))
+def test_each_field_is_needed(field: str, tmp_path: Path) -> None:
+    path = tmp_path / "cam.json"
+    path.write_text(json.dumps({key: value for key, value in GOOD.items() if key != field}))
+    with pytest.raises(CameraError) as caught:
+        CameraDescription.load(path)
+    assert str(caught.value) == f"{path}, field {field}: is missing"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"schema": 2}, "field schema: expected 1 (a newer file needs a newer capture), found 2"),
+        ({"schema": True}, "field schema"),
+        ({"colour": 1}, "field colour: expected one of the fields schema, name"),
+        ({"name": ""}, "field name: expected a text, found ''"),
+        ({"name": None}, "field name: expected a text, found None"),
+        ({"name": "a/b"}, "camera name: expected letters, digits"),
+        ({"name": ".."}, "camera name: expected letters, digits"),
+        ({"models": "A7"}, "field models: expected a list, found 'A7'"),
+        ({"models": []}, "models of Acme: expected the camera's name as EXIF has it"),
+        ({"models": [1]}, "field models[0]: expected a text, found 1"),
+        ({"raw_extension": "ARW"}, "raw_extension of Acme: expected a raw file's, with the dot"),
+        ({"raw_extension": ".jpg"}, "raw_extension of Acme"),
+        ({"isos": []}, "field isos: expected at least one whole number"),
+        ({"isos": [100, "800"]}, "field isos[1]: expected a whole number above 0, found '800'"),
+        ({"isos": [100, 100]}, "field isos[1]: expected each number once, found 100"),
+        ({"isos": [800, 100]}, "isos of Acme: expected one or more, rising"),
+        ({"base_iso": 200}, "base_iso of Acme: expected one of its ISOs, 100, 800; found 200"),
+        ({"base_iso": 100.0}, "field base_iso: expected a whole number above 0, found 100.0"),
+        ({"cfa": "foveon"}, "field cfa: expected one of bayer, xtrans, found 'foveon'"),
+        ({"shutter": None}, "field shutter: expected an object, found None"),
+        (
+            {"shutter": {"step": "1/4", "fastest": "1/8000", "slowest": "30"}},
+            'shutter.step: expected "1/3", "1/2" or "1"',
+        ),
+        ({"shutter": {"step": 0.5, "fastest": "1/8000", "slowest": "30"}}, "shutter.step: expected seconds as text"),
+        ({"shutter": {"step": "1/3", "slowest": "30"}}, "field shutter.fastest: is missing"),
+        ({"shutter": {"fastest": "1/8000", "slowest": "30"}}, "field shutter.step: is missing"),
+        (
+            {"shutter": {"step": "1/3", "fastest": "1/8000", "slowest": 30}},
+            "shutter.slowest: expected a text, found 30",
+        ),
+        (
+            {"shutter": {"step": "1/3", "fastest": "1/7000", "slowest": "30"}},
+            "1/7000 s is no standard time in steps of 1/3 stop; the nearest is 1/6400 s",
+        ),
+        ({"shutter": {"step": "1/3", "fastest": "fast", "slowest": "30"}}, "expected seconds such as 4, 1/2 or 0.5"),
+        ({"shutter": {"step": "1/3", "fastest": "30", "slowest": "1"}}, "the fastest time, 30 s, is slower than"),
+        ({"shutter": {"times": []}}, "shutter times: expected at least one, found none"),
+        ({"shutter": {"times": ["1", "1/2"]}}, "expected the fastest first, found 1/2 after 1"),
+        ({"shutter": {"times": ["1/2", "0.5"]}}, "expected each time once, found 0.5 twice"),
+        ({"shutter": {"times": ["1/2"], "fastest": "1/8"}}, "either a list of times, or fastest and slowest"),
+        (
+            {"shutter": {"times": ["1/2"], "true_times": "roughly"}},
+            "true_times: expected one of powers-of-two, as-named",
+        ),
+        ({"shutter": {"times": ["1/2"], "speed": 1}}, "field shutter.speed"),
+    ],
+)
+def test_malformed_descriptions(change: dict[str, Any], words: str, tmp_path: Path) -> None:
+    path = tmp_path / "cam.json"
+    path.write_text(json.dumps(GOOD | change))
+    with pytest.raises(CameraError) as caught:
+        CameraDescription.load(path)
+    assert str(caught.value).startswith(str(path))
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"[]", b"{", b"\xff\xfe", b'{"schema": NaN}', b"[" * 100000])
+def test_what_is_no_object_is_refused(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "cam.json"
+    path.write_bytes(content)
+    with pytest.raises(CameraError, match=r"cam\.json: (is not JSON|expected a JSON object)"):
+        CameraDescription.load(path)
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(CameraError, match="cannot be read: No such file"):
+        CameraDescription.load(tmp_path / "cam.json")

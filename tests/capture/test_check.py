@@ -1,0 +1,362 @@
+"""`capture check` on simulated scenes written as DNG: every mishap found by its own measure, nothing on clean ones."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from capture.check import CheckedGroup, Measure, check, write_sheet
+from capture.cli import main
+from eldata.errors import ArgumentError, ManifestError
+from eldata.records import Exposure
+from tests.capture.simulated_scenes import (
+    ALPHA,
+    BETA,
+    SIZE,
+    Shot,
+    radiance,
+    write_scenes,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from eldata.demo.camera import SimulatedCamera
+    from eldata.records import FrameRecord
+
+FEW = (1, 4, 5, 6, 14, 15, 16)  # references, and noisy frames at x100 and x200 of ISO 800 and 3200
+
+
+def checked(folder: Path, mishaps: dict[int, Callable[[Shot], Shot]], scene: int = 1) -> CheckedGroup:
+    """Check one scene of few frames; mishaps are by frame number."""
+    manifest = write_scenes(
+        folder, {(scene, number): mishap for number, mishap in mishaps.items()}, scenes=(scene,), ids=FEW
+    )
+    (group,) = check(manifest, folder / "data").groups
+    return group
+
+
+def named(group: CheckedGroup) -> set[tuple[str, int]]:
+    """Names and frame numbers of the measures that are beyond their limits."""
+    return {(one.name, int(one.path[-8:-4])) for one in group.reasons if isinstance(one, Measure)}
+
+
+def value(group: CheckedGroup, name: str, number: int) -> Measure:
+    (found,) = (one for one in group.measures if one.name == name and one.path.endswith(f"{number:04d}.dng"))
+    return found
+
+
+# --- clean --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("camera", "seed"), [(ALPHA, 1), (BETA, 2)])
+def test_nothing_is_found_on_ten_clean_scenes(tmp_path: Path, camera: SimulatedCamera, seed: int) -> None:
+    """Ten scenes of all sixteen frames: ISO 800 to 3200, ratios 1 to 200."""
+    manifest = write_scenes(tmp_path, scenes=range(1, 11), camera=camera, seed=seed)
+    report = check(manifest, tmp_path / "data", jobs=2)
+    assert [str(reason) for group in report.groups for reason in group.reasons] == []
+    assert [group.verdict for group in report.groups] == ["keep"] * 10
+    assert report.ok
+    # And the ratios are right: 120 of them, each within its own standard error as often as normal errors are.
+    off = [
+        (one.value - one.expected) / one.standard_error
+        for group in report.groups
+        for one in group.measures
+        if one.name == "ratio"
+    ]
+    assert len(off) == 120
+    # Of 120, 95.4 % within two: 114.5 +- 2.3; four standard deviations below are 105.
+    assert np.count_nonzero(np.abs(off) < 2) >= 105
+    assert max(np.abs(off)) < 5
+
+
+# --- references ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("percent", "verdict"), [(1, "look"), (2, "shoot again"), (5, "shoot again")])
+def test_a_drifting_lamp(tmp_path: Path, percent: float, verdict: str) -> None:
+    """The lamp drifts evenly over the sixteen frames."""
+
+    def lit(number: int) -> Callable[[Shot], Shot]:
+        return lambda shot: shot.lit(1 + percent / 100 * (number - 1) / 15)
+
+    group = checked(tmp_path, {number: lit(number) for number in FEW})
+    assert ("drift", 16) in named(group)
+    assert {name for name, _ in named(group)} == {"drift"}
+    assert group.verdict == verdict
+    assert value(group, "drift", 16).value == pytest.approx(percent, abs=0.1)
+    assert value(group, "drift", 6).value == pytest.approx(percent / 3, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("pixels", "verdict", "scene"),
+    [(0.3, "look", 1), (0.3, "look", 2), (1.0, "shoot again", 2), (5.0, "shoot again", 1)],
+)
+def test_a_moved_tripod(tmp_path: Path, pixels: float, verdict: str, scene: int) -> None:
+    """Between the second reference and the rest."""
+    group = checked(tmp_path, dict.fromkeys((14, 15, 16), lambda shot: shot.moved(pixels * 0.6, -pixels * 0.8)), scene)
+    assert named(group) == {("shift", 16)}
+    assert group.verdict == verdict
+    assert value(group, "shift", 16).value == pytest.approx(pixels, abs=0.1)
+
+
+@pytest.mark.parametrize(("sigma", "verdict", "scene"), [(0.6, "look", 1), (0.6, "look", 2), (1.5, "shoot again", 2)])
+def test_a_change_of_focus(tmp_path: Path, sigma: float, verdict: str, scene: int) -> None:
+    group = checked(tmp_path, dict.fromkeys((14, 15, 16), lambda shot: shot.blurred(sigma)), scene)
+    assert named(group) == {("focus", 16)}
+    assert group.verdict == verdict
+    assert value(group, "focus", 16).value < 0
+
+
+def test_something_in_the_scene_moves(tmp_path: Path) -> None:
+    def elsewhere(shot: Shot) -> Shot:
+        light = shot.radiance.copy()
+        light[:, 130:250, 150:300] = np.roll(light[:, 130:250, 150:300], (6, 5), axis=(1, 2))
+        return replace(shot, radiance=light)
+
+    group = checked(tmp_path, {16: elsewhere}, scene=2)
+    assert named(group) == {("movement", 16)}
+    assert group.verdict == "look"
+
+
+def test_clipped_references(tmp_path: Path) -> None:
+    group = checked(tmp_path, dict.fromkeys(FEW, lambda shot: shot.lit(2.5)), scene=2)
+    assert named(group) == {("clipped", number) for number in (1, 6, 16)}
+    assert group.verdict == "shoot again"
+
+
+def test_underexposed_references(tmp_path: Path) -> None:
+    group = checked(tmp_path, dict.fromkeys(FEW, lambda shot: shot.lit(0.1)))
+    assert ("brightness", 1) in named(group)
+    assert group.verdict == "look"
+
+
+# --- noisy frames -------------------------------------------------------------------------------------------------
+
+
+def test_swapped_noisy_frames_whose_exif_shows_it(tmp_path: Path) -> None:
+    """The files of numbers 4 and 5 changed places."""
+    seconds = {4: Fraction(1, 200), 5: Fraction(1, 400)}
+
+    def as_other(number: int) -> Callable[[Shot], Shot]:
+        other = seconds[9 - number]
+        return lambda shot: replace(shot, exposure_s=other, exif=Exposure(shot.exif.iso, other))
+
+    group = checked(tmp_path, {4: as_other(4), 5: as_other(5)})
+    assert named(group) == {("ratio", 4), ("ratio", 5)}
+    assert group.verdict == "shoot again"
+    assert "it fits IMG_0005.dng (x200): swapped?" in value(group, "ratio", 4).advice
+    assert "EXIF says the same" in value(group, "ratio", 4).advice
+    assert value(group, "EXIF ratio", 4).verdict == "keep"
+
+
+def test_swapped_noisy_frames_whose_exif_hides_it(tmp_path: Path) -> None:
+    seconds = {14: Fraction(1, 1600), 15: Fraction(1, 800)}
+
+    def as_other(number: int) -> Callable[[Shot], Shot]:
+        return lambda shot: replace(shot, exposure_s=seconds[number])
+
+    group = checked(tmp_path, {14: as_other(14), 15: as_other(15)})
+    assert named(group) == {("ratio", 14), ("ratio", 15)}
+    assert "EXIF does not show it; it fits IMG_0014.dng (x100): swapped?" in value(group, "ratio", 15).advice
+
+
+def test_a_frame_of_another_scene(tmp_path: Path) -> None:
+    """Right settings in EXIF, wrong scene: only the pixels tell."""
+    group = checked(tmp_path, {5: lambda shot: replace(shot, radiance=radiance(2))})
+    assert named(group) == {("match", 5)}
+    assert group.verdict == "shoot again"
+
+
+def test_exif_that_is_wrong(tmp_path: Path) -> None:
+    group = checked(tmp_path, {5: lambda shot: replace(shot, exif=Exposure(Fraction(800), Fraction(1, 100)))})
+    assert named(group) == {("EXIF ratio", 5)}
+    assert value(group, "ratio", 5).verdict == "keep"
+    assert value(group, "EXIF ratio", 5).expected == 50
+
+
+def test_a_shutter_a_third_of_a_stop_off(tmp_path: Path) -> None:
+    """With EXIF as planned; the planned time rounds to 1/500 s in the camera."""
+    group = checked(tmp_path, {5: lambda shot: replace(shot, exposure_s=Fraction(1, 508))})
+    assert named(group) == {("ratio", 5)}
+    found = value(group, "ratio", 5)
+    assert found.value == pytest.approx(254, abs=4 * found.standard_error)
+
+
+def test_the_ratio_of_a_frame_with_noise_only(tmp_path: Path) -> None:
+    group = checked(tmp_path, {15: lambda shot: shot.lit(0)})
+    assert group.verdict == "shoot again"
+    assert named(group) == {("signal", 15)}
+
+
+@pytest.mark.parametrize("number", [4, 5])
+def test_flicker_of_a_noisy_frame(tmp_path: Path, number: int) -> None:
+    """Five per cent at 5.3 bands a frame, as of a lamp on 100 Hz and a slow readout."""
+    bands = 1 + 0.05 * np.sin(2 * np.pi * 5.3 * np.arange(SIZE[0]) / SIZE[0])[:, None]
+    group = checked(tmp_path, {number: lambda shot: shot.lit(bands)}, scene=2)
+    assert named(group) == {("flicker", number)}
+    assert group.verdict == "shoot again"
+    assert value(group, "flicker", number).value == pytest.approx(5, abs=1)
+    assert "5.25 a frame" in value(group, "flicker", number).text
+
+
+def test_weak_flicker_of_a_reference(tmp_path: Path) -> None:
+    bands = 1 + 0.01 * np.sin(2 * np.pi * 8 * np.arange(SIZE[0]) / SIZE[0])[:, None]
+    group = checked(tmp_path, {16: lambda shot: shot.lit(bands)})
+    assert named(group) == {("flicker", 16)}
+    assert group.verdict == "look"
+    assert value(group, "flicker", 16).value == pytest.approx(1, abs=0.15)
+
+
+# --- files --------------------------------------------------------------------------------------------------------
+
+
+def test_files_that_cannot_be_used_are_named(tmp_path: Path) -> None:
+    manifest = write_scenes(tmp_path, ids=FEW)
+    folder = tmp_path / "data" / "MY" / ALPHA.name / "scene-1"
+    (folder / "IMG_0006.dng").unlink()
+    (folder / "IMG_0015.dng").write_bytes(b"no raw file")
+    (group,) = check(manifest, tmp_path / "data").groups
+    assert group.verdict == "shoot again"
+    text = group.format_text()
+    assert "IMG_0006.dng: cannot be read" in text
+    assert "IMG_0015.dng: cannot be read" in text
+    assert "IMG_0004.dng: its reference IMG_0006.dng cannot be used" in text
+
+
+def test_a_frame_of_another_size_is_named(tmp_path: Path) -> None:
+    manifest = write_scenes(tmp_path, ids=FEW)
+    write_scenes(tmp_path / "small", ids=FEW, size=(192, 288))
+    name = f"data/MY/{ALPHA.name}/scene-1/IMG_0005.dng"
+    (tmp_path / name).write_bytes((tmp_path / "small" / name).read_bytes())
+    (group,) = check(manifest, tmp_path / "data").groups
+    (reason,) = group.reasons
+    assert str(reason) == (
+        f"{ALPHA.name}/scene-1/IMG_0005.dng: size (288, 192), where {ALPHA.name}/scene-1/IMG_0001.dng has (576, 384); "
+        "take all frames with one camera and raw format"
+    )
+
+
+def test_one_reference_cannot_tell_of_drift(tmp_path: Path) -> None:
+    def first_alone(records: list[FrameRecord]) -> list[FrameRecord]:
+        return [
+            replace(one, reference=f"{ALPHA.name}/scene-1/IMG_0001.dng") if one.reference else one for one in records
+        ]
+
+    manifest = write_scenes(tmp_path, ids=(1, 2), change_rows=first_alone)
+    (group,) = check(manifest, tmp_path / "data").groups
+    assert group.verdict == "look"
+    assert "the only reference" in group.format_text()
+
+
+def test_a_ratio_that_the_manifest_does_not_know_is_held_against_exif(tmp_path: Path) -> None:
+    def unknown(records: list[FrameRecord]) -> list[FrameRecord]:
+        return [replace(one, ratio=None) for one in records]
+
+    manifest = write_scenes(tmp_path, ids=(1, 4, 6), change_rows=unknown)
+    (group,) = check(manifest, tmp_path / "data").groups
+    assert value(group, "EXIF ratio", 4).verdict == "keep"
+    assert value(group, "EXIF ratio", 4).expected == 100
+
+
+# --- the command --------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def two_scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The second with a drifting lamp."""
+    folder = tmp_path_factory.mktemp("scenes")
+    write_scenes(folder, {(2, 16): lambda shot: shot.lit(1.03)}, scenes=(1, 2), ids=(1, 5, 6, 16))
+    return folder
+
+
+def run(folder: Path, *arguments: str) -> int:
+    return main(["check", str(folder / "manifests" / "my.csv"), "--root", str(folder / "data"), *arguments])
+
+
+def test_the_command_lists_and_exits_with_1(
+    two_scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sheet, file = tmp_path / "sheet.html", tmp_path / "check.json"
+    assert run(two_scenes, "--jobs", "1", "--sheet", str(sheet), "--json", str(file)) == 1
+    out, err = capsys.readouterr()
+    assert err == ""
+    lines = out.splitlines()
+    assert lines[0].startswith(f"{ALPHA.name} scene-1: keep (4 files; brightness 27.3 %")
+    assert lines[1] == f"{ALPHA.name} scene-2: shoot again"
+    assert lines[2].startswith(f"    shoot again: {ALPHA.name}/scene-2/IMG_0016.dng: drift: change of brightness (")
+    assert "since IMG_0001.dng: 3.0" in lines[2]
+    assert lines[-2:] == ["my: 1 keep, 1 shoot again", f"contact sheet: {sheet}"]
+    content = json.loads(file.read_text())
+    assert content["ok"] is False
+    assert [group["verdict"] for group in content["groups"]] == ["keep", "shoot again"]
+    (drift,) = [m for m in content["groups"][1]["measures"] if m["name"] == "drift" and m["verdict"] != "keep"]
+    assert drift["value"] == pytest.approx(3, abs=0.1)
+    assert drift["look_from"] == pytest.approx(0.5, abs=0.01)
+    assert "46.5 dB" in drift["limits_from"]
+    assert sheet.read_text().count("<img ") == 2 * 4  # first, last, their difference, one noisy frame
+    assert "http" not in sheet.read_text()
+
+
+def test_one_scene_that_is_well_exits_with_0(two_scenes: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(two_scenes, "--scene", "1") == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "my: 1 keep"
+    assert run(two_scenes, "--scene", "scene-1", "--camera", ALPHA.name) == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--scene", "7"), "no scene '7'; the manifest has scene-1, scene-2"),
+        (("--camera", "Other"), "no camera called 'Other'; the manifest has DemoAlpha"),
+        (("--sheet", "sheet.gif"), "the contact sheet is an HTML page"),
+        (("--root", "nowhere"), "no folder nowhere/MY: --root names the folder that holds MY"),
+    ],
+)
+def test_wrong_usage_is_one_line(
+    two_scenes: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], message: str
+) -> None:
+    assert run(two_scenes, *arguments) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert message in err
+    assert err.count("\n") == 1
+
+
+def test_the_result_does_not_depend_on_the_number_of_jobs(two_scenes: Path) -> None:
+    csv, data = two_scenes / "manifests" / "my.csv", two_scenes / "data"
+    assert check(csv, data, jobs=1) == check(csv, data, jobs=4)
+
+
+def test_jobs_must_be_positive(two_scenes: Path) -> None:
+    with pytest.raises(ArgumentError, match="jobs"):
+        check(two_scenes / "manifests" / "my.csv", two_scenes / "data", jobs=0)
+
+
+def test_an_absent_folder_is_an_error(two_scenes: Path, tmp_path: Path) -> None:
+    with pytest.raises(ManifestError, match="no folder"):
+        check(two_scenes / "manifests" / "my.csv", tmp_path)
+
+
+def test_the_sheet_escapes_names(tmp_path: Path) -> None:
+    from capture.check import CheckReport
+
+    write_sheet(tmp_path / "sheet.html", CheckReport("<script>", ()))
+    assert "<script>" not in (tmp_path / "sheet.html").read_text()
+
+
+def test_help_loads_neither_torch_nor_rawpy() -> None:
+    code = (
+        "import sys; from capture.cli import main; main(['check', '--help']); import capture.check; "
+        "print([name for name in ('torch', 'rawpy', 'matplotlib') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"

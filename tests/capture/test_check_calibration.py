@@ -1,0 +1,147 @@
+"""`capture check` on bias frames and flats: leaks, saturation, unevenness and unequal pairs are found, no more."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from capture.check import CheckedGroup, Measure, check
+from capture.cli import main
+from eldata.demo.calibration_frames import make_calibration_frames
+from eldata.raw import read_raw, write_dng
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from eldata.manifest import Manifest
+
+SIZE = (256, 384)
+
+
+@dataclass(frozen=True, slots=True)
+class Set:
+    """Calibration frames of ISO 1600: six bias frames, IMG_0001 to 0006, and three pairs of flats, to 0012."""
+
+    folder: Path
+    manifest: Manifest
+
+    def change(self, number: int, change: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> None:
+        role = "bias" if number <= 6 else "flat"
+        path = self.folder / "data" / "calibration" / "DemoGamma" / role / "ISO1600" / f"IMG_{number:04d}.dng"
+        frame = read_raw(path)
+        mosaic = np.clip(np.rint(change(frame.mosaic.astype(np.float64))), 0, frame.sensor.white_level_dn)
+        write_dng(path, mosaic.astype(np.uint16), frame.sensor, frame.exposure, compression="none")
+
+    def check(self) -> tuple[CheckedGroup, CheckedGroup]:
+        bias, flat = check(self.manifest, self.folder / "data").groups
+        assert (bias.name, flat.name) == ("DemoGamma bias ISO 1600", "DemoGamma flat ISO 1600")
+        return bias, flat
+
+
+@pytest.fixture
+def frames(tmp_path: Path) -> Set:
+    manifest = make_calibration_frames(tmp_path, isos=(1600,), bias_frames=6, flat_levels=3, size=SIZE, seed=4)
+    return Set(tmp_path, manifest)
+
+
+def named(group: CheckedGroup) -> set[tuple[str, int]]:
+    return {(one.name, int(one.path[-8:-4])) for one in group.reasons if isinstance(one, Measure)}
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_nothing_is_found_on_clean_frames(tmp_path: Path, seed: int) -> None:
+    """Fixed pattern, hot pixels, shading and vignetting of the demo's camera included; five ISOs each."""
+    isos = (100, 400, 1600, 6400, 25600)
+    manifest = make_calibration_frames(tmp_path, isos=isos, bias_frames=6, flat_levels=3, size=SIZE, seed=seed)
+    report = check(manifest, tmp_path / "data")
+    assert [str(reason) for group in report.groups for reason in group.reasons] == []
+    assert [group.verdict for group in report.groups] == ["keep"] * 10
+    assert main(["check", str(manifest.path), "--root", str(tmp_path / "data"), "--jobs", "1"]) == 0
+
+
+def test_a_light_leak_in_one_corner(frames: Set) -> None:
+    down, right = np.ogrid[-1 : 1 : SIZE[0] * 1j, -1 : 1 : SIZE[1] * 1j]
+    frames.change(3, lambda dn: dn + 3 * np.exp(-((down + 1) ** 2 + (right - 1) ** 2) / 0.5))
+    bias, flat = frames.check()
+    assert ("leak", 3) in named(bias)
+    assert {number for _, number in named(bias)} == {3}
+    assert bias.verdict == "shoot again"
+    assert "top right" in bias.format_text()
+    assert flat.verdict == "keep"
+
+
+def test_a_leak_over_the_whole_frame(frames: Set) -> None:
+    frames.change(5, lambda dn: dn + 4)
+    bias, _ = frames.check()
+    assert named(bias) == {("level", 5)}
+    assert bias.verdict == "shoot again"
+
+
+def test_a_leak_in_all_bias_frames_shows_as_shading(frames: Set) -> None:
+    down = np.linspace(0, 1, SIZE[0])[:, None]
+    for number in range(1, 7):
+        frames.change(number, lambda dn: dn + 12 * down)
+    bias, _ = frames.check()
+    assert [one.name for one in bias.reasons if isinstance(one, Measure)] == ["shading"]
+    assert bias.verdict == "look"
+
+
+def test_clipped_black(frames: Set) -> None:
+    for number in range(1, 7):
+        frames.change(number, lambda dn: np.maximum(dn - 512, 0))
+    bias, _ = frames.check()
+    assert {("black", number) for number in range(1, 7)} <= named(bias)
+    assert bias.verdict == "shoot again"
+
+
+def test_saturated_flats(frames: Set) -> None:
+    for number in (11, 12):
+        frames.change(number, lambda dn: dn * 1.6)
+    _, flat = frames.check()
+    assert {name for name, _ in named(flat)} == {"saturation"}
+    assert {number for _, number in named(flat)} == {11, 12}
+    assert flat.verdict == "shoot again"
+
+
+def test_uneven_flats(frames: Set) -> None:
+    right = np.linspace(0.3, 1, SIZE[1])
+    for number in range(7, 13):
+        frames.change(number, lambda dn: 512 + (dn - 512) * right)
+    _, flat = frames.check()
+    assert named(flat) == {("evenness", number) for number in range(7, 13)}
+    assert flat.verdict == "look"
+
+
+@pytest.mark.parametrize(("percent", "verdict"), [(2, "look"), (8, "shoot again")])
+def test_an_unequal_pair(frames: Set, percent: float, verdict: str) -> None:
+    frames.change(10, lambda dn: 512 + (dn - 512) * (1 + percent / 100))
+    _, flat = frames.check()
+    assert named(flat) == {("pair", 10)}
+    assert flat.verdict == verdict
+    (pair,) = (one for one in flat.measures if one.name == "pair" and one.path.endswith("0010.dng"))
+    assert pair.value == pytest.approx(percent, abs=0.5)
+
+
+def test_flicker_of_one_flat(frames: Set) -> None:
+    bands = 0.04 * np.sin(2 * np.pi * 3 * np.arange(SIZE[0]) / SIZE[0])[:, None]
+    frames.change(12, lambda dn: 512 + (dn - 512) * (1 + bands))
+    _, flat = frames.check()
+    assert named(flat) == {("flicker", 12)}
+    assert flat.verdict == "shoot again"
+
+
+def test_a_flat_without_a_partner(frames: Set) -> None:
+    path = "data/calibration/DemoGamma/flat/ISO1600/IMG_0012.dng"
+    frame = read_raw(frames.folder / path)
+    exposure = type(frame.exposure)(frame.exposure.iso, Fraction(3), frame.exposure.f_number)
+    write_dng(frames.folder / path, frame.mosaic, frame.sensor, exposure, compression="none")
+    _, flat = frames.check()
+    assert flat.verdict == "look"
+    assert flat.format_text().count("has no partner") == 2

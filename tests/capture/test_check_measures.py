@@ -1,0 +1,322 @@
+"""The measures of `capture check` on simulated mosaics: what they find is what was put in, within their own errors."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from capture.check.bias import PATCHES, patch_levels
+from capture.check.cells import Cells, luminance, reduce_to_cells, saturation_dn
+from capture.check.drift import brightness_ratios
+from capture.check.flat import unevenness
+from capture.check.flicker import flicker_of_contrast, flicker_of_level
+from capture.check.measures import Limits, Measure, worst
+from capture.check.ratio import RatioFit, fit_ratio
+from capture.check.shift import make_tiles, measure_focus, measure_shift, moved_tiles
+from eldata.raw.cfa import XTRANS_CFA, pack
+from eldata.records import Sensor
+from tests.capture.simulated_scenes import ALPHA, BETA, moved, radiance
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from eldata.demo.camera import SimulatedCamera
+
+SIZE = (384, 576)
+
+
+def photographed(
+    light: NDArray[np.float32], seed: int, *, iso: int = 100, ratio: int = 1, camera: SimulatedCamera = ALPHA
+) -> NDArray[np.uint16]:
+    body = camera.with_size(*light.shape[1:])
+    return body.photograph(light, Fraction(100, iso * ratio), iso, np.random.default_rng([seed, iso, ratio]))
+
+
+def cells_of(mosaic: NDArray[np.uint16], camera: SimulatedCamera = ALPHA) -> Cells:
+    return reduce_to_cells(mosaic, camera.sensor, pack(mosaic, camera.sensor.cfa))
+
+
+def grey_of(mosaic: NDArray[np.uint16], camera: SimulatedCamera = ALPHA) -> NDArray[np.float32]:
+    packed = pack(mosaic, camera.sensor.cfa)
+    return luminance(packed, reduce_to_cells(mosaic, camera.sensor, packed))
+
+
+# --- cells --------------------------------------------------------------------------------------------------------
+
+
+def test_cells_are_the_means_over_black() -> None:
+    mosaic = photographed(radiance(1), 1, camera=BETA)
+    cells = cells_of(mosaic, BETA)
+    packed = pack(mosaic, BETA.sensor.cfa).astype(np.float64)
+    expected = packed.reshape(4, 48, 4, 72, 4).mean(axis=(2, 4)) - np.array([2047, 2048, 2049, 2048])[:, None, None]
+    np.testing.assert_allclose(cells.mean_dn, expected, rtol=1e-5, atol=1e-2)
+    assert cells.colours == ("R", "G", "B", "G")
+    assert not cells.clipped.any()
+
+
+def test_cells_of_x_trans_and_of_odd_sizes() -> None:
+    sensor = Sensor("", "", XTRANS_CFA, (100.0, 101.0, 102.0), 1000.0, 61, 80)
+    mosaic = np.full((61, 80), 500, dtype=np.uint16)
+    mosaic[0, 0] = 1000
+    cells = reduce_to_cells(mosaic, sensor, pack(mosaic, sensor.cfa))
+    assert cells.mean_dn.shape == (9, 5, 6)
+    assert "".join(cells.colours) == "RGBRBGGGG"
+    assert int(cells.clipped.sum()) == 1
+    assert cells.clipped_share == pytest.approx(1 / mosaic.size)
+
+
+def test_saturation_below_the_recorded_white_level_is_seen() -> None:
+    """A Canon at ISO 100 clips at 13583 where its files say 15303, with some spread from pixel to pixel."""
+    light = radiance(2) * np.float32(2)
+    body = BETA.with_size(*SIZE)
+    mosaic = photographed(light, 1, camera=BETA)
+    level = np.random.default_rng(0).normal(13583, 2, mosaic.shape)
+    clipped = np.minimum(mosaic, np.rint(level)).astype(np.uint16)
+    found = saturation_dn(clipped, body.sensor)
+    assert 13560 < found <= 13583
+    true_share = np.count_nonzero(mosaic >= 13583) / mosaic.size
+    assert true_share > 0.01
+    assert cells_of(clipped, BETA).clipped_share == pytest.approx(true_share, rel=0.05)
+
+
+@pytest.mark.parametrize("scene", range(1, 9))
+def test_frames_without_saturation_show_none(scene: int) -> None:
+    for camera in (ALPHA, BETA):
+        mosaic = photographed(radiance(scene), 1, camera=camera)
+        assert saturation_dn(mosaic, camera.sensor) == camera.sensor.white_level_dn
+
+
+# --- drift --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("camera", [ALPHA, BETA], ids=lambda camera: camera.name)
+def test_drift_to_a_tenth_of_a_percent(camera: SimulatedCamera) -> None:
+    """Ten scenes, four channels, drifts of -5 to 5 %: accurate, and within the standard errors as normal errors are."""
+    off = []
+    for scene, percent in zip(range(1, 11), (-5, -3, -2, -1, -0.5, 0.5, 1, 2, 3, 5), strict=True):
+        first = cells_of(photographed(radiance(scene), 1, camera=camera), camera)
+        light = radiance(scene) * np.float32(1 + percent / 100)
+        second = cells_of(photographed(light, 2, camera=camera), camera)
+        ratios = [one for one in brightness_ratios(first, second) if one is not None]
+        assert len(ratios) >= 3
+        assert [one.value for one in ratios] == pytest.approx([1 + percent / 100] * len(ratios), abs=1e-3)
+        off += [(one.value - 1 - percent / 100) / one.standard_error for one in ratios]
+    # Some 40 values: 95.4 % within two, less four standard deviations of the share.
+    assert np.mean(np.abs(off) < 2) > 0.954 - 4 * (0.954 * 0.046 / len(off)) ** 0.5
+
+
+def test_drift_of_one_colour_is_seen() -> None:
+    warmer = radiance(1) * np.array([1.02, 1.0, 1.0], dtype=np.float32)[:, None, None]
+    ratios = brightness_ratios(cells_of(photographed(radiance(1), 1)), cells_of(photographed(warmer, 2)))
+    red, green = ratios[0], ratios[1]
+    assert red is not None
+    assert green is not None
+    assert red.value - green.value > 0.01
+
+
+def test_too_dark_frames_have_no_drift() -> None:
+    dark = cells_of(photographed(radiance(1) * np.float32(0.01), 1))
+    assert brightness_ratios(dark, dark) == (None,) * 4
+
+
+# --- shift and focus ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("camera", "scene"), [(ALPHA, 1), (BETA, 2), (BETA, 3), (ALPHA, 4)])
+def test_shift_to_a_tenth_of_a_pixel(camera: SimulatedCamera, scene: int) -> None:
+    light = radiance(scene)
+    tiles = make_tiles(grey_of(photographed(light, 1, camera=camera), camera))
+    assert tiles is not None
+    for down, right in ((0.3, -0.2), (0.5, 1.5), (9.0, -12.0)):
+        image = grey_of(photographed(moved(light, down, right), 2, camera=camera), camera)
+        cut = moved_tiles(tiles, image)
+        assert cut is not None
+        shift = measure_shift(cut[0], cut[1])
+        assert shift is not None
+        found = (2 * (shift.down.value + cut[2][0]), 2 * (shift.right.value + cut[2][1]))
+        assert found == pytest.approx((down, right), abs=0.1)
+
+
+def test_the_shift_of_unmoved_frames_is_within_its_error() -> None:
+    off = []
+    for scene in range(1, 5):
+        tiles = make_tiles(grey_of(photographed(radiance(scene), 1)))
+        assert tiles is not None
+        for seed in range(2, 7):
+            cut = moved_tiles(tiles, grey_of(photographed(radiance(scene), seed)))
+            assert cut is not None
+            shift = measure_shift(cut[0], cut[1])
+            assert shift is not None
+            assert cut[2] == (0, 0)
+            off += [one.value / one.standard_error for one in (shift.down, shift.right)]
+    # 40 values, in groups of five with one first frame: 68 % within one; four standard deviations are 30 %.
+    assert 0.38 < np.mean(np.abs(off) < 1) < 0.98
+    assert max(np.abs(off)) < 5
+
+
+def test_a_picture_without_detail_has_no_shift() -> None:
+    even = np.full((3, *SIZE), 0.3, dtype=np.float32)
+    tiles = make_tiles(grey_of(photographed(even, 1)))
+    assert tiles is not None
+    cut = moved_tiles(tiles, grey_of(photographed(even, 2)))
+    assert cut is None or measure_shift(cut[0], cut[1]) is None
+    assert make_tiles(np.zeros((20, 20), dtype=np.float32)) is None
+
+
+@pytest.mark.parametrize(("sigma", "least", "most"), [(0.5, 0.90, 0.99), (1.0, 0.75, 0.93), (2.0, 0.3, 0.8)])
+def test_focus_falls_with_blur_and_noise_does_not_matter(sigma: float, least: float, most: float) -> None:
+    from scipy import ndimage
+
+    light = radiance(2)
+    blurred = ndimage.gaussian_filter(light, (0, sigma, sigma))
+    values = []
+    for iso in (100, 3200):  # the latter with some thirty times the noise's variance
+        tiles = make_tiles(grey_of(photographed(light, 1, iso=iso)))
+        assert tiles is not None
+        cut = moved_tiles(tiles, grey_of(photographed(blurred, 2, iso=iso)))
+        assert cut is not None
+        shift = measure_shift(cut[0], cut[1])
+        assert shift is not None
+        focus = measure_focus(cut[0], cut[1], shift, 1.0)
+        assert focus is not None
+        values.append(focus.value)
+    assert least < values[0] < most
+    assert values[1] == pytest.approx(values[0], abs=0.02)
+
+
+# --- ratio --------------------------------------------------------------------------------------------------------
+
+
+def fits(camera: SimulatedCamera, iso: int, ratio: int, frames: int) -> list[RatioFit]:
+    found = []
+    for index in range(frames):
+        light = radiance(1 + index % 4)
+        reference = cells_of(photographed(light, 100 + index, camera=camera), camera)
+        fit = fit_ratio(reference, cells_of(photographed(light, index, iso=iso, ratio=ratio, camera=camera), camera))
+        assert fit is not None
+        found.append(fit)
+    return found
+
+
+@pytest.mark.parametrize(("iso", "ratio"), [(800, 1), (800, 100), (3200, 10), (3200, 200)])
+def test_the_ratio_is_within_its_standard_error(iso: int, ratio: int) -> None:
+    off = []
+    for camera in (ALPHA, BETA):
+        for fit in fits(camera, iso, ratio, 20):
+            off.append((fit.slope.value * ratio - 1) / (fit.slope.standard_error * ratio))
+            assert fit.match.value == pytest.approx(1, abs=max(0.001, 5 * fit.match.standard_error))
+    # Of 40 values 68 % within one, 95 % within two; less four standard deviations of the shares.
+    assert 0.38 < np.mean(np.abs(off) < 1) < 0.98
+    assert np.mean(np.abs(off) < 2) > 0.82
+
+
+def test_black_that_is_off_and_hot_pixels_do_not_bend_the_ratio() -> None:
+    reference = cells_of(photographed(radiance(1), 1))
+    mosaic = photographed(radiance(1), 2, iso=1600, ratio=200) + np.uint16(12)
+    generator = np.random.default_rng(3)
+    hot = generator.random(mosaic.shape) < 3e-4
+    mosaic[hot] += generator.integers(200, 3000, int(hot.sum()), dtype=np.uint16)
+    fit = fit_ratio(reference, cells_of(mosaic))
+    assert fit is not None
+    ratio = fit.ratio
+    assert ratio is not None
+    assert ratio.value == pytest.approx(200, abs=4 * ratio.standard_error)
+    assert ratio.standard_error < 4
+    assert fit.offset_dn == pytest.approx([12] * 4, abs=2)
+
+
+def test_another_scene_does_not_match() -> None:
+    reference = cells_of(photographed(radiance(1), 1))
+    for other in (2, 3, 4, 5):
+        fit = fit_ratio(reference, cells_of(photographed(radiance(other), 2, iso=800, ratio=100)))
+        assert fit is not None
+        assert fit.match.value < 0.5
+
+
+def test_black_that_is_clipped_has_no_ratio() -> None:
+    mosaic = photographed(radiance(1), 2, iso=3200, ratio=200)
+    clipped = np.maximum(mosaic, 512) - np.uint16(512)
+    sensor = Sensor("", "", ALPHA.sensor.cfa, (0.0,) * 4, 15871.0, *SIZE)
+    cells = reduce_to_cells(clipped.astype(np.uint16), sensor, pack(clipped, sensor.cfa))
+    assert cells.zero_share > 0.1
+    assert fit_ratio(cells_of(photographed(radiance(1), 1)), cells) is None
+
+
+# --- flicker ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("amplitude", "cycles"), [(0.02, 2.4), (0.05, 7.0), (0.05, 16.3)])
+def test_flicker_has_the_amplitude_that_was_put_in(amplitude: float, cycles: float) -> None:
+    bands = 1 + amplitude * np.sin(2 * np.pi * cycles * np.arange(SIZE[0]) / SIZE[0] + 1)[:, None]
+    reference = cells_of(photographed(radiance(2), 1))
+    fit = fit_ratio(reference, cells_of(photographed((radiance(2) * bands).astype(np.float32), 2, iso=800, ratio=10)))
+    assert fit is not None
+    for flicker in (flicker_of_contrast(fit.residuals), flicker_of_level(fit.residuals)):
+        assert flicker is not None
+        assert flicker.amplitude.value == pytest.approx(amplitude, rel=0.2)
+        assert flicker.amplitude.value > flicker.sigmas * flicker.amplitude.standard_error
+        assert flicker.cycles == pytest.approx(cycles, abs=0.3)
+
+
+def test_banding_of_the_sensor_is_not_flicker() -> None:
+    """Bands that are added, as dark as the signal is; the contrast within the rows does not follow them."""
+    mosaic = photographed(radiance(2), 2, iso=3200, ratio=100).astype(np.float64)
+    mosaic += 10 * np.sin(2 * np.pi * 6 * np.arange(SIZE[0]) / SIZE[0])[:, None]
+    fit = fit_ratio(cells_of(photographed(radiance(2), 1)), cells_of(np.rint(mosaic).astype(np.uint16)))
+    assert fit is not None
+    contrast, level = flicker_of_contrast(fit.residuals), flicker_of_level(fit.residuals)
+    assert contrast is not None
+    assert level is not None
+    assert contrast.amplitude.value < contrast.sigmas * contrast.amplitude.standard_error
+    assert level.amplitude.value > level.sigmas * level.amplitude.standard_error
+
+
+# --- bias and flats -----------------------------------------------------------------------------------------------
+
+
+def test_patches_have_the_errors_that_they_state() -> None:
+    dark = np.zeros((3, *SIZE), dtype=np.float32)
+    levels = [patch_levels(cells_of(photographed(dark, seed, iso=1600))) for seed in range(20)]
+    stack = np.stack([one.level_dn for one in levels])
+    stated = float(np.mean([one.error_dn for one in levels]))
+    assert stack.shape == (20, PATCHES, PATCHES)
+    found = float(stack.std(axis=0, ddof=1).mean())
+    assert 0.7 * found < stated < 1.7 * found  # an error that is stated too large costs power, no false alarm
+
+
+def test_unevenness_of_a_ramp() -> None:
+    ramp = np.broadcast_to(np.linspace(0.2, 0.6, SIZE[1], dtype=np.float32), (3, *SIZE))
+    # From the first to the last of 18 columns of blocks: 17/18 of 0.4, over the median 0.4.
+    assert unevenness(cells_of(photographed(np.ascontiguousarray(ramp), 1))) == pytest.approx(17 / 18, abs=0.01)
+
+
+# --- verdicts -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "verdict"),
+    [
+        (0.9, 0.0, "keep"),
+        (1.1, 0.0, "look"),
+        (-1.1, 0.0, "look"),
+        (2.1, 0.1, "shoot again"),
+        (2.1, 0.5, "keep"),  # within five standard errors
+        (float("nan"), 0.1, "keep"),
+    ],
+)
+def test_a_value_is_beyond_a_limit_if_it_cannot_be_chance(value: float, error: float, verdict: str) -> None:
+    measure = Measure("drift", "a.dng", value, error, 0.0, "%", Limits(1.0, 2.0, "test"), "text", "advice")
+    assert measure.verdict == verdict
+
+
+def test_the_worst_verdict() -> None:
+    assert worst([]) == "keep"
+    assert worst(["look", "keep", "shoot again"]) == "shoot again"
+
+
+def test_a_measure_says_value_error_limits_and_advice() -> None:
+    measure = Measure("drift", "a.dng", 2.345, 0.012, 0.0, "%", Limits(0.5, 1.6, "test"), "change", "do that")
+    assert str(measure) == ("a.dng: drift: change: 2.345 ± 0.012 % (look from 0.5 %, shoot again from 1.6 %); do that")

@@ -1,0 +1,150 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from capture.cli import main
+from capture.plan import Plan
+
+TABLE = """\
+SonyA7S2: 14 shots; base ISO 100, ISOs 800 1600, low-light factors 10 200
+
+scene-1: metered at 4 s
+scene-1: books
+frame  role        ISO  factor    asked      set       gives   ratio   error   stops  reference
+-----  ---------  ----  ------  -------  -------  ----------  ------  ------  ------  ---------
+    1  reference   100       -      4 s      4 s         4 s       -       -       -          -
+    2  noisy       800     x10   1/20 s   1/20 s   0.04961 s   10.08  +0.8 %  +0.011          1
+    3  noisy       800    x200  1/400 s  1/400 s  0.002461 s  203.19  +1.6 %  +0.023          4
+    4  reference   100       -      4 s      4 s         4 s       -       -       -          -
+    5  noisy      1600     x10   1/40 s   1/40 s    0.0248 s   10.08  +0.8 %  +0.011          4
+    6  noisy      1600    x200  1/800 s  1/800 s   0.00123 s  203.19  +1.6 %  +0.023          7
+    7  reference   100       -      4 s      4 s         4 s       -       -       -          -
+
+scene-2: metered at 30 s
+frame  role        ISO  factor   asked     set      gives   ratio   error   stops  reference
+-----  ---------  ----  ------  ------  ------  ---------  ------  ------  ------  ---------
+    1  reference   100       -    30 s    30 s       32 s       -       -       -          -
+    2  noisy       800     x10   3/8 s   0.4 s   0.3969 s   10.08  +0.8 %  +0.011          1
+    3  noisy       800    x200  3/160 s  1/50 s  0.01969 s  203.19  +1.6 %  +0.023          4
+"""
+
+
+@pytest.fixture
+def at_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Path:
+    """A folder with the example camera."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["camera", "--example", "cam.json"]) == 0
+    capsys.readouterr()
+    return tmp_path
+
+
+def new(*options: str) -> int:
+    return main(["plan", "--camera", "cam.json", *options])
+
+
+def test_a_plan_and_its_changes(at_work: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    settings = ["--isos", "800", "1600", "--factors", "10", "200"]
+    assert new("--scenes", "2", "--metered", "4", *settings, "-o", "plan.json") == 0
+    assert "scene-1, scene-2: metered at 4 s" in capsys.readouterr().out
+    assert main(["plan", "plan.json", "--remeter", "scene-2=30", "--note", "scene-1=books"]) == 0
+    output, errors = capsys.readouterr()
+    assert errors == ""
+    squeezed = [" ".join(line.split()) for line in output.splitlines()]
+    for line in TABLE.splitlines():
+        if not line.startswith("-----"):
+            assert " ".join(line.split()) in squeezed
+    assert output.endswith("plan: plan.json\n")
+    before = Path("plan.json").read_bytes()
+    assert main(["plan", "plan.json"]) == 0  # to look at
+    assert "plan: plan.json" not in capsys.readouterr().out
+    assert Path("plan.json").read_bytes() == before
+    assert main(["plan", "plan.json", "--add-scene", "scene-3=2", "-o", "other.json", "--json", "shown.json"]) == 0
+    assert Path("plan.json").read_bytes() == before
+    assert [scene.name for scene in Plan.load("other.json").scenes] == ["scene-1", "scene-2", "scene-3"]
+    assert json.loads(Path("shown.json").read_text()) == json.loads(Path("other.json").read_text())
+    assert sorted(path.name for path in at_work.iterdir()) == ["cam.json", "other.json", "plan.json", "shown.json"]
+
+
+@pytest.mark.parametrize(
+    ("metered", "expected"),
+    [(["2", "scene-2=4"], ["2", "4", "2"]), (["scene-2=4", "2"], ["2", "4", "2"])],
+)
+def test_metered_times(at_work: Path, metered: list[str], expected: list[str]) -> None:
+    options = [word for time in metered for word in ("--metered", time)]
+    assert new("--scenes", "3", *options, "--protocol", "paper", "-o", "plan.json") == 0
+    plan = Plan.load("plan.json")
+    assert [str(scene.metered_s) for scene in plan.scenes] == expected
+    assert len(plan.scenes[0].shots) == 10
+
+
+def test_calibration_frames(at_work: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert new("--calibration", "--flat-clips-at", "1/2", "--calibration-isos", "800", "100", "-o", "c.json") == 0
+    output = capsys.readouterr().out
+    assert "calibration: the surface clips at 1/2 s, ISO 100" in output
+    assert len(Plan.load("c.json").shots) == 2 * (10 + 12)
+    assert new("--scenes", "1", "--metered", "4", "-o", "plan.json") == 0
+    assert main(["plan", "plan.json", "--calibration", "--flat-clips-at", "1/2", "--bias-frames", "6"]) == 0
+    found = Plan.load("plan.json").calibration
+    assert found is not None
+    assert (found.bias_frames, found.isos) == (6, (100, 200, 400, 800, 1600, 3200))
+
+
+def test_camera_is_shown(at_work: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["camera", "cam.json", "--json", "shown.json"]) == 0
+    output = capsys.readouterr().out
+    assert "SonyA7S2 (ILCE-7SM2): .ARW, bayer" in output
+    assert "1/60 s 0.015625 s" in [" ".join(line.split()) for line in output.splitlines()]
+    assert json.loads(Path("shown.json").read_text())["times"][0]["dial"] == "1/8000"
+
+
+NEW = ["plan", "--camera", "cam.json"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["camera"], "give either a camera description to check, or --example FILE"),
+        (["camera", "--example", "cam.json"], "cam.json is there already"),
+        (["camera", "nowhere.json"], "nowhere.json: cannot be read"),
+        (["plan"], "a new plan needs --camera FILE; capture camera --example"),
+        (["plan", "nowhere.json"], "nowhere.json: cannot be read"),
+        (["plan", "cam.json"], "cam.json, field name: expected one of the fields schema, camera, protocol"),
+        (NEW, "--scenes: expected a number of scenes from 1 to 1000, found none"),
+        ([*NEW, "--scenes", "0", "--metered", "4"], "--scenes: expected a number"),
+        ([*NEW, "--scenes", "2"], "scene-1, scene-2 need a metered time"),
+        ([*NEW, "--scenes", "2", "--metered", "scene-3=4"], "--metered scene-3: the scenes are scene-1 to scene-2"),
+        ([*NEW, "--scenes", "1", "--metered", "soon"], "expected seconds such as 4, 1/2 or 0.5, found 'soon'"),
+        ([*NEW, "--scenes", "1", "--metered", "1/2"], "scene-1: metered at 1/2 s (ISO 100): noisy frame 15"),
+        ([*NEW, "--scenes", "1", "--metered", "4", "--isos", "900"], "SonyA7S2 has no ISO 900"),
+        ([*NEW, "--scenes", "1", "--metered", "4", "--remeter", "scene-2"], "such as scene-2=1/4; found 'scene-2'"),
+        ([*NEW, "--scenes", "1", "--metered", "4", "--note", "scene-1"], "--note: expected a scene and a text"),
+        ([*NEW, "--scenes", "1", "--metered", "4", "-o", "cam.json"], "cam.json is there already, and may have been"),
+        ([*NEW, "--scenes", "1", "--metered", "4", "--calibration"], "--calibration needs --flat-clips-at SECONDS"),
+        ([*NEW, "--scenes", "1", "--metered", "4", "--bias-frames", "5"], "--bias-frames goes with --calibration"),
+    ],
+)
+def test_wrong_usage_is_one_line(
+    at_work: Path, arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = Path("cam.json").read_bytes()
+    assert main(arguments) == 2
+    output, errors = capsys.readouterr()
+    assert output == ""
+    assert errors.startswith(("capture camera: ", "capture plan: "))
+    assert errors.count("\n") == 1
+    assert words in errors
+    assert Path("cam.json").read_bytes() == before
+    assert [path.name for path in at_work.iterdir()] == ["cam.json"]
+
+
+def test_a_plan_has_its_own_protocol(at_work: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert new("--scenes", "1", "--metered", "4", "-o", "plan.json") == 0
+    capsys.readouterr()
+    assert main(["plan", "plan.json", "--factors", "10"]) == 2
+    assert "--factors is for a new plan; plan.json has its own" in capsys.readouterr().err
+    assert main(["plan", "plan.json", "--remeter", "scene-1=1/50"]) == 2
+    assert "Let 5 1/3 stops less light in" in capsys.readouterr().err
+    assert Plan.load("plan.json").scenes[0].metered_s == 4

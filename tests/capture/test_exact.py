@@ -1,0 +1,74 @@
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from capture.exact import ExactNumber, as_exact, parse_seconds
+from eldata.errors import ArgumentError
+
+fractions = st.fractions(Fraction(1, 10**4), 10**6, max_denominator=10**4)
+stops = st.builds(Fraction, st.integers(-60, 60), st.sampled_from((1, 2, 3, 6)))
+numbers = st.builds(ExactNumber, fractions, stops)
+
+
+@given(fractions, stops)
+def test_value_is_kept(coefficient: Fraction, exponent: Fraction) -> None:
+    number = ExactNumber(coefficient, exponent)
+    assert 0 <= number.stops < 1
+    assert math.isclose(float(number), float(coefficient) * 2.0 ** float(exponent), rel_tol=1e-12)
+    assert math.isclose(number.log2, math.log2(coefficient) + float(exponent), abs_tol=1e-9)
+    assert (number.exact is None) == (exponent.denominator != 1)
+
+
+@given(numbers, numbers)
+def test_products_and_quotients_undo_each_other(one: ExactNumber, other: ExactNumber) -> None:
+    assert one * other / other == one
+    assert math.isclose(float(one * other), float(one) * float(other), rel_tol=1e-12)
+
+
+@given(numbers, numbers)
+def test_order_is_that_of_the_values(one: ExactNumber, other: ExactNumber) -> None:
+    assert (one < other) + (other < one) + (one == other) == 1
+    if abs(float(one) / float(other) - 1) > 1e-9:
+        assert (one < other) == (float(one) < float(other))
+    assert (one <= other) == (not other < one)
+
+
+@given(numbers)
+def test_the_nearest_fractions_to_an_irrational_are_told_apart(number: ExactNumber) -> None:
+    """Where floating point sees no difference."""
+    close = Fraction(float(number))
+    if number.exact is None:
+        assert as_exact(close) != number
+    assert as_exact(close * (1 + Fraction(1, 10**14))) > number
+    assert number > as_exact(close * (1 - Fraction(1, 10**14)))
+
+
+def test_cube_root_of_two_is_exact() -> None:
+    third = ExactNumber(Fraction(1), Fraction(1, 3))
+    assert third * third * third == as_exact(2)
+    assert (third * third * third).exact == 2
+
+
+@pytest.mark.parametrize("coefficient", [Fraction(0), Fraction(-1, 3)])
+def test_not_positive_is_refused(coefficient: Fraction) -> None:
+    with pytest.raises(ArgumentError, match="above 0"):
+        ExactNumber(coefficient)
+
+
+@given(st.fractions(Fraction(1, 10**8), 10**8, max_denominator=10**8))
+def test_seconds_are_read_back(seconds: Fraction) -> None:
+    if seconds.numerator < 10**9:
+        assert parse_seconds(str(seconds)) == seconds
+
+
+@pytest.mark.parametrize(
+    "text", ["", "1/", "/2", "1e3", "nan", "1/2/3", "1 s", "٣", "1_000", "1/0", "0", "-1", "9" * 20]
+)
+def test_what_names_no_time_is_refused(text: str) -> None:
+    with pytest.raises(ArgumentError):
+        parse_seconds(text)

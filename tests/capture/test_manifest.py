@@ -1,0 +1,371 @@
+"""From the card to the dataset, with real files: matched, placed, listed, verified and read."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from capture.calibration import plan_calibration
+from capture.cli import main
+from eldata.files import sha256_of
+from eldata.manifest import load_manifest, verify
+from tests.capture.simulated import CAMERA, Taken, plan_of, shoot, whole_plan
+
+if TYPE_CHECKING:
+    from capture.plan import Plan
+
+ROOT = Path(__file__).resolve().parents[2]
+TEN = ("4", "1", "2", "1", "4", "1", "1", "8", "4", "1")
+
+
+class Field:
+    """A folder with a plan, a memory card and a place for the dataset."""
+
+    def __init__(self, folder: Path, plan: Plan, taken: list[Taken] | None = None, *, times: bool = True) -> None:
+        self.folder, self.plan = folder, plan
+        self.card, self.data = folder / "card", folder / "data" / "ELD-mine"
+        self.csv = folder / "manifests" / "mine.csv"
+        self.mapping = folder / "manifests" / "mine.mapping.json"
+        self.files = shoot(self.card, whole_plan(plan) if taken is None else taken, times=times)
+        plan.save(folder / "plan.json")
+
+    def run(self, *options: str) -> int:
+        return main(
+            ["manifest", str(self.folder / "plan.json"), str(self.card), "-o", str(self.csv), "--jobs", "1", *options]
+        )
+
+    def copy(self, *options: str) -> int:
+        return self.run("--copy-to", str(self.data), *options)
+
+    def problems(self) -> list[str]:
+        report = verify(self.csv, self.folder / "data", dataset="mine", level="full")
+        return [str(problem) for problem in report.problems]
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> Field:
+    return Field(tmp_path, plan_of("4", "1", factors=(100,)))
+
+
+def test_ten_scenes_from_card_to_dataset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    field = Field(tmp_path, plan_of(*TEN), [])
+    shutil.rmtree(field.card)
+    files = shoot(field.card, whole_plan(field.plan), shuffle=3)
+    before = {path: (path.stat().st_mtime_ns, sha256_of(path)) for path in files}
+    assert field.copy() == 0
+    output = capsys.readouterr().out
+    assert "scene-10  16 of 16" in output
+    assert "160 of 160 shots have a file; 160 files were given" in output
+    assert ":\n" not in output.partition("manifest:")[0]  # no kind of remark
+    manifest = load_manifest(field.csv)
+    assert manifest.card.counts == {"noisy": 120, "reference": 40}
+    assert field.problems() == []
+    assert {path: (path.stat().st_mtime_ns, sha256_of(path)) for path in files} == before
+    # Each file under the number of its place in the order of time.
+    for index, (scene, shot) in enumerate(field.plan.shots):
+        placed = field.data / CAMERA.name / scene / f"IMG_{shot.number:04d}.dng"
+        assert sha256_of(placed) == before[files[index]][1]
+    record = next(record for record in manifest.records if record.path == "AcmeNocturne/scene-8/IMG_0005.dng")
+    expected = ("noisy", Fraction(800), Fraction(1, 200), Fraction(200))
+    assert (record.role, record.iso, record.exposure_s, record.ratio) == expected
+    assert record.reference == "AcmeNocturne/scene-8/IMG_0006.dng"
+    assert field.copy("--replace") == 0  # again: nothing to do, nothing in the way
+    assert field.problems() == []
+
+
+def test_eld_dataset_reads_it(small: Field) -> None:
+    from eldata import ELDDataset
+
+    assert small.copy() == 0
+    dataset = ELDDataset(small.data, manifest=small.csv, levels="metadata", ratios=[100])
+    assert len(dataset) == 6
+    assert dataset.records[0].reference == "AcmeNocturne/scene-1/IMG_0001.dng"
+    sample = dataset[0]
+    assert sample["input"].shape == sample["target"].shape == (4, 12, 16)
+    assert sample["ratio"] == 100
+
+
+def test_evaluate_scores_predictions_on_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import numpy as np
+
+    from eldata import ELDDataset
+    from eldata.cli.main import main as eldata
+
+    field = Field(tmp_path, plan_of("4", "1", factors=(100, 200)))
+    assert field.copy() == 0
+    dataset = ELDDataset(field.data, manifest=field.csv)
+    for record, sample in zip(dataset.records, dataset, strict=True):
+        prediction = tmp_path / "predictions" / Path(record.path).with_suffix(".npy")
+        prediction.parent.mkdir(parents=True, exist_ok=True)
+        np.save(prediction, np.clip(np.asarray(sample["target"]) + 0.01, 0, 1))
+    capsys.readouterr()
+    options = ["--manifest", str(field.csv), "--root", str(tmp_path / "data"), "--jobs", "1"]
+    assert eldata(["evaluate", str(tmp_path / "predictions"), *options]) == 0
+    assert "AcmeNocturne" in capsys.readouterr().out
+
+
+def test_calibration_frames(tmp_path: Path) -> None:
+    from eldata import CalibrationFrames
+    from eldata.datasets.calibration_frames import flat_pairs
+
+    plan = plan_of("4", factors=(100,))
+    frames = plan_calibration(CAMERA, 100, (100, 800), Fraction(1, 2), bias_frames=4)
+    field = Field(tmp_path, replace(plan, calibration=frames))
+    assert field.copy() == 0
+    assert field.problems() == []
+    found = CalibrationFrames(field.data, manifest=field.csv)
+    assert found.isos == (Fraction(100), Fraction(800))
+    assert [len(found.of("bias", 100)), len(found.of("flat", 800))] == [4, 12]
+    pairs, single = flat_pairs(found.of("flat", 100))
+    assert (len(pairs), single) == (6, ())
+    assert {record.path.rpartition("/")[0] for record in found.records} == {
+        f"AcmeNocturne/{role}/ISO{iso}" for role in ("bias", "flat") for iso in (100, 800)
+    }
+    # The folders alone are read the same.
+    assert len(CalibrationFrames(field.data)) == len(found)
+
+
+def test_files_may_stay_where_they_are(small: Field, capsys: pytest.CaptureFixture[str]) -> None:
+    assert small.run() == 0
+    manifest = load_manifest(small.csv)
+    assert manifest.card.folder == small.folder.name
+    assert manifest.records[0].path == "card/DSC0000.dng"  # the counter turned over
+    assert verify(small.csv, small.folder.parent, dataset="mine", level="full").ok
+    assert "--root" in capsys.readouterr().out
+
+
+def test_links(small: Field) -> None:
+    assert small.run("--link-to", str(small.data)) == 0
+    placed = small.data / "AcmeNocturne/scene-1/IMG_0001.dng"
+    assert placed.samefile(small.files[0])
+    assert small.problems() == []
+
+
+def test_names_order_where_there_are_no_times(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    field = Field(tmp_path, plan_of("4", "1"), times=False)  # DSC1 ... DSC32, which sort as text the wrong way
+    assert field.copy() == 0
+    assert "not every file says when it was taken" in capsys.readouterr().out
+    assert sha256_of(field.data / "AcmeNocturne/scene-1/IMG_0010.dng") == sha256_of(field.card / "DSC10.dng")
+
+
+def test_everything_that_goes_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Skipped, repeated, swapped, a test shot, another camera's file, a damaged one: each is named, none shifts."""
+    plan = plan_of("4", "1", "2")
+    taken = whole_plan(plan)
+    taken[32], taken[33] = taken[33], taken[32]
+    taken[21:22] = [taken[21]] * 2
+    taken[16:16] = [Taken(200, Fraction(1, 30))]
+    del taken[3]
+    field = Field(tmp_path, plan, taken)
+    (field.card / "broken.dng").write_bytes(field.files[0].read_bytes()[:500])
+    shoot(field.card / "other", [Taken(100, Fraction(4), model="Toy")])
+    (field.card / "DSC0001.JPG").write_bytes(b"jpeg")
+    assert field.copy() == 1
+    output = capsys.readouterr().out
+    for words in (
+        "scene-1 frame 4 (noisy, ISO 800, 1/200 s): no file",
+        "scene-2 frame 6 was taken more than once; the last one is used",
+        "scene-3 frame 2, taken out of order (before all others)",
+        "ISO 200, 1/30 s: no shot of the plan; not used",
+        "was taken by Toy; the plan's is Nocturne 1",
+        "broken.dng: truncated",
+        "47 of 48 shots have a file; 51 files were given",
+        "1 of 48 shots have no file. Take them again, or accept the gaps with",
+    ):
+        assert words in output
+    assert not field.csv.exists()
+    assert not field.data.exists()
+
+    assert field.copy("--allow-gaps") == 1  # still to be confirmed
+    assert field.mapping.exists()
+    assert field.copy("--allow-gaps", "--yes") == 0
+    assert field.problems() == []
+    assert len(load_manifest(field.csv).records) == 47
+
+
+def test_an_edited_mapping(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plan = plan_of("4", factors=(100,))
+    taken = whole_plan(plan)
+    taken[2:3] = [taken[2]] * 2  # frame 3 twice, the first one is the better one
+    field = Field(tmp_path, plan, taken)
+    assert field.copy() == 1
+    assert f"--mapping {field.mapping}" in capsys.readouterr().out
+    content = json.loads(field.mapping.read_text())
+    assert content["shots"][2]["file"] == str(field.files[3])
+    assert content["unused"] == [{"file": str(field.files[2]), "settings": "ISO 100, 4 s"}]
+    content["shots"][2]["file"] = str(field.files[2])
+    field.mapping.write_text(json.dumps(content))
+    assert field.copy() == 1
+    assert "is there already, perhaps edited, and was left as it is" in capsys.readouterr().out
+    assert json.loads(field.mapping.read_text()) == content
+    assert field.copy("--mapping", str(field.mapping)) == 0
+    assert sha256_of(field.data / "AcmeNocturne/scene-1/IMG_0003.dng") == sha256_of(field.files[2])
+    assert field.problems() == []
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"number": 99}, "shots[1].number: expected a shot of the plan (scene-1 has none of this number), found 99"),
+        ({"scene": "scene-9"}, "expected a shot of the plan (scene-9 has none of this number)"),
+        ({"scene": None}, "shots[1].scene: expected a text, found None"),
+        ({"number": 1}, "each shot once (scene-1 frame 1 has a file already)"),
+        ({"file": 1}, "shots[1].file: expected a text, found 1"),
+        ({"file": "nowhere.dng"}, "expected one of the files given"),
+        ({"file": 0}, "shots[1].file"),
+        ({"note": "x"}, "field shots[1].note: expected one of the fields scene, number, shot, file"),
+        ({"file": "FIRST"}, "each file once (scene-1 frame 1 has it)"),
+        ({"file": "LAST", "last": None}, "asks for ISO 800, 1/200 s, and "),
+    ],
+)
+def test_wrong_mappings(
+    small: Field, change: dict[str, object], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    small.files[-1].unlink()
+    assert small.copy() == 1
+    content = json.loads(small.mapping.read_text())
+    place = {"FIRST": small.files[0], "LAST": small.files[6]}
+    if "last" in change:
+        content["shots"][6]["file"] = None
+    change = {key: str(place.get(str(value), value)) if value in place else value for key, value in change.items()}
+    content["shots"][1] |= {key: value for key, value in change.items() if key != "last"}
+    small.mapping.write_text(json.dumps(content))
+    capsys.readouterr()
+    assert small.copy("--mapping", str(small.mapping), "--allow-gaps") == 2
+    errors = capsys.readouterr().err
+    assert words in errors
+    assert errors.count("\n") == 1
+    assert not small.data.exists()
+
+
+def test_a_gap_in_the_references(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plan = plan_of("4", "1")
+    taken = whole_plan(plan)
+    del taken[5]
+    field = Field(tmp_path, plan, taken)
+    assert field.copy("--allow-gaps", "--yes") == 0
+    assert "scene-1 frame 5: compared with frame 1, as 6 is missing" in capsys.readouterr().out
+    assert field.problems() == []
+    references = {record.path: record.reference for record in load_manifest(field.csv).records}
+    assert references["AcmeNocturne/scene-1/IMG_0007.dng"] == "AcmeNocturne/scene-1/IMG_0011.dng"
+
+
+def test_a_scene_without_references(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plan = plan_of("4", "1")
+    taken = [shot for index, shot in enumerate(whole_plan(plan)) if index >= 16 or index % 5]
+    field = Field(tmp_path, plan, taken)
+    assert field.copy("--allow-gaps", "--yes") == 0
+    assert "scene-1 frame 2 is left out: the scene has no reference" in capsys.readouterr().out
+    assert len(load_manifest(field.csv).records) == 16
+    assert field.problems() == []
+
+
+def test_a_part_of_the_plan(small: Field) -> None:
+    for path in small.files[7:]:
+        path.unlink()
+    assert small.copy() == 1
+    assert small.copy("--only", "scene-1") == 0
+    assert small.problems() == []
+
+
+def test_what_is_there_stays(small: Field, capsys: pytest.CaptureFixture[str]) -> None:
+    placed = small.data / "AcmeNocturne/scene-1/IMG_0002.dng"
+    placed.parent.mkdir(parents=True)
+    placed.write_bytes(b"mine")
+    assert small.copy() == 2
+    assert f"{placed} is there already with another content" in capsys.readouterr().err
+    assert placed.read_bytes() == b"mine"
+    assert [path.name for path in placed.parent.iterdir()] == [placed.name]
+    placed.unlink()
+    assert small.copy() == 0
+    small.csv.write_text(small.csv.read_text() + "edited")
+    assert small.copy() == 2
+    assert "mine.csv is there already: give another name, or --replace it" in capsys.readouterr().err
+    assert small.csv.read_text().endswith("edited")
+
+
+def test_copies_inside_of_what_is_searched_are_no_new_files(tmp_path: Path) -> None:
+    field = Field(tmp_path, plan_of("4", factors=(100,)))
+    field.data = field.card / "data"
+    assert field.copy() == 0
+    assert field.copy("--replace") == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["manifest"], "the following arguments are required: PLAN, FILES, -o/--output"),
+        (["manifest", "PLAN", "CARD", "-o", "mine.json"], "expected a name that ends in .csv"),
+        (["manifest", "PLAN", "CARD", "-o", "plan.csv"], "its card would be"),
+        (["manifest", "nowhere.json", "CARD", "-o", "mine.csv"], "nowhere.json: cannot be read"),
+        (["manifest", "PLAN", "nowhere", "-o", "mine.csv"], "nowhere: there is no such file or folder"),
+        (["manifest", "PLAN", "PLAN", "-o", "mine.csv"], "no raw file (.dng) was given"),
+        (["manifest", "PLAN", "CARD", "-o", "mine.csv", "--copy-to", "a", "--link-to", "b"], "not allowed with"),
+        (["manifest", "PLAN", "CARD", "-o", "mine.csv", "--only", "scene-7"], "no scene called 'scene-7'"),
+        (["manifest", "PLAN", "CARD", "-o", "mine.csv", "--mapping", "nowhere"], "nowhere: cannot be read"),
+    ],
+)
+def test_wrong_usage(
+    small: Field,
+    arguments: list[str],
+    words: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(small.folder)
+    places = {"PLAN": "plan.json", "CARD": "card"}
+    assert main([places.get(word, word) for word in arguments]) == 2
+    output, errors = capsys.readouterr()
+    assert output == ""
+    assert words in errors
+    assert errors.count("\n") == 1
+
+
+def test_files_of_another_plan(small: Field, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.rmtree(small.card)
+    shoot(small.card, [Taken(200, Fraction(1, 30))] * 3)
+    assert small.run("--yes", "--allow-gaps", "--json", str(small.folder / "all.json")) == 1
+    assert "no file is a shot of this plan; nothing was written" in capsys.readouterr().out
+    assert len(json.loads((small.folder / "all.json").read_text())["unused"]) == 3
+    assert not small.csv.parent.exists()
+
+
+def test_after_a_kill_the_same_command_goes_on(small: Field) -> None:
+    placed = small.data / "AcmeNocturne/scene-1/IMG_0001.dng"
+    placed.parent.mkdir(parents=True)
+    shutil.copy(small.files[0], placed)
+    (placed.parent / ".IMG_0002.dng.0123.part").write_bytes(b"half")
+    assert small.copy() == 0
+    assert small.problems() == []
+
+
+def test_several_processes(small: Field) -> None:
+    assert small.copy("--jobs", "2") == 0
+    assert small.problems() == []
+
+
+@pytest.mark.parametrize(("answer", "code"), [("y\n", 0), ("n\n", 1), ("\n", 1), ("", 1)])
+def test_asked_on_a_terminal(tmp_path: Path, answer: str, code: int) -> None:
+    plan = plan_of("4", factors=(100,))
+    taken = whole_plan(plan)
+    field = Field(tmp_path, plan, [*taken, taken[-1]])
+    child, terminal = pty.openpty()
+    command = [sys.executable, "-c", "import sys; from capture.cli import main; sys.exit(main(sys.argv[1:]))"]
+    arguments = ["manifest", str(tmp_path / "plan.json"), str(field.card), "-o", str(field.csv), "--jobs", "1"]
+    process = subprocess.Popen([*command, *arguments], cwd=ROOT, stdin=terminal, stdout=terminal, stderr=terminal)
+    os.write(child, answer.encode() or b"\x04")
+    assert process.wait(60) == code
+    os.close(terminal)
+    os.close(child)
+    assert field.csv.exists() == (code == 0)
+    assert field.mapping.exists() == (code == 1)

@@ -1,0 +1,298 @@
+"""Matching without files: what a photographer does wrong, and what is made of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from datetime import timedelta
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from capture.calibration import plan_calibration
+from capture.matching import Match, match
+from capture.observed import Observed, ObservedFrame
+from eldata.errors import ArgumentError
+from tests.capture.simulated import START, Taken, as_planned, plan_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from capture.plan import Plan
+
+Slot = tuple[str, int]
+
+
+@dataclass
+class Press:
+    """One press of the release, and the shot that it should be taken for."""
+
+    taken: Taken
+    slot: Slot | None
+
+
+def scene_of(plan: Plan, name: str, *, before_s: float = 200.0) -> list[Press]:
+    shots = plan.scene(name).shots
+    presses = [Press(taken, (name, shot.number)) for taken, shot in zip(as_planned(shots), shots, strict=True)]
+    presses[0].taken = replace(presses[0].taken, pause_s=before_s)
+    return presses
+
+
+def session(plan: Plan) -> list[Press]:
+    return [press for scene in plan.scenes for press in scene_of(plan, scene.name)]
+
+
+def develop(presses: Sequence[Press], *, times: bool = True) -> tuple[Observed, dict[Slot, str]]:
+    """What the card holds, and the file of each shot."""
+    now = START
+    frames, truth = [], {}
+    for index, press in enumerate(presses):
+        now += timedelta(seconds=press.taken.pause_s)
+        path = Path(f"DSC{index:04d}.ARW")
+        taken = now if times else None
+        frames.append(ObservedFrame(path, Fraction(press.taken.iso), press.taken.exposure_s, taken, press.taken.model))
+        if press.slot is not None:
+            truth[press.slot] = path.name
+    return Observed(tuple(frames), (), times), truth
+
+
+def names(found: Match) -> dict[Slot, str]:
+    return {slot: frame.path.name for slot, frame in found.frames.items()}
+
+
+def kinds(found: Match) -> list[str]:
+    return sorted({remark.kind for remark in found.remarks})
+
+
+def again(press: Press, slot: Slot | None, pause_s: float = 3.0) -> Press:
+    return Press(replace(press.taken, pause_s=pause_s), slot)
+
+
+EXTRA = Press(Taken(200, Fraction(1, 30)), None)
+
+
+@pytest.mark.parametrize("times", [True, False])
+@pytest.mark.parametrize("metered", [("4",), ("4",) * 10, ("4", "1", "2", "1", "4", "8", "1.3", "0.8", "30", "5")])
+def test_nothing_false_on_a_clean_set(metered: tuple[str, ...], times: bool) -> None:
+    plan = plan_of(*metered)
+    observed, truth = develop(session(plan), times=times)
+    found = match(plan, observed)
+    assert names(found) == truth
+    assert kinds(found) == ([] if times else ["no-times"])
+    assert not found.doubtful
+
+
+def test_exif_may_state_what_the_camera_gives() -> None:
+    plan = plan_of("4", "15")
+    presses = session(plan)
+    for press, (_, shot) in zip(presses, plan.shots, strict=True):
+        given_s = Fraction(shot.setting.true_s).limit_denominator(10**4)
+        press.taken = replace(press.taken, exposure_s=given_s)
+    observed, truth = develop(presses)
+    assert names(match(plan, observed)) == truth
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 31), st.sampled_from(("4 4", "4 1")))
+def test_a_skipped_shot_shifts_nothing(index: int, metered: str) -> None:
+    plan = plan_of(*metered.split())
+    presses = session(plan)
+    skipped = presses.pop(index)
+    if index == 16:
+        presses[16].taken = replace(presses[16].taken, pause_s=200.0)
+    observed, truth = develop(presses)
+    found = match(plan, observed)
+    assert names(found) == truth
+    assert [(remark.scene, remark.number) for remark in found.missing] == [skipped.slot]
+    assert kinds(found) == ["missing"]
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 31), st.integers(1, 3), st.sampled_from(("last", "first")))
+def test_of_a_repeated_shot_the_last_is_taken(index: int, more: int, which: str) -> None:
+    plan = plan_of("4", "4")
+    presses = session(plan)
+    press = presses[index]
+    copies = [Press(press.taken, None)] + [again(press, None) for _ in range(more)]
+    copies[-1 if which == "last" else 0].slot = press.slot
+    presses[index : index + 1] = copies
+    observed, truth = develop(presses)
+    found = match(plan, observed, repeated="last" if which == "last" else "first")
+    assert names(found) == truth
+    assert kinds(found) == ["repeated"]
+    assert len(found.remarks) == more
+    assert press.slot is not None
+    assert {(remark.scene, remark.number) for remark in found.remarks} == {press.slot}
+    assert truth[press.slot] in found.remarks[0].text
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 30))
+def test_swapped_shots_are_told_apart(index: int) -> None:
+    plan = plan_of("4", "1")
+    presses = session(plan)
+    if index == 15:
+        return  # of two scenes: nobody does that
+    one, other = presses[index], presses[index + 1]
+    presses[index] = again(other, other.slot, one.taken.pause_s)
+    presses[index + 1] = again(one, one.slot)
+    observed, truth = develop(presses)
+    found = match(plan, observed)
+    assert names(found) == truth
+    assert kinds(found) == ["out-of-order"]
+    assert len(found.remarks) == 1
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.lists(st.integers(0, 32), min_size=1, max_size=5))
+def test_test_shots_are_named_and_left_out(places: list[int]) -> None:
+    plan = plan_of("4", "1")
+    presses = session(plan)
+    for place in sorted(places, reverse=True):
+        presses.insert(place, EXTRA)
+    observed, truth = develop(presses)
+    found = match(plan, observed)
+    assert names(found) == truth
+    assert [remark.kind for remark in found.remarks] == ["extra"] * len(places)
+    assert "ISO 200, 1/30 s: no shot of the plan" in found.remarks[0].text
+
+
+@settings(deadline=None, max_examples=20)
+@given(st.permutations(["scene-1", "scene-2", "scene-3"]))
+def test_scenes_in_any_order(order: list[str]) -> None:
+    plan = plan_of("4", "1", "2")
+    observed, truth = develop([press for name in order for press in scene_of(plan, name)])
+    found = match(plan, observed)
+    assert names(found) == truth
+    assert kinds(found) == ([] if order == sorted(order) else ["scene-order"])
+    assert not found.doubtful
+
+
+@pytest.mark.parametrize("given_up_after", [2, 5, 9, 15])
+@pytest.mark.parametrize("metered", ["4 4 4", "4 1 2"])
+def test_a_scene_begun_again(given_up_after: int, metered: str) -> None:
+    """The lamp fell over: the second take counts, whole."""
+    plan = plan_of(*metered.split())
+    presses = session(plan)
+    attempt = [Press(press.taken, None) for press in presses[16 : 16 + given_up_after]]
+    presses[16].taken = replace(presses[16].taken, pause_s=30.0)
+    presses[16:16] = attempt
+    observed, truth = develop(presses)
+    found = match(plan, observed)
+    assert names(found) == truth
+    assert set(kinds(found)) <= {"repeated", "ambiguous"}
+    assert len([remark for remark in found.remarks if remark.kind == "repeated"]) == given_up_after
+
+
+def test_a_forgotten_shot_taken_at_the_end() -> None:
+    plan = plan_of("4", "4")
+    presses = session(plan)
+    late = presses.pop(3)
+    presses.insert(15, again(late, late.slot))
+    observed, truth = develop(presses)
+    found = match(plan, observed)
+    assert names(found) == truth
+    assert [remark.kind for remark in found.remarks] == ["out-of-order"]
+    assert "scene-1 frame 4, taken out of order (after frame 16)" in found.remarks[0].text
+
+
+def test_a_retake_that_is_out_of_its_order_is_named_and_left_out() -> None:
+    plan = plan_of("4", "1")
+    presses = session(plan)
+    presses.insert(16, again(presses[3], None))
+    observed, truth = develop(presses)
+    found = match(plan, observed)
+    assert names(found) == truth
+    assert [remark.kind for remark in found.remarks] == ["repeated"]
+    assert "DSC0016.ARW: ISO 800, 1/200 s, as scene-1 frame 4, which other files" in found.remarks[0].text
+
+
+def test_a_wrong_setting_is_named() -> None:
+    plan = plan_of("4")
+    presses = session(plan)
+    presses[3] = Press(replace(presses[3].taken, exposure_s=Fraction(1, 160)), None)
+    observed, truth = develop(presses)
+    found = match(plan, observed)
+    assert names(found) == truth
+    assert kinds(found) == ["missing", "wrong-setting"]
+    (missing,) = found.missing
+    assert missing.text == (
+        "scene-1 frame 4 (noisy, ISO 800, 1/200 s): no file; DSC0003.ARW may be meant, but was taken at ISO 800, "
+        "1/160 s"
+    )
+
+
+def test_a_missing_scene_of_its_own_exposure() -> None:
+    plan = plan_of("4", "1", "2")
+    observed, truth = develop([*scene_of(plan, "scene-1"), *scene_of(plan, "scene-3")])
+    found = match(plan, observed)
+    assert names(found) == truth
+    assert {remark.text for remark in found.missing} == {"scene-2: none of its 16 frames"}
+    assert len(found.missing) == 16
+
+
+def test_a_missing_scene_among_equal_ones_cannot_be_told() -> None:
+    plan = plan_of("4", "4", "4")
+    observed, _ = develop([*scene_of(plan, "scene-1"), *scene_of(plan, "scene-3")])
+    found = match(plan, observed)
+    assert kinds(found) == ["ambiguous", "missing"]
+    assert {remark.scene for remark in found.missing} == {"scene-3"}
+    assert "scene-1, scene-2, scene-3 have equal exposures, and 2 of these 3 were found" in found.remarks[0].text
+
+
+def test_a_whole_scene_taken_twice_among_equal_ones_cannot_be_told() -> None:
+    plan = plan_of("4", "4")
+    observed, _ = develop([*scene_of(plan, "scene-1"), *scene_of(plan, "scene-1"), *scene_of(plan, "scene-2")])
+    found = match(plan, observed)
+    assert len(found.frames) == 32
+    assert found.doubtful
+    assert "ambiguous" in kinds(found)
+
+
+def test_a_whole_scene_taken_twice() -> None:
+    plan = plan_of("4", "1")
+    first = [replace(press, slot=None) for press in scene_of(plan, "scene-1")]
+    observed, truth = develop([*first, *scene_of(plan, "scene-1"), *scene_of(plan, "scene-2")])
+    found = match(plan, observed)
+    assert names(found) == truth
+    assert [remark.kind for remark in found.remarks] == ["repeated"] * 16
+
+
+def test_calibration_frames() -> None:
+    plan = plan_of("4")
+    plan = replace(plan, calibration=plan_calibration(plan.camera, 100, (100, 800), Fraction(1, 2)))
+    assert plan.calibration is not None
+    shots = plan.calibration.shots
+    calibration = [
+        Press(taken, ("calibration", shot.number)) for taken, shot in zip(as_planned(shots), shots, strict=True)
+    ]
+    observed, truth = develop([*calibration, *session(plan)])
+    found = match(plan, observed)
+    assert names(found) == truth
+    assert kinds(found) == ["scene-order"]
+    more = [Press(calibration[0].taken, None), Press(calibration[0].taken, None)]
+    observed, truth = develop([*more, *calibration, *session(plan)])
+    found = match(plan, observed)
+    assert names(found) == truth
+    assert kinds(found) == ["repeated", "scene-order"]
+
+
+def test_no_frames_at_all() -> None:
+    found = match(plan_of("4"), Observed((), (), True))
+    assert found.frames == {}
+    assert len(found.missing) == 16
+
+
+def test_frames_of_another_plan() -> None:
+    observed, _ = develop([EXTRA] * 20)
+    found = match(plan_of("4"), observed)
+    assert found.frames == {}
+    assert kinds(found) == ["extra", "missing"]
+
+
+def test_repeated_must_be_known() -> None:
+    with pytest.raises(ArgumentError, match="repeated must be 'last' or 'first'"):
+        match(plan_of("4"), Observed((), (), True), repeated="best")  # type: ignore[arg-type]

@@ -1,0 +1,97 @@
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from capture.errors import MappingError
+from capture.placing import Placement, check_free, copy, link
+from eldata.files import sha256_of
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture
+def placement(tmp_path: Path) -> Placement:
+    source = tmp_path / "card" / "DSC1.ARW"
+    source.parent.mkdir()
+    source.write_bytes(os.urandom(100_000))
+    os.utime(source, (1_700_000_000, 1_700_000_000))
+    return Placement(source, tmp_path / "data" / "scene-1" / "IMG_0001.ARW", sha256_of(source))
+
+
+@pytest.mark.parametrize("work", [copy, link])
+def test_placing(placement: Placement, work: object) -> None:
+    for _ in range(2):  # again changes nothing
+        (copy if work is copy else link)(placement)
+        assert placement.target.read_bytes() == placement.source.read_bytes()
+        assert [path.name for path in placement.target.parent.iterdir()] == ["IMG_0001.ARW"]
+        assert placement.target.stat().st_mtime == 1_700_000_000
+    assert placement.target.samefile(placement.source) == (work is link)
+
+
+@pytest.mark.parametrize("work", [copy, link])
+def test_what_is_there_is_never_replaced(placement: Placement, work: object) -> None:
+    placement.target.parent.mkdir(parents=True)
+    placement.target.write_bytes(b"older")
+    with pytest.raises(MappingError, match="is there already with another content"):
+        check_free([placement])
+    with pytest.raises(MappingError, match="appeared meanwhile"):
+        (copy if work is copy else link)(placement)
+    assert placement.target.read_bytes() == b"older"
+    assert len(list(placement.target.parent.iterdir())) == 1
+
+
+def test_a_dangling_link_is_not_written_through(placement: Placement, tmp_path: Path) -> None:
+    placement.target.parent.mkdir(parents=True)
+    placement.target.symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(MappingError, match="is there already"):
+        check_free([placement])
+    with pytest.raises(MappingError, match="appeared meanwhile"):
+        copy(placement)
+    assert not (tmp_path / "elsewhere").exists()
+
+
+def test_a_source_that_changes_is_not_placed(placement: Placement) -> None:
+    placement.source.write_bytes(b"another")
+    with pytest.raises(MappingError, match="changed while it was being copied"):
+        copy(placement)
+    assert list(placement.target.parent.iterdir()) == []
+
+
+def test_without_hard_links_a_copy_is_still_whole(placement: Placement, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(self: Path, target: Path) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(Path, "hardlink_to", refuse)
+    copy(placement)
+    assert placement.target.read_bytes() == placement.source.read_bytes()
+    placement.target.unlink()
+    with pytest.raises(MappingError, match=r"cannot be a hard link .*; use --copy-to"):
+        link(placement)
+
+
+def test_killed_while_copying_leaves_no_half_file(tmp_path: Path) -> None:
+    source, target = tmp_path / "big.ARW", tmp_path / "data" / "IMG_0001.ARW"
+    with source.open("wb") as file:
+        file.truncate(512 << 20)
+    code = (
+        "import sys; from pathlib import Path; from capture.placing import Placement, copy\n"
+        "print('ready', flush=True)\n"
+        "copy(Placement(Path(sys.argv[1]), Path(sys.argv[2]), 'sha256:0'))\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, str(source), str(target)], cwd=ROOT, stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    process.stdout.readline()
+    while not list(target.parent.glob(".*.part")):
+        assert process.poll() is None
+    process.send_signal(signal.SIGKILL)
+    process.wait(30)
+    process.stdout.close()
+    assert not target.exists()

@@ -1,0 +1,373 @@
+from __future__ import annotations
+
+import copy
+import json
+import math
+from dataclasses import replace
+from fractions import Fraction
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from capture.calibration import CalibrationPlan, default_isos, plan_calibration
+from capture.camera import EXAMPLE, Shutter
+from capture.errors import ImpossibleShotError, PlanError
+from capture.plan import CALIBRATION, RATIO_TOLERANCE, Plan, make_plan
+from capture.protocol import PAPER, RELEASED
+from capture.shots import scene_shots
+from tests.capture.simulated import CAMERA, plan_of
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from capture.camera import CameraDescription
+
+DIALS = [time.dial for time in EXAMPLE.shutter.times]
+
+
+def calibrated(plan: Plan) -> Plan:
+    frames = plan_calibration(plan.camera, 100, (100, 800), Fraction(1, 2), bias_frames=4)
+    return replace(plan, calibration=frames)
+
+
+# --- shots --------------------------------------------------------------------------------------------------------
+
+
+def test_the_released_order_from_the_papers_settings() -> None:
+    """Metered at 4 s, as most of the released Sony scenes: ids 1 to 16 with their roles, ISOs, ratios and times."""
+    shots = scene_shots(EXAMPLE, RELEASED, Fraction(4))
+    found = [(s.number, s.role, s.iso, s.factor, s.setting.dial, s.reference) for s in shots]
+    assert found == [
+        (1, "reference", 100, None, "4", None),
+        (2, "noisy", 800, 1, "0.5", 1),
+        (3, "noisy", 800, 10, "1/20", 1),
+        (4, "noisy", 800, 100, "1/200", 6),
+        (5, "noisy", 800, 200, "1/400", 6),
+        (6, "reference", 100, None, "4", None),
+        (7, "noisy", 1600, 1, "1/4", 6),
+        (8, "noisy", 1600, 10, "1/40", 6),
+        (9, "noisy", 1600, 100, "1/400", 11),
+        (10, "noisy", 1600, 200, "1/800", 11),
+        (11, "reference", 100, None, "4", None),
+        (12, "noisy", 3200, 1, "1/8", 11),
+        (13, "noisy", 3200, 10, "1/80", 11),
+        (14, "noisy", 3200, 100, "1/800", 16),
+        (15, "noisy", 3200, 200, "1/1600", 16),
+        (16, "reference", 100, None, "4", None),
+    ]
+    assert [s.named_ratio for s in shots if s.factor] == [s.factor for s in shots if s.factor]  # all exact in EXIF
+    assert all(s.setting.nominal_s == s.target_s for s in shots)
+
+
+def test_what_is_named_exactly_is_given_nearly() -> None:
+    """1/200 s is 2^(-23/3) s: the nominal x100 is truly 101.6."""
+    shot = scene_shots(EXAMPLE, RELEASED, Fraction(4))[3]
+    assert shot.true_ratio is not None
+    assert float(shot.true_ratio) == pytest.approx(4 / (8 * 2 ** (-23 / 3)))
+    assert shot.error_percent == pytest.approx(1.5937, abs=1e-3)
+    assert shot.error_stops == pytest.approx(math.log2(1.015937), abs=1e-5)
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.sampled_from(DIALS), st.sampled_from((RELEASED, PAPER)), st.sampled_from((Fraction(1, 3), Fraction(1, 2))))
+def test_shots_of_any_metered_time(dial: str, protocol: Any, step: Fraction) -> None:
+    camera = replace(EXAMPLE, shutter=Shutter.between("1/8000", "30", step))
+    try:
+        shots = scene_shots(camera, protocol, Fraction(dial))
+    except ImpossibleShotError:
+        return
+    base = shots[0].setting
+    for frame, shot in zip(protocol.frames(), shots, strict=True):
+        assert (shot.number, shot.role, shot.iso, shot.factor) == (frame.number, frame.role, frame.iso, frame.factor)
+        assert shot.target_s == protocol.exposure_s(frame, base.nominal_s)
+        assert shot.setting in camera.shutter.times
+        if shot.factor is None:
+            assert shot.setting == base
+            continue
+        assert shot.true_ratio is not None
+        assert shot.true_ratio * shot.setting.true_exact * Fraction(shot.iso, 100) == base.true_exact
+        assert shot.named_ratio == base.nominal_s * 100 / (shot.setting.nominal_s * shot.iso)
+        # Within half of a step; in thirds of a stop the usual factors come out within 1.6 %.
+        assert abs(shot.error_stops or 0) <= float(step) / 2 + 1e-9
+        if step == Fraction(1, 3):
+            assert abs(shot.error_percent or 0) < 1.6
+    if step == Fraction(1, 3):
+        assert plan_of(dial).scenes[0].remarks == () if Fraction(dial) == base.nominal_s else True
+
+
+def test_the_fitting_times_are_those_that_the_refusal_names() -> None:
+    for dial in DIALS:
+        if Fraction(dial) >= Fraction("0.8"):
+            assert len(scene_shots(EXAMPLE, RELEASED, Fraction(dial))) == 16
+        else:
+            with pytest.raises(ImpossibleShotError, match=r"meters at 0\.8 s or longer"):
+                scene_shots(EXAMPLE, RELEASED, Fraction(dial))
+
+
+TOO_FAST = (
+    "metered at 1/2 s (ISO 100): noisy frame 15 (ISO 3200, x200) needs 1/12800 s, and SonyA7S2's fastest time is "
+    "1/8000 s. Let 2/3 stop less light in, so that the scene meters at 0.8 s or longer: stop down by 2/3 stop, or add "
+    "a neutral-density filter of 2/3 stop, or dim the lamps"
+)
+TOO_SLOW = (
+    "reference frame 1 (ISO 100) needs 60 s, and SonyA7S2's slowest time is 30 s. Let 1 stop more light in, so that "
+    "the scene meters at 30 s or shorter: open up by 1 stop, or add light; or take ISO 200 as the base"
+)
+
+
+@pytest.mark.parametrize(
+    ("camera", "metered", "words"),
+    [
+        (EXAMPLE, "1/2", TOO_FAST),
+        (EXAMPLE, "1/100", "Let 6 1/3 stops less light in"),
+        (EXAMPLE, "60", TOO_SLOW),
+        (
+            replace(EXAMPLE, shutter=Shutter.between("1/500", "1", Fraction(1, 3))),
+            "1",
+            "no metered time brings all of them between SonyA7S2's 1/500 s and 1 s: take smaller low-light factors",
+        ),
+    ],
+)
+def test_impossible_shots_say_what_to_change(camera: CameraDescription, metered: str, words: str) -> None:
+    with pytest.raises(ImpossibleShotError) as caught:
+        scene_shots(camera, RELEASED, Fraction(metered))
+    assert words in str(caught.value)
+
+
+def test_following_the_advice_helps() -> None:
+    """Base ISO 200 for a scene of 60 s at ISO 100: metered at 30 s then."""
+    assert scene_shots(EXAMPLE, replace(RELEASED, base_iso=200), Fraction(30))[0].setting.dial == "30"
+
+
+def test_a_metered_time_off_the_steps_is_rounded_and_said() -> None:
+    plan = plan_of("3.6")
+    assert plan.scenes[0].shots[0].setting.dial == "4"
+    assert plan.scenes[0].remarks == ("metered at 18/5 s, set as 4 s, the camera's nearest time",)
+
+
+def test_ratios_far_off_are_said() -> None:
+    camera = replace(CAMERA, shutter=Shutter.between("1/8000", "30", Fraction(1, 2)))
+    plan = make_plan(camera, RELEASED, {"scene-1": Fraction(4)})
+    assert "frames 3, 5, 8, 9, 13: the ratio is more than 10 % off its factor" in " ".join(plan.scenes[0].remarks)
+
+
+def test_the_tolerance_is_that_of_verify() -> None:
+    assert RATIO_TOLERANCE == import_module("eldata.manifest.verify").RATIO_TOLERANCE
+
+
+def test_an_iso_that_the_camera_lacks_is_refused() -> None:
+    with pytest.raises(PlanError, match="AcmeNocturne has no ISO 1000; it has 100, 200, 400"):
+        make_plan(CAMERA, replace(RELEASED, noisy_isos=(1000,)), {"scene-1": Fraction(4)})
+
+
+# --- calibration frames -------------------------------------------------------------------------------------------
+
+
+def test_calibration_frames() -> None:
+    plan = plan_calibration(EXAMPLE, 100, default_isos(EXAMPLE, RELEASED), Fraction(1, 2))
+    assert plan.isos == (100, 200, 400, 800, 1600, 3200)
+    bias = [shot for shot in plan.shots if shot.role == "bias"]
+    flats = [shot for shot in plan.shots if shot.role == "flat"]
+    assert [shot.number for shot in plan.shots] == list(range(1, len(plan.shots) + 1))
+    assert len(bias) == 6 * 10
+    assert {shot.setting.dial for shot in bias} == {"1/8000"}
+    assert len(flats) == 6 * 6 * 2
+    assert [shot.setting.dial for shot in flats if shot.iso == 100][::2] == ["1/20", "1/13", "1/8", "1/5", "1/4", "0.4"]
+    assert plan.remarks == ()
+
+
+@settings(deadline=None)
+@given(st.sampled_from(DIALS), st.sampled_from((Fraction(1, 3), Fraction(1, 2), Fraction(1))))
+def test_flats_never_clip_and_come_in_pairs(dial: str, step: Fraction) -> None:
+    camera = replace(EXAMPLE, shutter=Shutter.between("1/8000", "30", step))
+    clips_at_s = Fraction(dial)
+    try:
+        plan = plan_calibration(camera, 100, (100, 800), clips_at_s)
+    except ImpossibleShotError:
+        return
+    flats = [shot for shot in plan.shots if shot.role == "flat"]
+    named = camera.named(clips_at_s)
+    clips = float(clips_at_s) if named is None else named.true_s
+    for first, second in zip(flats[::2], flats[1::2], strict=True):
+        assert replace(first, number=second.number) == second
+        level = first.level
+        assert level is not None
+        share = first.setting.true_s * first.iso / 100 / clips
+        assert share <= float(level) * (1 + 1e-9)
+        assert first.setting != camera.fastest
+    for iso in (100, 800):
+        times = [shot.setting.nominal_s for shot in flats if shot.iso == iso]
+        assert times == sorted(times)
+        assert all(times.count(time) == 2 for time in times)
+    if step != 1:
+        assert plan.remarks == ()
+
+
+@pytest.mark.parametrize(
+    ("isos", "clips_at", "changes", "words"),
+    [
+        ((100, 150), "1/2", {}, "SonyA7S2 has no ISO 150"),
+        ((), "1/2", {}, "calibration ISOs: expected one or more, rising"),
+        ((800, 100), "1/2", {}, "calibration ISOs: expected one or more, rising"),
+        ((100,), "1/2", {"bias_frames": 3}, "bias frames an ISO: expected 4 or more, found 3"),
+        ((100,), "1/2", {"flat_levels": (Fraction(1, 2), Fraction(1))}, "flat levels: expected shares between 0 and 1"),
+        ((100,), "1/2", {"flat_levels": ()}, "flat levels"),
+        ((100, 25600), "1/4", {}, "the flat of 10 % at ISO 25600 needs 9.77e-05 s"),
+        ((100,), "1000", {}, "SonyA7S2's slowest time is 30 s: light the surface more or open up"),
+    ],
+)
+def test_wrong_calibration(isos: tuple[int, ...], clips_at: str, changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(PlanError) as caught:
+        plan_calibration(EXAMPLE, 100, isos, Fraction(clips_at), **changes)
+    assert words in str(caught.value)
+
+
+def test_advice_on_flats_is_enough() -> None:
+    with pytest.raises(ImpossibleShotError, match=r"until it clips at (\S+) s or later") as caught:
+        plan_calibration(EXAMPLE, 100, (25600,), Fraction(1, 30))
+    advised = str(caught.value).partition("until it clips at ")[2].split()[0]
+    plan_calibration(EXAMPLE, 100, (25600,), Fraction(advised))
+
+
+# --- plans --------------------------------------------------------------------------------------------------------
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    plan = calibrated(plan_of("4", "1", "3.2")).add_note("scene-2", "bookshelf, ünïcode")
+    plan.save(tmp_path / "plan.json")
+    assert Plan.load(tmp_path / "plan.json") == plan
+
+
+def test_changes_leave_the_rest_alone() -> None:
+    plan = plan_of("4", "1").add_note("scene-2", "books")
+    changed = plan.remeter("scene-2", Fraction(2)).add_scene("scene-7", Fraction(8), ["cups"])
+    assert changed.scenes[0] == plan.scenes[0]
+    assert changed.scene("scene-2").notes == ("books",)
+    assert changed.scene("scene-2").shots == plan_of("2").scenes[0].shots
+    assert changed.scene("scene-7").notes == ("cups",)
+    assert len(changed.shots) == 48
+
+
+def test_a_part_of_a_plan() -> None:
+    plan = calibrated(plan_of("4", "1"))
+    assert [scene.name for scene in plan.only(["scene-2"]).scenes] == ["scene-2"]
+    assert {scene for scene, _ in plan.only([CALIBRATION]).shots} == {CALIBRATION}
+    for names, words in (
+        (["scene-9"], "no scene called 'scene-9'; it has scene-1, scene-2"),
+        ([], "at least one scene"),
+    ):
+        with pytest.raises(PlanError, match=words):
+            plan.only(names)
+    with pytest.raises(PlanError, match="no calibration frames"):
+        plan_of("4").only([CALIBRATION])
+
+
+@pytest.mark.parametrize(
+    ("name", "metered", "words"),
+    [
+        ("scene-1", "4", "expected each once, found scene-1 twice"),
+        ("kitchen", "4", "expected scene-1, scene-2 and so on"),
+        ("scene-0", "4", "expected scene-1"),
+        ("scene-2/../x", "4", "expected scene-1"),
+        ("scene-2", "1/50", "scene-2: metered at 1/50 s"),
+    ],
+)
+def test_wrong_scenes(name: str, metered: str, words: str) -> None:
+    with pytest.raises(PlanError, match=words):
+        plan_of("4").add_scene(name, Fraction(metered))
+
+
+def test_remeter_of_no_scene() -> None:
+    with pytest.raises(PlanError, match="no scene called 'scene-9'"):
+        plan_of("4").remeter("scene-9", Fraction(4))
+
+
+CONTENT = calibrated(plan_of("4")).as_dict()
+
+
+def places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Every place in a JSON value."""
+    found = [path] if path else []
+    if isinstance(value, dict):
+        for key, item in value.items():
+            found += places(item, (*path, key))
+    elif isinstance(value, list) and value:
+        found += places(value[0], (*path, 0))
+    return found
+
+
+def changed_at(place: tuple[Any, ...], value: object) -> dict[str, Any]:
+    content = copy.deepcopy(CONTENT)
+    at = content
+    for key in place[:-1]:
+        at = at[key]
+    at[place[-1]] = value
+    return content
+
+
+def dotted(place: tuple[Any, ...]) -> str:
+    return "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in place).lstrip(".")
+
+
+@pytest.mark.parametrize("place", places(CONTENT), ids=dotted)
+@pytest.mark.parametrize("wrong", [{"x": 1}, -7, "soon"], ids=["object", "number", "text"])
+def test_every_field_is_checked(place: tuple[Any, ...], wrong: object, tmp_path: Path) -> None:
+    if place in ((("scenes", 0, "notes", 0)), ("camera", "name"), ("camera", "models", 0)) and wrong == "soon":
+        return  # any text will do
+    path = tmp_path / "plan.json"
+    path.write_text(json.dumps(changed_at(place, wrong)))
+    with pytest.raises(PlanError) as caught:
+        Plan.load(path)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("place", [place for place in places(CONTENT) if isinstance(place[-1], str)], ids=dotted)
+def test_every_field_is_needed(place: tuple[Any, ...], tmp_path: Path) -> None:
+    content = copy.deepcopy(CONTENT)
+    at = content
+    for key in place[:-1]:
+        at = at[key]
+    del at[place[-1]]
+    path = tmp_path / "plan.json"
+    path.write_text(json.dumps(content))
+    if place[-1] in ("cfa", "true_times"):
+        Plan.load(path)  # these have defaults
+        return
+    with pytest.raises(PlanError, match="is missing"):
+        Plan.load(path)
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "words"),
+    [
+        (("scenes", 0, "shots", 3, "dial"), "1/160", "field scenes[0].shots[3].dial: expected '1/200' (shots follow"),
+        (("scenes", 0, "shots", 3, "true_ratio"), 100.0, "scenes[0].shots[3].true_ratio: expected 101.59"),
+        (("scenes", 0, "shots", 3, "iso"), True, "scenes[0].shots[3].iso: expected 800"),
+        (("scenes", 0, "metered_s"), "8", "scenes[0].shots[0].target_s: expected '8'"),
+        (("scenes", 0, "metered_s"), 4, 'scenes[0].metered_s: expected seconds as text, such as "1/2", found 4'),
+        (("scenes", 0, "shots"), [], "field scenes[0].shots: expected 16 shots"),
+        (("scenes", 0, "shots", 3), None, "scenes[0].shots[3]: expected an object, found None"),
+        (("calibration", "bias_frames"), 5, "calibration.shots"),
+        (("schema",), 2, "a newer file needs a newer capture"),
+    ],
+)
+def test_shots_changed_by_hand_are_found(place: tuple[Any, ...], value: object, words: str, tmp_path: Path) -> None:
+    path = tmp_path / "plan.json"
+    path.write_text(json.dumps(changed_at(place, value)))
+    with pytest.raises(PlanError) as caught:
+        Plan.load(path)
+    assert words in str(caught.value)
+
+
+def test_an_empty_plan_is_refused() -> None:
+    with pytest.raises(PlanError, match="at least one scene"):
+        make_plan(CAMERA, RELEASED, {})
+
+
+def test_calibration_frames_alone_are_a_plan() -> None:
+    frames: CalibrationPlan = plan_calibration(CAMERA, 100, (100,), Fraction(1, 2))
+    assert len(make_plan(CAMERA, RELEASED, {}, frames).shots) == 10 + 12

@@ -19,7 +19,10 @@ from benchmarks.harness import Row, measure
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-NAMES = ("decode", "packing", "dataset_item", "metrics", "evaluation", "noise", "synthetic_pairs", "calibration")
+NAMES = (
+    *("decode", "packing", "dataset_item", "metrics", "evaluation", "noise", "synthetic_pairs", "calibration"),
+    "store",
+)
 
 _PACKAGES = ("eldata", "numpy", "numba", "rawpy", "torch", "scikit-image")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -158,35 +159,50 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
     if spectrum is None:
         raise DatasetError("no bias frame could be read")
     histogram = residuals.histogram()
-    transfer, spatial, flat_remarks = _flats(reader, chosen, fixed)
-    found = IsoCalibration(
-        iso=float(chosen.iso),
-        sensor=sensor,
-        bias_frames=len(estimated),
-        flat_frames=0 if transfer is None else transfer.frames,
-        transfer=transfer,
-        spatial=spatial,
-        bias=colour_bias(means, sensor.black_level_dn),
-        rows=row_noise(lines),
-        read=read_noise(histogram),
-        plot=probability_plot(histogram),
-        pattern=PatternSummary(
-            defects=int(np.count_nonzero(fixed.defects)),
-            off_level=fixed.off_level,
-            stuck=fixed.stuck,
-            pixels=fixed.defects.size,
-            dsnu_dn=fixed.dsnu_dn,
-            dsnu_error_dn=fixed.dsnu_error_dn,
-            shading_dn=fixed.shading_dn,
-        ),
-        spectrum_dn2=spectrum,
-        reproduction=None,
-        remarks=(),
-    )
-    if held_out is not None:
+    first_spectrum = spectrum
+
+    def from_bias_frames() -> IsoCalibration:
+        dark = IsoCalibration(
+            iso=float(chosen.iso),
+            sensor=sensor,
+            bias_frames=len(estimated),
+            flat_frames=0,
+            transfer=None,
+            spatial=None,
+            bias=colour_bias(means, sensor.black_level_dn),
+            rows=row_noise(lines),
+            read=read_noise(histogram),
+            plot=probability_plot(histogram),
+            pattern=PatternSummary(
+                defects=int(np.count_nonzero(fixed.defects)),
+                off_level=fixed.off_level,
+                stuck=fixed.stuck,
+                pixels=fixed.defects.size,
+                dsnu_dn=fixed.dsnu_dn,
+                dsnu_error_dn=fixed.dsnu_error_dn,
+                shading_dn=fixed.shading_dn,
+            ),
+            spectrum_dn2=first_spectrum,
+            reproduction=None,
+            remarks=(),
+        )
+        if held_out is None:
+            return dark
         # Its own generator: the comparison of one ISO does not depend on which others are calibrated with it.
         generator = np.random.default_rng(int(chosen.iso))
-        found = replace(found, reproduction=reproduction(held_out, fixed, sensor, found.parameters, generator))
+        return replace(dark, reproduction=reproduction(held_out, fixed, sensor, dark.parameters, generator))
+
+    # The flats decode while the bias frames' figures are worked out.
+    if reader.threads > 1:
+        with ThreadPoolExecutor(1) as beside:
+            waiting = beside.submit(from_bias_frames)
+            transfer, spatial, flat_remarks = _flats(reader, chosen, fixed)
+            found = waiting.result()
+    else:
+        found = from_bias_frames()
+        transfer, spatial, flat_remarks = _flats(reader, chosen, fixed)
+    if transfer is not None:
+        found = replace(found, transfer=transfer, spatial=spatial, flat_frames=transfer.frames)
     lossy = reader.lossy(estimated) or reader.lossy([pair.first for pair in chosen.pairs])
     return replace(found, remarks=(*bias_remarks(found, chosen, lossy, gaps), *flat_remarks))
 

@@ -6,13 +6,13 @@ import sys
 from typing import TYPE_CHECKING
 
 from eldata import __version__
-from eldata.cli import calibrate, demo, download, evaluate, info, lock, profile, synthesize, verify
+from eldata.cli import calibrate, demo, download, evaluate, info, lock, pack, profile, synthesize, verify
 from eldata.console import Parser, run
 
 if TYPE_CHECKING:
     import argparse
 
-_COMMANDS = (demo, info, download, verify, lock, evaluate, calibrate, synthesize, profile)
+_COMMANDS = (demo, info, download, verify, lock, evaluate, calibrate, synthesize, profile, pack)
 
 
 def parser() -> argparse.ArgumentParser:

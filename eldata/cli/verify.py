@@ -14,24 +14,27 @@ from eldata.console import (
     add_root,
     write_json,
 )
+from eldata.errors import ArgumentError
 from eldata.manifest.verify import LEVELS, verify
 
 if TYPE_CHECKING:
     import argparse
+
+    from eldata.manifest.verify import VerifyReport
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add this command."""
     parser = commands.add_parser(
         "verify",
-        help="check the files on disk against manifests",
+        help="check the files on disk against manifests, or a store",
         description=(
             "Check the files on disk against manifests and list every problem. Levels: quick (present, size, no "
             "unlisted raw files), metadata (also: opens, camera, ISO, exposure, ratio), full (also: hashes). Nothing "
-            "is written."
+            "is written. Of a training store (.h5) every level checks its structure, full also its pixels."
         ),
     )
-    parser.add_argument("manifests", metavar="MANIFESTS", help="a manifest's CSV file, or a folder of them")
+    parser.add_argument("manifests", metavar="MANIFESTS", help="a manifest's CSV file, a folder of them, or a store")
     add_root(parser)
     parser.add_argument("--dataset", metavar="N", help="only the dataset of this name, which must be there")
     add_cameras(parser)
@@ -44,7 +47,27 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
-    report = verify(
+    report = _of_store(arguments) if _is_store(arguments.manifests) else _of_files(arguments)
+    print(report.format_text())
+    if arguments.json:
+        write_json(arguments.json, report.as_dict())
+    return OK if report.ok else PROBLEMS
+
+
+def _is_store(path: str) -> bool:
+    return path.lower().endswith((".h5", ".hdf5"))
+
+
+def _of_store(arguments: argparse.Namespace) -> VerifyReport:
+    from eldata.store.checks import verify_store
+
+    if arguments.root is not None or arguments.dataset is not None or arguments.cameras:
+        raise ArgumentError("--root, --dataset and --camera are for manifests; a store is checked whole")
+    return verify_store(arguments.manifests, level=arguments.level, jobs=arguments.jobs)
+
+
+def _of_files(arguments: argparse.Namespace) -> VerifyReport:
+    return verify(
         arguments.manifests,
         arguments.root,
         dataset=arguments.dataset,
@@ -52,7 +75,3 @@ def run(arguments: argparse.Namespace) -> int:
         level=arguments.level,
         jobs=arguments.jobs,
     )
-    print(report.format_text())
-    if arguments.json:
-        write_json(arguments.json, report.as_dict())
-    return OK if report.ok else PROBLEMS

@@ -9,6 +9,10 @@ from .drv import DRVDynamicDataset as DRVDynamicDataset
 from .drv import DRVRawDataset as DRVRawDataset
 from .drv import DRVRawDynamicDataset as DRVRawDynamicDataset
 from .eld import ELDDataset as ELDDataset
+from .packed_store import DnPairs as DnPairs
+from .packed_store import PackedStore as PackedStore
+from .packed_store import StoredFrames as StoredFrames
+from .packed_store import normalise_batch as normalise_batch
 from .registry import dataset_class as dataset_class
 from .registry import dataset_names as dataset_names
 from .registry import open_dataset as open_dataset

@@ -1,0 +1,89 @@
+"""`eldata pack`: a dataset's raw files to one store for training."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING
+
+from eldata.console import INTERRUPTED, OK, add_cameras, add_debug, add_jobs, add_root
+from eldata.errors import ArgumentError
+
+if TYPE_CHECKING:
+    import argparse
+
+    from eldata.store.sources import Source
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add this command."""
+    parser = commands.add_parser(
+        "pack",
+        help="decode a dataset once, into a store that training reads fast",
+        description=(
+            "Decode each raw file of a dataset's pairs, or of a folder of clean frames, once, into one HDF5 file: the "
+            "pixels in DN with levels, CFA, exposure and manifest, lossless. PackedStore and StoredFrames read random "
+            "crops of it. Work that was interrupted, even by kill -9, goes on where it was if the command is repeated."
+        ),
+    )
+    parser.add_argument("dataset", metavar="DATASET", help="a dataset's name, such as eld, or a folder of clean raws")
+    parser.add_argument("-o", "--out", metavar="STORE", required=True, help="a new file, such as store.h5")
+    add_root(parser)
+    parser.add_argument("--manifest", metavar="M", help="the dataset's manifest, in place of the shipped one")
+    parser.add_argument("--split", action="append", dest="splits", metavar="S", help="only this split; may be repeated")
+    parser.add_argument("--subset", metavar="NAME", help="only this subset of the dataset card")
+    add_cameras(parser)
+    parser.add_argument(
+        "--compression",
+        choices=("none", "lz4", "zstd"),
+        default="none",
+        help="lossless; lz4 and zstd need the extra eldata[compression] (default: %(default)s)",
+    )
+    add_jobs(parser)
+    add_debug(parser)
+    parser.set_defaults(run=run, command="pack")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run this command."""
+    from eldata.store.build import build_store
+
+    source = _source(arguments)
+    try:
+        report = build_store(source, arguments.out, compression=arguments.compression, jobs=arguments.jobs)
+    except KeyboardInterrupt:
+        if arguments.debug:
+            raise
+        print(
+            f"eldata pack: interrupted; the finished frames are kept in {arguments.out}.part, and the same command "
+            "goes on",
+            file=sys.stderr,
+        )
+        return INTERRUPTED
+    resumed = f" ({report.resumed} of them before)" if report.resumed else ""
+    print(
+        f"{report.frames} frames packed{resumed}: {report.path}, {report.store_bytes / 1e6:.1f} MB for "
+        f"{report.pixel_bytes / 1e6:.1f} MB of pixels"
+    )
+    print(f"to check: eldata verify {report.path} --level full")
+    return OK
+
+
+def _source(arguments: argparse.Namespace) -> Source:
+    from pathlib import Path
+
+    from eldata.store.sources import source_of_dataset, source_of_folder
+
+    if not Path(arguments.dataset).is_dir() or arguments.manifest is not None:
+        return source_of_dataset(
+            arguments.dataset,
+            root=arguments.root,
+            manifest=arguments.manifest,
+            cameras=arguments.cameras,
+            splits=arguments.splits,
+            subset=arguments.subset,
+        )
+    if arguments.root or arguments.splits or arguments.subset or arguments.cameras:
+        raise ArgumentError(
+            f"--root, --split, --subset and --camera are for datasets by name; {arguments.dataset} is a folder"
+        )
+    return source_of_folder(arguments.dataset)

@@ -1,0 +1,459 @@
+"""Pairs and clean frames of a store: random crops, equal to the bit to those of the raw files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict, cast
+
+import numpy as np
+import torch
+from torch.utils.data import Dataset
+
+from eldata._compiled import in_threads
+from eldata.datasets.base import AMPLIFICATIONS, PairDataset, Sample, checked_ratio
+from eldata.datasets.clean import CleanFrame
+from eldata.datasets.draws import CleanCrop, SharedEpoch
+from eldata.errors import ArgumentError, DatasetError
+from eldata.manifest.pairs import select_pairs
+from eldata.manifest.subsets import find_subset
+from eldata.raw.cfa import CLIP_RANGES, pack_normalised, packed_black_level_dn, packed_shape, packing_sites
+from eldata.raw.levels import FRAME_LEVELS, LEVELS, white_level_dn, with_levels
+from eldata.store.read import PixelReader, StoredMosaic, open_store
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Mapping, Sequence
+    from fractions import Fraction
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from eldata.datasets.base import Amplification
+    from eldata.raw.cfa import CfaRows, Clip
+    from eldata.raw.levels import FrameLevels, Levels
+    from eldata.records import PairRecord, Sensor
+    from eldata.store.layout import StoredFrame
+
+
+class DnSample(TypedDict):
+    """One pair in DN: half as much to send from a worker as a :class:`~eldata.datasets.base.Sample`.
+
+    ``input_dn`` and ``target_dn`` are (H, W) uint16, mosaics in DN as the files have them, the input not multiplied by
+    ``ratio`` yet. ``cfa`` (their CFA, 2 x 2 or 6 x 6, uint8), ``input_black_dn``, ``target_black_dn`` (per CFA channel,
+    float64) and the white levels are for :func:`normalise_batch`. The rest is as in
+    :class:`~eldata.datasets.base.Sample`.
+    """
+
+    input_dn: torch.Tensor
+    target_dn: torch.Tensor
+    cfa: torch.Tensor
+    input_black_dn: torch.Tensor
+    target_black_dn: torch.Tensor
+    input_white_dn: float
+    target_white_dn: float
+    ratio: float
+    nominal_ratio: float
+    iso: float
+    exposure_s: float
+    camera: str
+    scene: str
+    split: str
+    path: str
+    reference: str
+    flags: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Pair:
+    """What is known of a pair before its pixels: both frames with the chosen levels, and the factor of the input."""
+
+    noisy: StoredFrame
+    noisy_sensor: Sensor
+    reference: StoredFrame
+    reference_sensor: Sensor
+    ratio: Fraction
+
+
+@dataclass(frozen=True, slots=True)
+class _Item:
+    """One item before its pixels are read: whose it is, and the part of both mosaics."""
+
+    record: PairRecord
+    pair: _Pair
+    crop: CleanCrop
+
+
+class PackedStore(PairDataset):
+    """Pairs from a store that ``eldata pack`` made: ``dataset[i]`` is a :class:`~eldata.datasets.base.Sample`.
+
+    Each item is a random crop of both frames of a pair, in one of eight orientations. Its values are those of the raw
+    route (:class:`~eldata.datasets.base.PairDataset` on the files) at the same place, bit for bit. Item i of epoch e
+    depends on (seed, e, i) alone: not on workers, their number, or what was read before. Call :meth:`set_epoch` before
+    each epoch; it reaches workers that are running already.
+
+    Parameters
+    ----------
+    path
+        The store.
+    crop
+        Side of the square crop in packed pixels, even for X-Trans; ``None`` takes whole frames.
+    augment
+        Draw one of the eight orientations of the mosaic; the CFA stays in order.
+    crops_per_frame
+        Items per pair: the length is this times the number of pairs, and item i is of pair i modulo that number.
+    seed
+        First part of each item's seed.
+    cameras, scenes, isos, ratios, splits, subset, exclude_flags
+        Which of the store's pairs, as in :class:`~eldata.datasets.base.PairDataset`.
+    levels, clip, amplification
+        As in :class:`~eldata.datasets.base.PairDataset`: the store holds DN, so none of them is fixed by it.
+
+    Raises
+    ------
+    StoreError
+        If the file is no store, truncated, not complete, or of a newer version.
+    DatasetError
+        If the store holds no pairs, or frames of a pair differ in size, CFA or exposure ratio from what they should be.
+    ArgumentError
+        If an option is unknown or out of its range; the message lists the known ones.
+
+    Notes
+    -----
+    Each process opens the store for itself, on its first read. Memory does not grow with the store.
+    """
+
+    def __init__(
+        self,
+        path: Path | str,
+        *,
+        crop: int | None = 512,
+        augment: bool = True,
+        crops_per_frame: int = 1,
+        seed: int = 0,
+        cameras: Collection[str] | None = None,
+        scenes: Collection[str | int] | None = None,
+        isos: Collection[int] | None = None,
+        ratios: Collection[float | Fraction] | None = None,
+        splits: Collection[str] | None = None,
+        subset: str | None = None,
+        exclude_flags: Collection[str] = (),
+        levels: FrameLevels = "published",
+        clip: Clip = "both",
+        amplification: Amplification = "metadata",
+    ) -> None:
+        # Not the base's: that one looks for folders.
+        for name, value, known in (
+            ("levels", levels, FRAME_LEVELS),
+            ("clip", clip, tuple(CLIP_RANGES)),
+            ("amplification", amplification, AMPLIFICATIONS),
+        ):
+            if value not in known:
+                raise ArgumentError(f"{name} must be one of {', '.join(map(repr, known))}; found {value!r}")
+        if seed < 0:
+            raise ArgumentError(f"seed must be 0 or more; found {seed}")
+        if crops_per_frame < 1 or (crop is not None and crop < 2):
+            raise ArgumentError(
+                f"crops_per_frame must be 1 or more and crop 2 or more; found {crops_per_frame}, {crop}"
+            )
+        store = open_store(path)
+        if store.manifest is None:
+            raise DatasetError(f"{path}: holds clean frames, not pairs; read it with StoredFrames")
+        self.name = store.dataset
+        self.root = store.path
+        self.levels: FrameLevels = levels
+        self.clip: Clip = clip
+        self.amplification: Amplification = amplification
+        self.crop = crop
+        self.augment = augment
+        self.crops_per_frame = crops_per_frame
+        self.seed = seed
+        frame_of = {frame.path: frame for frame in store.frames}
+        held = [record for record in store.manifest.records if record.path in frame_of]
+        if subset is not None:  # counted on the whole manifest: a store of a part may lack some
+            chosen = find_subset(store.manifest.card.subsets, subset).choose(select_pairs(store.manifest.records))
+            wanted = {pair.path for pair in chosen}
+            lacking = sorted(wanted - set(frame_of))
+            if lacking:
+                raise DatasetError(
+                    f"{path}: lacks {len(lacking)} of the {len(wanted)} pairs of the subset {subset!r}, such as "
+                    f"{lacking[0]}; pack the whole dataset, or that subset"
+                )
+            held = [record for record in held if record.role != "noisy" or record.path in wanted]
+        self.records: tuple[PairRecord, ...] = select_pairs(
+            held,
+            cameras=cameras,
+            scenes=scenes,
+            isos=isos,
+            ratios=ratios,
+            splits=splits,
+            exclude_flags=exclude_flags,
+        )
+        self._pairs = tuple(self._pair(record, frame_of) for record in self.records)
+        self._reader = PixelReader(store.path)
+        self._epoch = SharedEpoch()
+
+    def _pair(self, record: PairRecord, frame_of: Mapping[str, StoredFrame]) -> _Pair:
+        noisy, reference = frame_of[record.path], frame_of[record.reference]
+        ratio = checked_ratio(record, reference.header(self.root), noisy.header(self.root))
+        of_noisy, of_reference = (with_levels(frame.sensor, self.levels) for frame in (noisy, reference))
+        shapes = [(sensor.height, sensor.width, sensor.cfa) for sensor in (of_noisy, of_reference)]
+        if shapes[0] != shapes[1]:
+            raise DatasetError(
+                f"{self.root}: {record.path} has {shapes[0][:2]} pixels, CFA {shapes[0][2]}, but its reference "
+                f"{record.reference} has {shapes[1][:2]}, {shapes[1][2]}"
+            )
+        applied = ratio if self.amplification == "metadata" else record.ratio
+        return _Pair(noisy, of_noisy, reference, of_reference, applied)
+
+    @property
+    def epoch(self) -> int:
+        """The current epoch."""
+        return self._epoch.value
+
+    def set_epoch(self, epoch: int) -> None:
+        """Choose the epoch whose items are drawn from now on, in running workers too."""
+        self._epoch.set(epoch)
+
+    def __len__(self) -> int:
+        return len(self.records) * self.crops_per_frame
+
+    def __getitem__(self, index: int) -> Sample:
+        """Read one pair's crop.
+
+        Raises
+        ------
+        IndexError
+            If the index is outside.
+        DatasetError
+            If a frame is smaller than the crop (with ``augment`` one period of the CFA more is needed).
+        StoreError
+            If the store cannot be read.
+        """
+        item = self._item(index)
+        pair = item.pair
+        amplified = self._normalised(item, pair.noisy, pair.noisy_sensor, gain=float(pair.ratio))
+        target = self._normalised(item, pair.reference, pair.reference_sensor)
+        return self._sample(item.record, amplified, target, pair.ratio, pair.noisy.exposure)
+
+    def in_dn(self) -> DnPairs:
+        """Return the same items in DN, for :func:`normalise_batch` after the DataLoader."""
+        return DnPairs(self)
+
+    def dn_item(self, index: int) -> DnSample:
+        """Read one pair's crop in DN; errors as of ``dataset[index]``."""
+        item = self._item(index)
+        pair = item.pair
+        facts = self._sample(item.record, _NO_PIXELS, _NO_PIXELS, pair.ratio, pair.noisy.exposure)
+        fields: dict[str, Any] = {name: value for name, value in facts.items() if name not in _SIDES}
+        fields["cfa"] = torch.tensor(item.crop.cfa, dtype=torch.uint8)
+        for side, frame, sensor in zip(
+            _SIDES, (pair.noisy, pair.reference), (pair.noisy_sensor, pair.reference_sensor), strict=True
+        ):
+            fields[f"{side}_dn"] = torch.from_numpy(self._cut(item, frame).copy())
+            fields[f"{side}_black_dn"] = torch.tensor(sensor.black_level_dn, dtype=torch.float64)
+            fields[f"{side}_white_dn"] = sensor.white_level_dn
+        return cast("DnSample", fields)
+
+    def _item(self, index: int) -> _Item:
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"index {index} is outside of {len(self)} items")
+        index %= len(self)
+        place = index % len(self.records)
+        pair = self._pairs[place]
+        generator = np.random.default_rng([self.seed, self.epoch, index])
+        frame = stored_clean_frame(self._reader, pair.noisy, pair.noisy_sensor.white_level_dn)
+        crop = CleanCrop.draw(frame, generator, crop=self.crop, augment=self.augment)
+        return _Item(self.records[place], pair, crop)
+
+    def _cut(self, item: _Item, frame: StoredFrame) -> NDArray[np.uint16]:
+        """Return the item's part of a frame, turned, in borrowed memory: to be packed before the next one."""
+        return item.crop.turned(stored_mosaic(self._reader, frame).borrow(item.crop.slices))
+
+    def _normalised(self, item: _Item, frame: StoredFrame, sensor: Sensor, *, gain: float = 1.0) -> NDArray[np.float32]:
+        cut = self._cut(item, frame)
+        black, white = sensor.black_level_dn, sensor.white_level_dn
+        return pack_normalised(cut, item.crop.cfa, black, white, clip=self.clip, gain=gain)
+
+    def __repr__(self) -> str:
+        base = super().__repr__().removesuffix(")").replace(f"{len(self)} pairs", f"{len(self.records)} pairs", 1)
+        return (
+            f"{base}, crop={self.crop}, augment={self.augment}, crops_per_frame={self.crops_per_frame}, "
+            f"seed={self.seed})"
+        )
+
+
+_SIDES = ("input", "target")
+_NO_PIXELS = np.empty((0, 0, 0), np.float32)
+
+
+class DnPairs(Dataset[DnSample]):
+    """The items of a :class:`PackedStore` in DN, for a DataLoader whose batches go through :func:`normalise_batch`.
+
+    Sending a batch from a worker takes longer than reading it; uint16 is half as much to send. The conversion then runs
+    in the main process, or on the device that the batch was moved to.
+    """
+
+    def __init__(self, pairs: PackedStore) -> None:
+        self.pairs = pairs
+
+    def __len__(self) -> int:
+        return len(self.pairs)
+
+    def __iter__(self) -> Iterator[DnSample]:
+        return (self[index] for index in range(len(self)))
+
+    def __getitem__(self, index: int) -> DnSample:
+        """Read one pair's crop in DN; errors as of :class:`PackedStore`."""
+        return self.pairs.dn_item(index)
+
+    def __repr__(self) -> str:
+        return f"DnPairs({self.pairs!r})"
+
+
+def normalise_batch(batch: Mapping[str, Any], *, clip: Clip = "both") -> dict[str, Any]:
+    """Pack, normalise and amplify a batch in DN, on the device that it lies on: the samples that the raw route gives.
+
+    Where division and multiplication of float32 are IEEE's, as on the CPU, the values are those of
+    :class:`PackedStore`, bit for bit.
+
+    Parameters
+    ----------
+    batch
+        A :class:`DnSample`, or several collated.
+    clip
+        As in :class:`~eldata.datasets.base.PairDataset`.
+
+    Returns
+    -------
+    dict
+        The batch with ``input`` and ``target``, (C, h, w) or (B, C, h, w) float32, in place of the mosaics and levels.
+
+    Raises
+    ------
+    ArgumentError
+        If ``clip`` is unknown, or the batch is not in DN.
+    """
+    if clip not in CLIP_RANGES:
+        raise ArgumentError(f"clip must be one of {', '.join(map(repr, CLIP_RANGES))}; found {clip!r}")
+    names = {"cfa", *(f"{side}_{what}" for side in _SIDES for what in ("dn", "black_dn", "white_dn"))}
+    if not names <= set(batch) or batch["input_dn"].dtype != torch.uint16:
+        raise ArgumentError("expected a batch in DN, as PackedStore(...).in_dn() gives it: uint16 with its levels")
+    result = {name: value for name, value in batch.items() if name not in names}
+    images = [image for side in _SIDES for image in _images(batch, side)]
+    on_cpu = batch["input_dn"].device.type == "cpu"
+    packed = _by_kernel(images, clip) if on_cpu else _by_torch(images, clip)
+    if batch["input_dn"].ndim == 2:
+        return result | dict(zip(_SIDES, packed, strict=True))
+    return result | dict(zip(_SIDES, packed.chunk(2), strict=True))
+
+
+class _Image(NamedTuple):
+    """One mosaic (H, W) of a batch in DN, and how it is normalised."""
+
+    mosaic: torch.Tensor
+    cfa: CfaRows
+    black_level_dn: tuple[float, ...]
+    white_level_dn: float
+    gain: float
+
+
+def _images(batch: Mapping[str, Any], side: str) -> Iterator[_Image]:
+    """Yield the images of one side of a batch; its numbers are fetched from the device at once."""
+    several = batch["input_dn"].ndim == 3
+
+    def each(value: Any) -> Any:
+        values = torch.as_tensor(value).tolist()
+        return values if several else [values]
+
+    mosaics = batch[f"{side}_dn"] if several else batch[f"{side}_dn"][None]
+    blacks, whites = each(batch[f"{side}_black_dn"]), each(batch[f"{side}_white_dn"])
+    gains = each(batch["ratio"]) if side == "input" else [1.0] * len(mosaics)
+    for mosaic, cfa, black, white, gain in zip(mosaics, each(batch["cfa"]), blacks, whites, gains, strict=True):
+        yield _Image(mosaic, tuple(map(tuple, cfa)), tuple(black), white, gain)
+
+
+def _by_kernel(images: Sequence[_Image], clip: Clip) -> torch.Tensor:
+    """Return images packed by the one packer, (N, C, h, w), on as many threads as torch takes."""
+    mosaics = [image.mosaic.numpy() for image in images]
+    packed = np.empty((len(images), *packed_shape(mosaics[0].shape, images[0].cfa)), np.float32)
+
+    def work(number: int) -> None:
+        image = images[number]
+        black, white = image.black_level_dn, image.white_level_dn
+        pack_normalised(mosaics[number], image.cfa, black, white, clip=clip, gain=image.gain, out=packed[number])
+
+    in_threads(work, range(len(images)), torch.get_num_threads())
+    return torch.from_numpy(packed)
+
+
+def _by_torch(images: Sequence[_Image], clip: Clip) -> torch.Tensor:
+    """Return images packed by torch on their device, (N, C, h, w): the packer's operations, one by one."""
+    first = images[0].mosaic
+    shape = packed_shape((first.shape[0], first.shape[1]), images[0].cfa)
+    packed = torch.empty((len(images), *shape), dtype=torch.float32, device=first.device)
+    low, high = CLIP_RANGES[clip]
+    for image, values in zip(images, packed, strict=True):
+        sites = packing_sites(image.cfa)
+        for row, column, channel, y, x in sites.table:
+            site = image.mosaic[row :: sites.period, column :: sites.period]
+            values[channel, y :: sites.sub, x :: sites.sub] = site.to(torch.float32)
+        black = torch.from_numpy(packed_black_level_dn(image.cfa, image.black_level_dn)).to(first.device)[:, None, None]
+        white = torch.tensor(image.white_level_dn, dtype=torch.float32, device=first.device)
+        values.sub_(black).div_(white - black).clamp_(low, high)
+        values.mul_(torch.tensor(image.gain, dtype=torch.float32, device=first.device)).clamp_(max=high)
+    return packed
+
+
+class StoredFrames:
+    """Clean frames of a store, for :class:`~eldata.datasets.synthetic.SyntheticPairs`: only the crops are read.
+
+    The frames are those of a packed folder, or the references of packed pairs. Items are the same as from
+    :class:`~eldata.datasets.clean.RawFiles` over the same files in the same order.
+
+    Parameters
+    ----------
+    path
+        The store.
+    levels
+        White level: the file's (``"metadata"``) or 16383 (``"published"``).
+
+    Raises
+    ------
+    StoreError
+        If the file is no store, truncated, not complete, or of a newer version.
+    ArgumentError
+        If ``levels`` is unknown.
+    """
+
+    def __init__(self, path: Path | str, *, levels: Levels = "metadata") -> None:
+        if levels not in LEVELS:
+            raise ArgumentError(f"levels must be one of {', '.join(map(repr, LEVELS))}; found {levels!r}")
+        store = open_store(path)
+        self.path = store.path
+        self.levels: Levels = levels
+        self.frames: tuple[StoredFrame, ...] = tuple(
+            sorted((frame for frame in store.frames if frame.role == "reference"), key=lambda frame: frame.path)
+        )
+        self._reader = PixelReader(store.path)
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def frame(self, index: int) -> CleanFrame:
+        """Return one frame, whose mosaic is read part by part: ``mosaic[rows, columns]``."""
+        frame = self.frames[index]
+        return stored_clean_frame(self._reader, frame, white_level_dn(frame.sensor, self.levels))
+
+    def __repr__(self) -> str:
+        return f"StoredFrames({str(self.path)!r}, {len(self)} frames, levels={self.levels!r})"
+
+
+def stored_mosaic(reader: PixelReader, frame: StoredFrame) -> StoredMosaic:
+    """Return a stored frame's mosaic, to be read part by part."""
+    return StoredMosaic(reader, frame.key, (frame.sensor.height, frame.sensor.width))
+
+
+def stored_clean_frame(reader: PixelReader, frame: StoredFrame, white_level: float) -> CleanFrame:
+    """Return a stored frame as one whose mosaic is read part by part."""
+    mosaic: Any = stored_mosaic(reader, frame)
+    name = str(reader.path / frame.path)
+    return CleanFrame(mosaic, frame.sensor.cfa, frame.sensor.black_level_dn, white_level, name)

@@ -1,0 +1,187 @@
+"""Packing: each file decoded once, by threads, into a store that is whole or not there."""
+
+from __future__ import annotations
+
+import hashlib
+from contextlib import closing, suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import numpy as np
+from tqdm import tqdm
+
+from eldata.errors import ArgumentError, EldataError
+from eldata.files import inside
+from eldata.parallel import check_jobs, read_ahead
+from eldata.store.journal import journaled
+from eldata.store.layout import CHUNK, FORMAT, VERSION, filters, frame_attributes
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from eldata.records import Role
+    from eldata.store.journal import JournaledFile
+    from eldata.store.layout import Compression
+    from eldata.store.sources import Source
+
+
+@dataclass(frozen=True, slots=True)
+class BuildReport:
+    """What was packed: ``frames`` in all, ``resumed`` of them before; bytes of the pixels and of the store."""
+
+    path: Path
+    frames: int
+    resumed: int
+    pixel_bytes: int
+    store_bytes: int
+
+
+def build_store(source: Source, path: Path | str, *, compression: Compression = "none", jobs: int = 1) -> BuildReport:
+    """Pack a source into an HDF5 store.
+
+    The store grows as ``<path>.part``, frame by frame; whatever ends the work (an error, a full disk, Ctrl-C, kill -9)
+    leaves the finished frames there, and the same call goes on. At the end it is renamed.
+
+    Parameters
+    ----------
+    source
+        From :func:`~eldata.store.sources.source_of_dataset` or :func:`~eldata.store.sources.source_of_folder`.
+    path
+        The store, which must not be there yet.
+    compression
+        Lossless: ``"lz4"`` or ``"zstd"`` behind a bitshuffle (needs hdf5plugin, the extra ``compression``), or
+        ``"none"``.
+    jobs
+        Number of threads that decode; so many frames and one are in memory.
+
+    Raises
+    ------
+    ArgumentError
+        If the compression is unknown or its package missing, or ``jobs`` is not positive.
+    RawFileError
+        If a file cannot be decoded.
+    EldataError
+        If the store is there already, another process writes it, its part was begun otherwise, or the disk is full.
+    """
+    path = Path(path)
+    check_jobs(jobs)
+    options = filters(compression)
+    if path.exists():
+        raise EldataError(f"{path}: is there already; remove it, or name another file")
+    part = path.with_name(f"{path.name}.part")
+    with journaled(part) as file:
+        try:
+            resumed, pixel_bytes = _fill(file, source, compression, options, jobs)
+            file.sync()
+            part.rename(path)
+            file.remove_journal()
+        except OSError as error:
+            raise EldataError(
+                f"cannot write {part}: {error.strerror or error}; what is finished is kept there: make room and the "
+                "same command goes on"
+            ) from error
+    return BuildReport(path, len(source.files), resumed, pixel_bytes, path.stat().st_size)
+
+
+def _fill(
+    file: JournaledFile, source: Source, compression: Compression, options: Mapping[str, Any], jobs: int
+) -> tuple[int, int]:
+    """Bring the part to its end; return how many frames were there before, and the bytes of all pixels."""
+    is_new = file.is_new
+    store: h5py.File | None = None
+    try:
+        # HDF5's earliest format: later ones mark a file as open, and refuse it after a kill.
+        store = h5py.File(file.path, "w" if is_new else "r+", driver="fileobj", fileobj=file, libver="earliest")
+        if is_new:
+            _begin(store, source, compression)
+            _commit(store, file)
+        else:
+            _check_same(file.path, store, source, compression)
+        frames = store["frames"]
+        resumed = len(frames)
+        waiting = source.files[resumed:]  # frames are written in order
+        decoded = read_ahead(partial(_decoded, source.folder), waiting, threads=jobs)
+        bar = tqdm(total=len(source.files), initial=resumed, desc="packing", unit="file", disable=None, leave=False)
+        with bar, closing(decoded):  # type: ignore[type-var] # a generator, declared as an iterator
+            for number, (mosaic, attributes) in enumerate(decoded, resumed):
+                shape = tuple(min(CHUNK, side) for side in mosaic.shape)
+                dataset = frames.create_dataset(f"{number:06d}", data=mosaic, chunks=shape, **options)
+                dataset.attrs.update(attributes)
+                _commit(store, file)
+                bar.update()
+        pixel_bytes = sum(frame.size * frame.dtype.itemsize for frame in frames.values())
+        store.attrs["complete"] = True
+        _commit(store, file)
+        store.close()
+    except BaseException as error:
+        # What HDF5 makes of an error in our file is another error, or none; ours is the cause.
+        cause = file.failure
+        file.failure = cause or error  # from here on nothing is written
+        if store is not None:
+            _abandon(store)
+        if cause is not None and cause is not error:
+            raise cause from None
+        raise
+    return resumed, pixel_bytes
+
+
+def _begin(store: h5py.File, source: Source, compression: Compression) -> None:
+    from eldata import __version__
+
+    store.attrs.update(
+        {
+            "format": FORMAT,
+            "version": VERSION,
+            "written_by": f"eldata {__version__}",
+            "dataset": source.dataset,
+            "compression": compression,
+            "files_digest": source.digest,
+            "files": len(source.files),
+            "complete": False,
+        }
+    )
+    store.create_group("frames")
+    if source.manifest is not None:
+        for suffix in (".csv", ".json"):
+            content = source.manifest.path.with_suffix(suffix).read_bytes()
+            store.create_dataset(f"manifest/{suffix[1:]}", data=np.frombuffer(content, np.uint8))
+
+
+def _check_same(path: Path, store: h5py.File, source: Source, compression: Compression) -> None:
+    begun = {name: store.attrs.get(name) for name in ("format", "version", "files_digest", "compression")}
+    wanted = {"format": FORMAT, "version": VERSION, "files_digest": source.digest, "compression": compression}
+    for name, value in wanted.items():
+        if begun[name] != value:
+            raise ArgumentError(
+                f"{path}: was begun with another {name.replace('_', ' ')}: expected {value}, found {begun[name]}; give "
+                "the same dataset and options as then, or remove it to start anew"
+            )
+
+
+def _commit(store: h5py.File, file: JournaledFile) -> None:
+    store.flush()
+    file.commit()
+
+
+def _abandon(store: h5py.File) -> None:
+    with suppress(OSError, RuntimeError, ValueError):  # its last tables are not to be written any more
+        store.close()
+
+
+def _decoded(folder: Path, listed: tuple[str, Role]) -> tuple[NDArray[np.uint16], dict[str, str]]:
+    from eldata.raw.reading import read_raw
+
+    path, role = listed
+    frame = read_raw(inside(folder, path))
+    return frame.mosaic, frame_attributes(path, role, frame, pixels_digest(frame.mosaic))
+
+
+def pixels_digest(mosaic: NDArray[np.uint16]) -> str:
+    """Return ``sha256:<hex>`` of pixels, row by row, little-endian."""
+    pixels = np.ascontiguousarray(mosaic, dtype="<u2")
+    return f"sha256:{hashlib.sha256(pixels.data).hexdigest()}"

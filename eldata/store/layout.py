@@ -1,0 +1,138 @@
+"""What a store holds, as HDF5: names, attributes, version; the records that its readers get.
+
+::
+
+    /                   attributes format, version, written_by, dataset, compression, files_digest, complete
+    /manifest/csv       the manifest's bytes, uint8; its digest is that of the file (not in a store of clean frames)
+    /manifest/json      the dataset card's bytes, uint8
+    /frames/<n>         one file's visible mosaic, (H, W) uint16 in DN, in chunks of 256 x 256
+                        attributes path, role, sha256 (of the pixels), sensor and exposure (JSON)
+
+Mosaics, not packed planes: the one packer cuts, turns, packs and normalises a crop in one pass, which a packed crop
+would need two for, and nothing of the visible area is lost.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+from eldata.errors import ArgumentError, FileError
+from eldata.records import Exposure, RawHeader, Sensor
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from eldata.manifest.catalogue import Manifest
+    from eldata.records import RawFrame, Role
+
+FORMAT = "eldata-store"
+VERSION = 1
+CHUNK = 256
+SUFFIXES = (".h5", ".hdf5")
+
+Compression = Literal["none", "lz4", "zstd"]
+COMPRESSIONS: tuple[Compression, ...] = get_args(Compression)
+
+
+class StoreError(FileError):
+    """A file is no store, or one that cannot be used."""
+
+
+@dataclass(frozen=True, slots=True)
+class StoredFrame:
+    """One frame of a store, without its pixels.
+
+    Attributes
+    ----------
+    key
+        Name of its HDF5 dataset.
+    path, role
+        The file that it comes from, relative to the dataset's folder, and its role there.
+    sensor, exposure
+        As the file states them: levels, CFA, white balance, matrix; exact fractions.
+    sha256
+        Of its pixels, row by row, little-endian.
+    """
+
+    key: str
+    path: str
+    role: Role
+    sensor: Sensor
+    exposure: Exposure
+    sha256: str
+
+    def header(self, store: Path) -> RawHeader:
+        """Return what the file said of itself; its path names store and frame, for errors."""
+        return RawHeader(store / self.path, self.sensor.make, self.sensor.model, self.exposure)
+
+
+@dataclass(frozen=True, slots=True)
+class Store:
+    """A store's content without its pixels; ``manifest`` is ``None`` for a store of clean frames."""
+
+    path: Path
+    dataset: str
+    compression: Compression
+    manifest: Manifest | None
+    frames: tuple[StoredFrame, ...]
+
+
+def filters(compression: Compression) -> Mapping[str, Any]:
+    """Return h5py's keywords of a compression, after making sure that HDF5 knows it.
+
+    Raises
+    ------
+    ArgumentError
+        If the name is unknown, or hdf5plugin is not installed.
+    """
+    if compression not in COMPRESSIONS:
+        raise ArgumentError(f"compression must be one of {', '.join(map(repr, COMPRESSIONS))}; found {compression!r}")
+    if compression == "none":
+        return {}
+    try:
+        import hdf5plugin  # registers its filters with HDF5 as it is imported
+    except ImportError as error:
+        raise ArgumentError(
+            f"compression {compression!r} needs the package hdf5plugin: pip install 'eldata[compression]'"
+        ) from error
+    return dict(hdf5plugin.Bitshuffle(cname=compression))
+
+
+def frame_attributes(path: str, role: Role, frame: RawFrame, sha256: str) -> dict[str, str]:
+    """Return the attributes of a frame's HDF5 dataset."""
+    exposure = {name: None if value is None else str(value) for name, value in asdict(frame.exposure).items()}
+    return {
+        "path": path,
+        "role": role,
+        "sha256": sha256,
+        "sensor": json.dumps(asdict(frame.sensor)),
+        "exposure": json.dumps(exposure),
+    }
+
+
+def stored_frame(key: str, attributes: Mapping[str, Any]) -> StoredFrame:
+    """Return a frame from the attributes of its HDF5 dataset: the inverse of :func:`frame_attributes`.
+
+    Raises
+    ------
+    ValueError, LookupError, TypeError
+        If they are not what :func:`frame_attributes` makes.
+    """
+    sensor = json.loads(attributes["sensor"])
+    exposure = json.loads(attributes["exposure"])
+    return StoredFrame(
+        key=key,
+        path=str(attributes["path"]),
+        role=attributes["role"],
+        sensor=Sensor(**{name: _tuples(value) for name, value in sensor.items()}),
+        exposure=Exposure(**{name: None if text is None else Fraction(text) for name, text in exposure.items()}),
+        sha256=str(attributes["sha256"]),
+    )
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value

@@ -1,0 +1,158 @@
+"""eldata pack, and eldata verify of a store: text, exit codes, one line for what goes wrong."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+
+from eldata.datasets.packed_store import PackedStore
+from eldata.store.journal import journaled
+from tests.cli.test_usage import assert_one_line
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.cli.conftest import Cli
+    from tests.evaluation.helpers import Tree
+
+
+def command(tree: Tree, store: Path, *more: str) -> list[str]:
+    return ["pack", "eld-demo", "--manifest", str(tree.manifest), "--root", str(tree.root), "-o", str(store), *more]
+
+
+def test_help_names_every_option(eldata: Cli) -> None:
+    outcome = eldata("pack", "--help")
+    assert (outcome.code, outcome.err) == (0, "")
+    for word in ("DATASET", "STORE", "--root", "--manifest", "--split", "--subset", "--camera", "--compression", "lz4"):
+        assert word in outcome.out
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
+def test_pack_then_verify_then_read(compression: str, eldata: Cli, tree: Tree, tmp_path: Path) -> None:
+    store = tmp_path / "store.h5"
+    outcome = eldata(*command(tree, store, "--compression", compression, "--jobs", "2"))
+    assert (outcome.code, outcome.err) == (0, "")
+    assert outcome.out.startswith(f"32 frames packed: {store}, ")
+    assert f"to check: eldata verify {store} --level full\n" in outcome.out
+    for level in ("quick", "metadata", "full"):
+        checked = eldata("verify", store, "--level", level, "--jobs", "2", "--json", tmp_path / "report.json")
+        assert (checked.code, checked.err) == (0, "")
+        assert checked.out == f"eld-demo: 32 of 32 files checked ({level}) in {store}: all well\n"
+        assert json.loads((tmp_path / "report.json").read_text())["ok"] is True
+    assert len(PackedStore(store, crop=8)) == 24
+
+
+def test_a_part_by_camera_and_split(eldata: Cli, tree: Tree, tmp_path: Path) -> None:
+    more = ("--camera", "DemoBeta", "--split", "test")
+    assert eldata(*command(tree, tmp_path / "store.h5", *more)).out.startswith("16 frames packed: ")
+
+
+def test_a_folder_of_clean_raws(eldata: Cli, tree: Tree, tmp_path: Path) -> None:
+    folder = tree.files / "DemoBeta" / "scene-1"
+    assert eldata("pack", folder, "-o", tmp_path / "clean.h5").out.startswith("16 frames packed: ")
+    assert_one_line(eldata("pack", folder, "-o", tmp_path / "x.h5", "--split", "test"), "--split", "is a folder")
+    assert_one_line(eldata("pack", tmp_path, "-o", tmp_path / "x.h5"), "holds no camera raw file")
+
+
+def test_a_damaged_store_is_listed_with_code_1(eldata: Cli, tree: Tree, tmp_path: Path) -> None:
+    import h5py
+
+    store = tmp_path / "store.h5"
+    eldata(*command(tree, store))
+    with h5py.File(store, "r+") as file:
+        file["frames/000007"][3, 3] ^= 1
+    outcome = eldata("verify", store, "--level", "full")
+    assert (outcome.code, outcome.err) == (1, "")
+    assert "sha256 of the pixels" in outcome.out
+    assert "copy or pack the store again" in outcome.out
+
+
+def test_what_is_no_store(eldata: Cli, tree: Tree, tmp_path: Path) -> None:
+    store = tmp_path / "store.h5"
+    assert_one_line(eldata("verify", store), "store.h5: cannot be read")
+    store.write_bytes(b"x" * 5000)
+    assert_one_line(eldata("verify", store), "is not an HDF5 file; eldata pack makes stores")
+    assert_one_line(eldata("verify", store, "--camera", "DemoBeta"), "--camera", "checked whole")
+    assert_one_line(eldata(*command(tree, store)), "store.h5: is there already; remove it, or name another file")
+    store.unlink()
+    eldata(*command(tree, store))
+    os.truncate(store, store.stat().st_size // 2)
+    assert_one_line(eldata("verify", store), "is truncated", "copy or pack it again")
+
+
+def test_two_writers(eldata: Cli, tree: Tree, tmp_path: Path) -> None:
+    with journaled(tmp_path / "store.h5.part"):
+        assert_one_line(eldata(*command(tree, tmp_path / "store.h5")), "another process is writing it")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["pack"], ["DATASET"]),
+        (["pack", "eld"], ["-o"]),
+        (["pack", "eld", "-o", "x.h5", "--compression", "gzip"], ["--compression", "gzip", "lz4"]),
+        (["pack", "nothing", "-o", "x.h5"], ["no dataset is called 'nothing'", "sid-sony"]),
+        (["pack", "eld", "-o", "x.h5"], ["data/ELD: there is no such folder", "--root"]),
+    ],
+)
+def test_wrong_usage_is_one_line(arguments: list[str], words: list[str], eldata: Cli) -> None:
+    assert_one_line(eldata(*arguments), *words)
+
+
+# --- processes of their own ---------------------------------------------------------------------------------------
+
+
+def start(arguments: list[str], limit_bytes: int | None = None) -> subprocess.Popen[str]:
+    def limit() -> None:
+        if limit_bytes is not None:
+            signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, limit_bytes))
+
+    return subprocess.Popen(
+        [sys.executable, "-m", "eldata.cli.main", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=limit,  # noqa: PLW1509 # the limit must hold in the child alone
+    )
+
+
+def test_no_room_is_one_line_and_the_command_goes_on(eldata: Cli, tree: Tree, tmp_path: Path) -> None:
+    """A limit on the size of files, which the operating system enforces as it does the disk's."""
+    store = tmp_path / "store.h5"
+    process = start(command(tree, store), limit_bytes=200_000)
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, out, err.count("\n")) == (2, "", 1)
+    assert f"cannot write {store}.part: File too large; what is finished is kept there: make room" in err
+    again = eldata(*command(tree, store))
+    assert again.code == 0
+    assert "of them before" in again.out
+    assert eldata("verify", store, "--level", "full").code == 0
+
+
+def test_ctrl_c_is_one_line_and_the_command_goes_on(eldata: Cli, tree: Tree, tmp_path: Path) -> None:
+    store, part = tmp_path / "store.h5", tmp_path / "store.h5.part"
+    for _ in range(20):  # until it comes in the middle
+        process = start(command(tree, store, "--jobs", "1"))
+        end = time.monotonic() + 30
+        while not (part.exists() and part.stat().st_size > 60_000) and process.poll() is None:
+            assert time.monotonic() < end
+            time.sleep(0.0005)
+        os.killpg(process.pid, signal.SIGINT)
+        out, err = process.communicate(timeout=20)
+        if not store.exists():
+            break
+        store.unlink()
+    assert (process.returncode, out, err.count("\n")) == (130, "", 1)
+    assert f"interrupted; the finished frames are kept in {part}, and the same command goes on" in err
+    assert eldata(*command(tree, store)).code == 0
+    assert eldata("verify", store, "--level", "full").code == 0

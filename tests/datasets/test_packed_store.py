@@ -1,0 +1,354 @@
+"""PackedStore: bit for bit what the raw route gives, by whatever process; StoredFrames; conversion of DN batches."""
+
+from __future__ import annotations
+
+import os
+import pickle
+from dataclasses import replace
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import psutil  # type: ignore[import-untyped,unused-ignore] # types-psutil may be there or not
+import pytest
+import torch
+from torch.utils.data import DataLoader
+
+from eldata import PackedStore, SyntheticPairs
+from eldata.datasets import PairDataset, RawFiles, StoredFrames, normalise_batch, packed_store
+from eldata.datasets.base import Sample
+from eldata.datasets.clean import CleanFrame
+from eldata.datasets.draws import CleanCrop
+from eldata.errors import ArgumentError, DatasetError
+from eldata.manifest.card import save_card
+from eldata.manifest.subsets import Subset
+from eldata.raw import read_raw, write_dng
+from eldata.raw.cfa import pack_normalised
+from eldata.raw.levels import with_levels
+from tests.raw.helpers import BAYER, EXPOSURE, make_sensor, random_mosaic
+from tests.sid_tree import SmallTree, build_small_tree
+from tests.store.helpers import pack_folder, pack_tree, write_clean
+from tests.trees import BETA, Tree, copy_tree, scale_exposure
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
+
+# Python 3.12 and later warn of any fork in a process that has threads.
+pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
+
+METHODS = [
+    pytest.param("fork", marks=pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")),
+    "spawn",
+]
+
+
+@pytest.fixture(scope="session")
+def eld(pristine: Tree, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store of RGGB and GBRG pairs."""
+    return pack_tree(pristine, tmp_path_factory.mktemp("store") / "eld.h5").store
+
+
+@pytest.fixture(scope="session")
+def fuji_tree(tmp_path_factory: pytest.TempPathFactory) -> SmallTree:
+    return build_small_tree("sid-fuji", tmp_path_factory.mktemp("fuji"), ["10019"])
+
+
+@pytest.fixture(scope="session")
+def fuji(fuji_tree: SmallTree, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store of X-Trans pairs, compressed."""
+    return pack_tree(fuji_tree, tmp_path_factory.mktemp("store") / "fuji.h5", compression="zstd").store
+
+
+def same(first: Mapping[str, Any], second: Mapping[str, Any]) -> None:
+    assert set(first) == set(second) == set(Sample.__annotations__)
+    for key, value in first.items():
+        if isinstance(value, torch.Tensor):
+            assert value.dtype == second[key].dtype
+            assert torch.equal(value.view(torch.int32), second[key].view(torch.int32)), key
+        else:
+            assert value == second[key], key
+
+
+# --- the raw route ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("amplification", ["metadata", "nominal"])
+@pytest.mark.parametrize("clip", ["both", "upper", "none"])
+@pytest.mark.parametrize("levels", ["published", "metadata"])
+def test_whole_eld_frames_equal_the_raw_route(
+    levels: Any, clip: Any, amplification: Any, eld: Path, pristine: Tree
+) -> None:
+    options: dict[str, Any] = {"levels": levels, "clip": clip, "amplification": amplification}
+    raw = PairDataset(pristine.data, pristine.csv, **options)
+    stored = PackedStore(eld, crop=None, augment=False, **options)
+    assert stored.records == raw.records
+    assert len(stored) == len(raw) == 24
+    for ours, theirs in zip(stored, raw, strict=True):
+        same(ours, theirs)
+
+
+@pytest.mark.parametrize("clip", ["both", "upper"])
+@pytest.mark.parametrize("levels", ["published", "metadata", "sid-fuji"])
+def test_whole_fuji_frames_equal_the_raw_route(levels: Any, clip: Any, fuji: Path, fuji_tree: SmallTree) -> None:
+    raw = PairDataset(fuji_tree.data, fuji_tree.csv, levels=levels, clip=clip)
+    stored = PackedStore(fuji, crop=None, augment=False, levels=levels, clip=clip)
+    for ours, theirs in zip(stored, raw, strict=True):
+        assert ours["input"].shape[0] == 9
+        same(ours, theirs)
+
+
+@pytest.mark.parametrize("which", ["eld", "fuji"])
+def test_a_crop_is_a_part_of_the_raw_routes_frame(
+    which: str, eld: Path, fuji: Path, pristine: Tree, fuji_tree: SmallTree
+) -> None:
+    store, tree = (eld, pristine) if which == "eld" else (fuji, fuji_tree)
+    raw = PairDataset(tree.data, tree.csv, clip="none", levels="metadata")
+    stored = PackedStore(store, crop=6, augment=False, crops_per_frame=3, seed=1, clip="none", levels="metadata")
+    assert len(stored) == 3 * len(raw)
+    starts = set()
+    for index, ours in enumerate(stored):
+        theirs = raw[index % len(raw)]
+        found = [
+            (y, x)
+            for y in range(theirs["target"].shape[1] - 5)
+            for x in range(theirs["target"].shape[2] - 5)
+            if theirs["target"][0, y, x] == ours["target"][0, 0, 0]
+            and torch.equal(theirs["target"][:, y : y + 6, x : x + 6], ours["target"])
+            and torch.equal(theirs["input"][:, y : y + 6, x : x + 6], ours["input"])
+        ]
+        assert len(found) >= 1
+        starts.add(found[0])
+    assert len(starts) > 10
+
+
+@pytest.mark.parametrize("which", ["eld", "fuji"])
+def test_a_turned_crop_is_that_of_the_raw_mosaics(
+    which: str, eld: Path, fuji: Path, pristine: Tree, fuji_tree: SmallTree
+) -> None:
+    """CleanCrop's own tests show that all eight orientations occur and keep the CFA."""
+    store, tree = (eld, pristine) if which == "eld" else (fuji, fuji_tree)
+    stored = PackedStore(store, crop=4, crops_per_frame=2, seed=5, clip="upper")
+    stored.set_epoch(3)
+    for index, ours in enumerate(stored):
+        record = stored.records[index % len(stored.records)]
+        noisy, reference = (read_raw(tree.data / path) for path in (record.path, record.reference))
+        like = CleanFrame(noisy.mosaic, noisy.sensor.cfa, noisy.sensor.black_level_dn, 16383.0, "")
+        crop = CleanCrop.draw(like, np.random.default_rng([5, 3, index]), crop=4, augment=True)
+        for key, frame, gain in (("input", noisy, ours["ratio"]), ("target", reference, 1.0)):
+            sensor = with_levels(frame.sensor, "published")
+            expected = pack_normalised(
+                np.ascontiguousarray(crop.turned(frame.mosaic[crop.slices])),
+                crop.cfa,
+                sensor.black_level_dn,
+                sensor.white_level_dn,
+                clip="upper",
+                gain=gain,
+            )
+            assert np.array_equal(ours[key].numpy(), expected)  # type: ignore[literal-required]
+
+
+def test_clean_crops_are_those_of_the_raw_files(tmp_path: Path) -> None:
+    """Bayer and X-Trans of every phase: SyntheticPairs cannot tell the two sources apart."""
+    folder = write_clean(tmp_path / "raws")
+    store = pack_folder(folder, tmp_path / "clean.h5", compression="lz4").store
+    levels: Any
+    for levels in ("metadata", "published"):
+        options: dict[str, Any] = {"crop": 8, "crops_per_frame": 5, "seed": 2}
+        ours = SyntheticPairs(StoredFrames(store, levels=levels), "SonyA7S2", **options)
+        theirs = SyntheticPairs(RawFiles(folder, levels=levels), "SonyA7S2", **options)
+        assert len(ours) == len(theirs) == 20
+        for mine, other in zip(ours, theirs, strict=True):
+            assert torch.equal(mine["input"], other["input"])
+            assert torch.equal(mine["target"], other["target"])
+            assert mine["gain_dn_per_e"] == other["gain_dn_per_e"]
+            assert mine["path"].rpartition("/")[2] == other["path"].rpartition("/")[2]
+
+
+def test_references_are_clean_frames(eld: Path, pristine: Tree) -> None:
+    source = StoredFrames(eld)
+    references = [record.path for record in pristine.manifest.records if record.role == "reference"]
+    assert [frame.path for frame in source.frames] == sorted(references)
+    for index, path in enumerate(references):
+        frame = source.frame(index)
+        np.testing.assert_array_equal(np.asarray(frame.mosaic), read_raw(pristine.data / path).mosaic)
+    assert "8 frames" in repr(source)
+    with pytest.raises(ArgumentError, match="levels must be one of"):
+        StoredFrames(eld, levels="sid-sony")  # type: ignore[arg-type]
+
+
+# --- DN batches ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("clip", ["both", "upper", "none"])
+@pytest.mark.parametrize("which", ["eld", "fuji"])
+def test_a_batch_in_dn_becomes_the_raw_routes(which: str, clip: Any, eld: Path, fuji: Path) -> None:
+    levels: Any
+    for levels in ("published", "metadata"):
+        pairs = PackedStore({"eld": eld, "fuji": fuji}[which], crop=6, levels=levels, clip=clip)
+        dn_batches = DataLoader(pairs.in_dn(), batch_size=5)
+        for batch, wanted in zip(dn_batches, DataLoader(pairs, batch_size=5), strict=True):
+            assert batch["input_dn"].dtype == batch["target_dn"].dtype == torch.uint16
+            same_batch(normalise_batch(batch, clip=clip), wanted)
+            # What runs on a device, here on the CPU.
+            for side in ("input", "target"):
+                images = list(packed_store._images(batch, side))
+                assert torch.equal(packed_store._by_torch(images, clip), wanted[side])
+        same(normalise_batch(pairs.in_dn()[1], clip=clip), pairs[1])
+
+
+def same_batch(first: Mapping[str, Any], second: Mapping[str, Any]) -> None:
+    assert set(first) == set(second)
+    for key, value in first.items():
+        if isinstance(value, torch.Tensor):
+            assert value.dtype == second[key].dtype
+            assert torch.equal(value, second[key]), key
+        else:
+            assert value == second[key], key
+
+
+def test_only_batches_in_dn_are_converted(eld: Path) -> None:
+    pairs = PackedStore(eld, crop=6)
+    with pytest.raises(ArgumentError, match="expected a batch in DN"):
+        normalise_batch(pairs[0])
+    with pytest.raises(ArgumentError, match="clip must be one of"):
+        normalise_batch(pairs.in_dn()[0], clip="lower")  # type: ignore[arg-type]
+
+
+# --- determinism --------------------------------------------------------------------------------------------------
+
+
+def some(store: Path, **options: Any) -> PackedStore:
+    return PackedStore(store, **{"crop": 8, "seed": 3} | options)
+
+
+def loader(dataset: Any, method: str, **options: Any) -> Iterator[Any]:
+    return iter(
+        DataLoader(dataset, batch_size=None, num_workers=2, multiprocessing_context=method, timeout=60, **options)
+    )
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_workers_change_nothing(method: str, eld: Path) -> None:
+    dataset = some(eld)
+    reference = list(dataset)  # read here first: workers must not use this process's handle
+    for item, wanted in zip(loader(dataset, method), reference, strict=True):
+        same(item, wanted)
+    same(dataset[0], reference[0])
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_workers_read_compressed_stores_in_dn(method: str, fuji: Path) -> None:
+    dataset = some(fuji)
+    for item, wanted in zip(loader(dataset.in_dn(), method), dataset, strict=True):
+        same(normalise_batch(item), wanted)
+
+
+def test_an_epoch_reaches_persistent_workers(eld: Path) -> None:
+    dataset, reference = some(eld), some(eld)
+    batches = DataLoader(
+        dataset, batch_size=None, num_workers=2, multiprocessing_context="fork", persistent_workers=True, timeout=60
+    )
+    seen = []
+    for epoch in (0, 1, 4, 0):
+        dataset.set_epoch(epoch)
+        reference.set_epoch(epoch)
+        seen.append(list(batches))
+        for item, wanted in zip(seen[-1], reference, strict=True):
+            same(item, wanted)
+    same(seen[0][2], seen[3][2])
+    assert not torch.equal(seen[0][2]["target"], seen[1][2]["target"])
+
+
+def test_an_item_depends_on_seed_epoch_and_index_alone(eld: Path) -> None:
+    reference = list(some(eld, crops_per_frame=2))
+    dataset = pickle.loads(pickle.dumps(some(eld, crops_per_frame=2)))
+    for index in [*np.random.default_rng(0).permutation(48).tolist(), 5, 5, -1]:
+        same(dataset[index], reference[index])
+    assert reference[0]["path"] == reference[24]["path"]
+    assert not torch.equal(reference[0]["target"], reference[24]["target"])
+    assert not torch.equal(some(eld, seed=4)[0]["target"], reference[0]["target"])
+    for index in (48, -49):
+        with pytest.raises(IndexError, match=f"index {index} is outside of 48 items"):
+            dataset[index]
+
+
+# --- choices and refusals -----------------------------------------------------------------------------------------
+
+
+def test_choices_among_the_stores_pairs(eld: Path, pristine: Tree) -> None:
+    dataset = some(eld, cameras=["DemoBeta"], ratios=[100, 200])
+    assert {record.camera for record in dataset.records} == {"DemoBeta"}
+    assert {record.ratio for record in dataset.records} == {100, 200}
+    assert list(dataset.frame["path"]) == [record.path for record in dataset.records]
+    text = repr(dataset)
+    for part in ("PackedStore", "6 pairs", "DemoBeta", "crop=8", "augment=True", "seed=3", "levels='published'"):
+        assert part in text
+    for options, word in (
+        ({"cameras": ["X"]}, "known are DemoAlpha, DemoBeta"),
+        ({"levels": "camera"}, "levels must be one of"),
+        ({"clip": "lower"}, "clip must be one of"),
+        ({"amplification": "x"}, "amplification must be one of"),
+        ({"subset": "x"}, "no subset is called 'x'"),
+        ({"seed": -1}, "seed must be 0 or more"),
+        ({"crop": 1}, "crop 2 or more"),
+        ({"crops_per_frame": 0}, "crops_per_frame must be 1 or more"),
+    ):
+        with pytest.raises(ArgumentError, match=word):
+            some(eld, **options)
+    with pytest.raises(DatasetError, match="too few for a crop"):
+        some(eld, crop=48)[0]
+
+
+def test_a_store_of_a_part_and_its_subsets(tree: Tree, tmp_path: Path) -> None:
+    card = tree.manifest.card
+    subsets = (Subset("beta", "one camera", "", 12, paths="DemoBeta/*"), Subset("all", "all", "", 24))
+    save_card(tree.csv.with_suffix(".json"), replace(card, subsets=subsets))
+    from eldata.store import build_store, source_of_dataset
+
+    source = source_of_dataset(card.name, root=tree.root, manifest=tree.csv, subset="beta")
+    assert {path.rpartition("/")[0] for path, _ in source.files} == {BETA}
+    build_store(source, tmp_path / "beta.h5")
+    assert len(some(tmp_path / "beta.h5")) == len(some(tmp_path / "beta.h5", subset="beta")) == 12
+    with pytest.raises(DatasetError, match="lacks 12 of the 24 pairs of the subset 'all', such as DemoAlpha/"):
+        some(tmp_path / "beta.h5", subset="all")
+
+
+def test_files_that_are_not_a_pair_are_refused(pristine: Tree, tmp_path: Path) -> None:
+    tree = copy_tree(pristine, tmp_path / "tree")
+    scale_exposure(tree.file(2), Fraction(2))
+    store = pack_tree(tree, tmp_path / "store.h5").store
+    with pytest.raises(DatasetError, match=r"store.h5/DemoAlpha/scene-1/IMG_0002.dng: expected an exposure ratio of 1"):
+        some(store)
+    assert len(some(store, cameras=["DemoBeta"])) == 12
+
+
+def test_clean_frames_are_no_pairs(tmp_path: Path) -> None:
+    store = pack_folder(write_clean(tmp_path / "raws"), tmp_path / "clean.h5").store
+    with pytest.raises(DatasetError, match="holds clean frames, not pairs; read it with StoredFrames"):
+        some(store)
+
+
+# --- memory -------------------------------------------------------------------------------------------------------
+
+
+def test_memory_does_not_grow_with_the_store(tmp_path: Path) -> None:
+    """120 frames of 1.5 MB each, every one read: 180 MB, or 8 MB if nothing is kept."""
+    folder = tmp_path / "raws"
+    folder.mkdir()
+    sensor = make_sensor(BAYER["RGGB"], 768, 1024)
+    write_dng(folder / "000.dng", random_mosaic(768, 1024), sensor, EXPOSURE)
+    for number in range(1, 120):
+        os.link(folder / "000.dng", folder / f"{number:03d}.dng")
+    source = StoredFrames(pack_folder(folder, tmp_path / "store.h5", jobs=2).store)
+    process = psutil.Process()
+
+    def read(indices: range) -> int:
+        for index in indices:
+            source.frame(index).mosaic[100:600, 100:600].sum()
+            np.asarray(source.frame(index).mosaic).sum()
+        resident: int = process.memory_info().rss
+        return resident
+
+    after_few = read(range(5))
+    assert read(range(120)) - after_few < 24e6

@@ -1,0 +1,72 @@
+"""Small raws, stores of them, and what a store holds, for the tests of stores."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import numpy as np
+
+from eldata.raw import write_dng
+from eldata.store import build_store, source_of_dataset, source_of_folder
+from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, make_sensor, random_mosaic
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from eldata.store import Source
+    from tests.sid_tree import SmallTree
+    from tests.trees import Tree
+
+CFAS = (BAYER["RGGB"], BAYER["GBRG"], XTRANS["xtrans-00"], XTRANS["xtrans-42"])
+SHAPES = ((300, 400), (131, 515), (60, 66), (150, 133))
+
+
+@dataclass(frozen=True)
+class Packed:
+    """A store and what it was made from."""
+
+    store: Path
+    source: Source
+
+
+def write_clean(folder: Path, count: int = 4) -> Path:
+    """Write raws of several cameras: sizes below, at and above a chunk, none of them a multiple."""
+    folder.mkdir(parents=True)
+    for number in range(count):
+        cfa, (height, width) = CFAS[number % 4], SHAPES[number % 4]
+        sensor = make_sensor(cfa, height, width)
+        write_dng(folder / f"{number}.dng", random_mosaic(height, width, seed=number), sensor, EXPOSURE)
+    return folder
+
+
+def pack_tree(tree: Tree | SmallTree, store: Path, **options: Any) -> Packed:
+    """Pack all pairs of a tree."""
+    source = source_of_dataset(tree.manifest.name, root=tree.root, manifest=tree.csv)
+    build_store(source, store, **options)
+    return Packed(store, source)
+
+
+def pack_folder(folder: Path, store: Path, **options: Any) -> Packed:
+    """Pack a folder of clean raws."""
+    source = source_of_folder(folder)
+    build_store(source, store, **options)
+    return Packed(store, source)
+
+
+def contents(path: Path) -> dict[str, Any]:
+    """Everything in an HDF5 file: attributes, and arrays as dtype, shape, chunks, filters and bytes."""
+    found: dict[str, Any] = {}
+
+    def visit(name: str, item: Any) -> None:
+        for key, value in item.attrs.items():
+            found[f"{name}@{key}"] = value.tobytes() if isinstance(value, np.ndarray) else value
+        if isinstance(item, h5py.Dataset):
+            layout = item.dtype.str, item.shape, item.chunks, sorted(item._filters)
+            found[name] = (*layout, item[...].tobytes())
+
+    with h5py.File(path, "r") as file:
+        visit("/", file)
+        file.visititems(visit)
+    return found

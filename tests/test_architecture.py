@@ -66,9 +66,7 @@ def test_help_loads_neither_torch_nor_rawpy(command: str) -> None:
     assert loaded_after(RUN_ELDATA, *command.split(), "--help") == set()
 
 
-@pytest.mark.parametrize(
-    "command", ["", "protocol", "camera", "plan", "checklist", "manifest", "check", "run"]
-)
+@pytest.mark.parametrize("command", ["", "protocol", "camera", "plan", "checklist", "manifest", "check", "run"])
 def test_help_of_capture_loads_neither_torch_nor_rawpy(command: str) -> None:
     assert loaded_after(RUN_CAPTURE, *command.split(), "--help") == set()
 

@@ -1,6 +1,5 @@
 """`capture checklist`: a plan as a page for the phone, or to print."""
 
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -18,6 +18,7 @@ from eldata.manifest.subsets import find_subset
 from eldata.manifest.verify import RATIO_TOLERANCE
 from eldata.raw.cfa import CLIP_RANGES
 from eldata.raw.levels import FRAME_LEVELS, FrameLevels, packed_frame
+from eldata.records import RawHeader
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
     from eldata.manifest.card import Card
     from eldata.raw.cfa import Clip
-    from eldata.records import Exposure, PairRecord, RawFrame, RawHeader
+    from eldata.records import Exposure, PairRecord, RawFrame
 
 Amplification = Literal["metadata", "nominal"]
 AMPLIFICATIONS: tuple[Amplification, ...] = get_args(Amplification)
@@ -179,15 +180,19 @@ class PairDataset(Dataset[Sample]):
         record = self.records[index]
         reference = read_raw(inside(self.root, record.reference))
         target = packed_frame(reference, levels=self.levels, clip=self.clip)
+        sensor = reference.sensor
+        header = RawHeader(reference.path, sensor.make, sensor.model, reference.exposure)
+        del reference  # its pixels: a worker holds one mosaic at a time
         noisy_path = inside(self.root, record.path)
         if noisy_path.suffix == ".npy":
             return self._sample(record, _packed_noisy(noisy_path, target.shape, self.clip), target, record.ratio, None)
         noisy = read_raw(noisy_path)
-        ratio = checked_ratio(record, reference, noisy)
-        if noisy.mosaic.shape != reference.mosaic.shape or noisy.sensor.cfa != reference.sensor.cfa:
+        ratio = checked_ratio(record, header, noisy)
+        shape = (sensor.height, sensor.width)
+        if noisy.mosaic.shape != shape or noisy.sensor.cfa != sensor.cfa:
             raise DatasetError(
                 f"{noisy.path}: {noisy.mosaic.shape} pixels, CFA {noisy.sensor.cfa}, but its reference "
-                f"{record.reference} has {reference.mosaic.shape}, {reference.sensor.cfa}"
+                f"{record.reference} has {shape}, {sensor.cfa}"
             )
         applied = ratio if self.amplification == "metadata" else record.ratio
         amplified = packed_frame(noisy, levels=self.levels, clip=self.clip, gain=float(applied))

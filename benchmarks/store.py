@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import tempfile
+from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +13,7 @@ import h5py
 import numpy as np
 from torch.utils.data import DataLoader
 
-from benchmarks.harness import Row, Spread, in_turn, peak_growth_mb
+from benchmarks.harness import Row, Spread, in_turn
 from benchmarks.store_routes import CROP, Lmdb, Memmap, MemmapInDn, SameValues
 from eldata.datasets import PackedStore, normalise_batch
 from eldata.parallel import read_ahead
@@ -33,6 +35,7 @@ def run(files: Files, rounds: int, cores: int) -> list[Row]:
         rows = _packing(files, Path(folder), rounds, cores)
         ways = dict(_ways(files, Path(folder)))
         rows += _one_process(ways, files, rounds)
+        rows += _memory(Path(folder))
         if cores > 1:
             rows += _loaders(ways, rounds)
         return rows
@@ -107,8 +110,6 @@ def _one_process(datasets: Mapping[str, Any], files: Files, rounds: int) -> list
     ways["memcpy"] = lambda: [len(bytes_of_a_pair.copy()) for _ in range(_COUNT)]
     timings = in_turn(rounds, ways, {way: _COUNT for way in ways if way != "raw decode"})
     case = "a crop pair, one process"
-    grown = peak_growth_mb(ways["store"])
-    both = Spread.of([2 * 2 * 4 * CROP * CROP * 2 / 1e6])
     return [
         timings.faster(case, "store", "memmap x 1/white", at_least=0.7),
         timings.faster(case, "store", "memmap, same values", at_least=0.7, values="bit-identical"),
@@ -119,8 +120,31 @@ def _one_process(datasets: Mapping[str, Any], files: Files, rounds: int) -> list
         timings.faster(f"{case}, in DN", "store, in DN", "memmap, in DN", values="bit-identical"),
         *(timings.faster(f"{case}: {way}", way, "memmap x 1/white") for way in _OTHERS),
         *(timings.faster(f"{case}: {way}", way, "LMDB of fixed patches", at_least=1.5) for way in _OTHERS),
-        Row(f"{_COUNT} crop pairs, memory", Spread.of([grown]), "a pair", both, grown, " MB", 600),
     ]
+
+
+def _memory(folder: Path) -> list[Row]:
+    """Measure all that a fresh process has in memory, libraries included, before and after it reads."""
+    rows = []
+    for name in _COMPRESSIONS:
+        with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+            before, after = pool.submit(_peaks_mb, folder / f"{name}.h5").result()
+        spreads = Spread.of([after]), Spread.of([before])
+        rows.append(Row(f"a worker's memory, {name}", spreads[0], "libraries alone", spreads[1], after, " MB", 600))
+    return rows
+
+
+def _peaks_mb(store: Path) -> tuple[float, float]:
+    before = _peak_mb()
+    pairs = PackedStore(store, crop=CROP, crops_per_frame=20)
+    for index in range(len(pairs)):
+        pairs[index]
+    return before, _peak_mb()
+
+
+def _peak_mb() -> float:
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM:")) * 1024 / 1e6
 
 
 def _every(dataset: Any) -> None:

@@ -27,7 +27,7 @@ lint: $(STAMP)  ## Style and types
 test: lint  ## Style, types and all tests
 	$(BIN)/pytest -n auto --dist worksteal
 
-bench: $(STAMP)  ## Benchmarks against the straightforward routes, a few minutes
+bench: $(STAMP)  ## Benchmarks against the straightforward routes, a quarter of an hour
 	$(BIN)/python -m benchmarks
 
 manifests: $(STAMP)  ## Write the shipped manifests anew

@@ -15,7 +15,10 @@ if TYPE_CHECKING:
 
 
 class Site:
-    """What the server holds under every path, and how it answers: one behaviour a request, the last one for good."""
+    """What the server holds under every path, and how it answers: one behaviour a request, the last one for good.
+
+    ``over`` is set when the server ends: behaviours that say nothing wait for it.
+    """
 
     def __init__(self, address: str) -> None:
         self.address = address
@@ -23,6 +26,7 @@ class Site:
         self.etag = '"one"'
         self.behaviours: list[Behaviour] = [serve]
         self.requests: list[dict[str, str]] = []
+        self.over = threading.Event()
 
     def then(self, *behaviours: Behaviour) -> None:
         self.behaviours = list(behaviours)
@@ -120,6 +124,10 @@ def without_mark(most: int | None = None) -> Behaviour:
     return behaviour
 
 
+def silent(_handler: Handler, site: Site) -> None:
+    site.over.wait(120)
+
+
 def without_length(handler: Handler, site: Site) -> None:
     handler.start(200, ETag=site.etag, Connection="close")
     handler.wfile.write(site.content)
@@ -161,6 +169,7 @@ def running() -> Iterator[Site]:
     try:
         yield OwnHandler.site
     finally:
+        OwnHandler.site.over.set()
         server.shutdown()
         thread.join()
         server.server_close()

@@ -102,11 +102,11 @@ def test_no_server(site: server.Site, target: Path) -> None:
 
 
 def test_a_silent_server(site: server.Site, target: Path) -> None:
-    site.then(lambda _handler, _site: time.sleep(0.4), server.serve)
-    hasty = Patience(tries=2, first_wait_s=0.001, silence_s=0.1)
+    site.then(server.silent, server.serve)
+    hasty = Patience(tries=5, first_wait_s=0.001, silence_s=0.3)
     fetcher(hasty).fetch(site.address, target)
     assert target.read_bytes() == CONTENT
-    assert len(site.requests) == 2
+    assert len(site.requests) >= 2  # more where the machine is so busy that the server is silent too
 
 
 @pytest.mark.parametrize("code", [500, 502, 503, 429, 408])
@@ -382,7 +382,7 @@ def stuck_after(count: int) -> server.Behaviour:
         handler.start(200, Content_Length=len(site.content), ETag=site.etag)
         handler.wfile.write(site.content[:count])
         handler.wfile.flush()
-        time.sleep(1.5)
+        site.over.wait(120)
         handler.cut()
 
     return behaviour

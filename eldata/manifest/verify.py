@@ -13,7 +13,7 @@ full
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from dataclasses import asdict, dataclass
 from fractions import Fraction
 from functools import partial
@@ -315,9 +315,9 @@ def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRec
     # A missing file's name in another case is reported there, with what to do.
     respelled = {path.casefold() for path in listed if not (folder / path).exists()}
     problems = []
+    count_in = Counter(Path(path).parent.as_posix() for path in listed)
     for parent in sorted({Path(record.path).parent.as_posix() for record in records}):
         kinds = (RAW_EXTENSIONS if parent in raw else frozenset()) | ({".png"} if parent in pictured else frozenset())
-        expected = sum(Path(path).parent.as_posix() == parent for path in listed)
         raws = [name for name in _names(folder / parent) if Path(name).suffix.lower() in kinds]
         for name in raws:
             path = name if parent == "." else f"{parent}/{name}"
@@ -327,7 +327,7 @@ def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRec
                         manifest.name,
                         path,
                         "file",
-                        f"the {expected} listed raw files in this folder",
+                        f"the {count_in[parent]} listed raw files in this folder",
                         f"{len(raws)} raw files, this one unlisted",
                         "move it away, and make sure that the others were not numbered anew",
                     )

@@ -147,10 +147,11 @@ def _fetch(found: Overview, parts: Sequence[Place]) -> list[Installed]:
 
 def _conclusion(found: Overview, presence: Presence, differing: int) -> str:
     name = found.manifest.name
+    counted = "rows have files" if presence.patterns else "files are"
     if not presence.complete:
         unfinished = ", and an unpacking ended early: run it again" if presence.unfinished else ""
-        return f"{name}: {presence.files_present} of {presence.files_listed} files are in {found.folder}{unfinished}"
-    done = f"{name}: all {presence.files_listed} files are in {found.folder}"
+        return f"{name}: {presence.files_present} of {presence.files_listed} {counted} in {found.folder}{unfinished}"
+    done = f"{name}: all {presence.files_listed} {counted} in {found.folder}"
     if differing:
         return f"{done}, but some differ from the archive; move those away and run this again, or check them"
     return f"{done}; check them: {found.verify_command}"

@@ -44,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
             (
                 one.manifest.name,
                 one.manifest.card.title,
-                str(one.presence.files_listed),
+                one.presence.count_text,
                 one.size,
                 str(one.presence),
                 one.manifest.card.licence,

@@ -25,26 +25,34 @@ if TYPE_CHECKING:
 class Presence:
     """How many of the manifest's rows have their file there (and not empty), and how large those files are.
 
-    A row that stands for a whole clip (a pattern) counts once a single file of it is there. ``unfinished``: there are
-    such rows, and an unpacking that ended early, so that others of their files may be missing.
+    A row that stands for a whole clip (a pattern) counts once a single file of it is there; ``patterns`` says how many
+    such rows there are. ``unfinished``: there are some, and an unpacking that ended early: more of their files may be
+    missing.
     """
 
     files_listed: int
     files_present: int
     bytes_present: int
     unfinished: bool
+    patterns: int = 0
 
     @property
     def complete(self) -> bool:
         """Whether every listed file is there."""
         return self.files_present == self.files_listed > 0 and not self.unfinished
 
+    @property
+    def count_text(self) -> str:
+        """The number of files, as far as it is known."""
+        return f"{self.files_listed}{'+' if self.patterns else ''}"
+
     def __str__(self) -> str:
         if self.unfinished:
             return "unpacked in part"
         if not self.files_present:
             return "absent"
-        return "present" if self.complete else f"{self.files_present} of {self.files_listed} files"
+        counted = "rows" if self.patterns else "files"
+        return "present" if self.complete else f"{self.files_present} of {self.files_listed} {counted}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +100,7 @@ class Overview:
         """Return it as text for one dataset."""
         card = self.manifest.card
         counts = ", ".join(f"{count} {role}" for role, count in sorted(card.counts.items()))
+        patterns = f" ({self.presence.patterns} of them stand for a folder of files)" if self.presence.patterns else ""
         lines = [
             f"{card.name}: {card.title} (manifest version {card.version})",
             "",
@@ -99,7 +108,7 @@ class Overview:
             *_wrapped(f"citation   {card.citation}", " " * 11),
             f"homepage   {card.homepage}",
             *_wrapped(f"cameras    {', '.join(card.cameras)}", " " * 11),
-            f"files      {self.presence.files_listed}: {counts}",
+            f"files      {self.presence.count_text}: {counts}{patterns}",
             f"folder     {self.folder} ({self.presence})",
             f"such as    {self.folder / self.manifest.records[0].path}",
             "",
@@ -151,15 +160,14 @@ def format_places(places: Iterable[Place]) -> list[str]:
 
 def presence_of(folder: Path, records: Iterable[FrameRecord]) -> Presence:
     """Return how much of what is listed is in a folder; names and sizes alone are looked at."""
-    listed = present = size = 0
-    patterns = False
+    listed = present = size = patterns = 0
     for record in records:
         listed += 1
-        patterns = patterns or is_pattern(record.path)
+        patterns += is_pattern(record.path)
         sizes = [_size_of(folder / path) for path in _files_of(folder, record.path)]
         present += any(sizes)
         size += sum(sizes)
-    return Presence(listed, present, size, patterns and (folder / STAGING).exists())
+    return Presence(listed, present, size, patterns > 0 and (folder / STAGING).exists(), patterns)
 
 
 def _files_of(folder: Path, path: str) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ from eldata.errors import ArgumentError
 from eldata.records import PairRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable
+    from collections.abc import Callable, Collection, Iterable, Sequence
     from fractions import Fraction
 
     from eldata.manifest.subsets import Subset
@@ -18,6 +18,8 @@ Value = TypeVar("Value")
 
 # Flag of a frame whose ISO the publisher states in two ways: its exposure ratio cannot be checked.
 UNCERTAIN_ISO = "uncertain-iso"
+
+_SHOWN = 16  # known values in a message
 
 
 def select_pairs(
@@ -114,4 +116,13 @@ def _check_known(name: str, wanted: Collection[object], values: Iterable[object]
     known = sorted({value for value in values if value is not None})  # type: ignore[type-var] # of one kind each
     for value in wanted:
         if value not in known:
-            raise ArgumentError(f"no pair has {name} {value}; known are {', '.join(map(str, known)) or 'none'}")
+            raise ArgumentError(f"no pair has {name} {value}; known are {_shortened(known)}")
+
+
+def _shortened(known: Sequence[object]) -> str:
+    """Return values as text, the first and the last alone if they are many."""
+    texts = [str(value) for value in known]
+    if len(texts) > _SHOWN:
+        texts = [*texts[: _SHOWN - 2], "...", texts[-1]]
+        return f"{', '.join(texts)} ({len(known)} in all)"
+    return ", ".join(texts) or "none"

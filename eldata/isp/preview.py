@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.errors import ArgumentError
+from eldata.isp.steps import CHANNELS_OF_COLOUR
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.records import Sensor
-
-# Packed channels of each of R, G, B, by the number of packed channels (eldata.raw.cfa).
-_CHANNELS = {4: ((0,), (1, 3), (2,)), 9: ((0, 3), (1, 5, 6, 7, 8), (2, 4))}
 
 
 def srgb_encode(linear: NDArray[Any]) -> NDArray[Any]:
@@ -42,10 +40,10 @@ def preview(packed: NDArray[np.floating[Any]], sensor: Sensor) -> NDArray[np.uin
     ArgumentError
         If there are neither 4 nor 9 channels.
     """
-    if packed.ndim != 3 or packed.shape[0] not in _CHANNELS:
+    if packed.ndim != 3 or packed.shape[0] not in CHANNELS_OF_COLOUR:
         raise ArgumentError(f"expected packed data (4, h, w) or (9, h, w); found shape {packed.shape}")
     clipped = np.clip(packed, 0, 1)
-    camera = np.stack([clipped[list(indices)].mean(axis=0) for indices in _CHANNELS[packed.shape[0]]])
+    camera = np.stack([clipped[list(indices)].mean(axis=0) for indices in CHANNELS_OF_COLOUR[packed.shape[0]]])
     if sensor.white_balance is not None:
         red, green, blue, _ = sensor.white_balance
         # Clipped at the level where the first channel saturates, so that blown highlights stay white.

@@ -1,0 +1,99 @@
+"""LibRaw's own rendering of a raw file, as the published SID code makes its reference pictures."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Literal, get_args, overload
+
+import numpy as np
+
+from eldata.errors import ArgumentError, RawFileError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+Bits = Literal[8, 16]
+
+# The tile of LibRaw's Markesteijn demosaicing, which refuses a smaller picture as an input/output error.
+_LEAST_XTRANS_SIDE = 512
+
+
+@overload
+def render_libraw(path: Path | str, *, bits: Literal[8] = 8) -> NDArray[np.uint8]: ...
+@overload
+def render_libraw(path: Path | str, *, bits: Literal[16]) -> NDArray[np.uint16]: ...
+def render_libraw(path: Path | str, *, bits: Bits = 8) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    """Render a raw file to sRGB with LibRaw: demosaiced, as-shot white balance, no automatic brightening.
+
+    The SID code's ``postprocess(use_camera_wb=True, half_size=False, no_auto_bright=True, output_bps=16)``
+    (cchen156/Learning-to-See-in-the-Dark, test_Sony.py and test_Fuji.py). The rest is LibRaw's default: AHD demosaicing
+    (Markesteijn's for X-Trans), sRGB primaries, BT.709's tone curve, the picture turned as the file asks, and the
+    brightest pixel taken as the level of saturation where it lies above three quarters of the file's white level.
+
+    Parameters
+    ----------
+    path
+        A raw file, Bayer or X-Trans, that :func:`eldata.raw.read_raw` accepts.
+    bits
+        16, or 8: the 16-bit values v as ``round(255 v / 65535)``, which is how that code saves its PNG files.
+
+    Returns
+    -------
+    ndarray
+        (H, W, 3) R, G, B; uint8 or uint16.
+
+    Raises
+    ------
+    RawFileError
+        As :func:`eldata.raw.read_raw`; or if the file has no as-shot white balance or no colour matrix, in whose place
+        LibRaw would put its own; or is X-Trans with a side under 512 pixels, which LibRaw does not demosaic.
+    ArgumentError
+        If ``bits`` is neither 8 nor 16.
+    """
+    import rawpy
+
+    from eldata.raw.reading import read_raw
+
+    if bits not in get_args(Bits):
+        raise ArgumentError(f"bits must be 8 or 16; found {bits!r}")
+    # Decoded first for its checks, which LibRaw lacks. It also leaves this thread's OpenMP at one thread: a pool, which
+    # demosaicing would start, makes workers forked later hang (eldata.raw.reading).
+    frame = read_raw(path)
+    path = frame.path
+    if frame.sensor.white_balance is None:
+        raise RawFileError(path, "states no as-shot white balance; LibRaw would put one of its own in its place")
+    if frame.sensor.xyz_to_camera is None:
+        raise RawFileError(
+            path, "has no colour matrix, nor has LibRaw one for its camera; LibRaw would show the camera's own colours"
+        )
+    if len(frame.sensor.cfa) == 6 and min(frame.mosaic.shape) < _LEAST_XTRANS_SIDE:
+        raise RawFileError(
+            path,
+            f"{frame.sensor.height} x {frame.sensor.width} pixels: LibRaw demosaics no X-Trans picture with a side "
+            f"under {_LEAST_XTRANS_SIDE}",
+        )
+    del frame  # its pixels
+    raw = rawpy.RawPy()  # not rawpy.imread, which warns in every forked process
+    try:
+        raw.open_file(str(path))
+        raw.set_unpack_params(shot_select=0)
+        raw.unpack()
+        rendered: NDArray[Any] = raw.postprocess(
+            use_camera_wb=True, half_size=False, no_auto_bright=True, output_bps=16
+        )
+    except rawpy.LibRawError as error:
+        reason = error.args[0] if error.args else error
+        text = reason.decode(errors="replace") if isinstance(reason, bytes) else str(reason)
+        raise RawFileError(path, f"LibRaw cannot render it ({text}); is the file whole?") from error
+    finally:
+        raw.close()
+    if bits == 16:
+        return rendered
+    return sixteen_to_eight_bits(rendered)
+
+
+def sixteen_to_eight_bits(values: NDArray[np.uint16]) -> NDArray[np.uint8]:
+    """Return ``round(255 v / 65535)``, exactly: 65535 = 255 * 257, so v / 257 is never half-way."""
+    codes: NDArray[np.uint8] = ((values.astype(np.uint32) + 128) // 257).astype(np.uint8)
+    return codes

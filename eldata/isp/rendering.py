@@ -1,0 +1,181 @@
+"""The paper's raw-to-sRGB pipeline as one object with explicit parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from eldata.errors import ArgumentError
+from eldata.isp.steps import bin_colours, colour_matrix, gamma_curve, white_balance
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import torch
+
+    from eldata.records import Matrix3, Sensor
+
+
+class Response(Protocol):
+    """What turns linear sRGB in [0, 1] into display values in [0, 1]: :class:`Gamma`, or a measured curve."""
+
+    def __call__(self, linear: torch.Tensor) -> torch.Tensor:
+        """Return the display values of (..., 3, h, w) linear ones."""
+
+    def describe(self) -> str:
+        """Say in a few words what it is."""
+
+
+@dataclass(frozen=True, slots=True)
+class Gamma:
+    """A power law, ``max(x, 1e-8) ** (1 / exponent)``; 2.2 is the ELD code's, 1 leaves linear light as it is."""
+
+    exponent: float = 2.2
+
+    def __post_init__(self) -> None:
+        if not 0 < self.exponent < np.inf:
+            raise ArgumentError(f"the exponent of a gamma curve must be positive; found {self.exponent}")
+
+    def __call__(self, linear: torch.Tensor) -> torch.Tensor:
+        """Return :func:`eldata.isp.steps.gamma_curve` of the image."""
+        return linear if self.exponent == 1 else gamma_curve(linear, self.exponent)
+
+    def describe(self) -> str:
+        """Say in a few words what it is."""
+        return "no tone curve (linear)" if self.exponent == 1 else f"gamma {self.exponent:g}"
+
+
+PAPER_GAMMA = Gamma(2.2)
+
+
+@dataclass(frozen=True, slots=True)
+class CameraColour:
+    """What turns one camera's packed values into linear sRGB.
+
+    Attributes
+    ----------
+    white_balance
+        Multipliers of R, G1, B, G2.
+    camera_to_srgb
+        Matrix (3, 3) from white-balanced camera R, G, B to linear sRGB (:attr:`eldata.records.Sensor.camera_to_srgb`).
+
+    Raises
+    ------
+    ArgumentError
+        If there are not four positive multipliers and nine finite numbers.
+    """
+
+    white_balance: tuple[float, float, float, float]
+    camera_to_srgb: Matrix3
+
+    def __post_init__(self) -> None:
+        balance, matrix = np.asarray(self.white_balance, float), np.asarray(self.camera_to_srgb, float)
+        if balance.shape != (4,) or not np.all((balance > 0) & np.isfinite(balance)):
+            raise ArgumentError(f"white_balance must be four positive multipliers; found {self.white_balance}")
+        if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+            raise ArgumentError(f"camera_to_srgb must be 3 x 3 finite numbers; found {self.camera_to_srgb}")
+
+    @classmethod
+    def of(cls, sensor: Sensor) -> CameraColour:
+        """Take white balance and matrix from what a file says of its sensor.
+
+        Raises
+        ------
+        ArgumentError
+            If the sensor lacks one of them: there is no neutral stand-in for either.
+        """
+        camera = f"{sensor.make} {sensor.model}".strip() or "an unnamed camera"
+        matrix = sensor.camera_to_srgb
+        for name, value in (("white balance", sensor.white_balance), ("colour matrix (xyz_to_camera)", matrix)):
+            if value is None:
+                raise ArgumentError(
+                    f"the sensor record of {camera} has no {name}; take it from another file of that camera, or give "
+                    "CameraColour(white_balance, camera_to_srgb) yourself"
+                )
+        rows = tuple(tuple(float(value) for value in row) for row in matrix)  # type: ignore[union-attr] # checked above
+        return cls(sensor.white_balance, rows)  # type: ignore[arg-type] # checked above, 3 x 3
+
+
+@dataclass(frozen=True, slots=True)
+class Rendering:
+    """Packed raw to sRGB as the paper has it; ``rendering(packed)`` renders.
+
+    White balance, clip to [0, 1], the greens averaged (one RGB pixel a packed pixel), camera to sRGB, clip to [0, 1],
+    response.
+
+    Attributes
+    ----------
+    colours
+        One camera's colour for all images, or one for each item of a batch, in its order.
+    response
+        Gamma 2.2, or a measured :class:`~eldata.isp.response.ResponseCurve`.
+    """
+
+    colours: tuple[CameraColour, ...]
+    response: Response = PAPER_GAMMA
+
+    def __post_init__(self) -> None:
+        if not self.colours:
+            raise ArgumentError("a rendering needs the colour of one camera or of each item of a batch; found none")
+
+    @classmethod
+    def of(cls, sensors: Sensor | Sequence[Sensor], response: Response = PAPER_GAMMA) -> Rendering:
+        """Return the rendering with the white balance and matrix of a sensor, or of one sensor a batch item.
+
+        Raises
+        ------
+        ArgumentError
+            If a sensor lacks one of them.
+        """
+        from eldata.records import Sensor as SensorRecord
+
+        each = (sensors,) if isinstance(sensors, SensorRecord) else tuple(sensors)
+        return cls(tuple(CameraColour.of(sensor) for sensor in each), response)
+
+    def linear(self, packed: torch.Tensor) -> torch.Tensor:
+        """Return linear sRGB, clipped to [0, 1]: everything but the response. Arguments and errors as of a call."""
+        import torch
+
+        def values(name: str) -> torch.Tensor:
+            each = [getattr(colour, name) for colour in self.colours]
+            return torch.tensor(each if len(each) > 1 else each[0], dtype=torch.float64)
+
+        balanced = white_balance(packed, values("white_balance")).clamp(0, 1)
+        return colour_matrix(bin_colours(balanced), values("camera_to_srgb")).clamp(0, 1)
+
+    def __call__(self, packed: torch.Tensor) -> torch.Tensor:
+        """Render.
+
+        Parameters
+        ----------
+        packed
+            (..., 4, h, w) Bayer or (..., 9, h, w) X-Trans, normalised, floating point. With several cameras the first
+            dimension counts them.
+
+        Returns
+        -------
+        Tensor
+            (..., 3, h, w) in [0, 1], R, G, B, of the same dtype and on the same device; differentiable.
+
+        Raises
+        ------
+        ArgumentError
+            If the shape or dtype is another, or the batch has not one item a camera.
+        """
+        return self.response(self.linear(packed))
+
+    def describe(self) -> str:
+        """Say in words what is done with which numbers."""
+
+        def numbers(values: Sequence[float]) -> str:
+            return ", ".join(f"{value:.4g}" for value in values)
+
+        first = self.colours[0]
+        others = f" (item 1 of {len(self.colours)}, each with its own)" if len(self.colours) > 1 else ""
+        rows = "; ".join(numbers(row) for row in first.camera_to_srgb)
+        return (
+            f"white balance R, G1, B, G2 = {numbers(first.white_balance)}{others}; clip to [0, 1]; greens averaged, "
+            f"one RGB pixel a packed pixel; camera to sRGB [{rows}]{others}; clip to [0, 1]; {self.response.describe()}"
+        )

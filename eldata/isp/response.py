@@ -1,0 +1,143 @@
+"""A camera's response function as a measured curve: applied and inverted by linear interpolation, on torch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from eldata.errors import ArgumentError
+
+if TYPE_CHECKING:
+    import torch
+    from numpy.typing import NDArray
+
+_LEAST_POINTS = 2
+_END_TOLERANCE = 1e-4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResponseCurve:
+    """Brightness as a function of irradiance, both in [0, 1], one curve for all colours or one each for R, G, B.
+
+    Between its points the curve is straight, as in the published code (ELD repository, util/process.py), so that it is
+    differentiable everywhere else, and its inverse is exact.
+
+    Attributes
+    ----------
+    irradiance
+        (1 or 3, n) float64, rising, first 0 and last 1 (what is within 0.0001 of them is set to them).
+    brightness
+        (1 or 3, n) float64, never falling, first 0 and last 1, likewise.
+    name
+        Where it comes from.
+
+    Raises
+    ------
+    ArgumentError
+        If the shapes differ, there are fewer than 2 points, a number is not finite, irradiance does not rise,
+        brightness falls, or an end is another.
+    """
+
+    irradiance: NDArray[np.float64]
+    brightness: NDArray[np.float64]
+    name: str = "response curve"
+
+    def __post_init__(self) -> None:
+        for field in ("irradiance", "brightness"):
+            values = np.array(getattr(self, field), dtype=np.float64, ndmin=2, order="C")
+            ends = values[..., [0, -1]] if values.shape[-1] > 1 else np.full(2, np.nan)
+            if (np.abs(ends - [0, 1]) <= _END_TOLERANCE).all():  # as few digits of a text file leave them
+                values = values.clip(0, 1)
+                values[..., 0], values[..., -1] = 0, 1
+            values.flags.writeable = False
+            object.__setattr__(self, field, values)
+        e, b = self.irradiance, self.brightness
+        if e.shape != b.shape or e.ndim != 2 or e.shape[0] not in (1, 3) or e.shape[1] < _LEAST_POINTS:
+            raise ArgumentError(
+                f"{self.name}: expected 2 or more points of one curve (n,) or of three (3, n); found "
+                f"irradiance {e.shape} and brightness {b.shape}"
+            )
+        if not (np.isfinite(e).all() and np.isfinite(b).all()):
+            raise ArgumentError(f"{self.name}: holds NaN or infinities")
+        for field, values, steps_are_good, wanted in (
+            ("irradiance", e, np.diff(e) > 0, "rise from point to point"),
+            ("brightness", b, np.diff(b) >= 0, "never fall"),
+        ):
+            if not steps_are_good.all():
+                curve, at = np.argwhere(~steps_are_good)[0]
+                raise ArgumentError(
+                    f"{self.name}: {field} must {wanted}; point {at + 2} has {values[curve, at + 1]:g} after "
+                    f"{values[curve, at]:g}"
+                )
+            if (values[:, 0] != 0).any() or (values[:, -1] != 1).any():
+                raise ArgumentError(
+                    f"{self.name}: {field} must go from 0 to 1; found {values[:, 0].tolist()} to "
+                    f"{values[:, -1].tolist()}"
+                )
+
+    def __call__(self, linear: torch.Tensor) -> torch.Tensor:
+        """Return the brightness of an irradiance (..., 3, h, w), or of any shape if one curve serves all colours.
+
+        Values outside [0, 1] are clipped. dtype and device stay.
+
+        Raises
+        ------
+        ArgumentError
+            If there are three curves and the image does not have three channels.
+        """
+        return self._interpolated(linear, self.irradiance, self.brightness)
+
+    def inverse(self, brightness: torch.Tensor) -> torch.Tensor:
+        """Return an irradiance that has this brightness; ``curve(curve.inverse(b)) == b`` up to rounding.
+
+        Where the curve is flat it is the least one. Arguments and errors as of a call.
+        """
+        return self._interpolated(brightness, self.brightness, self.irradiance)
+
+    def _interpolated(
+        self, values: torch.Tensor, along: NDArray[np.float64], across: NDArray[np.float64]
+    ) -> torch.Tensor:
+        import torch
+
+        if len(along) == 3 and (values.ndim < 3 or values.shape[-3] != 3):
+            raise ArgumentError(
+                f"{self.name}: has a curve each for R, G, B; expected an image (..., 3, h, w), found shape "
+                f"{tuple(values.shape)}"
+            )
+        # (curves, values): the points of one channel are those of its curve.
+        rows = values.movedim(-3, 0).reshape(3, -1) if len(along) == 3 else values.reshape(1, -1)
+        # Half precision cannot tell neighbouring points apart.
+        rows = rows.clamp(0, 1).to(torch.promote_types(rows.dtype, torch.float32))
+        x = torch.tensor(along, dtype=rows.dtype, device=rows.device)
+        y = torch.tensor(across, dtype=rows.dtype, device=rows.device)
+        # The segment whose left end lies below the value and whose right end does not: it is never flat.
+        left = (torch.searchsorted(x, rows.detach().contiguous()) - 1).clamp(0, x.shape[1] - 2)
+        x0, x1, y0, y1 = (points.gather(1, index) for points in (x, y) for index in (left, left + 1))
+        width = torch.where(x1 > x0, x1 - x0, torch.ones_like(x0))  # a flat start, where the share is 0
+        result = (y0 + (rows - x0) / width * (y1 - y0)).to(values.dtype)
+        if len(along) == 3:
+            moved = values.movedim(-3, 0)
+            return result.reshape(moved.shape).movedim(0, -3)
+        return result.reshape(values.shape)
+
+    def on_grid(self, points: int = 1024) -> ResponseCurve:
+        """Return the curve at equal steps of irradiance: what tables and other programs want.
+
+        Raises
+        ------
+        ArgumentError
+            If there are fewer than 2 points.
+        """
+        grid = np.linspace(0, 1, max(points, 0))
+        brightness = [np.interp(grid, e, b) for e, b in zip(self.irradiance, self.brightness, strict=True)]
+        return ResponseCurve(np.broadcast_to(grid, (len(brightness), len(grid))), np.array(brightness), self.name)
+
+    def describe(self) -> str:
+        """Say in a few words what it is."""
+        curves = "one curve for R, G and B" if len(self.irradiance) == 1 else "a curve each for R, G, B"
+        return f"camera response {self.name} ({curves}, {self.irradiance.shape[1]} points)"
+
+    def __repr__(self) -> str:
+        return f"ResponseCurve({self.name!r}, {len(self.irradiance)} x {self.irradiance.shape[1]} points)"

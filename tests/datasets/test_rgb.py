@@ -1,0 +1,240 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import torch
+from torch.utils.data import DataLoader
+
+from eldata.datasets.base import PairDataset
+from eldata.datasets.clean import Arrays, RawFiles
+from eldata.datasets.packed_store import PackedStore, StoredFrames
+from eldata.datasets.rgb import (
+    OneSensor,
+    PairSensors,
+    Rendered,
+    StagedPairs,
+    continuous,
+    keep_raw,
+    of_noisy,
+    of_reference,
+    raw2rgb,
+    rgb2rgb,
+)
+from eldata.datasets.synthetic import SyntheticPairs
+from eldata.errors import ArgumentError, DatasetError, RawFileError
+from eldata.isp.rendering import Gamma, Rendering
+from eldata.isp.response import ResponseCurve
+from eldata.isp.scoring import render_pair_for_scoring
+from eldata.raw import read_raw, write_dng
+from tests.raw.helpers import make_sensor
+from tests.store.helpers import pack_folder, pack_tree
+from tests.trees import BETA, Tree, copy_tree, frame
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from eldata.records import Sensor
+
+CAMERA = "DemoAlpha"
+NOISY_BALANCE = (1.3, 1.0, 2.6, 1.0)
+CURVE = ResponseCurve(np.linspace(0, 1, 99), np.linspace(0, 1, 99) ** 0.6, "mine")
+
+
+@pytest.fixture(scope="module")
+def balanced(pristine: Tree, tmp_path_factory: pytest.TempPathFactory) -> Tree:
+    """A tree whose noisy frames have another white balance than their references."""
+    tree = copy_tree(pristine, tmp_path_factory.mktemp("balanced"))
+    for record in tree.manifest.records:
+        if record.role == "noisy" and record.camera == CAMERA:
+            path = tree.data / record.path
+            raw = read_raw(path)
+            write_dng(path, raw.mosaic, replace(raw.sensor, white_balance=NOISY_BALANCE), raw.exposure)
+    return tree
+
+
+def pairs_of(tree: Tree) -> PairDataset:
+    return PairDataset(tree.data, tree.csv, cameras=[CAMERA], ratios=[100])
+
+
+def sensors_of(tree: Tree, sample: Mapping[str, Any]) -> tuple[Sensor, Sensor]:
+    """Of a sample's files, read anew."""
+    noisy, reference = (read_raw(tree.data / sample[name]).sensor for name in ("path", "reference"))
+    return noisy, reference
+
+
+def eight_bit(image: torch.Tensor) -> torch.Tensor:
+    """As the published code: cut down to whole codes, then a share of 255."""
+    return (image * 255).int().clamp(0, 255).float() / 255
+
+
+def test_raw2rgb_renders_the_target_alone(balanced: Tree) -> None:
+    pairs = pairs_of(balanced)
+    staged = raw2rgb(pairs)
+    assert len(staged) == len(pairs) > 1
+    for plain, sample in zip(pairs, staged, strict=True):
+        _, reference = sensors_of(balanced, plain)
+        assert torch.equal(sample["input"], plain["input"])
+        assert sample["target"].shape == (3, *plain["target"].shape[1:])
+        assert torch.equal(sample["target"], eight_bit(Rendering.of(reference)(plain["target"])))
+        rest = set(plain) - {"input", "target"}
+        assert {name: sample[name] for name in rest} == {name: plain[name] for name in rest}  # type: ignore[literal-required]
+
+
+def test_the_target_is_what_predictions_are_scored_against(balanced: Tree) -> None:
+    """Raw2Raw + ISP, RGB2RGB and Raw2RGB are compared on one picture."""
+    plain = pairs_of(balanced)[0]
+    _, reference = sensors_of(balanced, plain)
+    scored = render_pair_for_scoring(plain["input"].numpy(), plain["target"].numpy(), reference)[1]
+    codes = (raw2rgb(pairs_of(balanced))[0]["target"] * 255).round().numpy()
+    # float32 here, float64 there: a value within rounding of a whole code may differ by one.
+    assert np.abs(codes - scored).max() <= 1
+    assert (codes != scored).mean() < 1e-3
+
+
+@pytest.mark.parametrize("colours", [of_noisy, of_reference])
+def test_rgb2rgb_renders_both(colours: Any, balanced: Tree) -> None:
+    pairs = pairs_of(balanced)
+    plain, sample = pairs[0], rgb2rgb(pairs, input_colours=colours)[0]
+    noisy, reference = sensors_of(balanced, plain)
+    assert noisy.white_balance == NOISY_BALANCE != reference.white_balance
+    chosen = {of_noisy: noisy, of_reference: reference}[colours]
+    assert torch.equal(sample["input"], eight_bit(Rendering.of(chosen)(plain["input"])))
+    assert torch.equal(sample["target"], eight_bit(Rendering.of(reference)(plain["target"])))
+
+
+def test_by_default_the_input_has_the_noisy_files_colours(balanced: Tree) -> None:
+    pairs = pairs_of(balanced)
+    default = rgb2rgb(pairs)[0]["input"]
+    assert torch.equal(default, rgb2rgb(pairs, input_colours=of_noisy)[0]["input"])
+    assert not torch.equal(default, rgb2rgb(pairs, input_colours=of_reference)[0]["input"])
+
+
+def test_the_response_is_passed_on(balanced: Tree) -> None:
+    pairs = pairs_of(balanced)
+    _, reference = sensors_of(balanced, pairs[0])
+    for staged in (rgb2rgb(pairs, response=CURVE), raw2rgb(pairs, response=CURVE)):
+        assert torch.equal(staged[0]["target"], eight_bit(Rendering.of(reference, CURVE)(pairs[0]["target"])))
+
+
+def test_stages_of_ones_own(balanced: Tree) -> None:
+    pairs = pairs_of(balanced)
+    linear = Rendered(of_reference, Gamma(1), continuous)
+    staged = StagedPairs(pairs, stage_in=keep_raw, stage_out=linear)
+    plain, sample = pairs[0], staged[0]
+    _, reference = sensors_of(balanced, plain)
+    assert torch.equal(sample["target"], Rendering.of(reference, Gamma(1))(plain["target"]))
+    both = StagedPairs(pairs, stage_in=lambda image, _: image * 2, stage_out=keep_raw)[0]
+    assert torch.equal(both["input"], plain["input"] * 2)
+    assert torch.equal(both["target"], plain["target"])
+
+
+# --- stores and synthetic noise -----------------------------------------------------------------------------------
+
+
+def test_a_store_gives_the_same_as_the_files(balanced: Tree, tmp_path: Path) -> None:
+    store = PackedStore(
+        pack_tree(balanced, tmp_path / "eld.h5").store, crop=None, augment=False, cameras=[CAMERA], ratios=[100]
+    )
+    for sample, wanted in zip(rgb2rgb(store), rgb2rgb(pairs_of(balanced)), strict=True):
+        assert torch.equal(sample["input"], wanted["input"])
+        assert torch.equal(sample["target"], wanted["target"])
+
+
+def test_a_stores_crops_and_epochs(balanced: Tree, tmp_path: Path) -> None:
+    store = PackedStore(pack_tree(balanced, tmp_path / "eld.h5").store, crop=16, cameras=[CAMERA])
+    staged = raw2rgb(store)
+    plain, sample = store[3], staged[3]
+    _, reference = sensors_of(balanced, plain)
+    assert torch.equal(sample["target"], eight_bit(Rendering.of(reference)(plain["target"])))
+    staged.set_epoch(1)
+    assert store.epoch == 1
+    assert not torch.equal(staged[3]["target"], sample["target"])
+
+
+@pytest.fixture(scope="module")
+def clean(pristine: Tree) -> list[Path]:
+    return sorted((pristine.data / CAMERA).rglob("IMG_0001.dng"))
+
+
+def test_synthetic_pairs_have_their_clean_files_colours(clean: list[Path], tmp_path: Path) -> None:
+    folder = tmp_path / "clean"
+    folder.mkdir()
+    (folder / "one.dng").write_bytes(clean[0].read_bytes())
+    sensor = read_raw(clean[0]).sensor
+    for source in (RawFiles(folder), StoredFrames(pack_folder(folder, tmp_path / "clean.h5").store)):
+        pairs = SyntheticPairs(source, "SonyA7S2", crop=16, seed=3)
+        plain, sample = pairs[0], rgb2rgb(pairs)[0]
+        for side in ("input", "target"):
+            assert torch.equal(sample[side], eight_bit(Rendering.of(sensor)(plain[side])))
+        assert sample["gain_dn_per_e"] == plain["gain_dn_per_e"]
+
+
+def test_arrays_need_a_sensor_from_the_caller() -> None:
+    pairs = SyntheticPairs(Arrays([np.full((4, 32, 32), 0.3)], range_dn=15000), "SonyA7S2", crop=16)
+    with pytest.raises(ArgumentError, match=r"sensors of SyntheticPairs are not known; give sensors="):
+        rgb2rgb(pairs)
+    sample = rgb2rgb(pairs, sensors=OneSensor(make_sensor()))[0]
+    assert sample["input"].shape == (3, 16, 16)
+
+
+# --- workers ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+@pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
+def test_workers_change_nothing(method: str, balanced: Tree) -> None:
+    staged = rgb2rgb(pairs_of(balanced))
+    loader = DataLoader(staged, batch_size=2, num_workers=2, multiprocessing_context=method)
+    batches = list(loader)
+    rendered = torch.cat([batch["input"] for batch in batches])
+    assert torch.equal(rendered, torch.stack([sample["input"] for sample in staged]))
+    assert [path for batch in batches for path in batch["path"]] == [sample["path"] for sample in staged]
+
+
+# --- refusals -----------------------------------------------------------------------------------------------------
+
+
+def test_a_file_without_colour_is_named(pristine: Tree, tmp_path: Path) -> None:
+    tree = copy_tree(pristine, tmp_path)
+    pairs = pairs_of(tree)
+    path = tree.data / pairs.records[0].reference
+    raw = read_raw(path)
+    write_dng(path, raw.mosaic, replace(raw.sensor, white_balance=None), raw.exposure)
+    with pytest.raises(ArgumentError, match="has no white balance"):
+        raw2rgb(pairs)[0]
+
+
+def test_a_missing_file_is_named(pristine: Tree, tmp_path: Path) -> None:
+    tree = copy_tree(pristine, tmp_path)
+    staged = raw2rgb(pairs_of(tree))
+    (tree.data / pairs_of(tree).records[0].path).unlink()
+    with pytest.raises(RawFileError, match="No such file"):
+        staged[0]
+
+
+def test_a_frame_that_the_store_lacks_is_named(balanced: Tree, tmp_path: Path) -> None:
+    staged = raw2rgb(PackedStore(pack_tree(balanced, tmp_path / "eld.h5").store, crop=16))
+    with pytest.raises(DatasetError, match=r"eld\.h5: holds no frame 'elsewhere\.dng'"):
+        staged.sensors({"path": "elsewhere.dng"})
+
+
+def test_a_dataset_without_epochs_says_so(balanced: Tree) -> None:
+    with pytest.raises(ArgumentError, match="PairDataset has no epochs"):
+        raw2rgb(pairs_of(balanced)).set_epoch(1)
+
+
+def test_drvs_packed_frames_take_their_references_sensor(pristine: Tree) -> None:
+    staged = raw2rgb(pairs_of(pristine))
+    found = staged.sensors({"path": "x/noisy.npy", "reference": frame(1, BETA)})
+    sensor = read_raw(pristine.file(1, BETA)).sensor
+    assert found == PairSensors(sensor, sensor)
+
+
+def test_the_repr_names_the_stages(balanced: Tree) -> None:
+    text = repr(raw2rgb(pairs_of(balanced)))
+    assert "stage_in=keep_raw" in text
+    assert "stage_out=Rendered(" in text

@@ -1,0 +1,85 @@
+"""The examples of docs/srgb.md run, on files made here in the layouts that they name."""
+
+from __future__ import annotations
+
+import re
+import runpy
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from eldata.isp.response_files import read_response_table
+from tests.isp.curves import GRID, family, write_emor
+from tests.isp.test_radiometric import INVERSES, RESPONSES, TIMES_S, exposures, in_model
+
+if TYPE_CHECKING:
+    from eldata.isp.radiometric import CurveModel
+
+TEXT = (Path(__file__).parents[2] / "docs" / "srgb.md").read_text(encoding="utf-8")
+EXAMPLES = re.findall(r"```python\n(.*?)```", TEXT, flags=re.DOTALL)
+
+
+def run(number: int, folder: Path, names: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Run an example in a folder, which must be the current one, and return the names that it leaves."""
+    script = folder / f"example-{number}.py"
+    script.write_text(EXAMPLES[number])
+    return runpy.run_path(str(script), names)
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """What the first example leaves behind."""
+    folder = tmp_path_factory.mktemp("docs")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        return folder, run(0, folder)
+
+
+def test_there_are_four_examples() -> None:
+    assert len(EXAMPLES) == 4
+
+
+def test_a_frame_is_rendered(first: tuple[Path, dict[str, Any]]) -> None:
+    folder, names = first
+    picture = np.asarray(Image.open(folder / "frame.png"))
+    assert picture.shape == (*names["packed"].shape[1:], 3)
+    assert np.percentile(picture, 5) < 60 < 120 < np.percentile(picture, 95) < 255  # neither black nor blown
+
+
+def test_curves_are_read(first: tuple[Path, dict[str, Any]], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    np.savetxt("CRF_SonyA7S2_5.txt", [curve.brightness[0] for curve in family()[:3]])
+    np.savetxt("mine.txt", np.transpose([GRID, family()[5].brightness[0]]))
+    run(1, tmp_path, {name: first[1][name] for name in ("Rendering", "frame")})
+
+
+def test_a_curve_is_measured(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+
+    def write(name: str, labels: tuple[str, str, str], model: CurveModel) -> None:
+        write_emor(tmp_path / name, labels, model.grid, model.mean, *model.components)
+
+    write("emor.txt", ("E", "f0", "h"), RESPONSES)
+    write("invemor.txt", ("B", "g0", "hinv"), INVERSES)
+    truths = [in_model(INVERSES, number) for number in (2, 5, 10)]
+    irradiance = np.linspace(0.01, 0.99, 50)
+    names: dict[str, Any] = {
+        "images": exposures(truths),
+        "exposures_s": TIMES_S,
+        "irradiance": irradiance,
+        "brightness": irradiance**0.5,
+    }
+    run(2, tmp_path, names)
+    measured = read_response_table("mine.txt")
+    for channel, truth in enumerate(truths):
+        expected = np.interp(measured.irradiance[channel], truth.irradiance[0], truth.brightness[0])
+        assert np.abs(measured.brightness[channel] - expected).max() < 0.5 / 255
+
+
+def test_training_pairs_are_made(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "data" / "SID" / "Sony").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path)
+    assert len(run(3, tmp_path)["pairs"]) == 1865

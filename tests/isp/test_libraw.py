@@ -1,0 +1,98 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import rawpy
+
+from eldata.errors import ArgumentError, RawFileError
+from eldata.isp.libraw import render_libraw, sixteen_to_eight_bits
+from eldata.raw.dng import write_dng
+from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, make_sensor, random_mosaic
+
+if TYPE_CHECKING:
+    from pathlib import Path
+    from typing import Any
+
+    from tests.raw.helpers import Cfa
+
+
+def written(path: Path, cfa: Cfa = BAYER["RGGB"], height: int = 60, width: int = 64, **fields: Any) -> Path:
+    sensor = make_sensor(cfa, height, width, black_level_dn=(512.0,) * (4 if len(cfa) == 2 else 3), **fields)
+    write_dng(path, random_mosaic(height, width), sensor, EXPOSURE)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("cfa", "height", "width"), [*((cfa, 60, 64) for cfa in BAYER.values()), (XTRANS["xtrans-15"], 516, 520)]
+)
+def test_it_is_the_published_call(cfa: Cfa, height: int, width: int, tmp_path: Path) -> None:
+    path = written(tmp_path / "frame.dng", cfa, height, width)
+    with rawpy.imread(str(path)) as raw:
+        theirs = raw.postprocess(use_camera_wb=True, half_size=False, no_auto_bright=True, output_bps=16)
+    sixteen, eight = render_libraw(path, bits=16), render_libraw(str(path))
+    assert sixteen.shape == (height, width, 3)
+    assert [str(image.dtype) for image in (sixteen, eight)] == ["uint16", "uint8"]
+    np.testing.assert_array_equal(sixteen, theirs)
+    # The published code's way to 8 bits: share of the range, times 255, to the nearest.
+    np.testing.assert_array_equal(eight, np.rint(np.float32(theirs / 65535.0) * 255.0))
+    assert np.unique(eight).size > 100
+
+
+def test_eight_bits_are_the_nearest_of_every_value() -> None:
+    values = np.arange(65536, dtype=np.uint16)
+    np.testing.assert_array_equal(sixteen_to_eight_bits(values), np.rint(255 * values.astype(np.float64) / 65535))
+
+
+def test_a_truncated_file_is_refused(tmp_path: Path) -> None:
+    path = written(tmp_path / "frame.dng")
+    path.write_bytes(path.read_bytes()[:-3000])
+    with pytest.raises(RawFileError, match=r"frame\.dng: .*truncated"):
+        render_libraw(path)
+
+
+@pytest.mark.parametrize(
+    ("field", "words"), [("white_balance", "no as-shot white balance"), ("xyz_to_camera", "no colour matrix")]
+)
+def test_a_file_without_colour_is_refused(field: str, words: str, tmp_path: Path) -> None:
+    fields: dict[str, Any] = {field: None}
+    path = written(tmp_path / "frame.dng", **fields)
+    with pytest.raises(RawFileError, match=words):
+        render_libraw(path)
+
+
+def test_what_is_no_raw_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "notes.dng"
+    path.write_text("not a picture " * 100)
+    with pytest.raises(RawFileError, match=r"notes\.dng"):
+        render_libraw(path)
+
+
+def test_x_trans_that_libraw_cannot_demosaic_is_named(tmp_path: Path) -> None:
+    path = written(tmp_path / "small.dng", XTRANS["xtrans-00"], 510, 516)
+    with pytest.raises(RawFileError, match="510 x 516 pixels: LibRaw demosaics no X-Trans"):
+        render_libraw(path)
+
+
+def test_other_depths_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ArgumentError, match="bits must be 8 or 16; found 12"):
+        render_libraw(written(tmp_path / "frame.dng"), bits=12)  # type: ignore[call-overload]
+
+
+def test_a_forked_child_renders_after_its_parent(tmp_path: Path) -> None:
+    """LibRaw's OpenMP threads do not survive a fork; a child that waits for them would never end."""
+    path = written(tmp_path / "frame.dng")
+    script = (
+        "import os, sys\n"
+        "from eldata.isp.libraw import render_libraw\n"
+        "first = render_libraw(sys.argv[1])\n"
+        "child = os.fork()\n"
+        "if child == 0:\n"
+        "    os._exit(0 if (render_libraw(sys.argv[1]) == first).all() else 3)\n"
+        "sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script, str(path)], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (0, "")

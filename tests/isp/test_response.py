@@ -1,0 +1,121 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from scipy.interpolate import interp1d
+
+from eldata.errors import ArgumentError
+from eldata.isp.response import ResponseCurve
+from tests.isp.curves import GRID, family
+
+UNEVEN = np.array([0.0, 0.1, 0.15, 0.6, 1.0])
+THREE = ResponseCurve(
+    np.broadcast_to(UNEVEN, (3, 5)),
+    np.array([[0, 0.3, 0.5, 0.8, 1], [0, 0.2, 0.2, 0.9, 1], [0, 0.0, 0.4, 1.0, 1]]),
+    "uneven",
+)
+
+
+def image(*leading: int, low: float = 0.0, high: float = 1.0) -> torch.Tensor:
+    return torch.from_numpy(np.random.default_rng(0).uniform(low, high, (*leading, 3, 6, 5)))
+
+
+@pytest.mark.parametrize("leading", [(), (2,), (2, 3)])
+def test_interpolation_is_that_of_scipy(leading: tuple[int, ...]) -> None:
+    values = image(*leading)
+    result = THREE(values).numpy()
+    for channel in range(3):
+        expected = interp1d(THREE.irradiance[channel], THREE.brightness[channel])(values[..., channel, :, :])
+        np.testing.assert_allclose(result[..., channel, :, :], expected, atol=1e-14)
+
+
+def test_one_curve_serves_any_shape() -> None:
+    curve = family()[3]
+    values = torch.linspace(0, 1, 777, dtype=torch.float64)
+    np.testing.assert_allclose(curve(values), np.interp(values, GRID, curve.brightness[0]), atol=1e-14)
+    np.testing.assert_allclose(curve(image()), np.interp(image(), GRID, curve.brightness[0]), atol=1e-14)
+
+
+def test_points_and_ends_are_met_and_the_outside_is_clipped() -> None:
+    values = torch.from_numpy(np.tile(UNEVEN[:, None, None, None], (1, 3, 1, 1)))
+    np.testing.assert_allclose(THREE(values)[:, :, 0, 0], THREE.brightness.T, atol=1e-15)
+    outside = torch.tensor([-3.0, 0.0, 1.0, 7.0]).view(4, 1, 1, 1).expand(4, 3, 1, 1)
+    assert THREE(outside)[:, :, 0, 0].tolist() == [[0.0] * 3, [0.0] * 3, [1.0] * 3, [1.0] * 3]
+
+
+def test_the_inverse_undoes_the_curve() -> None:
+    for curve in family():
+        values = image()
+        torch.testing.assert_close(curve.inverse(curve(values)), values, atol=1e-12, rtol=0)
+
+
+def test_flat_stretches_have_the_least_inverse() -> None:
+    brightness = image(4)
+    brightness[0] = torch.tensor([0.3, 0.2, 0.0], dtype=torch.float64).view(3, 1, 1)
+    irradiance = THREE.inverse(brightness)
+    torch.testing.assert_close(THREE(irradiance), brightness, atol=1e-12, rtol=0)
+    np.testing.assert_allclose(irradiance[0, :, 0, 0], [0.1, 0.1, 0.0], atol=1e-12)
+    assert THREE.inverse(torch.ones(3, 1, 1, dtype=torch.float64)).flatten().tolist() == [1.0, 1.0, 0.6]
+
+
+def test_gradients() -> None:
+    # 0.01 away from the points, where the slope jumps.
+    values = image(low=0.16, high=0.59).requires_grad_()
+    assert torch.autograd.gradcheck(THREE, (values,))
+    assert torch.autograd.gradcheck(THREE.inverse, (image(low=0.51, high=0.79).requires_grad_(),))
+
+
+def test_gradients_are_finite_everywhere() -> None:
+    values = torch.from_numpy(np.tile(np.array([-1.0, 0.0, 0.1, 0.15, 0.6, 1.0, 2.0]), (3, 1))[..., None])
+    for function in (THREE, THREE.inverse):
+        leaf = values.clone().requires_grad_()
+        (gradient,) = torch.autograd.grad(function(leaf).sum(), leaf)
+        assert gradient.isfinite().all()
+
+
+def test_a_curve_on_a_grid() -> None:
+    on_grid = THREE.on_grid(21)  # steps of 0.05: every point of the curve is one of it
+    np.testing.assert_allclose(on_grid.irradiance, np.tile(np.linspace(0, 1, 21), (3, 1)))
+    torch.testing.assert_close(on_grid(image()), THREE(image()), atol=1e-12, rtol=0)
+    with pytest.raises(ArgumentError, match="2 or more points"):
+        THREE.on_grid(1)
+
+
+def test_ends_with_few_digits_are_set() -> None:
+    curve = ResponseCurve(np.array([0.0, 0.5, 0.99999]), np.array([1e-6, 0.7, 1.00001]))
+    assert (curve.irradiance[0, -1], curve.brightness[0, 0], curve.brightness[0, -1]) == (1, 0, 1)
+
+
+@pytest.mark.parametrize(
+    ("irradiance", "brightness", "words"),
+    [
+        ([0, 0.5, 0.5, 1], [0, 0.2, 0.4, 1], "irradiance must rise from point to point; point 3 has 0.5 after 0.5"),
+        ([0, 0.2, 0.5, 1], [0, 0.4, 0.2, 1], "brightness must never fall; point 3 has 0.2 after 0.4"),
+        ([0, 0.5, 0.9], [0, 0.5, 1], "irradiance must go from 0 to 1"),
+        ([0, 0.5, 1], [0.1, 0.5, 1], "brightness must go from 0 to 1"),
+        ([0, np.nan, 1], [0, 0.5, 1], "NaN"),
+        ([0], [0], "2 or more points"),
+        ([], [], "2 or more points"),
+        ([0, 1], [0, 0.5, 1], "2 or more points"),
+        ([[0, 1]] * 2, [[0, 1]] * 2, "2 or more points"),
+    ],
+)
+def test_what_is_no_response_is_refused(irradiance: list[float], brightness: list[float], words: str) -> None:
+    with pytest.raises(ArgumentError, match=f"^mine: .*{words}"):
+        ResponseCurve(np.array(irradiance), np.array(brightness), "mine")
+
+
+def test_three_curves_need_three_channels() -> None:
+    for shape in ((4, 6, 5), (3,), (3, 6)):
+        with pytest.raises(ArgumentError, match=r"expected an image \(\.\.\., 3, h, w\)"):
+            THREE(torch.zeros(shape))
+
+
+def test_the_arrays_are_its_own() -> None:
+    brightness = GRID.copy()
+    curve = ResponseCurve(GRID, brightness)
+    brightness[:] = 0.5
+    assert curve.brightness[0, -1] == 1
+    with pytest.raises(ValueError, match="read-only"):
+        curve.brightness[0, 0] = 1

@@ -1,0 +1,164 @@
+"""The steps against the same formulas in plain float64 numpy, and their gradients against finite differences."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import torch
+
+from eldata.errors import ArgumentError
+from eldata.isp.steps import (
+    bin_colours,
+    colour_matrix,
+    gamma_curve,
+    round_to_8_bits,
+    truncate_to_8_bits,
+    white_balance,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+# Which of R, G, B each packed channel shows (the SID code's order for nine).
+COLOURS = {4: [0, 1, 2, 1], 9: [0, 1, 2, 0, 2, 1, 1, 1, 1]}
+MULTIPLIERS = torch.tensor([2.0, 1.0, 1.5, 1.25], dtype=torch.float64)
+MATRIX = torch.tensor([[1.6, -0.5, -0.1], [-0.2, 1.5, -0.3], [0.0, -0.6, 1.6]], dtype=torch.float64)
+LEADING = [(), (2,), (2, 3)]
+
+
+def packed_data(channels: int, leading: tuple[int, ...] = (), seed: int = 0) -> torch.Tensor:
+    values = np.random.default_rng(seed).uniform(0.05, 0.45, (*leading, channels, 3, 4))
+    return torch.from_numpy(values)
+
+
+@pytest.mark.parametrize("leading", LEADING)
+@pytest.mark.parametrize("channels", [4, 9])
+def test_white_balance(channels: int, leading: tuple[int, ...]) -> None:
+    packed = packed_data(channels, leading)
+    factors = [2.0, 1.0, 1.5, 1.25] if channels == 4 else [[2.0, 1.0, 1.5][colour] for colour in COLOURS[9]]
+    expected = packed.numpy() * np.array(factors)[:, None, None]
+    np.testing.assert_allclose(white_balance(packed, MULTIPLIERS).numpy(), expected, rtol=1e-15)
+
+
+@pytest.mark.parametrize("leading", LEADING)
+@pytest.mark.parametrize("channels", [4, 9])
+def test_binning_averages_the_channels_of_a_colour(channels: int, leading: tuple[int, ...]) -> None:
+    packed = packed_data(channels, leading)
+    colours = np.array(COLOURS[channels])
+    expected = np.stack([packed.numpy()[..., colours == colour, :, :].mean(axis=-3) for colour in range(3)], axis=-3)
+    np.testing.assert_allclose(bin_colours(packed).numpy(), expected, rtol=1e-14)
+
+
+@pytest.mark.parametrize("leading", LEADING)
+def test_colour_matrix(leading: tuple[int, ...]) -> None:
+    rgb = packed_data(4, leading)[..., :3, :, :]
+    pixels = np.moveaxis(rgb.numpy(), -3, -1) @ MATRIX.numpy().T
+    np.testing.assert_allclose(colour_matrix(rgb, MATRIX).numpy(), np.moveaxis(pixels, -1, -3), rtol=1e-13, atol=1e-15)
+
+
+def test_a_batch_may_have_numbers_of_its_own() -> None:
+    packed = packed_data(4, (2, 3))
+    multipliers = torch.stack([MULTIPLIERS, MULTIPLIERS.flip(0)])
+    matrices = torch.stack([MATRIX, torch.eye(3, dtype=torch.float64)])
+    balanced, coloured = white_balance(packed, multipliers), colour_matrix(packed[..., :3, :, :], matrices)
+    for item in range(2):
+        torch.testing.assert_close(balanced[item], white_balance(packed[item], multipliers[item]))
+        torch.testing.assert_close(coloured[item], colour_matrix(packed[item, :, :3], matrices[item]))
+
+
+@pytest.mark.parametrize("exponent", [1.8, 2.2])
+def test_gamma_curve(exponent: float) -> None:
+    linear = torch.linspace(0, 1, 1001, dtype=torch.float64)
+    expected = np.maximum(linear.numpy(), 1e-8) ** (1 / exponent)
+    np.testing.assert_allclose(gamma_curve(linear, exponent).numpy(), expected, rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda packed: white_balance(packed, MULTIPLIERS),
+        bin_colours,
+        lambda packed: colour_matrix(packed[:, :3], MATRIX),
+        gamma_curve,
+    ],
+    ids=["white_balance", "bin_colours", "colour_matrix", "gamma_curve"],
+)
+@pytest.mark.parametrize("channels", [4, 9])
+def test_gradients(channels: int, function: Callable[[torch.Tensor], torch.Tensor]) -> None:
+    assert torch.autograd.gradcheck(function, (packed_data(channels, (2,)).requires_grad_(),))
+
+
+def test_the_slope_of_gamma_at_black_is_finite() -> None:
+    linear = torch.tensor([0.0, -1.0, 1e-9, 1e-8, 0.5], dtype=torch.float64, requires_grad=True)
+    (gradient,) = torch.autograd.grad(gamma_curve(linear).sum(), linear)
+    assert gradient.isfinite().all()
+    assert gradient[:3].tolist() == [0, 0, 0]
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float32, torch.float64])
+def test_dtype_and_device_stay(dtype: torch.dtype) -> None:
+    packed = packed_data(4).to(dtype)
+    for result in (white_balance(packed, MULTIPLIERS), bin_colours(packed), gamma_curve(packed)):
+        assert (result.dtype, result.device) == (dtype, packed.device)
+    # "meta" is a device without values: a constant left on the CPU would be refused.
+    assert colour_matrix(bin_colours(white_balance(packed.to("meta"), MULTIPLIERS)), MATRIX).device.type == "meta"
+
+
+# --- 8 bits -------------------------------------------------------------------------------------------------------
+
+
+def test_truncation_is_that_of_the_eld_code() -> None:
+    image = torch.from_numpy(np.random.default_rng(0).uniform(-0.1, 1.1, (3, 100, 100)).astype(np.float32))
+    expected = torch.clamp((image * 255).int(), min=0, max=255)
+    assert (truncate_to_8_bits(image).int() == expected).all()
+
+
+@pytest.mark.parametrize(
+    ("value", "truncated", "rounded"),
+    [
+        *((0.0, 0, 0), (0.5, 127, 128), (1.9 / 255, 1, 2), (254.9 / 255, 254, 255), (1.0, 255, 255)),
+        *((3.0, 255, 255), (-1.0, 0, 0), (1 - 2e-16, 255, 255)),
+    ],
+)
+def test_eight_bits(value: float, truncated: int, rounded: int) -> None:
+    image = torch.full((3, 1, 1), value, dtype=torch.float64)
+    assert truncate_to_8_bits(image).flatten().tolist() == [truncated] * 3
+    assert round_to_8_bits(image).flatten().tolist() == [rounded] * 3
+
+
+@pytest.mark.parametrize("function", [truncate_to_8_bits, round_to_8_bits])
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_what_is_no_number_has_no_code(function: Callable[[torch.Tensor], torch.Tensor], value: float) -> None:
+    with pytest.raises(ArgumentError, match="NaN or infinities"):
+        function(torch.tensor([0.5, value]))
+
+
+# --- refusals -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("shape", [(3, 5, 6), (4, 5), (12, 5, 6), (2, 8, 5, 6)])
+def test_what_is_not_packed_is_refused(shape: tuple[int, ...]) -> None:
+    with pytest.raises(ArgumentError, match=r"\(\.\.\., 4, h, w\)"):
+        bin_colours(torch.zeros(shape))
+    with pytest.raises(ArgumentError, match=r"\(\.\.\., 4, h, w\)"):
+        white_balance(torch.zeros(shape), MULTIPLIERS)
+
+
+def test_integers_are_refused() -> None:
+    with pytest.raises(ArgumentError, match="floating-point"):
+        bin_colours(torch.zeros(4, 5, 6, dtype=torch.int32))
+
+
+@pytest.mark.parametrize("shape", [(3,), (3, 4), (1, 2, 4)])
+def test_other_numbers_of_multipliers_are_refused(shape: tuple[int, ...]) -> None:
+    with pytest.raises(ArgumentError, match="multipliers must have shape"):
+        white_balance(torch.zeros(2, 4, 5, 6), torch.ones(shape))
+
+
+def test_other_matrices_are_refused() -> None:
+    with pytest.raises(ArgumentError, match="colour matrix must have shape"):
+        colour_matrix(torch.zeros(3, 5, 6), torch.ones(3, 4))
+    with pytest.raises(ArgumentError, match=r"\(\.\.\., 3, h, w\)"):
+        colour_matrix(torch.zeros(4, 5, 6), torch.ones(3, 3))

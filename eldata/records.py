@@ -105,12 +105,16 @@ class RawHeader:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RawFrame:
-    """One decoded raw frame: ``mosaic`` is (H, W) uint16 in DN, the visible area, black level not subtracted."""
+    """One decoded raw frame: ``mosaic`` is (H, W) uint16 in DN, the visible area, black level not subtracted.
+
+    ``channel_white_levels_dn``: LibRaw's own white level per CFA channel, where it has one; protocols may ask for it.
+    """
 
     path: Path
     mosaic: NDArray[np.uint16] = field(repr=False)
     sensor: Sensor
     exposure: Exposure
+    channel_white_levels_dn: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)

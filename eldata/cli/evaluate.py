@@ -2,21 +2,36 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.console import OK, PROBLEMS, add_cameras, add_debug, add_jobs, add_json, add_root
+from eldata.console import (
+    OK,
+    PROBLEMS,
+    add_cameras,
+    add_debug,
+    add_json,
+    add_root,
+    add_workers,
+    chosen_executor,
+)
 from eldata.errors import ArgumentError
+from eldata.reports.evaluation_tables import FORMATS
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Sequence
+    from concurrent.futures import Executor
 
+    from eldata.evaluation.combined import CombinedResult
     from eldata.evaluation.results import EvaluationResult
     from eldata.evaluation.video_results import VideoResult
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add this command."""
-    from eldata.protocols import PROTOCOLS
+    from eldata.protocols.named import FAMILIES, PROTOCOLS
     from eldata.video_protocols import VIDEO_PROTOCOLS
 
     parser = commands.add_parser(
@@ -26,17 +41,28 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
             "Score predictions under a named protocol and print the paper's table. The prediction of "
             "CAMERA/scene-1/IMG_0004.ARW is PREDS/CAMERA/scene-1/IMG_0004.EXT with EXT one of npy, npz, h5, tif, "
             "png (16 bit), dng: packed (C, h, w) or mosaic (H, W), float in [0, 1] or uint16 with 65535 = 1.0 (dng: "
-            "raw DN). Of clips (drv) it is PREDS/CLIP/FRAME.EXT for five frames of each."
+            "raw DN). Under a protocol of sRGB it is a rendering: an RGB PNG of 8 or 16 bits. Of clips (drv) it is "
+            "PREDS/CLIP/FRAME.EXT for five frames of each."
         ),
     )
-    parser.add_argument("predictions", metavar="PREDS", help="folder of predictions")
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("predictions", metavar="PREDS", nargs="?", help="folder of predictions")
+    source.add_argument(
+        "--baseline",
+        choices=("input",),
+        help="in place of PREDS: score the noisy input itself, as the protocol has it",
+    )
     which = parser.add_mutually_exclusive_group(required=True)
     which.add_argument("--dataset", metavar="N", help="name of a dataset that eldata knows, such as eld")
     which.add_argument("--manifest", metavar="FILE", help="manifest of a set of your own, in a known layout")
     parser.add_argument(
         "--protocol",
-        choices=(*PROTOCOLS, *VIDEO_PROTOCOLS),
-        help="how to score (default: the dataset's own, such as eld or sid)",
+        metavar="P",
+        help=(
+            f"how to score: {', '.join((*PROTOCOLS, *FAMILIES, *VIDEO_PROTOCOLS))}; a TOML file of your own; or all, "
+            "those for the dataset in one pass (default: the dataset's own, such as eld or sid). eldata protocols "
+            "shows what each fixes"
+        ),
     )
     parser.add_argument(
         "--subset",
@@ -65,22 +91,63 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         action="store_true",
         help="score the rest if predictions are missing; the table says so",
     )
-    add_jobs(parser)
+    add_workers(parser)
     parser.add_argument("--csv", metavar="FILE", help="write the score of each image to FILE")
+    parser.add_argument("--format", choices=FORMATS, default="text", help="how to print the table (default: text)")
+    parser.add_argument("--html", metavar="FILE", help="write a page with plots, pictures and intervals to FILE")
     add_json(parser)
+    parser.add_argument(
+        "--compare", action="store_true", help="show the result among the published numbers that compare with it"
+    )
     add_debug(parser)
     parser.set_defaults(run=run, command="evaluate")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
-    result = _of_clips(arguments) if _is_of_clips(arguments) else _of_images(arguments)
-    print(result.format_text())
+    from eldata.evaluation.video_results import VideoResult
+
+    of_clips = _is_of_clips(arguments)
+    if of_clips and (arguments.html or arguments.format != "text"):
+        raise ArgumentError("--html and --format are for datasets of images")
+    with chosen_executor(arguments) as executor:
+        result = _of_clips(arguments, executor) if of_clips else _of_images(arguments, executor)
+    if isinstance(result, VideoResult) or arguments.format == "text" or not result.scored:
+        print(result.format_text())
+    else:
+        from eldata.reports.evaluation_tables import format_evaluations
+
+        for problem in result.problems:
+            print(f"eldata evaluate: {problem}", file=sys.stderr)
+        print(format_evaluations(_each(result), arguments.format))
+    if arguments.compare and result.scored:
+        from eldata.evaluation.published import comparison_table
+
+        for one in (result,) if isinstance(result, VideoResult) else _each(result):
+            print(f"\n{comparison_table(one)}")
     if arguments.json:
         result.write_json(arguments.json)
     if arguments.csv:
         result.write_csv(arguments.csv)
+    if arguments.html and not isinstance(result, VideoResult):
+        _write_page(_each(result), arguments)
     return OK if result.scored and not result.problems else PROBLEMS
+
+
+def _each(result: EvaluationResult | CombinedResult) -> tuple[EvaluationResult, ...]:
+    from eldata.evaluation.combined import CombinedResult
+
+    return result.results if isinstance(result, CombinedResult) else (result,)
+
+
+def _write_page(results: Sequence[EvaluationResult], arguments: argparse.Namespace) -> None:
+    from eldata.manifest.catalogue import load_manifest, shipped_manifest
+    from eldata.reports.evaluation_page import write_evaluation_page
+
+    manifest = load_manifest(arguments.manifest) if arguments.manifest else shipped_manifest(arguments.dataset)
+    predictions = Path(arguments.predictions) if arguments.predictions else None
+    folder = manifest.folder(arguments.root)
+    write_evaluation_page(results, arguments.html, dataset_folder=folder, predictions=predictions)
 
 
 def _is_of_clips(arguments: argparse.Namespace) -> bool:
@@ -91,11 +158,26 @@ def _is_of_clips(arguments: argparse.Namespace) -> bool:
     return default_video_protocol(name) is not None
 
 
-def _of_images(arguments: argparse.Namespace) -> EvaluationResult:
-    from eldata.evaluation.evaluate import evaluate
+def _of_images(arguments: argparse.Namespace, executor: Executor | None) -> EvaluationResult | CombinedResult:
+    from eldata.evaluation.evaluate import ALL, evaluate, evaluate_all
 
     if arguments.clips:
         raise ArgumentError("--clip is for datasets of clips, such as drv")
+    if arguments.protocol == ALL:
+        if arguments.subset is not None:
+            raise ArgumentError("--protocol all scores each protocol's own pairs; leave --subset out")
+        return evaluate_all(
+            arguments.predictions,
+            arguments.dataset or "",
+            root=arguments.root,
+            manifest=arguments.manifest,
+            cameras=arguments.cameras,
+            exclude_flags=arguments.exclude_flags,
+            allow_missing=arguments.allow_missing,
+            baseline=arguments.baseline,
+            jobs=arguments.jobs,
+            executor=executor,
+        )
     return evaluate(
         arguments.predictions,
         arguments.dataset or "",
@@ -106,15 +188,19 @@ def _of_images(arguments: argparse.Namespace) -> EvaluationResult:
         subset=arguments.subset,
         exclude_flags=arguments.exclude_flags,
         allow_missing=arguments.allow_missing,
+        baseline=arguments.baseline,
         jobs=arguments.jobs,
+        executor=executor,
     )
 
 
-def _of_clips(arguments: argparse.Namespace) -> VideoResult:
+def _of_clips(arguments: argparse.Namespace, executor: Executor | None) -> VideoResult:
     from eldata.evaluation.video import evaluate_video
 
     if arguments.cameras or arguments.exclude_flags:
         raise ArgumentError("--camera and --exclude are for datasets of images; choose clips with --subset or --clip")
+    if arguments.baseline:
+        raise ArgumentError("--baseline is for datasets of images")
     return evaluate_video(
         arguments.predictions,
         arguments.dataset or "",
@@ -125,4 +211,5 @@ def _of_clips(arguments: argparse.Namespace) -> VideoResult:
         ids=arguments.clips,
         allow_missing=arguments.allow_missing,
         jobs=arguments.jobs,
+        executor=executor,
     )

@@ -1,46 +1,56 @@
-"""The evaluation: check the dataset, find the predictions, score each pair under a protocol."""
+"""The evaluation: check the dataset, find the predictions, score each pair under one protocol or under all."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
-from eldata.errors import ArgumentError, DatasetError, PredictionError
-from eldata.evaluation.common import EvaluationProblem, file_problems, software
-from eldata.evaluation.predictions import FoundPredictions, find_predictions, load_prediction
-from eldata.evaluation.results import EvaluationResult, ImageScore
-from eldata.files import inside
+from eldata.errors import ArgumentError, DatasetError, ManifestError, PredictionError
+from eldata.evaluation.combined import CombinedResult, NotScored
+from eldata.evaluation.common import file_problems, software
+from eldata.evaluation.planning import is_own, make_plan
+from eldata.evaluation.predictions import find_predictions, prediction_space
+from eldata.evaluation.results import EvaluationResult
+from eldata.evaluation.scoring import score_plans
 from eldata.manifest.catalogue import Manifest, load_manifest, shipped_manifest
-from eldata.manifest.pairs import select_pairs
-from eldata.manifest.subsets import find_subset
 from eldata.manifest.verify import check_files
-from eldata.parallel import run_units
-from eldata.protocols import Protocol, default_protocol, get_protocol
+from eldata.protocols.choosing import default_protocol, get_protocol, members_of, protocols_for
+from eldata.protocols.protocol import Protocol
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
+    from concurrent.futures import Executor
 
-    from eldata.manifest.subsets import Subset
+    from eldata.evaluation.planning import Plan
+    from eldata.evaluation.predictions import FoundPredictions
+    from eldata.evaluation.results import ImageScore
+    from eldata.evaluation.scoring import PlanScores
     from eldata.records import PairRecord
+
+Baseline = Literal["input"]
+
+ALL = "all"
+"""In place of a protocol's name: every one that is for the dataset (:func:`evaluate_all`)."""
 
 # A factor beyond these hides a prediction of another scale: the score says nothing of it.
 _USUAL_RESCALE = (1 / 3, 3.0)
 
 
 def evaluate(
-    predictions: Path | str,
+    predictions: Path | str | None,
     dataset: str = "eld",
     *,
-    protocol: str | None = None,
+    protocol: str | Path | Protocol | None = None,
     root: Path | str | None = None,
     manifest: Path | str | None = None,
     cameras: Collection[str] | None = None,
     subset: str | None = None,
     exclude_flags: Collection[str] = (),
     allow_missing: bool = False,
+    baseline: Baseline | None = None,
     jobs: int = 1,
+    executor: Executor | None = None,
 ) -> EvaluationResult:
     """Score a folder of predictions under a named protocol.
 
@@ -50,25 +60,32 @@ def evaluate(
     Parameters
     ----------
     predictions
-        Folder of predictions (:mod:`eldata.evaluation.predictions`).
+        Folder of predictions (:mod:`eldata.evaluation.predictions`); ``None`` for a baseline.
     dataset
         Name of a shipped manifest.
     protocol
-        Name of a protocol (:mod:`eldata.protocols`). Default: the dataset's own, ``eld`` or ``sid``.
+        Name of a protocol (:mod:`eldata.protocols`) or of a family, such as ``pmn``; the path of a TOML file; or a
+        protocol. Default: the dataset's own, ``eld`` or ``sid``.
     root
         The folder that holds the datasets; default ``$ELDATA_ROOT``, else ``./data``.
     manifest
-        A manifest's CSV file, in place of ``dataset``: your own set, in the layout of a known one.
+        A manifest's CSV file, in place of ``dataset``: your own set. Any protocol may score it, on the set's own pairs:
+        those at the protocol's factors if it has every one of them, else all.
     cameras
         Score these cameras' pairs alone; the result says so.
     subset
-        Name of a subset on the dataset's card (:mod:`eldata.manifest.subsets`). Default: the first there, if any.
+        Name of a subset on the dataset's card (:mod:`eldata.manifest.subsets`). Default: the protocol's, else the first
+        on the card, if any.
     exclude_flags
         Leave out pairs that the manifest flags so, such as ``["misaligned"]``; the result says how many.
     allow_missing
         Score what is there although predictions are missing or unusable; the table shows the coverage.
+    baseline
+        ``"input"``: score the noisy input itself, amplified and clipped as the protocol has it.
     jobs
         Number of worker processes. Scores do not depend on it.
+    executor
+        Runs the scoring in place of processes of our own (:mod:`eldata.parallel`); the files are checked from here.
 
     Returns
     -------
@@ -84,49 +101,223 @@ def evaluate(
     ManifestError, ArgumentError
         If the manifest is malformed, or a name is unknown.
     """
-    named_protocol = None if protocol is None else get_protocol(protocol)
+    if protocol == ALL:
+        raise ArgumentError("evaluate() scores under one protocol; eldata.evaluation.evaluate_all() does under all")
+    known = _protocol(protocol, None) if _is_plain(protocol) else None  # a wrong name is said before files are read
     loaded = shipped_manifest(dataset) if manifest is None else load_manifest(manifest)
-    chosen_protocol = named_protocol or default_protocol(loaded.name)
-    if manifest is None and not chosen_protocol.covers(loaded.name):
-        raise ArgumentError(
-            f"protocol {chosen_protocol.name!r} is for dataset {chosen_protocol.dataset!r}, not {loaded.name!r}"
-        )
-    chosen_subset = _subset(loaded, subset)
-    choose = partial(select_pairs, loaded.records, cameras=cameras, ratios=chosen_protocol.ratios, subset=chosen_subset)
-    candidates, pairs = choose(), choose(exclude_flags=exclude_flags)
-    noisy_paths = [record.path for record in loaded.records if record.role == "noisy"]
-    found = find_predictions(Path(predictions), pairs, noisy_paths)
-    folder = loaded.folder(root)
-    _require_dataset(loaded, folder, pairs, jobs)
-
-    problems = file_problems(found, allow_missing=allow_missing)
-    scores: dict[str, ImageScore] = {}
-    if allow_missing or not problems:
-        scores, unusable = _score_all(folder, chosen_protocol, pairs, found, jobs)
-        problems += unusable
-        if problems and not allow_missing:
-            scores = {}
-    images = tuple(scores[pair.path] for pair in pairs if pair.path in scores)
-    return EvaluationResult(
-        protocol=chosen_protocol,
-        provenance={
-            **_provenance(loaded, chosen_protocol, predictions, cameras),
-            "subset": None if chosen_subset is None else chosen_subset.name,
-            "excluded_flags": {flag: sum(flag in pair.flags for pair in candidates) for flag in exclude_flags},
-        },
-        pairs=pairs,
-        images=images,
-        missing=tuple(pair.path for pair in pairs if pair.path not in scores),
-        problems=tuple(problems),
-        notes=tuple(_notes(found, images)),
+    chosen = known or _protocol(protocol, loaded)
+    plan = make_plan(loaded, chosen, cameras=cameras, subset=subset, exclude_flags=exclude_flags)
+    ((result, _),) = _evaluate(
+        loaded,
+        [plan],
+        predictions,
+        root=root,
+        cameras=cameras,
+        allow_missing=allow_missing,
+        baseline=baseline,
+        jobs=jobs,
+        executor=executor,
     )
+    return result
 
 
-def _subset(manifest: Manifest, name: str | None) -> Subset | None:
-    subsets = manifest.card.subsets
-    if name is not None:
-        return find_subset(subsets, name)
-    return subsets[0] if subsets else None
+def evaluate_all(
+    predictions: Path | str | None,
+    dataset: str = "eld",
+    *,
+    root: Path | str | None = None,
+    manifest: Path | str | None = None,
+    cameras: Collection[str] | None = None,
+    exclude_flags: Collection[str] = (),
+    allow_missing: bool = False,
+    baseline: Baseline | None = None,
+    jobs: int = 1,
+    executor: Executor | None = None,
+) -> CombinedResult:
+    """Score a folder of predictions under every protocol for the dataset, in one pass over the files.
+
+    Each protocol scores its own pairs, and each result equals that of :func:`evaluate`. Protocols of sRGB are scored if
+    the predictions are renderings, the others if they are raw. A set of your own is scored once for each way to score.
+
+    Parameters
+    ----------
+    predictions, dataset, root, manifest, cameras, exclude_flags, allow_missing, baseline, jobs, executor
+        As for :func:`evaluate`.
+
+    Returns
+    -------
+    CombinedResult
+        One :class:`EvaluationResult` a protocol, and the protocols that could not be scored, with why.
+
+    Raises
+    ------
+    EldataError, DatasetError, ManifestError, ArgumentError
+        As :func:`evaluate`; or if no protocol can be scored.
+    """
+    loaded = shipped_manifest(dataset) if manifest is None else load_manifest(manifest)
+    if predictions is not None and not Path(predictions).is_dir():
+        find_predictions(Path(predictions), [], [])  # says so
+    candidates = protocols_for(loaded.name)
+    if is_own(loaded):
+        ways: dict[str, Protocol] = {}
+        for protocol in candidates:
+            ways.setdefault(protocol.scoring_digest, protocol)
+        candidates = tuple(ways.values())
+    plans: list[Plan] = []
+    left_out: list[NotScored] = []
+    for protocol in candidates:
+        try:
+            plans.append(make_plan(loaded, protocol, cameras=cameras, subset=None, exclude_flags=exclude_flags))
+        except (ArgumentError, ManifestError) as error:
+            left_out.append(NotScored(protocol.name, str(error)))
+    space = "raw" if predictions is None else _space(Path(predictions), plans, loaded)
+    what = "the input is raw" if predictions is None else f"the predictions are {'raw' if space == 'raw' else 'sRGB'}"
+    for plan in plans:
+        if plan.protocol.prediction_space != space:
+            wanted = "renderings in sRGB" if space == "raw" else "packed raw"
+            left_out.append(NotScored(plan.protocol.name, f"scores {wanted}; {what}"))
+    plans = [plan for plan in plans if plan.protocol.prediction_space == space]
+    if not plans:
+        raise ArgumentError(_none_left(loaded, left_out))
+    evaluated = _evaluate(
+        loaded,
+        plans,
+        predictions,
+        root=root,
+        cameras=cameras,
+        allow_missing=allow_missing,
+        baseline=baseline,
+        jobs=jobs,
+        executor=executor,
+    )
+    results = []
+    for result, scored in evaluated:
+        if scored.unfit and not scored.scores:
+            left_out.append(NotScored(result.protocol.name, str(scored.unfit[0])))
+        else:
+            results.append(result)
+    if not results:
+        raise ArgumentError(_none_left(loaded, left_out))
+    return CombinedResult(tuple(results), tuple(left_out))
+
+
+def _none_left(manifest: Manifest, left_out: Sequence[NotScored]) -> str:
+    reasons = "; ".join(f"{one.protocol}: {one.reason}" for one in left_out)
+    return f"no protocol can score {manifest.name!r} so: {reasons}"
+
+
+def _is_plain(protocol: str | Path | Protocol | None) -> bool:
+    """Return whether a protocol is known without the dataset: by its own name, by a file, or itself."""
+    from eldata.protocols.named import FAMILIES
+
+    return protocol is not None and protocol not in FAMILIES
+
+
+def _protocol(protocol: str | Path | Protocol | None, manifest: Manifest | None) -> Protocol:
+    if isinstance(protocol, Protocol):
+        protocol.check()
+        return protocol
+    if protocol is None:
+        return default_protocol("" if manifest is None else manifest.name)
+    if isinstance(protocol, Path):
+        from eldata.protocols.custom import load_protocol
+
+        return load_protocol(protocol)
+    if manifest is not None and is_own(manifest):
+        # A family's members differ in the choice of pairs, and a set of the user's own has its own.
+        members = members_of(protocol)
+        return next((member for member in members if member.covers(manifest.name)), members[0])
+    return get_protocol(protocol, None if manifest is None else manifest.name)
+
+
+def _space(predictions: Path, plans: Sequence[Plan], manifest: Manifest) -> str:
+    """Return whether a folder holds raw predictions or renderings, by the first that can be read."""
+    pairs = {pair.path: pair for plan in plans for pair in plan.pairs}
+    found = find_predictions(predictions, pairs.values(), _noisy_paths(manifest))
+    for file in found.files.values():
+        try:
+            return prediction_space(file)
+        except PredictionError:  # it will be among the problems
+            continue
+    return "raw"
+
+
+def _noisy_paths(manifest: Manifest) -> list[str]:
+    return [record.path for record in manifest.records if record.role == "noisy"]
+
+
+# --- one pass over the files ------------------------------------------------------------------------------------------
+
+
+def _evaluate(
+    manifest: Manifest,
+    plans: Sequence[Plan],
+    predictions: Path | str | None,
+    *,
+    root: Path | str | None,
+    cameras: Collection[str] | None,
+    allow_missing: bool,
+    baseline: Baseline | None,
+    jobs: int,
+    executor: Executor | None,
+) -> list[tuple[EvaluationResult, PlanScores]]:
+    """Return the result of each plan, and what scoring found beyond it."""
+    _check_source(plans, predictions, baseline)
+    found: list[FoundPredictions | None] = [None] * len(plans)
+    if predictions is not None:
+        known = _noisy_paths(manifest)
+        found = [find_predictions(Path(predictions), plan.pairs, known) for plan in plans]
+    folder = manifest.folder(root)
+    pairs = {pair.path: pair for plan in plans for pair in plan.pairs}
+    _require_dataset(manifest, folder, list(pairs.values()), jobs)
+
+    problems = [[] if one is None else file_problems(one, allow_missing=allow_missing) for one in found]
+    wanted = [allow_missing or not some for some in problems]
+    scored = score_plans(
+        folder,
+        [plan if want else replace(plan, pairs=()) for plan, want in zip(plans, wanted, strict=True)],
+        None if predictions is None else [one.files for one in found if one is not None],
+        jobs=jobs,
+        executor=executor,
+    )
+    source = str(predictions) if predictions is not None else f"none: the {baseline} itself"
+    provenance = _provenance(manifest, cameras, source)
+    results = []
+    for plan, one, already, new in zip(plans, found, problems, scored, strict=True):
+        new_problems = new.problems + new.unfit
+        complete = allow_missing or not (already or new_problems)
+        scores = new.scores if complete else {}
+        images = tuple(scores[pair.path] for pair in plan.pairs if pair.path in scores)
+        result = EvaluationResult(
+            protocol=plan.protocol,
+            provenance=provenance
+            | {
+                "protocol_digest": plan.protocol.digest,
+                "subset": plan.subset,
+                "ratios": plan.ratios,
+                "set_aside": list(plan.set_aside),
+                "excluded_flags": plan.excluded,
+            },
+            pairs=plan.pairs,
+            images=images,
+            missing=tuple(pair.path for pair in plan.pairs if pair.path not in scores),
+            problems=tuple(already + new_problems),
+            notes=tuple(_notes(plan, one, images, new)),
+        )
+        results.append((result, new))
+    return results
+
+
+def _check_source(plans: Sequence[Plan], predictions: Path | str | None, baseline: Baseline | None) -> None:
+    if baseline not in (None, "input"):
+        raise ArgumentError(f"baseline must be 'input'; found {baseline!r}")
+    if (predictions is None) == (baseline is None):
+        raise ArgumentError("give a folder of predictions or a baseline, and not both")
+    for plan in plans:
+        if baseline is not None and plan.protocol.prediction_space != "raw":
+            raise ArgumentError(
+                f"protocol {plan.protocol.name!r} scores renderings, so the raw input is no baseline of it"
+            )
 
 
 def _require_dataset(manifest: Manifest, folder: Path, pairs: Sequence[PairRecord], jobs: int) -> None:
@@ -143,10 +334,21 @@ def _require_dataset(manifest: Manifest, folder: Path, pairs: Sequence[PairRecor
         raise DatasetError(f"{folder}: the dataset is not what its manifest says: {problems[0]}{more}")
 
 
-def _notes(found: FoundPredictions, images: Sequence[ImageScore]) -> list[str]:
+def _notes(plan: Plan, found: FoundPredictions | None, images: Sequence[ImageScore], scored: PlanScores) -> list[str]:
     notes = []
-    if found.unscored:
+    if plan.set_aside:
+        factors = ", ".join(f"x{ratio:g}" for ratio in plan.ratios)
+        notes.append(
+            f"this set's own pairs are scored ({factors}), not those of the protocol: {', '.join(plan.set_aside)}"
+        )
+    if found is not None and found.unscored:
         notes.append(f"not scored, because this evaluation leaves their frames out: {found.unscored} predictions")
+    bare = [path for path in scored.without_channel_whites if any(image.path == path for image in images)]
+    if bare:
+        notes.append(
+            f"LibRaw has no white level per channel of the references of {len(bare)} pairs, such as that of {bare[0]}: "
+            "the file's one white level was taken"
+        )
     low, high = _USUAL_RESCALE
     odd = [image for image in images if not low <= image.rescale <= high]
     if odd:
@@ -160,82 +362,12 @@ def _notes(found: FoundPredictions, images: Sequence[ImageScore]) -> list[str]:
     return notes
 
 
-def _provenance(
-    manifest: Manifest, protocol: Protocol, predictions: Path | str, cameras: Collection[str] | None
-) -> dict[str, Any]:
+def _provenance(manifest: Manifest, cameras: Collection[str] | None, predictions: str) -> dict[str, Any]:
     return {
         "dataset": manifest.name,
         "manifest_version": manifest.card.version,
         "manifest_sha256": manifest.digest,
-        "protocol_digest": protocol.digest,
         "cameras": "all" if cameras is None else [name for name in manifest.card.cameras if name in cameras],
-        "predictions": str(predictions),
+        "predictions": predictions,
         **software(),
     }
-
-
-# --- scoring --------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class _Unit:
-    """The predictions that share a reference, so that it is decoded once."""
-
-    reference: str
-    pairs: tuple[tuple[PairRecord, Path], ...]
-
-    def __str__(self) -> str:
-        return self.reference
-
-
-def _score_all(
-    folder: Path, protocol: Protocol, pairs: Sequence[PairRecord], found: FoundPredictions, jobs: int
-) -> tuple[dict[str, ImageScore], list[EvaluationProblem]]:
-    by_reference: dict[str, list[tuple[PairRecord, Path]]] = {}
-    for pair in pairs:
-        if pair.path in found.files:
-            by_reference.setdefault(pair.reference, []).append((pair, found.files[pair.path]))
-    units = [_Unit(reference, tuple(members)) for reference, members in by_reference.items()]
-    # Processes share the CPUs; within one process the metrics use all of them.
-    work = partial(_score_unit, folder, protocol, None if jobs == 1 else 1)
-    scores: dict[str, ImageScore] = {}
-    problems: list[EvaluationProblem] = []
-    for outcome in run_units(work, units, jobs=jobs, label="scoring", unit="reference"):
-        for item in outcome:
-            if isinstance(item, ImageScore):
-                scores[item.path] = item
-            else:
-                problems.append(item)
-    return scores, problems
-
-
-def _score_unit(
-    folder: Path, protocol: Protocol, threads: int | None, unit: _Unit
-) -> list[ImageScore | EvaluationProblem]:
-    from eldata.metrics import score
-    from eldata.raw.levels import packed_frame
-    from eldata.raw.reading import read_raw
-
-    frame = read_raw(inside(folder, unit.reference))
-    target = packed_frame(frame, levels=protocol.levels, clip=protocol.reference_clip)
-    outcomes: list[ImageScore | EvaluationProblem] = []
-    for pair, path in unit.pairs:
-        try:
-            prediction = load_prediction(path, frame.sensor, protocol.levels)
-        except PredictionError as error:
-            outcomes.append(EvaluationProblem(str(path), error.reason))
-            continue
-        found = score(prediction, target, rescaling=protocol.rescaling, threads=threads)
-        outcomes.append(
-            ImageScore(
-                path=pair.path,
-                camera=pair.camera,
-                scene=pair.scene,
-                iso=float(pair.iso or 0),
-                ratio=float(pair.ratio),
-                psnr_db=found.psnr_db,
-                ssim=found.ssim,
-                rescale=found.rescale,
-            )
-        )
-    return outcomes

@@ -2,7 +2,7 @@
 
 For a noisy frame ``SonyA7S2/scene-1/IMG_0004.ARW`` the prediction is ``PREDS/SonyA7S2/scene-1/IMG_0004.<ext>``. It is
 packed (C, h, w) or a mosaic (H, W); float in [0, 1] of the reference's normalised signal, or uint16 where
-65535 = 1.0; a DNG holds raw DN.
+65535 = 1.0; a DNG holds raw DN. Protocols of sRGB take renderings: an RGB PNG of 8 or 16 bits, or RGB arrays.
 """
 
 from __future__ import annotations
@@ -15,17 +15,18 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from eldata.errors import EldataError, PredictionError, RawFileError
+from eldata.evaluation.references import normalised_frame
 from eldata.files import atomic_write
 from eldata.images import decode_png
-from eldata.raw.cfa import normalise, pack, packed_shape
-from eldata.raw.levels import white_level_dn
+from eldata.raw.cfa import pack, packed_shape
+from eldata.raw.levels import with_levels
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from numpy.typing import NDArray
 
-    from eldata.raw.levels import Levels
+    from eldata.protocols.protocol import Levels, Space
     from eldata.records import Sensor
 
 EXTENSIONS = (".npy", ".npz", ".h5", ".tif", ".tiff", ".png", ".dng")
@@ -137,7 +138,7 @@ def load_prediction(path: Path, sensor: Sensor, levels: Levels) -> NDArray[np.fl
     sensor
         The reference's: its CFA and size decide the expected shape.
     levels
-        White level that normalises a DNG's DN.
+        Levels that normalise a DNG's DN (:attr:`eldata.protocols.Protocol.levels`).
 
     Returns
     -------
@@ -153,7 +154,8 @@ def load_prediction(path: Path, sensor: Sensor, levels: Levels) -> NDArray[np.fl
     if path.suffix.lower() == ".dng":
         return _from_dng(path, sensor, levels)
     values = _packed(path, _read_values(path), sensor)
-    span = white_level_dn(sensor, levels) - max(sensor.black_level_dn)
+    leveled = with_levels(sensor, "metadata" if levels == "metadata-per-channel" else levels)
+    span = leveled.white_level_dn - max(leveled.black_level_dn)
     _check_values(path, values, f"divide by {span:g} (white - black) or 255")
     return values
 
@@ -192,10 +194,70 @@ def load_rgb_prediction(path: Path, shape: tuple[int, int, int]) -> NDArray[np.f
     return values
 
 
+def load_srgb_prediction(path: Path, shape: tuple[int, int, int]) -> NDArray[np.float32 | np.float64]:
+    """Load a prediction that is a rendering in sRGB.
+
+    Parameters
+    ----------
+    path
+        A file of one of :data:`EXTENSIONS` but dng: an RGB PNG or TIFF of 8 or 16 bits, or an array (H, W, 3) or
+        (3, H, W), uint8, uint16 or float in [0, 1].
+    shape
+        (3, H, W), the reference's.
+
+    Returns
+    -------
+    ndarray
+        (3, H, W) in the order R, G, B, float32 or float64 with the full scale at 1, finite; not clamped, not rounded.
+
+    Raises
+    ------
+    PredictionError
+        As :func:`load_prediction`.
+    """
+    if path.suffix.lower() == ".dng":
+        raise PredictionError(path, "expected a rendering in sRGB, found a DNG; save an RGB PNG of 8 or 16 bits")
+    array = _native(_read_array(path))
+    values = array.astype(np.float32) / np.float32(255) if array.dtype == np.uint8 else _as_values(path, array)
+    height, width = shape[1:]
+    if values.shape == (height, width, 3):
+        values = np.ascontiguousarray(values.transpose(2, 0, 1))
+    if values.shape != shape:
+        hint = "render the whole frame, in the reference's orientation"
+        if values.ndim == 3 and 4 in (values.shape[0], values.shape[-1]):
+            hint = "packed raw, or with alpha? this protocol takes renderings in sRGB"
+        elif values.ndim == 2:
+            hint = "one grey channel? this protocol takes renderings in sRGB"
+        raise PredictionError(path, f"expected ({height}, {width}, 3) or {shape}, found {array.shape}; {hint}")
+    _check_values(path, values, "divide by 65535 or 255")
+    return values
+
+
+def prediction_space(path: Path) -> Space:
+    """Return what a prediction looks to be, by its shape: ``srgb`` with three channels, else ``raw``.
+
+    Raises
+    ------
+    PredictionError
+        If the file cannot be read.
+    """
+    if path.suffix.lower() == ".dng":
+        return "raw"
+    shape = _read_array(path).shape
+    return "srgb" if len(shape) == 3 and 3 in (shape[0], shape[-1]) else "raw"
+
+
 def _read_values(path: Path) -> NDArray[Any]:
     """Return a file's array as float32 or float64, uint16 as [0, 1]."""
-    array = _read_array(path)
-    array = array.astype(array.dtype.newbyteorder("="), copy=False)
+    return _as_values(path, _native(_read_array(path)))
+
+
+def _native(array: NDArray[Any]) -> NDArray[Any]:
+    """Return an array in this machine's byte order."""
+    return array.astype(array.dtype.newbyteorder("="), copy=False)
+
+
+def _as_values(path: Path, array: NDArray[Any]) -> NDArray[Any]:
     if array.dtype == np.uint16:
         values: NDArray[Any] = array.astype(np.float32) / np.float32(65535)
     elif array.dtype in (np.float16, np.float32, np.float64):
@@ -260,9 +322,7 @@ def _from_dng(path: Path, sensor: Sensor, levels: Levels) -> NDArray[np.float32]
             f"expected a mosaic of {sensor.height} x {sensor.width} pixels with CFA {sensor.cfa} like the reference, "
             f"found {frame.mosaic.shape[0]} x {frame.mosaic.shape[1]} with {frame.sensor.cfa}",
         )
-    white = white_level_dn(frame.sensor, levels)
-    packed = pack(frame.mosaic, sensor.cfa)
-    return normalise(packed, sensor.cfa, frame.sensor.black_level_dn, white, clip="none")
+    return normalised_frame(frame, levels, clip="none")
 
 
 # --- file formats ---------------------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ from eldata.files import write_text
 from eldata.tables import text_table
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     import pandas as pd
@@ -161,29 +162,15 @@ class EvaluationResult:
         values = zip(*(row.value_texts for row in rows), strict=True)
         return text_table(header, [(name, *texts) for name, texts in zip(VALUE_NAMES, values, strict=True)])
 
-    def _choice(self) -> str:
-        """Return what of the dataset is scored, as text for the table's first line."""
-        cameras, subset = self.provenance["cameras"], self.provenance["subset"]
-        parts = [] if cameras == "all" else [f"only {', '.join(cameras)}"]
-        if subset is not None:
-            parts.append(f"subset {subset}")
-        parts += [f"without {flag} ({count})" for flag, count in self.provenance["excluded_flags"].items()]
-        included = Counter(flag for pair in self.pairs for flag in pair.flags)
-        parts += [f"{flag} included ({count})" for flag, count in sorted(included.items())]
-        return "".join(f", {part}" for part in parts)
-
     def format_text(self) -> str:
         """Return problems, the table with its protocol and coverage, and notes as text."""
-        lines = [str(problem) for problem in self.problems[:_PROBLEMS_SHOWN]]
-        if len(self.problems) > _PROBLEMS_SHOWN:
-            lines.append(f"... and {len(self.problems) - _PROBLEMS_SHOWN} more (--json FILE lists all)")
+        lines = problem_lines(self.problems)
         if self.problems and not self.images:
             lines.append(f"nothing was scored: {len(self.problems)} problem{'s' if len(self.problems) > 1 else ''}")
             return "\n".join(lines)
         if lines:
             lines.append("")
-        coverage = f"{len(self.images)} of {len(self.pairs)} pairs"
-        lines += [f"{self.provenance['dataset']}, protocol {self.protocol.name}: {coverage}{self._choice()}", ""]
+        lines += [f"{self.provenance['dataset']}, protocol {self.protocol.name}: {choice_text(self)}", ""]
         lines += [self.format_table(), ""]
         if self.missing:
             lines.append(
@@ -219,3 +206,25 @@ class EvaluationResult:
             values = [getattr(image, column) for column in CSV_COLUMNS]
             writer.writerow([csv_number(value) for value in values])
         write_text(path, text.getvalue())
+
+
+def choice_text(result: EvaluationResult) -> str:
+    """Return which pairs of the dataset are scored, as text for a table's first line."""
+    cameras, subset = result.provenance["cameras"], result.provenance["subset"]
+    parts = [f"{len(result.images)} of {len(result.pairs)} pairs"]
+    if cameras != "all":
+        parts.append(f"only {', '.join(cameras)}")
+    if subset is not None:
+        parts.append(f"subset {subset}")
+    parts += [f"without {flag} ({count})" for flag, count in result.provenance["excluded_flags"].items()]
+    included = Counter(flag for pair in result.pairs for flag in pair.flags)
+    parts += [f"{flag} included ({count})" for flag, count in sorted(included.items())]
+    return ", ".join(parts)
+
+
+def problem_lines(problems: Sequence[EvaluationProblem]) -> list[str]:
+    """Return problems as lines of text, the first of many."""
+    lines = [str(problem) for problem in problems[:_PROBLEMS_SHOWN]]
+    if len(problems) > _PROBLEMS_SHOWN:
+        lines.append(f"... and {len(problems) - _PROBLEMS_SHOWN} more (--json FILE lists all)")
+    return lines

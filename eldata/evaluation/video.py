@@ -27,11 +27,12 @@ from eldata.manifest.drv import Layout
 from eldata.manifest.patterns import expand
 from eldata.manifest.subsets import find_subset
 from eldata.manifest.verify import check_files
-from eldata.parallel import run_units
+from eldata.parallel import Failed, require_files, threads_within, try_units
 from eldata.video_protocols import default_video_protocol, get_video_protocol
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
+    from concurrent.futures import Executor
 
     from numpy.typing import NDArray
 
@@ -53,6 +54,7 @@ def evaluate_video(
     ids: Collection[str] | None = None,
     allow_missing: bool = False,
     jobs: int = 1,
+    executor: Executor | None = None,
 ) -> VideoResult:
     """Score a folder of predicted clips under a named protocol.
 
@@ -80,6 +82,8 @@ def evaluate_video(
         Score what is there although predictions are missing or unusable; the table shows the coverage.
     jobs
         Number of worker processes. Scores do not depend on it.
+    executor
+        Scores in their place (:mod:`eldata.parallel`); it is not shut down. Nor do scores depend on this.
 
     Returns
     -------
@@ -104,7 +108,7 @@ def evaluate_video(
             f"{loaded.card.homepage}"
         )
     subset_name, rows = _rows(loaded, subset, ids)
-    _require(loaded, folder, rows, "quick", jobs)
+    _require(loaded, folder, rows, "quick", jobs, executor)
     listed = expand(rows, folder)
     clips = clips_of(listed)
     wanted = tuple(
@@ -114,7 +118,7 @@ def evaluate_video(
     )
     _check_windows(wanted, chosen)
     needed = {path for window in wanted for path in (*window.paths, window.reference)}
-    _require(loaded, folder, [row for row in listed if row.path in needed], "metadata", jobs)
+    _require(loaded, folder, [row for row in listed if row.path in needed], "metadata", jobs, executor)
 
     places = {path: _Place(_prediction_of(window, path)) for window in wanted for path in window.paths}
     known = [
@@ -124,7 +128,7 @@ def evaluate_video(
     problems = file_problems(found, allow_missing=allow_missing)
     scores: dict[str, VideoScore] = {}
     if allow_missing or not problems:
-        scores, unusable = _score_all(folder, chosen, wanted, found, jobs)
+        scores, unusable = _score_all(folder, chosen, wanted, found, jobs, executor)
         problems += unusable
         if problems and not allow_missing:
             scores = {}
@@ -220,8 +224,15 @@ def _rows(
     return chosen.name, rows
 
 
-def _require(manifest: Manifest, folder: Path, rows: Sequence[FrameRecord], level: Level, jobs: int) -> None:
-    problems, _ = check_files(manifest, folder, rows, level=level, jobs=jobs)
+def _require(
+    manifest: Manifest,
+    folder: Path,
+    rows: Sequence[FrameRecord],
+    level: Level,
+    jobs: int,
+    executor: Executor | None,
+) -> None:
+    problems, _ = check_files(manifest, folder, rows, level=level, jobs=jobs, executor=executor)
     if problems:
         more = f" (and {len(problems) - 1} more: eldata verify --level metadata lists all)" if len(problems) > 1 else ""
         raise DatasetError(f"{folder}: the dataset is not what its manifest says: {problems[0]}{more}")
@@ -260,7 +271,12 @@ class _Unit:
 
 
 def _score_all(
-    folder: Path, protocol: VideoProtocol, wanted: Sequence[ClipRecord], found: FoundPredictions, jobs: int
+    folder: Path,
+    protocol: VideoProtocol,
+    wanted: Sequence[ClipRecord],
+    found: FoundPredictions,
+    jobs: int,
+    executor: Executor | None,
 ) -> tuple[dict[str, VideoScore], list[EvaluationProblem]]:
     units = []
     for window in wanted:
@@ -268,12 +284,14 @@ def _score_all(
         if None not in files:
             units.append(_Unit(window, tuple(path for path in files if path is not None)))
     # Processes share the CPUs; within one process the metrics use all of them.
-    work = partial(_score_unit, folder, protocol, None if jobs == 1 else 1)
+    work = partial(_score_unit, Path.cwd(), folder.absolute(), protocol, threads_within(jobs, executor))
     scores: dict[str, VideoScore] = {}
     problems: list[EvaluationProblem] = []
-    for outcome in run_units(work, units, jobs=jobs, label="scoring", unit="video"):
+    for outcome in try_units(work, units, jobs=jobs, executor=executor, label="scoring", unit="video"):
         if isinstance(outcome, VideoScore):
             scores[outcome.scene] = outcome
+        elif isinstance(outcome, Failed):
+            problems.append(EvaluationProblem(str(outcome.unit), outcome.reason))
         else:
             problems += outcome
     return scores, problems
@@ -288,19 +306,21 @@ class _Reference:
 
 
 def _score_unit(
-    folder: Path, protocol: VideoProtocol, threads: int | None, unit: _Unit
+    start: Path, folder: Path, protocol: VideoProtocol, threads: int | None, unit: _Unit
 ) -> VideoScore | list[EvaluationProblem]:
     from eldata.metrics import raw_to_grey, rescale, score, st_rred
 
     window = unit.window
-    reference = _reference(inside(folder, window.reference or ""), protocol)
+    still = inside(folder, window.reference or "")
+    require_files(still, *(start / file for file in unit.files))
+    reference = _reference(still, protocol)
     problems: list[EvaluationProblem] = []
     frames: list[FrameScore] = []
     # Of each frame the grey image alone is kept, which ST-RRED is taken of.
     grey = np.empty((len(unit.files), *reference.pixels.shape[1:]), np.float64)
     for place, (path, file) in enumerate(zip(window.paths, unit.files, strict=True)):
         try:
-            prediction = _load(file, reference, protocol)
+            prediction = _load(start / file, reference, protocol)
         except PredictionError as error:
             problems.append(EvaluationProblem(str(file), error.reason))
             continue
@@ -310,8 +330,8 @@ def _score_unit(
         grey[place] = raw_to_grey(scored)
     if problems:
         return problems
-    still = np.broadcast_to(raw_to_grey(reference.pixels), grey.shape)
-    video = st_rred(grey, still, peak=protocol.st_rred_peak, threads=threads)
+    motionless = np.broadcast_to(raw_to_grey(reference.pixels), grey.shape)
+    video = st_rred(grey, motionless, peak=protocol.st_rred_peak, threads=threads)
     return VideoScore(
         scene=window.scene,
         split=window.split,

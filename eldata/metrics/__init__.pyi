@@ -1,7 +1,13 @@
+from .modules import PSNR as PSNR
+from .modules import SSIM as SSIM
+from .modules import ProtocolScore as ProtocolScore
 from .rescaling import rescale as rescale
 from .rescaling import rescale_factor as rescale_factor
 from .scoring import Score as Score
+from .scoring import ScoringRules as ScoringRules
+from .scoring import factor_by as factor_by
 from .scoring import score as score
+from .scoring import score_by as score_by
 from .signal_to_noise import psnr as psnr
 from .similarity import ssim as ssim
 from .st_rred import PEAK_8_BIT as PEAK_8_BIT
@@ -13,13 +19,19 @@ from .st_rred import st_rred as st_rred
 __all__ = [
     "PEAK_8_BIT",
     "PEAK_ELD",
+    "PSNR",
+    "SSIM",
+    "ProtocolScore",
     "Score",
+    "ScoringRules",
     "StRred",
+    "factor_by",
     "psnr",
     "raw_to_grey",
     "rescale",
     "rescale_factor",
     "score",
+    "score_by",
     "ssim",
     "st_rred",
 ]

@@ -103,6 +103,13 @@ class Pair:
         least = _LEAST_FOR_THREADS if window == 1 else _LEAST_FOR_THREADS_WINDOWED
         return in_threads(work, self.bands(window), 1 if self.prediction.size < least else threads)
 
+    def over_row_bands(self, work: Callable[[tuple[int, int]], Result], threads: int | None) -> list[Result]:
+        """Return ``work((start, stop))`` of bands of rows of all channels, in order."""
+        height = self.prediction.shape[1]
+        count = -(-height // _BAND_ROWS)
+        bands = list(pairwise(height * index // count for index in range(count + 1)))
+        return in_threads(work, bands, 1 if self.prediction.size < _LEAST_FOR_THREADS_WINDOWED else threads)
+
     def blocks(self, band: Band) -> tuple[Block, Block]:
         """Return the band's rows of both images, C-contiguous; they are copied only where they must be."""
         return self._block(self.prediction, band), self._block(self.reference, band)

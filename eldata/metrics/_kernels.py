@@ -18,14 +18,17 @@ if TYPE_CHECKING:
 WINDOW = 7
 """Side of the SSIM window."""
 
+AREA = WINDOW * WINDOW
+"""Number of its entries."""
+
 _MARGIN = WINDOW - 1
-_AREA = WINDOW * WINDOW
 _STRIP = 256  # columns at a time, so that the sums and the ring below stay in the L1 and L2 caches
 _STRIDE = _STRIP + 16  # room for the margin; constant, which lets LLVM see that the rows do not overlap
 
 
 @kernel
-def _clamp(value: float, low: float, high: float) -> float:
+def clamp(value: float, low: float, high: float) -> float:
+    """Return a value limited to [low, high]; NaN stays NaN."""
     if value < low:
         return low
     if value > high:
@@ -34,8 +37,8 @@ def _clamp(value: float, low: float, high: float) -> float:
 
 
 @kernel
-def products(prediction: Block, reference: Block) -> tuple[float, float]:
-    """Return <p, g> and <p, p>, with p clamped to [0, 1], over the entries where g is not exactly 1."""
+def products(prediction: Block, reference: Block, low: float, high: float, masked: float) -> tuple[float, float]:
+    """Return <p, g> and <p, p>, with p clamped to [low, high], over the entries where g is not exactly ``masked``."""
     rows, columns = prediction.shape
     sums = np.zeros((2, _STRIP))
     for row in range(rows):
@@ -44,7 +47,7 @@ def products(prediction: Block, reference: Block) -> tuple[float, float]:
             gs = reference[row, start : min(start + _STRIP, columns)]
             for j in range(ps.size):
                 g = np.float64(gs[j])
-                p = _clamp(np.float64(ps[j]), 0.0, 1.0) if g != 1.0 else 0.0
+                p = clamp(np.float64(ps[j]), low, high) if g != masked else 0.0  # true for all if masked is NaN
                 sums[0, j] += p * g
                 sums[1, j] += p * p
     pg = 0.0
@@ -78,27 +81,28 @@ def error_and_similarity(
     prediction: Block,
     reference: Block,
     owned_rows: int,
-    low: float,
-    high: float,
-    factor: float,
+    treatment: tuple[float, float, float, float, float],
     c1: float,
     c2: float,
+    degrees: float,
 ) -> tuple[float, float]:
     """Return the sum of squared errors and the sum of the SSIM map of one band.
 
-    The prediction is first clamped to [low, high], multiplied by ``factor`` and clamped again. The error
-    counts the first ``owned_rows`` rows (the rest belong to the next band), the SSIM map every full window.
+    ``treatment`` of the prediction: it is clamped to [first, second], multiplied by the third number and clamped to
+    [fourth, fifth]. The error counts the first ``owned_rows`` rows (the rest belong to the next band), the SSIM map
+    every full window. ``degrees`` divides the covariances: 48 for those of a sample, 49 for those of a population.
 
     With s = x + y and d = x - y, SSIM needs only the window sums of s, d, s^2 and d^2: 2xy = (s^2 - d^2) / 2
     and x^2 + y^2 = (s^2 + d^2) / 2. Numerator and denominator then differ in the sign of the d terms alone,
     so equal images give exactly 1. Every factor is kept multiplied by twice the powers of the window area
     that would divide it.
     """
+    low, high, factor, final_low, final_high = treatment
     rows, columns = prediction.shape
     width = columns - _MARGIN
     strips = (width + _STRIP - 1) // _STRIP
-    a1 = 2.0 * c1 * _AREA * _AREA
-    a2 = 2.0 * c2 * _AREA * (_AREA - 1)
+    a1 = 2.0 * c1 * AREA * AREA
+    a2 = 2.0 * c2 * AREA * degrees
     sums = np.empty((10, _STRIDE))
     ring = np.empty((2 * WINDOW, _STRIDE))  # s and d of the last 7 rows
     s1, d1, s2, d2 = sums[0], sums[1], sums[2], sums[3]  # per column, over those rows
@@ -119,7 +123,7 @@ def error_and_similarity(
             xs = prediction[row, start : stop + _MARGIN]
             ys = reference[row, start : stop + _MARGIN]
             for j in range(outer):
-                x = _clamp(_clamp(np.float64(xs[j]), low, high) * factor, low, high)
+                x = clamp(clamp(np.float64(xs[j]), low, high) * factor, final_low, final_high)
                 y = np.float64(ys[j])
                 s = x + y
                 d = x - y
@@ -147,8 +151,8 @@ def error_and_similarity(
                 s_squared = s * s
                 d_squared = d * d
                 luminance = s_squared + a1
-                variance_s = (_AREA * ((s2_3[j] + s2_3[j + 3]) + s2[j + 6]) - s_squared) + a2
-                variance_d = _AREA * ((d2_3[j] + d2_3[j + 3]) + d2[j + 6]) - d_squared
+                variance_s = (AREA * ((s2_3[j] + s2_3[j + 3]) + s2[j + 6]) - s_squared) + a2
+                variance_d = AREA * ((d2_3[j] + d2_3[j + 3]) + d2[j + 6]) - d_squared
                 similarities[j] += ((luminance - d_squared) * (variance_s - variance_d)) / (
                     (luminance + d_squared) * (variance_s + variance_d)
                 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, overload
 
 import numpy as np
@@ -46,11 +47,22 @@ def rescale_factor(prediction: Image, reference: Image, *, threads: int | None =
     return factor_of(pair(prediction, reference), threads)
 
 
-def factor_of(images: Pair, threads: int | None) -> float:
-    """Return :func:`rescale_factor` of a pair that has been checked."""
+def factor_of(
+    images: Pair,
+    threads: int | None,
+    *,
+    limits: tuple[float, float] = (0.0, 1.0),
+    masked: float | None = 1.0,
+) -> float:
+    """Return :func:`rescale_factor` of a pair that has been checked, or a variant of it.
+
+    ``limits`` clamp the prediction; entries where the reference is exactly ``masked`` do not count.
+    """
+    low, high = limits
+    left_out = math.nan if masked is None else masked  # nothing equals NaN
 
     def work(band: Band) -> tuple[float, float]:
-        return products(*images.blocks(band))
+        return products(*images.blocks(band), low, high, left_out)
 
     sums = images.over_bands(work, threads)
     pp = total(part for _, part in sums)

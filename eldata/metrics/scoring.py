@@ -1,19 +1,92 @@
-"""The published ELD protocol: rescaling, PSNR and SSIM in two passes over the images."""
+"""Rescaling, PSNR and SSIM of one image under the rules of a protocol, in two passes over the images."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
 
 from eldata.errors import ArgumentError
-from eldata.metrics._images import check_threads, pair
-from eldata.metrics._kernels import WINDOW
+from eldata.metrics._images import check_data_range, check_threads, pair
 from eldata.metrics.rescaling import factor_of
 from eldata.metrics.signal_to_noise import decibels
-from eldata.metrics.similarity import error_and_ssim
+from eldata.metrics.similarity import check_windowing, error_and_ssim, side_of
 
 if TYPE_CHECKING:
-    from eldata.metrics._images import Image
+    from numpy.typing import NDArray
+
+    from eldata.metrics._images import Array, Image, Pair
+    from eldata.metrics.similarity import Covariance, SsimWindow, Treatment
+
+Rescaling = Literal["none", "scalar"]
+RESCALINGS: tuple[Rescaling, ...] = get_args(Rescaling)
+
+RescalingMask = Literal["unsaturated", "all"]
+RESCALING_MASKS: tuple[RescalingMask, ...] = get_args(RescalingMask)
+
+PredictionClamp = Literal["both", "before", "none"]
+PREDICTION_CLAMPS: tuple[PredictionClamp, ...] = get_args(PredictionClamp)
+
+Rounding = Literal["none", "8-bit", "8-bit-truncated"]
+ROUNDINGS: tuple[Rounding, ...] = get_args(Rounding)
+
+
+@dataclass(frozen=True, slots=True)
+class ScoringRules:
+    """What decides the scores of a prediction and a reference, both normalised. The defaults are ELD's as published.
+
+    Attributes
+    ----------
+    rescaling
+        ``scalar``: the prediction is multiplied by the one factor that minimises its squared error,
+        ``<p, g> / <p, p>``; ``none``: it is scored as it is.
+    rescaling_mask
+        Entries that the factor is found over: ``unsaturated``, where the reference is not exactly 1, or ``all``.
+    prediction_clamp
+        When the prediction is clamped to [0, 1]: ``both``, before and after the factor, ``before`` it alone (the factor
+        is found on the clamped prediction in either case), or ``none``, never.
+    rounding
+        ``8-bit``: prediction and reference are rounded to the nearest 1/255 before they are compared;
+        ``8-bit-truncated``: rounded down; ``none``: not rounded.
+    data_range
+        Range of PSNR and SSIM.
+    mse_offset
+        Added to the mean squared error before PSNR's logarithm.
+    ssim_window, ssim_covariance
+        As :func:`eldata.metrics.ssim` has them.
+    """
+
+    rescaling: Rescaling = "scalar"
+    rescaling_mask: RescalingMask = "unsaturated"
+    prediction_clamp: PredictionClamp = "both"
+    rounding: Rounding = "none"
+    data_range: float = 1.0
+    mse_offset: float = 0.0
+    ssim_window: SsimWindow = "uniform-7"
+    ssim_covariance: Covariance = "sample"
+
+    def check(self) -> None:
+        """Raise :class:`ArgumentError` if a field has a value that it cannot have."""
+        for name, value, known in (
+            ("rescaling", self.rescaling, RESCALINGS),
+            ("rescaling_mask", self.rescaling_mask, RESCALING_MASKS),
+            ("prediction_clamp", self.prediction_clamp, PREDICTION_CLAMPS),
+            ("rounding", self.rounding, ROUNDINGS),
+        ):
+            if value not in known:
+                raise ArgumentError(f"{name} must be one of {', '.join(map(repr, known))}; found {value!r}")
+        check_windowing(self.ssim_window, self.ssim_covariance)
+        check_data_range(self.data_range)
+        if not (self.mse_offset >= 0 and math.isfinite(self.mse_offset)):
+            raise ArgumentError(f"mse_offset must be finite and not negative; found {self.mse_offset}")
+
+    def treatment(self, factor: float) -> Treatment:
+        """Return how a prediction's values are treated, given the factor."""
+        before = (-math.inf, math.inf) if self.prediction_clamp == "none" else (0.0, 1.0)
+        after = (0.0, 1.0) if self.prediction_clamp == "both" else (-math.inf, math.inf)
+        return (*before, factor, *after)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +112,7 @@ def score(
     prediction: Image,
     reference: Image,
     *,
-    rescaling: Literal["none", "scalar"],
+    rescaling: Rescaling,
     threads: int | None = None,
 ) -> Score:
     """Score one prediction as the evaluation released with the ELD paper does.
@@ -69,10 +142,84 @@ def score(
         If an image is not one image of floating-point numbers or is smaller than 7 x 7, the shapes differ,
         or ``rescaling`` is neither of the two.
     """
-    if rescaling not in {"none", "scalar"}:
+    if rescaling not in RESCALINGS:
         raise ArgumentError(f'rescaling must be "none" or "scalar", not {rescaling!r}')
+    return score_by(prediction, reference, ScoringRules(rescaling=rescaling), threads=threads)
+
+
+def score_by(
+    prediction: Image,
+    reference: Image,
+    rules: ScoringRules,
+    *,
+    factor: float | None = None,
+    threads: int | None = None,
+) -> Score:
+    """Score one prediction by given rules; see :func:`score`, which does so by those of ELD.
+
+    Parameters
+    ----------
+    prediction, reference, threads
+        As for :func:`score`.
+    rules
+        What decides the scores.
+    factor
+        The factor by which ``rules`` rescales this prediction, if it is known already (:func:`factor_by`).
+
+    Raises
+    ------
+    ArgumentError
+        If an image is not one image of floating-point numbers or is smaller than the window of SSIM, the shapes differ,
+        or a rule is unknown.
+    """
+    rules.check()
     check_threads(threads)
-    images = pair(prediction, reference, smallest=WINDOW)
-    factor = factor_of(images, threads) if rescaling == "scalar" else 1.0
-    error, similarity = error_and_ssim(images, 1.0, (0.0, 1.0), factor, threads)
-    return Score(decibels(error, 1.0), similarity, factor)
+    images = pair(prediction, reference, smallest=side_of(rules.ssim_window))
+    if factor is None:
+        factor = _factor(images, rules, threads)
+    treatment, data_range = rules.treatment(factor), rules.data_range
+    if rules.rounding != "none":
+        images, treatment, data_range = _rounded(images, rules, treatment)
+    error, similarity = error_and_ssim(
+        images, data_range, treatment, threads, window=rules.ssim_window, covariance=rules.ssim_covariance
+    )
+    error /= (data_range / rules.data_range) ** 2
+    return Score(decibels(error + rules.mse_offset, rules.data_range), similarity, factor)
+
+
+def factor_by(prediction: Image, reference: Image, rules: ScoringRules, *, threads: int | None = None) -> float:
+    """Return the factor by which ``rules`` rescales a prediction; 1.0 if they do not.
+
+    Raises
+    ------
+    ArgumentError
+        As :func:`score_by`.
+    """
+    rules.check()
+    check_threads(threads)
+    return _factor(pair(prediction, reference), rules, threads)
+
+
+def _factor(images: Pair, rules: ScoringRules, threads: int | None) -> float:
+    if rules.rescaling == "none":
+        return 1.0
+    low, high = rules.treatment(1.0)[:2]
+    return factor_of(images, threads, limits=(low, high), masked=1.0 if rules.rescaling_mask == "unsaturated" else None)
+
+
+def _rounded(images: Pair, rules: ScoringRules, treatment: Treatment) -> tuple[Pair, Treatment, float]:
+    """Return both images as 8-bit codes, which float32 holds exactly, how to treat them further, and their range."""
+    low, high, factor, final_low, final_high = treatment
+    half = 0.5 if rules.rounding == "8-bit" else 0.0
+
+    def codes(image: Array, *, treated: bool) -> NDArray[np.float32]:
+        result = np.empty(image.shape, np.float32)
+        for channel, plane in enumerate(image):
+            values = plane.astype(np.float64)
+            if treated:
+                values = np.clip(np.clip(values, low, high) * factor, final_low, final_high)
+            result[channel] = np.clip(np.floor(255.0 * values + half), 0.0, 255.0)
+        return result
+
+    rounded = pair(codes(images.prediction, treated=True), codes(images.reference, treated=False))
+    return rounded, (-math.inf, math.inf, 1.0, -math.inf, math.inf), 255.0 * rules.data_range

@@ -1,26 +1,51 @@
-"""Structural similarity."""
+"""Structural similarity, with the windows that papers use."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
 
+import numpy as np
+
+from eldata.errors import ArgumentError
+from eldata.metrics import _gaussian_kernels, _kernels
+from eldata.metrics._gaussian_kernels import RADIUS, WEIGHTS, gaussian_error_and_similarity
 from eldata.metrics._images import check_data_range, check_threads, pair, total
-from eldata.metrics._kernels import WINDOW, error_and_similarity
+from eldata.metrics._kernels import error_and_similarity
 
 if TYPE_CHECKING:
-    from eldata.metrics._images import Band, Image, Pair
+    from numpy.typing import NDArray
+
+    from eldata.metrics._images import Band, Block, Image, Pair
+
+SsimWindow = Literal["uniform-7", "gaussian-11", "gaussian-11-volume"]
+SSIM_WINDOWS: tuple[SsimWindow, ...] = get_args(SsimWindow)
+
+Covariance = Literal["sample", "population"]
+COVARIANCES: tuple[Covariance, ...] = get_args(Covariance)
+
+# What happens to a prediction's values as they are read: clamped to [first, second], multiplied by the third, clamped
+# to [fourth, fifth].
+Treatment: TypeAlias = tuple[float, float, float, float, float]
+AS_IT_IS: Treatment = (-math.inf, math.inf, 1.0, -math.inf, math.inf)
 
 _K1 = 0.01
 _K2 = 0.03
 
 
-def ssim(prediction: Image, reference: Image, *, data_range: float = 1.0, threads: int | None = None) -> float:
+def ssim(
+    prediction: Image,
+    reference: Image,
+    *,
+    data_range: float = 1.0,
+    window: SsimWindow = "uniform-7",
+    covariance: Covariance = "sample",
+    threads: int | None = None,
+) -> float:
     """Return the mean structural similarity.
 
-    The index of Wang et al. (IEEE TIP 2004) with scikit-image's defaults: a uniform 7 x 7 window, sample
-    covariance, K1 = 0.01 and K2 = 0.03, averaged over the windows that lie inside of the image and over the
-    channels. The arithmetic is float64, whatever the images' dtype. Nothing is clipped.
+    The index of Wang et al. (IEEE TIP 2004) with K1 = 0.01 and K2 = 0.03; by default as scikit-image has it. The
+    arithmetic is float64, whatever the images' dtype. Nothing is clipped.
 
     Parameters
     ----------
@@ -29,6 +54,15 @@ def ssim(prediction: Image, reference: Image, *, data_range: float = 1.0, thread
         array or torch tensor. Tensors on another device are copied to the host.
     data_range
         The difference between the largest and the smallest possible value.
+    window
+        ``"uniform-7"``: uniform, 7 x 7, averaged over the windows that lie inside of the image and over the channels.
+        ``"gaussian-11"``: 11 x 11 with standard deviation 1.5, else alike, as in the paper and its code (BasicSR,
+        LED). ``"gaussian-11-volume"``: MATLAB's ``ssim(A, ref)`` with default arguments on a colour image, which takes
+        it for a volume: 11 x 11 x 11 with standard deviation 1.5, one window for each value, the image continued
+        beyond its edges and its first and last channel by their own values.
+    covariance
+        ``"sample"``: unbiased by N / (N - 1) with N the window's entries, scikit-image's default; ``"population"``: as
+        in the paper and in MATLAB.
     threads
         Number of threads, by default one per CPU; the result is the same to the bit for any number.
 
@@ -40,28 +74,107 @@ def ssim(prediction: Image, reference: Image, *, data_range: float = 1.0, thread
     Raises
     ------
     ArgumentError
-        If an image is not one image of floating-point numbers or is smaller than 7 x 7, the shapes differ,
-        or ``data_range`` is not positive.
+        If an image is not one image of floating-point numbers or is smaller than the window, the shapes differ,
+        ``data_range`` is not positive, or ``window`` or ``covariance`` is unknown.
     """
     check_threads(threads)
     check_data_range(data_range)
-    images = pair(prediction, reference, smallest=WINDOW)
-    return error_and_ssim(images, data_range, (-math.inf, math.inf), 1.0, threads)[1]
+    check_windowing(window, covariance)
+    images = pair(prediction, reference, smallest=side_of(window))
+    return error_and_ssim(images, data_range, AS_IT_IS, threads, window=window, covariance=covariance)[1]
+
+
+def check_windowing(window: str, covariance: str) -> None:
+    """Raise :class:`ArgumentError` if the window or the covariance is unknown."""
+    for name, value, known in (("window", window, SSIM_WINDOWS), ("covariance", covariance, COVARIANCES)):
+        if value not in known:
+            raise ArgumentError(f"{name} must be one of {', '.join(map(repr, known))}; found {value!r}")
+
+
+def side_of(window: SsimWindow) -> int:
+    """Return the side of a window: the least height and width of an image."""
+    return _kernels.WINDOW if window == "uniform-7" else _gaussian_kernels.WINDOW
 
 
 def error_and_ssim(
-    images: Pair, data_range: float, limits: tuple[float, float], factor: float, threads: int | None
+    images: Pair,
+    data_range: float,
+    treatment: Treatment,
+    threads: int | None,
+    *,
+    window: SsimWindow = "uniform-7",
+    covariance: Covariance = "sample",
 ) -> tuple[float, float]:
-    """Return the mean squared error and the SSIM of ``clip(factor * clip(p, *limits), *limits)``."""
-    low, high = limits
+    """Return the mean squared error and the SSIM of a prediction treated so."""
     c1 = (_K1 * data_range) ** 2
     c2 = (_K2 * data_range) ** 2
+    if window == "gaussian-11-volume":
+        return _in_volume(images, c1, c2, treatment, covariance, threads)
+    side = side_of(window)
+    entries = side * side
+    degrees = entries - 1 if covariance == "sample" else entries
 
-    def work(band: Band) -> tuple[float, float]:
-        return error_and_similarity(*images.blocks(band), band.owned, low, high, factor, c1, c2)
+    def uniform(band: Band) -> tuple[float, float]:
+        return error_and_similarity(*images.blocks(band), band.owned, treatment, c1, c2, float(degrees))
 
-    sums = images.over_bands(work, threads, WINDOW)
+    def gaussian(band: Band) -> tuple[float, float]:
+        prediction, reference = images.blocks(band)
+        return gaussian_error_and_similarity(
+            prediction[np.newaxis],
+            reference[np.newaxis],
+            band.owned,
+            treatment,
+            _ONE_CHANNEL,
+            c1,
+            c2,
+            entries / degrees,
+        )
+
+    sums = images.over_bands(uniform if window == "uniform-7" else gaussian, threads, side)
     channels, height, width = images.prediction.shape
-    windows = channels * (height - WINDOW + 1) * (width - WINDOW + 1)
+    windows = channels * (height - side + 1) * (width - side + 1)
     error = total(part for part, _ in sums) / images.prediction.size
     return error, total(part for _, part in sums) / windows
+
+
+# --- colour as a volume -----------------------------------------------------------------------------------------------
+
+_ONE_CHANNEL = np.ones((1, 1))
+
+
+def _channel_mixing(channels: int) -> NDArray[np.float64]:
+    """Return how much of each channel a window around a channel holds, with the outer channels repeated outwards."""
+    mixing = np.zeros((channels, channels))
+    for channel in range(channels):
+        for offset in range(-RADIUS, RADIUS + 1):
+            mixing[channel, min(max(channel + offset, 0), channels - 1)] += WEIGHTS[abs(offset)]
+    return mixing
+
+
+def _in_volume(
+    images: Pair, c1: float, c2: float, treatment: Treatment, covariance: Covariance, threads: int | None
+) -> tuple[float, float]:
+    channels, height, _ = images.prediction.shape
+    mixing = _channel_mixing(channels)
+    entries = _gaussian_kernels.WINDOW**3
+    scale = entries / (entries - 1) if covariance == "sample" else 1.0
+
+    def block(image: NDArray[np.floating], rows: tuple[int, int]) -> Block:
+        """Return some rows of all channels, continued beyond the image's edges."""
+        wanted = np.arange(rows[0] - RADIUS, rows[1] + RADIUS).clip(0, height - 1)
+        inner = image[:, wanted].astype(images.dtype, copy=False)
+        result = np.pad(inner, ((0, 0), (0, 0), (RADIUS, RADIUS)), mode="edge")
+        result.flags.writeable = False
+        return result
+
+    def work(rows: tuple[int, int]) -> tuple[float, float]:
+        prediction, reference = block(images.prediction, rows), block(images.reference, rows)
+        similarity = gaussian_error_and_similarity(prediction, reference, 0, treatment, mixing, c1, c2, scale)[1]
+        inside = np.s_[:, RADIUS:-RADIUS, RADIUS:-RADIUS]
+        low, high, factor, final_low, final_high = treatment
+        treated = np.clip(np.clip(prediction[inside].astype(np.float64), low, high) * factor, final_low, final_high)
+        return float(np.square(treated - reference[inside]).sum()), similarity
+
+    sums = images.over_row_bands(work, threads)
+    size = images.prediction.size
+    return total(part for part, _ in sums) / size, total(part for _, part in sums) / size

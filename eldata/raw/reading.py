@@ -15,7 +15,7 @@ black level
 white level
     LibRaw's ``white_level``: the level at which the format saturates, from the file where the file has one (DNG).
     The per-channel ``camera_white_level_per_channel`` is missing for most cameras, comes from LibRaw's table or
-    maker notes, and even for a DNG overrides what the file says.
+    maker notes, and even for a DNG overrides what the file says. It is kept beside, for protocols that name it.
 colour matrix
     A DNG's own ColorMatrix (that for D65 if there are two); else LibRaw's table for the model.
 white balance
@@ -123,6 +123,7 @@ def read_raw(path: Path | str) -> RawFrame:
         white = float(raw.white_level)
         if not white > max(black):
             raise RawFileError(path, f"white level {white:g} DN is not above the black level {black} DN")
+        channel_whites = _channel_whites(raw, index_of)
         sensor = Sensor(
             make=header.make,
             model=header.model,
@@ -142,7 +143,7 @@ def read_raw(path: Path | str) -> RawFrame:
         raise RawFileError(
             path, f"truncated or damaged: its last row is all 0 DN, far below the black level {black} DN"
         )
-    return RawFrame(path, mosaic, sensor, header.exposure)
+    return RawFrame(path, mosaic, sensor, header.exposure, channel_whites)
 
 
 def exposure_ratio(reference: RawFrame | RawHeader, noisy: RawFrame | RawHeader) -> Fraction:
@@ -385,6 +386,13 @@ def _dng_black_level(
     if any(len(found) > 1 for found in levels.values()):
         raise RawFileError(path, "its BlackLevel differs between sites of one colour; one level per channel is needed")
     return tuple(levels[channel].pop() for channel in sorted(levels))
+
+
+def _channel_whites(raw: rawpy.RawPy, index_of: Sequence[int]) -> tuple[float, ...] | None:
+    levels = raw.camera_white_level_per_channel
+    if levels is None or not all(levels[index] > 0 for index in index_of):
+        return None
+    return tuple(float(levels[index]) for index in index_of)
 
 
 def _white_balance(raw: rawpy.RawPy, tags: Tags) -> tuple[float, float, float, float] | None:

@@ -13,6 +13,7 @@ import tifffile
 
 from eldata.errors import EldataError, PredictionError
 from eldata.evaluation import evaluate, load_prediction, save_prediction
+from eldata.evaluation.predictions import load_srgb_prediction, prediction_space
 from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
 from eldata.records import Exposure
@@ -562,3 +563,69 @@ def test_error_carries_path_and_reason(tree: Tree, tmp_path: Path) -> None:
     assert caught.value.path == path
     assert str(caught.value) == f"{path}: {caught.value.reason}"
     assert isinstance(pickle.loads(pickle.dumps(caught.value)), PredictionError)  # it crosses processes
+
+
+# --- renderings in sRGB -----------------------------------------------------------------------------------------------
+
+RGB_SHAPE = (3, 6, 8)
+
+
+def rgb_values() -> NDArray[np.float64]:
+    return np.random.default_rng(4).random((6, 8, 3))
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("extension", ["png", "npy", "tif"])
+def test_integer_renderings(bits: int, extension: str, tmp_path: Path) -> None:
+    full = 2**bits - 1
+    codes = np.rint(full * rgb_values()).astype(f"uint{bits}")
+    path = tmp_path / f"x.{extension}"
+    if extension == "png":
+        path.write_bytes(imagecodecs.png_encode(codes))
+    elif extension == "tif":
+        tifffile.imwrite(path, codes, photometric="rgb")
+    else:
+        np.save(path, codes)
+    found = load_srgb_prediction(path, RGB_SHAPE)
+    assert found.shape == RGB_SHAPE
+    np.testing.assert_allclose(found, codes.transpose(2, 0, 1) / full, rtol=1e-7)
+    assert prediction_space(path) == "srgb"
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_rendered_arrays_have_their_channels_first_or_last(tmp_path: Path, *, first: bool) -> None:
+    values = rgb_values()
+    np.save(tmp_path / "x.npy", values.transpose(2, 0, 1) if first else values)
+    np.testing.assert_array_equal(load_srgb_prediction(tmp_path / "x.npy", RGB_SHAPE), values.transpose(2, 0, 1))
+
+
+@pytest.mark.parametrize(
+    ("array", "said"),
+    [
+        (np.zeros((6, 8)), "one grey channel"),
+        (np.zeros((4, 6, 8)), "packed raw, or with alpha"),
+        (np.zeros((6, 8, 4)), "packed raw, or with alpha"),
+        (np.zeros((6, 7, 3)), r"expected \(6, 8, 3\) or \(3, 6, 8\), found \(6, 7, 3\); render the whole frame"),
+        (np.zeros((8, 6, 3)), "in the reference's orientation"),
+        (np.full((6, 8, 3), 200.0), "divide by 65535 or 255"),
+        (np.full((6, 8, 3), np.nan), "finite"),
+        (np.zeros((6, 8, 3), np.int32), "int32"),
+    ],
+)
+def test_bad_renderings(array: NDArray[Any], said: str, tmp_path: Path) -> None:
+    np.save(tmp_path / "x.npy", array)
+    with pytest.raises(PredictionError, match=said):
+        load_srgb_prediction(tmp_path / "x.npy", RGB_SHAPE)
+
+
+def test_a_dng_is_no_rendering(tmp_path: Path) -> None:
+    (tmp_path / "x.dng").write_bytes(b"")
+    with pytest.raises(PredictionError, match="expected a rendering in sRGB, found a DNG"):
+        load_srgb_prediction(tmp_path / "x.dng", RGB_SHAPE)
+    assert prediction_space(tmp_path / "x.dng") == "raw"
+
+
+@pytest.mark.parametrize("shape", [(4, 6, 8), (12, 16), (9, 6, 8)])
+def test_packed_arrays_and_mosaics_are_raw(shape: tuple[int, ...], tmp_path: Path) -> None:
+    np.save(tmp_path / "x.npy", np.zeros(shape))
+    assert prediction_space(tmp_path / "x.npy") == "raw"

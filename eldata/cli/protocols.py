@@ -1,0 +1,95 @@
+"""`eldata protocols`: the evaluation protocols there are, and all that one of them fixes."""
+
+from __future__ import annotations
+
+import textwrap
+from typing import TYPE_CHECKING, Any
+
+from eldata.console import OK, add_debug, add_json, write_json
+
+if TYPE_CHECKING:
+    import argparse
+
+    from eldata.protocols.protocol import Protocol
+
+_WIDTH = 118
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add this command."""
+    parser = commands.add_parser(
+        "protocols",
+        help="evaluation protocols: what each fixes, and its source",
+        description=(
+            "List the protocols under which single images are scored, or show all that one of them fixes: pairs, "
+            "region, levels, clips, rescaling, metrics, source and digest. A protocol of your own is a TOML file: see "
+            "docs/evaluation.md. Those for clips are drv-rgb, drv-raw and their -uncorrected variants."
+        ),
+    )
+    parser.add_argument(
+        "protocol",
+        metavar="NAME",
+        nargs="*",
+        help="show this one (also: show NAME); a family such as pmn shows its protocols; or a TOML file",
+    )
+    parser.add_argument("--dataset", metavar="N", help="only those for this dataset")
+    add_json(parser)
+    add_debug(parser)
+    parser.set_defaults(run=run, command="protocols")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run this command."""
+    from eldata.protocols.words import HEADER, summary
+    from eldata.tables import text_table
+
+    names = arguments.protocol[1:] if arguments.protocol[:1] == ["show"] else arguments.protocol
+    found = _chosen(names, arguments.dataset)
+    if names:
+        print("\n\n".join(_page(protocol) for protocol in found))
+    else:
+        print(text_table(HEADER, [summary(protocol) for protocol in found], left=range(len(HEADER))))
+        print("\neldata protocols NAME shows one: all that it fixes, its source and digest")
+    if arguments.json:
+        write_json(arguments.json, {"protocols": [_as_json(protocol) for protocol in found]})
+    return OK
+
+
+def _chosen(names: list[str], dataset: str | None) -> list[Protocol]:
+    from eldata.errors import ArgumentError
+    from eldata.protocols.choosing import get_protocol, members_of
+    from eldata.protocols.named import FAMILIES, PROTOCOLS
+
+    found: list[Protocol] = []
+    for name in names or PROTOCOLS:
+        if name in FAMILIES:
+            found += members_of(name)
+        else:
+            found.append(get_protocol(name))
+    if dataset is not None:
+        found = [protocol for protocol in found if protocol.covers(dataset)]
+        if not found:
+            raise ArgumentError(f"no protocol is for dataset {dataset!r}; eldata info lists the datasets")
+    return found
+
+
+def _page(protocol: Protocol) -> str:
+    from eldata.protocols.words import described
+
+    rows = [*described(protocol), ("source", protocol.source), ("digest", protocol.digest)]
+    width = max(len(name) for name, _ in rows) + 2
+    return "\n".join(
+        textwrap.fill(
+            text,
+            _WIDTH,
+            initial_indent=name.ljust(width),
+            subsequent_indent=" " * width,
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+        for name, text in rows
+    )
+
+
+def _as_json(protocol: Protocol) -> dict[str, Any]:
+    return {**protocol.as_dict(), "digest": protocol.digest}

@@ -1,0 +1,5 @@
+"""Named, frozen evaluation protocols. A score means nothing without the name of its protocol."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,69 @@
+"""Which protocol a name means, and which ones are for a dataset."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from eldata.errors import ArgumentError
+from eldata.protocols.named import FAMILIES, PROTOCOLS
+
+if TYPE_CHECKING:
+    from eldata.protocols.protocol import Protocol
+
+
+def get_protocol(name: str, dataset: str | None = None) -> Protocol:
+    """Return a protocol by its name, by the path of a TOML file, or by a family's name and a dataset.
+
+    Parameters
+    ----------
+    name
+        Such as ``eld``; ``pmn``, which means ``pmn-sid`` or ``pmn-eld`` by the dataset; ``mine.toml``
+        (:func:`eldata.protocols.load_protocol`).
+    dataset
+        The dataset that is to be scored, if it is known.
+
+    Raises
+    ------
+    ArgumentError
+        If there is none of that name, the message lists those that there are; if a family has none for the dataset; or
+        as :func:`~eldata.protocols.load_protocol`.
+    """
+    if name.endswith(".toml"):
+        from eldata.protocols.custom import load_protocol
+
+        return load_protocol(name)
+    if name in PROTOCOLS:
+        return PROTOCOLS[name]
+    members = members_of(name)
+    if not members:
+        known = ", ".join((*PROTOCOLS, *FAMILIES))
+        raise ArgumentError(f"no protocol is called {name!r}; known are {known}, or give a file ending in .toml")
+    fitting = [protocol for protocol in members if dataset is None or protocol.covers(dataset)]
+    if len(fitting) == 1:
+        return fitting[0]
+    names = " and ".join(f"{protocol.name} (for {protocol.dataset})" for protocol in members)
+    raise ArgumentError(f"protocol {name!r} is {names}; name one of them for dataset {dataset or 'not known'!r}")
+
+
+def members_of(family: str) -> tuple[Protocol, ...]:
+    """Return the protocols of a family; none if there is no such family."""
+    return tuple(protocol for protocol in PROTOCOLS.values() if protocol.family == family)
+
+
+def default_protocol(dataset: str) -> Protocol:
+    """Return the protocol that scores a dataset unless another is named; for a set of your own that is ``eld``."""
+    return next((protocol for protocol in PROTOCOLS.values() if protocol.covers(dataset)), PROTOCOLS["eld"])
+
+
+def protocols_for(dataset: str) -> tuple[Protocol, ...]:
+    """Return the protocols for a dataset, its default first.
+
+    A set of your own has its own pairs, so it gets one protocol of each way to score, the first of the shipped ones.
+    """
+    covering = tuple(protocol for protocol in PROTOCOLS.values() if protocol.covers(dataset))
+    if covering:
+        return covering
+    ways: dict[str, Protocol] = {}
+    for protocol in PROTOCOLS.values():
+        ways.setdefault(protocol.scoring_digest, protocol)
+    return tuple(ways.values())

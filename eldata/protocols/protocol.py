@@ -1,0 +1,232 @@
+"""What a protocol is: every choice that a score depends on besides the pixels, and how it reads."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+from eldata.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from eldata.metrics.scoring import ScoringRules
+
+Levels = Literal["metadata", "published", "metadata-per-channel", "sid-sony", "sid-fuji"]
+Clip = Literal["both", "upper", "none"]
+Amplification = Literal["metadata", "nominal"]
+Space = Literal["raw", "srgb"]
+Rendering = Literal["none", "libraw", "eld-isp"]
+Rescaling = Literal["none", "scalar"]
+RescalingMask = Literal["unsaturated", "all"]
+PredictionClamp = Literal["both", "before", "none"]
+Rounding = Literal["none", "8-bit", "8-bit-truncated"]
+SsimWindow = Literal["uniform-7", "gaussian-11", "gaussian-11-volume"]
+Covariance = Literal["sample", "population"]
+
+ANY_DATASET = "any"
+
+# What stands in a protocol besides what decides a score.
+DESCRIPTIVE = ("title", "source", "family")
+
+# What chooses the pairs and describes the input, which predictions are made from; the rest decides what a given
+# prediction scores.
+_CHOOSING = ("name", "dataset", "ratios", "subset", "cameras", "scenes", "input_clip", "amplification")
+
+_REGION = re.compile(r"full|(centre|border)-([1-9][0-9]{0,4})")
+
+
+def fields_digest(fields: dict[str, Any]) -> str:
+    """Return ``sha256:<hex>`` of a protocol's fields; those in :data:`DESCRIPTIVE` decide no score."""
+    deciding = {key: value for key, value in fields.items() if key not in DESCRIPTIVE}
+    return f"sha256:{hashlib.sha256(json.dumps(deciding, sort_keys=True).encode()).hexdigest()}"
+
+
+@dataclass(frozen=True, slots=True)
+class Protocol:
+    """Everything that a score depends on besides the pixels.
+
+    Attributes
+    ----------
+    name, title, source
+        Short name, what it is, and where it was published, with what that leaves open.
+    dataset
+        The dataset whose pairs it scores, or what the names of several begin with: ``sid`` is for ``sid-sony`` and
+        ``sid-fuji`` (:meth:`covers`); ``any`` is for every one.
+    ratios
+        Low-light factors of the pairs that are scored; empty means all.
+    levels
+        Levels that normalise the reference. ``published``: white is 16383, black the file's; ``metadata``: the file's
+        own; ``metadata-per-channel``: LibRaw's white level of each channel; ``sid-sony``, ``sid-fuji``: the constants
+        of the SID code (:mod:`eldata.raw.levels`).
+    reference_clip
+        Clip of the normalised reference: to [0, 1], ``upper`` at 1 only, or ``none``.
+    region
+        The scored part of the frame, in packed pixels: ``full``; ``centre-512``, the central square of that side;
+        ``border-2``, all but as many pixels at each edge.
+    rescaling, rescaling_mask, prediction_clamp, rounding, data_range, mse_offset, ssim_window, ssim_covariance
+        How the prediction is brought to the reference and compared with it: :class:`eldata.metrics.ScoringRules`.
+    family
+        The name under which several are published, one a dataset: ``pmn`` names ``pmn-sid`` and ``pmn-eld``.
+    subset
+        Name of a subset on the dataset's card. ``None``: the one that the user names, else the card's first, if any.
+    cameras, scenes
+        Cameras and scenes of the pairs that are scored; empty means all.
+    input_clip, amplification
+        Clip of the input before and after it is multiplied by the ratio, and which ratio: ``metadata``, the files', or
+        ``nominal``, the manifest's. They matter where predictions are made, and for the score of the input itself.
+    space
+        ``raw``: packed raw values are compared; ``srgb``: renderings.
+    rendering
+        What renders an sRGB reference: ``libraw``, the predictions being renderings already, or ``eld-isp``, the ELD
+        paper's pipeline (:mod:`eldata.isp.scoring`), which renders the packed raw prediction too, once it is rescaled.
+    """
+
+    name: str
+    title: str
+    source: str
+    dataset: str
+    ratios: tuple[int | float, ...]
+    levels: Levels
+    reference_clip: Clip
+    region: str
+    rescaling: Rescaling
+    data_range: float = 1.0
+    rounding: Rounding = "none"
+    family: str = ""
+    subset: str | None = None
+    cameras: tuple[str, ...] = ()
+    scenes: tuple[str, ...] = ()
+    input_clip: Clip = "both"
+    amplification: Amplification = "metadata"
+    space: Space = "raw"
+    rendering: Rendering = "none"
+    rescaling_mask: RescalingMask = "unsaturated"
+    prediction_clamp: PredictionClamp = "both"
+    mse_offset: float = 0.0
+    ssim_window: SsimWindow = "uniform-7"
+    ssim_covariance: Covariance = "sample"
+
+    @property
+    def psnr(self) -> str:
+        """Definition of PSNR, per image; a table's entries are means over images."""
+        error = f"mean squared error over all {'packed entries' if self.space == 'raw' else 'values'}"
+        if self.mse_offset:
+            error = f"({error} + {self.mse_offset:g})"
+        return f"10 log10({self.data_range**2:g} / {error})"
+
+    @property
+    def ssim(self) -> str:
+        """Definition of SSIM, per image."""
+        window = {
+            "uniform-7": "uniform 7x7 window",
+            "gaussian-11": "Gaussian 11x11 window with sigma 1.5",
+            "gaussian-11-volume": "Gaussian 11x11x11 window with sigma 1.5 over rows, columns and colours",
+        }[self.ssim_window]
+        channels = "packed channels" if self.space == "raw" else "colours"
+        mean = f"mean over valid region and {channels}"
+        if self.ssim_window == "gaussian-11-volume":
+            mean = "edges continued by their own values, mean over all values"
+        return f"{window}, {self.ssim_covariance} covariance, K1=0.01, K2=0.03, {mean}"
+
+    @property
+    def rules(self) -> ScoringRules:
+        """What decides the scores of a prediction and a reference in the region."""
+        from eldata.metrics.scoring import ScoringRules
+
+        return ScoringRules(
+            rescaling=self.rescaling,
+            rescaling_mask=self.rescaling_mask,
+            prediction_clamp=self.prediction_clamp,
+            rounding=self.rounding,
+            data_range=self.data_range,
+            mse_offset=self.mse_offset,
+            ssim_window=self.ssim_window,
+            ssim_covariance=self.ssim_covariance,
+        )
+
+    @property
+    def prediction_space(self) -> Space:
+        """What it takes predictions of: packed raw values, or renderings."""
+        return "srgb" if self.space == "srgb" and self.rendering == "libraw" else "raw"
+
+    @property
+    def digest(self) -> str:
+        """``sha256:<hex>`` of all that decides a score: every field but title, source and family."""
+        return fields_digest(self.as_dict())
+
+    @property
+    def scoring_digest(self) -> str:
+        """``sha256:<hex>`` of what decides the score of a given prediction: the pairs' choice is left out."""
+        return fields_digest({key: value for key, value in self.as_dict().items() if key not in _CHOOSING})
+
+    def covers(self, dataset: str) -> bool:
+        """Return whether it is for a dataset of this name."""
+        return self.dataset in (ANY_DATASET, dataset) or dataset.startswith(f"{self.dataset}-")
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the fields as plain types, with the definitions of PSNR and SSIM that follow from them."""
+        plain = {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()}
+        return plain | {"psnr": self.psnr, "ssim": self.ssim}
+
+    def crop(self, shape: tuple[int, ...]) -> tuple[slice, ...]:
+        """Return the index of the region in an image of this shape, (C, h, w).
+
+        Raises
+        ------
+        ArgumentError
+            If the image is too small for the region.
+        """
+        height, width = shape[-2:]
+        found = _REGION.fullmatch(self.region)
+        if found is None:
+            raise ArgumentError(f"region must be 'full', 'centre-N' or 'border-N'; found {self.region!r}")
+        kind, size = found[1], int(found[2] or 0)
+        if kind is None:
+            return slice(None), slice(None), slice(None)
+        if min(height, width) < (size if kind == "centre" else 2 * size + 1):
+            raise ArgumentError(f"a packed image of {height} x {width} is too small for the region {self.region!r}")
+        if kind == "border":
+            return slice(None), slice(size, height - size), slice(size, width - size)
+        top, left = height // 2 - size // 2, width // 2 - size // 2
+        return slice(None), slice(top, top + size), slice(left, left + size)
+
+    def check(self) -> None:
+        """Raise :class:`ArgumentError` if a field has a value that it cannot have, or two do not go together."""
+        for name, known in CHOICES.items():
+            if getattr(self, name) not in known:
+                options = ", ".join(map(repr, known))
+                raise ArgumentError(f"{name} must be one of {options}; found {getattr(self, name)!r}")
+        if _REGION.fullmatch(self.region) is None:
+            raise ArgumentError(f"region must be 'full', 'centre-N' or 'border-N'; found {self.region!r}")
+        self.rules.check()
+        if (self.space == "raw") != (self.rendering == "none"):
+            raise ArgumentError(
+                f"rendering {self.rendering!r} does not go with space {self.space!r}: raw takes 'none', srgb another"
+            )
+        if self.rendering == "eld-isp" and self.rounding != "8-bit-truncated":
+            raise ArgumentError(
+                f"rendering 'eld-isp' makes 8 bits: rounding must be '8-bit-truncated', not {self.rounding!r}"
+            )
+        if self.rendering == "eld-isp" and (self.data_range, self.mse_offset) != (1.0, 0.0):
+            raise ArgumentError("rendering 'eld-isp' is scored on data range 1 with mse_offset 0")
+        if any(ratio <= 0 for ratio in self.ratios):
+            raise ArgumentError(f"ratios must be positive; found {list(self.ratios)}")
+
+
+CHOICES: dict[str, tuple[str, ...]] = {
+    "levels": get_args(Levels),
+    "reference_clip": get_args(Clip),
+    "rescaling": get_args(Rescaling),
+    "rescaling_mask": get_args(RescalingMask),
+    "prediction_clamp": get_args(PredictionClamp),
+    "rounding": get_args(Rounding),
+    "input_clip": get_args(Clip),
+    "amplification": get_args(Amplification),
+    "space": get_args(Space),
+    "rendering": get_args(Rendering),
+    "ssim_window": get_args(SsimWindow),
+    "ssim_covariance": get_args(Covariance),
+}
+"""Fields that have one of a few values, and these."""

@@ -1,0 +1,135 @@
+"""Protocols in words: all fields of one, and a line in a list of several."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from eldata.protocols.protocol import Protocol
+
+LEVELS = {
+    "published": "white 16383, black the file's",
+    "metadata": "the file's own white and black",
+    "metadata-per-channel": "LibRaw's white of each channel, black the file's",
+    "sid-sony": "black 512, white 16383",
+    "sid-fuji": "black 1024, white 16383",
+}
+CLIPS = {"both": "to [0, 1]", "upper": "at 1 only", "none": "none"}
+_CLAMPS = {"both": "to [0, 1], before and after the factor", "before": "to [0, 1] before the factor", "none": "none"}
+_RESCALINGS = {"scalar": "one factor per image", "none": "none"}
+_MASKS = {"unsaturated": "where the reference is not 1", "all": "everywhere"}
+_ROUNDINGS = {"none": "none", "8-bit": "to the nearest of 256 levels", "8-bit-truncated": "down to one of 256 levels"}
+_WINDOWS = {
+    "uniform-7": "7x7 uniform",
+    "gaussian-11": "11x11 Gaussian",
+    "gaussian-11-volume": "11x11x11 Gaussian, colours as a third axis",
+}
+_RENDERINGS = {"none": "none", "libraw": "LibRaw's", "eld-isp": "the ELD paper's pipeline"}
+_AMPLIFICATIONS = {"metadata": "by the files' exposure ratio", "nominal": "by the manifest's ratio"}
+
+
+def _listed(values: Any) -> str:
+    return ", ".join(map(str, values)) if values else "all"
+
+
+def _ratios(values: Any) -> str:
+    return ", ".join(f"x{value:g}" for value in values) if values else "all"
+
+
+def region_words(region: str) -> str:
+    """Return a region in words."""
+    kind, _, size = region.partition("-")
+    return {"centre": f"packed centre {size} x {size}", "border": f"all but {size} packed pixels at each edge"}.get(
+        kind, "full frame"
+    )
+
+
+# Field -> its name in words, and its value's.
+FIELDS: Mapping[str, tuple[str, Callable[[Any], str]]] = {
+    "dataset": ("dataset", str),
+    "subset": ("subset", lambda value: value or "as chosen, else the card's first"),
+    "ratios": ("factors", _ratios),
+    "cameras": ("cameras", _listed),
+    "scenes": ("scenes", _listed),
+    "space": ("space", lambda value: {"raw": "packed raw", "srgb": "sRGB"}[value]),
+    "rendering": ("rendering", lambda value: _RENDERINGS[value]),
+    "levels": ("levels", lambda value: LEVELS[value]),
+    "reference_clip": ("reference's clip", lambda value: CLIPS[value]),
+    "region": ("region", region_words),
+    "rescaling": ("rescaling", lambda value: _RESCALINGS[value]),
+    "rescaling_mask": ("factor found", lambda value: _MASKS[value]),
+    "prediction_clamp": ("prediction's clamp", lambda value: _CLAMPS[value]),
+    "rounding": ("rounding", lambda value: _ROUNDINGS[value]),
+    "data_range": ("data range", lambda value: f"{value:g}"),
+    "mse_offset": ("added to the error", lambda value: f"{value:g}"),
+    "ssim_window": ("SSIM window", lambda value: _WINDOWS[value]),
+    "ssim_covariance": ("SSIM covariance", str),
+    "input_clip": ("input's clip", lambda value: CLIPS[value]),
+    "amplification": ("input amplified", lambda value: _AMPLIFICATIONS[value]),
+    "psnr": ("PSNR", str),
+    "ssim": ("SSIM", str),
+}
+
+
+def in_words(field: str, value: Any) -> str:
+    """Return a field's value in words; a value that this version does not know, as it stands."""
+    if field not in FIELDS:
+        return str(value)
+    try:
+        return FIELDS[field][1](value)
+    except (KeyError, TypeError, ValueError, AttributeError):
+        return str(value)
+
+
+def described(protocol: Protocol) -> list[tuple[str, str]]:
+    """Return a protocol's fields, in words, in the order of an evaluation; those that play no part are left out."""
+    values = protocol.as_dict()
+    skipped = {"ssim_window", "ssim_covariance", "mse_offset", "data_range"}  # PSNR and SSIM say them
+    if protocol.rescaling == "none":
+        skipped.add("rescaling_mask")
+    if protocol.rendering == "none":
+        skipped.add("rendering")
+    if protocol.rendering == "libraw":
+        skipped |= {"levels", "reference_clip"}
+    rows = [(name, words(values[field])) for field, (name, words) in FIELDS.items() if field not in skipped]
+    return [("name", protocol.name), ("title", protocol.title), *rows]
+
+
+HEADER = ("protocol", "dataset", "pairs", "region", "white", "scalar", "input clip", "SSIM", "space")
+"""Columns of a list of protocols; what distinguishes them from one another."""
+
+
+def summary(protocol: Protocol) -> tuple[str, ...]:
+    """Return a protocol's cells in such a list."""
+    pairs = [protocol.subset or "", _scenes(protocol.scenes), ", ".join(protocol.cameras)]
+    if protocol.subset is None:
+        pairs.insert(0, " ".join(f"x{ratio:g}" for ratio in protocol.ratios) or "all factors")
+    kind, _, size = protocol.region.partition("-")
+    region = {"centre": f"centre {size}", "border": f"{size} px off"}.get(kind, "full")
+    white = {"published": "16383", "metadata": "file", "metadata-per-channel": "file, channel"}.get(
+        protocol.levels, protocol.levels
+    )
+    windows = {"uniform-7": "7x7", "gaussian-11": "Gauss 11", "gaussian-11-volume": "Gauss 11, RGB"}
+    return (
+        protocol.name,
+        protocol.dataset,
+        ", ".join(part for part in pairs if part),
+        region,
+        "LibRaw" if protocol.rendering == "libraw" else white,
+        "yes" if protocol.rescaling == "scalar" else "no",
+        protocol.input_clip,
+        windows[protocol.ssim_window],
+        {"raw": "raw", "srgb": "sRGB, 8 bit" if protocol.rounding != "none" else "sRGB"}[protocol.space],
+    )
+
+
+def _scenes(scenes: tuple[str, ...]) -> str:
+    if not scenes:
+        return ""
+    numbers = [name.removeprefix("scene-") for name in scenes]
+    whole = all(number.isdecimal() for number in numbers)
+    if whole and [int(n) for n in numbers] == list(range(int(numbers[0]), int(numbers[0]) + len(numbers))):
+        return f"scenes {numbers[0]}-{numbers[-1]}"
+    return f"{len(scenes)} scenes"

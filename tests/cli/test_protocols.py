@@ -1,0 +1,134 @@
+"""`eldata protocols`, and the options of `eldata evaluate` that choose among them."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import pytest
+
+from eldata.cli import protocols
+from eldata.console import Parser, run
+from eldata.protocols import PROTOCOLS
+from tests.cli.conftest import Cli, assert_golden, normalised
+
+if TYPE_CHECKING:
+    import argparse
+    from pathlib import Path
+
+    from tests.evaluation.helpers import Tree
+
+
+def command(*arguments: str) -> int:
+    parser: argparse.ArgumentParser = Parser(prog="eldata")
+    protocols.add_parser(parser.add_subparsers())
+    return run(parser, ["protocols", *arguments])
+
+
+def test_list(capsys: pytest.CaptureFixture[str]) -> None:
+    assert command() == 0
+    assert_golden("protocols-list", normalised(capsys.readouterr().out))
+
+
+def test_show(capsys: pytest.CaptureFixture[str]) -> None:
+    assert command("show", "led-eld") == 0
+    shown = capsys.readouterr().out
+    assert command("led-eld") == 0
+    assert capsys.readouterr().out == shown
+    assert_golden("protocols-show", normalised(shown))
+    assert PROTOCOLS["led-eld"].digest in shown
+    assert max(map(len, shown.splitlines())) <= 120
+
+
+def test_a_family_shows_its_protocols(capsys: pytest.CaptureFixture[str]) -> None:
+    assert command("pmn") == 0
+    shown = capsys.readouterr().out
+    assert PROTOCOLS["pmn-sid"].digest in shown
+    assert PROTOCOLS["pmn-eld"].digest in shown
+
+
+def test_json_and_dataset(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert command("--dataset", "sid-fuji", "--json", str(tmp_path / "p.json")) == 0
+    listed = json.loads((tmp_path / "p.json").read_text(encoding="utf-8"))["protocols"]
+    assert [one["name"] for one in listed] == ["sid", "sid-uncorrected", "sid2018"]
+    for one in listed:
+        assert one == PROTOCOLS[one["name"]].as_dict() | {"digest": PROTOCOLS[one["name"]].digest}
+    assert "eld-cvpr20" not in capsys.readouterr().out
+
+
+def test_a_file_of_ones_own(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text('base = "eld"\nname = "mine"\ntitle = "Mine"\nlevels = "metadata"\n')
+    assert command(str(path)) == 0
+    assert "levels              the file's own white and black" in capsys.readouterr().out
+    path.write_text("levels = 3\n")
+    assert command(str(path)) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err == f"eldata protocols: {path}: field 'base' is missing; a protocol needs base, name and title\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["elf"], "no protocol is called 'elf'; known are eld, eld-uncorrected"),
+        (["--dataset", "elder"], "no protocol is for dataset 'elder'"),
+    ],
+)
+def test_unknown_names(arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert command(*arguments) == 2
+    captured = capsys.readouterr()
+    assert captured.err.startswith(f"eldata protocols: {said}")
+    assert captured.err.count("\n") == 1
+
+
+# --- eldata evaluate --------------------------------------------------------------------------------------------------
+
+
+def test_evaluate_all(eldata: Cli, tree: Tree, predictions: Path, tmp_path: Path) -> None:
+    outcome = eldata(
+        *("evaluate", predictions, "--manifest", tree.manifest, "--root", tree.root, "--jobs", "1"),
+        *("--protocol", "all", "--csv", tmp_path / "all.csv", "--json", tmp_path / "all.json"),
+    )
+    assert outcome.code == 0
+    assert_golden("evaluate-all", normalised(outcome.out, tree=tree.folder))
+    assert (tmp_path / "all.csv").read_text().startswith("protocol,path,camera,")
+    assert len(json.loads((tmp_path / "all.json").read_text())["results"]) == 4
+
+
+def test_evaluate_the_input(eldata: Cli, tree: Tree) -> None:
+    arguments = ("--manifest", tree.manifest, "--root", tree.root, "--jobs", "1")
+    outcome = eldata("evaluate", "--baseline", "input", *arguments)
+    assert outcome.code == 0
+    assert outcome.out.startswith("eld-demo, protocol eld: 12 of 12 pairs\n")
+
+
+def test_evaluate_under_a_file(eldata: Cli, tree: Tree, predictions: Path, tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text('base = "eld"\nname = "mine"\ntitle = "Levels of the file"\nlevels = "metadata"\n')
+    arguments = ("evaluate", predictions, "--manifest", tree.manifest, "--root", tree.root, "--jobs", "1")
+    outcome = eldata(*arguments, "--protocol", path)
+    assert outcome.code == 0
+    assert outcome.out.startswith("eld-demo, protocol mine: 12 of 12 pairs\n")
+    path.write_text('base = "eld"\nname = "eld"\ntitle = "x"\n')
+    outcome = eldata(*arguments, "--protocol", path)
+    assert (outcome.code, outcome.out) == (2, "")
+    assert f"{path}: name: 'eld' is the name of a shipped protocol" in outcome.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--dataset", "eld"], "one of the arguments PREDS --baseline is required"),
+        (["x", "--baseline", "input", "--dataset", "eld"], "--baseline: not allowed with argument PREDS"),
+        (["x", "--dataset", "eld", "--protocol", "elf"], "no protocol is called 'elf'"),
+        (["x", "--dataset", "sid-fuji", "--protocol", "pmn"], "protocol 'pmn' is pmn-sid (for sid-sony) and pmn-eld"),
+        (["x", "--dataset", "eld", "--protocol", "all", "--subset", "y"], "leave --subset out"),
+        (["--baseline", "input", "--dataset", "drv"], "--baseline is for datasets of images"),
+    ],
+)
+def test_wrong_usage_of_evaluate(arguments: list[str], said: str, eldata: Cli) -> None:
+    outcome = eldata("evaluate", *arguments)
+    assert (outcome.code, outcome.out) == (2, "")
+    assert said in outcome.err
+    assert outcome.err.count("\n") == 1

@@ -1,0 +1,107 @@
+"""A set of the user's own: a few pairs of small DNG files with colour, in no published layout."""
+
+from __future__ import annotations
+
+import zlib
+from collections import Counter
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from eldata.manifest.card import CameraCard, Card, save_card
+from eldata.manifest.table import save_records
+from eldata.raw.dng import write_dng
+from eldata.records import Exposure, FrameRecord, Sensor
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from eldata.records import Role
+
+BLACK = (510.0, 511.0, 513.0, 514.0)
+WHITE = 15300.0
+WHITE_BALANCE = (2.1, 1.0, 1.6, 1.0)
+MATRIX = ((0.7, -0.2, -0.05), (-0.4, 1.2, 0.2), (-0.05, 0.15, 0.6))
+
+
+def sensor_of(size: tuple[int, int], *, make: str = "Maker", model: str = "Mine 1") -> Sensor:
+    """GBRG, black levels of its own, a white level that is no published one."""
+    return Sensor(make, model, ((3, 2), (0, 1)), BLACK, WHITE, *size, WHITE_BALANCE, MATRIX)
+
+
+def mosaic_of(path: str, size: tuple[int, int], *, bright: bool) -> NDArray[np.uint16]:
+    """Smooth structure with noise; a reference has values below black, at both white levels, and between them."""
+    generator = np.random.default_rng(zlib.crc32(path.encode()))
+    rows, columns = np.mgrid[: size[0], : size[1]]
+    wave = 0.5 + 0.45 * np.sin(rows / 7.0 + generator.uniform(0, 6)) * np.cos(columns / 11.0)
+    span = 14000.0 if bright else 140.0
+    mosaic = 512 + span * wave + generator.normal(0, 40 if bright else 8, size)
+    if bright:
+        middle = (size[0] // 2, size[1] // 2)
+        mosaic[middle[0] : middle[0] + 6, middle[1] : middle[1] + 8] = 16383
+        mosaic[middle[0] - 8 : middle[0], middle[1] : middle[1] + 8] = 15700
+        mosaic[middle[0] : middle[0] + 6, middle[1] - 8 : middle[1]] = 480
+    result: NDArray[np.uint16] = np.clip(np.rint(mosaic), 1, 16383).astype(np.uint16)
+    return result
+
+
+@dataclass(frozen=True)
+class OwnSet:
+    """Where it lies: ``manifest`` is the CSV, ``root`` the data root."""
+
+    manifest: Path
+    root: Path
+
+    @property
+    def files(self) -> Path:
+        return self.root / "MINE"
+
+
+def build_own_set(
+    folder: Path, *, ratios: tuple[int, ...] = (50, 100), scenes: int = 1, size: tuple[int, int] = (60, 84)
+) -> OwnSet:
+    """One camera; each scene has a reference and one noisy frame a ratio."""
+    records = []
+    root = folder / "data"
+    for scene in (f"s{number}" for number in range(scenes)):
+        reference = f"{scene}/clean.dng"
+        frames: list[tuple[str, Role, Fraction, Fraction, Fraction | None]] = [
+            (reference, "reference", Fraction(100), Fraction(4), None)
+        ]
+        frames += [(f"{scene}/x{r}.dng", "noisy", Fraction(1600), Fraction(1, 4) / r, Fraction(r)) for r in ratios]
+        for path, role, iso, exposure_s, ratio in frames:
+            clean = role == "reference"
+            (root / "MINE" / path).parent.mkdir(parents=True, exist_ok=True)
+            exposure = Exposure(iso, exposure_s, Fraction(8))
+            write_dng(root / "MINE" / path, mosaic_of(path, size, bright=clean), sensor_of(size), exposure)
+            records.append(
+                FrameRecord(
+                    path,
+                    role,
+                    "Mine",
+                    scene=scene,
+                    iso=iso,
+                    exposure_s=exposure_s,
+                    ratio=ratio,
+                    reference=None if clean else reference,
+                )
+            )
+    card = Card(
+        name="mine",
+        title="A set of one's own",
+        version="1.0",
+        folder="MINE",
+        citation="none",
+        licence="ours",
+        homepage="https://example.org/mine",
+        cfa="bayer",
+        cameras={"Mine": CameraCard(("Mine 1",))},
+        counts=dict(Counter(record.role for record in records)),
+    )
+    save_card(folder / "mine.json", card)
+    save_records(folder / "mine.csv", sorted(records, key=lambda record: record.path))
+    return OwnSet(folder / "mine.csv", root)

@@ -1,0 +1,260 @@
+"""All protocols in one pass, sets of one's own, references that cannot be decoded, executors."""
+
+from __future__ import annotations
+
+import csv
+import json
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from eldata.errors import ArgumentError, EldataError
+from eldata.evaluation import evaluate, evaluate_all, load_prediction, save_prediction
+from eldata.evaluation.results import CSV_COLUMNS
+from eldata.protocols import PROTOCOLS
+from eldata.raw.dng import write_dng
+from eldata.raw.reading import read_raw
+from tests.evaluation import plain
+from tests.evaluation.own_set import OwnSet, build_own_set
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.evaluation.helpers import Tree
+
+
+def predict(own: OwnSet, folder: Path, *, scenes: int = 1, ratios: tuple[int, ...] = (50, 100)) -> Path:
+    generator = np.random.default_rng(3)
+    for scene in range(scenes):
+        target = plain.reference(own.files / f"s{scene}/clean.dng", "16383")
+        for ratio in ratios:
+            noisy = 1.1 * target + generator.normal(0, 0.02, target.shape)
+            save_prediction(folder, f"s{scene}/x{ratio}.dng", noisy.astype(np.float32))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory: pytest.TempPathFactory) -> OwnSet:
+    return build_own_set(tmp_path_factory.mktemp("own"), scenes=2)
+
+
+@pytest.fixture(scope="module")
+def preds(own: OwnSet, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return predict(own, tmp_path_factory.mktemp("preds"), scenes=2)
+
+
+# --- all in one pass --------------------------------------------------------------------------------------------------
+
+
+def test_all_equals_single_runs(own: OwnSet, preds: Path) -> None:
+    combined = evaluate_all(preds, manifest=own.manifest, root=own.root)
+    assert [result.protocol.name for result in combined.results] == ["eld", "eld-uncorrected", "led-sid", "lrd-sid"]
+    for result in combined.results:
+        assert result == evaluate(preds, manifest=own.manifest, root=own.root, protocol=result.protocol)
+    assert len({image.psnr_db for result in combined.results for image in result.images}) == 16
+    assert combined.scored == 4
+
+
+def test_all_does_not_depend_on_jobs(own: OwnSet, preds: Path) -> None:
+    one, two = (evaluate_all(preds, manifest=own.manifest, root=own.root, jobs=jobs) for jobs in (1, 2))
+    assert one == two
+
+
+def test_each_file_is_decoded_once(own: OwnSet, preds: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """But for the white level per channel, for which rawpy decodes once more."""
+    from eldata.evaluation import scoring
+    from eldata.raw import reading
+
+    decoded, loaded = [], []
+    genuine_read, genuine_load = reading.read_raw, load_prediction
+
+    def read(path: Path) -> object:
+        decoded.append(path.relative_to(own.files).as_posix())
+        return genuine_read(path)
+
+    def load(*arguments: object) -> object:
+        loaded.append(arguments[0])
+        return genuine_load(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(reading, "read_raw", read)
+    monkeypatch.setattr(scoring, "load_prediction", load)
+    evaluate_all(preds, manifest=own.manifest, root=own.root)
+    assert sorted(decoded) == ["s0/clean.dng", "s1/clean.dng"]
+    assert len(loaded) == len(set(loaded)) == 4
+
+
+def test_shifts_are_of_the_same_pairs(own: OwnSet, preds: Path) -> None:
+    combined = evaluate_all(preds, manifest=own.manifest, root=own.root)
+    eld, uncorrected = combined.results[:2]
+    expected = np.mean([b.psnr_db - a.psnr_db for a, b in zip(eld.images, uncorrected.images, strict=True)])
+    shift, shared = combined.shift(uncorrected, "psnr_db")
+    assert shift == pytest.approx(expected, abs=1e-12)
+    assert shared == 4
+    shifts = [combined.shift(result, "psnr_db")[0] for result in combined.results]
+    assert shifts[0] == 0.0
+    assert combined.spans()["psnr_db"] == max(shifts) - min(shifts)
+    line = next(line for line in combined.format_table().splitlines() if line.startswith("eld-uncorrected"))
+    assert line.split()[-1] == f"{expected:+.2f}"
+
+
+def test_text_says_what_distinguishes_the_protocols(own: OwnSet, preds: Path) -> None:
+    text = evaluate_all(preds, manifest=own.manifest, root=own.root).format_text()
+    assert text.startswith("mine, 4 protocols\n")
+    assert "eld-uncorrected: rescaling: one factor per image -> none" in text
+    assert "4 of 4 pairs: eld, eld-uncorrected, led-sid, lrd-sid" in text
+    assert "not scored: eld-cvpr20: s0/x100.dng: protocol eld-cvpr20 cannot score it: a packed image of" in text
+    shown = text.split("4 of 4 pairs")[0].splitlines()
+    assert len(shown) > 20
+    assert max(map(len, shown)) <= 120
+
+
+def test_files_of_all(own: OwnSet, preds: Path, tmp_path: Path) -> None:
+    combined = evaluate_all(preds, manifest=own.manifest, root=own.root)
+    combined.write_json(tmp_path / "all.json")
+    combined.write_csv(tmp_path / "all.csv")
+    data = json.loads((tmp_path / "all.json").read_text(encoding="utf-8"))
+    assert data["results"] == [json.loads(json.dumps(result.as_dict())) for result in combined.results]
+    assert {one["protocol"] for one in data["not_scored"]} == {"eld-cvpr20", "sid-srgb", "sid2018"}
+    with (tmp_path / "all.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert tuple(rows[0]) == ("protocol", *CSV_COLUMNS)
+    for result in combined.results:
+        mine = [row for row in rows if row["protocol"] == result.protocol.name]
+        assert [float(row["psnr_db"]) for row in mine] == [image.psnr_db for image in result.images]
+        result.write_csv(tmp_path / "one.csv")
+        assert (tmp_path / "one.csv").read_text().splitlines()[0] == ",".join(CSV_COLUMNS)
+
+
+def test_problems_are_told_once(own: OwnSet, tmp_path: Path) -> None:
+    predict(own, tmp_path, scenes=2)
+    (tmp_path / "s0/x50.npy").unlink()
+    np.save(tmp_path / "s1/x50.npy", np.zeros((1, 2, 4), np.float32))
+    combined = evaluate_all(tmp_path, manifest=own.manifest, root=own.root)
+    assert combined.scored == 0
+    assert [problem.path for problem in combined.problems] == ["s0/x50.dng"]  # nothing was scored, so none was loaded
+    partly = evaluate_all(tmp_path, manifest=own.manifest, root=own.root, allow_missing=True)
+    assert [problem.path for problem in partly.problems] == [str(tmp_path / "s1/x50.npy")]
+    assert partly.scored == 2
+    assert "INCOMPLETE: 2 pairs are not in the means of eld," in partly.format_text()
+
+
+def test_all_on_the_demos_set(tree: Tree, predictions: Path) -> None:
+    """One protocol for each way to score: pmn-eld scores as eld does, and the pairs are the set's own."""
+    combined = evaluate_all(predictions, manifest=tree.manifest, root=tree.root)
+    names = [result.protocol.name for result in combined.results]
+    assert names == ["eld", "eld-uncorrected", "led-eld", "lrd-eld"]
+    assert combined.results[0] == evaluate(predictions, manifest=tree.manifest, root=tree.root)
+    assert evaluate(predictions, manifest=tree.manifest, root=tree.root, protocol="led") == combined.results[2]
+
+
+def test_evaluate_takes_one_protocol(own: OwnSet, preds: Path) -> None:
+    with pytest.raises(ArgumentError, match="evaluate_all"):
+        evaluate(preds, manifest=own.manifest, root=own.root, protocol="all")
+    with pytest.raises(EldataError, match="no such folder of predictions"):
+        evaluate_all(preds / "nowhere", manifest=own.manifest, root=own.root)
+    for arguments in ({"predictions": None}, {"predictions": preds, "baseline": "input"}):
+        with pytest.raises(ArgumentError, match="a folder of predictions or a baseline"):
+            evaluate(manifest=own.manifest, root=own.root, **arguments)
+    with pytest.raises(ArgumentError, match="'sid2018' scores renderings"):
+        evaluate(None, manifest=own.manifest, root=own.root, protocol="sid2018", baseline="input")
+
+
+def test_all_of_the_input(own: OwnSet) -> None:
+    combined = evaluate_all(None, manifest=own.manifest, root=own.root, baseline="input")
+    alone = evaluate(None, manifest=own.manifest, root=own.root, protocol="led-sid", baseline="input")
+    assert next(result for result in combined.results if result.protocol.name == "led-sid") == alone
+
+
+# --- sets of one's own ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", [name for name in PROTOCOLS if PROTOCOLS[name].space == "raw"])
+def test_any_protocol_scores_whatever_factors_a_set_has(name: str, own: OwnSet, preds: Path) -> None:
+    result = evaluate(preds, manifest=own.manifest, root=own.root, protocol=name)
+    assert result.provenance["ratios"] == [50, 100]
+    assert result.provenance["set_aside"]
+    if not PROTOCOLS[name].region.startswith("centre"):
+        assert result.scored == 4
+    if name == "eld":
+        assert result.notes[0] == (
+            "this set's own pairs are scored (x50, x100), not those of the protocol: factors x100, x200"
+        )
+
+
+@pytest.mark.parametrize(
+    ("ratios", "scored", "set_aside"),
+    [((100, 200), [100, 200], []), ((1, 10, 100, 200), [100, 200], []), ((100,), [100], ["factors x100, x200"])],
+)
+def test_a_set_with_all_of_the_protocols_factors_is_scored_at_them(
+    ratios: tuple[int, ...], scored: list[int], set_aside: list[str], tmp_path: Path
+) -> None:
+    own = build_own_set(tmp_path, ratios=ratios)
+    result = evaluate(predict(own, tmp_path / "p", ratios=ratios), manifest=own.manifest, root=own.root)
+    assert result.provenance["ratios"] == scored
+    assert result.provenance["set_aside"] == set_aside
+    assert {image.ratio for image in result.images} == set(scored)
+
+
+def test_a_protocol_of_ones_own(own: OwnSet, preds: Path, tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text('base = "eld"\nname = "inner"\ntitle = "Without the edges"\nregion = "border-3"\n')
+    result = evaluate(preds, manifest=own.manifest, root=own.root, protocol=path)
+    assert (result.protocol.name, result.scored) == ("inner", 4)
+    assert result.provenance["protocol_digest"] == result.protocol.digest
+    assert evaluate(preds, manifest=own.manifest, root=own.root, protocol=str(path)) == result
+    pair = result.pairs[0]
+    expected = plain.score(
+        np.load((preds / pair.path).with_suffix(".npy")), own.files / pair.reference, plain.Way(border=3)
+    )
+    assert result.images[0].psnr_db == pytest.approx(expected[0], abs=1e-6, rel=0)
+    assert "Without the edges" in result.format_text()
+
+
+# --- one bad file -----------------------------------------------------------------------------------------------------
+
+
+def spoil_pixels(path: Path) -> None:
+    """Make a file that states what it should and cannot be decoded: its last row is empty."""
+    frame = read_raw(path)
+    mosaic = frame.mosaic.copy()
+    mosaic[-1] = 0x1234
+    write_dng(path, mosaic, frame.sensor, frame.exposure)
+    row, content = b"\x34\x12" * mosaic.shape[1], path.read_bytes()
+    assert content.count(row) == 1
+    path.write_bytes(content.replace(row, bytes(len(row))))
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_reference_that_cannot_be_decoded_is_the_problem_of_its_pairs(jobs: int, tmp_path: Path) -> None:
+    own = build_own_set(tmp_path, scenes=2)
+    predict(own, tmp_path / "p", scenes=2)
+    spoil_pixels(own.files / "s0/clean.dng")
+    found = evaluate(tmp_path / "p", manifest=own.manifest, root=own.root, jobs=jobs)
+    assert [problem.path for problem in found.problems] == ["s0/x100.dng", "s0/x50.dng"]
+    assert "its reference s0/clean.dng cannot be used: truncated or damaged: its last row" in str(found.problems[0])
+    assert found.scored == 0
+    rest = evaluate(tmp_path / "p", manifest=own.manifest, root=own.root, jobs=jobs, allow_missing=True)
+    assert [image.scene for image in rest.images] == ["s1", "s1"]
+    assert rest.problems == found.problems
+
+
+def test_a_noisy_frame_that_cannot_be_decoded_is_the_problem_of_its_pair(tmp_path: Path) -> None:
+    own = build_own_set(tmp_path)
+    spoil_pixels(own.files / "s0/x50.dng")
+    found = evaluate(None, manifest=own.manifest, root=own.root, baseline="input", allow_missing=True)
+    assert [problem.path for problem in found.problems] == [str(own.files / "s0/x50.dng")]
+    assert [image.ratio for image in found.images] == [100]
+
+
+# --- executors --------------------------------------------------------------------------------------------------------
+
+
+def test_an_executor_of_the_callers(own: OwnSet, preds: Path) -> None:
+    expected = evaluate(preds, manifest=own.manifest, root=own.root)
+    with ThreadPoolExecutor(2) as executor:
+        assert evaluate(preds, manifest=own.manifest, root=own.root, executor=executor) == expected
+        combined = evaluate_all(preds, manifest=own.manifest, root=own.root, executor=executor)
+        assert executor.submit(int, "7").result() == 7  # it was not shut down
+    assert combined.results[0] == expected

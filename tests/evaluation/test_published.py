@@ -1,0 +1,417 @@
+"""A result among published numbers: shown where protocol and pairs are the same, with the reason where they are not."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from eldata.errors import ArgumentError, ManifestError
+from eldata.evaluation.common import json_safe
+from eldata.evaluation.evaluate import evaluate
+from eldata.evaluation.published import COLUMNS, comparison_table, load_published
+from eldata.evaluation.results import EvaluationResult, ImageScore
+from eldata.manifest.catalogue import shipped_manifest
+from eldata.manifest.pairs import select_pairs
+from eldata.manifest.subsets import find_subset
+from eldata.protocols import PROTOCOLS
+from eldata.video_protocols import VIDEO_PROTOCOLS
+
+if TYPE_CHECKING:
+    from tests.evaluation.helpers import Tree
+
+GOLDEN = Path(__file__).parent / "golden" / "published.txt"
+
+
+def row(camera: str | None, ratio: float | None, pairs: int, psnr_db: float, ssim: float) -> dict[str, Any]:
+    return {"camera": camera, "ratio": ratio, "pairs": pairs, "scored": pairs, "psnr_db": psnr_db, "ssim": ssim}
+
+
+def result_on(
+    dataset: str, protocol: str, table: list[dict[str, Any]], subset: str | None = None, **provenance: Any
+) -> dict[str, Any]:
+    """The JSON of a result, as ``eldata evaluate --json`` writes it."""
+    return {
+        "protocol": {"name": protocol},
+        "provenance": {
+            "dataset": dataset,
+            "cameras": "all",
+            "subset": subset,
+            "excluded_flags": {},
+            "protocol_digest": PROTOCOLS[protocol].digest,
+            **provenance,
+        },
+        "coverage": {"pairs": 0, "scored": 0, "missing": []},
+        "table": table,
+    }
+
+
+SONY_ELD = [row("SonyA7S2", 100.0, 30, 46.0, 0.98), row("SonyA7S2", 200.0, 30, 43.0, 0.95)]
+SONY_SID = [
+    row("SonyA7S2", 100.0, 40, 42.5, 0.95),
+    row("SonyA7S2", 250.0, 40, 40.0, 0.93),
+    row("SonyA7S2", 300.0, 49, 37.0, 0.92),
+    row(None, None, 129, 39.6, 0.93),
+]
+
+
+def compared(text: str) -> str:
+    return text.partition("not compared:")[0]
+
+
+def refused(text: str) -> str:
+    return text.partition("not compared:")[2]
+
+
+def order_in(text: str, place: str) -> list[str]:
+    """Methods of one table, from its top."""
+    block = text.partition(f"{place},")[2].partition("\n\n")[0]
+    return [line[2:].split("  ")[0].strip() for line in block.splitlines()[3:]]
+
+
+# --- where it matches ---------------------------------------------------------------------------------------------
+
+
+def test_the_row_stands_where_its_psnr_puts_it() -> None:
+    text = comparison_table(result_on("eld", "eld", SONY_ELD))
+    order = order_in(text, "SonyA7S2 x200")
+    # Wei 2021, table 3: 43.42, 42.45, 38.88, 37.98, 37.19, 35.26, 34.06.
+    assert [method for method in order if method not in ("P-G", "SFRN", "PMN", "PMN (TPAMI)", "LLD", "LED", "PNNP")][
+        :4
+    ] == [
+        "Li et al.",
+        "ELD",
+        "ELD",
+        "yours",
+    ]
+    assert order.index("yours") < order.index("G+P") < order.index("BM3D")
+    assert sum(line.startswith("> yours") for line in text.splitlines()) == 2
+
+
+def test_the_row_can_have_a_name() -> None:
+    text = comparison_table(result_on("eld", "eld", SONY_ELD), name="runs/17")
+    assert "> runs/17 " in text
+    assert "> yours" not in text
+
+
+def test_every_camera_of_a_whole_result_has_its_table() -> None:
+    cameras = ("SonyA7S2", "NikonD850", "CanonEOS70D", "CanonEOS700D")
+    table = [row(camera, ratio, 30, 40.0, 0.9) for camera in cameras for ratio in (100.0, 200.0)]
+    table += [row(None, 100.0, 120, 40.0, 0.9), row(None, 200.0, 120, 40.0, 0.9), row(None, None, 240, 40.0, 0.9)]
+    text = comparison_table(result_on("eld", "eld", table))
+    assert text.count("> yours") == 8
+    assert "not in your table" not in text
+
+
+def test_the_same_numbers_are_under_the_protocols_that_score_alike() -> None:
+    """What PMN published is under ``sid`` and ``pmn-sid``, and only the numbers with correction."""
+    one = compared(comparison_table(result_on("sid-sony", "sid", SONY_SID, "eval-first")))
+    other = compared(comparison_table(result_on("sid-sony", "pmn-sid", SONY_SID, "eval-first")))
+    assert "PMN (TPAMI)" in order_in(one, "SonyA7S2 x300")
+    assert "PMN (TPAMI)" in order_in(other, "SonyA7S2 x300")
+    plain = compared(comparison_table(result_on("sid-sony", "sid-uncorrected", SONY_SID, "eval-first")))
+    assert order_in(plain, "SonyA7S2 x300") == ["PMN", "yours", "Paired data", "SFRN", "ELD", "P-G"]
+
+
+def test_a_mean_over_all_factors_of_the_only_camera() -> None:
+    text = comparison_table(result_on("sid-sony", "sid2018", [row(None, None, 93, 28.5, 0.78)], "test-first"))
+    assert order_in(text, "SonyA7S2 all factors") == ["SID", "yours"]
+    assert "Which release of MATLAB" in compared(text)
+
+
+def test_a_mean_over_another_camera_is_not_taken_for_one() -> None:
+    table = [row("NikonD850", 100.0, 93, 28.5, 0.78), row(None, None, 93, 28.5, 0.78)]
+    text = comparison_table(result_on("sid-sony", "sid2018", table, "test-first"))
+    assert "> yours" not in text
+
+
+def test_infinity_and_nothing_are_read_as_the_json_has_them() -> None:
+    perfect = result_on("eld", "eld", [row("SonyA7S2", 100.0, 30, math.inf, 1.0)])
+    text = comparison_table(json.loads(json.dumps(json_safe(perfect), allow_nan=False)))
+    assert order_in(text, "SonyA7S2 x100")[0] == "yours"
+    nothing = result_on("eld", "eld", [row("SonyA7S2", 100.0, 30, math.nan, math.nan) | {"scored": 0}])
+    assert "yours has scores of 0 of 30 pairs" in comparison_table(json.loads(json.dumps(json_safe(nothing))))
+
+
+# --- where it does not --------------------------------------------------------------------------------------------
+
+
+def test_another_protocol() -> None:
+    text = comparison_table(result_on("sid-sony", "sid", SONY_SID, "eval-first"))
+    assert "published for sid-tpami; yours is sid" in refused(text)
+    assert "Wei 2021" not in compared(text)
+    centre = comparison_table(result_on("sid-sony", "sid-tpami", SONY_SID, "eval-first"))
+    assert "published for sid or pmn-sid; yours is sid-tpami" in refused(centre)
+    assert "ELD (G*+P*+B+R+U)" in order_in(centre, "SonyA7S2 x100")
+
+
+def test_another_protocol_of_the_same_name() -> None:
+    digest = PROTOCOLS["eld"].digest
+    changed = digest[:-1] + ("0" if digest[-1] != "0" else "1")
+    text = comparison_table(result_on("eld", "eld", SONY_ELD, protocol_digest=changed))
+    assert "> yours" not in text
+    assert "None compares with this result." in text
+    assert "your result's protocol eld is not the one that this version of eldata has" in refused(text)
+
+
+def test_a_protocol_of_your_own_compares_with_nothing() -> None:
+    mine = result_on("eld", "eld", SONY_ELD) | {"protocol": {"name": "mine"}}
+    assert "> yours" not in comparison_table(mine)
+    assert "published for eld; yours is mine" in comparison_table(mine)
+
+
+@pytest.mark.parametrize(
+    ("subset", "words"), [("test-first", "subset test-first"), (None, "no named subset"), ("all", "subset all")]
+)
+def test_another_subset(subset: str | None, words: str) -> None:
+    text = comparison_table(result_on("sid-sony", "sid", SONY_SID, subset))
+    assert f"published for subset eval-first; yours is {words}" in refused(text)
+    assert "> yours" not in text
+
+
+def test_pairs_that_a_flag_left_out() -> None:
+    some = result_on("sid-sony", "sid", SONY_SID, "eval-first", excluded_flags={"misaligned": 5})
+    assert "yours leaves out pairs: misaligned (5)" in refused(comparison_table(some))
+    assert "> yours" not in comparison_table(some)
+    none = result_on("eld", "eld", SONY_ELD, excluded_flags={"misaligned": 0})
+    assert comparison_table(none).count("> yours") == 2
+
+
+def test_a_group_with_a_missing_pair_alone_is_not_compared() -> None:
+    table = [SONY_ELD[0], SONY_ELD[1] | {"scored": 29}]
+    text = comparison_table(result_on("eld", "eld", table))
+    assert text.count("> yours") == 1
+    assert "SonyA7S2 x200 (34.06 to 43.42 dB): yours has scores of 29 of 30 pairs" in refused(text)
+
+
+def test_a_smaller_set_under_the_same_name() -> None:
+    """A manifest of your own may call itself eld: the number of pairs gives it away."""
+    text = comparison_table(result_on("eld", "eld", [row("SonyA7S2", 100.0, 24, 46.0, 0.98)]))
+    assert "published over 30 pairs; yours is over 24" in refused(text)
+    assert "> yours" not in text
+
+
+def test_cameras_that_are_not_in_the_result() -> None:
+    text = comparison_table(result_on("eld", "eld", SONY_ELD, cameras=["SonyA7S2"]))
+    assert (
+        "NikonD850 x100, x200; CanonEOS70D x100, x200; CanonEOS700D x100, x200 (27.52 to 42.27 dB): not in your table"
+    ) in refused(text)
+
+
+def test_numbers_of_an_uncertain_protocol_are_never_compared() -> None:
+    table = [row("FujifilmXT2", 100.0, 41, 39.0, 0.95), row(None, None, 94, 38.0, 0.9)]
+    for protocol in ("sid", "sid-uncorrected"):
+        text = comparison_table(result_on("sid-fuji", protocol, table, "test-first"))
+        assert "None compares with this result." in text
+        assert "under no protocol that is known for certain: which part of the frame" in refused(text)
+
+
+def test_clips() -> None:
+    """No published protocol of clips is certain, so nothing compares, and the text says why."""
+    result = {
+        "protocol": {"name": "drv-raw"},
+        "provenance": {
+            "dataset": "drv-raw",
+            "subset": "test",
+            "ids": None,
+            "protocol_digest": VIDEO_PROTOCOLS["drv-raw"].digest,
+        },
+        "coverage": {"videos": 49, "scored": 49, "missing": []},
+        "table": {"psnr_db": 36.0, "ssim": 0.9, "st_rred": 0.4},
+    }
+    text = comparison_table(result)
+    assert "> yours" not in text
+    assert "SonyRX100M6 all factors (32.73 to 37.24 dB): under no protocol" in refused(text)
+
+
+def test_a_dataset_without_published_numbers() -> None:
+    assert comparison_table(result_on("mine", "eld", SONY_ELD)) == "no published numbers on mine are known to eldata"
+
+
+# --- real results -------------------------------------------------------------------------------------------------
+
+
+def scored(dataset: str, protocol: str, subset: str, psnr_db: float) -> EvaluationResult:
+    """A result over the shipped manifest's pairs, without the images."""
+    manifest = shipped_manifest(dataset)
+    rules = PROTOCOLS[protocol]
+    pairs = select_pairs(manifest.records, ratios=rules.ratios, subset=find_subset(manifest.card.subsets, subset))
+    images = tuple(
+        ImageScore(pair.path, pair.camera, pair.scene, float(pair.iso or 0), float(pair.ratio), psnr_db, 0.9, 1.0)
+        for pair in pairs
+    )
+    provenance = {
+        "dataset": dataset,
+        "cameras": "all",
+        "subset": subset,
+        "excluded_flags": {},
+        "protocol_digest": rules.digest,
+    }
+    return EvaluationResult(rules, provenance, tuple(pairs), images, (), (), ())
+
+
+def test_a_result_and_its_json_give_the_same(tmp_path: Path) -> None:
+    result = scored("sid-sony", "sid-tpami", "eval-first", 38.0)
+    result.write_json(tmp_path / "result.json")
+    text = comparison_table(result)
+    assert comparison_table(json.loads((tmp_path / "result.json").read_text())) == text
+    assert text.count("> yours") == 3
+    assert [f"x{ratio}, {pairs} pairs" in text for ratio, pairs in ((100, 40), (250, 40), (300, 49))] == [True] * 3
+
+
+def test_an_evaluation_of_a_set_of_ones_own(tree: Tree, predictions: Path) -> None:
+    result = evaluate(predictions, manifest=tree.manifest, root=tree.root)
+    assert comparison_table(result) == "no published numbers on eld-demo are known to eldata"
+
+
+# --- text ---------------------------------------------------------------------------------------------------------
+
+SOURCES: dict[str, dict[str, Any]] = {
+    "one": {
+        "label": "One 2024",
+        "citation": "A. One, First, 2024",
+        "url": "https://example.org/one",
+        "commit": "one/first@0123456",
+        "tables": {"1": "main", "2": "on sRGB"},
+        "known": ["Full frame."],
+        "unknown": ["Which scenes"],
+    },
+    "two": {
+        "label": "Two 2025",
+        "citation": "B. Two, Second, 2025",
+        "url": "https://example.org/two",
+        "commit": None,
+        "tables": {"1": "main"},
+        "known": [],
+        "unknown": ["Everything"],
+    },
+}
+LINES = [
+    "one,1,eld,SonyA7S2,,eld;pmn-eld,100,30,First,45.25,0.9754,,digits of the log",
+    "one,1,eld,SonyA7S2,,eld;pmn-eld,100,30,Best,46.00,0.985,,",
+    "one,1,eld,SonyA7S2,,eld,100,30,Bare,40.1,,,",
+    "one,1,eld,NikonD850,,eld,100,30,First,42.27,0.936,,",
+    "one,1,eld,NikonD850,,eld,200,30,First,40.36,0.908,,",
+    "one,2,eld,SonyA7S2,,,100,,First,30.5,0.8,,the rendering is not known",
+    "two,1,eld,SonyA7S2,,led-eld,200,24,Second,42.54,,,",
+]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    write(tmp_path, LINES)
+    return tmp_path
+
+
+def write(folder: Path, lines: list[str], sources: Any = SOURCES) -> None:
+    (folder / "eld.csv").write_text("\n".join([",".join(COLUMNS), *lines]) + "\n", encoding="utf-8")
+    (folder / "sources.json").write_text(json.dumps(sources), encoding="utf-8")
+
+
+def test_the_text(folder: Path) -> None:
+    """A tie puts your row first; the file is the wording that people read."""
+    table = [row("SonyA7S2", 100.0, 30, 45.25, 0.97512), row("SonyA7S2", 200.0, 30, 43.0, 0.95)]
+    assert comparison_table(result_on("eld", "eld", table), published=folder) + "\n" == GOLDEN.read_text("utf-8")
+
+
+# --- bad input ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("result", "named"),
+    [
+        ({}, "provenance"),
+        (result_on("eld", "eld", SONY_ELD) | {"protocol": "eld"}, "protocol"),
+        (result_on("eld", "eld", SONY_ELD) | {"table": None}, "table"),
+        (result_on("eld", "eld", SONY_ELD, protocol_digest=None), "protocol_digest"),
+        (result_on("eld", "eld", [SONY_ELD[0] | {"pairs": "30"}]), "pairs"),
+        (result_on("eld", "eld", [SONY_ELD[0] | {"psnr_db": "high"}]), "psnr_db"),
+        (result_on("eld", "eld", SONY_ELD, excluded_flags=["misaligned"]), "excluded_flags"),
+    ],
+)
+def test_what_is_no_result_is_refused_by_field(result: dict[str, Any], named: str) -> None:
+    with pytest.raises(ArgumentError, match=rf"not the result of an evaluation: field '{named}'") as caught:
+        comparison_table(result)
+    assert "\n" not in str(caught.value)
+
+
+def test_rows_that_are_no_objects() -> None:
+    with pytest.raises(ArgumentError, match="rows that are objects; found list"):
+        comparison_table(result_on("eld", "eld", [["SonyA7S2"]]))  # type: ignore[list-item]
+
+
+GOOD = LINES[0]
+
+
+@pytest.mark.parametrize(
+    ("line", "reason"),
+    [
+        (GOOD.replace("one,1", "three,1"), "line 2, column source: 'three' is not in sources.json"),
+        (GOOD.replace("one,1", "one,9"), "line 2, column table: one has '1', '2'; found '9'"),
+        (GOOD.replace("45.25", "4S.25"), "line 2, column psnr_db: expected a number, found '4S.25'"),
+        (GOOD.replace("45.25", ""), "line 2, column psnr_db: expected a number, found ''"),
+        (GOOD.replace("45.25", "nan"), "line 2, column psnr_db: expected a number, found 'nan'"),
+        (GOOD.replace("0.9754", "-0.9"), "line 2, column ssim: expected a number, found '-0.9'"),
+        (GOOD.replace(",30,", ",0,"), "line 2, column pairs: expected a count, found '0'"),
+        (GOOD.replace(",First,", ",,"), "line 2, column method: is empty"),
+        (GOOD.replace("eld;pmn-eld", "").replace("digits of the log", ""), "column note: is empty"),
+        (GOOD + ",more", "line 2: expected 13 fields, found 14"),
+        ('one,1,"eld', "line 2: is not CSV"),
+    ],
+)
+def test_a_malformed_row_is_named(tmp_path: Path, line: str, reason: str) -> None:
+    write(tmp_path, [line])
+    with pytest.raises(ManifestError) as caught:
+        load_published(tmp_path)
+    assert reason in str(caught.value)
+    assert str(tmp_path / "eld.csv") in str(caught.value)
+
+
+def test_a_number_twice(tmp_path: Path) -> None:
+    write(tmp_path, [GOOD, LINES[1], GOOD.replace("45.25", "45.26")])
+    with pytest.raises(ManifestError, match=r"line 4: repeats .*line 2: First, SonyA7S2 x100"):
+        load_published(tmp_path)
+
+
+def test_a_wrong_header(tmp_path: Path) -> None:
+    write(tmp_path, [])
+    (tmp_path / "eld.csv").write_text("method,psnr\n", encoding="utf-8")
+    with pytest.raises(ManifestError, match=r"line 1: expected the columns source,table,.*; found method,psnr"):
+        load_published(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("sources", "reason"),
+    [
+        ([], "expected a JSON object, found list"),
+        ({"one": []}, "one: expected the fields label, citation"),
+        ({"one": {**SOURCES["one"], "note": ""}}, "one: expected the fields label, citation"),
+        ({"one": {**SOURCES["one"], "url": ""}}, "one: expected text that is not empty"),
+        ({"one": {**SOURCES["one"], "commit": 7}}, "one: expected text that is not empty"),
+        ({"one": {**SOURCES["one"], "known": "all"}}, "one, known: expected list, found str"),
+        ({"one": {**SOURCES["one"], "tables": ["1"]}}, "one, tables: expected dict, found list"),
+    ],
+)
+def test_malformed_sources_are_named(tmp_path: Path, sources: Any, reason: str) -> None:
+    write(tmp_path, [], sources)
+    with pytest.raises(ManifestError) as caught:
+        load_published(tmp_path)
+    assert reason in str(caught.value)
+
+
+def test_files_that_are_not_there(tmp_path: Path) -> None:
+    with pytest.raises(ManifestError, match=r"sources\.json: cannot be read"):
+        load_published(tmp_path)
+    (tmp_path / "sources.json").write_text("{}", encoding="utf-8")
+    with pytest.raises(ManifestError, match="holds no published numbers"):
+        load_published(tmp_path)
+    (tmp_path / "sources.json").write_text("{", encoding="utf-8")
+    with pytest.raises(ManifestError, match="is not JSON"):
+        load_published(tmp_path)
+    (tmp_path / "sources.json").write_text(json.dumps(SOURCES), encoding="utf-8")
+    (tmp_path / "eld.csv").write_bytes(b"\xff\xfe")
+    with pytest.raises(ManifestError, match="is not UTF-8"):
+        load_published(tmp_path)

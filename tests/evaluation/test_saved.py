@@ -1,0 +1,165 @@
+"""Results read back: every field, one or several protocols, and one clear line for anything else."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import FrozenInstanceError, asdict
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from eldata.errors import FileError
+from eldata.evaluation.evaluate import evaluate
+from eldata.evaluation.saved import load_results, saved_result
+from tests.reports.evaluations import result_data, written
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.evaluation.helpers import Tree
+
+
+def test_what_evaluate_wrote_is_read_back(tree: Tree, predictions: Path, tmp_path: Path) -> None:
+    result = evaluate(predictions, manifest=tree.manifest, root=tree.root)
+    result.write_json(tmp_path / "a.json")
+    (saved,) = load_results(tmp_path / "a.json")
+    assert [asdict(image) for image in saved.images] == [asdict(image) for image in result.images]
+    assert [asdict(row) for row in saved.table] == [asdict(row) for row in result.table]
+    assert (saved.dataset, saved.protocol_name) == ("eld-demo", "eld")
+    assert saved.protocol_digest == result.protocol.digest
+    assert saved.protocol == result.protocol.as_dict()
+    assert saved.pairs == len(result.pairs)
+    assert saved.source == str(tmp_path / "a.json")
+    assert saved.images[0].place == ("DemoAlpha", "scene-1")
+
+
+def test_rows_hold_their_images() -> None:
+    saved = saved_result(result_data(), "test")
+    for row in saved.table:
+        members = saved.images_of(row)
+        assert len(members) == row.scored
+        assert math.fsum(image.psnr_db for image in members) / len(members) == pytest.approx(row.psnr_db, rel=1e-13)
+
+
+def test_missing_and_problems_are_kept() -> None:
+    data = result_data()
+    data["coverage"] |= {"pairs": 98, "missing": ["a/b.ARW", "a/c.ARW"]}
+    data["problems"] = [{"path": "p.npy", "reason": "is not whole"}]
+    data["notes"] = ["odd"]
+    saved = saved_result(data, "test")
+    assert saved.missing == ("a/b.ARW", "a/c.ARW")
+    assert saved.pairs == 98
+    assert (saved.problems[0].path, saved.problems[0].reason) == ("p.npy", "is not whole")
+    assert saved.notes == ("odd",)
+
+
+def test_several_protocols(tmp_path: Path) -> None:
+    path = written(tmp_path / "all.json", {"results": [result_data(), result_data(protocol="eld-uncorrected")]})
+    assert [saved.protocol_name for saved in load_results(path)] == ["eld", "eld-uncorrected"]
+
+
+def test_infinite_and_unknown_scores() -> None:
+    data = result_data()
+    data["images"][0]["psnr_db"] = "inf"
+    data["images"][1]["psnr_db"] = None
+    saved = saved_result(data, "test")
+    assert saved.images[0].psnr_db == math.inf
+    assert math.isnan(saved.images[1].psnr_db)
+
+
+def test_records_are_frozen() -> None:
+    saved = saved_result(result_data(), "test")
+    with pytest.raises(FrozenInstanceError):
+        saved.images[0].ssim = 1.0  # type: ignore[misc] # which is the point
+
+
+def test_fields_that_a_patch_adds_do_no_harm() -> None:
+    data = result_data()
+    data["more"] = 1
+    data["images"][0]["lpips"] = 0.1
+    assert len(saved_result(data, "test").images) == 96
+
+
+# --- what cannot be used ------------------------------------------------------------------------------------------
+
+
+def changed(*keys: str | int, to: object) -> dict[str, Any]:
+    data = result_data(scenes=1)
+    place: Any = data
+    for key in keys[:-1]:
+        place = place[key]
+    place[keys[-1]] = to
+    return data
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (changed("images", 3, "psnr_db", to="high"), ["images[3].psnr_db", '"inf"', "'high'"]),
+        (changed("images", 3, "psnr_db", to=True), ["images[3].psnr_db", "True"]),
+        (changed("images", 3, "psnr_db", to=10**400), ["images[3].psnr_db"]),
+        (changed("images", 2, "iso", to=None), ["images[2].iso", "0 or more", "null"]),
+        (changed("images", 2, "ratio", to=-1), ["images[2].ratio", "-1"]),
+        (changed("images", 0, "path", to=7), ["images[0].path", "text", "7"]),
+        (changed("images", 1, "path", to="SonyA7S2/scene-1/IMG_0002.ARW"), ["images[1].path", "not there yet"]),
+        (changed("images", 1, to=[]), ["images[1]", "object", "a list"]),
+        (changed("images", to={}), ["field images", "list", "an object"]),
+        (changed("coverage", "scored", to=11), ["coverage.scored", "12", "11"]),
+        (changed("coverage", "pairs", to=3), ["coverage.pairs", "12 or more", "3"]),
+        (changed("coverage", "pairs", to=12.0), ["coverage.pairs", "whole number", "12.0"]),
+        (changed("coverage", "missing", to=["a", 1]), ["coverage.missing[1]", "text"]),
+        (changed("provenance", to="eld"), ["field provenance", "object", "'eld'"]),
+        (changed("provenance", "dataset", to=None), ["provenance.dataset", "text", "null"]),
+        (changed("provenance", "eldata", to="99.0.0"), ["provenance.eldata", "99.0.0", "0.1.0", "update"]),
+        (changed("protocol", "name", to=3), ["protocol.name", "text"]),
+        (changed("table", 0, "scored", to=-1), ["table[0].scored", "-1"]),
+        (changed("notes", to="odd"), ["field notes", "list of texts"]),
+        (changed("problems", to=[{"path": "a"}]), ["problems[0].reason", "missing"]),
+        ({"problems": [], "ok": True}, ["not a result of eldata evaluate", "provenance", "missing"]),
+        ({"videos": []}, ["scores of clips", "images"]),
+        ([], ["expected an object", "a list"]),
+        ({"results": []}, ["results", "list of results"]),
+        ({"results": [result_data(scenes=1), {}]}, ["results[1].provenance", "missing"]),
+        ({"results": [3]}, ["results[0]", "object", "3"]),
+    ],
+)
+def test_a_bad_field_is_named(data: object, words: list[str], tmp_path: Path) -> None:
+    path = written(tmp_path / "bad.json", data)
+    with pytest.raises(FileError) as caught:
+        load_results(path)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    assert "\n" not in message
+    for word in words:
+        assert word in message
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", ["not whole JSON", "line 1", "--json"]),
+        (json.dumps(result_data(scenes=1)).encode()[:-40], ["not whole JSON"]),
+        (json.dumps(changed("images", 0, "ssim", to=math.nan)).encode(), ["NaN", "JSON does not have"]),
+        (json.dumps(changed("images", 0, "ssim", to=-math.inf)).encode(), ["-Infinity", "JSON does not have"]),
+        (json.dumps(result_data(scenes=1)).replace('"iso": 800.0', '"iso": 1e999', 1).encode(), ["images[0].iso"]),
+        (b"\xff\xfe\x00", ["UTF-8"]),
+        (b"path,camera\na,b\n", ["not whole JSON"]),
+        (b"[" * 100_000, ["nested too deeply"]),
+    ],
+)
+def test_what_is_not_whole_json_is_one_line(content: bytes, words: list[str], tmp_path: Path) -> None:
+    path = tmp_path / "bad.json"
+    path.write_bytes(content)
+    with pytest.raises(FileError) as caught:
+        load_results(path)
+    assert "\n" not in str(caught.value)
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="cannot be read: No such file"):
+        load_results(tmp_path / "none.json")
+    with pytest.raises(FileError, match="cannot be read: Is a directory"):
+        load_results(tmp_path)

@@ -1,0 +1,125 @@
+"""Scores under any rules, against the same steps on whole float64 images."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from skimage.metrics import structural_similarity
+
+from eldata.errors import ArgumentError
+from eldata.metrics import ScoringRules, factor_by, score, score_by
+
+Image = npt.NDArray[np.floating[Any]]
+
+
+def images(dtype: npt.DTypeLike = np.float64) -> tuple[Image, Image]:
+    rng = np.random.default_rng(7)
+    g = np.clip(np.linspace(-0.1, 1.3, 70) * np.linspace(0.2, 1, 40)[:, None] + 0.05 * rng.random((3, 40, 70)), None, 1)
+    p = 1.2 * g + rng.normal(0, 0.05, g.shape)
+    return p.astype(dtype), g.astype(dtype)
+
+
+def step_by_step(p: Image, g: Image, rules: ScoringRules) -> tuple[float, float, float]:
+    p64, g64 = p.astype(np.float64), g.astype(np.float64)
+    if rules.prediction_clamp != "none":
+        p64 = np.clip(p64, 0, 1)
+    factor = 1.0
+    if rules.rescaling == "scalar":
+        counts = g64 != 1 if rules.rescaling_mask == "unsaturated" else np.ones(g64.shape, bool)
+        factor = float((p64 * g64)[counts].sum() / (p64 * p64)[counts].sum())
+    p64 = factor * p64
+    if rules.prediction_clamp == "both":
+        p64 = np.clip(p64, 0, 1)
+    if rules.rounding != "none":
+        half = 0.5 if rules.rounding == "8-bit" else 0.0
+        p64, g64 = (np.clip(np.floor(x * 255 + half), 0, 255) / 255 for x in (p64, g64))
+    gaussian: dict[str, Any] = {"gaussian_weights": True, "sigma": 1.5} if rules.ssim_window == "gaussian-11" else {}
+    similarity = structural_similarity(  # type: ignore[no-untyped-call]
+        g64,
+        p64,
+        data_range=rules.data_range,
+        channel_axis=0,
+        use_sample_covariance=rules.ssim_covariance == "sample",
+        **gaussian,
+    )
+    error = float(np.mean((p64 - g64) ** 2)) + rules.mse_offset
+    return 10 * math.log10(rules.data_range**2 / error), float(similarity), factor
+
+
+CASES = [
+    ScoringRules(rescaling, mask, clamp, rounding, data_range, offset, window, covariance)  # type: ignore[arg-type] # literals
+    for rescaling, mask, clamp, rounding, (data_range, offset), (window, covariance) in itertools.product(
+        ("none", "scalar"),
+        ("unsaturated", "all"),
+        ("both", "before", "none"),
+        ("none", "8-bit", "8-bit-truncated"),
+        ((1.0, 0.0), (2.0, 1e-3)),
+        (("uniform-7", "population"), ("gaussian-11", "sample")),
+    )
+]
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_every_combination_equals_the_steps(dtype: npt.DTypeLike) -> None:
+    p, g = images(dtype)
+    distinct = set()
+    for rules in CASES:
+        found = score_by(p, g, rules)
+        psnr_db, similarity, factor = step_by_step(p, g, rules)
+        assert found.psnr_db == pytest.approx(psnr_db, abs=1e-9), rules
+        assert found.ssim == pytest.approx(similarity, abs=1e-10), rules
+        assert found.rescale == pytest.approx(factor, rel=1e-12), rules
+        assert score_by(p, g, rules, factor=factor_by(p, g, rules)) == found
+        distinct.add((found.psnr_db, found.ssim))
+    assert len(distinct) > 60  # the rules matter here; a mask without a factor and clamps before rounding do not
+
+
+def test_the_defaults_are_elds() -> None:
+    p, g = images()
+    assert score_by(p, g, ScoringRules()) == score(p, g, rescaling="scalar")
+    assert score_by(p, g, ScoringRules(rescaling="none")) == score(p, g, rescaling="none")
+    assert factor_by(p, g, ScoringRules(rescaling="none")) == 1.0
+
+
+def test_an_offset_keeps_equal_images_finite() -> None:
+    _, g = images()
+    found = score_by(g, g, ScoringRules("none", prediction_clamp="none", mse_offset=1e-8))
+    assert found.psnr_db == pytest.approx(80.0, abs=1e-12)
+
+
+def test_rounding_of_codes_is_exact() -> None:
+    """255 levels in float32 and back: code k stays k, whichever way it is rounded."""
+    codes = np.arange(256.0).reshape(1, 16, 16)
+    stored = (codes / 255).astype(np.float32)
+    shifted = np.roll(codes, 1)
+    rules = ScoringRules("none", rounding="8-bit")
+    found = score_by(stored, (shifted / 255).astype(np.float32), rules)
+    expected = 10 * math.log10(255**2 / np.mean((codes - shifted) ** 2))
+    assert found.psnr_db == pytest.approx(expected, abs=1e-12)
+    assert score_by(stored, stored, rules).psnr_db == math.inf
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"rescaling": "affine"}, "rescaling must be one of"),
+        ({"rescaling_mask": "dark"}, "rescaling_mask must be one of"),
+        ({"prediction_clamp": "after"}, "prediction_clamp must be one of"),
+        ({"rounding": "10-bit"}, "rounding must be one of"),
+        ({"ssim_window": "9"}, "window must be one of"),
+        ({"data_range": 0.0}, "data_range"),
+        ({"mse_offset": -1.0}, "mse_offset"),
+        ({"mse_offset": math.nan}, "mse_offset"),
+    ],
+)
+def test_refusals(change: dict[str, Any], said: str) -> None:
+    p, g = images()
+    for call in (score_by, factor_by):
+        with pytest.raises(ArgumentError, match=said):
+            call(p, g, replace(ScoringRules(), **change))

@@ -1,12 +1,19 @@
-"""Plain-text tables, aligned."""
+"""Tables: aligned plain text, Markdown and LaTeX, from the same header and rows of texts."""
 
 from __future__ import annotations
 
 import math
+import re
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
+
+
+class Strong(str):
+    """A cell that Markdown and LaTeX set in bold; plain text shows it as it is."""
+
+    __slots__ = ()
 
 
 def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], left: Collection[int] = (0,)) -> str:
@@ -20,6 +27,147 @@ def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], left: Colle
         for row in (header, ["-" * width for width in widths], *rows)
     ]
     return "\n".join(lines)
+
+
+# --- Markdown -----------------------------------------------------------------------------------------------------
+
+_MARKDOWN_SPECIAL = re.compile(r"([\\`*_{}\[\]<>|~&$])")
+
+
+def markdown_text(text: str) -> str:
+    """Return text that Markdown shows as it is, in one line: its special characters are escaped."""
+    return _MARKDOWN_SPECIAL.sub(r"\\\1", _one_line(text))
+
+
+def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]], left: Collection[int] = (0,)) -> str:
+    """Return a table of GitHub's Markdown, its lines aligned; columns ``left`` to the left, the others to the right.
+
+    Texts are escaped; a :class:`Strong` cell is bold.
+    """
+    cells = [[_markdown_cell(cell) for cell in row] for row in (header, *rows)]
+    widths = [max(3, *(len(cell) for cell in column)) for column in zip(*cells, strict=True)]
+    ruler = ["-" * width if index in left else "-" * (width - 1) + ":" for index, width in enumerate(widths)]
+    padded = [
+        [
+            cell.ljust(width) if index in left else cell.rjust(width)
+            for index, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        for row in cells
+    ]
+    return "\n".join(f"| {' | '.join(row)} |" for row in (padded[0], ruler, *padded[1:]))
+
+
+def _markdown_cell(cell: str) -> str:
+    text = markdown_text(cell)
+    return f"**{text}**" if isinstance(cell, Strong) and text else text
+
+
+# --- LaTeX --------------------------------------------------------------------------------------------------------
+
+_LATEX = {
+    "\\": r"\textbackslash{}",
+    "{": r"\{",
+    "}": r"\}",
+    "$": r"\$",
+    "&": r"\&",
+    "%": r"\%",
+    "#": r"\#",
+    "_": r"\_",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "|": r"\textbar{}",
+    '"': r"\textquotedbl{}",
+    "[": "{[}",  # after a line's end, "\\[" would be the optional argument of the break
+    "]": "{]}",
+    "×": r"$\times$",
+    "±": r"$\pm$",
+    "−": "$-$",
+    "Δ": r"$\Delta$",
+    "–": "--",
+    "…": r"\dots{}",
+}
+
+
+def latex_text(text: str) -> str:
+    """Return text that LaTeX prints as it is, in one line: its special characters are escaped."""
+    return "".join(_LATEX.get(character, character) for character in _one_line(text))
+
+
+def latex_table(
+    header: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    left: Collection[int] = (0,),
+    *,
+    caption: str,
+    label: str,
+    spans: Sequence[tuple[str, int]] = (),
+    rules: Collection[int] = (),
+) -> str:
+    r"""Return a ``table`` with the rules of the package booktabs.
+
+    Parameters
+    ----------
+    header, rows, left
+        As for :func:`text_table`. Texts are escaped; a :class:`Strong` cell is bold.
+    caption
+        The caption's text, which is escaped.
+    label
+        What ``\ref`` calls it; letters, digits, ``:`` and ``-``, anything else becomes ``-``.
+    spans
+        A row above the header: texts, and how many columns each spans. Those with text have a line under them.
+    rules
+        Indices of rows with a line above.
+    """
+    columns = "".join("l" if index in left else "r" for index in range(len(header)))
+    lines = [
+        "% needs \\usepackage{booktabs}",
+        r"\begin{table}",
+        r"\centering",
+        rf"\caption{{{latex_text(caption)}}}",
+        rf"\label{{{re.sub(r'[^A-Za-z0-9:-]+', '-', label)}}}",
+        rf"\begin{{tabular}}{{{columns}}}",
+        r"\toprule",
+        *_latex_spans(spans),
+        _latex_row(header),
+        r"\midrule",
+    ]
+    for index, row in enumerate(rows):
+        if index in rules:
+            lines.append(r"\midrule")
+        lines.append(_latex_row(row))
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}"])
+
+
+def _latex_row(row: Sequence[str]) -> str:
+    return f"{' & '.join(_latex_cell(cell) for cell in row)} \\\\"
+
+
+def _latex_cell(cell: str) -> str:
+    # A hyphen before a number is meant as a minus sign.
+    text = latex_text(re.sub(r"(?<![\w.)-])-(?=\.?\d)", "−", cell))
+    return rf"\textbf{{{text}}}" if isinstance(cell, Strong) and text else text
+
+
+def _latex_spans(spans: Sequence[tuple[str, int]]) -> list[str]:
+    if not spans:
+        return []
+    cells, rules, first = [], [], 1
+    for text, count in spans:
+        cells.append(rf"\multicolumn{{{count}}}{{c}}{{{_latex_cell(text)}}}" if text else " & ".join([""] * count))
+        if text:
+            rules.append(rf"\cmidrule(lr){{{first}-{first + count - 1}}}")
+        first += count
+    return [f"{' & '.join(cells)} \\\\", " ".join(rules)]
+
+
+def _one_line(text: str) -> str:
+    """Return text without line ends and other control characters."""
+    return " ".join("".join(character if character.isprintable() else " " for character in text).split())
+
+
+# --- numbers ------------------------------------------------------------------------------------------------------
 
 
 def with_error(value: float, error: float) -> str:

@@ -1,0 +1,85 @@
+"""`eldata compare`: results of several methods in, their differences on common images out."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from eldata.console import OK, add_debug, add_json, write_json
+from eldata.errors import ArgumentError
+from eldata.reports.evaluation_tables import FORMATS
+
+if TYPE_CHECKING:
+    import argparse
+
+    from eldata.evaluation.saved import SavedResult
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add this command."""
+    parser = commands.add_parser(
+        "compare",
+        help="hold results of several methods against each other on their common images",
+        description=(
+            "Compare results that eldata evaluate --json wrote, all with the first: means by camera and factor over "
+            "the images that all have scores of, and differences with intervals over scenes. Differing protocols, "
+            "subsets and manifests are warned of."
+        ),
+    )
+    parser.add_argument(
+        "results", nargs="+", metavar="RESULT", help="JSON of eldata evaluate; the first is the baseline"
+    )
+    parser.add_argument(
+        "--name",
+        action="append",
+        default=[],
+        dest="names",
+        metavar="NAME",
+        help="what to call a method; once a file, in their order (default: the file's name)",
+    )
+    parser.add_argument("--protocol", metavar="P", help="which protocol's results, of files that hold several")
+    parser.add_argument("--format", choices=FORMATS, default="text", help="how to print the tables (default: text)")
+    parser.add_argument("--html", metavar="FILE", help="write a page with plots and the biggest differences to FILE")
+    add_json(parser)
+    add_debug(parser)
+    parser.set_defaults(run=run, command="compare")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run this command."""
+    from eldata.reports.evaluation_comparison import Method, compare, format_comparison
+
+    paths = [Path(name) for name in arguments.results]
+    if len(paths) < 2:
+        raise ArgumentError("a comparison needs two results or more; found 1")
+    names = arguments.names or [path.stem for path in paths]
+    if len(names) != len(paths):
+        raise ArgumentError(f"expected one --name a file, or none; found {len(names)} for {len(paths)} files")
+    comparison = compare(
+        [Method(name, _result(path, arguments.protocol)) for name, path in zip(names, paths, strict=True)]
+    )
+    if arguments.html:
+        from eldata.reports.comparison_page import write_comparison_page
+
+        write_comparison_page(comparison, arguments.html)
+    if arguments.json:
+        write_json(arguments.json, comparison.as_dict())
+    for warning in comparison.warnings:
+        print(f"eldata compare: warning: {' '.join(warning.split())}", file=sys.stderr)
+    print(format_comparison(comparison, arguments.format))
+    return OK
+
+
+def _result(path: Path, protocol: str | None) -> SavedResult:
+    from eldata.errors import FileError
+    from eldata.evaluation.saved import load_results
+
+    results = load_results(path)
+    names = [result.protocol_name for result in results]
+    if protocol is None and len(results) > 1:
+        raise FileError(path, f"holds results of several protocols ({', '.join(names)}); choose one with --protocol")
+    chosen = [result for result in results if protocol in (None, result.protocol_name)]
+    if not chosen:
+        raise FileError(path, f"holds no result of protocol {protocol!r}, only of {', '.join(names)}")
+    return chosen[0]

@@ -1,0 +1,210 @@
+"""eldata compare: what it prints word for word, what it warns of, what it refuses."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+import pytest
+
+from eldata.cli import compare as command
+from eldata.console import Parser, run
+from tests.cli.conftest import Outcome, assert_golden
+from tests.reports.evaluations import result_data, table_of, written
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Callable
+    from pathlib import Path
+
+
+@pytest.fixture
+def compare(capsys: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
+    def call(*arguments: str | Path) -> Outcome:
+        parser = cast("argparse.ArgumentParser", Parser(prog="eldata"))
+        command.add_parser(parser.add_subparsers())
+        capsys.readouterr()
+        code = run(cast("Parser", parser), ["compare", *(str(argument) for argument in arguments)])
+        captured = capsys.readouterr()
+        return Outcome(code, captured.out, captured.err)
+
+    return call
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> list[Path]:
+    """A baseline, a method that is 0.5 dB better, and one with a hostile name that is worse."""
+    return [
+        written(tmp_path / "base.json", result_data()),
+        written(tmp_path / "unet.json", result_data(gain_db=0.5, method=1)),
+        written(tmp_path / "my_net&co.json", result_data(gain_db=-0.2, method=2)),
+    ]
+
+
+def changed(path: Path, change: Callable[[dict[str, Any]], None]) -> Path:
+    data = json.loads(path.read_text(encoding="utf-8"))
+    change(data)
+    data["table"] = table_of(data)
+    return written(path, data)
+
+
+@pytest.mark.parametrize("form", ["text", "markdown", "latex"])
+def test_tables(form: str, compare: Callable[..., Outcome], files: list[Path]) -> None:
+    outcome = compare(*files, "--format", form)
+    assert (outcome.code, outcome.err) == (0, "")
+    assert_golden(f"compare-{form}", outcome.out)
+
+
+def test_json_has_the_numbers_and_they_are_right(
+    compare: Callable[..., Outcome], files: list[Path], tmp_path: Path
+) -> None:
+    outcome = compare(*files[:2], "--json", tmp_path / "out.json")
+    assert outcome.code == 0
+    found = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))
+    first, second = (json.loads(path.read_text(encoding="utf-8"))["images"] for path in files[:2])
+    assert [method["name"] for method in found["methods"]] == ["base", "unet"]
+    assert found["warnings"] == []
+    assert found["common"] == [image["path"] for image in first]
+    assert found["statistics"] == {"level": 0.95, "resamples": 9999, "seed": 0, "clusters": ["camera", "scene"]}
+    keys = [(group["camera"], group["ratio"]) for group in found["groups"]]
+    cameras, ratios = ("SonyA7S2", "NikonD850"), (100.0, 200.0)
+    assert keys == [(c, r) for c in (*cameras, None) for r in ratios] + [(None, None)]
+    for group in found["groups"]:
+        chosen = [
+            index
+            for index, image in enumerate(first)
+            if group["camera"] in (None, image["camera"]) and group["ratio"] in (None, image["ratio"])
+        ]
+        assert group["images"] == len(chosen)
+        for field in ("psnr_db", "ssim"):
+            a, b = (np.array([images[index][field] for index in chosen]) for images in (first, second))
+            assert group["means"][0][field] == pytest.approx(a.mean(), rel=1e-13)
+            assert group["means"][1][field] == pytest.approx(b.mean(), rel=1e-13)
+            interval = group["gains"][0][field]["interval"]
+            assert interval["mean"] == pytest.approx((b - a).mean(), rel=1e-9)
+            assert interval["low"] < interval["mean"] < interval["high"]
+    assert found["groups"][-1]["gains"][0]["psnr_db"]["p_value"] < 0.001
+
+
+def test_names(compare: Callable[..., Outcome], files: list[Path]) -> None:
+    outcome = compare(*files[:2], "--name", "A", "--name", "B")
+    assert "B minus A" in outcome.out
+
+
+def test_only_common_images_count_and_that_is_said(compare: Callable[..., Outcome], files: list[Path]) -> None:
+    def drop(data: dict[str, Any]) -> None:
+        data["coverage"] |= {"scored": 90, "missing": [image["path"] for image in data["images"][:6]]}
+        del data["images"][:6]
+
+    changed(files[1], drop)
+    outcome = compare(*files[:2])
+    assert outcome.code == 0
+    assert "2 methods on 90 common images of 15 scenes" in outcome.out
+    assert "warning: base has scores of 96 images, of which 90 are common to all and count" in outcome.err
+    assert "warning: unet is incomplete: 90 of 96 pairs were scored" in outcome.err
+
+
+def test_best_is_what_prints_like_the_best(compare: Callable[..., Outcome], files: list[Path]) -> None:
+    """Equal methods are both best, in every row."""
+    outcome = compare(files[0], files[0], "--name", "a", "--name", "b", "--format", "markdown")
+    table = outcome.out.split("\n\n")[1]
+    assert table.count("**") == 2 * 2 * 2 * 7
+    assert "+0.00 to +0.00" in outcome.out
+    assert "1.000" in outcome.out
+
+
+# --- what may not compare -----------------------------------------------------------------------------------------
+
+
+def test_another_protocol_is_warned_of(compare: Callable[..., Outcome], files: list[Path], tmp_path: Path) -> None:
+    other = written(tmp_path / "other.json", result_data(protocol="eld-uncorrected"))
+    outcome = compare(files[0], other, "--html", tmp_path / "page.html", "--format", "markdown")
+    assert outcome.code == 0
+    assert outcome.err.count("\n") == 1
+    assert "base and other may not compare: protocol: rescaling: one factor per image against none" in outcome.err
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "Read before use: 1 warning." in page
+    assert "rescaling: one factor per image against none" in page
+    assert "Warning: base and other may not compare" in outcome.out
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "words"),
+    [
+        ("manifest_sha256", "sha256:" + "b" * 64, "manifest sha256: sha256:aaaaaaaa against sha256:bbbbbbbb"),
+        ("subset", "indoor", 'subset: null against "indoor"'),
+        ("excluded_flags", {"misaligned": 5}, 'excluded flags: {} against {"misaligned": 5}'),
+        ("dataset", "mine", 'dataset: "eld" against "mine"'),
+    ],
+)
+def test_another_choice_of_pairs_is_warned_of(
+    field: str, value: object, words: str, compare: Callable[..., Outcome], files: list[Path]
+) -> None:
+    changed(files[1], lambda data: data["provenance"].update({field: value}))
+    outcome = compare(*files[:2])
+    assert outcome.code == 0
+    assert outcome.err == f"eldata compare: warning: base and unet may not compare: {words}\n"
+
+
+def test_other_versions_and_folders_are_not_warned_of(compare: Callable[..., Outcome], files: list[Path]) -> None:
+    changed(files[1], lambda data: data["provenance"].update({"libraw": "0.21.4", "predictions": "/elsewhere"}))
+    assert compare(*files[:2]).err == ""
+
+
+def test_the_same_path_of_another_factor_is_warned_of(compare: Callable[..., Outcome], files: list[Path]) -> None:
+    changed(files[1], lambda data: data["images"][0].update({"ratio": 200.0}))
+    assert (
+        "ratio of 1 images differs, such as SonyA7S2/scene-1/IMG_0002.ARW: 100.0 and 200.0" in compare(*files[:2]).err
+    )
+
+
+# --- what is refused ----------------------------------------------------------------------------------------------
+
+
+def assert_refused(outcome: Outcome, *words: str) -> None:
+    assert (outcome.code, outcome.out) == (2, "")
+    assert outcome.err.count("\n") == 1
+    assert "--debug" not in outcome.err
+    for word in words:
+        assert word in outcome.err
+
+
+def test_nothing_in_common(compare: Callable[..., Outcome], files: list[Path], tmp_path: Path) -> None:
+    other = written(tmp_path / "sid.json", result_data(cameras=["Sony"], dataset="sid-sony", protocol="sid"))
+    assert_refused(compare(files[0], other), "no image is common", "96 of eld", "48 of sid-sony")
+    assert_refused(compare(files[0], other, "--html", tmp_path / "x.html"), "no image is common")
+    assert not (tmp_path / "x.html").exists()
+
+
+def test_one_result_names_and_files(compare: Callable[..., Outcome], files: list[Path], tmp_path: Path) -> None:
+    assert_refused(compare(files[0]), "two results or more")
+    assert_refused(compare(files[0], files[0]), "two results are called 'base'", "--name")
+    assert_refused(compare(*files[:2], "--name", "a"), "found 1 for 2 files")
+    assert_refused(compare(files[0], tmp_path / "none.json"), "none.json", "No such file")
+    assert_refused(compare(*files[:2], "--format", "word"), "--format", "word", "latex")
+    assert_refused(compare(*files[:2], "--html", tmp_path / "no" / "page.html"), "cannot write", "page.html")
+    assert_refused(compare(*files[:2], "--json", tmp_path / "no" / "x.json"), "cannot write", "x.json")
+
+
+def test_several_protocols_need_a_choice(compare: Callable[..., Outcome], files: list[Path], tmp_path: Path) -> None:
+    many = written(tmp_path / "many.json", {"results": [result_data(), result_data(protocol="eld-uncorrected")]})
+    assert_refused(compare(files[0], many), "many.json", "eld, eld-uncorrected", "--protocol")
+    assert_refused(compare(files[0], many, "--protocol", "sid"), "no result of protocol 'sid'", "only of eld")
+    outcome = compare(files[1], many, "--protocol", "eld")
+    assert (outcome.code, outcome.err) == (0, "")
+
+
+def test_perfect_predictions(compare: Callable[..., Outcome], files: list[Path], tmp_path: Path) -> None:
+    """An infinite PSNR has no difference: the groups that it is in say so, the others stand."""
+    changed(files[1], lambda data: data["images"][0].update({"psnr_db": "inf"}))
+    outcome = compare(*files[:2], "--html", tmp_path / "page.html", "--json", tmp_path / "out.json")
+    assert (outcome.code, outcome.err) == (0, "")
+    groups = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["groups"]
+    assert groups[0]["gains"][0]["psnr_db"] == {
+        "interval": {"mean": "inf", "low": None, "high": None, "images": 24, "scenes": 8},
+        "p_value": None,
+    }
+    assert math.isfinite(groups[1]["gains"][0]["psnr_db"]["interval"]["low"])
+    assert "is not finite" in (tmp_path / "page.html").read_text(encoding="utf-8")

@@ -1,0 +1,449 @@
+"""The page of an evaluation and that of a comparison: complete, self-contained, safe with any text, right pictures."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import io
+import math
+import re
+import shutil
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from eldata.errors import ArgumentError, EldataError, PredictionError
+from eldata.evaluation.evaluate import evaluate
+from eldata.evaluation.saved import saved_result
+from eldata.isp.preview import preview
+from eldata.raw.levels import packed_frame
+from eldata.raw.reading import read_raw
+from eldata.reports import evaluation_pictures
+from eldata.reports.comparison_page import comparison_page
+from eldata.reports.evaluation_comparison import Method, compare
+from eldata.reports.evaluation_page import evaluation_page, write_evaluation_page
+from eldata.reports.evaluation_pictures import CROP, EACH, Layer, ShownImage, ShownImages, chosen_images, shown_images
+from eldata.reports.evaluation_plots import drawable, score_plots
+from eldata.reports.evaluation_tables import format_results, paper_table
+from tests.evaluation.helpers import Tree, place, small_tree
+from tests.reports.evaluations import result, result_data, table_of
+from tests.reports.pages import HOSTILE, assert_well_formed, checked
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from eldata.evaluation.results import EvaluationResult
+
+NOTHING = ShownImages((), 1.0)
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> Tree:
+    return small_tree(tmp_path_factory.mktemp("tree") / "demo", scenes=2)
+
+
+@pytest.fixture(scope="module")
+def predictions(tree: Tree, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("predictions") / "preds"
+    place(folder, tree)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def evaluated(tree: Tree, predictions: Path) -> EvaluationResult:
+    return evaluate(predictions, manifest=tree.manifest, root=tree.root)
+
+
+@pytest.fixture(scope="module")
+def page(evaluated: EvaluationResult, tree: Tree, predictions: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = tmp_path_factory.mktemp("page") / "page.html"
+    write_evaluation_page([evaluated], path, dataset_folder=tree.files, predictions=predictions)
+    return path.read_text(encoding="utf-8")
+
+
+def hostile_data(**options: Any) -> dict[str, Any]:
+    """A result with bad words in every text; some scores are infinite or not known."""
+    data = result_data(cameras=[HOSTILE + "$x$", "相机 " + "long" * 20], **options)
+    for index, image in enumerate(data["images"]):
+        image["path"] = f"{HOSTILE}/{index}.ARW"
+        image["scene"] += HOSTILE
+    data["images"][0]["psnr_db"] = "inf"
+    data["images"][1] |= {"psnr_db": None, "ssim": None, "rescale": None}
+    data["images"][2]["rescale"] = 0
+    data["images"][3] |= {"iso": 0, "rescale": 40.0}
+    data["protocol"] |= {"title": HOSTILE, "source": HOSTILE}
+    data["provenance"] |= {
+        "dataset": HOSTILE,
+        "predictions": "/x/" + HOSTILE.replace("/", ""),
+        "excluded_flags": {HOSTILE: 3},
+    }
+    data["coverage"] |= {"pairs": 99, "missing": [HOSTILE, "a", "b"]}
+    data["problems"] = [{"path": HOSTILE, "reason": HOSTILE}]
+    data["notes"] = [HOSTILE]
+    return data
+
+
+@pytest.fixture(scope="module")
+def hostile() -> str:
+    return evaluation_page([saved_result(hostile_data(), "test"), result(protocol="eld-uncorrected")], NOTHING)
+
+
+@pytest.fixture(scope="module")
+def comparison() -> str:
+    methods = [result(), result(gain_db=0.4, method=1), result(gain_db=-0.1, method=2)]
+    return comparison_page(compare([Method(name, one) for name, one in zip("abc", methods, strict=True)]))
+
+
+@pytest.fixture(scope="module")
+def hostile_comparison() -> str:
+    first, second = hostile_data(), hostile_data(method=1)
+    second["protocol"]["levels"] = HOSTILE
+    names = HOSTILE, "相机 $y$ " + "long" * 20
+    return comparison_page(
+        compare([Method(name, saved_result(one, HOSTILE)) for name, one in zip(names, (first, second), strict=True)])
+    )
+
+
+EVERY = pytest.mark.parametrize("which", ["page", "hostile", "comparison", "hostile_comparison"])
+
+
+# --- the whole page -----------------------------------------------------------------------------------------------
+
+
+@EVERY
+def test_well_formed(which: str, request: pytest.FixtureRequest) -> None:
+    assert_well_formed(request.getfixturevalue(which))
+
+
+@EVERY
+def test_self_contained_and_only_our_script_may_run(which: str, request: pytest.FixtureRequest) -> None:
+    text: str = request.getfixturevalue(which)
+    checker = checked(text)
+    assert checker.all("link", "iframe", "object", "embed", "base", "form") == []
+    for tag, attributes in checker.elements:
+        for name, value in attributes.items():
+            assert not name.startswith("on"), f"{tag} has {name}"
+            if name in ("src", "srcset", "href", "data", "action", "poster"):
+                assert value.startswith(("data:image/svg+xml;base64,", "data:image/jpeg;base64,", "#")), value[:60]
+    assert "@import" not in text
+    assert "url(" not in text
+    (script,) = re.findall(r"<script>(.*?)</script>", text, flags=re.DOTALL)
+    assert text.count("<script") == 1
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    (policy,) = [item["content"] for item in checker.all("meta") if item.get("http-equiv") == "Content-Security-Policy"]
+    assert policy == f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
+    assert not re.search(r"fetch|XMLHttpRequest|WebSocket|import\(|eval\(|innerHTML|http", script)
+
+
+def test_hostile_text_stays_text(hostile: str, hostile_comparison: str) -> None:
+    for text in (hostile, hostile_comparison):
+        checker = checked(text)
+        assert HOSTILE in checker.text
+        assert not [item for item in checker.all("img") if "evil" in item["src"]]
+        for _, attributes in checker.elements:
+            for name, value in attributes.items():
+                assert HOSTILE not in value or name in ("alt", "aria-label")
+
+
+def test_says_what_was_found(page: str, evaluated: EvaluationResult) -> None:
+    checker = checked(page)
+    assert "preds on eld-demo" in checker.text
+    assert "Complete: 24 of 24 pairs." in checker.text
+    for row in evaluated.table:
+        for text in (f"{row.psnr_db:.2f}", f"{row.ssim:.3f}"):
+            assert f"<td>{text}</td>" in page
+    for value in (evaluated.protocol.digest, evaluated.provenance["manifest_sha256"], evaluated.provenance["libraw"]):
+        assert f"<dd>{value}</dd>" in page
+    for name in evaluated.protocol.as_dict():
+        assert f"<dt>{name}</dt>" in page
+    assert checker.text.count("IMG_") == len(evaluated.images) + 2 * 2 * EACH  # rows; headings and labels of sliders
+    assert "no interval of fewer than 6 scenes" in checker.text
+
+
+def test_every_image_has_a_row_with_what_it_sorts_by(page: str, evaluated: EvaluationResult) -> None:
+    body = page[page.index('<table class="sortable">') :]
+    values = [float(value) for value in re.findall(r'data-value="([^"]+)"', body)]
+    expected = [value for i in evaluated.images for value in (i.iso, i.ratio, i.psnr_db, i.ssim, i.rescale)]
+    assert values == expected
+
+
+def test_intervals_over_scenes_are_in_the_table() -> None:
+    from eldata.evaluation.statistics import interval_of_mean
+
+    one = result()
+    text = evaluation_page([one], NOTHING)
+    for row in one.table:
+        images = one.images_of(row)
+        interval = interval_of_mean([image.psnr_db for image in images], [image.place for image in images])
+        assert f"<td>{interval.low:.2f} to {interval.high:.2f}</td>" in text
+
+
+def test_one_camera_has_a_column_for_each_factor() -> None:
+    one = result(cameras=["Sony"], ratios=[100, 250, 300], protocol="sid", dataset="sid-sony")
+    assert paper_table(one).header == ("Sony", "x100", "x250", "x300", "all")
+    text = evaluation_page([one], NOTHING)
+    assert text.count('<th scope="row">95% interval</th>') == 2
+    assert '<th scope="col">×250</th>' in text
+
+
+def test_incomplete_says_so_and_lists_what_is_missing(hostile: str) -> None:
+    text = checked(hostile).text
+    assert "Incomplete: 96 of 99 pairs" in text
+    assert "Not in these means: 3 of 99 pairs" in text
+    assert "Problems: 1" in text
+    assert "Table of protocol eld-uncorrected" in text
+
+
+def test_nothing_scored() -> None:
+    data = result_data(scenes=1)
+    data["table"] = [row | {"scored": 0, "psnr_db": None, "ssim": None} for row in table_of(data)]
+    data |= {"images": [], "problems": [{"path": "a", "reason": "has no prediction"}]}
+    data["coverage"] = {"pairs": 12, "scored": 0, "missing": ["a"]}
+    text = checked(evaluation_page([saved_result(data, "test")], NOTHING)).text
+    assert "Nothing was scored: 1 problems" in text
+    assert "a: has no prediction" in text
+    assert not re.search(r"\bnan\b", text)
+
+
+def test_without_rescaling_there_is_no_plot_of_it() -> None:
+    text = checked(evaluation_page([result(protocol="eld-uncorrected")], NOTHING)).text
+    assert "there is no factor to show" in text
+    assert "Rescaling that was found" not in text
+
+
+def test_the_same_page_each_time(
+    evaluated: EvaluationResult, tree: Tree, predictions: Path, page: str, tmp_path: Path
+) -> None:
+    write_evaluation_page([evaluated], tmp_path / "a.html", dataset_folder=tree.files, predictions=predictions)
+    assert (tmp_path / "a.html").read_text(encoding="utf-8") == page
+
+
+def test_wrong_exposure_shows() -> None:
+    one = result()
+    dark = tuple(replace(image, rescale=4.0) for image in one.images)
+    plots = {plot.name: plot for plot in score_plots(dark, rescaled=True)}
+    assert "from 4 to 4" in plots["rescaling"].alt
+    assert plots["rescaling"].light != plots["rescaling"].dark
+    assert score_plots((), rescaled=True) == ()
+
+
+def test_names_that_the_font_lacks_are_boxes() -> None:
+    assert drawable("相A", 10) == "□A"
+    assert drawable("abcdefghij", 6) == "abcde…"
+
+
+def test_errors(evaluated: EvaluationResult, tree: Tree, predictions: Path, tmp_path: Path) -> None:
+    with pytest.raises(ArgumentError, match="one result or more"):
+        write_evaluation_page([], tmp_path / "a.html", dataset_folder=tree.files, predictions=predictions)
+    with pytest.raises(EldataError, match="cannot write"):
+        write_evaluation_page(
+            [evaluated], tmp_path / "no" / "a.html", dataset_folder=tree.files, predictions=predictions
+        )
+    gone = tmp_path / "preds"
+    shutil.copytree(predictions, gone)
+    for path in gone.rglob("*.npy"):
+        path.unlink()
+    with pytest.raises(PredictionError, match="is gone since it was scored"):
+        write_evaluation_page([evaluated], tmp_path / "a.html", dataset_folder=tree.files, predictions=gone)
+    assert not (tmp_path / "a.html").exists()
+
+
+# --- pictures -----------------------------------------------------------------------------------------------------
+
+
+def pixels(layer: Layer) -> NDArray[np.float64]:
+    return np.asarray(Image.open(io.BytesIO(layer.jpeg)), dtype=np.float64)
+
+
+@pytest.fixture
+def finest(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures whose codec moves a pixel by about one code."""
+    monkeypatch.setattr(evaluation_pictures, "_JPEG_QUALITIES", (100,))
+
+
+@pytest.mark.usefixtures("finest")
+def test_pictures_show_what_was_scored(evaluated: EvaluationResult, tree: Tree, predictions: Path) -> None:
+    """Against the same steps written plainly."""
+    one = saved_result(evaluated.as_dict(), "test")
+    shown = shown_images(one, evaluated.pairs, dataset_folder=tree.files, predictions=predictions)
+    assert [image.rank for image in shown.images] == ["Worst"] * EACH + ["Best"] * EACH
+    pairs = {pair.path: pair for pair in evaluated.pairs}
+    for image in shown.images:
+        pair = pairs[image.score.path]
+        reference = read_raw(tree.files / pair.reference)
+        target = packed_frame(reference, levels="published", clip="both")
+        amplified = packed_frame(
+            read_raw(tree.files / pair.path), levels="published", clip="both", gain=float(pair.ratio)
+        )
+        prediction = np.clip(np.load((predictions / pair.path).with_suffix(".npy")), 0, 1) * image.score.rescale
+        expected = {"input": amplified, "prediction": np.clip(prediction, 0, 1), "reference": target}
+        layers = {layer.key: layer for layer in image.layers}
+        assert list(layers) == ["input", "prediction", "reference", "error"]
+        assert layers["input"].label == f"Input ×{pair.ratio}"
+        for key, packed in expected.items():
+            wanted = preview(packed * image.brighter, reference.sensor).astype(np.float64)
+            found = pixels(layers[key])
+            assert found.shape == wanted.shape == (32, 48, 3)
+            assert np.abs(found - wanted).mean() < 1.5
+        # Two other layers are much further away than the codec moves one.
+        assert np.abs(pixels(layers["input"]) - pixels(layers["reference"])).mean() > 12
+        assert (image.size, image.full_size, image.whole) == ((32, 48), (32, 48), ())
+
+
+def test_errors_are_bright_where_they_are(
+    evaluated: EvaluationResult, tree: Tree, predictions: Path, tmp_path: Path
+) -> None:
+    """A prediction that is its reference but for one block, at a known place."""
+    folder = tmp_path / "preds"
+
+    def spoilt(target: NDArray[np.float64], name: str) -> NDArray[np.float64]:
+        made = target.copy()
+        made[:, 8:16, 16:32] = 1 - made[:, 8:16, 16:32]
+        return made
+
+    place(folder, tree, spoilt)
+    one = evaluate(folder, manifest=tree.manifest, root=tree.root, protocol="eld-uncorrected")
+    shown = shown_images(saved_result(one.as_dict(), "t"), one.pairs, dataset_folder=tree.files, predictions=folder)
+    for image in shown.images:
+        error = pixels(image.layers[-1]).mean(axis=2)
+        inside = np.zeros(error.shape, dtype=bool)
+        inside[8:16, 16:32] = True
+        assert error[inside].mean() > 5 * error[~inside].mean()
+
+
+@pytest.mark.usefixtures("finest")
+def test_a_crop_comes_with_the_whole(
+    evaluated: EvaluationResult, tree: Tree, predictions: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = saved_result(evaluated.as_dict(), "test")
+    entire = shown_images(one, evaluated.pairs, dataset_folder=tree.files, predictions=predictions)
+    monkeypatch.setattr(evaluation_pictures, "CROP", (16, 24))
+    monkeypatch.setattr(evaluation_pictures, "_WHOLE_WIDTH", 24)
+    shown = shown_images(one, evaluated.pairs, dataset_folder=tree.files, predictions=predictions)
+    for image, full in zip(shown.images, entire.images, strict=True):
+        assert (image.size, image.full_size) == ((16, 24), (32, 48))
+        assert image.crop_box == (25.0, 25.0, 50.0, 50.0)
+        assert [layer.key for layer in image.whole] == ["prediction", "error"]
+        assert pixels(image.whole[0]).shape == (16, 24, 3)
+        centre = pixels(full.layers[2])[8:24, 12:36]
+        assert np.abs(pixels(image.layers[2]) - centre).mean() < 2.5
+    text = evaluation_page([one], shown)
+    assert "the centre 24 × 16 packed pixels" in checked(text).text
+    assert "left: 25.00%; top: 25.00%; width: 50.00%; height: 50.00%" in text
+    assert_well_formed(text)
+
+
+def test_the_input_as_a_baseline(tree: Tree, tmp_path: Path) -> None:
+    one = evaluate(None, manifest=tree.manifest, root=tree.root, baseline="input")
+    shown = shown_images(saved_result(one.as_dict(), "t"), one.pairs, dataset_folder=tree.files, predictions=None)
+    for image in shown.images:
+        layers = {layer.key: layer for layer in image.layers}
+        if abs(image.score.rescale - 1) < 0.02:
+            assert np.abs(pixels(layers["input"]) - pixels(layers["prediction"])).mean() < 3
+        assert len(layers) == 4
+    write_evaluation_page([one], tmp_path / "a.html", dataset_folder=tree.files, predictions=None)
+    assert "The input itself on eld-demo" in (tmp_path / "a.html").read_text(encoding="utf-8")
+
+
+def test_renderings_are_shown_as_they_are(tree: Tree, tmp_path: Path) -> None:
+    """Under a protocol of sRGB: predictions that are the reference's rendering, a little darker."""
+    from eldata.evaluation.references import rendered_reference
+
+    folder = tmp_path / "preds"
+
+    def dark(_target: NDArray[np.float64], name: str) -> NDArray[np.float32]:
+        reference = next(pair.reference for pair in tree.pairs if pair.path == name)
+        return rendered_reference(tree.files / reference) * np.float32(0.9)
+
+    place(folder, tree, dark)
+    one = evaluate(folder, manifest=tree.manifest, root=tree.root, protocol="sid2018", allow_missing=True)
+    assert one.images
+    shown = shown_images(saved_result(one.as_dict(), "t"), one.pairs, dataset_folder=tree.files, predictions=folder)
+    for image in shown.images:
+        layers = {layer.key: layer for layer in image.layers}
+        assert list(layers) == ["prediction", "reference", "error"]
+        assert pixels(layers["prediction"]).mean() == pytest.approx(0.9 * pixels(layers["reference"]).mean(), rel=0.02)
+        assert image.full_size == (64, 96)
+    write_evaluation_page([one], tmp_path / "a.html", dataset_folder=tree.files, predictions=folder)
+    assert "sRGB renderings" in (tmp_path / "a.html").read_text(encoding="utf-8")
+
+
+def test_worst_and_best_are_of_different_scenes() -> None:
+    images = result().images
+    chosen = chosen_images(images)
+    worst, best = ([image for rank, image in chosen if rank == name] for name in ("Worst", "Best"))
+    assert worst[0] == min(images, key=lambda image: image.psnr_db)
+    assert best[0] == max(images, key=lambda image: image.psnr_db)
+    for kind in (worst, best):
+        assert len({image.place for image in kind}) == EACH
+    for image in worst:
+        assert image.psnr_db == min(other.psnr_db for other in images if other.place == image.place)
+    assert chosen_images(images[:1]) == [("Worst", images[0])]
+    assert chosen_images((replace(images[0], psnr_db=math.nan),)) == []
+
+
+def test_a_page_of_240_pairs_stays_below_10_mb() -> None:
+    """With 24 pictures of noise, which no format makes small: as many bytes as there may be of pictures."""
+    one = result(cameras=["a", "b", "c", "d"], scenes=10)
+    assert len(one.images) == 240
+    noise = np.random.default_rng(0).bytes(evaluation_pictures._MOST_BYTES // (2 * EACH) // 4)
+    layers = tuple(Layer(key, key, f"{key} 1", noise) for key in ("input", "prediction", "reference", "error"))
+    images = tuple(
+        ShownImage(rank, score, layers, CROP, (1424, 2128), (), 1.0) for rank, score in chosen_images(one.images)
+    )
+    assert len(images) == 2 * EACH
+    assert 8e6 < len(evaluation_page([one], ShownImages(images, 0.1))) < 10e6
+
+
+def test_pictures_get_smaller_until_they_fit(
+    evaluated: EvaluationResult, tree: Tree, predictions: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def size() -> int:
+        one = saved_result(evaluated.as_dict(), "test")
+        shown = shown_images(one, evaluated.pairs, dataset_folder=tree.files, predictions=predictions)
+        return sum(len(layer.jpeg) for image in shown.images for layer in image.layers)
+
+    best = size()
+    monkeypatch.setattr(evaluation_pictures, "_MOST_BYTES", best - 1)
+    assert 0.5 * best < size() < best
+
+
+def test_a_dark_reference_is_shown_brighter_and_a_bright_one_is_not() -> None:
+    ramp = np.linspace(0, 1, 10_000, dtype=np.float32).reshape(4, 50, 50)
+    assert evaluation_pictures._brighter(ramp) == 1.0
+    assert evaluation_pictures._brighter(ramp * 0.3) == 2.0
+    assert evaluation_pictures._brighter(ramp * 0.001) == 8.0
+    assert evaluation_pictures._brighter(ramp * 0) == 1.0
+
+
+# --- Markdown and LaTeX -------------------------------------------------------------------------------------------
+
+
+def test_markdown_and_latex_have_the_same_numbers() -> None:
+    one = result()
+    markdown, latex = format_results([one], "markdown"), format_results([one], "latex")
+    for row in one.table:
+        for text in (f"{row.psnr_db:.2f}", f"{row.ssim:.3f}", str(row.pairs)):
+            assert f" {text} " in markdown
+            assert f"& {text} " in latex
+    digest = one.protocol_digest[:15]
+    assert rf"\caption{{eld 1.0, protocol eld ({digest}): 96 of 96 pairs.}}" in latex
+    assert f"eld 1.0, protocol eld ({digest}): 96 of 96 pairs." in markdown
+    assert r"\label{tab:eld-eld}" in latex
+    assert latex.count(r"\midrule") == 3
+    assert format_results([one, one], "latex").count(r"\begin{table}") == 2
+
+
+def test_choices_and_gaps_are_in_the_caption() -> None:
+    data = result_data()
+    data["provenance"] |= {"cameras": ["SonyA7S2"], "subset": "indoor", "excluded_flags": {"misaligned": 5}}
+    data["coverage"]["pairs"] = 100
+    data["notes"] = ["odd_one"]
+    text = format_results([saved_result(data, "test")], "markdown")
+    assert "96 of 100 pairs, only SonyA7S2, subset indoor, without misaligned (5); INCOMPLETE" in text
+    assert r"Note: odd\_one" in text

@@ -1,0 +1,89 @@
+"""`eldata shard`: a store's pairs to sequential shards, for slow disks and networks."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from eldata.console import INTERRUPTED, OK, add_cameras, add_debug
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add this command."""
+    parser = commands.add_parser(
+        "shard",
+        help="write a store's pairs as tar shards, to be streamed from slow disks or over a network",
+        description=(
+            "Write the pairs of a store as tar files of the WebDataset convention, shuffled over all of them, with an "
+            "index that StreamedPairs reads: the pixels in DN with levels, CFA, exposure and record, lossless. Work "
+            "that was interrupted, even by kill -9, goes on if the command is repeated. Copy the folder to where it is "
+            "to be read from."
+        ),
+    )
+    parser.add_argument("store", metavar="STORE", help="a store of pairs, from eldata pack")
+    parser.add_argument("-o", "--out", metavar="DIR", required=True, help="a new folder")
+    parser.add_argument(
+        "--tile",
+        type=_tile,
+        default=512,
+        metavar="N",
+        help="side of the samples in packed pixels, or 'whole' for whole frames (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--overlap",
+        type=_from_0,
+        default=0,
+        metavar="N",
+        help="packed pixels that neighbouring samples share at least (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--samples-per-shard", type=_from_0, default=64, metavar="N", help="samples a file (default: %(default)s)"
+    )
+    parser.add_argument("--seed", type=_from_0, default=0, metavar="S", help="of the order (default: %(default)s)")
+    parser.add_argument("--split", action="append", dest="splits", metavar="S", help="only this split; may be repeated")
+    parser.add_argument("--subset", metavar="NAME", help="only this subset of the dataset card")
+    add_cameras(parser)
+    add_debug(parser)
+    parser.set_defaults(run=run, command="shard")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run this command."""
+    from eldata.streaming.writing import write_shards
+
+    try:
+        report = write_shards(
+            arguments.store,
+            arguments.out,
+            tile=arguments.tile,
+            overlap=arguments.overlap,
+            samples_per_shard=arguments.samples_per_shard,
+            seed=arguments.seed,
+            cameras=arguments.cameras,
+            splits=arguments.splits,
+            subset=arguments.subset,
+        )
+    except KeyboardInterrupt:
+        if arguments.debug:
+            raise
+        print(
+            f"eldata shard: interrupted; the finished shards are kept in {arguments.out}, and the same command goes on",
+            file=sys.stderr,
+        )
+        return INTERRUPTED
+    resumed = f" ({report.resumed} of them before)" if report.resumed else ""
+    print(
+        f"{report.samples} samples in {report.shards} shards{resumed}: {report.folder}, {report.bytes / 1e6:.1f} MB; "
+        "index.json came last"
+    )
+    return OK
+
+
+def _tile(text: str) -> int | None:
+    return None if text == "whole" else _from_0(text)
+
+
+def _from_0(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"expected a whole number, found {text!r}")
+    return int(text)

@@ -1,0 +1,249 @@
+"""What a folder of shards holds: the index, and the facts beside each sample's pixels.
+
+::
+
+    index.json              format, version, written_by, dataset, tile, overlap, seed; of each shard its name,
+                            bytes, sha256, and of each of its samples [bytes, crc32]; written last: without it there is
+                            nothing
+    shard-000000.tar        samples one after the other, three members each, named as WebDataset names them:
+      000000042.json          the record, the exposure ratio, both sensors and exposures, the place in the frame
+      000000042.input.npy     (H, W) uint16, the noisy mosaic in DN
+      000000042.target.npy    (H, W) uint16, the reference's
+
+The key is the number of the sample in the order of frames and places, whatever shard it came into. Sizes and checksums
+in the index let a reader begin at any sample, and know that what it got is what was written.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import asdict, dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eldata.errors import FileError
+from eldata.records import Exposure, PairRecord, Sensor
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+FORMAT = "eldata-shards"
+VERSION = 1
+INDEX = "index.json"
+KEY_DIGITS = 9
+
+_SHARD_NAME = re.compile(r"shard-\d{6}\.tar", re.ASCII)
+_FRACTION = re.compile(r"\d{1,40}(/\d{1,40})?", re.ASCII)
+
+
+class ShardError(FileError):
+    """A shard or the index of shards cannot be used."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shard:
+    """One tar file: its name, size and ``sha256:<hex>``; of each sample its bytes (int64) and CRC-32 (uint32)."""
+
+    name: str
+    bytes: int
+    sha256: str
+    sample_bytes: NDArray[np.int64]
+    crc32: NDArray[np.uint32]
+
+    def __len__(self) -> int:
+        return len(self.sample_bytes)
+
+    @property
+    def starts(self) -> NDArray[np.int64]:
+        """Where each sample starts, and where the last one ends."""
+        return np.concatenate([[0], np.cumsum(self.sample_bytes)])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShardIndex:
+    """What the shards of a folder hold, in their order.
+
+    ``tile`` is the side of the samples in packed pixels, ``None`` where they are whole frames; ``overlap`` that of
+    neighbours.
+    """
+
+    dataset: str
+    tile: int | None
+    overlap: int
+    seed: int
+    shards: tuple[Shard, ...]
+
+    def __len__(self) -> int:
+        return sum(map(len, self.shards))
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """One frame of a sample: sensor and exposure as its file states them; size and CFA are those of the sample."""
+
+    sensor: Sensor
+    exposure: Exposure
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What is known of a sample without its pixels.
+
+    ``ratio`` is the files' exposure ratio, ``top`` and ``left`` the place in the mosaic.
+    """
+
+    record: PairRecord
+    ratio: Fraction
+    top: int
+    left: int
+    input: Side
+    target: Side
+
+
+# --- the index ----------------------------------------------------------------------------------------------------
+
+
+def index_text(index: ShardIndex, written_by: str) -> str:
+    """Return the index as JSON, a line a shard."""
+    head = {
+        "format": FORMAT,
+        "version": VERSION,
+        "written_by": written_by,
+        "dataset": index.dataset,
+        "tile": index.tile,
+        "overlap": index.overlap,
+        "seed": index.seed,
+        "samples": len(index),
+    }
+    shards = [
+        {
+            "name": shard.name,
+            "bytes": shard.bytes,
+            "sha256": shard.sha256,
+            "samples": [list(pair) for pair in zip(shard.sample_bytes.tolist(), shard.crc32.tolist(), strict=True)],
+        }
+        for shard in index.shards
+    ]
+    lines = ",\n".join(json.dumps(shard, separators=(",", ":")) for shard in shards)
+    return json.dumps(head, ensure_ascii=False, indent=1).removesuffix("\n}") + f',\n "shards": [\n{lines}\n]}}\n'
+
+
+def parse_index(place: str, content: bytes) -> ShardIndex:
+    """Return the index that a file holds.
+
+    Raises
+    ------
+    ShardError
+        If it is not one of shards that :func:`index_text` made, or of a newer version.
+    """
+    try:
+        data = json.loads(content)
+    except ValueError as error:
+        raise ShardError(place, f"is not JSON ({error}); is it whole?") from error
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        raise ShardError(place, "is not an index of eldata's shards; eldata shard writes them")
+    version = data.get("version")
+    if not isinstance(version, int) or version > VERSION:
+        raise ShardError(
+            place,
+            f"is of version {version}, written by {data.get('written_by')}; this eldata reads up to version {VERSION}: "
+            "install a newer one",
+        )
+    try:
+        shards = tuple(map(_shard, data["shards"]))
+        tile = data["tile"] if data["tile"] is None else int(data["tile"])
+        index = ShardIndex(str(data["dataset"]), tile, int(data["overlap"]), int(data["seed"]), shards)
+        listed = int(data["samples"])
+    except (LookupError, TypeError, ValueError, OverflowError) as error:
+        raise ShardError(place, f"is damaged ({error}); copy it again") from error
+    if len(index) != listed or not listed:
+        raise ShardError(place, f"is damaged: expected {listed} samples, found {len(index)}; copy it again")
+    return index
+
+
+def _shard(data: Mapping[str, Any]) -> Shard:
+    name = data["name"]
+    if not isinstance(name, str) or not _SHARD_NAME.fullmatch(name):
+        raise ValueError(f"shard name {name!r}")  # or it could lead anywhere
+    pairs = np.array(data["samples"], dtype=np.int64).reshape(-1, 2)
+    shard = Shard(name, int(data["bytes"]), str(data["sha256"]), pairs[:, 0], pairs[:, 1].astype(np.uint32))
+    if (pairs < 0).any() or (pairs[:, 1] >= 1 << 32).any() or not 0 <= pairs[:, 0].sum() <= shard.bytes:
+        raise ValueError(f"sizes of {name}")
+    return shard
+
+
+# --- the facts of a sample ----------------------------------------------------------------------------------------
+
+
+def facts_text(facts: Facts) -> str:
+    """Return a sample's facts as JSON; fractions as text, so that they stay exact."""
+    record = {name: _plain(value) for name, value in asdict(facts.record).items()}
+    sides = {name: _side_data(side) for name, side in (("input", facts.input), ("target", facts.target))}
+    data = {"record": record, "ratio": str(facts.ratio), "top": facts.top, "left": facts.left, **sides}
+    return json.dumps(data, ensure_ascii=False, sort_keys=True)
+
+
+def parse_facts(content: bytes) -> Facts:
+    """Return a sample's facts: the inverse of :func:`facts_text`.
+
+    Raises
+    ------
+    ValueError, LookupError, TypeError, ArithmeticError
+        If they are not what :func:`facts_text` makes.
+    """
+    data = json.loads(content)
+    record = data["record"]
+    iso, exposure_s = (_fraction(record[name]) for name in ("iso", "exposure_s"))
+    texts = {name: record[name] for name in ("path", "reference", "camera", "scene", "split")}
+    if not all(isinstance(text, str) for text in [*texts.values(), *record["flags"]]):
+        raise TypeError("a text field of the record is not text")
+    nominal, ratio = _fraction(record["ratio"]), _fraction(data["ratio"])
+    if not nominal or not ratio:
+        raise ValueError("there is no ratio")
+    pair = PairRecord(**texts, iso=iso, exposure_s=exposure_s, ratio=nominal, flags=tuple(record["flags"]))
+    sides = {name: _side(data[name]) for name in ("input", "target")}
+    return Facts(pair, ratio, int(data["top"]), int(data["left"]), **sides)
+
+
+def _side_data(side: Side) -> dict[str, Any]:
+    exposure = {name: _plain(value) for name, value in asdict(side.exposure).items()}
+    return {"sensor": asdict(side.sensor), "exposure": exposure}
+
+
+def _side(data: Mapping[str, Any]) -> Side:
+    sensor = Sensor(**{name: _tuples(value) for name, value in data["sensor"].items()})
+    exposure = {name: _fraction(text) for name, text in data["exposure"].items()}
+    if not np.isfinite(np.array([*sensor.black_level_dn, sensor.white_level_dn], dtype=np.float64)).all():
+        raise ValueError("a level is not finite")
+    return Side(sensor, Exposure(**exposure))
+
+
+def _fraction(text: str | None) -> Fraction | None:
+    if text is None:
+        return None
+    if not _FRACTION.fullmatch(text):  # or 1e999999999 would take for ever
+        raise ValueError(f"{text!r} is no fraction")
+    return Fraction(text)
+
+
+def _plain(value: Any) -> Any:
+    return str(value) if isinstance(value, Fraction) else value
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+
+
+def key_of(number: int) -> str:
+    """Return a sample's key: its number with leading zeros."""
+    return f"{number:0{KEY_DIGITS}d}"
+
+
+def member_names(key: str) -> Sequence[str]:
+    """Return the names of a sample's members, in their order."""
+    return f"{key}.json", f"{key}.input.npy", f"{key}.target.npy"

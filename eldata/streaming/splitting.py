@@ -1,0 +1,74 @@
+"""Who reads what: an epoch's samples in their order, split over ranks and workers without overlap or loss.
+
+Shards are not dealt out whole, for then ranks and workers get unequal parts, or none where there are fewer shards than
+workers. The epoch's samples are one sequence, and each reader gets a part of it, which may begin in the middle of a
+shard. All is integer arithmetic on lengths: no reader has to know what another one does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """Neighbouring samples of one shard: from ``first`` up to below ``last``."""
+
+    shard: int
+    first: int
+    last: int
+
+    def __len__(self) -> int:
+        return self.last - self.first
+
+
+def exact_part(total: int, part: int, parts: int) -> range:
+    """Return one of several parts that are all of it together; their lengths differ by one at most."""
+    return range(total * part // parts, total * (part + 1) // parts)
+
+
+def even_part(total: int, part: int, parts: int) -> range:
+    """Return one of several parts of the same length; fewer than ``parts`` at the end are in none of them."""
+    length = total // parts
+    return range(part * length, (part + 1) * length)
+
+
+def worker_part(items: range, worker: int, workers: int, batch_size: int) -> range:
+    """Return a worker's part of a rank's items, in whole batches: at most one batch of a rank is smaller."""
+    batches = exact_part(-(-len(items) // batch_size), worker, workers)
+    first, last = items.start + batches.start * batch_size, items.start + batches.stop * batch_size
+    return range(min(first, items.stop), min(last, items.stop))
+
+
+def in_order(lengths: Sequence[int]) -> list[Run]:
+    """Return all samples in the order of the shards."""
+    return [Run(shard, 0, length) for shard, length in enumerate(lengths)]
+
+
+def shuffled(lengths: Sequence[int], generator: np.random.Generator) -> list[Run]:
+    """Return all samples with the shards in a drawn order, beginning at a drawn sample.
+
+    The beginning moves the borders between readers, and with them the few samples that even parts leave out.
+    """
+    runs = [Run(int(shard), 0, lengths[shard]) for shard in generator.permutation(len(lengths))]
+    total = sum(lengths)
+    start = int(generator.integers(total))
+    return [*cut(runs, range(start, total)), *cut(runs, range(start))]
+
+
+def cut(runs: Sequence[Run], places: range) -> Iterator[Run]:
+    """Yield what lies at some places of a sequence of runs."""
+    borders: NDArray[np.int64] = np.cumsum([0, *map(len, runs)])
+    for run, (begin, end) in zip(runs, pairwise(borders.tolist()), strict=True):
+        first, last = max(begin, places.start), min(end, places.stop)
+        if first < last:
+            yield Run(run.shard, run.first + first - begin, run.first + last - begin)

@@ -1,0 +1,121 @@
+"""eldata shard: text, exit codes, one line for what goes wrong, and what kill -9 leaves."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+
+from eldata.cli import shard
+from eldata.console import Parser, run
+from eldata.streaming import StreamedPairs, verify_shards
+from tests.cli.conftest import Outcome
+from tests.cli.test_usage import assert_one_line
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from tests.cli.conftest import Cli
+    from tests.evaluation.helpers import Tree
+
+    Shard = Callable[..., Outcome]
+
+SCRIPT = """
+import sys
+from eldata.cli import shard
+from eldata.console import Parser, run
+parser = Parser(prog="eldata")
+shard.add_parser(parser.add_subparsers())
+sys.exit(run(parser, sys.argv[1:]))
+"""
+
+
+@pytest.fixture
+def sharded(capsys: pytest.CaptureFixture[str]) -> Shard:
+    def command(*arguments: object) -> Outcome:
+        parser = Parser(prog="eldata")
+        shard.add_parser(parser.add_subparsers())  # type: ignore[arg-type] # of our own parser
+        capsys.readouterr()
+        code = run(parser, ["shard", *map(str, arguments)])
+        captured = capsys.readouterr()
+        return Outcome(code, captured.out, captured.err)
+
+    return command
+
+
+@pytest.fixture
+def store(eldata: Cli, tree: Tree, tmp_path: Path) -> Path:
+    path = tmp_path / "store.h5"
+    packed = eldata("pack", "eld-demo", "--manifest", tree.manifest, "--root", tree.root, "-o", path)
+    assert packed.code == 0, packed.err
+    return path
+
+
+def test_shards_of_a_store(sharded: Shard, store: Path, tmp_path: Path) -> None:
+    outcome = sharded(store, "-o", tmp_path / "shards", "--tile", "16", "--overlap", 2, "--samples-per-shard", "100")
+    assert (outcome.code, outcome.err) == (0, "")
+    assert outcome.out.startswith("288 samples in 3 shards: ")
+    assert verify_shards(str(tmp_path / "shards")) == []
+    whole = sharded(store, "-o", tmp_path / "whole", "--tile", "whole", "--camera", "DemoBeta", "--seed", "3")
+    assert whole.out.startswith("12 samples in 1 shards: ")
+    assert len(StreamedPairs(str(tmp_path / "whole"))) == 12
+
+
+def test_help_names_every_option(sharded: Shard) -> None:
+    outcome = sharded("--help")
+    assert (outcome.code, outcome.err) == (0, "")
+    options = ("--out", "--tile", "--overlap", "--samples-per-shard", "--seed", "--split", "--subset", "--camera")
+    for word in ("STORE", *options, "whole", "kill -9"):
+        assert word in outcome.out
+
+
+def test_what_is_wrong_is_one_line(sharded: Shard, store: Path, tmp_path: Path) -> None:
+    out = tmp_path / "shards"
+    assert_one_line(sharded(store), "--out")
+    assert_one_line(sharded(store, "-o", out, "--tile", "half"), "expected a whole number, found 'half'")
+    assert_one_line(sharded(store, "-o", out, "--samples-per-shard", "0"), "samples_per_shard must be 1 or more")
+    assert_one_line(sharded(store, "-o", out), "64 x 96 pixels are too few for a tile of 1026 x 1026")
+    assert_one_line(sharded(tmp_path / "no.h5", "-o", out), "no.h5: cannot be read")
+    assert not out.exists()
+    assert sharded(store, "-o", out, "--tile", "whole").code == 0
+    assert_one_line(sharded(store, "-o", out, "--tile", "whole"), "holds finished shards already; remove it")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_an_ended_command_goes_on(number: signal.Signals, sharded: Shard, store: Path, tmp_path: Path) -> None:
+    """Ended as soon as the third shard is there; a run that was faster than that is begun anew."""
+    reference, out = tmp_path / "reference", tmp_path / "shards"
+    options = ["--tile", "8", "--samples-per-shard", "2"]
+    assert sharded(store, "-o", reference, *options).code == 0
+    for _ in range(20):
+        process = subprocess.Popen(
+            [sys.executable, "-c", SCRIPT, "shard", str(store), "-o", str(out), *options],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        end = time.monotonic() + 60
+        while not (out / "shard-000002.tar").exists() and process.poll() is None:
+            assert time.monotonic() < end
+            time.sleep(0.0005)
+        os.kill(process.pid, number)
+        _, err = process.communicate(timeout=60)
+        if not (out / "index.json").exists():
+            break
+        for path in out.iterdir():
+            path.unlink()
+    if number == signal.SIGINT:
+        assert process.returncode == 130
+        assert (
+            err == f"eldata shard: interrupted; the finished shards are kept in {out}, and the same command goes on\n"
+        )
+    again = sharded(store, "-o", out, *options)
+    assert (again.code, again.err) == (0, "")
+    assert "of them before" in again.out
+    assert {p.name: p.read_bytes() for p in out.iterdir()} == {p.name: p.read_bytes() for p in reference.iterdir()}

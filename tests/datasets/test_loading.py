@@ -1,0 +1,386 @@
+"""Loaders: what each rank, worker and epoch gets; which settings are chosen, and that the reasons are the true ones."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from torch.utils.data import ConcatDataset, DataLoader, Dataset, IterableDataset, Subset
+
+import eldata.errors
+from eldata import PackedStore
+from eldata.datasets import loading
+from eldata.datasets.loading import (
+    ExactSampler,
+    Rank,
+    ShuffledSampler,
+    chosen_workers,
+    current_rank,
+    describe,
+    evaluation_loader,
+    set_epoch,
+    training_loader,
+)
+from eldata.errors import ArgumentError
+from tests.store.helpers import pack_tree
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tests.trees import Tree
+
+
+@pytest.fixture(scope="module")
+def store(pristine: Tree, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store of 24 pairs."""
+    return pack_tree(pristine, tmp_path_factory.mktemp("store") / "eld.h5").store
+
+
+def pairs(store: Path, **options: Any) -> PackedStore:
+    return PackedStore(store, **{"crop": 8, "crops_per_frame": 2, "seed": 3} | options)
+
+
+# --- who gets what ------------------------------------------------------------------------------------------------
+
+
+@given(length=st.integers(0, 60), ranks=st.integers(1, 7), epoch=st.integers(0, 5), seed=st.integers(0, 9))
+def test_every_rank_gets_as_many_and_none_twice(length: int, ranks: int, epoch: int, seed: int) -> None:
+    got = []
+    for number in range(ranks):
+        sampler = ShuffledSampler(length, seed=seed, rank=Rank(number, ranks))
+        sampler.set_epoch(epoch)
+        got.append(list(sampler))
+        assert len(sampler) == len(got[-1]) == length // ranks
+    together = [index for part in got for index in part]
+    assert len(set(together)) == len(together) == length // ranks * ranks
+    assert set(together) <= set(range(length))
+
+
+@given(length=st.integers(0, 60), ranks=st.integers(1, 7))
+def test_every_item_is_evaluated_exactly_once(length: int, ranks: int) -> None:
+    samplers = [ExactSampler(length, rank=Rank(number, ranks)) for number in range(ranks)]
+    got = [list(sampler) for sampler in samplers]
+    assert sorted(index for part in got for index in part) == list(range(length))
+    assert [len(sampler) for sampler in samplers] == [len(part) for part in got]
+    assert max(map(len, got)) - min(map(len, got)) <= 1
+
+
+def test_which_items_are_left_out_changes_with_the_epoch() -> None:
+    """Of 27 items 8 ranks leave out 3. After 40 epochs 27 (8/9)^40 = 0.24 items are expected never to have been out;
+    that as many as 13 were not has p < 10^-18.
+    """
+
+    def left_out(seed: int, epoch: int) -> set[int]:
+        samplers = [ShuffledSampler(27, seed=seed, rank=Rank(number, 8)) for number in range(8)]
+        for sampler in samplers:
+            sampler.set_epoch(epoch)
+        return set(range(27)) - {index for sampler in samplers for index in sampler}
+
+    assert len(set().union(*(left_out(0, epoch) for epoch in range(40)))) > 13
+    assert left_out(0, 3) == left_out(0, 3)
+    assert any(left_out(0, epoch) != left_out(1, epoch) for epoch in range(5))
+
+
+def test_order_differs_between_epochs_and_seeds() -> None:
+    orders = set()
+    for seed in range(3):
+        for epoch in range(3):
+            sampler = ShuffledSampler(50, seed=seed, rank=Rank())
+            sampler.set_epoch(epoch)
+            orders.add(tuple(sampler))
+            assert sorted(sampler) == list(range(50))
+    assert len(orders) == 9
+
+
+@pytest.mark.parametrize("workers", [0, 2, 3])
+def test_batches_do_not_depend_on_workers(workers: int, store: Path) -> None:
+    """A running loader, told of the next epoch, gives what a fresh one of that epoch gives, and the dataset itself."""
+    loader = training_loader(pairs(store), 5, workers=workers, seed=1)
+    assert len(loader) == 48 // 5
+    seen = []
+    for epoch in range(2):
+        set_epoch(loader, epoch)
+        reference = pairs(store)
+        reference.set_epoch(epoch)
+        order = ShuffledSampler(48, seed=1, rank=Rank())
+        order.set_epoch(epoch)
+        batches = list(loader)
+        got = [tensor for batch in batches for tensor in batch["target"]]
+        assert [len(batch["target"]) for batch in batches] == [5] * 9
+        assert all(torch.equal(mine, reference[index]["target"]) for mine, index in zip(got, order, strict=False))
+        seen.append([path for batch in batches for path in batch["path"]])
+    assert seen[0] != seen[1]
+    assert loader.persistent_workers == (workers > 0)
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_evaluation_gives_each_item_once_in_order(workers: int, store: Path) -> None:
+    dataset = pairs(store, crop=None, augment=False, crops_per_frame=1)
+    got: list[list[str]] = []
+    for number in range(3):
+        loader = evaluation_loader(dataset, 3, workers=workers, rank=Rank(number, 5))
+        got.append([path for batch in loader for path in batch["path"]])
+    got += [
+        [path for batch in evaluation_loader(dataset, rank=Rank(n, 5), workers=0) for path in batch["path"]]
+        for n in (3, 4)
+    ]
+    assert Counter(path for part in got for path in part) == Counter(record.path for record in dataset.records)
+    assert sorted(map(len, got)) == [4, 5, 5, 5, 5]
+
+
+class Drawing(Dataset[tuple[float, ...]]):
+    """Draws from every global generator, as transforms of other people do."""
+
+    def __len__(self) -> int:
+        return 8
+
+    def __getitem__(self, index: int) -> tuple[float, ...]:
+        import random
+
+        return torch.rand(()).item(), random.random(), np.random.random()  # noqa: S311, NPY002 # as they do
+
+
+def test_random_numbers_that_a_transform_draws_are_seeded_by_epoch() -> None:
+    def drawn(epoch: int, seed: int = 0) -> list[Any]:
+        loader = training_loader(Drawing(), 2, workers=2, seed=seed)
+        set_epoch(loader, epoch)
+        return [[values.tolist() for values in batch] for batch in loader]
+
+    first = drawn(1)
+    assert drawn(1) == first
+    assert drawn(2) != first
+    assert drawn(1, seed=1) != first
+    for kind in range(3):  # no two workers draw the same
+        assert len({value for batch in first for value in batch[kind]}) == 8
+
+
+def test_the_epoch_reaches_what_is_wrapped(store: Path) -> None:
+    first, second, third = pairs(store), pairs(store), pairs(store)
+    loader = training_loader(ConcatDataset([Subset(first, [0, 1, 2]), second.in_dn(), third]), 2, workers=0)
+    set_epoch(loader, 7)
+    assert (first.epoch, second.epoch, third.epoch) == (7, 7, 7)
+    with pytest.raises(ArgumentError, match="epoch must be 0 or more; found -1"):
+        set_epoch(loader, -1)
+
+
+# --- processes that developed a raw file before -------------------------------------------------------------------
+
+SCRIPT = """
+import sys
+import rawpy
+import torch
+from eldata.datasets import PairDataset
+from eldata.datasets.loading import evaluation_loader
+
+def main():
+    data, csv, raw = sys.argv[1:]
+    with rawpy.imread(raw) as opened:
+        opened.postprocess()                       # starts OpenMP's threads
+    torch.rand(500, 500) @ torch.rand(500, 500)    # and torch's
+    dataset = PairDataset(data, csv, cameras=["DemoAlpha"])
+    got = [batch for batch in evaluation_loader(dataset, workers=2)]
+    assert [batch["path"][0] for batch in got] == [record.path for record in dataset.records]
+    for number in (0, 11):
+        assert torch.equal(got[number]["input"][0], dataset[number]["input"])
+    print("all equal")
+
+if __name__ == "__main__":
+    main()
+"""
+
+
+def test_raw_files_after_the_parent_used_threads(pristine: Tree, tmp_path: Path) -> None:
+    (tmp_path / "script.py").write_text(SCRIPT)
+    done = subprocess.run(
+        [sys.executable, str(tmp_path / "script.py"), pristine.data, pristine.csv, pristine.file(1)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env={**os.environ, "PYTHONPATH": str(Path(eldata.errors.__file__).parents[1]), "OMP_NUM_THREADS": "4"},
+    )
+    assert (done.stdout.strip(), done.returncode) == ("all equal", 0), done.stderr
+
+
+# --- settings -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def machine(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A machine with as much of everything as a test wants."""
+
+    def made(cpus: int = 8, memory: int | None = 10**12, shared: int | None = 10**12) -> None:
+        monkeypatch.setattr(loading, "usable_cpus", lambda: cpus)
+        monkeypatch.setattr(loading, "available_memory_bytes", lambda: memory)
+        monkeypatch.setattr(loading, "shared_memory_bytes", lambda: shared)
+
+    monkeypatch.delenv("LOCAL_WORLD_SIZE", raising=False)
+    return made
+
+
+def test_workers_follow_the_cpus(machine: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    machine(cpus=8)
+    count, why = chosen_workers(10**6, 2, "forkserver", Rank())
+    assert (count, why.startswith("8 CPUs usable, one left to training; memory for any number")) == (7, True)
+    assert chosen_workers(10**6, 2, "forkserver", Rank(0, 4))[0] == 1
+    machine(cpus=1)
+    assert chosen_workers(10**6, 2, "forkserver", Rank())[0] == 1
+    machine(cpus=128)
+    count, why = chosen_workers(10**6, 2, "forkserver", Rank())
+    assert count == 16
+    assert "more than 16 bring little" in why
+    monkeypatch.setenv("LOCAL_WORLD_SIZE", "8")  # of 64 ranks, 8 run here
+    assert chosen_workers(10**6, 2, "forkserver", Rank(0, 64))[0] == 15
+
+
+def test_workers_fit_into_memory(machine: Any) -> None:
+    """Half of 3 GB, each worker 100 MB and 2 batches of 200 MB; then shared memory of 1 GB, and a container's 64 MB."""
+    machine(memory=3_000_000_000)
+    count, why = chosen_workers(200_000_000, 2, "forkserver", Rank())
+    assert (count, "memory for 3; " in why, "200.0 MB a batch" in why) == (3, True, True)
+    assert chosen_workers(200_000_000, 2, "spawn", Rank())[0] == 2
+    assert chosen_workers(200_000_000, 2, "forkserver", Rank(), held_bytes=250_000_000)[0] == 2
+    machine(shared=1_000_000_000)
+    assert chosen_workers(200_000_000, 2, "forkserver", Rank())[0] == 2
+    machine(shared=64 << 20)
+    count, why = chosen_workers(200_000_000, 2, "forkserver", Rank())
+    assert (count, "shared memory (/dev/shm) for 0" in why) == (0, True)
+    machine(memory=None, shared=None)
+    count, why = chosen_workers(0, 2, "forkserver", Rank())
+    assert (count, "memory not known" in why, "size of a batch not known" in why) == (7, True, True)
+
+
+def test_the_limits_of_a_container_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(loading, "_CGROUP", tmp_path)
+    plain = len(os.sched_getaffinity(0))
+    assert loading.usable_cpus() == plain
+    (tmp_path / "cpu.max").write_text("max 100000\n")
+    assert loading.usable_cpus() == plain
+    (tmp_path / "cpu.max").write_text("150000 100000\n")
+    assert loading.usable_cpus() == 1
+    (tmp_path / "memory.max").write_text("5000000\n")
+    (tmp_path / "memory.current").write_text("2000000\n")
+    assert loading.available_memory_bytes() == 3_000_000
+    (tmp_path / "memory.max").write_text("max\n")
+    assert (loading.available_memory_bytes() or 0) > 3_000_000
+
+
+def test_the_description_says_what_the_loader_does(machine: Any, store: Path) -> None:
+    machine(cpus=6)
+    loader = training_loader(pairs(store), 5, rank=Rank(1, 2))
+    text = describe(loader)
+    assert loader.num_workers == 2
+    for words in (
+        *("training: 24 items in 4 batches of 5", "4 left over in the last batch dropped", "ranks: number 1 of 2"),
+        *(
+            "workers: 2 (6 CPUs usable by 2 ranks",
+            "start method: forkserver (workers come from a clean process",
+            "persistent",
+        ),
+        "at most 1 items left out",
+    ):
+        assert words in text
+    asked = evaluation_loader(pairs(store), 5, workers=0)
+    assert "workers: 0 (as asked)" in describe(asked)
+    assert "evaluation: 48 items in 10 batches of up to 5, in order" in describe(asked)
+    assert not asked.persistent_workers
+    # An item is 2 x 4 x 8 x 8 float32 = 2048 bytes.
+    assert "0.0 MB a batch" in text
+    assert loading._sample_bytes(pairs(store)) == 2048
+
+
+@pytest.mark.parametrize(
+    ("cuda", "device", "pinned"),
+    [(False, None, False), (True, None, True), (True, "cuda:0", True), (True, "cpu", False), (False, "cpu", False)],
+)
+def test_memory_is_pinned_for_cuda_alone(
+    cuda: bool, device: str | None, pinned: bool, store: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: cuda)
+    loader = training_loader(pairs(store), 2, workers=0, device=device)
+    assert loader.pin_memory is pinned
+    assert ("pinned memory: yes" in describe(loader)) is pinned
+
+
+# --- refusals -----------------------------------------------------------------------------------------------------
+
+
+class Endless(IterableDataset[int]):
+    def __iter__(self) -> Iterator[int]:
+        yield from range(5)
+
+
+class Holding(Dataset[int]):
+    """Holds a function that no other process can find."""
+
+    def __init__(self) -> None:
+        self.transform: Any = lambda value: value
+
+    def __len__(self) -> int:
+        return 4
+
+    def __getitem__(self, index: int) -> int:
+        return int(self.transform(index))
+
+
+def test_a_dataset_that_cannot_be_sent(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ArgumentError, match=r"Holding cannot be sent to workers .*start_method='fork' or workers=0"):
+        training_loader(Holding(), 2, workers=2)
+    assert len(list(training_loader(Holding(), 2, workers=0))) == 2
+    monkeypatch.setattr(Drawing, "__module__", "__main__")
+    monkeypatch.delattr(sys.modules["__main__"], "__file__", raising=False)
+    with pytest.raises(ArgumentError, match="defined in an interactive session, which workers cannot import"):
+        training_loader(Drawing(), 2, workers=2)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
+@pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
+def test_fork_takes_what_cannot_be_sent() -> None:
+    loader = evaluation_loader(Holding(), 2, workers=1, start_method="fork")
+    assert [batch.tolist() for batch in loader] == [[0, 1], [2, 3]]
+
+
+def test_wrong_arguments(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    dataset = pairs(store)
+    wrong: list[tuple[dict[str, Any], str]] = [
+        ({"batch_size": 0}, "batch_size and prefetch must be 1 or more; found 0, 2"),
+        ({"prefetch": 0}, "found 4, 0"),
+        ({"workers": -1}, "workers must be 0 or more; found -1"),
+        ({"seed": -1}, "seed must be 0 or more; found -1"),
+        ({"start_method": "thread"}, "start_method must be one of 'forkserver', 'spawn', 'fork'; found 'thread'"),
+        ({"batch_size": 49}, "48 items for rank 0 of 1 are no whole batch of 49"),
+        ({"batch_size": 5, "rank": Rank(3, 10)}, "4 items for rank 3 of 10 are no whole batch of 5"),
+    ]
+    for options, words in wrong:
+        with pytest.raises(ArgumentError, match=words):
+            training_loader(dataset, **{"batch_size": 4, "workers": 0} | options)
+    with pytest.raises(ArgumentError, match="Endless is an iterable dataset that does not split itself"):
+        training_loader(Endless(), 2)
+    with pytest.raises(ArgumentError, match="expected a dataset with len and indices; found int"):
+        evaluation_loader(5)  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match="Subset holds no items"):
+        evaluation_loader(Subset(dataset, []))
+    with pytest.raises(ArgumentError, match="found another DataLoader"):
+        describe(DataLoader(dataset))
+    with pytest.raises(ArgumentError, match="found 2 of 2"):
+        Rank(2, 2)
+    monkeypatch.setattr(multiprocessing, "get_all_start_methods", lambda: ["spawn"])  # as on Windows
+    with pytest.raises(ArgumentError, match="this system has no start method 'forkserver'; take 'spawn'"):
+        training_loader(dataset, 4)
+
+
+def test_many_processes_without_torch_distributed(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert current_rank() == Rank(0, 1)
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    with pytest.raises(ArgumentError, match=r"WORLD_SIZE is '2', but torch.distributed is not initialised"):
+        training_loader(pairs(store), 4)
+    assert len(training_loader(pairs(store), 4, workers=0, rank=Rank(1, 2))) == 6

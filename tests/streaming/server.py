@@ -1,0 +1,92 @@
+"""A web server on this machine that serves a folder, with or without ranges, and fails on request."""
+
+from __future__ import annotations
+
+import re
+import threading
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+
+class Site:
+    """What is served and how: ``failures`` are used up by the requests for shards, one each."""
+
+    def __init__(self, folder: Path, *, ranges: bool) -> None:
+        self.folder = folder
+        self.ranges = ranges
+        self.failures: list[str] = []
+        self.sent = 0
+        self.lock = threading.Lock()
+        self.address = ""
+
+    def failure(self) -> str:
+        with self.lock:
+            return self.failures.pop(0) if self.failures else ""
+
+
+class Handler(BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+    site: Site
+
+    def do_HEAD(self) -> None:
+        self.answer(body=False)
+
+    def do_GET(self) -> None:
+        self.answer(body=True)
+
+    def answer(self, *, body: bool) -> None:
+        path = self.site.folder / self.path.rpartition("/")[2]
+        if not path.is_file():
+            self.send_response(404)
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+            return
+        failure = self.site.failure() if path.suffix == ".tar" else ""
+        if failure.isdecimal():
+            self.send_response(int(failure))
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+            return
+        content = path.read_bytes()
+        size = len(content)
+        asked = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
+        if asked and self.site.ranges:
+            content = content[int(asked[1]) : int(asked[2]) + 1]
+            self.send_response(206)
+            self.send_header("Content-Range", f"bytes {asked[1]}-{int(asked[1]) + len(content) - 1}/{size}")
+        else:
+            self.send_response(200)
+        self.send_header("Accept-Ranges", "bytes") if self.site.ranges else None
+        self.send_header("Content-Length", str(len(content)))
+        self.end_headers()
+        if body:
+            if failure == "cut":
+                content = content[: len(content) // 2]
+                self.close_connection = True
+            self.wfile.write(content)
+            with self.site.lock:
+                self.site.sent += len(content)
+
+    def log_message(self, format: str, *arguments: Any) -> None:  # noqa: A002 # its name in the base class
+        pass
+
+
+@contextmanager
+def serving(folder: Path, *, ranges: bool = True) -> Iterator[Site]:
+    site = Site(folder, ranges=ranges)
+    handler = type("OfSite", (Handler,), {"site": site})
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        server.daemon_threads = True
+        site.address = f"http://127.0.0.1:{server.server_port}/shards"
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        try:
+            yield site
+        finally:
+            server.shutdown()
+            thread.join()

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 NAMES = (
     *("decode", "packing", "dataset_item", "metrics", "evaluation", "noise", "synthetic_pairs", "calibration"),
     "store",
+    "streaming",
 )
 
 _PACKAGES = ("eldata", "numpy", "numba", "rawpy", "torch", "scikit-image")

@@ -7,6 +7,8 @@ from .datasets import SIDDataset as SIDDataset
 from .datasets import SyntheticClips as SyntheticClips
 from .datasets import SyntheticPairs as SyntheticPairs
 from .evaluation import evaluate as evaluate
+from .evaluation import evaluate_all as evaluate_all
 from .manifest import verify as verify
+from .streaming import StreamedPairs as StreamedPairs
 
 __version__: str

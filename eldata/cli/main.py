@@ -6,13 +6,32 @@ import sys
 from typing import TYPE_CHECKING
 
 from eldata import __version__
-from eldata.cli import calibrate, demo, download, evaluate, info, lock, pack, profile, synthesize, verify
+from eldata.cli import (
+    calibrate,
+    compare,
+    demo,
+    download,
+    evaluate,
+    info,
+    lock,
+    pack,
+    profile,
+    protocols,
+    shard,
+    synthesize,
+    verify,
+)
 from eldata.console import Parser, run
 
 if TYPE_CHECKING:
     import argparse
 
-_COMMANDS = (demo, info, download, verify, lock, evaluate, calibrate, synthesize, profile, pack)
+_COMMANDS = (
+    *(demo, info, download, verify, lock),
+    *(protocols, evaluate, compare),
+    *(calibrate, synthesize, profile),
+    *(pack, shard),
+)
 
 
 def parser() -> argparse.ArgumentParser:

@@ -9,6 +9,11 @@ from .drv import DRVDynamicDataset as DRVDynamicDataset
 from .drv import DRVRawDataset as DRVRawDataset
 from .drv import DRVRawDynamicDataset as DRVRawDynamicDataset
 from .eld import ELDDataset as ELDDataset
+from .loading import Rank as Rank
+from .loading import describe as describe
+from .loading import evaluation_loader as evaluation_loader
+from .loading import set_epoch as set_epoch
+from .loading import training_loader as training_loader
 from .packed_store import DnPairs as DnPairs
 from .packed_store import PackedStore as PackedStore
 from .packed_store import StoredFrames as StoredFrames
@@ -16,6 +21,12 @@ from .packed_store import normalise_batch as normalise_batch
 from .registry import dataset_class as dataset_class
 from .registry import dataset_names as dataset_names
 from .registry import open_dataset as open_dataset
+from .rgb import OneSensor as OneSensor
+from .rgb import PairSensors as PairSensors
+from .rgb import Rendered as Rendered
+from .rgb import StagedPairs as StagedPairs
+from .rgb import raw2rgb as raw2rgb
+from .rgb import rgb2rgb as rgb2rgb
 from .sid import SIDDataset as SIDDataset
 from .synthetic import SyntheticPairs as SyntheticPairs
 from .synthetic_clips import ArrayClips as ArrayClips

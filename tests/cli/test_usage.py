@@ -14,7 +14,7 @@ from tests.cli.conftest import Cli, Outcome
 if TYPE_CHECKING:
     from tests.evaluation.helpers import Tree
 
-COMMANDS = ("demo", "verify", "lock", "evaluate", "calibrate")
+COMMANDS = ("demo", "verify", "lock", "protocols", "evaluate", "compare", "calibrate")
 
 
 def assert_one_line(outcome: Outcome, *words: str) -> None:
@@ -54,7 +54,10 @@ def test_help_lists_commands_and_exit_codes(eldata: Cli) -> None:
                     "--json", "--debug", "ELDATA_ROOT"]),
         ("lock", ["MANIFEST", "--root", "--camera", "--jobs", "--json", "--debug", "ELDATA_ROOT"]),
         ("evaluate", ["PREDS", "--dataset", "--manifest", "--protocol", "eld-uncorrected", "--root", "--camera",
-                      "--allow-missing", "--jobs", "--csv", "--json", "--debug", "npy", "uint16"]),
+                      "--allow-missing", "--jobs", "--dask", "--csv", "--format", "--html", "--compare", "--json",
+                      "--baseline", "--debug", "npy", "uint16"]),
+        ("protocols", ["NAME", "--json", "--debug"]),
+        ("compare", ["RESULT", "--name", "--protocol", "--format", "--html", "--json", "--debug"]),
     ],
 )  # fmt: skip
 def test_help_of_each_command(command: str, options: list[str], eldata: Cli) -> None:
@@ -90,9 +93,13 @@ def test_unknown_command(eldata: Cli) -> None:
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_unknown_option(command: str, eldata: Cli) -> None:
-    required = {"verify": ["x"], "lock": ["x"], "calibrate": ["x"], "evaluate": ["x", "--dataset", "eld"]}.get(
-        command, []
-    )
+    required = {
+        "verify": ["x"],
+        "lock": ["x"],
+        "calibrate": ["x"],
+        "evaluate": ["x", "--dataset", "eld"],
+        "compare": ["x", "y"],
+    }.get(command, [])
     assert_one_line(eldata(command, *required, "--frobnicate"), "--frobnicate", "--help")
 
 
@@ -106,7 +113,7 @@ def test_unknown_option(command: str, eldata: Cli) -> None:
         (["evaluate", "x", "--dataset", "eld", "--manifest", "y"], ["--manifest", "--dataset"]),
         (["evaluate", "x", "--dataset"], ["--dataset", "expected one argument"]),
         (["verify", "x", "--level", "deep"], ["--level", "deep", "quick", "metadata", "full"]),
-        (["evaluate", "x", "--dataset", "eld", "--protocol", "pmn"], ["--protocol", "pmn", "eld-uncorrected"]),
+        (["evaluate", "x", "--dataset", "eld", "--protocol", "elf"], ["elf", "eld-uncorrected"]),
         (["verify", "x", "--jobs", "many"], ["--jobs", "many"]),
         (["lock", "x", "--jobs", "1.5"], ["--jobs", "1.5"]),
         (["demo", "x", "--scenes", "two"], ["--scenes", "two"]),

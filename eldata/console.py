@@ -11,11 +11,15 @@ import json
 import os
 import sys
 import traceback
-from contextlib import suppress
-from typing import Any, NoReturn
+from contextlib import nullcontext, suppress
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from eldata.errors import EldataError
 from eldata.files import write_text
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+    from contextlib import AbstractContextManager
 
 OK, PROBLEMS, UNUSABLE, INTERRUPTED, CLOSED_PIPE = 0, 1, 2, 130, 141
 
@@ -55,7 +59,7 @@ def add_cameras(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_jobs(parser: argparse.ArgumentParser) -> None:
+def add_jobs(parser: argparse._ActionsContainer) -> None:
     """Add ``--jobs`` to a subcommand; the default is one per CPU."""
     cpus = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     parser.add_argument(
@@ -65,6 +69,32 @@ def add_jobs(parser: argparse.ArgumentParser) -> None:
         metavar="J",
         help="work on so many files at a time (default: one per CPU, here %(default)s)",
     )
+
+
+def add_workers(parser: argparse.ArgumentParser) -> None:
+    """Add ``--jobs`` and ``--dask``, of which one may be given, to a subcommand: see :func:`chosen_executor`."""
+    group = parser.add_mutually_exclusive_group()
+    add_jobs(group)
+    group.add_argument(
+        "--dask",
+        metavar="ADDRESS",
+        help=(
+            "work on this Dask cluster instead: its scheduler's address, such as tcp://host:8786, or its scheduler "
+            "file (needs the extra eldata[dask]; docs/clusters.md)"
+        ),
+    )
+
+
+def chosen_executor(arguments: argparse.Namespace) -> AbstractContextManager[Executor | None]:
+    """Return what lends the executor that ``--dask`` asks for, or ``None`` where ``--jobs`` holds.
+
+    Usage: ``with chosen_executor(arguments) as executor: verify(..., jobs=arguments.jobs, executor=executor)``.
+    """
+    if arguments.dask is None:
+        return nullcontext()
+    from eldata.clusters import dask_executor
+
+    return dask_executor(arguments.dask)
 
 
 def _positive(text: str) -> int:

@@ -31,11 +31,16 @@ pytestmark = pytest.mark.timeout(60)  # a hang is the bug that these tests are f
 
 @pytest.fixture(autouse=True)
 def no_process_is_left() -> Iterator[None]:
+    others = {process.pid for process in multiprocessing.active_children()}  # such as another test's cluster
     yield
+
+    def ours() -> list[int | None]:
+        return [process.pid for process in multiprocessing.active_children() if process.pid not in others]
+
     deadline = time.monotonic() + 10
-    while multiprocessing.active_children() and time.monotonic() < deadline:
+    while ours() and time.monotonic() < deadline:
         time.sleep(0.05)
-    assert multiprocessing.active_children() == []
+    assert ours() == []
 
 
 @pytest.mark.parametrize("jobs", [1, 2, 3])
@@ -120,18 +125,38 @@ def test_there_must_be_a_job(jobs: int) -> None:
 
 
 @pytest.mark.parametrize("count", [2, 40], ids=["all waiting", "more to come"])
-def test_a_killed_worker_is_an_error_with_advice(count: int) -> None:
+def test_a_unit_that_kills_every_worker_is_an_error_with_advice(count: int) -> None:
     """What the kernel does to a worker when memory runs out."""
-    with pytest.raises(EldataError, match="a worker process died") as raised:
-        list(run_units(signal.raise_signal, [signal.SIGKILL] * count, jobs=2))
+    with pytest.raises(EldataError, match=r"^9: a worker process died at it twice") as raised:
+        list(run_units(signal.raise_signal, [int(signal.SIGKILL)] * count, jobs=2))
     assert "--jobs" in str(raised.value)
 
 
-def test_a_killed_worker_names_the_first_unit_without_a_result() -> None:
-    """The window is full here, which takes another way through the code than a short list does."""
-    units = [int(signal.SIGKILL)] + [0] * 40  # signal 0 does nothing
-    with pytest.raises(EldataError, match=f"at or soon after {int(signal.SIGKILL)};"):
-        list(run_units(signal.raise_signal, units, jobs=2))
+def test_the_error_names_the_unit_that_kills() -> None:
+    """The window is full here, and the units before it, whose workers were lost with it, are run again."""
+    units = [0] * 7 + [int(signal.SIGKILL)] + [0] * 40  # signal 0 does nothing
+    results = run_units(signal.raise_signal, units, jobs=2)
+    assert [next(results) for _ in range(7)] == [None] * 7
+    with pytest.raises(EldataError, match=r"^9: a worker process died"):
+        next(results)
+
+
+UNGUARDED = """
+from eldata.parallel import run_units
+
+print(list(run_units(abs, [1, 2, 3], jobs=2)))
+"""
+
+
+def test_a_script_without_the_guard_is_told_so(tmp_path: Path) -> None:
+    """Each worker runs the script anew as it starts, and dies of that."""
+    script = tmp_path / "work.py"
+    script.write_text(UNGUARDED, encoding="utf-8")
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=50)
+    assert done.returncode == 1
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith("eldata.errors.EldataError: worker processes die as soon as they start")
+    assert "if __name__ == '__main__'" in last
 
 
 def test_leaving_early_ends_the_workers() -> None:
@@ -226,31 +251,37 @@ def test_there_must_be_a_thread(threads: int) -> None:
 
 
 INTERRUPTED = """
-import time
+import sys
+from pathlib import Path
 from eldata.parallel import run_units
 
 if __name__ == "__main__":
-    for _ in run_units(time.sleep, [0.0] * 4 + [1.5], jobs=2):
+    for _ in run_units(Path.read_bytes, [Path(name) for name in sys.argv[1:]], jobs=2):
         print("one", flush=True)
 """
 
 
 def test_ctrl_c_ends_everything_and_is_told_once(tmp_path: Path) -> None:
-    """A terminal sends Ctrl-C to the whole process group; each worker would print a traceback of its own."""
-    script = tmp_path / "work.py"
+    """A terminal sends Ctrl-C to the whole process group; each worker would print a traceback of its own.
+
+    The last unit is a pipe: opening it waits until a worker reads it, and that worker works until it is closed.
+    """
+    script, pipe, file = tmp_path / "work.py", tmp_path / "pipe", tmp_path / "file"
     script.write_text(INTERRUPTED, encoding="utf-8")
+    file.touch()
+    os.mkfifo(pipe)
     with subprocess.Popen(
-        [sys.executable, str(script)],
+        [sys.executable, str(script), *[str(file)] * 4, str(pipe)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         start_new_session=True,
     ) as child:
         assert child.stdout is not None
         try:
-            for _ in range(4):
-                assert child.stdout.readline() == b"one\n"
-            time.sleep(0.3)  # now one worker works, and the other waits for work
-            os.killpg(child.pid, signal.SIGINT)
+            with pipe.open("wb"):
+                for _ in range(4):
+                    assert child.stdout.readline() == b"one\n"
+                os.killpg(child.pid, signal.SIGINT)  # one worker works, and the other waits for work
             _, errors = child.communicate(timeout=30)
             deadline = time.monotonic() + 10  # multiprocessing's resource tracker ends a moment after its parent
             while (survivors := alive_in_group(child.pid)) and time.monotonic() < deadline:

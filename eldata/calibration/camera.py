@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
+from functools import partial
 from typing import TYPE_CHECKING
 
 from tqdm import tqdm
@@ -15,15 +17,18 @@ from eldata.calibration.remarks import overall_remarks
 from eldata.calibration.results import Calibration
 from eldata.datasets.calibration_frames import CalibrationFrames
 from eldata.errors import ArgumentError, DatasetError
+from eldata.manifest.verify import Problem
 from eldata.noise.profile import CameraProfile, LogLogFit, ProfileRow
+from eldata.parallel import Failed, require_files, try_units
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
+    from concurrent.futures import Executor
     from pathlib import Path
 
+    from eldata.calibration.frame_checks import IsoFrames
     from eldata.calibration.joint import LogLogEstimate
     from eldata.calibration.results import IsoCalibration
-    from eldata.manifest.verify import Problem
 
 _NO_NOISE_DN = 1e-9  # a scale that a log-log line can hold in place of 0
 
@@ -34,6 +39,7 @@ def calibrate(
     *,
     isos: Collection[int] | None = None,
     jobs: int = 1,
+    executor: Executor | None = None,
 ) -> Calibration:
     """Measure a camera's noise from its bias and flat-field frames (section 3.3 of the paper).
 
@@ -47,6 +53,9 @@ def calibrate(
         Only these ISOs, if a folder is given.
     jobs
         Threads that decode. Neither the figures nor, much, the memory depend on it.
+    executor
+        Measures whole ISOs side by side (:mod:`eldata.parallel`), with a thread each; it is not shut down. Headers are
+        read here, by ``jobs`` threads. Nor do the figures depend on this.
 
     Returns
     -------
@@ -72,18 +81,55 @@ def calibrate(
     elif isos is not None:
         raise ArgumentError("isos is about a folder; choose them with CalibrationFrames(..., isos=...)")
     chosen = sorted_frames(frames, threads=jobs)
-    measured: list[IsoCalibration] = []
-    problems: list[Problem] = []
+    found = _measured(frames, chosen, jobs) if executor is None else _measured_on(executor, frames, chosen)
+    measured = [one for one in found if not isinstance(one, FramesError)]
+    problems = [problem for one in found if isinstance(one, FramesError) for problem in one.problems]
+    if problems:
+        raise FramesError(problems)
+    return joined(camera or frames.camera, measured)
+
+
+def _measured(
+    frames: CalibrationFrames, chosen: Sequence[IsoFrames], threads: int
+) -> list[IsoCalibration | FramesError]:
+    found: list[IsoCalibration | FramesError] = []
     total = sum(map(decodings, chosen))
     with tqdm(total=total, desc=f"calibrating {frames.camera}", unit="frame", disable=None, leave=False) as bar:
         for one in chosen:
             try:
-                measured.append(calibrate_iso(frames, one, threads=jobs, done=bar.update))
+                found.append(calibrate_iso(frames, one, threads=threads, done=bar.update))
             except FramesError as error:
-                problems += error.problems
-    if problems:
-        raise FramesError(problems)
-    return joined(camera or frames.camera, measured)
+                found.append(error)
+    return found
+
+
+def _measured_on(
+    executor: Executor, frames: CalibrationFrames, chosen: Sequence[IsoFrames]
+) -> list[IsoCalibration | FramesError]:
+    # Frames are summed where they are decoded: to send them would take longer than that.
+    there = copy.copy(frames)
+    there.root = frames.root.absolute()  # workers have folders of their own to start from
+    work = partial(_measured_there, there)
+    label = f"calibrating {frames.camera}"
+    return [
+        _failure(frames, outcome) if isinstance(outcome, Failed) else outcome
+        for outcome in try_units(work, chosen, executor=executor, label=label, unit="ISO")
+    ]
+
+
+def _measured_there(frames: CalibrationFrames, chosen: IsoFrames) -> IsoCalibration:
+    require_files(
+        *map(frames.path, (*chosen.bias, *(flat for pair in chosen.pairs for flat in (pair.first, pair.second))))
+    )
+    return calibrate_iso(frames, chosen)
+
+
+def _failure(frames: CalibrationFrames, failed: Failed[IsoFrames]) -> FramesError:
+    if isinstance(failed.error, FramesError):
+        return failed.error
+    where = f"{frames.camera}, ISO {float(failed.unit.iso):g}"
+    advice = "see to it where the work runs, or leave this ISO out"
+    return FramesError([Problem(frames.camera, where, "work", "a finished estimate", failed.reason, advice)])
 
 
 def joined(camera: str, isos: Sequence[IsoCalibration]) -> Calibration:

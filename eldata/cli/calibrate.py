@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from eldata.console import OK, PROBLEMS, add_debug, add_jobs, add_json, add_root, write_json
+from eldata.console import OK, PROBLEMS, add_debug, add_json, add_root, add_workers, chosen_executor, write_json
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -31,7 +31,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--iso", action="append", dest="isos", type=_iso, metavar="ISO", help="only this ISO; may be repeated"
     )
     add_root(parser)
-    add_jobs(parser)
+    add_workers(parser)
     add_json(parser)
     add_debug(parser)
     parser.set_defaults(run=run, command="calibrate")
@@ -62,7 +62,8 @@ def run(arguments: argparse.Namespace) -> int:
             raise ArgumentError("--root says where a manifest's files lie; with a folder of frames, leave it out")
         frames = CalibrationFrames(arguments.frames, arguments.camera, isos=arguments.isos)
     try:
-        found = calibrate(frames, jobs=arguments.jobs)
+        with chosen_executor(arguments) as executor:
+            found = calibrate(frames, jobs=arguments.jobs, executor=executor)
     except FramesError as error:
         for problem in error.problems:
             print(problem.format_text())

@@ -9,9 +9,10 @@ from eldata.console import (
     PROBLEMS,
     add_cameras,
     add_debug,
-    add_jobs,
     add_json,
     add_root,
+    add_workers,
+    chosen_executor,
     write_json,
 )
 from eldata.manifest.lock import lock
@@ -33,7 +34,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("manifest", metavar="MANIFEST", help="the manifest's CSV file, which is changed")
     add_root(parser)
     add_cameras(parser)
-    add_jobs(parser)
+    add_workers(parser)
     add_json(parser)
     add_debug(parser)
     parser.set_defaults(run=run, command="lock")
@@ -43,7 +44,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
     from dataclasses import asdict
 
-    report = lock(arguments.manifest, arguments.root, cameras=arguments.cameras, jobs=arguments.jobs)
+    with chosen_executor(arguments) as executor:
+        report = lock(
+            arguments.manifest, arguments.root, cameras=arguments.cameras, jobs=arguments.jobs, executor=executor
+        )
     if arguments.json:
         problems = [asdict(problem) for problem in report.problems]
         write_json(arguments.json, {"files_locked": report.files_locked, "problems": problems})

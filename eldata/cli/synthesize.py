@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from eldata.console import OK, add_debug, add_jobs
+from eldata.console import OK, add_debug, add_workers, chosen_executor
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -33,7 +33,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument("--per-image", type=int, default=1, metavar="N", help="noisy frames per clean one (default: 1)")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="default: %(default)s")
-    add_jobs(parser)
+    add_workers(parser)
     add_debug(parser)
     parser.set_defaults(run=run, command="synthesize")
 
@@ -64,7 +64,8 @@ def run(arguments: argparse.Namespace) -> int:
         format=arguments.format,
     )
     out = Path(arguments.out)
-    manifest = synthesize(Path(arguments.clean), out, recipe, jobs=arguments.jobs)
+    with chosen_executor(arguments) as executor:
+        manifest = synthesize(Path(arguments.clean), out, recipe, jobs=arguments.jobs, executor=executor)
     noisy = manifest.card.counts.get("noisy", 0)
     print(
         f"{noisy} noisy frames of {manifest.card.counts['reference']} clean ones: {out / 'data' / manifest.card.folder}"

@@ -9,9 +9,10 @@ from eldata.console import (
     PROBLEMS,
     add_cameras,
     add_debug,
-    add_jobs,
     add_json,
     add_root,
+    add_workers,
+    chosen_executor,
     write_json,
 )
 from eldata.errors import ArgumentError
@@ -19,6 +20,7 @@ from eldata.manifest.verify import LEVELS, verify
 
 if TYPE_CHECKING:
     import argparse
+    from concurrent.futures import Executor
 
     from eldata.manifest.verify import VerifyReport
 
@@ -39,7 +41,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("--dataset", metavar="N", help="only the dataset of this name, which must be there")
     add_cameras(parser)
     parser.add_argument("--level", choices=LEVELS, default="quick", help="how deep to look (default: %(default)s)")
-    add_jobs(parser)
+    add_workers(parser)
     add_json(parser)
     add_debug(parser)
     parser.set_defaults(run=run, command="verify")
@@ -47,7 +49,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
-    report = _of_store(arguments) if _is_store(arguments.manifests) else _of_files(arguments)
+    with chosen_executor(arguments) as executor:
+        check = _of_store if _is_store(arguments.manifests) else _of_files
+        report = check(arguments, executor)
     print(report.format_text())
     if arguments.json:
         write_json(arguments.json, report.as_dict())
@@ -58,15 +62,15 @@ def _is_store(path: str) -> bool:
     return path.lower().endswith((".h5", ".hdf5"))
 
 
-def _of_store(arguments: argparse.Namespace) -> VerifyReport:
+def _of_store(arguments: argparse.Namespace, executor: Executor | None) -> VerifyReport:
     from eldata.store.checks import verify_store
 
     if arguments.root is not None or arguments.dataset is not None or arguments.cameras:
         raise ArgumentError("--root, --dataset and --camera are for manifests; a store is checked whole")
-    return verify_store(arguments.manifests, level=arguments.level, jobs=arguments.jobs)
+    return verify_store(arguments.manifests, level=arguments.level, jobs=arguments.jobs, executor=executor)
 
 
-def _of_files(arguments: argparse.Namespace) -> VerifyReport:
+def _of_files(arguments: argparse.Namespace, executor: Executor | None) -> VerifyReport:
     return verify(
         arguments.manifests,
         arguments.root,
@@ -74,4 +78,5 @@ def _of_files(arguments: argparse.Namespace) -> VerifyReport:
         cameras=arguments.cameras,
         level=arguments.level,
         jobs=arguments.jobs,
+        executor=executor,
     )

@@ -11,6 +11,7 @@ import re
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
@@ -23,14 +24,14 @@ from eldata.manifest.catalogue import Manifest, load_manifest
 from eldata.manifest.table import save_records
 from eldata.noise.components import parse_components
 from eldata.noise.model import NoiseModel
-from eldata.parallel import check_jobs, run_units
+from eldata.parallel import check_jobs, require_files, run_units
 from eldata.raw.cfa import pack_normalised, packed_area, packed_black_level_dn, unpack
 from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
 from eldata.records import Exposure, FrameRecord, RawFrame
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from concurrent.futures import Executor
 
     from numpy.typing import NDArray
 
@@ -92,7 +93,7 @@ class Recipe:
         return NoiseModel(replace(parts, quantisation=False).spec)
 
 
-def synthesize(clean: Path, out: Path, recipe: Recipe, *, jobs: int = 1) -> Manifest:
+def synthesize(clean: Path, out: Path, recipe: Recipe, *, jobs: int = 1, executor: Executor | None = None) -> Manifest:
     """Write a noisy tree for a folder of clean raw files; return its manifest.
 
     Parameters
@@ -105,6 +106,8 @@ def synthesize(clean: Path, out: Path, recipe: Recipe, *, jobs: int = 1) -> Mani
         The noise.
     jobs
         Number of worker processes; the files do not depend on it.
+    executor
+        Makes the frames in their place (:mod:`eldata.parallel`); it is not shut down. Its workers write below ``out``.
 
     Raises
     ------
@@ -125,8 +128,8 @@ def synthesize(clean: Path, out: Path, recipe: Recipe, *, jobs: int = 1) -> Mani
             folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise EldataError(f"cannot make {error.filename}: {error.strerror}") from error
-    work = partial(_synthesize_file, out / "data" / name, recipe)
-    made = list(run_units(work, list(enumerate(paths)), jobs=jobs, label="synthesizing"))
+    work = partial(_synthesize_file, Path.cwd(), (out / "data" / name).absolute(), recipe)
+    made = list(run_units(work, list(enumerate(paths)), jobs=jobs, executor=executor, label="synthesizing"))
     records = [record for item in made for record in item.records]
     roles = [record.role for record in records]
     card = Card(
@@ -165,9 +168,10 @@ class _Made:
     bayer: bool
 
 
-def _synthesize_file(folder: Path, recipe: Recipe, unit: tuple[int, Path]) -> _Made:
+def _synthesize_file(start: Path, folder: Path, recipe: Recipe, unit: tuple[int, Path]) -> _Made:
     index, path = unit
-    frame = _cropped(read_raw(path))
+    require_files(start / path)
+    frame = _cropped(read_raw(start / path))
     iso, exposure_s = frame.exposure.iso, frame.exposure.exposure_s
     if iso is None or exposure_s is None:
         raise RawFileError(

@@ -269,7 +269,7 @@ def _evaluate(
         found = [find_predictions(Path(predictions), plan.pairs, known) for plan in plans]
     folder = manifest.folder(root)
     pairs = {pair.path: pair for plan in plans for pair in plan.pairs}
-    _require_dataset(manifest, folder, list(pairs.values()), jobs)
+    _require_dataset(manifest, folder, list(pairs.values()), jobs, executor)
 
     problems = [[] if one is None else file_problems(one, allow_missing=allow_missing) for one in found]
     wanted = [allow_missing or not some for some in problems]
@@ -320,7 +320,9 @@ def _check_source(plans: Sequence[Plan], predictions: Path | str | None, baselin
             )
 
 
-def _require_dataset(manifest: Manifest, folder: Path, pairs: Sequence[PairRecord], jobs: int) -> None:
+def _require_dataset(
+    manifest: Manifest, folder: Path, pairs: Sequence[PairRecord], jobs: int, executor: Executor | None
+) -> None:
     if not folder.is_dir():
         raise DatasetError(
             f"{folder}: the dataset is not there; name the folder above it with --root (root=...). Where to get it: "
@@ -328,7 +330,7 @@ def _require_dataset(manifest: Manifest, folder: Path, pairs: Sequence[PairRecor
         )
     needed = {pair.path for pair in pairs} | {pair.reference for pair in pairs}
     records = [record for record in manifest.records if record.path in needed]
-    problems, _ = check_files(manifest, folder, records, level="metadata", jobs=jobs)
+    problems, _ = check_files(manifest, folder, records, level="metadata", jobs=jobs, executor=executor)
     if problems:
         more = f" (and {len(problems) - 1} more: eldata verify --level metadata lists all)" if len(problems) > 1 else ""
         raise DatasetError(f"{folder}: the dataset is not what its manifest says: {problems[0]}{more}")

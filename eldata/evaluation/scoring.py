@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -15,12 +16,11 @@ from eldata.evaluation.predictions import load_prediction, load_srgb_prediction
 from eldata.evaluation.references import normalised_frame, rendered_reference
 from eldata.evaluation.results import ImageScore
 from eldata.files import inside
-from eldata.parallel import Failed, try_units
+from eldata.parallel import Failed, require_files, threads_within, try_units
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence
     from concurrent.futures import Executor
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -98,9 +98,8 @@ def score_plans(
         As of :func:`eldata.evaluate`.
     """
     units = _units(plans, files)
-    # Processes share the CPUs; within one process the metrics use all of them.
-    threads = None if jobs == 1 and executor is None else 1
-    work = partial(_score_unit, folder, tuple(plan.protocol for plan in plans), threads)
+    protocols = tuple(plan.protocol for plan in plans)
+    work = partial(_score_unit, _Job(Path.cwd(), folder.absolute(), protocols, threads_within(jobs, executor)))
     found = [PlanScores() for _ in plans]
     for outcomes in try_units(work, units, jobs=jobs, executor=executor, label="scoring", unit="reference"):
         if isinstance(outcomes, Failed) and not isinstance(outcomes.error, (EldataError, OSError)):
@@ -194,28 +193,31 @@ class _Reference:
         return normalised_frame(self.frame, protocol.levels, clip=protocol.reference_clip)
 
 
-def _score_unit(folder: Path, protocols: tuple[Protocol, ...], threads: int | None, unit: _Unit) -> list[_Outcome]:
-    reference = _Reference(inside(folder, unit.reference))
+@dataclass(frozen=True, slots=True)
+class _Job:
+    """What all units share: where predictions' paths begin, the dataset's folder, protocols, threads of a unit."""
+
+    start: Path
+    folder: Path
+    protocols: tuple[Protocol, ...]
+    threads: int | None
+
+
+def _score_unit(job: _Job, unit: _Unit) -> list[_Outcome]:
+    path = inside(job.folder, unit.reference)
+    require_files(path, *(job.start / member.file for member in unit.members if member.file is not None))
+    reference = _Reference(path)
     outcomes: list[_Outcome] = []
     for member in unit.members:
         shared = _Shared()
-        for plan in member.plans:
-            protocol = protocols[plan]
-            outcomes.append(_outcome(folder, reference, unit.reference, member, plan, protocol, shared, threads))
+        outcomes += [_outcome(job, reference, unit.reference, member, plan, shared) for plan in member.plans]
     return outcomes
 
 
 def _outcome(
-    folder: Path,
-    reference: _Reference,
-    reference_path: str,
-    member: _Member,
-    plan: int,
-    protocol: Protocol,
-    shared: _Shared,
-    threads: int | None,
+    job: _Job, reference: _Reference, reference_path: str, member: _Member, plan: int, shared: _Shared
 ) -> _Outcome:
-    pair = member.pair
+    pair, protocol = member.pair, job.protocols[plan]
     try:
         target = reference.target(protocol)
     except (ArgumentError, FileError) as error:
@@ -223,8 +225,10 @@ def _outcome(
         problem = EvaluationProblem(pair.path, f"its reference {reference_path} cannot be used: {reason}")
         return _Outcome(plan, problem)
     try:
-        found = _score(folder, reference, target, member, protocol, shared, threads)
-    except (PredictionError, RawFileError) as error:
+        found = _score(job, reference, target, member, protocol, shared)
+    except PredictionError as error:
+        return _Outcome(plan, EvaluationProblem(str(member.file), error.reason))
+    except RawFileError as error:
         return _Outcome(plan, EvaluationProblem(str(error.path), error.reason))
     except ArgumentError as error:
         problem = EvaluationProblem(pair.path, f"protocol {protocol.name} cannot score it: {error}")
@@ -243,18 +247,17 @@ def _outcome(
 
 
 def _score(
-    folder: Path,
+    job: _Job,
     reference: _Reference,
     target: NDArray[Any],
     member: _Member,
     protocol: Protocol,
     shared: _Shared,
-    threads: int | None,
 ) -> Score:
     from eldata.metrics.scoring import factor_by, score_by
 
-    rules = protocol.rules
-    source, prediction = _prediction(folder, reference, target, member, protocol, shared)
+    rules, threads = protocol.rules, job.threads
+    source, prediction = _prediction(job, reference, target, member, protocol, shared)
     crop = protocol.crop(target.shape)
     compared = (source, reference.key(protocol), protocol.region)
     p, g = prediction[crop], target[crop]
@@ -292,7 +295,7 @@ def _score_rendered(
 
 
 def _prediction(
-    folder: Path,
+    job: _Job,
     reference: _Reference,
     target: NDArray[Any],
     member: _Member,
@@ -300,11 +303,11 @@ def _prediction(
     shared: _Shared,
 ) -> tuple[Hashable, NDArray[Any]]:
     """Return a prediction of the whole frame, and what decides it."""
-    file = member.file
     key: Hashable
-    if file is None:
+    if member.file is None:
         key = ("input", protocol.levels, protocol.input_clip, protocol.amplification)
-        return key, shared.get(key, lambda: _input(folder, reference, member.pair, protocol, shared))
+        return key, shared.get(key, lambda: _input(job.folder, reference, member.pair, protocol, shared))
+    file = job.start / member.file
     if protocol.prediction_space == "srgb":
         channels, height, width = target.shape
         return "srgb", shared.get("srgb", lambda: load_srgb_prediction(file, (channels, height, width)))

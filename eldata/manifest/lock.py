@@ -14,10 +14,11 @@ from eldata.manifest.catalogue import load_manifest
 from eldata.manifest.patterns import expand
 from eldata.manifest.table import save_records
 from eldata.manifest.verify import Problem, VerifyReport, verify
-from eldata.parallel import run_units
+from eldata.parallel import Failed, require_files, try_units
 
 if TYPE_CHECKING:
     from collections.abc import Collection
+    from concurrent.futures import Executor
 
     from eldata.records import FrameRecord
 
@@ -37,6 +38,7 @@ def lock(
     *,
     cameras: Collection[str] | None = None,
     jobs: int = 1,
+    executor: Executor | None = None,
 ) -> LockReport:
     """Record size and hash of every file of a manifest, and write the manifest whole or not at all.
 
@@ -56,6 +58,8 @@ def lock(
         Lock just these cameras' files.
     jobs
         Number of worker processes.
+    executor
+        Reads the files in their place (:mod:`eldata.parallel`); it is not shut down.
 
     Raises
     ------
@@ -65,19 +69,25 @@ def lock(
         If it cannot be written.
     """
     loaded = load_manifest(manifest)
-    checks = verify([loaded], root, dataset=loaded.name, cameras=cameras, level="metadata", jobs=jobs)
+    checks = verify(
+        [loaded], root, dataset=loaded.name, cameras=cameras, level="metadata", jobs=jobs, executor=executor
+    )
     if checks.problems:
         return LockReport(checks, checks.problems, 0)
     folder = loaded.folder(root)
     listed = expand(loaded.records, folder)
     chosen = [record for record in listed if not cameras or record.camera in cameras]
-    locked = dict(
-        zip(
-            [record.path for record in chosen],
-            run_units(partial(_locked, folder), chosen, jobs=jobs, label=f"{loaded.name} (hashing)"),
-            strict=True,
-        )
-    )
+    locked: dict[str, FrameRecord] = {}
+    unread: list[Problem] = []
+    label = f"{loaded.name} (hashing)"
+    for outcome in try_units(partial(_locked, folder.absolute()), chosen, jobs=jobs, executor=executor, label=label):
+        if isinstance(outcome, Failed):
+            advice = "make it readable where the hash is taken, and lock again"
+            unread.append(Problem(loaded.name, outcome.unit.path, "sha256", "a hash", outcome.reason, advice))
+        else:
+            locked[outcome.path] = outcome
+    if unread:
+        return LockReport(checks, tuple(unread), 0)
     problems = tuple(
         Problem(
             loaded.name,
@@ -101,4 +111,5 @@ def lock(
 
 def _locked(folder: Path, record: FrameRecord) -> FrameRecord:
     path = folder / record.path
+    require_files(path)
     return replace(record, size_bytes=path.stat().st_size, sha256=sha256_of(path))

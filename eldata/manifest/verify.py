@@ -33,10 +33,11 @@ from eldata.manifest.clip_checks import (
 from eldata.manifest.pairs import UNCERTAIN_ISO
 from eldata.manifest.patterns import expand, pattern_findings
 from eldata.manifest.table import number_text
-from eldata.parallel import check_jobs, run_units
+from eldata.parallel import Failed, check_jobs, require_files, try_units
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
+    from concurrent.futures import Executor
 
     from eldata.manifest.patterns import Finding
     from eldata.records import FrameRecord
@@ -141,6 +142,7 @@ def verify(
     cameras: Collection[str] | None = None,
     level: Level = "quick",
     jobs: int = 1,
+    executor: Executor | None = None,
 ) -> VerifyReport:
     """Check the files below ``root`` against manifests.
 
@@ -158,6 +160,8 @@ def verify(
         See the module's text.
     jobs
         Number of worker processes.
+    executor
+        Looks into the files in their place (:mod:`eldata.parallel`); it is not shut down.
 
     Raises
     ------
@@ -180,7 +184,7 @@ def verify(
     if cameras:
         chosen = [manifest for manifest in chosen if set(cameras) & set(manifest.card.cameras)]
     reports = [
-        _verify_dataset(manifest, manifest.folder(root), cameras, level, jobs, required=dataset is not None)
+        _verify_dataset(manifest, manifest.folder(root), cameras, level, jobs, executor, required=dataset is not None)
         for manifest in chosen
     ]
     return VerifyReport(level, tuple(reports))
@@ -192,6 +196,7 @@ def _verify_dataset(
     cameras: Collection[str] | None,
     level: Level,
     jobs: int,
+    executor: Executor | None,
     *,
     required: bool,
 ) -> DatasetReport:
@@ -205,14 +210,20 @@ def _verify_dataset(
             advice = f"see {manifest.card.homepage}, or name the folder above it with --root"
             problems.append(Problem(manifest.name, str(folder), "folder", "the dataset's files", "nothing", advice))
         return DatasetReport(manifest.name, needed, True, manifest.card.homepage, len(records), 0, 0, tuple(problems))
-    found, present = check_files(manifest, folder, records, level=level, jobs=jobs)
+    found, present = check_files(manifest, folder, records, level=level, jobs=jobs, executor=executor)
     listed = expand(records, folder)
     hashed = sum(record.sha256 is not None for record in present) if level == "full" else 0
     return DatasetReport(manifest.name, folder, False, manifest.card.homepage, len(listed), len(present), hashed, found)
 
 
 def check_files(
-    manifest: Manifest, folder: Path, records: Sequence[FrameRecord], *, level: Level, jobs: int = 1
+    manifest: Manifest,
+    folder: Path,
+    records: Sequence[FrameRecord],
+    *,
+    level: Level,
+    jobs: int = 1,
+    executor: Executor | None = None,
 ) -> tuple[tuple[Problem, ...], tuple[FrameRecord, ...]]:
     """Check some of a manifest's files; return the problems, by path, and the records whose files are there."""
     listed = expand(records, folder)
@@ -220,8 +231,12 @@ def check_files(
     problems += _check_unlisted(manifest, folder, listed)
     findings = pattern_findings(records, folder)
     if level != "quick":
-        work = partial(_check_file, manifest.name, folder, manifest.card.cameras, level)
-        outcomes = list(run_units(work, present, jobs=jobs, label=f"{manifest.name} ({level})"))
+        work = partial(_check_file, manifest.name, folder.absolute(), manifest.card.cameras, level)
+        label = f"{manifest.name} ({level})"
+        outcomes = [
+            _unchecked(manifest.name, outcome) if isinstance(outcome, Failed) else outcome
+            for outcome in try_units(work, present, jobs=jobs, executor=executor, label=label)
+        ]
         problems += [problem for outcome in outcomes for problem in outcome.problems]
         products = [outcome.exposure_product for outcome in outcomes]
         problems += _check_ratios(manifest.name, present, products)
@@ -344,10 +359,16 @@ class _Outcome:
     exposure_product: Fraction | None = None
 
 
+def _unchecked(dataset: str, failed: Failed[FrameRecord]) -> _Outcome:
+    advice = "make it readable where the check runs, and check again"
+    return _Outcome((Problem(dataset, failed.unit.path, "check", "a finished check", failed.reason, advice),))
+
+
 def _check_file(dataset: str, folder: Path, cameras: dict[str, Any], level: Level, record: FrameRecord) -> _Outcome:
     from eldata.raw.reading import read_header, read_raw
 
     path = folder / record.path
+    require_files(path)
     if path.suffix == ".npy":
         return _check_packed(dataset, path, record, level)
     if is_png(record.path):

@@ -228,15 +228,3 @@ def test_ctrl_c_with_debug_shows_where(long_tree: Tree) -> None:
     code, _, err = interrupted([*full_verification(long_tree), "--debug"], 0.3)
     assert code == 130
     assert "KeyboardInterrupt" in err
-
-
-def test_a_dying_worker_is_one_line(long_tree: Tree) -> None:
-    def kill_one(process: subprocess.Popen[str]) -> None:
-        if running := workers(process):
-            running[0].kill()
-
-    code, _, err = disturbed(full_verification(long_tree), 0.3, kill_one)
-    assert code == 2
-    assert err.count("\n") == 1
-    assert "worker" in err
-    assert "--jobs" in err

@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,9 +25,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
     from benchmarks.data import Files
+    from eldata.records import Role
+    from eldata.store import Source
     from eldata.store.layout import Compression
 
 _COUNT, _BATCH = 48, 4
+_RGB_SIZE, _RGB_FRAMES = (918, 1374), 10
 _COMPRESSIONS: tuple[Compression, ...] = ("none", "lz4", "zstd")
 
 
@@ -35,9 +39,11 @@ def run(files: Files, rounds: int, cores: int) -> list[Row]:
         rows = _packing(files, Path(folder), rounds, cores)
         ways = dict(_ways(files, Path(folder)))
         rows += _one_process(ways, files, rounds)
-        rows += _memory(Path(folder))
+        rows += _clips(Path(folder), rounds)
+        rows += _memory(files, Path(folder))
         if cores > 1:
             rows += _loaders(ways, rounds)
+            rows += _noise(ways, Path(folder), rounds)
         return rows
 
 
@@ -118,26 +124,71 @@ def _one_process(datasets: Mapping[str, Any], files: Files, rounds: int) -> list
         timings.faster(case, "store", "raw decode", at_least=80, values="bit-identical"),
         timings.cost(case, "store", "memcpy"),
         timings.faster(f"{case}, in DN", "store, in DN", "memmap, in DN", values="bit-identical"),
+        timings.cost(f"{case}: store, turned", "store, turned", "store"),
         *(timings.faster(f"{case}: {way}", way, "memmap x 1/white") for way in _OTHERS),
         *(timings.faster(f"{case}: {way}", way, "LMDB of fixed patches", at_least=1.5) for way in _OTHERS),
     ]
 
 
-def _memory(folder: Path) -> list[Row]:
+def _clips(folder: Path, rounds: int) -> list[Row]:
+    """Windows of preprocessed clips: from the store, and decoded from the PNG files."""
+    import imagecodecs
+
+    from eldata.datasets import DRVDataset
+    from eldata.datasets.packed_clips import PackedClips
+
+    rgb = np.random.default_rng(0).gamma(4.0, 3000.0, (_RGB_FRAMES + 1, *_RGB_SIZE, 3)).clip(0, 65535).astype(np.uint16)
+    drv = folder / "DRV"
+    for number, frame in enumerate(rgb):
+        name = f"VBM4D_rawRGB/0007/{number:04d}.png" if number else "long/0007/half0001.png"
+        (drv / name).parent.mkdir(parents=True, exist_ok=True)
+        (drv / name).write_bytes(imagecodecs.png_encode(frame, level=1))
+    build_store(source_of_dataset("drv", root=folder, ids=["0007"]), folder / "clips.h5")
+    top, left, side = 100, 200, CROP
+    stored = PackedClips(folder / "clips.h5", crop=side, augment=False)
+    files = DRVDataset(drv, ids=["0007"], region=(top, left, side, side))
+    for ours, theirs in zip(PackedClips(folder / "clips.h5", crop=None, augment=False), files, strict=True):
+        part = ours["input"][..., top : top + side, left : left + side]
+        if not np.array_equal(part, theirs["input"]):
+            raise RuntimeError("the store's windows are not those of the files")
+    ways: dict[str, Callable[[], object]] = {
+        "store": lambda: [len(stored[index]) for index in range(len(stored))],
+        "PNG files": lambda: [len(files[index]) for index in range(len(files))],
+    }
+    timings = in_turn(min(rounds, 3), ways, dict.fromkeys(ways, len(files)))
+    return [timings.faster("a window of 5 RGB frames, one process", "store", "PNG files", values="bit-identical")]
+
+
+def _memory(files: Files, folder: Path) -> list[Row]:
     """Measure all that a fresh process has in memory, libraries included, before and after it reads."""
+    small = folder / "small.h5"
+    source = source_of_dataset("eld-demo", root=files.data, manifest=files.manifest)
+    build_store(replace(source, files=_first_pair(source)), small)
     rows = []
     for name in _COMPRESSIONS:
-        with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-            before, after = pool.submit(_peaks_mb, folder / f"{name}.h5").result()
+        before, after = _in_fresh_process(folder / f"{name}.h5")
         spreads = Spread.of([after]), Spread.of([before])
         rows.append(Row(f"a worker's memory, {name}", spreads[0], "libraries alone", spreads[1], after, " MB", 600))
-    return rows
+    spreads = Spread.of([_in_fresh_process(folder / "none.h5")[1]]), Spread.of([_in_fresh_process(small)[1]])
+    growth = spreads[0].median - spreads[1].median
+    return [*rows, Row("a worker's memory, 16 frames", spreads[0], "2 frames", spreads[1], growth, " MB", 20)]
+
+
+def _first_pair(source: Source) -> tuple[tuple[str, Role], ...]:
+    """Return the files of the first pair."""
+    reference, noisy = (next(file for file in source.files if file[1] == role) for role in ("reference", "noisy"))
+    return reference, noisy
+
+
+def _in_fresh_process(store: Path) -> tuple[float, float]:
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(_peaks_mb, store).result()
 
 
 def _peaks_mb(store: Path) -> tuple[float, float]:
     before = _peak_mb()
-    pairs = PackedStore(store, crop=CROP, crops_per_frame=20)
-    for index in range(len(pairs)):
+    pairs = PackedStore(store, crop=CROP, crops_per_frame=240)
+    for index in range(0, len(pairs), len(pairs) // 240):
         pairs[index]
     return before, _peak_mb()
 
@@ -156,39 +207,84 @@ _OTHERS = ("store, lz4", "store, zstd", "store, turned")
 
 
 def _loaders(datasets: Mapping[str, Any], rounds: int) -> list[Row]:
-    names = ("store", "store, lz4", "store, in DN", "memmap x 1/white", "LMDB of fixed patches")
-    loaders: dict[str, DataLoader[Any]] = {
-        name: DataLoader(
-            datasets[name],
-            batch_size=_BATCH,
-            num_workers=2,
-            persistent_workers=True,
-            multiprocessing_context="fork",  # h5py's and lmdb's handles of the others cannot be pickled
-        )
-        for name in names
-    }
+    names = ("store", "store, lz4", "store, turned", "store, in DN", "memmap x 1/white", "LMDB of fixed patches")
+    rows = []
+    for workers in (2, 4):
+        loaders = {name: _loader(datasets[name], workers) for name in names}
+        ways: dict[str, Callable[[], object]] = {name: partial(_epoch, loaders[name]) for name in names}
+        ways["store, in DN, converted here"] = partial(_epoch, loaders["store, in DN"], normalise_batch)
+        ways["store, each copied"] = partial(_epoch, loaders["store"], _copied)
+        ways["LMDB, each copied"] = partial(_epoch, loaders["LMDB of fixed patches"], _copied)
+        timings = in_turn(rounds, ways, dict.fromkeys(ways, _COUNT))
+        case = f"a crop pair, DataLoader, {workers} workers"
+        lmdb = "LMDB of fixed patches"
+        rows += [
+            timings.faster(case, "store", "memmap x 1/white", at_least=0.7),
+            timings.faster(case, "store", lmdb, at_least=1.5),
+            timings.faster(f"{case}, each copied", "store, each copied", "LMDB, each copied", at_least=1.5),
+            timings.faster(f"{case}: turned", "store, turned", lmdb, at_least=1.5),
+            timings.faster(f"{case}: lz4", "store, lz4", "memmap x 1/white"),
+            timings.faster(f"{case}: lz4", "store, lz4", lmdb, at_least=1.5),
+            timings.faster(f"{case}: in DN", "store, in DN", "store"),
+            timings.faster(
+                f"{case}: in DN, converted here", "store, in DN, converted here", "store", values="bit-identical"
+            ),
+        ]
+    return rows
 
-    def epoch(name: str) -> None:
-        for batch in loaders[name]:
-            del batch
 
-    def converted() -> None:
-        for batch in loaders["store, in DN"]:
-            normalise_batch(batch)
+def _noise(datasets: Mapping[str, Any], folder: Path, rounds: int) -> list[Row]:
+    """Clean crops with the full noise model, made by the workers or in the main process."""
+    from benchmarks.store_noise import CleanCrops, LmdbWithNoise
+    from eldata.datasets import StoredFrames, SyntheticPairs
 
-    ways: dict[str, Callable[[], object]] = {name: partial(epoch, name) for name in names}
-    ways["store, in DN, converted here"] = converted
-    timings = in_turn(rounds, ways, dict.fromkeys(ways, _COUNT))
-    case = "a crop pair, DataLoader, 2 workers"
-    return [
-        timings.faster(case, "store", "memmap x 1/white", at_least=0.7),
-        timings.faster(case, "store", "LMDB of fixed patches", at_least=1.5),
-        timings.faster(f"{case}: lz4", "store, lz4", "memmap x 1/white"),
-        timings.faster(f"{case}: in DN", "store, in DN", "store"),
-        timings.faster(
-            f"{case}: in DN, converted here", "store, in DN, converted here", "store", values="bit-identical"
-        ),
-    ]
+    source = StoredFrames(folder / "none.h5")
+    profile = "SonyA7S2"
+    ours = SyntheticPairs(source, profile, crop=CROP, augment=False, crops_per_frame=-(-_COUNT // len(source)))
+    published = LmdbWithNoise(datasets["LMDB of fixed patches"])
+    clean = CleanCrops(source, _COUNT)
+    rows = []
+    for workers in (0, 2, 4):
+        loaders = {"store": ours, "LMDB, plain numpy noise": published, "store, noise here": clean}
+        made = {name: _loader(dataset, workers) for name, dataset in loaders.items()}
+        ways: dict[str, Callable[[], object]] = {name: partial(_epoch, loader) for name, loader in made.items()}
+        ways["store, noise here"] = partial(_epoch, made["store, noise here"], clean.noisy)
+        units = {"store": len(ours), "LMDB, plain numpy noise": len(published), "store, noise here": len(clean)}
+        timings = in_turn(min(rounds, 5), ways, units)
+        case = f"a noisy pair, DataLoader, {workers} workers" if workers else "a noisy pair, DataLoader, one process"
+        rows += [
+            timings.faster(case, "store", "LMDB, plain numpy noise", at_least=3),
+            timings.faster(f"{case}: noise in the main process", "store, noise here", "store"),
+        ]
+    return rows
+
+
+def _loader(dataset: Any, workers: int) -> DataLoader[Any]:
+    if workers == 0:
+        return DataLoader(dataset, batch_size=_BATCH)
+    return DataLoader(
+        dataset,
+        batch_size=_BATCH,
+        num_workers=workers,
+        persistent_workers=True,
+        multiprocessing_context="fork",  # h5py's and lmdb's handles of the others cannot be pickled
+    )
+
+
+def _epoch(loader: DataLoader[Any], work: Callable[[Any], object] | None = None) -> None:
+    for batch in loader:
+        if work is not None:
+            work(batch)
+        del batch
+
+
+def _copied(batch: Mapping[str, Any]) -> None:
+    """Read every byte once, as sending a batch to a device does; the memory is there already."""
+    for side in ("input", "target"):
+        np.copyto(_DEVICE[: len(batch[side])], batch[side].numpy())
+
+
+_DEVICE = np.ones((_BATCH, 4, CROP, CROP), np.float32)
 
 
 def _check_equal(datasets: Mapping[str, Any], pairs: Any) -> None:

@@ -2,6 +2,7 @@ from .calibration import calibrate as calibrate
 from .datasets import CalibrationFrames as CalibrationFrames
 from .datasets import DRVDataset as DRVDataset
 from .datasets import ELDDataset as ELDDataset
+from .datasets import PackedClips as PackedClips
 from .datasets import PackedStore as PackedStore
 from .datasets import SIDDataset as SIDDataset
 from .datasets import SyntheticClips as SyntheticClips

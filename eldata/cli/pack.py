@@ -1,11 +1,11 @@
-"""`eldata pack`: a dataset's raw files to one store for training."""
+"""`eldata pack`: a dataset's files to one store for training."""
 
 from __future__ import annotations
 
 import sys
 from typing import TYPE_CHECKING
 
-from eldata.console import INTERRUPTED, OK, add_cameras, add_debug, add_jobs, add_root
+from eldata.console import INTERRUPTED, OK, add_cameras, add_debug, add_root, add_workers, chosen_executor
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -14,23 +14,28 @@ if TYPE_CHECKING:
     from eldata.store.sources import Source
 
 
+NAME_HELP = "a dataset's name, such as eld, drv or drv-raw (DRV's camera raws), or a folder of clean raws"
+
+
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add this command."""
     parser = commands.add_parser(
         "pack",
         help="decode a dataset once, into a store that training reads fast",
         description=(
-            "Decode each raw file of a dataset's pairs, or of a folder of clean frames, once, into one HDF5 file: the "
-            "pixels in DN with levels, CFA, exposure and manifest, lossless. PackedStore and StoredFrames read random "
-            "crops of it. Work that was interrupted, even by kill -9, goes on where it was if the command is repeated."
+            "Decode each file of a dataset's pairs or clips, or of a folder of clean raws, once, into one HDF5 file: "
+            "the pixels in DN with levels, CFA, exposure and manifest (of preprocessed clips, their 16-bit RGB), "
+            "lossless. PackedStore, PackedClips, StoredFrames and StoredClips read random crops of it. Work that was "
+            "interrupted, even by kill -9, goes on where it was if the command is repeated."
         ),
     )
-    parser.add_argument("dataset", metavar="DATASET", help="a dataset's name, such as eld, or a folder of clean raws")
+    parser.add_argument("dataset", metavar="DATASET", help=NAME_HELP)
     parser.add_argument("-o", "--out", metavar="STORE", required=True, help="a new file, such as store.h5")
     add_root(parser)
     parser.add_argument("--manifest", metavar="M", help="the dataset's manifest, in place of the shipped one")
     parser.add_argument("--split", action="append", dest="splits", metavar="S", help="only this split; may be repeated")
     parser.add_argument("--subset", metavar="NAME", help="only this subset of the dataset card")
+    parser.add_argument("--clip", action="append", dest="ids", metavar="ID", help="only this clip; may be repeated")
     add_cameras(parser)
     parser.add_argument(
         "--compression",
@@ -38,7 +43,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         default="none",
         help="lossless; lz4 and zstd need the extra eldata[compression] (default: %(default)s)",
     )
-    add_jobs(parser)
+    add_workers(parser)
     add_debug(parser)
     parser.set_defaults(run=run, command="pack")
 
@@ -49,7 +54,10 @@ def run(arguments: argparse.Namespace) -> int:
 
     source = _source(arguments)
     try:
-        report = build_store(source, arguments.out, compression=arguments.compression, jobs=arguments.jobs)
+        with chosen_executor(arguments) as executor:
+            report = build_store(
+                source, arguments.out, compression=arguments.compression, jobs=arguments.jobs, executor=executor
+            )
     except KeyboardInterrupt:
         if arguments.debug:
             raise
@@ -81,9 +89,10 @@ def _source(arguments: argparse.Namespace) -> Source:
             cameras=arguments.cameras,
             splits=arguments.splits,
             subset=arguments.subset,
+            ids=arguments.ids,
         )
-    if arguments.root or arguments.splits or arguments.subset or arguments.cameras:
+    if arguments.root or arguments.splits or arguments.subset or arguments.cameras or arguments.ids:
         raise ArgumentError(
-            f"--root, --split, --subset and --camera are for datasets by name; {arguments.dataset} is a folder"
+            f"--root, --split, --subset, --clip and --camera are for datasets by name; {arguments.dataset} is a folder"
         )
     return source_of_folder(arguments.dataset)

@@ -53,6 +53,34 @@ def oriented(mosaic: NDArray[Scalar], cfa: CfaRows, orientation: Orientation) ->
     return _turned(mosaic, orientation)[top:, left:]
 
 
+def copy_oriented(mosaic: NDArray[np.uint16], cfa: CfaRows, orientation: Orientation, copy: NDArray[np.uint16]) -> None:
+    """Fill ``copy`` (height, width) with ``oriented(mosaic, cfa, orientation)[:height, :width]``.
+
+    Packing reads rows: from a transposed view it takes ten times as long as this copy and the packing of it.
+
+    Raises
+    ------
+    ArgumentError
+        As :func:`oriented`; or if the turned mosaic is smaller than that.
+    """
+    from eldata.raw._kernels import mirror, transpose
+
+    view = oriented(mosaic, cfa, orientation)
+    if copy.shape[0] > view.shape[0] or copy.shape[1] > view.shape[1]:
+        raise ArgumentError(f"a turned mosaic of {view.shape} pixels does not fill {copy.shape}")
+    # What the view lost at the top and left, it lost at these ends of the mosaic.
+    top, left = _offset(cfa, orientation)
+    rows, columns = (left, top) if orientation.transpose else (top, left)
+    flips = orientation.flip_rows, orientation.flip_columns
+    flip_mosaic_rows, flip_mosaic_columns = reversed(flips) if orientation.transpose else flips
+    part = mosaic[
+        slice(None, mosaic.shape[0] - rows) if flip_mosaic_rows else slice(rows, None),
+        slice(None, mosaic.shape[1] - columns) if flip_mosaic_columns else slice(columns, None),
+    ]
+    turn = transpose if orientation.transpose else mirror
+    turn(part, copy, orientation.flip_rows, orientation.flip_columns)
+
+
 def _turned(array: NDArray[Scalar], orientation: Orientation) -> NDArray[Scalar]:
     turned = array.T if orientation.transpose else array
     return turned[:: -1 if orientation.flip_rows else 1, :: -1 if orientation.flip_columns else 1]

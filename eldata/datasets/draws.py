@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any, TypedDict
 import numpy as np
 import torch
 
-from eldata.datasets.augmentation import ORIENTATIONS, Orientation, oriented
+from eldata.datasets.augmentation import ORIENTATIONS, Orientation, copy_oriented, oriented
+from eldata.datasets.batches import Field, new_arrays
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise.profile import CameraProfile
-from eldata.raw.cfa import normalise, pack, pack_normalised, packed_area
+from eldata.raw.cfa import normalise, pack, pack_normalised, packed_area, packed_shape
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -209,11 +210,79 @@ class CleanCrop:
 
     def turned(self, part: NDArray[Any]) -> NDArray[Any]:
         """Return the crop, turned, from the part of the mosaic that :attr:`slices` name; its CFA is :attr:`cfa`."""
+        if part.dtype == np.uint16 and self.orientation != Orientation():
+            return _turned(part, self.cfa, self.orientation, self.height, self.width)
         return oriented(part, self.cfa, self.orientation)[: self.height, : self.width]
 
-    def packed(self, frame: CleanFrame) -> NDArray[np.float32]:
-        """Return the crop of a frame, packed and normalised, (C, h, w)."""
+    @property
+    def packed_shape(self) -> tuple[int, int, int]:
+        """That of the packed crop, (C, h, w)."""
+        return packed_shape((self.height, self.width), self.cfa)
+
+    def packed(self, frame: CleanFrame, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+        """Return the crop of a frame, packed and normalised, (C, h, w), in ``out`` if that is given."""
         crop = self.turned(frame.mosaic[self.slices])
         if crop.dtype == np.uint16:
-            return pack_normalised(crop, self.cfa, frame.black_level_dn, frame.white_level_dn)
-        return normalise(pack(crop, self.cfa), self.cfa, frame.black_level_dn, frame.white_level_dn)
+            return pack_normalised(crop, self.cfa, frame.black_level_dn, frame.white_level_dn, out=out)
+        normalised = normalise(pack(crop, self.cfa), self.cfa, frame.black_level_dn, frame.white_level_dn)
+        if out is None:
+            return normalised
+        out[...] = normalised
+        return out
+
+
+@dataclass(frozen=True, slots=True)
+class RgbCrop:
+    """A part of an RGB frame and the way that it is turned: as :class:`CleanCrop`, but no CFA asks for a margin."""
+
+    slices: tuple[slice, slice]
+    orientation: Orientation
+    height: int
+    width: int
+
+    @classmethod
+    def draw(
+        cls,
+        name: str,
+        shape: tuple[int, int],
+        generator: np.random.Generator,
+        *,
+        crop: int | None,
+        augment: bool,
+    ) -> RgbCrop:
+        """Draw a place, and with ``augment`` one of the eight orientations: orientation, top and left, in this order.
+
+        Raises
+        ------
+        DatasetError
+            If the frame, of which ``name`` tells, is too small.
+        """
+        orientation = ORIENTATIONS[int(generator.integers(len(ORIENTATIONS)))] if augment else Orientation()
+        rows, columns = shape if crop is None else (crop, crop)
+        if rows > shape[0] or columns > shape[1]:
+            raise DatasetError(
+                f"{name}: {shape[0]} x {shape[1]} pixels are too few for a crop of {rows} x {columns}; take a smaller "
+                "crop"
+            )
+        top, left = (
+            int(generator.integers(whole - part + 1)) for whole, part in zip(shape, (rows, columns), strict=True)
+        )
+        height, width = (columns, rows) if orientation.transpose else (rows, columns)
+        return cls((slice(top, top + rows), slice(left, left + columns)), orientation, height, width)
+
+    def turned(self, plane: NDArray[np.uint16]) -> NDArray[np.uint16]:
+        """Return the crop, turned, from the part of one plane that :attr:`slices` name."""
+        if self.orientation == Orientation():
+            return plane
+        return _turned(plane, _NO_CFA, self.orientation, self.height, self.width)
+
+
+def _turned(
+    part: NDArray[np.uint16], cfa: CfaRows, orientation: Orientation, height: int, width: int
+) -> NDArray[np.uint16]:
+    copy: NDArray[np.uint16] = new_arrays([Field("turned", (height, width), "<u2")])["turned"]
+    copy_oriented(part, cfa, orientation, copy)
+    return copy
+
+
+_NO_CFA: CfaRows = ((0,),)

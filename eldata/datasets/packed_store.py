@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict, cast
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, cast, get_args
 
 import numpy as np
 import torch
@@ -11,6 +11,7 @@ from torch.utils.data import Dataset
 
 from eldata._compiled import in_threads
 from eldata.datasets.base import AMPLIFICATIONS, PairDataset, Sample, checked_ratio
+from eldata.datasets.batches import Field, new_arrays, new_batch, reading_threads
 from eldata.datasets.clean import CleanFrame
 from eldata.datasets.draws import CleanCrop, SharedEpoch
 from eldata.errors import ArgumentError, DatasetError
@@ -62,6 +63,12 @@ class DnSample(TypedDict):
     flags: str
 
 
+Side = Literal["input", "target"]
+_SIDES: tuple[Side, ...] = get_args(Side)
+_DN_SIDES = tuple(f"{side}_dn" for side in _SIDES)
+_NO_PIXELS = np.empty((0, 0, 0), np.float32)
+
+
 @dataclass(frozen=True, slots=True)
 class _Pair:
     """What is known of a pair before its pixels: both frames with the chosen levels, and the factor of the input."""
@@ -80,6 +87,18 @@ class _Item:
     record: PairRecord
     pair: _Pair
     crop: CleanCrop
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """That of the packed crop."""
+        return self.crop.packed_shape
+
+    def side(self, side: Side) -> tuple[StoredFrame, Sensor, float]:
+        """Return the frame of a side, its levels, and what it is multiplied by."""
+        pair = self.pair
+        if side == "input":
+            return pair.noisy, pair.noisy_sensor, float(pair.ratio)
+        return pair.reference, pair.reference_sensor, 1.0
 
 
 class PackedStore(PairDataset):
@@ -229,10 +248,33 @@ class PackedStore(PairDataset):
             If the store cannot be read.
         """
         item = self._item(index)
-        pair = item.pair
-        amplified = self._normalised(item, pair.noisy, pair.noisy_sensor, gain=float(pair.ratio))
-        target = self._normalised(item, pair.reference, pair.reference_sensor)
-        return self._sample(item.record, amplified, target, pair.ratio, pair.noisy.exposure)
+        sides = new_arrays([Field(side, item.shape, "<f4") for side in _SIDES])
+        in_threads(lambda side: self._side(item, side, sides[side]), _SIDES, reading_threads())
+        return self._sample(item.record, sides["input"], sides["target"], item.pair.ratio, item.pair.noisy.exposure)
+
+    def __getitems__(self, indices: Sequence[int]) -> list[Any]:
+        """Read the pairs of a batch into memory that is used again (:mod:`eldata.datasets.batches`).
+
+        torch's DataLoader calls this. The values are those of ``dataset[i]``; errors too.
+        """
+        items = [self._item(index) for index in indices]
+        shapes = {item.shape for item in items}
+        fields = [Field(side, (len(items), *items[0].shape), "<f4") for side in _SIDES]
+        batch = new_batch(fields) if len(shapes) == 1 else None
+        if batch is None:
+            return [self[index] for index in indices]
+        places = [(number, side) for number in range(len(items)) for side in _SIDES]
+
+        def work(place: tuple[int, Side]) -> None:
+            number, side = place
+            self._side(items[number], side, batch.arrays[side][number])
+
+        in_threads(work, places, reading_threads())
+        return batch.parts([self._facts(item) for item in items])
+
+    def _facts(self, item: _Item) -> Sample:
+        """Return an item's sample without pixels."""
+        return self._sample(item.record, _NO_PIXELS, _NO_PIXELS, item.pair.ratio, item.pair.noisy.exposure)
 
     def in_dn(self) -> DnPairs:
         """Return the same items in DN, for :func:`normalise_batch` after the DataLoader."""
@@ -241,17 +283,40 @@ class PackedStore(PairDataset):
     def dn_item(self, index: int) -> DnSample:
         """Read one pair's crop in DN; errors as of ``dataset[index]``."""
         item = self._item(index)
-        pair = item.pair
-        facts = self._sample(item.record, _NO_PIXELS, _NO_PIXELS, pair.ratio, pair.noisy.exposure)
-        fields: dict[str, Any] = {name: value for name, value in facts.items() if name not in _SIDES}
+        mosaics = new_arrays([Field(name, (item.crop.height, item.crop.width), "<u2") for name in _DN_SIDES])
+        for side in _SIDES:
+            mosaics[f"{side}_dn"][...] = self._cut(item, item.side(side)[0])
+        tensors = {name: torch.from_numpy(mosaic) for name, mosaic in mosaics.items()}
+        return cast("DnSample", self._dn_facts(item) | tensors)
+
+    def dn_items(self, indices: Sequence[int]) -> list[Any]:
+        """Read the pairs of a batch in DN into memory that is used again, as :meth:`__getitems__` does."""
+        items = [self._item(index) for index in indices]
+        shapes = {(item.crop.height, item.crop.width, len(item.crop.cfa)) for item in items}
+        first = items[0].crop
+        fields = [Field(name, (len(items), first.height, first.width), "<u2") for name in _DN_SIDES]
+        batch = new_batch(fields) if len(shapes) == 1 else None
+        if batch is None:
+            return [self.dn_item(index) for index in indices]
+        places = [(number, side) for number in range(len(items)) for side in _SIDES]
+
+        def work(place: tuple[int, Side]) -> None:
+            number, side = place
+            batch.arrays[f"{side}_dn"][number] = self._cut(items[number], items[number].side(side)[0])
+
+        in_threads(work, places, reading_threads())
+        return batch.parts([self._dn_facts(item) for item in items])
+
+    def _dn_facts(self, item: _Item) -> dict[str, Any]:
+        """Return an item's sample in DN without pixels."""
+        fields: dict[str, Any] = {name: value for name, value in self._facts(item).items() if name not in _SIDES}
         fields["cfa"] = torch.tensor(item.crop.cfa, dtype=torch.uint8)
-        for side, frame, sensor in zip(
-            _SIDES, (pair.noisy, pair.reference), (pair.noisy_sensor, pair.reference_sensor), strict=True
-        ):
-            fields[f"{side}_dn"] = torch.from_numpy(self._cut(item, frame).copy())
+        for side in _SIDES:
+            _, sensor, _ = item.side(side)
+            fields[f"{side}_dn"] = None
             fields[f"{side}_black_dn"] = torch.tensor(sensor.black_level_dn, dtype=torch.float64)
             fields[f"{side}_white_dn"] = sensor.white_level_dn
-        return cast("DnSample", fields)
+        return fields
 
     def _item(self, index: int) -> _Item:
         if not -len(self) <= index < len(self):
@@ -268,10 +333,11 @@ class PackedStore(PairDataset):
         """Return the item's part of a frame, turned, in borrowed memory: to be packed before the next one."""
         return item.crop.turned(stored_mosaic(self._reader, frame).borrow(item.crop.slices))
 
-    def _normalised(self, item: _Item, frame: StoredFrame, sensor: Sensor, *, gain: float = 1.0) -> NDArray[np.float32]:
-        cut = self._cut(item, frame)
+    def _side(self, item: _Item, side: Side, out: NDArray[np.float32]) -> None:
+        """Fill one side of an item, packed, normalised and, if it is the input, amplified."""
+        frame, sensor, gain = item.side(side)
         black, white = sensor.black_level_dn, sensor.white_level_dn
-        return pack_normalised(cut, item.crop.cfa, black, white, clip=self.clip, gain=gain)
+        pack_normalised(self._cut(item, frame), item.crop.cfa, black, white, clip=self.clip, gain=gain, out=out)
 
     def __repr__(self) -> str:
         base = super().__repr__().removesuffix(")").replace(f"{len(self)} pairs", f"{len(self.records)} pairs", 1)
@@ -279,10 +345,6 @@ class PackedStore(PairDataset):
             f"{base}, crop={self.crop}, augment={self.augment}, crops_per_frame={self.crops_per_frame}, "
             f"seed={self.seed})"
         )
-
-
-_SIDES = ("input", "target")
-_NO_PIXELS = np.empty((0, 0, 0), np.float32)
 
 
 class DnPairs(Dataset[DnSample]):
@@ -304,6 +366,10 @@ class DnPairs(Dataset[DnSample]):
     def __getitem__(self, index: int) -> DnSample:
         """Read one pair's crop in DN; errors as of :class:`PackedStore`."""
         return self.pairs.dn_item(index)
+
+    def __getitems__(self, indices: Sequence[int]) -> list[Any]:
+        """Read the pairs of a batch in DN into memory that is used again."""
+        return self.pairs.dn_items(indices)
 
     def __repr__(self) -> str:
         return f"DnPairs({self.pairs!r})"
@@ -372,9 +438,13 @@ def _images(batch: Mapping[str, Any], side: str) -> Iterator[_Image]:
 
 
 def _by_kernel(images: Sequence[_Image], clip: Clip) -> torch.Tensor:
-    """Return images packed by the one packer, (N, C, h, w), on as many threads as torch takes."""
+    """Return images packed by the one packer, (N, C, h, w), on as many threads as torch takes.
+
+    Into memory that is used again: the pages of new memory would cost several times as much as the packing.
+    """
     mosaics = [image.mosaic.numpy() for image in images]
-    packed = np.empty((len(images), *packed_shape(mosaics[0].shape, images[0].cfa)), np.float32)
+    shape = len(images), *packed_shape(mosaics[0].shape, images[0].cfa)
+    packed = new_arrays([Field("packed", shape, "<f4")])["packed"]
 
     def work(number: int) -> None:
         image = images[number]

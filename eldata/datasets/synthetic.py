@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch
-from torch.utils.data import Dataset, get_worker_info
+from torch.utils.data import Dataset
 
+from eldata.datasets.batches import Batch, Field, new_batch, reading_threads
 from eldata.datasets.draws import CleanCrop, NoiseChoice, NoiseFacts, SharedEpoch
 from eldata.errors import ArgumentError
 from eldata.noise.model import NoiseModel
@@ -15,7 +16,10 @@ from eldata.noise.model import NoiseModel
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from eldata.datasets.clean import CleanSource
+    from numpy.typing import NDArray
+
+    from eldata.datasets.clean import CleanFrame, CleanSource
+    from eldata.datasets.draws import NoiseDraw
     from eldata.noise.profile import CameraProfile, RowChoice
 
 
@@ -29,6 +33,15 @@ class SyntheticSample(NoiseFacts):
     input: torch.Tensor
     target: torch.Tensor
     path: str
+
+
+class _Item(NamedTuple):
+    """One item before its pixels are read, and the generator that its noise comes from."""
+
+    frame: CleanFrame
+    crop: CleanCrop
+    draw: NoiseDraw
+    generator: np.random.Generator
 
 
 class SyntheticPairs(Dataset[SyntheticSample]):
@@ -119,23 +132,52 @@ class SyntheticPairs(Dataset[SyntheticSample]):
         DatasetError
             If a frame is smaller than the crop (with ``augment`` one period of the CFA more is needed).
         """
+        item = self._item(index)
+        return self._made(item, item.crop.packed(item.frame))
+
+    def __getitems__(self, indices: Sequence[int]) -> list[Any]:
+        """Make the pairs of a batch in memory that is used again (:mod:`eldata.datasets.batches`).
+
+        torch's DataLoader calls this. The values are those of ``dataset[i]``; errors too.
+        """
+        if self.crop is None:  # whole frames may differ in size
+            return [self[index] for index in indices]
+        batch: Batch | None = None
+        samples = []
+        for number, index in enumerate(indices):  # one whole frame in memory at a time
+            item = self._item(index)
+            shape = len(indices), *item.crop.packed_shape
+            if number == 0:
+                batch = new_batch([Field(name, shape, "<f4") for name in ("input", "target")])
+            if batch is None or batch.fields[0].shape != shape:  # no such memory; or Bayer and X-Trans
+                return [self[index] for index in indices]
+            target = item.crop.packed(item.frame, out=batch.arrays["target"][number])
+            sample = self._made(item, target)
+            batch.arrays["input"][number] = sample["input"].numpy()
+            samples.append({**sample, "input": None, "target": None})
+            del item, sample
+        return [] if batch is None else batch.parts(samples)
+
+    def _item(self, index: int) -> _Item:
         if not -len(self) <= index < len(self):
             raise IndexError(f"index {index} is outside of {len(self)} items")
         index %= len(self)
         generator = np.random.default_rng([self.seed, self.epoch, index])
         frame = self.source.frame(index % len(self.source))
-        target = CleanCrop.draw(frame, generator, crop=self.crop, augment=self.augment).packed(frame)
-        draw = self.noise.draw(generator)
+        crop = CleanCrop.draw(frame, generator, crop=self.crop, augment=self.augment)
+        return _Item(frame, crop, self.noise.draw(generator), generator)
+
+    def _made(self, item: _Item, target: NDArray[np.float32]) -> SyntheticSample:
         noisy = self.model(
             target,
-            parameters=draw.parameters,
-            ratio=draw.ratio,
-            range_dn=frame.range_dn,
-            generator=generator,
-            threads=None if get_worker_info() is None else 1,  # the workers share the CPUs already
+            parameters=item.draw.parameters,
+            ratio=item.draw.ratio,
+            range_dn=item.frame.range_dn,
+            generator=item.generator,
+            threads=reading_threads(),
         )
         return SyntheticSample(
-            **draw.facts(), input=torch.from_numpy(noisy), target=torch.from_numpy(target), path=frame.name
+            **item.draw.facts(), input=torch.from_numpy(noisy), target=torch.from_numpy(target), path=item.frame.name
         )
 
     def __repr__(self) -> str:

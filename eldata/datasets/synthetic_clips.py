@@ -7,12 +7,13 @@ et al., TPAMI 2021, section on videography: parameters are drawn once a clip, no
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 import torch
-from torch.utils.data import Dataset, get_worker_info
+from torch.utils.data import Dataset
 
+from eldata.datasets.batches import Batch, Field, new_batch, reading_threads
 from eldata.datasets.clean import Arrays, RawFiles
 from eldata.datasets.draws import CleanCrop, NoiseChoice, NoiseFacts, SharedEpoch
 from eldata.errors import ArgumentError, DatasetError
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.datasets.clean import CleanFrame, CleanSource
+    from eldata.datasets.draws import NoiseDraw
     from eldata.noise.profile import CameraProfile, RowChoice
     from eldata.raw.cfa import CfaRows
     from eldata.raw.levels import Levels
@@ -143,6 +145,19 @@ class SyntheticClipSample(NoiseFacts):
     start: int
 
 
+class _Item(NamedTuple):
+    """One item before its pixels are read, and the generator that its noise comes from."""
+
+    clip: CleanSource
+    place: int
+    start: int
+    first: CleanFrame
+    crop: CleanCrop
+    draw: NoiseDraw
+    generator: np.random.Generator
+    shape: tuple[int, int, int, int]
+
+
 class SyntheticClips(Dataset[SyntheticClipSample]):
     """Windows of clean clips and noisy exposures of them, made anew in each epoch.
 
@@ -223,6 +238,32 @@ class SyntheticClips(Dataset[SyntheticClipSample]):
             If a clip is shorter than a window, its frames differ in size, CFA or levels, or they are smaller than the
             crop (with ``augment`` one period of the CFA more is needed).
         """
+        item = self._item(index)
+        return self._made(item, np.empty(item.shape, np.float32))
+
+    def __getitems__(self, indices: Sequence[int]) -> list[Any]:
+        """Make the windows of a batch in memory that is used again (:mod:`eldata.datasets.batches`).
+
+        torch's DataLoader calls this. The values are those of ``dataset[i]``; errors too.
+        """
+        if self.crop is None:  # whole frames may differ in size
+            return [self[index] for index in indices]
+        batch: Batch | None = None
+        samples = []
+        for number, index in enumerate(indices):
+            item = self._item(index)
+            shape = len(indices), *item.shape
+            if number == 0:
+                batch = new_batch([Field(name, shape, "<f4") for name in ("input", "target")])
+            if batch is None or batch.fields[0].shape != shape:  # no such memory; or Bayer and X-Trans
+                return [self[index] for index in indices]
+            sample = self._made(item, batch.arrays["target"][number])
+            batch.arrays["input"][number] = sample["input"].numpy()
+            samples.append({**sample, "input": None, "target": None})
+            del item, sample
+        return [] if batch is None else batch.parts(samples)
+
+    def _item(self, index: int) -> _Item:
         if not -len(self) <= index < len(self):
             raise IndexError(f"index {index} is outside of {len(self)} items")
         index %= len(self)
@@ -234,29 +275,30 @@ class SyntheticClips(Dataset[SyntheticClipSample]):
         start = int(generator.integers(len(clip) - self.frames + 1))
         first = clip.frame(start)
         crop = CleanCrop.draw(first, generator, crop=self.crop, augment=self.augment)
-        part = crop.packed(first)
-        target = np.empty((self.frames, *part.shape), np.float32)
-        target[0] = part
+        shape = self.frames, *crop.packed_shape
+        return _Item(clip, place, start, first, crop, self.noise.draw(generator), generator, shape)
+
+    def _made(self, item: _Item, target: NDArray[np.float32]) -> SyntheticClipSample:
+        item.crop.packed(item.first, out=target[0])
         for step in range(1, self.frames):  # one whole frame in memory at a time
-            frame = clip.frame(start + step)
-            _check_alike(frame, first)
-            target[step] = crop.packed(frame)
-        draw = self.noise.draw(generator)
+            frame = item.clip.frame(item.start + step)
+            _check_alike(frame, item.first)
+            item.crop.packed(frame, out=target[step])
         noisy = self.model(
             target,
-            parameters=draw.parameters,
-            ratio=draw.ratio,
-            range_dn=first.range_dn,
-            generator=generator,
-            threads=None if get_worker_info() is None else 1,  # the workers share the CPUs already
+            parameters=item.draw.parameters,
+            ratio=item.draw.ratio,
+            range_dn=item.first.range_dn,
+            generator=item.generator,
+            threads=reading_threads(),
         )
         return SyntheticClipSample(
-            **draw.facts(),
+            **item.draw.facts(),
             input=torch.from_numpy(noisy),
             target=torch.from_numpy(target),
-            path=first.name,
-            clip=place,
-            start=start,
+            path=item.first.name,
+            clip=item.place,
+            start=item.start,
         )
 
     def __repr__(self) -> str:

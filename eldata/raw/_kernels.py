@@ -119,3 +119,43 @@ def pack_xtrans_normalised(
                 column, x = sites[k, 1], sites[k, 4]
                 for j in range(packed.shape[2] // 2):
                     target[x + 2 * j] = row[column + 6 * j]
+
+
+@kernel
+def mirror(source: NDArray[Any], target: NDArray[Any], flip_rows: bool, flip_columns: bool) -> None:
+    """Fill ``target`` with the top left part of ``source`` flipped: with (True, True) of ``source[::-1, ::-1]``."""
+    rows, columns = source.shape
+    for y in range(target.shape[0]):
+        taken = source[rows - 1 - y if flip_rows else y]
+        given = target[y]
+        if flip_columns:
+            for x in range(target.shape[1]):
+                given[x] = taken[np.uint64(columns - 1 - x)]  # unsigned: the compiler sees that none is negative
+        else:
+            for x in range(target.shape[1]):
+                given[x] = taken[x]
+
+
+@kernel
+def transpose(source: NDArray[Any], target: NDArray[Any], flip_rows: bool, flip_columns: bool) -> None:
+    """Fill ``target`` with the top left part of ``source`` transposed and then flipped.
+
+    Eight rows are read side by side: as many cache lines as the first cache holds at any distance between rows, and
+    eight pixels to write together. Four times as fast as a copy of the transposed view.
+    """
+    rows, columns = source.shape
+    height, width = target.shape
+    for x in range(0, width - 7, 8):
+        first, step = (rows - 1 - x, -1) if flip_columns else (x, 1)
+        row0, row1, row2, row3 = source[first], source[first + step], source[first + 2 * step], source[first + 3 * step]
+        first += 4 * step
+        row4, row5, row6, row7 = source[first], source[first + step], source[first + 2 * step], source[first + 3 * step]
+        for y in range(height):
+            column = np.uint64(columns - 1 - y if flip_rows else y)  # unsigned, as above
+            given = target[y, x : x + 8]
+            given[0], given[1], given[2], given[3] = row0[column], row1[column], row2[column], row3[column]
+            given[4], given[5], given[6], given[7] = row4[column], row5[column], row6[column], row7[column]
+    for x in range(width - width % 8, width):
+        row = source[rows - 1 - x if flip_columns else x]
+        for y in range(height):
+            target[y, x] = row[columns - 1 - y if flip_rows else y]

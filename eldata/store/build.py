@@ -15,12 +15,15 @@ from tqdm import tqdm
 
 from eldata.errors import ArgumentError, EldataError
 from eldata.files import inside
-from eldata.parallel import check_jobs, read_ahead
+from eldata.images import read_rgb16
+from eldata.manifest.clip_checks import is_png
+from eldata.parallel import check_jobs, read_ahead, require_files
 from eldata.store.journal import journaled
-from eldata.store.layout import CHUNK, FORMAT, VERSION, filters, frame_attributes
+from eldata.store.layout import FORMAT, chunk_shape, filters, frame_attributes, rgb_attributes, version_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from concurrent.futures import Executor
 
     from numpy.typing import NDArray
 
@@ -41,7 +44,14 @@ class BuildReport:
     store_bytes: int
 
 
-def build_store(source: Source, path: Path | str, *, compression: Compression = "none", jobs: int = 1) -> BuildReport:
+def build_store(
+    source: Source,
+    path: Path | str,
+    *,
+    compression: Compression = "none",
+    jobs: int = 1,
+    executor: Executor | None = None,
+) -> BuildReport:
     """Pack a source into an HDF5 store.
 
     The store grows as ``<path>.part``, frame by frame; whatever ends the work (an error, a full disk, Ctrl-C, kill -9)
@@ -58,12 +68,14 @@ def build_store(source: Source, path: Path | str, *, compression: Compression = 
         ``"none"``.
     jobs
         Number of threads that decode; so many frames and one are in memory.
+    executor
+        Decodes in their place (:func:`~eldata.parallel.read_ahead`); it is not shut down. The store is written here.
 
     Raises
     ------
     ArgumentError
         If the compression is unknown or its package missing, or ``jobs`` is not positive.
-    RawFileError
+    FileError
         If a file cannot be decoded.
     EldataError
         If the store is there already, another process writes it, its part was begun otherwise, or the disk is full.
@@ -76,7 +88,7 @@ def build_store(source: Source, path: Path | str, *, compression: Compression = 
     part = path.with_name(f"{path.name}.part")
     with journaled(part) as file:
         try:
-            resumed, pixel_bytes = _fill(file, source, compression, options, jobs)
+            resumed, pixel_bytes = _fill(file, source, compression, options, jobs, executor)
             file.sync()
             part.rename(path)
             file.remove_journal()
@@ -89,7 +101,12 @@ def build_store(source: Source, path: Path | str, *, compression: Compression = 
 
 
 def _fill(
-    file: JournaledFile, source: Source, compression: Compression, options: Mapping[str, Any], jobs: int
+    file: JournaledFile,
+    source: Source,
+    compression: Compression,
+    options: Mapping[str, Any],
+    jobs: int,
+    executor: Executor | None,
 ) -> tuple[int, int]:
     """Bring the part to its end; return how many frames were there before, and the bytes of all pixels."""
     is_new = file.is_new
@@ -105,12 +122,12 @@ def _fill(
         frames = store["frames"]
         resumed = len(frames)
         waiting = source.files[resumed:]  # frames are written in order
-        decoded = read_ahead(partial(_decoded, source.folder), waiting, threads=jobs)
+        decoded = read_ahead(partial(_decoded, source.folder.absolute()), waiting, threads=jobs, executor=executor)
         bar = tqdm(total=len(source.files), initial=resumed, desc="packing", unit="file", disable=None, leave=False)
         with bar, closing(decoded):  # type: ignore[type-var] # a generator, declared as an iterator
-            for number, (mosaic, attributes) in enumerate(decoded, resumed):
-                shape = tuple(min(CHUNK, side) for side in mosaic.shape)
-                dataset = frames.create_dataset(f"{number:06d}", data=mosaic, chunks=shape, **options)
+            for number, (pixels, attributes) in enumerate(decoded, resumed):
+                shape = chunk_shape(pixels.shape)
+                dataset = frames.create_dataset(f"{number:06d}", data=pixels, chunks=shape, **options)
                 dataset.attrs.update(attributes)
                 _commit(store, file)
                 bar.update()
@@ -136,7 +153,7 @@ def _begin(store: h5py.File, source: Source, compression: Compression) -> None:
     store.attrs.update(
         {
             "format": FORMAT,
-            "version": VERSION,
+            "version": _version(source),
             "written_by": f"eldata {__version__}",
             "dataset": source.dataset,
             "compression": compression,
@@ -147,14 +164,22 @@ def _begin(store: h5py.File, source: Source, compression: Compression) -> None:
     )
     store.create_group("frames")
     if source.manifest is not None:
-        for suffix in (".csv", ".json"):
-            content = source.manifest.path.with_suffix(suffix).read_bytes()
-            store.create_dataset(f"manifest/{suffix[1:]}", data=np.frombuffer(content, np.uint8))
+        for name, content in source.manifest_files().items():
+            store.create_dataset(f"manifest/{name}", data=np.frombuffer(content, np.uint8))
+
+
+def _version(source: Source) -> int:
+    return version_of(path for path, _ in source.files)
 
 
 def _check_same(path: Path, store: h5py.File, source: Source, compression: Compression) -> None:
     begun = {name: store.attrs.get(name) for name in ("format", "version", "files_digest", "compression")}
-    wanted = {"format": FORMAT, "version": VERSION, "files_digest": source.digest, "compression": compression}
+    wanted = {
+        "format": FORMAT,
+        "version": _version(source),
+        "files_digest": source.digest,
+        "compression": compression,
+    }
     for name, value in wanted.items():
         if begun[name] != value:
             raise ArgumentError(
@@ -177,11 +202,16 @@ def _decoded(folder: Path, listed: tuple[str, Role]) -> tuple[NDArray[np.uint16]
     from eldata.raw.reading import read_raw
 
     path, role = listed
-    frame = read_raw(inside(folder, path))
+    file = inside(folder, path)
+    require_files(file)
+    if is_png(path):
+        planes = np.ascontiguousarray(read_rgb16(file).transpose(2, 0, 1))
+        return planes, rgb_attributes(path, role, pixels_digest(planes))
+    frame = read_raw(file)
     return frame.mosaic, frame_attributes(path, role, frame, pixels_digest(frame.mosaic))
 
 
-def pixels_digest(mosaic: NDArray[np.uint16]) -> str:
-    """Return ``sha256:<hex>`` of pixels, row by row, little-endian."""
-    pixels = np.ascontiguousarray(mosaic, dtype="<u2")
+def pixels_digest(frame: NDArray[np.uint16]) -> str:
+    """Return ``sha256:<hex>`` of a frame's pixels, plane by plane, row by row, little-endian."""
+    pixels = np.ascontiguousarray(frame, dtype="<u2")
     return f"sha256:{hashlib.sha256(pixels.data).hexdigest()}"

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import TYPE_CHECKING
 
 from tqdm import tqdm
 
 from eldata.manifest.verify import DatasetReport, Problem, VerifyReport
-from eldata.parallel import check_jobs, read_ahead
+from eldata.parallel import check_jobs, read_ahead, require_files
 from eldata.store.build import pixels_digest
-from eldata.store.layout import CHUNK, StoreError
+from eldata.store.layout import StoredRgb, StoreError, chunk_shape
 from eldata.store.read import PixelReader, open_store, opened
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from concurrent.futures import Executor
     from pathlib import Path
+
+    import numpy as np
+    from numpy.typing import NDArray
 
     from eldata.manifest.verify import Level
     from eldata.store.layout import Store, StoredFrame
@@ -23,7 +28,9 @@ if TYPE_CHECKING:
 _ADVICE = "copy or pack the store again"
 
 
-def verify_store(path: Path | str, *, level: Level = "quick", jobs: int = 1) -> VerifyReport:
+def verify_store(
+    path: Path | str, *, level: Level = "quick", jobs: int = 1, executor: Executor | None = None
+) -> VerifyReport:
     """Check a store.
 
     Parameters
@@ -35,6 +42,8 @@ def verify_store(path: Path | str, *, level: Level = "quick", jobs: int = 1) -> 
         size, and both frames of each pair. ``"full"``: also the checksum of each frame's pixels.
     jobs
         Number of threads.
+    executor
+        Reads the pixels in their place (:mod:`eldata.parallel`); it is not shut down.
 
     Raises
     ------
@@ -46,15 +55,15 @@ def verify_store(path: Path | str, *, level: Level = "quick", jobs: int = 1) -> 
     check_jobs(jobs)
     store = open_store(path)
     problems = list(_structure(store))
+    count = len(store.frames) + len(store.rgb)
     if level == "full":
-        work = partial(_pixels, store, PixelReader(store.path))
-        bar = tqdm(total=len(store.frames), desc=f"{store.dataset} (full)", unit="frame", disable=None, leave=False)
+        work = partial(_pixels, store.dataset, PixelReader(store.path.absolute()))
+        bar = tqdm(total=count, desc=f"{store.dataset} (full)", unit="frame", disable=None, leave=False)
         with bar:
-            for found in read_ahead(work, store.frames, threads=jobs):
+            for found in read_ahead(work, (*store.frames, *store.rgb), threads=jobs, executor=executor):
                 bar.update()
                 problems += found
     problems.sort(key=lambda problem: problem.path)
-    count = len(store.frames)
     homepage = "" if store.manifest is None else store.manifest.card.homepage
     hashed = count if level == "full" else 0
     report = DatasetReport(store.dataset, store.path, False, homepage, count, count, hashed, tuple(problems))
@@ -62,30 +71,40 @@ def verify_store(path: Path | str, *, level: Level = "quick", jobs: int = 1) -> 
 
 
 def _structure(store: Store) -> Iterator[Problem]:
+    shapes: dict[StoredFrame | StoredRgb, tuple[int, ...]] = {
+        frame: (frame.sensor.height, frame.sensor.width) for frame in store.frames
+    }
+    shapes |= {frame: (3, frame.height, frame.width) for frame in store.rgb}
     with opened(store.path) as file:
-        for frame in store.frames:
+        for frame, shape in shapes.items():
             dataset = file["frames"][frame.key]
-            found = f"{dataset.dtype} {dataset.shape}"
-            expected = f"uint16 {(frame.sensor.height, frame.sensor.width)}"
+            found, expected = f"{dataset.dtype} {dataset.shape}", f"uint16 {shape}"
             if found != expected:
                 yield Problem(store.dataset, frame.path, "pixels", expected, found, _ADVICE)
                 continue
-            chunks = -(-frame.sensor.height // CHUNK) * -(-frame.sensor.width // CHUNK)
+            chunks = math.prod(-(-side // of_chunk) for side, of_chunk in zip(shape, chunk_shape(shape), strict=True))
             written = dataset.id.get_num_chunks()
             if written != chunks:
                 yield Problem(store.dataset, frame.path, "pixels", f"{chunks} chunks", str(written), _ADVICE)
     if store.manifest is not None:
-        held = {frame.path for frame in store.frames}
+        held = {frame.path for frame in shapes}
         for record in store.manifest.records:
             if record.path in held and record.reference is not None and record.reference not in held:
                 yield Problem(store.dataset, record.path, "reference", record.reference, "nothing", _ADVICE)
 
 
-def _pixels(store: Store, reader: PixelReader, frame: StoredFrame) -> list[Problem]:
+def _pixels(dataset: str, reader: PixelReader, frame: StoredFrame | StoredRgb) -> list[Problem]:
+    require_files(reader.path)
     try:
-        found = pixels_digest(reader.borrow(frame.key, range(frame.sensor.height), range(frame.sensor.width)))
+        found = pixels_digest(_read(reader, frame))
     except StoreError as error:
         found = error.reason
     if found == frame.sha256:
         return []
-    return [Problem(store.dataset, frame.path, "sha256 of the pixels", frame.sha256, found, _ADVICE)]
+    return [Problem(dataset, frame.path, "sha256 of the pixels", frame.sha256, found, _ADVICE)]
+
+
+def _read(reader: PixelReader, frame: StoredFrame | StoredRgb) -> NDArray[np.uint16]:
+    if isinstance(frame, StoredRgb):
+        return reader.read_planes(frame.key, range(frame.height), range(frame.width))
+    return reader.borrow(frame.key, range(frame.sensor.height), range(frame.sensor.width))

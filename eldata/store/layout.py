@@ -7,6 +7,11 @@
     /manifest/json      the dataset card's bytes, uint8
     /frames/<n>         one file's visible mosaic, (H, W) uint16 in DN, in chunks of 256 x 256
                         attributes path, role, sha256 (of the pixels), sensor and exposure (JSON)
+                        or, from version 2 on, a 16-bit RGB frame, (3, H, W) uint16, in chunks of 1 x 256 x 256
+                        attributes path, role, sha256, kind = "rgb"
+
+A store without RGB frames is of version 1, which older readers know. Frames of clips stand in the order of the clip,
+its reference before them; the manifest is then the list of these files, patterns expanded.
 
 Mosaics, not packed planes: the one packer cuts, turns, packs and normalises a crop in one pass, which a packed crop
 would need two for, and nothing of the visible area is lost.
@@ -20,17 +25,19 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from eldata.errors import ArgumentError, FileError
+from eldata.manifest.clip_checks import is_png
 from eldata.records import Exposure, RawHeader, Sensor
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
 
     from eldata.manifest.catalogue import Manifest
     from eldata.records import RawFrame, Role
 
 FORMAT = "eldata-store"
-VERSION = 1
+VERSION = 2
+RGB = "rgb"
 CHUNK = 256
 SUFFIXES = (".h5", ".hdf5")
 
@@ -71,14 +78,47 @@ class StoredFrame:
 
 
 @dataclass(frozen=True, slots=True)
+class StoredRgb:
+    """An RGB frame of a store, without its pixels; the fields are as in :class:`StoredFrame`."""
+
+    key: str
+    path: str
+    role: Role
+    height: int
+    width: int
+    sha256: str
+
+
+@dataclass(frozen=True, slots=True)
 class Store:
-    """A store's content without its pixels; ``manifest`` is ``None`` for a store of clean frames."""
+    """A store's content without its pixels.
+
+    Attributes
+    ----------
+    manifest
+        ``None`` for a store of clean frames.
+    frames
+        The mosaics.
+    rgb
+        The RGB frames, of preprocessed clips.
+    """
 
     path: Path
     dataset: str
     compression: Compression
     manifest: Manifest | None
     frames: tuple[StoredFrame, ...]
+    rgb: tuple[StoredRgb, ...] = ()
+
+
+def version_of(paths: Iterable[str]) -> int:
+    """Return the version of a store of these files: the lowest whose readers know what it holds."""
+    return 2 if any(is_png(path) for path in paths) else 1
+
+
+def chunk_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the chunks of a frame, (H, W) or (3, H, W)."""
+    return (1,) * (len(shape) - 2) + tuple(min(CHUNK, side) for side in shape[-2:])
 
 
 def filters(compression: Compression) -> Mapping[str, Any]:
@@ -112,6 +152,27 @@ def frame_attributes(path: str, role: Role, frame: RawFrame, sha256: str) -> dic
         "sensor": json.dumps(asdict(frame.sensor)),
         "exposure": json.dumps(exposure),
     }
+
+
+def rgb_attributes(path: str, role: Role, sha256: str) -> dict[str, str]:
+    """Return the attributes of an RGB frame's HDF5 dataset."""
+    return {"path": path, "role": role, "sha256": sha256, "kind": RGB}
+
+
+def stored_rgb(key: str, attributes: Mapping[str, Any], shape: tuple[int, ...]) -> StoredRgb:
+    """Return an RGB frame from the attributes and the shape of its HDF5 dataset.
+
+    Raises
+    ------
+    ValueError, LookupError
+        If they are not those of an RGB frame.
+    """
+    planes, height, width = shape
+    if planes != 3:
+        raise ValueError(f"an RGB frame of {planes} planes")
+    return StoredRgb(
+        key, str(attributes["path"]), attributes["role"], int(height), int(width), str(attributes["sha256"])
+    )
 
 
 def stored_frame(key: str, attributes: Mapping[str, Any]) -> StoredFrame:

@@ -6,6 +6,8 @@ import os
 import tempfile
 import threading
 import weakref
+from collections import OrderedDict
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,15 +17,29 @@ import numpy as np
 
 from eldata.errors import ArgumentError, EldataError
 from eldata.manifest.catalogue import load_manifest
-from eldata.store.layout import COMPRESSIONS, FORMAT, VERSION, Store, StoreError, filters, stored_frame
+from eldata.store.chunks import chunk_table, read_part
+from eldata.store.layout import (
+    COMPRESSIONS,
+    FORMAT,
+    RGB,
+    VERSION,
+    Store,
+    StoreError,
+    filters,
+    stored_frame,
+    stored_rgb,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.manifest.catalogue import Manifest
+    from eldata.store.chunks import ChunkTable
 
 # Enough for the chunks of a few rows of a crop; a read visits each chunk once. HDF5 frees it with the frame.
 _CHUNK_CACHE_BYTES = 1 << 20
+# Frames whose chunks' places are kept: 3 kB each at 12 megapixels. To look them up takes a millisecond.
+_MOST_TABLES = 4096
 
 
 def open_store(path: Path | str) -> Store:
@@ -40,14 +56,20 @@ def open_store(path: Path | str) -> Store:
     with opened(path) as file:
         try:
             manifest = _manifest(path, file)
-            frames = tuple(stored_frame(key, frame.attrs) for key, frame in sorted(file["frames"].items()))
+            frames, rgb = [], []
+            for key, frame in sorted(file["frames"].items()):
+                if frame.attrs.get("kind") == RGB:
+                    rgb.append(stored_rgb(key, frame.attrs, frame.shape))
+                else:
+                    frames.append(stored_frame(key, frame.attrs))
             dataset, listed = str(file.attrs["dataset"]), int(file.attrs["files"])
             compression = next(name for name in COMPRESSIONS if name == file.attrs["compression"])
         except (OSError, RuntimeError, ValueError, LookupError, TypeError, StopIteration, EldataError) as error:
             raise StoreError(path, f"is damaged ({error}); copy or pack it again") from error
-    if len(frames) != listed:
-        raise StoreError(path, f"is damaged: expected {listed} frames, found {len(frames)}; copy or pack it again")
-    return Store(path, dataset, compression, manifest, frames)
+    found = len(frames) + len(rgb)
+    if found != listed:
+        raise StoreError(path, f"is damaged: expected {listed} frames, found {found}; copy or pack it again")
+    return Store(path, dataset, compression, manifest, tuple(frames), tuple(rgb))
 
 
 def opened(path: Path) -> h5py.File:
@@ -101,16 +123,18 @@ def _manifest(path: Path, file: h5py.File) -> Manifest | None:
 
 
 class PixelReader:
-    """Reads parts of a store's frames, in any process and thread.
+    """Reads parts of a store's frames, in any process and in several threads at once.
 
     The file is opened in each process that reads, on its first read. It is never shared: a fork closes it first, and a
-    pickled reader opens it anew. Memory does not grow with the store: HDF5 keeps at most one megabyte of chunks, of the
-    frame being read.
+    pickled reader opens it anew. Memory does not grow with the store: a thread keeps one chunk, a process the places of
+    the chunks of the frames that it read last.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._file: h5py.File | None = None
+        self._descriptor: _Descriptor | None = None
+        self._tables: OrderedDict[str, ChunkTable | None] = OrderedDict()
         self._lock = threading.Lock()
         self._scratch = threading.local()
         _READERS.add(self)
@@ -124,6 +148,12 @@ class PixelReader:
             If the store cannot be read.
         """
         pixels = np.empty((len(rows), len(columns)), np.uint16)
+        self._fill(pixels, key, rows, columns)
+        return pixels
+
+    def read_planes(self, key: str, rows: range, columns: range) -> NDArray[np.uint16]:
+        """Return a part of an RGB frame, (3, rows, columns) uint16; errors as of :meth:`read`."""
+        pixels = np.empty((3, len(rows), len(columns)), np.uint16)
         self._fill(pixels, key, rows, columns)
         return pixels
 
@@ -141,31 +171,65 @@ class PixelReader:
         return pixels
 
     def _fill(self, pixels: NDArray[np.uint16], key: str, rows: range, columns: range) -> None:
+        try:
+            descriptor, table = self._place(key)
+            if table is None:
+                self._by_hdf5(pixels, key, rows, columns)
+                return
+            for number, plane in enumerate(pixels[None] if pixels.ndim == 2 else pixels):
+                read_part(descriptor.number, table, number, rows, columns, plane)
+        except (OSError, RuntimeError, KeyError, IndexError, ValueError) as error:
+            if isinstance(error, EldataError):
+                raise
+            raise StoreError(self.path, f"frame {key} is damaged ({error}); copy or pack it again") from error
+
+    def _place(self, key: str) -> tuple[_Descriptor, ChunkTable | None]:
+        with self._lock:
+            if self._file is None or self._descriptor is None:
+                self._file = opened(self.path)
+                self._descriptor = _Descriptor(self.path)
+            if key in self._tables:
+                self._tables.move_to_end(key)
+            else:
+                self._tables[key] = chunk_table(h5py.h5d.open(self._file.id, f"frames/{key}".encode()))
+                while len(self._tables) > _MOST_TABLES:
+                    self._tables.popitem(last=False)
+            return self._descriptor, self._tables[key]
+
+    def _by_hdf5(self, pixels: NDArray[np.uint16], key: str, rows: range, columns: range) -> None:
         with self._lock:
             if self._file is None:
                 self._file = opened(self.path)
-            try:
-                # Opened for this read alone: with the dataset HDF5 frees its chunks. h5py's low level, for its indexing
-                # takes a third of the time of a crop.
-                dataset = h5py.h5d.open(self._file.id, f"frames/{key}".encode())
-                there = dataset.get_space()
-                there.select_hyperslab((rows.start, columns.start), pixels.shape)
-                dataset.read(h5py.h5s.create_simple(pixels.shape), there, pixels)
-            except (OSError, RuntimeError, KeyError, ValueError) as error:
-                raise StoreError(self.path, f"frame {key} is damaged ({error}); copy or pack it again") from error
+            # Opened for this read alone: with the dataset HDF5 frees its chunks.
+            dataset = h5py.h5d.open(self._file.id, f"frames/{key}".encode())
+            there = dataset.get_space()
+            there.select_hyperslab((*(0,) * (pixels.ndim - 2), rows.start, columns.start), pixels.shape)
+            dataset.read(h5py.h5s.create_simple(pixels.shape), there, pixels)
 
     def close(self) -> None:
         """Close the file; the next read opens it again."""
         with self._lock:
             if self._file is not None:
                 self._file.close()
-                self._file = None
+            self._file = self._descriptor = None  # a thread that is reading holds the latter until it is done
+            self._tables.clear()
 
     def __getstate__(self) -> dict[str, Any]:
         return {"path": self.path}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__init__(state["path"])  # type: ignore[misc] # a pickled reader is a path
+
+
+class _Descriptor:
+    """An open file, closed when nobody holds it any more."""
+
+    def __init__(self, path: Path) -> None:
+        self.number = os.open(path, os.O_RDONLY)
+
+    def __del__(self) -> None:
+        with suppress(AttributeError, OSError):  # it was not opened
+            os.close(self.number)
 
 
 _READERS: weakref.WeakSet[PixelReader] = weakref.WeakSet()

@@ -1,22 +1,32 @@
-"""What is packed: the files of a dataset's pairs, or a folder of clean raws."""
+"""What is packed: the files of a dataset's pairs or clips, or a folder of clean raws."""
 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+import tempfile
+from collections import Counter
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.catalogue import Manifest, load_manifest, shipped_manifest
+from eldata.manifest.clip_checks import is_png
+from eldata.manifest.clips import clips_of, select_rows
+from eldata.manifest.drv import Scan, scan_raw
 from eldata.manifest.pairs import select_pairs
+from eldata.manifest.patterns import expand, is_pattern
 from eldata.manifest.subsets import find_subset
 from eldata.raw.extensions import RAW_EXTENSIONS
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Iterable, Sequence
 
-    from eldata.records import Role
+    from eldata.manifest.card import Card
+    from eldata.records import FrameRecord, Role
+
+# The name that a list of DRV's camera raws has (eldata.manifest.drv).
+_RAW_CLIPS = "drv-raw"
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,12 +43,15 @@ class Source:
         Path and role of each, in the order in which they are packed.
     manifest
         ``None`` for a folder of clean frames.
+    listing
+        The manifest's CSV and card as bytes, if it stands in no file: the files of clips, patterns expanded.
     """
 
     dataset: str
     folder: Path
     files: tuple[tuple[str, Role], ...]
     manifest: Manifest | None = None
+    listing: tuple[bytes, bytes] | None = None
 
     @property
     def digest(self) -> str:
@@ -47,6 +60,14 @@ class Source:
         lines += [f"{role} {path}" for path, role in self.files]
         text = "\n".join(lines)
         return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
+
+    def manifest_files(self) -> dict[str, bytes]:
+        """Return what the store keeps of the manifest: ``csv`` and ``json``; nothing if there is none."""
+        if self.manifest is None:
+            return {}
+        if self.listing is not None:
+            return dict(zip(("csv", "json"), self.listing, strict=True))
+        return {name: self.manifest.path.with_suffix(f".{name}").read_bytes() for name in ("csv", "json")}
 
 
 def source_of_dataset(
@@ -57,19 +78,24 @@ def source_of_dataset(
     cameras: Collection[str] | None = None,
     splits: Collection[str] | None = None,
     subset: str | None = None,
+    ids: Collection[str] | None = None,
 ) -> Source:
-    """Return the files of a dataset's pairs: references first come, each once, then their noisy frames.
+    """Return the files of a dataset's pairs or clips: references first come, each once, then their noisy frames.
 
     Parameters
     ----------
     name
-        The dataset's name, that of its manifest.
+        The dataset's name, that of its manifest; ``drv-raw`` is the camera raws of DRV, found below its folder.
     root
         The folder that holds the datasets; default ``$ELDATA_ROOT``, else ``./data``.
     manifest
         A manifest's CSV file in place of the shipped one.
-    cameras, splits, subset
-        Which pairs; ``None`` means all.
+    cameras, splits
+        Which pairs or clips; ``None`` means all.
+    subset
+        Which pairs, by a name of the card.
+    ids
+        Which clips, such as ``["0007", "M0003"]``.
 
     Raises
     ------
@@ -78,13 +104,22 @@ def source_of_dataset(
     ArgumentError
         If a camera, split or subset is unknown, or no pair is left; or if the manifest is of another dataset.
     DatasetError
-        If the folder is not there, or the pairs are not raw files.
+        If the folder or files of a clip are not there, a clip's frames do not follow one numbering, or the pairs are
+        not raw files.
     """
+    if name == _RAW_CLIPS and manifest is None:
+        published = shipped_manifest("drv")
+        folder = _folder(published, root)
+        scan = scan_raw(folder)
+        return _source_of_clips(scan.card, scan.records, folder, cameras, splits, subset, ids)
     loaded = shipped_manifest(name) if manifest is None else load_manifest(manifest)
     if loaded.name != name:
         raise ArgumentError(f"{manifest}: is the manifest of {loaded.name!r}, not of {name!r}")
-    if any("*" in record.path or record.path.lower().endswith(".png") for record in loaded.records):
-        raise DatasetError(f"{name}: a store holds pairs and clean raw frames, not clips; read them with its class")
+    if _holds_clips(loaded.records):
+        folder = _folder(loaded, root)
+        return _source_of_clips(loaded.card, loaded.records, folder, cameras, splits, subset, ids)
+    if ids is not None:
+        raise ArgumentError(f"{name}: holds pairs, not clips; choose them by cameras, splits or a subset")
     pairs = select_pairs(
         loaded.records,
         cameras=cameras,
@@ -101,13 +136,62 @@ def source_of_dataset(
             f"{packed[0]}: is a packed array, not a raw file in DN, as are {len(packed)} in all; a store holds raw "
             "files (eldata synthesize --format dng makes them)"
         )
-    folder = loaded.folder(root)
+    return Source(name, _folder(loaded, root), tuple(files.items()), loaded)
+
+
+def _folder(manifest: Manifest, root: Path | str | None) -> Path:
+    folder = manifest.folder(root)
     if not folder.is_dir():
         raise DatasetError(
-            f"{folder}: there is no such folder; --root names the folder that holds {loaded.card.folder} (where to "
-            f"get it: {loaded.card.homepage})"
+            f"{folder}: there is no such folder; --root names the folder that holds {manifest.card.folder} (where to "
+            f"get it: {manifest.card.homepage})"
         )
-    return Source(name, folder, tuple(files.items()), loaded)
+    return folder
+
+
+def _holds_clips(records: Iterable[FrameRecord]) -> bool:
+    """Return whether rows are clips: patterns, PNG frames, or noisy frames none of which has a nominal ratio."""
+    rows = tuple(records)
+    noisy = [row for row in rows if row.role == "noisy"]
+    return any(is_pattern(row.path) or is_png(row.path) for row in rows) or (
+        bool(noisy) and all(row.ratio is None for row in noisy)
+    )
+
+
+def _source_of_clips(
+    card: Card,
+    records: Sequence[FrameRecord],
+    folder: Path,
+    cameras: Collection[str] | None,
+    splits: Collection[str] | None,
+    subset: str | None,
+    ids: Collection[str] | None,
+) -> Source:
+    if subset is not None:
+        raise ArgumentError(f"{card.name}: a subset names pairs, and this holds clips; choose them by split and id")
+    known = sorted({record.camera for record in records})
+    for camera in cameras or ():
+        if camera not in known:
+            raise ArgumentError(f"no clip has camera {camera}; known are {', '.join(known)}")
+    wanted = [record for record in records if cameras is None or record.camera in cameras]
+    every = {record.split for record in wanted}
+    for split in splits or ():
+        if split not in every:
+            raise ArgumentError(f"no clip has split {split}; known are {', '.join(sorted(every))}")
+    rows = expand(select_rows(wanted, splits=every if splits is None else splits, ids=ids), folder)
+    files: dict[str, Role] = {}
+    for clip in clips_of(rows):
+        if clip.reference is not None:
+            files.setdefault(clip.reference, "reference")
+        files |= dict.fromkeys(clip.frames, "noisy")
+    kept = tuple(row for row in rows if row.path in files)
+    counts = Counter(str(row.role) for row in kept)
+    listing = replace(card, counts=dict(sorted(counts.items())), subsets=())
+    with tempfile.TemporaryDirectory(prefix="eldata-") as place:  # the one loader reads files
+        path = Path(place) / f"{card.name}.csv"
+        manifest = Scan(listing, kept).save(path)
+        content = path.read_bytes(), path.with_suffix(".json").read_bytes()
+    return Source(card.name, folder, tuple(files.items()), manifest, content)
 
 
 def source_of_folder(folder: Path | str) -> Source:

@@ -8,14 +8,17 @@ import resource
 import signal
 import subprocess
 import sys
-import time
 from typing import TYPE_CHECKING
 
 import pytest
 
+from eldata.datasets.packed_clips import PackedClips, PackedUnpairedClips
 from eldata.datasets.packed_store import PackedStore
+from eldata.store import source_of_dataset
 from eldata.store.journal import journaled
 from tests.cli.test_usage import assert_one_line
+from tests.drv_tree import small_drv, write_raw_clip
+from tests.store.helpers import start_packing
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -31,7 +34,7 @@ def command(tree: Tree, store: Path, *more: str) -> list[str]:
 def test_help_names_every_option(eldata: Cli) -> None:
     outcome = eldata("pack", "--help")
     assert (outcome.code, outcome.err) == (0, "")
-    for word in ("DATASET", "STORE", "--root", "--manifest", "--split", "--subset", "--camera", "--compression", "lz4"):
+    for word in ("DATASET", "STORE", "--root", "--manifest", "--split", "--subset", "--clip", "--camera", "lz4"):
         assert word in outcome.out
 
 
@@ -140,19 +143,44 @@ def test_no_room_is_one_line_and_the_command_goes_on(eldata: Cli, tree: Tree, tm
 
 
 def test_ctrl_c_is_one_line_and_the_command_goes_on(eldata: Cli, tree: Tree, tmp_path: Path) -> None:
-    store, part = tmp_path / "store.h5", tmp_path / "store.h5.part"
-    for _ in range(20):  # until it comes in the middle
-        process = start(command(tree, store, "--jobs", "1"))
-        end = time.monotonic() + 30
-        while not (part.exists() and part.stat().st_size > 60_000) and process.poll() is None:
-            assert time.monotonic() < end
-            time.sleep(0.0005)
-        os.killpg(process.pid, signal.SIGINT)
-        out, err = process.communicate(timeout=20)
-        if not store.exists():
-            break
-        store.unlink()
+    store = tmp_path / "store.h5"
+    files = source_of_dataset("eld-demo", root=tree.root, manifest=tree.manifest).files
+    process = start_packing(command(tree, store, "--jobs", "1"), stop_at=files[7][0], folder=tmp_path)
+    os.killpg(process.pid, signal.SIGINT)
+    out, err = process.communicate(timeout=60)
     assert (process.returncode, out, err.count("\n")) == (130, "", 1)
-    assert f"interrupted; the finished frames are kept in {part}, and the same command goes on" in err
-    assert eldata(*command(tree, store)).code == 0
+    assert f"interrupted; the finished frames are kept in {store}.part, and the same command goes on" in err
+    assert not store.exists()
+    assert eldata(*command(tree, store)).out.startswith("32 frames packed (7 of them before)")
+    assert eldata("verify", store, "--level", "full").code == 0
+
+
+# --- clips ----------------------------------------------------------------------------------------------------------
+
+
+def test_clips_are_packed_verified_and_read(eldata: Cli, tmp_path: Path) -> None:
+    drv = small_drv(tmp_path, ("0007", "M0003"), 6)
+    store = tmp_path / "drv.h5"
+    packing = ("pack", "drv", "--manifest", drv.csv, "--root", drv.root)
+    outcome = eldata(*packing, "-o", store)
+    assert (outcome.code, outcome.err) == (0, "")
+    assert outcome.out.startswith(f"13 frames packed: {store}, ")
+    checked = eldata("verify", store, "--level", "full")
+    assert (checked.code, checked.out) == (0, f"drv: 13 of 13 files checked (full) in {store}: all well\n")
+    assert len(PackedClips(store, crop=8)) == len(PackedUnpairedClips(store, crop=8)) == 1
+    part = eldata(*packing, "-o", tmp_path / "m.h5", "--clip", "M0003")
+    assert part.out.startswith("6 frames packed: ")
+    assert_one_line(eldata(*packing, "-o", tmp_path / "x.h5", "--clip", "0008"), "is called '0008'", "0007, M0003")
+    assert_one_line(eldata(*packing, "-o", tmp_path / "x.h5", "--split", "x"), "no clip has split x", "dynamic")
+    assert_one_line(eldata(*packing, "-o", tmp_path / "x.h5", "--camera", "X"), "no clip has camera X", "SonyRX100M6")
+    assert_one_line(eldata(*packing, "-o", tmp_path / "x.h5", "--subset", "x"), "a subset names pairs")
+    assert_one_line(eldata("pack", tmp_path, "-o", tmp_path / "x.h5", "--clip", "1"), "--clip", "is a folder")
+
+
+def test_camera_raws_of_clips_are_packed(eldata: Cli, tmp_path: Path) -> None:
+    write_raw_clip(tmp_path / "DRV", "0007", 5)
+    store = tmp_path / "raw.h5"
+    outcome = eldata("pack", "drv-raw", "--root", tmp_path, "-o", store, "--compression", "lz4")
+    assert (outcome.code, outcome.err) == (0, "")
+    assert outcome.out.startswith(f"6 frames packed: {store}, ")
     assert eldata("verify", store, "--level", "full").code == 0

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from eldata.datasets.augmentation import ORIENTATIONS, Orientation, oriented
+from eldata.datasets.augmentation import ORIENTATIONS, Orientation, copy_oriented, oriented
 from eldata.errors import ArgumentError
 from eldata.raw.cfa import XTRANS_CFA, pack
 from tests.raw.helpers import BAYER, BAYER_COLOURS, SOME_CFAS, XTRANS, XTRANS_COLOURS, Cfa
@@ -107,6 +107,27 @@ def test_the_first_green_is_the_one_in_reds_rows(cfa: Cfa, orientation: Orientat
     red, green, blue, other_green = row_of[pack(view, cfa)]
     np.testing.assert_array_equal(red, green)
     np.testing.assert_array_equal(blue, other_green)
+
+
+@EACH
+@pytest.mark.parametrize("cfa", [*SOME_CFAS.values(), ((0,),)], ids=[*SOME_CFAS.keys(), "none"])
+def test_a_copy_is_the_view(cfa: Cfa, orientation: Orientation) -> None:
+    """At sizes below, at and above what the compiled loops take at once; of a part of a larger mosaic too."""
+    period = len(cfa)
+    generator = np.random.default_rng(0)
+    for rows, columns in ((2, 2), (3, 7), (8, 5), (9, 16)):
+        whole = generator.integers(0, 65536, (rows * period + 5, columns * period + 3), dtype=np.uint16)
+        for mosaic in (
+            whole[2 : 2 + rows * period, 1 : 1 + columns * period],
+            whole[: rows * period, : columns * period],
+        ):
+            view = oriented(mosaic, cfa, orientation)
+            for height, width in (view.shape, (view.shape[0] - period + 1, view.shape[1]), (1, 1)):
+                copy = np.empty((height, width), np.uint16)
+                copy_oriented(mosaic, cfa, orientation, copy)
+                np.testing.assert_array_equal(copy, view[:height, :width])
+            with pytest.raises(ArgumentError, match="does not fill"):
+                copy_oriented(mosaic, cfa, orientation, np.empty((view.shape[0] + 1, 1), np.uint16))
 
 
 def test_the_identity_loses_nothing() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import psutil  # type: ignore[import-untyped,unused-ignore] # types-psutil may be there or not
 import pytest
 import torch
-from torch.utils.data import DataLoader
+from torch.utils.data import DataLoader, default_collate
 
 from eldata import PackedStore, SyntheticPairs
 from eldata.datasets import PairDataset, RawFiles, StoredFrames, normalise_batch, packed_store
@@ -235,6 +235,35 @@ def test_workers_change_nothing(method: str, eld: Path) -> None:
     for item, wanted in zip(loader(dataset, method), reference, strict=True):
         same(item, wanted)
     same(dataset[0], reference[0])
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+@pytest.mark.parametrize("which", ["eld", "fuji"])
+def test_batches_hold_the_items(which: str, workers: int, eld: Path, fuji: Path) -> None:
+    """Which DataLoaders ask for at once, in this process by threads; in DN too; the last batch is smaller."""
+    dataset = some({"eld": eld, "fuji": fuji}[which], crops_per_frame=3)
+    dataset.set_epoch(2)
+    options: dict[str, Any] = {"batch_size": 5, "num_workers": workers, "timeout": 60 if workers else 0}
+    wanted = [default_collate([dataset[index] for index in indices]) for indices in batched(len(dataset), 5)]
+    for batch, other in zip(DataLoader(dataset, **options), wanted, strict=True):
+        assert list(batch) == list(other)
+        same_batch(batch, other)
+    in_dn = dataset.in_dn()
+    wanted = [default_collate([in_dn[index] for index in indices]) for indices in batched(len(dataset), 5)]
+    for batch, other in zip(DataLoader(in_dn, **options), wanted, strict=True):
+        assert set(batch) == set(other)
+        same_batch(batch, other)
+
+
+def batched(length: int, size: int) -> list[range]:
+    return [range(start, min(start + size, length)) for start in range(0, length, size)]
+
+
+def test_converted_batches_that_are_kept_are_not_overwritten(eld: Path) -> None:
+    loader = DataLoader(some(eld).in_dn(), batch_size=4)
+    kept = [normalise_batch(batch)["target"] for batch in loader]
+    for first, again in zip(kept, [normalise_batch(batch)["target"] for batch in loader], strict=True):
+        assert torch.equal(first, again)
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -357,8 +357,8 @@ def test_unknown_values_list_the_known(name: str, kind: str, opened: Callable[..
         opened(name, **chosen(name, kind, wrong))
     message = str(raised.value)
     assert str(wrong) in message
-    for value in known or {"none"}:
-        assert str(value) in message
+    named = [value for value in known or {"none"} if str(value) in message]
+    assert len(named) == len(known or {"none"}) or (len(named) >= 10 and f"known are {len(known)}, " in message)
 
 
 @EVERY

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import torch
-from torch.utils.data import DataLoader
+from torch.utils.data import DataLoader, default_collate
 
 from eldata.datasets.clean import Arrays, CleanFrame, RawFiles
 from eldata.datasets.synthetic import SyntheticPairs, SyntheticSample
@@ -152,6 +152,35 @@ def test_workers_change_nothing(workers: int, method: str, folder: Path) -> None
     reference = list(loader(raw_pairs(folder), 0, None))
     for item, wanted in zip(loader(raw_pairs(folder), workers, method), reference, strict=True):
         same(item, wanted)
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+@pytest.mark.parametrize("crop", [8, None])
+def test_batches_hold_the_items(crop: int | None, workers: int, folder: Path) -> None:
+    """Which DataLoaders ask for at once; whole frames and the last, smaller batch too."""
+    dataset = raw_pairs(folder, crop=crop, augment=False)
+    dataset.set_epoch(1)
+    batches = list(DataLoader(dataset, batch_size=5, num_workers=workers, timeout=60 if workers else 0))
+    assert [len(batch["path"]) for batch in batches] == [5, 5, 2]
+    for number, batch in enumerate(batches):
+        wanted = default_collate([dataset[index] for index in range(5 * number, min(5 * number + 5, 12))])
+        assert list(batch) == list(wanted)
+        for key, value in wanted.items():
+            assert torch.equal(batch[key], value) if isinstance(value, torch.Tensor) else batch[key] == value, key
+
+
+def test_batches_of_different_cameras_are_torchs_error() -> None:
+    """As without batches: Bayer and X-Trans are not stacked."""
+
+    class Both(Mosaics):
+        def frame(self, index: int) -> CleanFrame:
+            cfa = BAYER["RGGB"] if index == 0 else XTRANS_CFA
+            return CleanFrame(self.mosaics[index], cfa, (0.0,) * (4 if index == 0 else 3), 65535.0, "")
+
+    dataset = pairs(Both([random_mosaic(60, 60, seed=1)] * 2, BAYER["RGGB"]))
+    assert [tuple(sample["input"].shape) for sample in dataset.__getitems__([0, 1])] == [(4, 8, 8), (9, 8, 8)]
+    with pytest.raises(RuntimeError, match="stack expects each tensor to be equal size"):
+        next(iter(DataLoader(dataset, batch_size=2)))
 
 
 def test_a_shuffled_loader_gives_the_same_items(folder: Path) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import psutil
 import pytest
 import torch
-from torch.utils.data import DataLoader
+from torch.utils.data import DataLoader, default_collate
 
 from eldata.datasets.draws import CleanCrop
 from eldata.datasets.synthetic_clips import ArrayClips, RawClips, SyntheticClips, SyntheticClipSample
@@ -304,3 +304,14 @@ def test_one_whole_frame_is_in_memory_at_a_time(tmp_path: Path) -> None:
     before = process.memory_info().rss
     dataset[1]
     assert process.memory_info().rss - before < 50e6
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_batches_hold_the_windows(workers: int, folder: Path) -> None:
+    dataset = raw_clips(folder)
+    batches = list(DataLoader(dataset, batch_size=4, num_workers=workers, timeout=60 if workers else 0))
+    for number, batch in enumerate(batches):
+        wanted = default_collate([dataset[index] for index in range(4 * number, min(4 * number + 4, len(dataset)))])
+        assert list(batch) == list(wanted)
+        for key, value in wanted.items():
+            assert torch.equal(batch[key], value) if isinstance(value, torch.Tensor) else batch[key] == value, key

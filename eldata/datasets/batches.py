@@ -1,0 +1,303 @@
+"""Whole batches in memory that is used again: what a DataLoader's worker writes, the main process reads where it lies.
+
+torch's default way costs more than the reading: each sample is made, copied into a batch in new shared memory, whose
+pages the system must clear, and each small tensor is sent through a socket of its own. Here ``dataset.__getitems__``,
+which DataLoaders call with all indices of a batch, writes every sample into its place in one piece of shared memory;
+torch's default collate finds the batch ready (:func:`_collated`, by torch's documented ``default_collate_fn_map``). The
+main process's tensors lie in the same memory. When the last of them is gone, the worker uses it for another batch.
+
+With a collate function of one's own, or where the system has no ``memfd_create``, all works as with any dataset. Single
+samples and batches that no worker makes lie in memory that is used again too: new pages cost as much as the reading.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import mmap
+import os
+import threading
+import weakref
+from multiprocessing.reduction import DupFd, ForkingPickler
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import torch
+from torch.utils.data import default_collate, get_worker_info
+from torch.utils.data._utils.collate import default_collate_fn_map
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+# Free pieces of memory that a process keeps for its next batches: those that come back while it reads ahead.
+_MOST_FREE = 4
+# Pieces that may be held at once, two descriptors each: who keeps more batches than that gets torch's own memory.
+_MOST_HELD = 64
+_ALIGNED = 64
+_HEADER_BYTES = 4096  # how often the piece came back, int64; a page, so that the rest begins on one
+
+
+class Field(NamedTuple):
+    """A tensor of a batch: its name, its shape with the number of samples first, its dtype as numpy calls it."""
+
+    name: str
+    shape: tuple[int, ...]
+    dtype: str
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes, without those that align the next one."""
+        return math.prod(self.shape) * np.dtype(self.dtype).itemsize
+
+
+def reading_threads() -> int | None:
+    """Return how many threads read a batch, as :func:`eldata._compiled.in_threads` takes them: one in a worker.
+
+    The workers share the CPUs already.
+    """
+    return None if get_worker_info() is None else 1
+
+
+def new_batch(fields: Sequence[Field]) -> Batch | None:
+    """Return a batch to be filled; ``None`` if there is no such memory, so that samples must be made one by one.
+
+    In a DataLoader's worker it can be sent without a copy.
+    """
+    taken = _own.take(_size(fields)) if get_worker_info() is None else _shared.take(_size(fields))
+    return None if taken is None else Batch(fields, *taken)
+
+
+def new_arrays(fields: Sequence[Field]) -> dict[str, NDArray[Any]]:
+    """Return arrays to be filled, by name: memory that is used again if there is some free, for one sample."""
+    taken = _own.take(_size(fields))
+    if taken is None:
+        return {field.name: np.empty(field.shape, field.dtype) for field in fields}
+    return _arrays(fields, taken[1])
+
+
+class Batch:
+    """A batch to be filled: ``arrays`` by name, in the memory that its samples and its tensors share."""
+
+    def __init__(self, fields: Sequence[Field], piece: _Piece, lease: _Lease) -> None:
+        self.fields = tuple(fields)
+        self.count = self.fields[0].shape[0]
+        self.piece = piece
+        self.arrays = _arrays(self.fields, lease)
+        self.tensors = {name: torch.from_numpy(array) for name, array in self.arrays.items()}
+
+    def parts(self, samples: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+        """Return the samples, the large tensors being views of the batch; what ``samples`` has of those is ignored."""
+        return [
+            _Part(self, place, {name: self._view(name, place, value) for name, value in sample.items()})
+            for place, sample in enumerate(samples)
+        ]
+
+    def _view(self, name: str, place: int, value: Any) -> Any:
+        return self.tensors[name][place] if name in self.tensors else value
+
+
+class _Part(dict[str, Any]):
+    """A sample of a batch: a dictionary that knows where it lies. Copied or pickled, it is a dictionary."""
+
+    def __init__(self, batch: Batch, place: int, sample: Mapping[str, Any]) -> None:
+        super().__init__(sample)
+        self.batch = batch
+        self.place = place
+        self.views = {name: sample[name] for name in batch.tensors}
+
+    def is_whole(self) -> bool:
+        """Return whether nobody has put another tensor in the place of a view."""
+        return all(self.get(name) is view for name, view in self.views.items())
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return dict, (dict(self),)
+
+
+class _Whole(dict[str, Any]):
+    """A collated batch in a worker, of which the queue sends no copy. Any other pickle of it is a dictionary."""
+
+    def __init__(self, batch: Batch, content: Mapping[str, Any]) -> None:
+        super().__init__(content)
+        self.batch = batch
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return dict, (dict(self),)
+
+
+def _collated(parts: Sequence[_Part], *, collate_fn_map: Any = None) -> dict[str, Any]:
+    """Collate as torch does; if the parts are those of one batch, in order, it is there already."""
+    del collate_fn_map
+    batch = parts[0].batch
+    places = [part.place for part in parts if type(part) is _Part and part.batch is batch and part.is_whole()]
+    if len(places) != len(parts) or places != list(range(batch.count)):
+        collated: dict[str, Any] = default_collate([dict(part) for part in parts])
+        return collated
+    rest = default_collate([{name: part[name] for name in part if name not in batch.tensors} for part in parts])
+    content = {name: batch.tensors[name] if name in batch.tensors else rest[name] for name in parts[0]}
+    return _Whole(batch, content) if isinstance(batch.piece, _SharedPiece) else content
+
+
+def _sent(whole: _Whole) -> tuple[Any, ...]:
+    """Reduce a batch to where it lies, and to the few numbers beside it."""
+    batch = whole.batch
+    is_changed = any(whole.get(name) is not tensor for name, tensor in batch.tensors.items())
+    if is_changed or not isinstance(batch.piece, _SharedPiece):
+        return dict, (dict(whole),)
+    others = {name: _as_array(value) for name, value in whole.items() if name not in batch.tensors}
+    return _received, (batch.piece.sent(), batch.piece.size, batch.fields, others, tuple(whole))
+
+
+def _as_array(value: Any) -> Any:
+    return value.numpy() if isinstance(value, torch.Tensor) else value
+
+
+default_collate_fn_map[_Part] = _collated
+ForkingPickler.register(_Whole, _sent)
+
+
+def _received(
+    descriptor: Any, size: int, fields: tuple[Field, ...], others: Mapping[str, Any], order: tuple[str, ...]
+) -> dict[str, Any]:
+    """Return a batch that another process wrote: unpickled, in the process that reads it."""
+    number = descriptor.detach()
+    try:
+        memory = mmap.mmap(number, size)
+    finally:
+        os.close(number)
+    lease = _Lease(memory)
+    weakref.finalize(lease, _give_back, os.getpid(), memory).atexit = False
+    content = dict(others) | _arrays(fields, lease)
+    return {name: _as_tensor(content[name]) for name in order}
+
+
+def _as_tensor(value: Any) -> Any:
+    return torch.from_numpy(value) if isinstance(value, np.ndarray) else value
+
+
+# --- memory -----------------------------------------------------------------------------------------------------------
+
+
+class _Lease:
+    """What arrays on a piece of memory hold on to, and torch's tensors by them: when it goes, nobody reads any more."""
+
+    def __init__(self, memory: mmap.mmap) -> None:
+        self.memory = memory
+        self.__array_interface__ = {
+            "data": (ctypes.addressof(ctypes.c_char.from_buffer(memory)), False),
+            "shape": (len(memory),),
+            "typestr": "|u1",
+            "version": 3,
+        }
+
+
+def _give_back(process: int, memory: mmap.mmap) -> None:
+    """Count one more return, for the process that the memory comes from. Only this process ever counts."""
+    if os.getpid() == process:  # a fork has copies of the arrays, whose end says nothing about the first ones
+        counter = np.frombuffer(memory, np.int64, 1)
+        counter += 1
+
+
+class _Piece:
+    """Memory of this process: free, or held by arrays on it."""
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self._memory = self._mapped()
+        self._lease: weakref.ref[_Lease] | None = None
+
+    def _mapped(self) -> mmap.mmap:
+        private = {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if hasattr(mmap, "MAP_PRIVATE") else {}
+        return mmap.mmap(-1, self.size, **private)
+
+    def lease(self) -> _Lease:
+        """Return what keeps this piece, which must be free, from being used again."""
+        lease = _Lease(self._memory)
+        self._lease = weakref.ref(lease)
+        return lease
+
+    def is_free(self) -> bool:
+        """Return whether no array on it is left."""
+        return self._lease is None or self._lease() is None
+
+
+class _SharedPiece(_Piece):
+    """Memory that the process that it was sent to may hold as well."""
+
+    def __init__(self, size: int) -> None:
+        self._descriptor = -1
+        self._times_sent = 0
+        super().__init__(size)
+
+    def _mapped(self) -> mmap.mmap:
+        self._descriptor = os.memfd_create("eldata-batch", os.MFD_CLOEXEC)
+        weakref.finalize(self, os.close, self._descriptor).atexit = False
+        os.ftruncate(self._descriptor, self.size)
+        return mmap.mmap(self._descriptor, self.size)
+
+    def sent(self) -> Any:
+        """Return the piece's descriptor for another process, which will hold it."""
+        self._times_sent += 1
+        return DupFd(self._descriptor)
+
+    def is_free(self) -> bool:
+        """Return whether no array on it is left, here or there."""
+        times_returned = int(np.frombuffer(self._memory, np.int64, 1)[0])
+        return super().is_free() and times_returned == self._times_sent
+
+
+class _Pieces:
+    """The pieces of one kind that this process has."""
+
+    def __init__(self, kind: type[_Piece], *, is_supported: bool = True) -> None:
+        self._kind = kind
+        self._is_supported = is_supported
+        self._lock = threading.Lock()
+        self.all: list[_Piece] = []
+
+    def take(self, size: int) -> tuple[_Piece, _Lease] | None:
+        """Return a free piece that is large enough but not far too large; or a new one, unless many are held."""
+        if not self._is_supported:
+            return None
+        with self._lock:
+            free = [piece for piece in self.all if piece.is_free()]
+            taken = next((piece for piece in reversed(free) if size <= piece.size <= 2 * size), None)
+            idle = [piece for piece in free if piece is not taken]
+            dropped = {*idle[: max(0, len(idle) - _MOST_FREE)], taken}  # those that were not used for longest
+            self.all = [piece for piece in self.all if piece not in dropped]
+            if taken is None:
+                if len(self.all) >= _MOST_HELD:
+                    return None
+                taken = self._kind(-(-size // mmap.PAGESIZE) * mmap.PAGESIZE)
+            self.all.append(taken)
+            return taken, taken.lease()
+
+
+_own = _Pieces(_Piece)
+_shared = _Pieces(_SharedPiece, is_supported=hasattr(os, "memfd_create"))
+
+
+def _forget_pieces() -> None:
+    global _own, _shared  # noqa: PLW0603 # those are the parent's
+    _own = _Pieces(_Piece)
+    _shared = _Pieces(_SharedPiece, is_supported=hasattr(os, "memfd_create"))
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_pieces)
+
+
+def _size(fields: Sequence[Field]) -> int:
+    return _HEADER_BYTES + sum(-(-field.nbytes // _ALIGNED) * _ALIGNED for field in fields)
+
+
+def _arrays(fields: Sequence[Field], lease: _Lease) -> dict[str, NDArray[Any]]:
+    """Return arrays one after the other behind the header; each holds the lease."""
+    content = np.asarray(lease)
+    arrays: dict[str, NDArray[Any]] = {}
+    start = _HEADER_BYTES
+    for field in fields:
+        arrays[field.name] = content[start : start + field.nbytes].view(field.dtype).reshape(field.shape)
+        start += -(-field.nbytes // _ALIGNED) * _ALIGNED
+    return arrays

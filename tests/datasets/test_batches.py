@@ -1,0 +1,295 @@
+"""Batches in memory that is used again: equal to torch's own, and never overwritten while anybody can see them."""
+
+from __future__ import annotations
+
+import copy
+import gc
+import os
+import pickle
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import torch
+from torch.utils.data import DataLoader, Dataset, Subset, default_collate
+
+from eldata.datasets import batches
+from eldata.datasets.batches import Field, new_arrays, new_batch
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+# Python 3.12 and later warn of any fork in a process that has threads.
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning"),
+    pytest.mark.skipif(not hasattr(os, "memfd_create"), reason="this system has no memfd_create"),
+]
+
+SIDE = 40
+
+
+class Numbers(Dataset[Any]):
+    """Sample i is full of i: whoever reads other memory than its own sees it."""
+
+    def __init__(self, length: int = 24) -> None:
+        self.length = length
+
+    def __len__(self) -> int:
+        return self.length
+
+    def __getitem__(self, index: int) -> dict[str, Any]:
+        return self.facts(index) | {
+            "image": torch.full((2, SIDE, SIDE), index, dtype=torch.float32),
+            "mosaic": torch.full((SIDE, SIDE), index, dtype=torch.uint16),
+        }
+
+    def facts(self, index: int) -> dict[str, Any]:
+        ratio = index / 3
+        return {
+            "name": f"item {index}",
+            "image": None,
+            "ratio": ratio,
+            "count": index,
+            "mosaic": None,
+            "bias": torch.tensor([index, 1.5], dtype=torch.float64),
+        }
+
+    def __getitems__(self, indices: Sequence[int]) -> list[Any]:
+        count = len(indices)
+        batch = new_batch([Field("image", (count, 2, SIDE, SIDE), "<f4"), Field("mosaic", (count, SIDE, SIDE), "<u2")])
+        if batch is None:
+            return [self[index] for index in indices]
+        for number, index in enumerate(indices):
+            batch.arrays["image"][number] = index
+            batch.arrays["mosaic"][number] = index
+        return batch.parts([self.facts(index) for index in indices])
+
+
+class Plain(Numbers):
+    """The same without batches."""
+
+    __getitems__ = None  # type: ignore[assignment] # as of a dataset that has none
+
+
+def same(first: dict[str, Any], second: dict[str, Any]) -> None:
+    assert list(first) == list(second)
+    for key, value in first.items():
+        if isinstance(value, torch.Tensor):
+            assert (value.dtype, value.shape) == (second[key].dtype, second[key].shape)
+            assert torch.equal(value, second[key]), key
+        else:
+            assert (type(value), value) == (type(second[key]), second[key])
+
+
+WORKERS = [(0, None), (2, "fork"), (1, "spawn"), (1, "forkserver")]
+
+
+@pytest.mark.parametrize(("workers", "method"), WORKERS)
+def test_batches_are_those_of_torch(workers: int, method: str | None) -> None:
+    """Plain dictionaries of plain tensors, in the same order, with the same dtypes, the last batch smaller."""
+    options: dict[str, Any] = {"batch_size": 5, "num_workers": workers, "multiprocessing_context": method}
+    wanted = list(DataLoader(Plain(), batch_size=5))
+    for batch, other in zip(DataLoader(Numbers(), **options), wanted, strict=True):
+        assert type(batch) is dict
+        same(batch, other)
+
+
+@pytest.mark.parametrize(("workers", "method"), WORKERS[:2])
+def test_no_batch_that_is_kept_is_overwritten(workers: int, method: str | None) -> None:
+    loader = DataLoader(
+        Numbers(), batch_size=3, num_workers=workers, multiprocessing_context=method, persistent_workers=workers > 0
+    )
+    kept = []
+    for epoch in range(4):
+        for number, batch in enumerate(loader):
+            if number % 3 == epoch % 3:
+                kept.append((number, batch["image"][1:, :, 3]))  # a view: not the tensor that came
+            if number % 4 == 1:
+                kept.append((number, np.asarray(batch["image"])[1:, :, 3]))
+    for number, view in kept:
+        for place, image in enumerate(view, 1):
+            assert (np.asarray(image) == 3 * number + place).all()
+
+
+def test_memory_is_used_again_once_nobody_sees_it() -> None:
+    def address() -> int:
+        return int(Numbers().__getitems__([1, 2, 3])[0]["image"].data_ptr())
+
+    gc.collect()
+    first = address()
+    assert {address() for _ in range(5)} == {first}
+    parts = Numbers().__getitems__([4, 5])
+    view = parts[1]["mosaic"][3:5]
+    del parts
+    others = [Numbers().__getitems__([6, 7]) for _ in range(6)]
+    assert (view == 5).all()
+    assert len({part[0]["image"].data_ptr() for part in others}) == 6
+    assert len(batches._own.all) >= 7
+    del others, view
+    address()
+    assert len(batches._own.all) <= 1 + batches._MOST_FREE
+
+
+def test_free_memory_is_bounded_and_of_any_size() -> None:
+    """Batches of two sizes in turn use two pieces; of ever other sizes, few are kept."""
+    gc.collect()
+    places = set()
+    for _ in range(5):
+        for side in (40, 400):
+            places.add(new_arrays([Field("image", (4, side, side), "<f4")])["image"].ctypes.data)
+    assert len(places) == 2
+    for factor in range(1, 12):
+        new_arrays([Field("image", (3**factor,), "<f4")])
+    assert len([piece for piece in batches._own.all if piece.is_free()]) <= 1 + batches._MOST_FREE
+
+
+def test_who_keeps_very_many_batches_gets_other_memory() -> None:
+    """And not an error for want of descriptors."""
+    kept = [Numbers().__getitems__([index])[0]["image"] for index in range(2 * batches._MOST_HELD)]
+    for index, image in enumerate(kept):
+        assert (image == index).all()
+    assert len(batches._own.all) <= batches._MOST_HELD
+    for epoch in range(2):
+        loader = DataLoader(Numbers(200), batch_size=1, num_workers=1, multiprocessing_context="fork")
+        for index, batch in enumerate(list(loader)):
+            assert (batch["image"] == index).all(), epoch
+
+
+def test_arrays_of_single_samples_are_used_again_too() -> None:
+    fields = [Field("a", (3, 5), "<f4"), Field("b", (7,), "<u2")]
+    arrays = new_arrays(fields)
+    assert [(name, array.shape, array.dtype) for name, array in arrays.items()] == [
+        ("a", (3, 5), np.dtype("<f4")),
+        ("b", (7,), np.dtype("<u2")),
+    ]
+    arrays["a"][...] = 2
+    arrays["b"][...] = 3
+    tensor = torch.from_numpy(arrays["a"])[1]
+    place = arrays["a"].ctypes.data
+    del arrays
+    others = new_arrays(fields)
+    assert others["a"].ctypes.data != place
+    assert (tensor == 2).all()
+    del tensor
+    assert new_arrays(fields)["a"].ctypes.data == place
+
+
+def open_batches(process: int) -> int:
+    """How many pieces of memory a process has open."""
+    count = 0
+    for link in Path(f"/proc/{process}/fd").iterdir():
+        with suppress(FileNotFoundError):  # closed meanwhile, as sockets and pipes are
+            count += "eldata-batch" in str(link.readlink())
+    return count
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="needs /proc")
+def test_workers_use_their_memory_again_and_leave_none_behind() -> None:
+    """80 batches through one worker: as many pieces as are read ahead, and some."""
+    before = open_batches(os.getpid())
+    loader = DataLoader(
+        Numbers(400), batch_size=5, num_workers=1, multiprocessing_context="fork", persistent_workers=True
+    )
+    iterator = iter(loader)
+    seen = 0
+    for batch in iterator:
+        seen += len(batch["name"])
+        del batch
+    assert seen == 400
+    (worker,) = iterator._workers  # type: ignore[attr-defined] # of torch's, there is no public name
+    assert 0 < open_batches(worker.pid) <= 4 + batches._MOST_FREE
+    assert open_batches(os.getpid()) == before
+    next(iter(loader))  # and the rest of this epoch is dropped
+    assert sum(len(batch["name"]) for batch in loader) == 400
+
+
+def test_a_fork_that_ends_gives_back_nothing() -> None:
+    """Its copies of the arrays go, those of the process that reads stay: the worker must not write there."""
+    loader = DataLoader(Numbers(), batch_size=3, num_workers=1, multiprocessing_context="fork", persistent_workers=True)
+    batch = next(iter(loader))
+    for _ in range(4):
+        child = os.fork()
+        if child == 0:
+            del batch
+            gc.collect()
+            os._exit(0)
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+        for _other in loader:
+            pass
+        for place in range(3):
+            assert (batch["image"][place] == place).all()
+
+
+# --- what others do with the samples ----------------------------------------------------------------------------------
+
+
+def test_samples_are_dictionaries() -> None:
+    parts = Numbers().__getitems__([7, 8])
+    for part, index in zip(parts, (7, 8), strict=True):
+        same(dict(part), {name: Numbers()[index][name] for name in part})
+        for other in (copy.copy(part), copy.deepcopy(part)):
+            assert type(other) is dict
+            same(other, dict(part))
+        del part["mosaic"]  # torch itself cannot read a pickled uint16
+        same(pickle.loads(pickle.dumps(part)), dict(part))
+
+
+@pytest.mark.parametrize(("workers", "method"), WORKERS[:2])
+def test_a_collate_of_ones_own_gets_the_samples(workers: int, method: str | None) -> None:
+    loader = DataLoader(
+        Numbers(), batch_size=4, num_workers=workers, multiprocessing_context=method, collate_fn=sums_and_images
+    )
+    everything = list(loader)
+    for number, (sums, images) in enumerate(everything):
+        assert sums == [2 * SIDE * SIDE * (4 * number + place) for place in range(4)]
+        for place, image in enumerate(images):
+            assert (image == 4 * number + place).all()
+
+
+def sums_and_images(samples: list[dict[str, Any]]) -> tuple[list[float], list[torch.Tensor]]:
+    return [float(sample["image"].sum()) for sample in samples], [sample["image"] for sample in samples]
+
+
+def test_changed_samples_are_collated_as_they_are() -> None:
+    numbers, plain = Numbers(), Plain()
+    reordered = numbers.__getitems__([3, 4, 5])[::-1]
+    same(default_collate(reordered), default_collate([plain_part(plain, index) for index in (5, 4, 3)]))
+    fewer = numbers.__getitems__([3, 4, 5])[1:]
+    same(default_collate(fewer), default_collate([plain_part(plain, index) for index in (4, 5)]))
+    mixed = [numbers.__getitems__([3, 4])[0], numbers.__getitems__([5, 6])[1]]
+    same(default_collate(mixed), default_collate([plain_part(plain, index) for index in (3, 6)]))
+    replaced = numbers.__getitems__([3, 4])
+    replaced[1]["image"] = replaced[1]["image"] + 1
+    assert (default_collate(replaced)["image"][1] == 5).all()
+    in_place = numbers.__getitems__([3, 4])
+    in_place[1]["image"].add_(1)
+    in_place[0]["ratio"] = 9.0
+    in_place[0]["more"] = in_place[1]["more"] = 1
+    collated = default_collate(in_place)
+    assert (collated["image"][1] == 5).all()
+    assert collated["ratio"].tolist() == [9.0, 4 / 3]
+    assert collated["more"].tolist() == [1, 1]
+    without = numbers.__getitems__([3, 4])
+    for part in without:
+        del part["image"]
+    assert "image" not in default_collate(without)
+
+
+def plain_part(plain: Plain, index: int) -> dict[str, Any]:
+    sample = plain[index]
+    return {name: sample[name] for name in plain.facts(index)}
+
+
+def test_a_subset_is_read_in_batches_too() -> None:
+    (batch,) = DataLoader(Subset(Numbers(), [9, 2]), batch_size=2)
+    assert batch["name"] == ["item 9", "item 2"]
+    assert (batch["image"][1] == 2).all()
+
+
+def test_a_batch_can_be_saved(tmp_path: Path) -> None:
+    (batch,) = DataLoader(Numbers(3), batch_size=3)
+    torch.save(batch, tmp_path / "batch.pt")
+    loaded = torch.load(tmp_path / "batch.pt", weights_only=True)
+    same(loaded, batch)

@@ -1,0 +1,360 @@
+"""PackedClips, PackedUnpairedClips, StoredClips: bit for bit what the files give, by whatever process."""
+
+from __future__ import annotations
+
+import math
+import os
+import pickle
+from dataclasses import replace
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import psutil  # type: ignore[import-untyped,unused-ignore] # types-psutil may be there or not
+import pytest
+import torch
+from torch.utils.data import DataLoader
+
+from eldata.datasets import RawClips, SyntheticClips
+from eldata.datasets.augmentation import ORIENTATIONS
+from eldata.datasets.clips import ClipSample, UnpairedClipSample
+from eldata.datasets.draws import CleanCrop, RgbCrop
+from eldata.datasets.drv import DRVDataset, DRVDynamicDataset, DRVRawDataset, DRVRawDynamicDataset
+from eldata.datasets.packed_clips import PackedClips, PackedUnpairedClips, StoredClips
+from eldata.errors import ArgumentError, DatasetError
+from eldata.raw.dng import write_dng
+from eldata.store import build_store, source_of_dataset
+from tests.drv_tree import NOISY, REFERENCE, RGB_SIZE, SENSOR, SmallDrv, mosaic_of, small_drv, write_raw, write_raw_clip
+from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, make_sensor, random_mosaic
+from tests.store.helpers import pack_folder, pack_tree
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+# Python 3.12 and later warn of any fork in a process that has threads.
+pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
+
+METHODS = [
+    pytest.param("fork", marks=pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")),
+    "spawn",
+]
+CLIPS = ("0007", "0013", "M0003")
+FRAMES = 13
+
+
+@pytest.fixture(scope="module")
+def drv(tmp_path_factory: pytest.TempPathFactory) -> SmallDrv:
+    return small_drv(tmp_path_factory.mktemp("drv"), CLIPS, FRAMES)
+
+
+@pytest.fixture(scope="module")
+def rgb(drv: SmallDrv, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return pack_tree(drv, tmp_path_factory.mktemp("store") / "rgb.h5").store
+
+
+@pytest.fixture(scope="module")
+def raw_files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder that holds DRV: Bayer clips, and an X-Trans one of another size and phase."""
+    root = tmp_path_factory.mktemp("raw")
+    for clip in ("0007", "M0003"):
+        write_raw_clip(root / "DRV", clip, 7)
+    xtrans = replace(SENSOR, cfa=XTRANS["xtrans-42"], black_level_dn=(801.0,) * 3, height=83, width=94)
+    write_raw_clip(root / "DRV", "0013", 7, sensor=xtrans)
+    return root
+
+
+@pytest.fixture(scope="module")
+def raw(raw_files: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    store = tmp_path_factory.mktemp("store") / "raw.h5"
+    build_store(source_of_dataset("drv-raw", root=raw_files), store, compression="lz4")
+    return store
+
+
+def same(first: Mapping[str, Any], second: Mapping[str, Any]) -> None:
+    assert list(first) == list(second)
+    for key, value in first.items():
+        if isinstance(value, torch.Tensor):
+            assert (value.dtype, value.shape) == (second[key].dtype, second[key].shape)
+            assert torch.equal(value, second[key]), key
+        else:
+            assert value == second[key] or (math.isnan(value) and math.isnan(second[key])), key
+
+
+# --- the files ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("options", [{}, {"window": 3, "stride": 2}, {"frames": "evaluation"}, {"ids": ["0013"]}])
+def test_whole_rgb_windows_are_those_of_the_files(options: dict[str, Any], rgb: Path, drv: SmallDrv) -> None:
+    ours = PackedClips(rgb, crop=None, augment=False, splits=["test"], **options)
+    theirs = DRVDataset(drv.data, manifest=drv.csv, split="test", **options)
+    assert ours.records == theirs.records
+    assert ours.frame.equals(theirs.frame)
+    for mine, other in zip(ours, theirs, strict=True):
+        same(mine, other)
+        assert set(mine) == set(ClipSample.__annotations__)
+
+
+def test_whole_windows_without_a_reference_are_those_of_the_files(rgb: Path, drv: SmallDrv) -> None:
+    theirs = DRVDynamicDataset(drv.data, manifest=drv.csv, window=4)
+    for mine, other in zip(PackedUnpairedClips(rgb, crop=None, augment=False, window=4), theirs, strict=True):
+        same(mine, other)
+        assert set(mine) == set(UnpairedClipSample.__annotations__)
+
+
+@pytest.mark.parametrize("clip", ["both", "upper", "none"])
+@pytest.mark.parametrize("levels", ["metadata", "published"])
+def test_whole_raw_windows_are_those_of_the_files(levels: Any, clip: Any, raw: Path, raw_files: Path) -> None:
+    options: dict[str, Any] = {"levels": levels, "clip": clip, "window": 3}
+    folder = raw_files / "DRV"
+    paired = PackedClips(raw, crop=None, augment=False, **options)
+    for mine, other in zip(paired, DRVRawDataset(folder, **options), strict=True):
+        same(mine, other)
+    assert {sample["input"].shape[1] for sample in paired} == {4, 9}
+    unpaired = PackedUnpairedClips(raw, crop=None, augment=False, **options)
+    for lone, lone_other in zip(unpaired, DRVRawDynamicDataset(folder, **options), strict=True):
+        same(lone, lone_other)
+
+
+def test_crops_of_rgb_windows_are_parts_of_the_files_turned_alike(rgb: Path, drv: SmallDrv) -> None:
+    """Each frame and the reference at the drawn place, turned by numpy."""
+    ours = PackedClips(rgb, crop=21, crops_per_window=12, seed=4)
+    ours.set_epoch(2)
+    theirs = DRVDataset(drv.data, manifest=drv.csv)
+    assert len(ours) == 12 * len(theirs)
+    places, turns = set(), set()
+    for index, sample in enumerate(ours):
+        other = theirs[index % len(theirs)]
+        drawn = RgbCrop.draw("", RGB_SIZE, np.random.default_rng([4, 2, index]), crop=21, augment=True)
+        for name in ("input", "target"):
+            part = other[name][..., drawn.slices[0], drawn.slices[1]].numpy()
+            part = np.swapaxes(part, -1, -2) if drawn.orientation.transpose else part
+            rows, columns = drawn.orientation.flip_rows, drawn.orientation.flip_columns
+            part = part[..., :: -1 if rows else 1, :: -1 if columns else 1]
+            np.testing.assert_array_equal(sample[name].numpy(), part)
+        places.add((drawn.slices[0].start, drawn.slices[1].start))
+        turns.add(drawn.orientation)
+    # 48 items: of 8 orientations one is missing with probability 8 (7/8)^48 = 1.3 %, for seeds in general; the
+    # starts are two of 28 and 36 possible, so 48 equal pairs are out of the question.
+    assert turns == set(ORIENTATIONS)
+    assert len(places) > 30
+
+
+@pytest.mark.parametrize("clip", ["0007", "0013"])
+def test_crops_of_raw_windows_are_parts_of_the_files(clip: str, raw: Path, raw_files: Path) -> None:
+    """Not turned, a crop is a region of the packed frame; turned ones are CleanCrop's, whose tests look at the CFA."""
+    options: dict[str, Any] = {"ids": [clip], "clip": "none", "window": 3}
+    ours = PackedClips(raw, crop=6, augment=False, crops_per_window=8, seed=1, **options)
+    starts = set()
+    for index, sample in enumerate(ours):
+        drawn = ours._item(index).crop
+        area = DRVRawDataset(raw_files / "DRV", **options)
+        scale = 2 if clip == "0007" else 3
+        whole = CleanCrop.draw(  # where the packed area begins: the crop of all of it
+            ours_clean(ours, index), np.random.default_rng(0), crop=None, augment=False
+        )
+        top, left = ((part.start - all_.start) // scale for part, all_ in zip(drawn.slices, whole.slices, strict=True))
+        wanted = area[index % len(area)]
+        for name in ("input", "target"):
+            part = wanted[name][..., top : top + 6, left : left + 6]
+            assert torch.equal(sample[name], part)
+        starts.add((top, left))
+    assert len(starts) > 4
+
+
+def ours_clean(dataset: PackedClips, index: int) -> Any:
+    from eldata.datasets.packed_store import stored_clean_frame
+
+    first: Any = dataset._item(index).frames[0].stored
+    return stored_clean_frame(dataset._reader, first, 16383.0)
+
+
+def test_turned_raw_windows_keep_their_colours(raw: Path) -> None:
+    """Every packed value of a turned crop occurs in the same colour of the frame that was not turned.
+
+    Not the greens of Bayer: which of them is which follows from the row, and each has a black level of its own.
+    """
+    turned = PackedClips(raw, crop=6, crops_per_window=6, seed=3, clip="none")
+    whole = PackedClips(raw, crop=None, augment=False, clip="none")
+    for index, sample in enumerate(turned):
+        other = whole[index % len(whole)]
+        bayer = sample["target"].shape[0] == 4
+        for channels in ([0], [2]) if bayer else ([0, 3], [2, 4], [1, 5, 6, 7, 8]):
+            assert torch.isin(sample["target"][channels], other["target"][channels]).all()
+            assert torch.isin(sample["input"][0, channels], other["input"][0, channels]).all()
+
+
+# --- determinism --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("which", ["rgb", "raw"])
+@pytest.mark.parametrize("method", METHODS)
+def test_workers_and_batches_change_nothing(method: str, which: str, rgb: Path, raw: Path) -> None:
+    ids = ["0007"] if which == "raw" else None  # X-Trans and Bayer make no batch together
+    dataset = PackedClips({"rgb": rgb, "raw": raw}[which], crop=8, crops_per_window=5, seed=6, ids=ids)
+    dataset.set_epoch(3)
+    reference = list(dataset)
+    options: dict[str, Any] = {"num_workers": 2, "multiprocessing_context": method, "timeout": 60}
+    for item, wanted in zip(DataLoader(dataset, batch_size=None, **options), reference, strict=True):
+        same(item, wanted)
+    together = [item for batch in DataLoader(dataset, batch_size=3, **options) for item in items_of(batch)]
+    for item, wanted in zip(together, reference, strict=True):
+        same(item, wanted)
+
+
+def items_of(batch: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Take a batch apart again; numbers come back as they were."""
+    return [
+        {
+            name: value[place].item() if isinstance(value, torch.Tensor) and value.ndim == 1 else value[place]
+            for name, value in batch.items()
+        }
+        for place in range(len(batch["path"]))
+    ]
+
+
+def test_an_item_depends_on_seed_epoch_and_index_alone(raw: Path) -> None:
+    dataset = PackedUnpairedClips(raw, crop=8, crops_per_window=4, window=2)
+    reference = list(dataset)
+    copy = pickle.loads(pickle.dumps(dataset))
+    for index in [*np.random.default_rng(0).permutation(len(dataset)).tolist(), 1, 1, -1]:
+        same(copy[index], reference[index])
+    dataset.set_epoch(1)
+    assert dataset.epoch == 1
+    assert not torch.equal(dataset[0]["input"], reference[0]["input"])
+    same(PackedUnpairedClips(raw, crop=8, crops_per_window=4, window=2)[2], reference[2])
+    for index in (len(dataset), -len(dataset) - 1):
+        with pytest.raises(IndexError, match=f"index {index} is outside of {len(dataset)} items"):
+            dataset[index]
+
+
+def test_clips_that_make_no_batch_together_are_torchs_error(raw: Path) -> None:
+    with pytest.raises(RuntimeError, match="stack expects each tensor to be equal size"):
+        next(iter(DataLoader(PackedClips(raw, crop=6), batch_size=2)))
+    (one, other) = DataLoader(PackedClips(raw, crop=6, window=7), batch_size=1)
+    assert (one["input"].shape, other["input"].shape) == ((1, 7, 4, 6, 6), (1, 7, 9, 6, 6))
+
+
+# --- choices and refusals -----------------------------------------------------------------------------------------
+
+
+def test_choices_and_refusals(rgb: Path, raw: Path, tmp_path: Path) -> None:
+    dataset = PackedClips(rgb, crop=16, ids=["0013"], window=2)
+    assert {record.scene for record in dataset.records} == {"0013"}
+    for part in ("PackedClips", "1 clips, 6 windows of 2 frames", "crop=16", "augment=True", "seed=0", "levels="):
+        assert part in repr(dataset)
+    for options, word in (
+        ({"ids": ["0008"]}, "known are 0007, 0013"),
+        ({"splits": ["train"]}, "no clip has split train; known are test"),
+        ({"levels": "camera"}, "levels must be one of"),
+        ({"clip": "lower"}, "clip must be one of"),
+        ({"seed": -1}, "seed must be 0 or more"),
+        ({"crop": 1}, "crop 2 or more"),
+        ({"crops_per_window": 0}, "crops_per_window must be 1 or more"),
+        ({"window": 0}, "window and stride must be 1 or more"),
+        ({"frames": "some"}, "frames must be one of"),
+    ):
+        with pytest.raises(ArgumentError, match=word):
+            PackedClips(rgb, **options)
+    with pytest.raises(DatasetError, match="no 14 continuous frames"):
+        PackedClips(rgb, window=14)
+    with pytest.raises(DatasetError, match="too few for a crop of 49 x 49"):
+        PackedClips(rgb, crop=49)[0]
+    with pytest.raises(DatasetError, match="too few for a crop"):
+        PackedClips(raw, crop=400)[0]
+
+
+def test_stores_of_other_things_are_refused(rgb: Path, drv: SmallDrv, tmp_path: Path) -> None:
+    source = source_of_dataset("drv", root=drv.root, manifest=drv.csv, ids=["M0003"])
+    build_store(source, tmp_path / "dynamic.h5")
+    with pytest.raises(DatasetError, match="holds no clip with a reference; read it with PackedUnpairedClips"):
+        PackedClips(tmp_path / "dynamic.h5")
+    (tmp_path / "raws").mkdir()
+    sensor = make_sensor(BAYER["RGGB"], 64, 64)
+    write_dng(tmp_path / "raws" / "1.dng", random_mosaic(64, 64), sensor, EXPOSURE)
+    clean = pack_folder(tmp_path / "raws", tmp_path / "clean.h5").store
+    with pytest.raises(DatasetError, match="holds clean frames, not clips; read it with StoredFrames or StoredClips"):
+        PackedClips(clean)
+    with pytest.raises(DatasetError, match="holds a dataset, not clean clips"):
+        StoredClips(rgb)
+
+
+def packed_raw(root: Path) -> Path:
+    build_store(source_of_dataset("drv-raw", root=root), root / "store.h5")
+    return root / "store.h5"
+
+
+def test_frames_that_are_not_of_one_clip_are_refused(tmp_path: Path) -> None:
+    """Found as the store is opened, before any pixel is read."""
+    other_exposure, swapped, other_size = (tmp_path / name for name in ("exposure", "swapped", "size"))
+    for root in (other_exposure, swapped, other_size):
+        write_raw_clip(root / "DRV", "0007", 5)
+    write_raw(other_exposure / "DRV" / "short" / "0007" / "DSC01000.ARW", replace(NOISY, exposure_s=Fraction(1, 25)))
+    with pytest.raises(DatasetError, match=r"DSC01000\.ARW: its exposure ratio is 50, that of .*DSC00998.ARW 100"):
+        PackedClips(packed_raw(other_exposure))
+    for number in range(998, 1003):
+        write_raw(swapped / "DRV" / "short" / "0007" / f"DSC{number:05d}.ARW", REFERENCE)
+    write_raw(swapped / "DRV" / "long" / "0007" / "DSC00001.ARW", NOISY)
+    with pytest.raises(DatasetError, match=r"is exposed 100 times as much as its reference .*are they swapped"):
+        PackedClips(packed_raw(swapped))
+    write_raw(other_size / "DRV" / "short" / "0007" / "DSC01001.ARW", NOISY, sensor=replace(SENSOR, height=80))
+    with pytest.raises(DatasetError, match=r"DSC01001\.ARW: 80 x 112 pixels .*has 96 x 112"):
+        PackedClips(packed_raw(other_size))
+
+
+# --- clean clips --------------------------------------------------------------------------------------------------
+
+
+def test_clean_clips_are_those_of_the_raw_files(tmp_path: Path) -> None:
+    """SyntheticClips cannot tell the two sources apart, in items and in batches."""
+    folder = tmp_path / "clips"
+    for clip, cfa in (("a", BAYER["GBRG"]), ("b", BAYER["RGGB"])):
+        (folder / clip).mkdir(parents=True)
+        sensor = make_sensor(cfa, 70, 90)
+        for number in (9, 10, 11):
+            write_dng(
+                folder / clip / f"{number}.dng", mosaic_of(f"{clip}{number}", REFERENCE, sensor), sensor, EXPOSURE
+            )
+    store = pack_folder(folder, tmp_path / "clean.h5", compression="lz4").store
+    levels: Any
+    for levels in ("metadata", "published"):
+        options: dict[str, Any] = {"frames": 2, "crop": 8, "windows_per_clip": 4, "seed": 2}
+        source = StoredClips(store, levels=levels)
+        assert (len(source), len(source.clip(1))) == (2, 3)
+        ours = SyntheticClips(source, "SonyA7S2", **options)
+        theirs = SyntheticClips(RawClips(folder, levels=levels), "SonyA7S2", **options)
+        for mine, other in zip(ours, theirs, strict=True):
+            assert mine["path"].rpartition("/")[2] == other["path"].rpartition("/")[2]
+            same(dict(mine) | {"path": ""}, dict(other) | {"path": ""})
+        batches = DataLoader(ours, batch_size=3)
+        together = torch.cat([batch["input"] for batch in batches])
+        assert torch.equal(together, torch.stack([sample["input"] for sample in theirs]))
+    assert "2 clips" in repr(source)
+    with pytest.raises(ArgumentError, match="levels must be one of"):
+        StoredClips(store, levels="x")  # type: ignore[arg-type]
+    (folder / "a" / "10.dng").unlink()
+    gap = pack_folder(folder, tmp_path / "gap.h5").store
+    with pytest.raises(DatasetError, match="expected the frames of one clip, numbered without a gap"):
+        StoredClips(gap)
+
+
+# --- memory -------------------------------------------------------------------------------------------------------
+
+
+def test_memory_does_not_grow_with_the_store(tmp_path: Path) -> None:
+    """A clip of 100 frames of 1.2 MB, every one read: 120 MB, or 10 MB if nothing is kept."""
+    drv = small_drv(tmp_path, ("M0003",), 1, size=(400, 500))
+    folder = drv.data / "VBM4D_rawRGB" / "M0003"
+    for number in range(2, 101):
+        os.link(folder / "0001.png", folder / f"{number:04d}.png")
+    dataset = PackedUnpairedClips(pack_tree(drv, tmp_path / "store.h5", jobs=2).store, crop=256, window=2)
+    process = psutil.Process()
+
+    def read(indices: range) -> int:
+        for index in indices:
+            dataset[index]
+        resident: int = process.memory_info().rss
+        return resident
+
+    after_few = read(range(5))
+    assert read(range(len(dataset))) - after_few < 24e6

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect
 from typing import TYPE_CHECKING, TypeVar
 
 from eldata.errors import ArgumentError
@@ -19,7 +20,8 @@ Value = TypeVar("Value")
 # Flag of a frame whose ISO the publisher states in two ways: its exposure ratio cannot be checked.
 UNCERTAIN_ISO = "uncertain-iso"
 
-_SHOWN = 16  # known values in a message
+# Known values in a message: all of up to so many, or so many on each side.
+_SHOWN, _NEAR = 30, 5
 
 
 def select_pairs(
@@ -116,13 +118,13 @@ def _check_known(name: str, wanted: Collection[object], values: Iterable[object]
     known = sorted({value for value in values if value is not None})  # type: ignore[type-var] # of one kind each
     for value in wanted:
         if value not in known:
-            raise ArgumentError(f"no pair has {name} {value}; known are {_shortened(known)}")
+            raise ArgumentError(f"no pair has {name} {value}; known are {_listed(known, value)}")
 
 
-def _shortened(known: Sequence[object]) -> str:
-    """Return values as text, the first and the last alone if they are many."""
+def _listed(known: Sequence[object], wanted: object) -> str:
+    """Return values as text; of many, those that stand next to the wanted one."""
     texts = [str(value) for value in known]
-    if len(texts) > _SHOWN:
-        texts = [*texts[: _SHOWN - 2], "...", texts[-1]]
-        return f"{', '.join(texts)} ({len(known)} in all)"
-    return ", ".join(texts) or "none"
+    if len(texts) <= _SHOWN:
+        return ", ".join(texts) or "none"
+    place = min(max(bisect(texts, str(wanted)), _NEAR), len(texts) - _NEAR)
+    return f"{len(texts)}, next to it {', '.join(texts[place - _NEAR : place + _NEAR])}"

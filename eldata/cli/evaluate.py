@@ -105,13 +105,32 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
-    from eldata.evaluation.video_results import VideoResult
-
     of_clips = _is_of_clips(arguments)
     if of_clips and (arguments.html or arguments.format != "text"):
         raise ArgumentError("--html and --format are for datasets of images")
     with chosen_executor(arguments) as executor:
         result = _of_clips(arguments, executor) if of_clips else _of_images(arguments, executor)
+    try:
+        _write(result, arguments)
+    finally:  # after hours of work the table is shown even if a file cannot be written
+        _show(result, arguments)
+    return OK if result.scored and not result.problems else PROBLEMS
+
+
+def _write(result: EvaluationResult | CombinedResult | VideoResult, arguments: argparse.Namespace) -> None:
+    from eldata.evaluation.video_results import VideoResult
+
+    if arguments.json:
+        result.write_json(arguments.json)
+    if arguments.csv:
+        result.write_csv(arguments.csv)
+    if arguments.html and not isinstance(result, VideoResult):
+        _write_page(_each(result), arguments)
+
+
+def _show(result: EvaluationResult | CombinedResult | VideoResult, arguments: argparse.Namespace) -> None:
+    from eldata.evaluation.video_results import VideoResult
+
     if isinstance(result, VideoResult) or arguments.format == "text" or not result.scored:
         print(result.format_text())
     else:
@@ -125,13 +144,6 @@ def run(arguments: argparse.Namespace) -> int:
 
         for one in (result,) if isinstance(result, VideoResult) else _each(result):
             print(f"\n{comparison_table(one)}")
-    if arguments.json:
-        result.write_json(arguments.json)
-    if arguments.csv:
-        result.write_csv(arguments.csv)
-    if arguments.html and not isinstance(result, VideoResult):
-        _write_page(_each(result), arguments)
-    return OK if result.scored and not result.problems else PROBLEMS
 
 
 def _each(result: EvaluationResult | CombinedResult) -> tuple[EvaluationResult, ...]:

@@ -24,19 +24,26 @@ if TYPE_CHECKING:
 
     from eldata.manifest.verify import VerifyReport
 
+_INDEX = "index.json"
+
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add this command."""
     parser = commands.add_parser(
         "verify",
-        help="check the files on disk against manifests, or a store",
+        help="check the files on disk against manifests, or a store or shards",
         description=(
             "Check the files on disk against manifests and list every problem. Levels: quick (present, size, no "
             "unlisted raw files), metadata (also: opens, camera, ISO, exposure, ratio), full (also: hashes). Nothing "
-            "is written. Of a training store (.h5) every level checks its structure, full also its pixels."
+            "is written. Of a training store (.h5) every level checks its structure, full also its pixels; "
+            "shards (their index.json, at any address) are read whole."
         ),
     )
-    parser.add_argument("manifests", metavar="MANIFESTS", help="a manifest's CSV file, a folder of them, or a store")
+    parser.add_argument(
+        "manifests",
+        metavar="MANIFESTS",
+        help="a manifest's CSV file, a folder of them, a store, or shards' index",
+    )
     add_root(parser)
     parser.add_argument("--dataset", metavar="N", help="only the dataset of this name, which must be there")
     add_cameras(parser)
@@ -49,6 +56,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
+    if arguments.manifests.endswith(_INDEX):
+        return _of_shards(arguments)
     with chosen_executor(arguments) as executor:
         check = _of_store if _is_store(arguments.manifests) else _of_files
         report = check(arguments, executor)
@@ -56,6 +65,21 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         write_json(arguments.json, report.as_dict())
     return OK if report.ok else PROBLEMS
+
+
+def _of_shards(arguments: argparse.Namespace) -> int:
+    from eldata.streaming.checks import verify_shards
+
+    if arguments.root is not None or arguments.dataset is not None or arguments.cameras:
+        raise ArgumentError("--root, --dataset and --camera are for manifests; shards are checked whole")
+    if arguments.dask is not None:
+        raise ArgumentError("--dask is for manifests and stores; shards are read in their order")
+    address = arguments.manifests.removesuffix(_INDEX) or "."
+    problems = verify_shards(address)
+    print("\n".join(problems) if problems else f"{address}: every shard is whole")
+    if arguments.json:
+        write_json(arguments.json, {"shards": address, "problems": problems})
+    return PROBLEMS if problems else OK
 
 
 def _is_store(path: str) -> bool:

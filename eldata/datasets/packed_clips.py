@@ -122,6 +122,7 @@ class _StoredWindows(Dataset[Sample], Generic[Sample]):
             self._frames |= _frames_of(store, one.reference, one.frames, stored, levels)
         self._text = f"{len(self.clips)} clips, {len(self.records)} windows of {window} frames (frames={frames!r})"
         self._reader = PixelReader(store.path)
+        self._compression = store.compression
         self._epoch = SharedEpoch()
 
     def _rows(self, store: Store) -> tuple[FrameRecord, ...]:
@@ -173,7 +174,9 @@ class _StoredWindows(Dataset[Sample], Generic[Sample]):
         """
         item = self._item(index)
         arrays = new_arrays([Field(name, shape, "<f4") for name, shape in self._shapes(item).items()])
-        in_threads(partial(self._read, item, arrays), range(-1, len(item.frames)), reading_threads())
+        in_threads(
+            partial(self._read, item, arrays), range(-1, len(item.frames)), reading_threads(self._compression, 1)
+        )
         return cast("Sample", self._facts(item) | {name: torch.from_numpy(array) for name, array in arrays.items()})
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
@@ -194,7 +197,7 @@ class _StoredWindows(Dataset[Sample], Generic[Sample]):
         in_threads(
             work,
             [(number, step) for number, item in enumerate(items) for step in range(-1, len(item.frames))],
-            reading_threads(),
+            reading_threads(self._compression, len(items)),
         )
         return batch.parts([self._facts(item) for item in items])
 

@@ -208,6 +208,7 @@ class PackedStore(PairDataset):
         )
         self._pairs = tuple(self._pair(record, frame_of) for record in self.records)
         self._reader = PixelReader(store.path)
+        self._compression = store.compression
         self._epoch = SharedEpoch()
 
     def _pair(self, record: PairRecord, frame_of: Mapping[str, StoredFrame]) -> _Pair:
@@ -249,7 +250,7 @@ class PackedStore(PairDataset):
         """
         item = self._item(index)
         sides = new_arrays([Field(side, item.shape, "<f4") for side in _SIDES])
-        in_threads(lambda side: self._side(item, side, sides[side]), _SIDES, reading_threads())
+        in_threads(lambda side: self._side(item, side, sides[side]), _SIDES, reading_threads(self._compression, 1))
         return self._sample(item.record, sides["input"], sides["target"], item.pair.ratio, item.pair.noisy.exposure)
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
@@ -269,7 +270,7 @@ class PackedStore(PairDataset):
             number, side = place
             self._side(items[number], side, batch.arrays[side][number])
 
-        in_threads(work, places, reading_threads())
+        in_threads(work, places, reading_threads(self._compression, len(items)))
         return batch.parts([self._facts(item) for item in items])
 
     def _facts(self, item: _Item) -> Sample:
@@ -304,7 +305,7 @@ class PackedStore(PairDataset):
             number, side = place
             batch.arrays[f"{side}_dn"][number] = self._cut(items[number], items[number].side(side)[0])
 
-        in_threads(work, places, reading_threads())
+        in_threads(work, places, reading_threads(self._compression, len(items)))
         return batch.parts([self._dn_facts(item) for item in items])
 
     def _dn_facts(self, item: _Item) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset
 
-from eldata.datasets.batches import Batch, Field, new_batch, reading_threads
+from eldata.datasets.batches import Batch, Field, new_batch, threads_here
 from eldata.datasets.draws import CleanCrop, NoiseChoice, NoiseFacts, SharedEpoch
 from eldata.errors import ArgumentError
 from eldata.noise.model import NoiseModel
@@ -174,7 +174,7 @@ class SyntheticPairs(Dataset[SyntheticSample]):
             ratio=item.draw.ratio,
             range_dn=item.frame.range_dn,
             generator=item.generator,
-            threads=reading_threads(),
+            threads=threads_here(),
         )
         return SyntheticSample(
             **item.draw.facts(), input=torch.from_numpy(noisy), target=torch.from_numpy(target), path=item.frame.name

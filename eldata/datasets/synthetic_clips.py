@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset
 
-from eldata.datasets.batches import Batch, Field, new_batch, reading_threads
+from eldata.datasets.batches import Batch, Field, new_batch, threads_here
 from eldata.datasets.clean import Arrays, RawFiles
 from eldata.datasets.draws import CleanCrop, NoiseChoice, NoiseFacts, SharedEpoch
 from eldata.errors import ArgumentError, DatasetError
@@ -290,7 +290,7 @@ class SyntheticClips(Dataset[SyntheticClipSample]):
             ratio=item.draw.ratio,
             range_dn=item.first.range_dn,
             generator=item.generator,
-            threads=reading_threads(),
+            threads=threads_here(),
         )
         return SyntheticClipSample(
             **item.draw.facts(),

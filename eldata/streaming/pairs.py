@@ -16,7 +16,7 @@ from torch.utils.data import IterableDataset, get_worker_info
 
 from eldata._compiled import in_threads
 from eldata.datasets.base import AMPLIFICATIONS, Sample
-from eldata.datasets.batches import Field, new_arrays, new_batch, reading_threads
+from eldata.datasets.batches import Field, new_arrays, new_batch, threads_here
 from eldata.datasets.clean import CleanFrame
 from eldata.datasets.draws import CleanCrop, SharedEpoch
 from eldata.datasets.loading import Rank, current_rank
@@ -274,7 +274,7 @@ class StreamedPairs(IterableDataset[Sample]):
             number, side = place
             self._fill(items[number], side, batch.arrays[side][number])
 
-        in_threads(work, [(number, side) for number in range(len(items)) for side in SIDES], reading_threads())
+        in_threads(work, [(number, side) for number in range(len(items)) for side in SIDES], threads_here())
         parts: Any = batch.parts([self._facts(item) for item in items])
         yield from parts
 

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from typing import TYPE_CHECKING
 
 import pytest
 
-from eldata.cli import shard
-from eldata.console import Parser, run
 from eldata.streaming import StreamedPairs, verify_shards
 from tests.cli.conftest import Outcome
 from tests.cli.test_usage import assert_one_line
@@ -26,27 +26,10 @@ if TYPE_CHECKING:
 
     Shard = Callable[..., Outcome]
 
-SCRIPT = """
-import sys
-from eldata.cli import shard
-from eldata.console import Parser, run
-parser = Parser(prog="eldata")
-shard.add_parser(parser.add_subparsers())
-sys.exit(run(parser, sys.argv[1:]))
-"""
-
 
 @pytest.fixture
-def sharded(capsys: pytest.CaptureFixture[str]) -> Shard:
-    def command(*arguments: object) -> Outcome:
-        parser = Parser(prog="eldata")
-        shard.add_parser(parser.add_subparsers())  # type: ignore[arg-type] # of our own parser
-        capsys.readouterr()
-        code = run(parser, ["shard", *map(str, arguments)])
-        captured = capsys.readouterr()
-        return Outcome(code, captured.out, captured.err)
-
-    return command
+def sharded(eldata: Cli) -> Shard:
+    return partial(eldata, "shard")
 
 
 @pytest.fixture
@@ -87,6 +70,18 @@ def test_what_is_wrong_is_one_line(sharded: Shard, store: Path, tmp_path: Path) 
     assert_one_line(sharded(store, "-o", out, "--tile", "whole"), "holds finished shards already; remove it")
 
 
+def test_shards_are_verified(eldata: Cli, sharded: Shard, store: Path, tmp_path: Path) -> None:
+    out = tmp_path / "shards"
+    sharded(store, "-o", out, "--tile", "16", "--samples-per-shard", "100")
+    assert eldata("verify", out / "index.json") == Outcome(0, f"{out}/: every shard is whole\n", "")
+    (out / "shard-000001.tar").write_bytes((out / "shard-000001.tar").read_bytes()[:-5000])
+    broken = eldata("verify", out / "index.json", "--json", tmp_path / "found.json")
+    assert (broken.code, broken.err) == (1, "")
+    assert "shard-000001.tar" in broken.out
+    assert json.loads((tmp_path / "found.json").read_text())["problems"] == broken.out.splitlines()
+    assert_one_line(eldata("verify", out / "index.json", "--root", tmp_path), "shards are checked whole")
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_an_ended_command_goes_on(number: signal.Signals, sharded: Shard, store: Path, tmp_path: Path) -> None:
     """Ended as soon as the third shard is there; a run that was faster than that is begun anew."""
@@ -95,7 +90,7 @@ def test_an_ended_command_goes_on(number: signal.Signals, sharded: Shard, store:
     assert sharded(store, "-o", reference, *options).code == 0
     for _ in range(20):
         process = subprocess.Popen(
-            [sys.executable, "-c", SCRIPT, "shard", str(store), "-o", str(out), *options],
+            [sys.executable, "-m", "eldata.cli.main", "shard", str(store), "-o", str(out), *options],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
 import torch
-from torch.utils.data import Dataset
 
-from eldata.datasets.batches import Batch, Field, new_batch, threads_here
-from eldata.datasets.draws import CleanCrop, NoiseChoice, NoiseFacts, SharedEpoch
+from eldata.datasets.draws import CleanCrop, NoiseChoice, NoiseFacts
+from eldata.datasets.noisy_items import NoisyItems
 from eldata.errors import ArgumentError
-from eldata.noise.model import NoiseModel
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
+    import numpy as np
     from numpy.typing import NDArray
 
     from eldata.datasets.clean import CleanFrame, CleanSource
     from eldata.datasets.draws import NoiseDraw
+    from eldata.noise.model import NoiseModel
     from eldata.noise.profile import CameraProfile, RowChoice
 
 
@@ -36,15 +35,21 @@ class SyntheticSample(NoiseFacts):
 
 
 class _Item(NamedTuple):
-    """One item before its pixels are read, and the generator that its noise comes from."""
-
     frame: CleanFrame
     crop: CleanCrop
     draw: NoiseDraw
     generator: np.random.Generator
 
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self.crop.packed_shape
 
-class SyntheticPairs(Dataset[SyntheticSample]):
+    @property
+    def range_dn(self) -> float:
+        return self.frame.range_dn
+
+
+class SyntheticPairs(NoisyItems[_Item, SyntheticSample]):
     """Clean crops and noisy exposures of them, made anew in each epoch.
 
     Item i of epoch e depends on (seed, e, i) alone: not on workers, their number, or what was read before. Call
@@ -92,90 +97,24 @@ class SyntheticPairs(Dataset[SyntheticSample]):
         iso: float | None = None,
         row: RowChoice = "any",
     ) -> None:
-        if seed < 0:
-            raise ArgumentError(f"seed must be 0 or more; found {seed}")
-        if crops_per_frame < 1 or (crop is not None and crop < 2):
-            raise ArgumentError(
-                f"crops_per_frame must be 1 or more and crop 2 or more; found {crops_per_frame}, {crop}"
-            )
+        if crops_per_frame < 1:
+            raise ArgumentError(f"crops_per_frame must be 1 or more; found {crops_per_frame}")
+        super().__init__(NoiseChoice.of(profiles, ratio, iso, row), model, crop=crop, augment=augment, seed=seed)
         self.source = source
-        self.noise = NoiseChoice.of(profiles, ratio, iso, row)
-        self.model = NoiseModel(clip="both") if model is None else model
-        self.crop = crop
-        self.augment = augment
         self.crops_per_frame = crops_per_frame
-        self.seed = seed
-        self._epoch = SharedEpoch()
-
-    @property
-    def epoch(self) -> int:
-        """The current epoch."""
-        return self._epoch.value
-
-    def set_epoch(self, epoch: int) -> None:
-        """Choose the epoch whose items are drawn from now on, in running workers too."""
-        self._epoch.set(epoch)
 
     def __len__(self) -> int:
         return len(self.source) * self.crops_per_frame
 
-    def __iter__(self) -> Iterator[SyntheticSample]:
-        return (self[index] for index in range(len(self)))
-
-    def __getitem__(self, index: int) -> SyntheticSample:
-        """Make one pair.
-
-        Raises
-        ------
-        IndexError
-            If the index is outside.
-        DatasetError
-            If a frame is smaller than the crop (with ``augment`` one period of the CFA more is needed).
-        """
-        item = self._item(index)
-        return self._made(item, item.crop.packed(item.frame))
-
-    def __getitems__(self, indices: Sequence[int]) -> list[Any]:
-        """Make the pairs of a batch in memory that is used again (:mod:`eldata.datasets.batches`).
-
-        torch's DataLoader calls this. The values are those of ``dataset[i]``; errors too.
-        """
-        if self.crop is None:  # whole frames may differ in size
-            return [self[index] for index in indices]
-        batch: Batch | None = None
-        samples = []
-        for number, index in enumerate(indices):  # one whole frame in memory at a time
-            item = self._item(index)
-            shape = len(indices), *item.crop.packed_shape
-            if number == 0:
-                batch = new_batch([Field(name, shape, "<f4") for name in ("input", "target")])
-            if batch is None or batch.fields[0].shape != shape:  # no such memory; or Bayer and X-Trans
-                return [self[index] for index in indices]
-            target = item.crop.packed(item.frame, out=batch.arrays["target"][number])
-            sample = self._made(item, target)
-            batch.arrays["input"][number] = sample["input"].numpy()
-            samples.append({**sample, "input": None, "target": None})
-            del item, sample
-        return [] if batch is None else batch.parts(samples)
-
-    def _item(self, index: int) -> _Item:
-        if not -len(self) <= index < len(self):
-            raise IndexError(f"index {index} is outside of {len(self)} items")
-        index %= len(self)
-        generator = np.random.default_rng([self.seed, self.epoch, index])
+    def _drawn(self, index: int, generator: np.random.Generator) -> _Item:
         frame = self.source.frame(index % len(self.source))
         crop = CleanCrop.draw(frame, generator, crop=self.crop, augment=self.augment)
         return _Item(frame, crop, self.noise.draw(generator), generator)
 
-    def _made(self, item: _Item, target: NDArray[np.float32]) -> SyntheticSample:
-        noisy = self.model(
-            target,
-            parameters=item.draw.parameters,
-            ratio=item.draw.ratio,
-            range_dn=item.frame.range_dn,
-            generator=item.generator,
-            threads=threads_here(),
-        )
+    def _fill(self, item: _Item, target: NDArray[np.float32]) -> None:
+        item.crop.packed(item.frame, out=target)
+
+    def _sample(self, item: _Item, noisy: NDArray[np.float32], target: NDArray[np.float32]) -> SyntheticSample:
         return SyntheticSample(
             **item.draw.facts(), input=torch.from_numpy(noisy), target=torch.from_numpy(target), path=item.frame.name
         )

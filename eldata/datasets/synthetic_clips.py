@@ -9,25 +9,24 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-import numpy as np
 import torch
-from torch.utils.data import Dataset
 
-from eldata.datasets.batches import Batch, Field, new_batch, threads_here
 from eldata.datasets.clean import Arrays, RawFiles
-from eldata.datasets.draws import CleanCrop, NoiseChoice, NoiseFacts, SharedEpoch
+from eldata.datasets.draws import CleanCrop, NoiseChoice, NoiseFacts
+from eldata.datasets.noisy_items import NoisyItems
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.patterns import sequence_of
-from eldata.noise.model import NoiseModel
 from eldata.raw.extensions import RAW_EXTENSIONS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Sequence
 
+    import numpy as np
     from numpy.typing import NDArray
 
     from eldata.datasets.clean import CleanFrame, CleanSource
     from eldata.datasets.draws import NoiseDraw
+    from eldata.noise.model import NoiseModel
     from eldata.noise.profile import CameraProfile, RowChoice
     from eldata.raw.cfa import CfaRows
     from eldata.raw.levels import Levels
@@ -146,8 +145,6 @@ class SyntheticClipSample(NoiseFacts):
 
 
 class _Item(NamedTuple):
-    """One item before its pixels are read, and the generator that its noise comes from."""
-
     clip: CleanSource
     place: int
     start: int
@@ -157,8 +154,12 @@ class _Item(NamedTuple):
     generator: np.random.Generator
     shape: tuple[int, int, int, int]
 
+    @property
+    def range_dn(self) -> float:
+        return self.first.range_dn
 
-class SyntheticClips(Dataset[SyntheticClipSample]):
+
+class SyntheticClips(NoisyItems[_Item, SyntheticClipSample]):
     """Windows of clean clips and noisy exposures of them, made anew in each epoch.
 
     Camera, parameters and ratio are drawn once for a window, and so are its place, crop and orientation, which are the
@@ -195,79 +196,17 @@ class SyntheticClips(Dataset[SyntheticClipSample]):
         iso: float | None = None,
         row: RowChoice = "any",
     ) -> None:
-        if seed < 0:
-            raise ArgumentError(f"seed must be 0 or more; found {seed}")
-        if frames < 1 or windows_per_clip < 1 or (crop is not None and crop < 2):
-            raise ArgumentError(
-                "frames and windows_per_clip must be 1 or more and crop 2 or more; found "
-                f"{frames}, {windows_per_clip}, {crop}"
-            )
+        if frames < 1 or windows_per_clip < 1:
+            raise ArgumentError(f"frames and windows_per_clip must be 1 or more; found {frames}, {windows_per_clip}")
+        super().__init__(NoiseChoice.of(profiles, ratio, iso, row), model, crop=crop, augment=augment, seed=seed)
         self.source = source
-        self.noise = NoiseChoice.of(profiles, ratio, iso, row)
-        self.model = NoiseModel(clip="both") if model is None else model
         self.frames = frames
-        self.crop = crop
-        self.augment = augment
         self.windows_per_clip = windows_per_clip
-        self.seed = seed
-        self._epoch = SharedEpoch()
-
-    @property
-    def epoch(self) -> int:
-        """The current epoch."""
-        return self._epoch.value
-
-    def set_epoch(self, epoch: int) -> None:
-        """Choose the epoch whose items are drawn from now on, in running workers too."""
-        self._epoch.set(epoch)
 
     def __len__(self) -> int:
         return len(self.source) * self.windows_per_clip
 
-    def __iter__(self) -> Iterator[SyntheticClipSample]:
-        return (self[index] for index in range(len(self)))
-
-    def __getitem__(self, index: int) -> SyntheticClipSample:
-        """Make one window.
-
-        Raises
-        ------
-        IndexError
-            If the index is outside.
-        DatasetError
-            If a clip is shorter than a window, its frames differ in size, CFA or levels, or they are smaller than the
-            crop (with ``augment`` one period of the CFA more is needed).
-        """
-        item = self._item(index)
-        return self._made(item, np.empty(item.shape, np.float32))
-
-    def __getitems__(self, indices: Sequence[int]) -> list[Any]:
-        """Make the windows of a batch in memory that is used again (:mod:`eldata.datasets.batches`).
-
-        torch's DataLoader calls this. The values are those of ``dataset[i]``; errors too.
-        """
-        if self.crop is None:  # whole frames may differ in size
-            return [self[index] for index in indices]
-        batch: Batch | None = None
-        samples = []
-        for number, index in enumerate(indices):
-            item = self._item(index)
-            shape = len(indices), *item.shape
-            if number == 0:
-                batch = new_batch([Field(name, shape, "<f4") for name in ("input", "target")])
-            if batch is None or batch.fields[0].shape != shape:  # no such memory; or Bayer and X-Trans
-                return [self[index] for index in indices]
-            sample = self._made(item, batch.arrays["target"][number])
-            batch.arrays["input"][number] = sample["input"].numpy()
-            samples.append({**sample, "input": None, "target": None})
-            del item, sample
-        return [] if batch is None else batch.parts(samples)
-
-    def _item(self, index: int) -> _Item:
-        if not -len(self) <= index < len(self):
-            raise IndexError(f"index {index} is outside of {len(self)} items")
-        index %= len(self)
-        generator = np.random.default_rng([self.seed, self.epoch, index])
+    def _drawn(self, index: int, generator: np.random.Generator) -> _Item:
         place = index % len(self.source)
         clip = self.source.clip(place)
         if len(clip) < self.frames:
@@ -278,20 +217,14 @@ class SyntheticClips(Dataset[SyntheticClipSample]):
         shape = self.frames, *crop.packed_shape
         return _Item(clip, place, start, first, crop, self.noise.draw(generator), generator, shape)
 
-    def _made(self, item: _Item, target: NDArray[np.float32]) -> SyntheticClipSample:
+    def _fill(self, item: _Item, target: NDArray[np.float32]) -> None:
         item.crop.packed(item.first, out=target[0])
         for step in range(1, self.frames):  # one whole frame in memory at a time
             frame = item.clip.frame(item.start + step)
             _check_alike(frame, item.first)
             item.crop.packed(frame, out=target[step])
-        noisy = self.model(
-            target,
-            parameters=item.draw.parameters,
-            ratio=item.draw.ratio,
-            range_dn=item.first.range_dn,
-            generator=item.generator,
-            threads=threads_here(),
-        )
+
+    def _sample(self, item: _Item, noisy: NDArray[np.float32], target: NDArray[np.float32]) -> SyntheticClipSample:
         return SyntheticClipSample(
             **item.draw.facts(),
             input=torch.from_numpy(noisy),

@@ -59,13 +59,17 @@ def add_cameras(parser: argparse.ArgumentParser) -> None:
     )
 
 
+class _Default(int):
+    """A default that argparse can tell from the same number given: it compares identities, which small ints share."""
+
+
 def add_jobs(parser: argparse._ActionsContainer) -> None:
     """Add ``--jobs`` to a subcommand; the default is one per CPU."""
     cpus = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     parser.add_argument(
         "--jobs",
         type=_positive,
-        default=cpus,
+        default=_Default(cpus),
         metavar="J",
         help="work on so many files at a time (default: one per CPU, here %(default)s)",
     )

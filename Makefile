@@ -27,7 +27,7 @@ lint: $(STAMP)  ## Style and types
 test: lint  ## Style, types and all tests
 	$(BIN)/pytest -n auto --dist worksteal
 
-bench: $(STAMP)  ## Benchmarks against the straightforward routes, a quarter of an hour
+bench: $(STAMP)  ## Benchmarks against the straightforward routes, about twenty minutes
 	$(BIN)/python -m benchmarks
 
 manifests: $(STAMP)  ## Write the shipped manifests anew

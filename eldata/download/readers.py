@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import lzma
 import stat
 import tarfile
@@ -86,6 +87,7 @@ class ZipReader:
     def members(self, path: Path) -> tuple[Member, ...]:
         """Return every entry of the central directory."""
         try:
+            # zipfile raises NotImplementedError for an archive of a version or method that it does not know.
             with _damage_named(path, NotImplementedError, ValueError), zipfile.ZipFile(path) as archive:
                 infos = archive.infolist()
         except zipfile.BadZipFile as error:
@@ -124,6 +126,7 @@ class ZipReader:
 
     def deliver(self, path: Path, members: Sequence[Member], receive: Callable[[Member], Sink]) -> None:
         """Send members' bytes to sinks; zipfile checks the CRC of each."""
+        # NotImplementedError as above: a member's own header may ask for another method than the table of contents.
         with _damage_named(path, zipfile.BadZipFile, NotImplementedError), zipfile.ZipFile(path) as archive:
             for member in members:
                 sink = receive(member)
@@ -228,8 +231,8 @@ class SevenZipReader:
                 _check_size(path, self._member, self._size)
                 self._sink.finish()
 
-            def read(self, size: int | None = None) -> bytes:
-                raise NotImplementedError
+            def read(self, size: int | None = None) -> bytes:  # noqa: ARG002 # py7zr's interface has it and never calls it
+                raise io.UnsupportedOperation("read")
 
             def seek(self, offset: int, whence: int = 0) -> int:  # noqa: ARG002 # asked for before it closes, in vain
                 return 0

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import zlib
+from abc import abstractmethod
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
@@ -79,8 +80,9 @@ class _MeanOverImages(Metric):
         for column, values in zip(self.columns, zip(*scores, strict=True), strict=True):
             getattr(self, column).append(torch.tensor(values, dtype=torch.float64, device=self.device))
 
+    @abstractmethod
     def _scores(self, prediction: torch.Tensor, reference: torch.Tensor) -> tuple[float, ...]:
-        raise NotImplementedError
+        """Return the values of one image, one a column."""
 
     def _mean(self, column: str) -> torch.Tensor:
         kept = getattr(self, column)  # one tensor once processes are joined, else a list

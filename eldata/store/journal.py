@@ -139,7 +139,7 @@ class JournaledFile:
         try:
             _write_all(descriptor, memoryview(_HEADER.pack(_MAGIC, size)), 0)
             fresh.replace(self._journal_path)
-        except BaseException:
+        except BaseException:  # Ctrl-C too: the descriptor is ours until it has replaced the old one's
             os.close(descriptor)
             raise
         if self._journal >= 0:

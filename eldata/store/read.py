@@ -88,7 +88,7 @@ def opened(path: Path) -> h5py.File:
         raise StoreError(path, f"{reason} ({error}); copy or pack it again") from error
     try:
         _check_header(path, dict(file.attrs))
-    except BaseException:
+    except BaseException:  # Ctrl-C too: the caller gets no file that it could close
         file.close()
         raise
     return file

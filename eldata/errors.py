@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
     from pathlib import Path
 
 
@@ -18,6 +19,12 @@ class EldataError(Exception):
 
 class ArgumentError(EldataError, ValueError):
     """An argument is outside of what the function accepts."""
+
+
+def check_choice(name: str, value: object, known: Collection[object]) -> None:
+    """Raise :class:`ArgumentError`, which lists the known values, unless an argument is one of them."""
+    if value not in known:
+        raise ArgumentError(f"{name} must be one of {', '.join(map(repr, known))}; found {value!r}")
 
 
 class FileError(EldataError):

@@ -16,10 +16,8 @@ from .loading import set_epoch as set_epoch
 from .loading import training_loader as training_loader
 from .packed_clips import PackedClips as PackedClips
 from .packed_clips import PackedUnpairedClips as PackedUnpairedClips
-from .packed_clips import StoredClips as StoredClips
 from .packed_store import DnPairs as DnPairs
 from .packed_store import PackedStore as PackedStore
-from .packed_store import StoredFrames as StoredFrames
 from .packed_store import normalise_batch as normalise_batch
 from .registry import dataset_class as dataset_class
 from .registry import dataset_names as dataset_names
@@ -31,6 +29,8 @@ from .rgb import StagedPairs as StagedPairs
 from .rgb import raw2rgb as raw2rgb
 from .rgb import rgb2rgb as rgb2rgb
 from .sid import SIDDataset as SIDDataset
+from .stored_clean import StoredClips as StoredClips
+from .stored_clean import StoredFrames as StoredFrames
 from .synthetic import SyntheticPairs as SyntheticPairs
 from .synthetic_clips import ArrayClips as ArrayClips
 from .synthetic_clips import ClipSource as ClipSource

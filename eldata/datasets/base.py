@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset
 
-from eldata.errors import ArgumentError, DatasetError
+from eldata.errors import DatasetError, check_choice
 from eldata.manifest.catalogue import Manifest, data_root, load_manifest, shipped_manifest, shipped_names
 from eldata.manifest.pairs import UNCERTAIN_ISO, select_pairs
 from eldata.manifest.subsets import find_subset
@@ -116,8 +116,7 @@ class PairDataset(Dataset[Sample]):
             ("clip", clip, tuple(CLIP_RANGES)),
             ("amplification", amplification, AMPLIFICATIONS),
         ):
-            if value not in known:
-                raise ArgumentError(f"{name} must be one of {', '.join(map(repr, known))}; found {value!r}")
+            check_choice(name, value, known)
         loaded = _manifest(manifest)
         self.name = loaded.name
         self.root = data_root() / loaded.card.folder if root is None else Path(root)

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset
 
-from eldata.errors import ArgumentError, DatasetError
+from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.files import inside
 from eldata.images import rgb_frame
 from eldata.manifest.clips import clips_of, select_rows, windows
@@ -139,8 +139,7 @@ class RawReader:
 
     def __init__(self, *, levels: Levels, clip: Clip) -> None:
         for name, value, known in (("levels", levels, LEVELS), ("clip", clip, tuple(CLIP_RANGES))):
-            if value not in known:
-                raise ArgumentError(f"{name} must be one of {', '.join(map(repr, known))}; found {value!r}")
+            check_choice(name, value, known)
         self.levels: Levels = levels
         self.clip: Clip = clip
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal, Unpack, get_args
 
 from eldata.datasets.base import no_folder
 from eldata.datasets.clips import PairedClips, RawReader, RgbReader, UnpairedClips, WindowOptions, Windows
-from eldata.errors import ArgumentError
+from eldata.errors import check_choice
 from eldata.manifest.catalogue import data_root, load_manifest, shipped_manifest
 from eldata.manifest.drv import scan_raw
 from eldata.manifest.drv_published import DYNAMIC
@@ -162,9 +162,10 @@ class DRVRawDynamicDataset(UnpairedClips):
 
 
 def _splits(split: DrvSplit | None) -> tuple[DrvSplit, ...]:
-    if split is not None and split not in _STATIC:
-        raise ArgumentError(f"split must be one of {', '.join(map(repr, _STATIC))}; found {split!r}")
-    return _STATIC if split is None else (split,)
+    if split is None:
+        return _STATIC
+    check_choice("split", split, _STATIC)
+    return (split,)
 
 
 def _folder(root: Path | str | None) -> Path:

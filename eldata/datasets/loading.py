@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader, IterableDataset, Sampler
 
-from eldata.errors import ArgumentError
+from eldata.errors import ArgumentError, check_choice
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -322,10 +322,7 @@ def _check(batch_size: int, seed: int, prefetch: int, start_method: StartMethod)
         raise ArgumentError(f"batch_size and prefetch must be 1 or more; found {batch_size}, {prefetch}")
     if seed < 0:
         raise ArgumentError(f"seed must be 0 or more; found {seed}")
-    if start_method not in START_METHODS:
-        raise ArgumentError(
-            f"start_method must be one of {', '.join(map(repr, START_METHODS))}; found {start_method!r}"
-        )
+    check_choice("start_method", start_method, START_METHODS)
     if start_method not in multiprocessing.get_all_start_methods():
         raise ArgumentError(f"this system has no start method {start_method!r}; take 'spawn'")
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass
 from functools import partial
-from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar, cast
 
 import numpy as np
@@ -16,10 +15,9 @@ from eldata._compiled import in_threads
 from eldata.datasets.batches import Field, new_arrays, new_batch, reading_threads
 from eldata.datasets.clips import ClipSample, UnpairedClipSample
 from eldata.datasets.draws import CleanCrop, RgbCrop, SharedEpoch
-from eldata.datasets.packed_store import stored_clean_frame, stored_mosaic
-from eldata.errors import ArgumentError, DatasetError
+from eldata.datasets.stored_clean import stored_clean_frame, stored_mosaic
+from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.manifest.clips import clips_of, select_rows, windows
-from eldata.manifest.patterns import sequence_of
 from eldata.raw.cfa import CLIP_RANGES, pack_normalised
 from eldata.raw.levels import LEVELS, white_level_dn, with_levels
 from eldata.records import Exposure
@@ -34,7 +32,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from numpy.typing import NDArray
 
-    from eldata.datasets.clean import CleanFrame
     from eldata.manifest.clips import ClipRecord, FrameRange
     from eldata.raw.cfa import Clip
     from eldata.raw.levels import Levels
@@ -90,8 +87,7 @@ class _StoredWindows(Dataset[Sample], Generic[Sample]):
         clip: Clip = "both",
     ) -> None:
         for name, value, known in (("levels", levels, LEVELS), ("clip", clip, tuple(CLIP_RANGES))):
-            if value not in known:
-                raise ArgumentError(f"{name} must be one of {', '.join(map(repr, known))}; found {value!r}")
+            check_choice(name, value, known)
         if seed < 0:
             raise ArgumentError(f"seed must be 0 or more; found {seed}")
         if crops_per_window < 1 or (crop is not None and crop < 2):
@@ -385,78 +381,3 @@ def _ratio(store: Store, frame: Stored, reference: Stored | None) -> Fraction | 
             f"{reference.path}; are they swapped?"
         )
     return ratio
-
-
-class StoredClips:
-    """Clean clips of a store, for :class:`~eldata.datasets.synthetic_clips.SyntheticClips`: only the crops are read.
-
-    The store is of a folder of clean raws (``eldata pack FOLDER``); each folder in it that holds raws is a clip, as in
-    :class:`~eldata.datasets.synthetic_clips.RawClips`, and items are the same.
-
-    Parameters
-    ----------
-    path
-        The store.
-    levels
-        White level: the file's (``"metadata"``) or 16383 (``"published"``).
-
-    Raises
-    ------
-    StoreError
-        If the file is no store, truncated, not complete, or of a newer version.
-    DatasetError
-        If it holds a dataset's pairs or clips, or the names of a clip do not follow one numbering.
-    ArgumentError
-        If ``levels`` is unknown.
-    """
-
-    def __init__(self, path: Path | str, *, levels: Levels = "metadata") -> None:
-        if levels not in LEVELS:
-            raise ArgumentError(f"levels must be one of {', '.join(map(repr, LEVELS))}; found {levels!r}")
-        store = open_store(path)
-        if store.manifest is not None:
-            raise DatasetError(f"{path}: holds a dataset, not clean clips; pack a folder of folders of clean raws")
-        self.path = store.path
-        self.levels: Levels = levels
-        reader = PixelReader(store.path)
-        self._clips: list[_StoredClip] = []
-        for folder in sorted({PurePosixPath(frame.path).parent for frame in store.frames}):
-            of_name = {
-                PurePosixPath(frame.path).name: frame
-                for frame in store.frames
-                if PurePosixPath(frame.path).parent == folder
-            }
-            sequence = sequence_of(of_name)
-            if sequence.odd or sequence.doubles or sequence.gaps:
-                raise DatasetError(
-                    f"{path}/{folder}: expected the frames of one clip, numbered without a gap; found "
-                    f"{', '.join(sequence.odd) or sequence.doubles or sequence.gaps}"
-                )
-            self._clips.append(_StoredClip(reader, tuple(of_name[name] for name in sequence.names), levels))
-
-    def __len__(self) -> int:
-        return len(self._clips)
-
-    def clip(self, index: int) -> _StoredClip:
-        """Return the frames of one clip; they are read part by part."""
-        return self._clips[index]
-
-    def __repr__(self) -> str:
-        return f"StoredClips({str(self.path)!r}, {len(self)} clips, levels={self.levels!r})"
-
-
-class _StoredClip:
-    def __init__(self, reader: PixelReader, frames: tuple[StoredFrame, ...], levels: Levels) -> None:
-        self._reader = reader
-        self._frames = frames
-        self._levels: Levels = levels
-
-    def __len__(self) -> int:
-        return len(self._frames)
-
-    def frame(self, index: int) -> CleanFrame:
-        frame = self._frames[index]
-        return stored_clean_frame(self._reader, frame, white_level_dn(frame.sensor, self._levels))
-
-    def __repr__(self) -> str:
-        return f"clip of {self._frames[0].path}"

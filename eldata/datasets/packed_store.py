@@ -1,4 +1,4 @@
-"""Pairs and clean frames of a store: random crops, equal to the bit to those of the raw files."""
+"""Pairs of a store: random crops, equal to the bit to those of the raw files."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from torch.utils.data import Dataset
 from eldata._compiled import in_threads
 from eldata.datasets.base import AMPLIFICATIONS, PairDataset, Sample, checked_ratio
 from eldata.datasets.batches import Field, new_arrays, new_batch, reading_threads
-from eldata.datasets.clean import CleanFrame
 from eldata.datasets.draws import CleanCrop, SharedEpoch
-from eldata.errors import ArgumentError, DatasetError
+from eldata.datasets.stored_clean import stored_clean_frame, stored_mosaic
+from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.manifest.pairs import select_pairs
 from eldata.manifest.subsets import find_subset
 from eldata.raw.cfa import CLIP_RANGES, pack_normalised, packed_black_level_dn, packed_shape, packing_sites
-from eldata.raw.levels import FRAME_LEVELS, LEVELS, white_level_dn, with_levels
-from eldata.store.read import PixelReader, StoredMosaic, open_store
+from eldata.raw.levels import FRAME_LEVELS, with_levels
+from eldata.store.read import PixelReader, open_store
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from eldata.datasets.base import Amplification
     from eldata.raw.cfa import CfaRows, Clip
-    from eldata.raw.levels import FrameLevels, Levels
+    from eldata.raw.levels import FrameLevels
     from eldata.records import PairRecord, Sensor
     from eldata.store.layout import StoredFrame
 
@@ -165,8 +165,7 @@ class PackedStore(PairDataset):
             ("clip", clip, tuple(CLIP_RANGES)),
             ("amplification", amplification, AMPLIFICATIONS),
         ):
-            if value not in known:
-                raise ArgumentError(f"{name} must be one of {', '.join(map(repr, known))}; found {value!r}")
+            check_choice(name, value, known)
         if seed < 0:
             raise ArgumentError(f"seed must be 0 or more; found {seed}")
         if crops_per_frame < 1 or (crop is not None and crop < 2):
@@ -399,8 +398,7 @@ def normalise_batch(batch: Mapping[str, Any], *, clip: Clip = "both") -> dict[st
     ArgumentError
         If ``clip`` is unknown, or the batch is not in DN.
     """
-    if clip not in CLIP_RANGES:
-        raise ArgumentError(f"clip must be one of {', '.join(map(repr, CLIP_RANGES))}; found {clip!r}")
+    check_choice("clip", clip, CLIP_RANGES)
     names = {"cfa", *(f"{side}_{what}" for side in _SIDES for what in ("dn", "black_dn", "white_dn"))}
     if not names <= set(batch) or batch["input_dn"].dtype != torch.uint16:
         raise ArgumentError("expected a batch in DN, as PackedStore(...).in_dn() gives it: uint16 with its levels")
@@ -472,59 +470,3 @@ def _by_torch(images: Sequence[_Image], clip: Clip) -> torch.Tensor:
         values.sub_(black).div_(white - black).clamp_(low, high)
         values.mul_(torch.tensor(image.gain, dtype=torch.float32, device=first.device)).clamp_(max=high)
     return packed
-
-
-class StoredFrames:
-    """Clean frames of a store, for :class:`~eldata.datasets.synthetic.SyntheticPairs`: only the crops are read.
-
-    The frames are those of a packed folder, or the references of packed pairs. Items are the same as from
-    :class:`~eldata.datasets.clean.RawFiles` over the same files in the same order.
-
-    Parameters
-    ----------
-    path
-        The store.
-    levels
-        White level: the file's (``"metadata"``) or 16383 (``"published"``).
-
-    Raises
-    ------
-    StoreError
-        If the file is no store, truncated, not complete, or of a newer version.
-    ArgumentError
-        If ``levels`` is unknown.
-    """
-
-    def __init__(self, path: Path | str, *, levels: Levels = "metadata") -> None:
-        if levels not in LEVELS:
-            raise ArgumentError(f"levels must be one of {', '.join(map(repr, LEVELS))}; found {levels!r}")
-        store = open_store(path)
-        self.path = store.path
-        self.levels: Levels = levels
-        self.frames: tuple[StoredFrame, ...] = tuple(
-            sorted((frame for frame in store.frames if frame.role == "reference"), key=lambda frame: frame.path)
-        )
-        self._reader = PixelReader(store.path)
-
-    def __len__(self) -> int:
-        return len(self.frames)
-
-    def frame(self, index: int) -> CleanFrame:
-        """Return one frame, whose mosaic is read part by part: ``mosaic[rows, columns]``."""
-        frame = self.frames[index]
-        return stored_clean_frame(self._reader, frame, white_level_dn(frame.sensor, self.levels))
-
-    def __repr__(self) -> str:
-        return f"StoredFrames({str(self.path)!r}, {len(self)} frames, levels={self.levels!r})"
-
-
-def stored_mosaic(reader: PixelReader, frame: StoredFrame) -> StoredMosaic:
-    """Return a stored frame's mosaic, to be read part by part."""
-    return StoredMosaic(reader, frame.key, (frame.sensor.height, frame.sensor.width))
-
-
-def stored_clean_frame(reader: PixelReader, frame: StoredFrame, white_level: float) -> CleanFrame:
-    """Return a stored frame as one whose mosaic is read part by part."""
-    mosaic: Any = stored_mosaic(reader, frame)
-    name = str(reader.path / frame.path)
-    return CleanFrame(mosaic, frame.sensor.cfa, frame.sensor.black_level_dn, white_level, name)

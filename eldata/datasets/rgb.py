@@ -191,7 +191,8 @@ def sensors_of(pairs: object) -> SensorsOf:
     """
     from eldata.datasets.base import PairDataset
     from eldata.datasets.clean import RawFiles
-    from eldata.datasets.packed_store import PackedStore, StoredFrames
+    from eldata.datasets.packed_store import PackedStore
+    from eldata.datasets.stored_clean import StoredFrames
     from eldata.datasets.synthetic import SyntheticPairs
 
     if isinstance(pairs, PackedStore):

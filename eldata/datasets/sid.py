@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Literal
 
 from eldata.datasets.base import PairDataset
-from eldata.errors import ArgumentError
+from eldata.errors import ArgumentError, check_choice
 from eldata.raw.levels import SID_LEVELS_DN
 
 if TYPE_CHECKING:
@@ -94,10 +94,9 @@ class SIDDataset(PairDataset):
         amplification: Amplification = "nominal",
         manifest: Path | str | None = None,
     ) -> None:
-        if camera not in _MANIFESTS:
-            raise ArgumentError(f"camera must be one of {', '.join(map(repr, _MANIFESTS))}; found {camera!r}")
-        if split is not None and split not in _SPLITS:
-            raise ArgumentError(f"split must be one of {', '.join(map(repr, _SPLITS))}; found {split!r}")
+        check_choice("camera", camera, _MANIFESTS)
+        if split is not None:
+            check_choice("split", split, _SPLITS)
         shipped = _MANIFESTS[camera]
         if levels in SID_LEVELS_DN and levels != shipped:
             raise ArgumentError(f"levels {levels!r} are of the other camera; those of {camera!r} are {shipped!r}")

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Literal, get_args
 
-from eldata.errors import ArgumentError, DatasetError
+from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.manifest.patterns import is_pattern, sequence_of
 
 if TYPE_CHECKING:
@@ -169,8 +169,7 @@ def frame_range(name: FrameRange, count: int) -> range:
     ArgumentError
         If there is no choice of that name.
     """
-    if name not in FRAME_RANGES:
-        raise ArgumentError(f"frames must be one of {', '.join(map(repr, FRAME_RANGES))}; found {name!r}")
+    check_choice("frames", name, FRAME_RANGES)
     chosen = {"all": range(count), "authors": range(4, count - 3), "evaluation": EVALUATION_FRAMES}[name]
     return range(chosen.start, max(chosen.start, min(chosen.stop, count)))
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from eldata.errors import ArgumentError
+from eldata.errors import ArgumentError, check_choice
 from eldata.metrics._images import check_data_range, check_threads, pair
 from eldata.metrics.rescaling import factor_of
 from eldata.metrics.signal_to_noise import decibels
@@ -75,8 +75,7 @@ class ScoringRules:
             ("prediction_clamp", self.prediction_clamp, PREDICTION_CLAMPS),
             ("rounding", self.rounding, ROUNDINGS),
         ):
-            if value not in known:
-                raise ArgumentError(f"{name} must be one of {', '.join(map(repr, known))}; found {value!r}")
+            check_choice(name, value, known)
         check_windowing(self.ssim_window, self.ssim_covariance)
         check_data_range(self.data_range)
         if not (self.mse_offset >= 0 and math.isfinite(self.mse_offset)):

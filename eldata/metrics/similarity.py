@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
 
 import numpy as np
 
-from eldata.errors import ArgumentError
+from eldata.errors import check_choice
 from eldata.metrics import _gaussian_kernels, _kernels
 from eldata.metrics._gaussian_kernels import RADIUS, WEIGHTS, gaussian_error_and_similarity
 from eldata.metrics._images import check_data_range, check_threads, pair, total
@@ -87,8 +87,7 @@ def ssim(
 def check_windowing(window: str, covariance: str) -> None:
     """Raise :class:`ArgumentError` if the window or the covariance is unknown."""
     for name, value, known in (("window", window, SSIM_WINDOWS), ("covariance", covariance, COVARIANCES)):
-        if value not in known:
-            raise ArgumentError(f"{name} must be one of {', '.join(map(repr, known))}; found {value!r}")
+        check_choice(name, value, known)
 
 
 def side_of(window: SsimWindow) -> int:

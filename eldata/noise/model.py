@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 
-from eldata.errors import ArgumentError
+from eldata.errors import ArgumentError, check_choice
 from eldata.noise.components import Components, parse_components
 from eldata.noise.layout import channel_bias_dn, row_layout
 from eldata.noise.parameters import NoiseParameters, tukey_lambda_variance
@@ -83,8 +83,7 @@ class NoiseModel:
 
     def __init__(self, spec: str = "P*+G*+B+R+U", *, clip: Clip = "none", adc: Adc | None = None) -> None:
         self.components: Components = parse_components(spec)
-        if clip not in CLIP_RANGES:
-            raise ArgumentError(f"clip must be one of {', '.join(map(repr, CLIP_RANGES))}; found {clip!r}")
+        check_choice("clip", clip, CLIP_RANGES)
         if adc is not None and self.components.quantisation:
             raise ArgumentError(
                 f"noise model {spec!r}: U stands for the converter's rounding; leave it out with adc=..."

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
 
-from eldata.errors import ArgumentError
+from eldata.errors import ArgumentError, check_choice
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -303,8 +303,7 @@ def _checked_levels(black: NDArray[np.float32], white_level_dn: float) -> np.flo
 
 
 def _clip_range(clip: Clip) -> tuple[np.float32, np.float32]:
-    if clip not in CLIP_RANGES:
-        raise ArgumentError(f"clip must be one of {', '.join(map(repr, CLIP_RANGES))}; found {clip!r}")
+    check_choice("clip", clip, CLIP_RANGES)
     low, high = CLIP_RANGES[clip]
     return np.float32(low), np.float32(high)
 

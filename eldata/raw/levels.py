@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, get_args
 
-from eldata.errors import ArgumentError
+from eldata.errors import check_choice
 from eldata.raw.cfa import pack_normalised
 
 if TYPE_CHECKING:
@@ -43,8 +43,7 @@ def white_level_dn(sensor: Sensor, levels: Levels) -> float:
     ArgumentError
         If ``levels`` is neither.
     """
-    if levels not in LEVELS:
-        raise ArgumentError(f"levels must be one of {', '.join(map(repr, LEVELS))}; found {levels!r}")
+    check_choice("levels", levels, LEVELS)
     return sensor.white_level_dn if levels == "metadata" else PUBLISHED_WHITE_LEVEL_DN
 
 
@@ -60,8 +59,7 @@ def with_levels(sensor: Sensor, levels: FrameLevels) -> Sensor:
     ArgumentError
         If ``levels`` is none of these.
     """
-    if levels not in FRAME_LEVELS:
-        raise ArgumentError(f"levels must be one of {', '.join(map(repr, FRAME_LEVELS))}; found {levels!r}")
+    check_choice("levels", levels, FRAME_LEVELS)
     if levels == "metadata" or levels == "published":  # spelt out so that mypy narrows the type
         return replace(sensor, white_level_dn=white_level_dn(sensor, levels))
     black, white = SID_LEVELS_DN[levels]

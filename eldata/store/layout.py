@@ -24,7 +24,7 @@ from dataclasses import asdict, dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from eldata.errors import ArgumentError, FileError
+from eldata.errors import ArgumentError, FileError, check_choice
 from eldata.manifest.clip_checks import is_png
 from eldata.records import Exposure, RawHeader, Sensor
 
@@ -129,8 +129,7 @@ def filters(compression: Compression) -> Mapping[str, Any]:
     ArgumentError
         If the name is unknown, or hdf5plugin is not installed.
     """
-    if compression not in COMPRESSIONS:
-        raise ArgumentError(f"compression must be one of {', '.join(map(repr, COMPRESSIONS))}; found {compression!r}")
+    check_choice("compression", compression, COMPRESSIONS)
     if compression == "none":
         return {}
     try:

@@ -20,7 +20,7 @@ from eldata.datasets.batches import Field, new_arrays, new_batch, threads_here
 from eldata.datasets.clean import CleanFrame
 from eldata.datasets.draws import CleanCrop, SharedEpoch
 from eldata.datasets.loading import Rank, current_rank
-from eldata.errors import ArgumentError
+from eldata.errors import ArgumentError, check_choice
 from eldata.raw.cfa import CLIP_RANGES, pack_normalised, packed_shape
 from eldata.raw.levels import FRAME_LEVELS, with_levels
 from eldata.streaming import splitting
@@ -124,8 +124,7 @@ class StreamedPairs(IterableDataset[Sample]):
             ("clip", clip, tuple(CLIP_RANGES)),
             ("amplification", amplification, AMPLIFICATIONS),
         ):
-            if value not in known:
-                raise ArgumentError(f"{name} must be one of {', '.join(map(repr, known))}; found {value!r}")
+            check_choice(name, value, known)
         if seed < 0:
             raise ArgumentError(f"seed must be 0 or more; found {seed}")
         if crops_per_tile < 1 or shuffle_buffer < 1 or (crop is not None and crop < 2):

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from tqdm import tqdm
 
-from eldata.datasets.packed_store import PackedStore, stored_mosaic
+from eldata.datasets.packed_store import PackedStore
+from eldata.datasets.stored_clean import stored_mosaic
 from eldata.errors import ArgumentError, EldataError
 from eldata.files import atomic_write, write_text
 from eldata.raw.reading import exposure_ratio

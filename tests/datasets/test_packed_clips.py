@@ -20,7 +20,8 @@ from eldata.datasets.augmentation import ORIENTATIONS
 from eldata.datasets.clips import ClipSample, UnpairedClipSample
 from eldata.datasets.draws import CleanCrop, RgbCrop
 from eldata.datasets.drv import DRVDataset, DRVDynamicDataset, DRVRawDataset, DRVRawDynamicDataset
-from eldata.datasets.packed_clips import PackedClips, PackedUnpairedClips, StoredClips
+from eldata.datasets.packed_clips import PackedClips, PackedUnpairedClips
+from eldata.datasets.stored_clean import StoredClips
 from eldata.errors import ArgumentError, DatasetError
 from eldata.raw.dng import write_dng
 from eldata.store import build_store, source_of_dataset
@@ -163,7 +164,7 @@ def test_crops_of_raw_windows_are_parts_of_the_files(clip: str, raw: Path, raw_f
 
 
 def ours_clean(dataset: PackedClips, index: int) -> Any:
-    from eldata.datasets.packed_store import stored_clean_frame
+    from eldata.datasets.stored_clean import stored_clean_frame
 
     first: Any = dataset._item(index).frames[0].stored
     return stored_clean_frame(dataset._reader, first, 16383.0)

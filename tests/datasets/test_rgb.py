@@ -10,7 +10,7 @@ from torch.utils.data import DataLoader
 
 from eldata.datasets.base import PairDataset
 from eldata.datasets.clean import Arrays, RawFiles
-from eldata.datasets.packed_store import PackedStore, StoredFrames
+from eldata.datasets.packed_store import PackedStore
 from eldata.datasets.rgb import (
     OneSensor,
     PairSensors,
@@ -23,6 +23,7 @@ from eldata.datasets.rgb import (
     raw2rgb,
     rgb2rgb,
 )
+from eldata.datasets.stored_clean import StoredFrames
 from eldata.datasets.synthetic import SyntheticPairs
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.isp.rendering import Gamma, Rendering

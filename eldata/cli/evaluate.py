@@ -140,7 +140,7 @@ def _show(result: EvaluationResult | CombinedResult | VideoResult, arguments: ar
             print(f"eldata evaluate: {problem}", file=sys.stderr)
         print(format_evaluations(_each(result), arguments.format))
     if arguments.compare and result.scored:
-        from eldata.evaluation.published import comparison_table
+        from eldata.evaluation.published_comparison import comparison_table
 
         for one in (result,) if isinstance(result, VideoResult) else _each(result):
             print(f"\n{comparison_table(one)}")

@@ -4,8 +4,8 @@ from .evaluate import evaluate_all as evaluate_all
 from .predictions import EXTENSIONS as EXTENSIONS
 from .predictions import load_prediction as load_prediction
 from .predictions import save_prediction as save_prediction
-from .published import comparison_table as comparison_table
 from .published import published_rows as published_rows
+from .published_comparison import comparison_table as comparison_table
 from .results import EvaluationResult as EvaluationResult
 from .results import ImageScore as ImageScore
 from .video import evaluate_video as evaluate_video

@@ -12,7 +12,8 @@ import pytest
 from eldata.errors import ArgumentError, ManifestError
 from eldata.evaluation.common import json_safe
 from eldata.evaluation.evaluate import evaluate
-from eldata.evaluation.published import COLUMNS, comparison_table, load_published
+from eldata.evaluation.published import COLUMNS, load_published
+from eldata.evaluation.published_comparison import comparison_table
 from eldata.evaluation.results import EvaluationResult, ImageScore
 from eldata.manifest.catalogue import shipped_manifest
 from eldata.manifest.pairs import select_pairs

@@ -13,7 +13,8 @@ import numpy as np
 
 from benchmarks.harness import Row, in_turn
 from eldata.datasets import PackedStore
-from eldata.datasets.loading import Rank, training_loader
+from eldata.datasets.loading import training_loader
+from eldata.datasets.ranks import Rank
 from eldata.raw.cfa import pack_normalised
 from eldata.store import build_store, source_of_dataset
 from eldata.streaming import StreamedPairs, verify_shards, write_shards

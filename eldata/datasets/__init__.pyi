@@ -9,7 +9,6 @@ from .drv import DRVDynamicDataset as DRVDynamicDataset
 from .drv import DRVRawDataset as DRVRawDataset
 from .drv import DRVRawDynamicDataset as DRVRawDynamicDataset
 from .eld import ELDDataset as ELDDataset
-from .loading import Rank as Rank
 from .loading import describe as describe
 from .loading import evaluation_loader as evaluation_loader
 from .loading import set_epoch as set_epoch
@@ -19,6 +18,7 @@ from .packed_clips import PackedUnpairedClips as PackedUnpairedClips
 from .packed_store import DnPairs as DnPairs
 from .packed_store import PackedStore as PackedStore
 from .packed_store import normalise_batch as normalise_batch
+from .ranks import Rank as Rank
 from .registry import dataset_class as dataset_class
 from .registry import dataset_names as dataset_names
 from .registry import open_dataset as open_dataset

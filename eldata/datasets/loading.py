@@ -9,18 +9,18 @@ score.
 from __future__ import annotations
 
 import multiprocessing
-import os
 import pickle
 import sys
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
 from torch.utils.data import DataLoader, IterableDataset, Sampler
 
+from eldata.datasets.ranks import ExactSampler, Rank, ShuffledSampler, current_rank
+from eldata.datasets.worker_count import START_METHODS, chosen_workers
 from eldata.errors import ArgumentError, check_choice
 
 if TYPE_CHECKING:
@@ -29,96 +29,13 @@ if TYPE_CHECKING:
 
     from torch.utils.data import Dataset
 
-StartMethod = Literal["forkserver", "spawn", "fork"]
-START_METHODS: tuple[StartMethod, ...] = get_args(StartMethod)
-
-# What a worker adds to the memory in use beside its batches: measured with PackedStore, docs/streaming.md has the
-# figures. With fork and forkserver, pages of the libraries are shared with the process that it comes from.
-_WORKER_BYTES: dict[StartMethod, int] = {"forkserver": 100_000_000, "spawn": 300_000_000, "fork": 100_000_000}
-# Half of the memory is left to the model, the page cache and everybody else.
-_MEMORY_SHARE = 0.5
-# A worker reads hundreds of crops a second; more than this many cost more in starting and memory than they bring.
-_MOST_WORKERS = 16
+    from eldata.datasets.worker_count import StartMethod
 
 # Imported once by the server that workers are forked from, for it would take seconds in each worker.
 _PRELOADED = ("eldata.datasets._preloaded",)
 
-# Keeps these random numbers apart from those of the items, which are seeded by (seed, epoch, index).
-_ORDER, _WORKERS = 1, 2
-
-
-@dataclass(frozen=True, slots=True)
-class Rank:
-    """Which of several training processes this is: ``number`` (from 0) of ``of``."""
-
-    number: int = 0
-    of: int = 1
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.number < self.of:
-            raise ArgumentError(f"a rank is from 0 up to below their number; found {self.number} of {self.of}")
-
-
-def current_rank() -> Rank:
-    """Return this process's place in torch.distributed; the only one if that is not used.
-
-    Raises
-    ------
-    ArgumentError
-        If the environment states a ``WORLD_SIZE`` above 1, but torch.distributed is not initialised: each process would
-        read everything.
-    """
-    if torch.distributed.is_available() and torch.distributed.is_initialized():
-        return Rank(torch.distributed.get_rank(), torch.distributed.get_world_size())
-    stated = os.environ.get("WORLD_SIZE", "1")
-    if stated != "1":
-        raise ArgumentError(
-            f"WORLD_SIZE is {stated!r}, but torch.distributed is not initialised, so each process would read "
-            "everything; call torch.distributed.init_process_group first, or give rank=Rank(number, of)"
-        )
-    return Rank()
-
-
-class ShuffledSampler(Sampler[int]):
-    """Indices in an order that depends on (seed, epoch); as many for each rank, none twice.
-
-    Fewer indices than there are ranks are left out, others each epoch.
-    """
-
-    def __init__(self, length: int, *, seed: int, rank: Rank) -> None:
-        self.length = length
-        self.seed = seed
-        self.rank = rank
-        self.epoch = 0
-
-    def set_epoch(self, epoch: int) -> None:
-        """Choose the epoch whose order the next iteration has."""
-        self.epoch = epoch
-
-    def __len__(self) -> int:
-        return self.length // self.rank.of
-
-    def __iter__(self) -> Iterator[int]:
-        sequence = np.random.SeedSequence((self.seed, self.epoch), spawn_key=(_ORDER,))
-        order = np.random.default_rng(sequence).permutation(self.length)
-        yield from order[self.rank.number :: self.rank.of][: len(self)].tolist()
-
-
-class ExactSampler(Sampler[int]):
-    """Every index exactly once over all ranks, in order: rank r of n has r, r + n, r + 2n, ...
-
-    Ranks may differ by one.
-    """
-
-    def __init__(self, length: int, *, rank: Rank) -> None:
-        self.length = length
-        self.rank = rank
-
-    def __len__(self) -> int:
-        return len(range(self.rank.number, self.length, self.rank.of))
-
-    def __iter__(self) -> Iterator[int]:
-        yield from range(self.rank.number, self.length, self.rank.of)
+# Keeps these random numbers apart from those of the items, (seed, epoch, index), and of the order (ranks.py).
+_WORKERS = 2
 
 
 @runtime_checkable
@@ -450,100 +367,6 @@ def _pinned(device: torch.device | str | None) -> tuple[bool, str]:
     if device is not None and torch.device(device).type != "cuda":
         return False, f"no (batches go to {device})"
     return True, "yes (CUDA copies from it while the network runs: batch.to(device, non_blocking=True))"
-
-
-# --- how many workers ---------------------------------------------------------------------------------------------
-
-
-def chosen_workers(
-    batch_bytes: int, prefetch: int, start_method: StartMethod, rank: Rank, *, held_bytes: int = 0
-) -> tuple[int, str]:
-    """Return a number of workers and the reasons: CPUs, memory and shared memory, shared by the ranks of this machine.
-
-    Parameters
-    ----------
-    batch_bytes
-        Size of a batch; 0 if it is not known.
-    prefetch
-        Batches that each worker reads ahead.
-    start_method
-        Workers that share pages of libraries need less memory.
-    rank
-        For the number of ranks, if the environment does not state how many of them run here.
-    held_bytes
-        What the dataset holds in each worker beside its batches.
-    """
-    here = _ranks_here(rank)
-    cpus = usable_cpus()
-    count = max(1, cpus // here - 1)
-    reasons = [
-        f"{cpus} CPUs usable" + (f" by {here} ranks, one of each" if here > 1 else ", one") + " left to training"
-    ]
-    if count > _MOST_WORKERS:
-        count = _MOST_WORKERS
-        reasons.append(f"more than {_MOST_WORKERS} bring little")
-    ahead = prefetch * batch_bytes
-    for what, free, share, each in (
-        ("memory", available_memory_bytes(), _MEMORY_SHARE, _WORKER_BYTES[start_method] + held_bytes + ahead),
-        ("shared memory (/dev/shm)", shared_memory_bytes(), 1.0, ahead),
-    ):
-        if free is None:
-            reasons.append(f"{what} not known")
-            continue
-        most = int(share * free / here // each) if each else count
-        reasons.append(f"{what} for {most}" if most < 1000 else f"{what} for any number")
-        count = min(count, most)
-    reasons.append(f"{batch_bytes / 1e6:.1f} MB a batch" if batch_bytes else "size of a batch not known")
-    if held_bytes:
-        reasons.append(f"{held_bytes / 1e6:.1f} MB a worker holds to shuffle")
-    return count, "; ".join(reasons)
-
-
-def usable_cpus() -> int:
-    """Return how many CPUs this process may use: its affinity, and the quota of its control group."""
-    cpus = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    quota, _, period = _first_line(_CGROUP / "cpu.max").partition(" ")
-    if quota.isdecimal() and period.isdecimal() and int(period) > 0:
-        cpus = min(cpus, max(1, int(quota) // int(period)))
-    return cpus
-
-
-def available_memory_bytes() -> int | None:
-    """Return the memory that is free to use, the limit of the control group included; ``None`` if not known."""
-    found: list[int] = []
-    try:
-        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
-    except OSError:
-        lines = []
-    found += [int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:")]
-    limit, used = (_first_line(_CGROUP / f"memory.{name}") for name in ("max", "current"))
-    if limit.isdecimal() and used.isdecimal():
-        found.append(max(0, int(limit) - int(used)))
-    return min(found, default=None)
-
-
-def shared_memory_bytes() -> int | None:
-    """Return the room in ``/dev/shm``, through which workers send batches; ``None`` if there is none."""
-    try:
-        there = os.statvfs("/dev/shm")  # noqa: S108 # the place itself is asked for
-    except (OSError, AttributeError):
-        return None
-    return there.f_bavail * there.f_frsize
-
-
-_CGROUP = Path("/sys/fs/cgroup")
-
-
-def _first_line(path: Path) -> str:
-    try:
-        return path.read_text(encoding="ascii").strip()
-    except OSError:
-        return ""
-
-
-def _ranks_here(rank: Rank) -> int:
-    stated = os.environ.get("LOCAL_WORLD_SIZE", "")  # torchrun's
-    return int(stated) if stated.isdecimal() and int(stated) > 0 else rank.of
 
 
 def _sample_bytes(dataset: Any) -> int:

@@ -19,7 +19,7 @@ from eldata.datasets.base import AMPLIFICATIONS, Sample
 from eldata.datasets.batches import Field, new_arrays, new_batch, threads_here
 from eldata.datasets.clean import CleanFrame
 from eldata.datasets.draws import CleanCrop, SharedEpoch
-from eldata.datasets.loading import Rank, current_rank
+from eldata.datasets.ranks import Rank, current_rank
 from eldata.errors import ArgumentError, check_choice
 from eldata.raw.cfa import CLIP_RANGES, pack_normalised, packed_shape
 from eldata.raw.levels import FRAME_LEVELS, with_levels

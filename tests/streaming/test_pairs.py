@@ -16,7 +16,8 @@ from torch.utils.data import DataLoader, get_worker_info
 
 from eldata.datasets import PackedStore, loading
 from eldata.datasets.base import Sample
-from eldata.datasets.loading import Rank, describe, evaluation_loader, set_epoch, training_loader
+from eldata.datasets.loading import describe, evaluation_loader, set_epoch, training_loader
+from eldata.datasets.ranks import Rank
 from eldata.errors import ArgumentError, DatasetError
 from eldata.streaming import StreamedPairs, write_shards
 from tests.streaming.helpers import identities, identity, unbatched

@@ -15,7 +15,8 @@ import fsspec  # type: ignore[import-untyped] # it has none
 import numpy as np
 import pytest
 
-from eldata.datasets.loading import Rank, evaluation_loader
+from eldata.datasets.loading import evaluation_loader
+from eldata.datasets.ranks import Rank
 from eldata.errors import ArgumentError
 from eldata.streaming import ShardError, StreamedPairs, remote, verify_shards
 from eldata.streaming.layout import INDEX, Shard, ShardIndex, index_text, parse_index

@@ -163,6 +163,7 @@ if TYPE_CHECKING:
 
 ALLOWED = {
     "eldata.errors": ("nothing",),
+    "eldata.base": ("eldata.errors",),
     "eldata.files": ("eldata.errors",),
     "eldata.parallel": ("eldata.errors", "eldata.clusters"),
     "eldata.clusters": ("eldata.errors",),

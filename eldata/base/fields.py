@@ -26,7 +26,7 @@ from dataclasses import dataclass, fields
 from fractions import Fraction
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from eldata.errors import ArgumentError, EldataError, FileError
 
@@ -75,14 +75,14 @@ def _fraction(text: str, digits: int) -> Fraction | None:
     found = _fraction_form(digits).fullmatch(text)
     if found is None:
         return None
-    whole, tenths, divisor = found["whole"] or "", found["tenths"] or "", int(found["divisor"] or 1)
+    whole, tenths, divisor = found["whole"], found["tenths"] or "", int(found["divisor"] or 1)
     return Fraction(int(whole + tenths), 10 ** len(tenths) * divisor) if divisor else None
 
 
 @cache
 def _fraction_form(digits: int) -> re.Pattern[str]:
     some = f"[0-9]{{1,{digits}}}"
-    return re.compile(rf"(?=[0-9.])(?P<whole>{some})?(?:\.(?P<tenths>{some}))?(?:/(?P<divisor>{some}))?")
+    return re.compile(rf"(?P<whole>{some})(?:\.(?P<tenths>{some}))?(?:/(?P<divisor>{some}))?")
 
 
 def whole_of(text: object, *, at_least: int = 0, at_most: int = LARGEST_WHOLE) -> int:
@@ -142,6 +142,15 @@ def _expected(expected: str, found: object) -> ArgumentError:
 
 # --- what messages show -------------------------------------------------------------------------------------------
 
+
+class _Missing:
+    """Stands for a field that is not there."""
+
+    def __repr__(self) -> str:
+        return "nothing"
+
+
+_MISSING: Final = _Missing()
 _REPR: Final = reprlib.Repr()
 _REPR.maxlevel, _REPR.maxlist, _REPR.maxdict, _REPR.maxstring = 2, 6, 4, _LONGEST_SHOWN
 
@@ -200,8 +209,8 @@ class TextFile:
             return self.error(self.name, f"{place}: {reason}" if place else reason)
         return self.error(f"{self.name}, {place}: {reason}" if place else f"{self.name}: {reason}")
 
-    def text(self) -> str:
-        """Return the file's text, without a byte order mark.
+    def text(self, kind: str = "text") -> str:
+        """Return the file's text, without a byte order mark; ``kind`` is what it should be, for messages.
 
         Raises
         ------
@@ -214,7 +223,7 @@ class TextFile:
         try:
             return content.decode("utf-8-sig")
         except UnicodeDecodeError as error:
-            raise self.problem(f"is not text in UTF-8 (byte {error.start})") from error
+            raise self.problem(f"is not {kind}: its byte {error.start} is not UTF-8") from error
 
     def _read(self) -> bytes:
         try:
@@ -238,15 +247,24 @@ class TextFile:
             The file's, as :meth:`text` raises it; or if it is not whole JSON, uses names twice or constants that JSON
             does not have, is nested too deeply, or is not an object.
         """
-        text = self.text()
+        text = self.text("JSON")
+        constants: list[str] = []
+
+        def constant(name: str) -> float:
+            constants.append(name)
+            return float(name)
+
         try:
-            data = _JSON.decode(text)
+            data = json.loads(text, object_pairs_hook=_once, parse_int=_short_whole, parse_constant=constant)
         except json.JSONDecodeError as error:
             raise self.problem(f"is not JSON, or not whole ({error.msg} in line {error.lineno})") from error
         except RecursionError:
             raise self.problem("is not JSON that can be read: it is nested too deeply") from None
         except _JsonError as error:
             raise self.problem(f"is not JSON that can be read: {error}") from error
+        if constants:
+            reason = f"expected a finite number, found {constants[0]}, which JSON does not have"
+            raise self.problem(reason, _place_of_constant(data))
         return self.fields(data)
 
     def toml(self) -> Fields:
@@ -257,7 +275,7 @@ class TextFile:
         EldataError
             The file's, as :meth:`text` raises it; or if it is not TOML, or is nested too deeply.
         """
-        text = self.text()
+        text = self.text("TOML")
         try:
             data = tomllib.loads(text)
         except RecursionError:
@@ -280,7 +298,7 @@ class TextFile:
         EldataError
             The file's, as :meth:`text` raises it; or if it is not CSV, has other columns, or a row more or fewer.
         """
-        reader = csv.reader(io.StringIO(self.text(), newline=""), strict=True)
+        reader = csv.reader(io.StringIO(self.text("CSV"), newline=""), strict=True)
         try:
             header = next(reader, [])
             if header != list(columns):
@@ -313,11 +331,18 @@ def _short_whole(text: str) -> int:
     return int(text)
 
 
-def _no_constant(name: str) -> NoReturn:
-    raise _JsonError(f"found {name}, which JSON does not have")
-
-
-_JSON: Final = json.JSONDecoder(object_pairs_hook=_once, parse_int=_short_whole, parse_constant=_no_constant)
+def _place_of_constant(data: Any) -> str:
+    """Return a field that is not a finite number, as messages call it."""
+    waiting: list[tuple[str, Any]] = [("", data)]
+    while waiting:
+        name, value = waiting.pop()
+        if isinstance(value, float) and not math.isfinite(value):
+            return f"field {name}" if name else ""
+        if isinstance(value, dict):
+            waiting += [(f"{name}.{_named(key)}" if name else _named(key), inner) for key, inner in value.items()]
+        elif isinstance(value, list):
+            waiting += [(f"{name}[{index}]", inner) for index, inner in enumerate(value)]
+    return ""
 
 
 # --- fields -------------------------------------------------------------------------------------------------------
@@ -375,7 +400,7 @@ class Fields:
 
     def schema(self, number: int, program: str = "eldata") -> None:
         """Refuse a file of another schema number."""
-        found = self.value("schema")
+        found = self.data.get("schema", _MISSING)
         if type(found) is not int or found != number:
             raise self.wrong("schema", f"{number} (a newer file needs a newer {program})", found)
 
@@ -383,7 +408,7 @@ class Fields:
 
     def inside(self, name: str) -> Fields:
         """Return an object."""
-        found = self.value(name)
+        found = self.data.get(name, _MISSING)
         if not isinstance(found, dict):
             raise self.wrong(name, "an object", found)
         return Fields(self.file, found, self._full(name))
@@ -397,6 +422,7 @@ class Fields:
         count: int | None = None,
         at_least: int = 0,
         once: bool = False,
+        missing_ok: bool = False,
         **options: Any,
     ) -> tuple[Value, ...]:
         """Return ``read(fields, element, **options)`` of each element of a list; ``read`` is a method of this class.
@@ -411,8 +437,10 @@ class Fields:
             How many elements it has; how many it has at least.
         once
             Whether each value may stand in it only once.
+        missing_ok
+            Whether a list that is not there is an empty one.
         """
-        found = self.value(name)
+        found = self.data.get(name, [] if missing_ok else _MISSING)
         if not isinstance(found, list) or len(found) < at_least or (count is not None and len(found) != count):
             raise self.wrong(name, expected, found)
         inner = Fields(self.file, {f"{name}[{index}]": item for index, item in enumerate(found)}, self.place)
@@ -421,19 +449,19 @@ class Fields:
             raise self.wrong(name, "each value once", found)
         return values
 
-    def objects(self, name: str, *, at_least: int = 0, expected: str = "a list of objects") -> tuple[Fields, ...]:
-        """Return a list of objects."""
-        return self.each(name, Fields.inside, at_least=at_least, expected=expected)
+    def objects(self, name: str, **options: Any) -> tuple[Fields, ...]:
+        """Return a list of objects; options as in :meth:`each`."""
+        return self.each(name, Fields.inside, **{"expected": "a list of objects"} | options)
 
-    def texts(self, name: str, *, empty: bool = False) -> tuple[str, ...]:
-        """Return a list of texts."""
-        return self.each(name, Fields.text, expected="a list of texts", empty=empty)
+    def texts(self, name: str, **options: Any) -> tuple[str, ...]:
+        """Return a list of texts; options as in :meth:`each` and :meth:`text`."""
+        return self.each(name, Fields.text, **{"expected": "a list of texts"} | options)
 
     # --- values -------------------------------------------------------------------------------------------------------
 
     def text(self, name: str, *, empty: bool = False, longest: int | None = None) -> str:
         """Return a text; one that is blank only if ``empty``."""
-        found = self.value(name)
+        found = self.data.get(name, _MISSING)
         if not isinstance(found, str) or not (empty or found.strip()):
             raise self.wrong(name, "a text", found)
         if longest is not None and len(found) > longest:
@@ -444,7 +472,7 @@ class Fields:
 
     def choice(self, name: str, known: Collection[Value]) -> Value:
         """Return a value that is one of those known."""
-        found = self.value(name)
+        found = self.data.get(name, _MISSING)
         for value in known:
             if found == value and type(found) is type(value):
                 return value
@@ -453,14 +481,14 @@ class Fields:
 
     def flag(self, name: str) -> bool:
         """Return true or false."""
-        found = self.value(name)
+        found = self.data.get(name, _MISSING)
         if not isinstance(found, bool):
             raise self.wrong(name, "true or false", found)
         return found
 
     def whole(self, name: str, *, at_least: int = 0, at_most: int = LARGEST_WHOLE) -> int:
         """Return a whole number."""
-        found = self.value(name)
+        found = self.data.get(name, _MISSING)
         if type(found) is not int or not at_least <= found <= at_most:
             raise self.wrong(name, _ranged("a whole number", at_least=at_least, at_most=at_most), found)
         return found
@@ -469,7 +497,7 @@ class Fields:
         self, name: str, *, at_least: float | None = None, above: float | None = None, at_most: float | None = None
     ) -> float:
         """Return a finite number."""
-        found = self.value(name)
+        found = self.data.get(name, _MISSING)
         if (
             type(found) not in (int, float)
             or not -_LARGEST_FLOAT <= found <= _LARGEST_FLOAT
@@ -485,7 +513,7 @@ class Fields:
     def parsed(self, name: str, parse: Callable[..., Value], **options: Any) -> Value:
         """Return ``parse(value, **options)``, whose :class:`~eldata.errors.ArgumentError` says what is wrong."""
         try:
-            return parse(self.value(name), **options)
+            return parse(self.data.get(name, _MISSING), **options)
         except ArgumentError as error:
             raise self.problem(name, str(error)) from None
 

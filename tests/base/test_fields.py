@@ -32,7 +32,27 @@ if TYPE_CHECKING:
 
 # The parsers of the standard library would compute on these for minutes, or refuse them with errors of their own.
 ENDLESS = ("1e16000000", "1e-16000000", "9" * 10_000, "1/" + "9" * 10_000, "0." + "1" * 10_000, "1" * 5000 + "/3")
-NO_NUMBERS = ("", " ", "a", "1/0", "1e3", "-1", "+1", "1_000", "1 2", " 1", "1\n", "/3", "1/", ".", "inf", "nan", "٣")
+NO_NUMBERS = (
+    "",
+    " ",
+    "a",
+    "1/0",
+    "1e3",
+    "-1",
+    "+1",
+    "1_000",
+    "1 2",
+    " 1",
+    "1\n",
+    "/3",
+    "1/",
+    ".",
+    ".5",
+    "5.",
+    "inf",
+    "nan",
+    "٣",
+)
 
 
 def fields(data: Any) -> Fields:
@@ -63,7 +83,7 @@ def test_numbers_in_text_are_bounded_before_they_are_parsed() -> None:
 
 
 def test_numbers_in_text_are_exact() -> None:
-    values = {"800": Fraction(800), "0.005": Fraction(1, 200), "1/30": Fraction(1, 30), ".5": Fraction(1, 2)}
+    values = {"800": Fraction(800), "0.005": Fraction(1, 200), "1/30": Fraction(1, 30), "9.50/19": Fraction(1, 2)}
     assert {text: fraction_of(text) for text in values} == values
     assert fraction_of("0.5/3") == Fraction(1, 6)
     assert fraction_of("9" * 18) == 10**18 - 1
@@ -114,12 +134,10 @@ def test_any_text_is_a_number_or_our_error(text: str) -> None:
 def test_problems_of_the_whole_file_name_it_and_say_what_to_do(tmp_path: Path) -> None:
     path = tmp_path / "a.json"
     for content, reason in (
-        (b'{"a": "\xff"}', "is not text in UTF-8 (byte 7)"),
+        (b'{"a": "\xff"}', "is not JSON: its byte 7 is not UTF-8"),
         (b'{"a": 1,\n "b', "is not JSON, or not whole (Unterminated string starting at in line 2)"),
         (b"", "is not JSON, or not whole (Expecting value in line 1)"),
         (b'{"a": 1, "b": {"c": 1, "c": 2}}', "is not JSON that can be read: an object has the field c twice"),
-        (b'{"a": NaN}', "is not JSON that can be read: found NaN, which JSON does not have"),
-        (b'{"a": -Infinity}', "is not JSON that can be read: found -Infinity, which JSON does not have"),
         (b'{"a": %s}' % (b"9" * 5000), "is not JSON that can be read: a whole number has 5000 digits; at most 40 are"),
         (b'{"a": ' + b"[" * 100_000, "is not JSON that can be read: it is nested too deeply"),
         (b"[1, 2]", "expected an object, found [1, 2]"),
@@ -130,6 +148,18 @@ def test_problems_of_the_whole_file_name_it_and_say_what_to_do(tmp_path: Path) -
             TextFile(path, ProfileError, "export it again").json()
         assert str(caught.value).startswith(f"{path}: {reason}")
         assert str(caught.value).endswith("; export it again")
+    for content, message in (
+        (
+            b'{"a": {"b": [1, NaN]}}',
+            f"{path}, field a.b[1]: expected a finite number, found NaN, which JSON does not have",
+        ),
+        (b'{"a": 1.0, "b": -Infinity}', f"{path}, field b: expected a finite number, found -Infinity, which JSON doe"),
+        (b"NaN", f"{path}: expected a finite number, found NaN"),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(ProfileError) as caught:
+            TextFile(path, ProfileError).json()
+        assert str(caught.value).startswith(message)
     with pytest.raises(FileError) as told:
         TextFile(tmp_path / "b.json", FileError, "look again").json()
     assert (told.value.path, told.value.reason) == (
@@ -238,7 +268,7 @@ def test_every_error_names_the_field_what_was_expected_and_found() -> None:
     cases: list[tuple[Callable[[], object], str]] = [
         (lambda: top.text("text"), "field text: expected a text, found ' '"),
         (lambda: top.text("none"), "field none: expected a text, found null"),
-        (lambda: top.text("absent"), "field absent: is missing"),
+        (lambda: top.text("absent"), "field absent: expected a text, found nothing"),
         (lambda: top.text("half"), "field half: expected a text of whole Unicode characters, found '\\ud800'"),
         (lambda: top.text("long", longest=99), "field long: expected a text of at most 99 characters, found 'xxx"),
         (lambda: top.texts("list"), "field list[1]: expected a text, found 5"),
@@ -252,6 +282,10 @@ def test_every_error_names_the_field_what_was_expected_and_found() -> None:
         (lambda: top.number("infinite"), "field infinite: expected a finite number, found inf"),
         (lambda: top.number("huge"), "field huge: expected a finite number, found 1000"),
         (lambda: top.number("decimal", above=1), "field decimal: expected a finite number above 1, found 1.0"),
+        (lambda: top.value("absent"), "field absent: is missing"),
+        (lambda: top.number("absent"), "field absent: expected a finite number, found nothing"),
+        (lambda: top.fraction("absent"), "field absent: expected a number as text, such as 800, 0.005 or 1/30, fo"),
+        (lambda: top.texts("absent"), "field absent: expected a list of texts, found nothing"),
         (lambda: top.fraction("exact"), "field exact: expected a number as text, such as 800, 0.005 or 1/30, found"),
         (lambda: top.choice("number", ("a", "b")), "field number: expected one of 'a', 'b', found '1'"),
         (lambda: top.choice("flag", (True, False)), "field flag: expected one of true, false, found 1"),
@@ -260,7 +294,7 @@ def test_every_error_names_the_field_what_was_expected_and_found() -> None:
         (lambda: top.each("list", Fields.text, count=4, expected="four texts"), "field list: expected four texts, fo"),
         (lambda: top.each("rows", Fields.inside)[0].whole("iso", at_least=1), "field rows[1]: expected an object"),
         (lambda: rows[0][0].inside("rows[0]").whole("iso", at_least=1), "field rows[0].iso: expected a whole number"),
-        (lambda: top.schema(1), "field schema: is missing"),
+        (lambda: top.schema(1), "field schema: expected 1 (a newer file needs a newer eldata), found nothing"),
         (lambda: fields({"schema": True}).schema(1), "field schema: expected 1 (a newer file needs a newer eldata)"),
     ]
     for read, message in cases:
@@ -279,6 +313,7 @@ def test_values_come_as_they_are() -> None:
     assert top.texts("c", empty=True) == ("x", "")
     assert (top.optional("d", top.whole), top.optional("z", top.whole), top.optional("a", top.whole)) == (None, None, 1)
     assert top.flag("e") is True
+    assert top.texts("z", missing_ok=True) == ()
     assert top.inside("f").each("g", Fields.number, at_least=1) == (1.0, 2.5)
     assert top.choice("h", ("x", "y")) == "y"
     assert top.text("i", empty=True) == ""

@@ -138,7 +138,6 @@ def test_problems_of_the_whole_file_name_it_and_say_what_to_do(tmp_path: Path) -
         (b'{"a": 1,\n "b', "is not JSON, or not whole (Unterminated string starting at in line 2)"),
         (b"", "is not JSON, or not whole (Expecting value in line 1)"),
         (b'{"a": 1, "b": {"c": 1, "c": 2}}', "is not JSON that can be read: an object has the field c twice"),
-        (b'{"a": %s}' % (b"9" * 5000), "is not JSON that can be read: a whole number has 5000 digits; at most 40 are"),
         (b'{"a": ' + b"[" * 100_000, "is not JSON that can be read: it is nested too deeply"),
         (b"[1, 2]", "expected an object, found [1, 2]"),
         (b"null", "expected an object, found null"),
@@ -301,7 +300,7 @@ def test_every_error_names_the_field_what_was_expected_and_found() -> None:
         with pytest.raises(ManifestError) as caught:
             read()
         assert str(caught.value).startswith(f"a.json, {message}")
-    with pytest.raises(ManifestError, match=r"field a: expected each value once, found \[1, 2, 1\]"):
+    with pytest.raises(ManifestError, match=r"field a\[2\]: expected each value once, found 1"):
         fields({"a": [1, 2, 1]}).each("a", Fields.whole, once=True)
 
 
@@ -317,6 +316,14 @@ def test_values_come_as_they_are() -> None:
     assert top.inside("f").each("g", Fields.number, at_least=1) == (1.0, 2.5)
     assert top.choice("h", ("x", "y")) == "y"
     assert top.text("i", empty=True) == ""
+
+
+def test_long_whole_numbers_are_numbers_at_most() -> None:
+    top = parsed(f'{{"long": {"1" * 41}, "longer": {"1" * 5000}}}')
+    assert top.number("long") == float("1" * 41)
+    for name, read in (("long", top.whole), ("longer", top.whole), ("longer", top.number)):
+        with pytest.raises(ManifestError, match=f"field {name}: expected a .*number.*, found "):
+            read(name)
 
 
 def test_unknown_fields_are_refused_with_the_nearest_name() -> None:

@@ -248,10 +248,10 @@ def test_subsets_round_trip_through_the_card(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ('"pairs": 45', '"pairs": "45"', r"subsets\[2\].pairs: expected int"),
+        ('"pairs": 45', '"pairs": "45"', r"subsets\[2\].pairs: expected a whole number of 0 or more, found '45'"),
         ('"name": "all"', '"name": "indoor-15"', r"subsets\[3\].name: 'indoor-15' names two subsets"),
         ('"splits"', '"split"', r"subsets\[0\].split: is unknown"),
-        ('"pairs": 129,', "", r"subsets\[0\].pairs: is missing"),
+        ('"pairs": 129,', "", r"subsets\[0\].pairs: expected a whole number of 0 or more, found nothing"),
     ],
 )
 def test_malformed_subsets_are_named(old: str, new: str, said: str, tmp_path: Path) -> None:

@@ -14,10 +14,12 @@ import traceback
 from contextlib import nullcontext, suppress
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from eldata.errors import EldataError
+from eldata.base.fields import whole_of
+from eldata.errors import ArgumentError, EldataError
 from eldata.files import write_text
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from concurrent.futures import Executor
     from contextlib import AbstractContextManager
 
@@ -68,7 +70,7 @@ def add_jobs(parser: argparse._ActionsContainer) -> None:
     cpus = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     parser.add_argument(
         "--jobs",
-        type=_positive,
+        type=whole_number(1),
         default=_Default(cpus),
         metavar="J",
         help="work on so many files at a time (default: one per CPU, here %(default)s)",
@@ -101,10 +103,16 @@ def chosen_executor(arguments: argparse.Namespace) -> AbstractContextManager[Exe
     return dask_executor(arguments.dask)
 
 
-def _positive(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"expected a whole number of 1 or more, found {text!r}")
-    return int(text)
+def whole_number(at_least: int) -> Callable[[str], int]:
+    """Return the type of an option that takes a whole number, for argparse."""
+
+    def read(text: str) -> int:
+        try:
+            return whole_of(text, at_least=at_least)
+        except ArgumentError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+
+    return read
 
 
 def write_json(path: str, data: Any) -> None:

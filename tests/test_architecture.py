@@ -166,21 +166,21 @@ ALLOWED = {
     "eldata.base": ("eldata.errors",),
     "eldata.files": ("eldata.errors",),
     "eldata.parallel": ("eldata.errors", "eldata.clusters"),
-    "eldata.clusters": ("eldata.errors",),
+    "eldata.clusters": ("eldata.errors", "eldata.base"),
     "eldata.records": ("eldata.errors", "eldata.raw.colour"),
     "eldata._compiled": ("nothing",),
     "eldata.raw": ("eldata.records", "eldata.errors", "eldata.files", "eldata._compiled"),
     # Protocols by name, for the modules of training loops.
     "eldata.metrics": ("eldata.errors", "eldata._compiled", "eldata.tensors", "eldata.protocols"),
-    "eldata.protocols": ("eldata.errors", "eldata.metrics"),
-    "eldata.isp": ("eldata.raw", "eldata.records", "eldata.errors", "eldata.files"),
+    "eldata.protocols": ("eldata.errors", "eldata.base", "eldata.metrics"),
+    "eldata.isp": ("eldata.raw", "eldata.records", "eldata.errors", "eldata.base", "eldata.files"),
     "eldata.store": (
         *("eldata.manifest", "eldata.raw", "eldata.records", "eldata.errors", "eldata.files", "eldata.parallel"),
-        "eldata.images",
+        *("eldata.images", "eldata.base"),
     ),
-    "eldata.download": ("eldata.manifest", "eldata.records", "eldata.errors", "eldata.files"),
+    "eldata.download": ("eldata.manifest", "eldata.records", "eldata.errors", "eldata.base", "eldata.files"),
     "capture": (
-        *("eldata.records", "eldata.manifest", "eldata.raw", "eldata.errors", "eldata.files"),
+        *("eldata.records", "eldata.manifest", "eldata.raw", "eldata.errors", "eldata.base", "eldata.files"),
         # What the two command lines share, as light as errors; files are read by several processes.
         *("eldata.console", "eldata.tables", "eldata.parallel"),
     ),

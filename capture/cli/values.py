@@ -7,6 +7,7 @@ import re
 from typing import TYPE_CHECKING
 
 from capture.exact import parse_seconds
+from eldata.base.fields import shown
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ _WHOLE = re.compile(r"-?[0-9]{1,9}")
 def whole(text: str) -> int:
     """Return a whole number."""
     if _WHOLE.fullmatch(text) is None:
-        raise argparse.ArgumentTypeError(f"expected a whole number of at most nine digits, found {text!r}")
+        raise argparse.ArgumentTypeError(f"expected a whole number of at most nine digits, found {shown(text)}")
     return int(text)
 
 

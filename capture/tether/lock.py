@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from capture.tether.errors import TetherError
+from eldata.base.fields import TextFile
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 NAME: Final = ".session.lock"
 WAIT_S: Final = 3.0
 _STEP_S: Final = 0.05
+_LARGEST_PROCESS: Final = 2**31 - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,9 +75,9 @@ def _taken(descriptor: int) -> bool:
 
 def _holder(descriptor: int) -> str:
     try:
-        said = json.loads(os.pread(descriptor, 64, 0))
-        session, gphoto2 = int(said["session"]), int(said["gphoto2"])
-    except (ValueError, KeyError, TypeError):
+        said = TextFile(NAME, TetherError, content=os.pread(descriptor, 64, 0)).json()
+        session, gphoto2 = said.whole("session", at_most=_LARGEST_PROCESS), said.whole("gphoto2")
+    except TetherError:
         return "another session is at work in this folder; end it first"
     if _alive(session):
         return f"another session is at work in this folder (process {session}); end it first, or take another folder"

@@ -427,7 +427,7 @@ class Fields:
         *,
         expected: str = "a list",
         count: int | None = None,
-        at_least: int = 0,
+        fewest: int = 0,
         once: bool = False,
         missing_ok: bool = False,
         **options: Any,
@@ -440,7 +440,7 @@ class Fields:
             The list's name; such as ``Fields.text``.
         expected
             What the list should be, in words.
-        count, at_least
+        count, fewest
             How many elements it has; how many it has at least.
         once
             Whether each value may stand in it only once.
@@ -448,7 +448,7 @@ class Fields:
             Whether a list that is not there is an empty one.
         """
         found = self.data.get(name, [] if missing_ok else _MISSING)
-        if not isinstance(found, list) or len(found) < at_least or (count is not None and len(found) != count):
+        if not isinstance(found, list) or len(found) < fewest or (count is not None and len(found) != count):
             raise self.wrong(name, expected, found)
         inner = Fields(self.file, {f"{name}[{index}]": item for index, item in enumerate(found)}, self.place)
         values = tuple(read(inner, element, **options) for element in inner.data)
@@ -531,7 +531,7 @@ class Fields:
 def _did_you_mean(name: str, known: Collection[str]) -> str:
     from difflib import get_close_matches
 
-    near = get_close_matches(name[:_LONGEST_SHOWN], known, n=1)
+    near = get_close_matches(name[:_LONGEST_SHOWN], known, n=1, cutoff=0.75)
     return f" (did you mean {near[0]}?)" if near else ""
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
+from typing import TYPE_CHECKING
 
-from eldata.console import OK, PROBLEMS, add_debug, add_json, write_json
+from eldata.console import OK, PROBLEMS, add_debug, add_json, whole_number, write_json
+
+if TYPE_CHECKING:
+    import argparse
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -31,7 +34,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     show.add_argument(
         "--model", default="P*+G*+B+R+U", metavar="SPEC", help="components of the noise (default: %(default)s)"
     )
-    show.add_argument("--seed", type=_seed, default=0, metavar="S", help="seed of everything (default: %(default)s)")
+    show.add_argument(
+        "--seed", type=whole_number(0), default=0, metavar="S", help="seed of everything (default: %(default)s)"
+    )
     show.add_argument("--html", metavar="FILE", help="write a page with plots to FILE")
     add_json(show)
     add_debug(show)
@@ -40,12 +45,6 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     add_json(listing)
     add_debug(listing)
     listing.set_defaults(run=run_list, command="profile list")
-
-
-def _seed(text: str) -> int:
-    if not (text.isascii() and text.isdecimal()):
-        raise argparse.ArgumentTypeError(f"expected a whole number of 0 or more, found {text!r}")
-    return int(text)
 
 
 def run_show(arguments: argparse.Namespace) -> int:

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from typing import IO, TYPE_CHECKING
 
+from eldata.base.fields import TextFile
 from eldata.download.errors import DownloadError
 from eldata.download.sizes import size_text
 from eldata.files import write_text
@@ -57,9 +58,9 @@ class Partial:
     def version(self) -> Version | None:
         """Return which file the bytes belong to, ``None`` if that is not known."""
         try:
-            data = json.loads(self._note.read_text(encoding="utf-8"))
-            return Version(str(data["address"]), int(data["total_bytes"]), str(data["mark"]))
-        except (OSError, ValueError, LookupError, TypeError):
+            note = TextFile(self._note, DownloadError).json()
+            return Version(note.text("address"), note.whole("total_bytes"), note.text("mark", empty=True))
+        except DownloadError:
             return None
 
     def note(self, version: Version) -> None:

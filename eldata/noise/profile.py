@@ -230,7 +230,7 @@ def _read(path: Path) -> CameraProfile:
         tukey_lambda_fit=_fit(top.inside("tukey_lambda_fit")),
         gauss_fit=_fit(top.inside("gauss_fit")),
         row_fit=_fit(top.inside("row_fit")),
-        rows=tuple(map(_row, top.objects("rows", at_least=1, expected="a list of at least one row"))),
+        rows=tuple(map(_row, top.objects("rows", fewest=1, expected="a list of at least one row"))),
         iso_range=top.optional("iso_range", partial(_range, top)),
         black_level_dn=top.optional("black_level_dn", top.number),
         white_level_dn=top.optional("white_level_dn", top.number),

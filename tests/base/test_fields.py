@@ -313,7 +313,7 @@ def test_values_come_as_they_are() -> None:
     assert (top.optional("d", top.whole), top.optional("z", top.whole), top.optional("a", top.whole)) == (None, None, 1)
     assert top.flag("e") is True
     assert top.texts("z", missing_ok=True) == ()
-    assert top.inside("f").each("g", Fields.number, at_least=1) == (1.0, 2.5)
+    assert top.inside("f").each("g", Fields.number, fewest=1, at_least=1) == (1.0, 2.5)
     assert top.choice("h", ("x", "y")) == "y"
     assert top.text("i", empty=True) == ""
 

@@ -21,8 +21,8 @@ from capture.errors import PlanError
 from capture.fields import Fields
 from capture.protocol import CaptureProtocol
 from capture.shots import Shot, check_isos, scene_shots
+from eldata.base.files import write_text
 from eldata.errors import EldataError
-from eldata.files import write_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -163,33 +163,40 @@ if TYPE_CHECKING:
 
 ALLOWED = {
     "eldata.errors": ("nothing",),
-    "eldata.files": ("eldata.errors",),
-    "eldata.parallel": ("eldata.errors", "eldata.clusters"),
-    "eldata.clusters": ("eldata.errors",),
+    "eldata.base.files": ("eldata.errors",),
+    "eldata.base.workers": ("eldata.errors", "eldata.base.clusters"),
+    "eldata.base.clusters": ("eldata.errors",),
     "eldata.records": ("eldata.errors", "eldata.raw.colour"),
-    "eldata._compiled": ("nothing",),
-    "eldata.raw": ("eldata.records", "eldata.errors", "eldata.files", "eldata._compiled"),
+    "eldata.base.compiled": ("nothing",),
+    "eldata.raw": ("eldata.records", "eldata.errors", "eldata.base.files", "eldata.base.compiled"),
     # Protocols by name, for the modules of training loops.
-    "eldata.metrics": ("eldata.errors", "eldata._compiled", "eldata.tensors", "eldata.protocols"),
+    "eldata.metrics": ("eldata.errors", "eldata.base.compiled", "eldata.base.tensors", "eldata.protocols"),
     "eldata.protocols": ("eldata.errors", "eldata.metrics"),
-    "eldata.isp": ("eldata.raw", "eldata.records", "eldata.errors", "eldata.files"),
-    "eldata.store": (
-        *("eldata.manifest", "eldata.raw", "eldata.records", "eldata.errors", "eldata.files", "eldata.parallel"),
-        "eldata.images",
+    "eldata.isp": ("eldata.raw", "eldata.records", "eldata.errors", "eldata.base.files"),
+    "eldata.sources.store": (
+        *(
+            "eldata.manifest",
+            "eldata.raw",
+            "eldata.records",
+            "eldata.errors",
+            "eldata.base.files",
+            "eldata.base.workers",
+        ),
+        "eldata.base.png",
     ),
-    "eldata.download": ("eldata.manifest", "eldata.records", "eldata.errors", "eldata.files"),
+    "eldata.download": ("eldata.manifest", "eldata.records", "eldata.errors", "eldata.base.files"),
     "capture": (
-        *("eldata.records", "eldata.manifest", "eldata.raw", "eldata.errors", "eldata.files"),
+        *("eldata.records", "eldata.manifest", "eldata.raw", "eldata.errors", "eldata.base.files"),
         # What the two command lines share, as light as errors; files are read by several processes.
-        *("eldata.console", "eldata.tables", "eldata.parallel"),
+        *("eldata.base.console", "eldata.base.tables", "eldata.base.workers"),
     ),
 }
 REFUSED = {
     "eldata": ("capture",),
     "eldata.metrics": ("eldata.raw", "eldata.manifest", "eldata.datasets", "eldata.evaluation"),
     "eldata.manifest": ("eldata.datasets", "eldata.evaluation", "eldata.cli", "eldata.noise", "eldata.demo"),
-    "eldata.datasets": ("eldata.cli", "eldata.evaluation", "eldata.demo", "eldata.streaming", "eldata.reports"),
-    "eldata.streaming": ("eldata.cli", "eldata.evaluation", "eldata.demo", "eldata.reports"),
+    "eldata.datasets": ("eldata.cli", "eldata.evaluation", "eldata.demo", "eldata.sources.shards", "eldata.reports"),
+    "eldata.sources.shards": ("eldata.cli", "eldata.evaluation", "eldata.demo", "eldata.reports"),
     "eldata.evaluation": ("eldata.cli", "eldata.demo", "eldata.calibration", "eldata.reports"),
     "eldata.calibration": ("eldata.cli", "eldata.evaluation", "eldata.demo", "eldata.reports"),
     "eldata.noise": ("eldata.cli", "eldata.evaluation", "eldata.demo", "eldata.reports", "eldata.calibration"),
@@ -202,7 +209,7 @@ REFUSED = {
 def test_a_room_imports_only(room: str) -> None:
     found = violations(room, allowed=ALLOWED[room])
     # The version alone, which every command prints, every download tells the server and every store states.
-    tells_the_version = room in ("capture", "eldata.download", "eldata.store", "eldata.clusters")
+    tells_the_version = room in ("capture", "eldata.download", "eldata.sources.store", "eldata.base.clusters")
     assert [(importer, name) for importer, name in found if not (tells_the_version and name == "eldata")] == []
 
 

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.console import INTERRUPTED, OK, PROBLEMS, add_debug, add_json, add_root, write_json
+from eldata.base.console import INTERRUPTED, OK, PROBLEMS, add_debug, add_json, add_root, write_json
 
 if TYPE_CHECKING:
     import argparse

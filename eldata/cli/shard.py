@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from eldata.console import INTERRUPTED, OK, add_cameras, add_debug
+from eldata.base.console import INTERRUPTED, OK, add_cameras, add_debug
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -49,7 +49,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
-    from eldata.streaming.writing import write_shards
+    from eldata.sources.shards.writing import write_shards
 
     try:
         report = write_shards(

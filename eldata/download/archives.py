@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Literal, Protocol
 
+from eldata.base.files import path_problem
 from eldata.download.errors import ArchiveError
 from eldata.download.formats import HEAD_BYTES, archive_format, looks_like
-from eldata.files import path_problem
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -19,11 +19,11 @@ from urllib.parse import urljoin, urlsplit
 from tqdm import tqdm
 
 from eldata import __version__
+from eldata.base.files import sha256_of
 from eldata.download.errors import DownloadError
 from eldata.download.formats import HEAD_BYTES, archive_format, looks_like
 from eldata.download.partial import Partial, Version
 from eldata.download.sizes import size_text
-from eldata.files import sha256_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection

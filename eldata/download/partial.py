@@ -9,9 +9,9 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from typing import IO, TYPE_CHECKING
 
+from eldata.base.files import write_text
 from eldata.download.errors import DownloadError
 from eldata.download.sizes import size_text
-from eldata.files import write_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -18,10 +18,10 @@ from typing import IO, TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
+from eldata.base.files import inside
 from eldata.download.errors import ArchiveError, DownloadError
 from eldata.download.sizes import size_text
 from eldata.errors import ManifestError
-from eldata.files import inside
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

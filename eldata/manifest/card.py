@@ -6,8 +6,8 @@ import json
 from dataclasses import MISSING, asdict, dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
+from eldata.base.files import path_problem, write_text
 from eldata.errors import ManifestError
-from eldata.files import path_problem, write_text
 from eldata.manifest.subsets import Subset
 
 if TYPE_CHECKING:

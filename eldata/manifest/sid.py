@@ -22,8 +22,8 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
+from eldata.base.files import write_text
 from eldata.errors import ManifestError
-from eldata.files import write_text
 from eldata.manifest.pairs import UNCERTAIN_ISO
 from eldata.records import FrameRecord
 

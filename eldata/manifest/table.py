@@ -8,8 +8,8 @@ import re
 from fractions import Fraction
 from typing import TYPE_CHECKING, get_args
 
+from eldata.base.files import path_problem, write_text
 from eldata.errors import ManifestError
-from eldata.files import path_problem, write_text
 from eldata.records import FrameRecord, Role
 
 if TYPE_CHECKING:

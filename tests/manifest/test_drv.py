@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from eldata.base.png import decode_png, read_png_header, read_rgb16, rgb_frame
 from eldata.download.places import choose_parts, places_of
 from eldata.errors import ArgumentError, DatasetError, FileError, ManifestError
-from eldata.images import decode_png, read_png_header, read_rgb16, rgb_frame
 from eldata.manifest.card import load_card, save_card
 from eldata.manifest.catalogue import shipped_folder, shipped_manifest
 from eldata.manifest.clips import FRAME_RANGES, Clip, clips_of, frame_range, select_rows, windows

@@ -1,0 +1,1 @@
+"""What is not about photographs: files, workers, console, tables, and how kernels are compiled."""

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Site:
-    """What the server holds under every path, and how it answers: one behaviour a request, the last one for good.
+    """What the server holds under every path, and how it answers: one behaviour per request, the last one for good.
 
     ``over`` is set when the server ends: behaviours that say nothing wait for it.
     """

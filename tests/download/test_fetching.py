@@ -9,10 +9,12 @@ import signal
 import subprocess
 import sys
 import time
+import zipfile
 from typing import TYPE_CHECKING, Any
 
 import pooch
 import pytest
+import requests
 
 from eldata.download.card_downloads import kept_archives
 from eldata.download.fetching import Fetcher, Patience
@@ -94,6 +96,24 @@ def test_a_broken_download_goes_on_within_pooch(site: server.Site, target: Path)
 
 def tree_beside(path: Path) -> dict[str, bytes]:
     return tree(path.parent)
+
+
+def test_what_the_downloader_saves(site: server.Site, target: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """20 MB over connections that break after 6 MB each: why pooch's own downloader does not do, however patient."""
+    monkeypatch.setattr(time, "sleep", lambda _: None)
+    site.content = zipped({"a": noise(20_000_000)}, zipfile.ZIP_STORED)[:20_000_000]
+    site.then(server.breaking_after(6_000_000))
+    alone = pooch.create(
+        target.parent, "", registry={"set.zip": None}, urls={"set.zip": site.address}, retry_if_failed=5
+    )
+    with pytest.raises(requests.RequestException):
+        alone.fetch("set.zip")
+    assert (len(site.requests), site.sent_bytes, tree(target.parent)) == (6, 36_000_000, {})
+    site.requests.clear()
+    site.sent_bytes = 0
+    fetched(site, target)
+    assert len(site.requests) == 4
+    assert site.sent_bytes - 20_000_000 in range(3 * 2**14)  # each break loses less than one piece
 
 
 def test_the_hash_of_what_goes_on_is_that_of_the_whole(site: server.Site, target: Path) -> None:

@@ -90,7 +90,7 @@ def _say(text: str) -> None:
 
 
 def _table(found: Sequence[tuple[str, int, Row]]) -> str:
-    from eldata.tables import text_table
+    from eldata.base.tables import text_table
 
     header = ("benchmark", "case", "cores", "eldata", "against", "which takes", "result", "expected", "values")
     return text_table(header, [_cells(*entry) for entry in found], left=(0, 1, 4, 7, 8))

@@ -17,6 +17,7 @@ import numpy as np
 from benchmarks import calibration_naive as naive
 from benchmarks.data import CALIBRATION_ISOS, SIZE
 from benchmarks.harness import Row, Spread, Timings, in_turn, peak_growth_mb
+from eldata.base.workers import Workers
 from eldata.calibration import (
     BiasStack,
     FlatPairs,
@@ -32,7 +33,6 @@ from eldata.calibration import (
 from eldata.datasets import CalibrationFrames
 from eldata.demo.body import tukey_lambda_quantile
 from eldata.demo.calibration_frames import DEMO_GAMMA, make_calibration_frames
-from eldata.parallel import read_ahead
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -247,7 +247,7 @@ def _end_to_end(root: Path, cores: int) -> list[Row]:
         isos = [isos[0], isos[-1]]
     found: list[Calibration] = []
     begin, start = _resident_mb(), time.perf_counter()
-    peak = peak_growth_mb(lambda: found.append(calibrate(CalibrationFrames(root, isos=isos), jobs=cores)))
+    peak = peak_growth_mb(lambda: found.append(calibrate(CalibrationFrames(root, isos=isos), workers=cores)))
     elapsed = time.perf_counter() - start
     ways: dict[str, list[float]] = {"eldata": [], _ONCE: [], _AS_OFTEN: []}
     for number, iso in enumerate(isos[:: len(isos) // 2]):
@@ -255,7 +255,7 @@ def _end_to_end(root: Path, cores: int) -> list[Row]:
         again = frames.of("bias", iso)[:-1]  # the last one is held out and read once
         decode = partial(_decode, frames, threads=cores)
         turn: dict[str, Callable[[], object]] = {
-            "eldata": partial(calibrate, frames, jobs=cores),
+            "eldata": partial(calibrate, frames, workers=cores),
             _ONCE: partial(decode, frames.records),
             _AS_OFTEN: partial(decode, (*frames.records, *again)),
         }
@@ -292,7 +292,7 @@ def _warm_up() -> None:
 
 
 def _decode(frames: CalibrationFrames, records: Sequence[FrameRecord], threads: int) -> None:
-    for frame in read_ahead(frames.read, records, threads=threads):
+    for frame in Workers(threads).read_ahead(frames.read, records):
         del frame
 
 

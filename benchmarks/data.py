@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from eldata.base.workers import Workers
 from eldata.datasets import ELDDataset
 from eldata.demo.calibration_frames import make_calibration_frames
 from eldata.demo.camera import CAMERAS
 from eldata.demo.tree import make_tree
 from eldata.evaluation import save_prediction
-from eldata.parallel import run_units
 from eldata.raw import read_raw, write_dng
 
 if TYPE_CHECKING:
@@ -86,10 +86,10 @@ def _make_calibration(folder: Path) -> None:
     """
     jobs = len(os.sched_getaffinity(0))
     made = folder / "made"
-    manifest = make_calibration_frames(made, isos=tuple(CALIBRATION_ISOS), size=SIZE, jobs=jobs)
+    manifest = make_calibration_frames(made, isos=tuple(CALIBRATION_ISOS), size=SIZE, workers=Workers(jobs))
     (made / "data" / "calibration" / manifest.records[0].camera).rename(folder / manifest.records[0].camera)
     paths = [folder / record.path for record in manifest.records]
-    for _ in run_units(_write_again, paths, jobs=jobs, label="calibration files"):
+    for _ in Workers(jobs).run(_write_again, paths, label="calibration files"):
         pass
 
 

@@ -16,18 +16,18 @@ from torch.utils.data import DataLoader
 
 from benchmarks.harness import Row, Spread, in_turn
 from benchmarks.store_routes import CROP, Lmdb, Memmap, MemmapInDn, SameValues
+from eldata.base.workers import Workers
 from eldata.datasets import PackedStore, normalise_batch
-from eldata.parallel import read_ahead
 from eldata.raw import read_raw
-from eldata.store import build_store, source_of_dataset
+from eldata.sources.store import build_store, source_of_dataset
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
     from benchmarks.data import Files
     from eldata.records import Role
-    from eldata.store import Source
-    from eldata.store.layout import Compression
+    from eldata.sources.store import Source
+    from eldata.sources.store.layout import Compression
 
 _COUNT, _BATCH = 48, 4
 _RGB_SIZE, _RGB_FRAMES = (918, 1374), 10
@@ -55,10 +55,10 @@ def _packing(files: Files, folder: Path, rounds: int, cores: int) -> list[Row]:
     def pack(compression: Compression) -> None:
         path = folder / f"{compression}.h5"
         path.unlink(missing_ok=True)
-        build_store(source, path, compression=compression, jobs=cores)
+        build_store(source, path, compression=compression, workers=cores)
 
     def decode() -> None:
-        for frame in read_ahead(read_raw, paths, threads=cores):
+        for frame in Workers(cores).read_ahead(read_raw, paths):
             del frame
 
     ways: dict[str, Callable[[], object]] = {

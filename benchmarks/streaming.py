@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from benchmarks.harness import Row, in_turn
+from eldata import StreamedPairs
 from eldata.datasets import PackedStore
 from eldata.datasets.loading import training_loader
 from eldata.datasets.ranks import Rank
 from eldata.raw.cfa import pack_normalised
-from eldata.store import build_store, source_of_dataset
-from eldata.streaming import StreamedPairs, verify_shards, write_shards
-from eldata.streaming.layout import parse_facts
+from eldata.sources.shards import verify_shards, write_shards
+from eldata.sources.shards.layout import parse_facts
+from eldata.sources.store import build_store, source_of_dataset
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from torch.utils.data import DataLoader
 
     from benchmarks.data import Files
-    from eldata.streaming.layout import Side
+    from eldata.sources.shards.layout import Side
 
 _TILE, _BATCH, _BUFFER = 512, 4, 16
 
@@ -36,7 +37,7 @@ def run(files: Files, rounds: int, cores: int) -> list[Row]:
     with tempfile.TemporaryDirectory(prefix="streaming-", dir=files.data.parent) as name:
         folder = Path(name)
         source = source_of_dataset("eld-demo", root=files.data, manifest=files.manifest)
-        build_store(source, folder / "store.h5", jobs=cores)
+        build_store(source, folder / "store.h5", workers=cores)
         rows = _writing(folder, rounds)
         streamed = StreamedPairs(str(folder / "shards"), augment=False, shuffle_buffer=_BUFFER)
         each = len(streamed) // len(PackedStore(folder / "store.h5"))

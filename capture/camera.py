@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 from capture.errors import CameraError
 from capture.exact import ExactNumber, as_exact, parse_seconds
 from eldata.base.fields import Fields, TextFile
+from eldata.base.files import write_text
 from eldata.errors import ArgumentError
-from eldata.files import write_text
 from eldata.raw.extensions import RAW_EXTENSIONS
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import unicodedata
 from typing import TYPE_CHECKING
 
 from capture.checklist_content import BEFORE_BIAS, BEFORE_FLATS, at_each_scene, bias_and_flats, preparation, rows
-from eldata.tables import text_table
+from eldata.base.tables import text_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

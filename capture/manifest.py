@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 from capture.errors import MappingError
 from capture.plan import CALIBRATION
-from eldata.files import sha256_of
+from eldata.base.files import sha256_of
+from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.manifest.card import CameraCard, Card
-from eldata.parallel import run_units
 from eldata.records import FrameRecord
 
 if TYPE_CHECKING:
@@ -132,9 +132,9 @@ def _record(plan: Plan, scene: str, shot: Shot, frame: ObservedFrame, path: str,
     )
 
 
-def with_hashes(dataset: Dataset, *, jobs: int = 1) -> Dataset:
+def with_hashes(dataset: Dataset, workers: Workers = IN_THIS_PROCESS) -> Dataset:
     """Return the dataset with size and SHA-256 of each original filled in: copies are checked against them."""
-    found = run_units(_size_and_hash, [row.source for row in dataset.rows], jobs=jobs, label="hashing")
+    found = workers.run(_size_and_hash, [row.source for row in dataset.rows], label="hashing")
     rows = [
         replace(row, record=replace(row.record, size_bytes=size, sha256=digest))
         for row, (size, digest) in zip(dataset.rows, found, strict=True)

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from capture.errors import MappingError
+from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.errors import RawFileError
 from eldata.manifest.table import number_text
-from eldata.parallel import run_units
 from eldata.raw.extensions import RAW_EXTENSIONS
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ def raw_files(given: Iterable[Path | str], extension: str, outside: Path | None 
     return tuple(found.values())
 
 
-def observe(paths: Sequence[Path], models: Sequence[str], *, jobs: int = 1) -> Observed:
+def observe(paths: Sequence[Path], models: Sequence[str], workers: Workers = IN_THIS_PROCESS) -> Observed:
     """Read what EXIF says of each file, and put the files into the order in which they were taken.
 
     The order is that of DateTimeOriginal with its fraction of a second; frames of the same second that have no fraction
@@ -128,13 +128,13 @@ def observe(paths: Sequence[Path], models: Sequence[str], *, jobs: int = 1) -> O
         Raw files.
     models
         The camera's names in EXIF: files of another camera are unusable.
-    jobs
-        Number of worker processes.
+    workers
+        Who reads the files.
     """
     frames: list[ObservedFrame] = []
     unusable: list[UnusableFile] = []
     known = {model.casefold() for model in models}
-    for found in run_units(_observe, paths, jobs=jobs, label="reading EXIF"):
+    for found in workers.run(_observe, paths, label="reading EXIF"):
         if isinstance(found, UnusableFile):
             unusable.append(found)
         elif found.model.casefold() not in known:

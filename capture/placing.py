@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from capture.errors import MappingError
-from eldata.files import sha256_of
+from eldata.base.files import sha256_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -22,8 +22,8 @@ from capture.exact import parse_seconds
 from capture.protocol import CaptureProtocol
 from capture.shots import Shot, check_isos, scene_shots
 from eldata.base.fields import Fields, TextFile, shown
+from eldata.base.files import write_text
 from eldata.errors import EldataError
-from eldata.files import write_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -5,11 +5,11 @@ from .datasets import ELDDataset as ELDDataset
 from .datasets import PackedClips as PackedClips
 from .datasets import PackedStore as PackedStore
 from .datasets import SIDDataset as SIDDataset
+from .datasets import StreamedPairs as StreamedPairs
 from .datasets import SyntheticClips as SyntheticClips
 from .datasets import SyntheticPairs as SyntheticPairs
 from .evaluation import evaluate as evaluate
 from .evaluation import evaluate_all as evaluate_all
 from .manifest import verify as verify
-from .streaming import StreamedPairs as StreamedPairs
 
 __version__: str

@@ -34,7 +34,7 @@ def main(root: Path, predictions: Path, manifest: str = "eld") -> None:
             output = model(batch["input"])
         save_prediction(predictions, batch["path"][0], output[0].numpy())
     own = None if manifest == "eld" else manifest
-    print(evaluate(predictions, manifest=own, root=root.parent, jobs=2).format_text())
+    print(evaluate(predictions, manifest=own, root=root.parent, workers=2).format_text())
 
 
 if __name__ == "__main__":  # spawned workers import this file: the guard is needed

@@ -18,9 +18,8 @@ from pathlib import Path
 
 import torch
 
-from eldata import PackedStore
+from eldata import PackedStore, StreamedPairs
 from eldata.datasets.loading import describe, set_epoch, training_loader
-from eldata.streaming import StreamedPairs
 
 
 def main() -> None:

@@ -161,36 +161,44 @@ if TYPE_CHECKING:
     assert ("eldata.manifest.lock", "eldata.manifest.verify.verify") in IMPORTED
 
 
+FILES = ("eldata.base.files", "eldata.base.fields")
 ALLOWED = {
     "eldata.errors": ("nothing",),
-    "eldata.base": ("eldata.errors",),
-    "eldata.files": ("eldata.errors",),
-    "eldata.parallel": ("eldata.errors", "eldata.clusters"),
-    "eldata.clusters": ("eldata.errors", "eldata.base"),
+    "eldata.base.fields": ("eldata.errors",),
+    "eldata.base.files": ("eldata.errors",),
+    "eldata.base.workers": ("eldata.errors", "eldata.base.clusters"),
+    "eldata.base.clusters": ("eldata.errors", "eldata.base.fields"),
     "eldata.records": ("eldata.errors", "eldata.raw.colour"),
-    "eldata._compiled": ("nothing",),
-    "eldata.raw": ("eldata.records", "eldata.errors", "eldata.files", "eldata._compiled"),
+    "eldata.base.compiled": ("nothing",),
+    "eldata.raw": ("eldata.records", "eldata.errors", "eldata.base.files", "eldata.base.compiled"),
     # Protocols by name, for the modules of training loops.
-    "eldata.metrics": ("eldata.errors", "eldata._compiled", "eldata.tensors", "eldata.protocols"),
-    "eldata.protocols": ("eldata.errors", "eldata.base", "eldata.metrics"),
-    "eldata.isp": ("eldata.raw", "eldata.records", "eldata.errors", "eldata.base", "eldata.files"),
-    "eldata.store": (
-        *("eldata.manifest", "eldata.raw", "eldata.records", "eldata.errors", "eldata.files", "eldata.parallel"),
-        *("eldata.images", "eldata.base"),
+    "eldata.metrics": ("eldata.errors", "eldata.base.compiled", "eldata.base.tensors", "eldata.protocols"),
+    "eldata.protocols": ("eldata.errors", "eldata.base.fields", "eldata.metrics"),
+    "eldata.isp": ("eldata.raw", "eldata.records", "eldata.errors", *FILES),
+    "eldata.sources.store": (
+        *(
+            "eldata.manifest",
+            "eldata.raw",
+            "eldata.records",
+            "eldata.errors",
+            "eldata.base.files",
+            "eldata.base.workers",
+        ),
+        *("eldata.base.png", "eldata.base.fields"),
     ),
-    "eldata.download": ("eldata.manifest", "eldata.records", "eldata.errors", "eldata.base", "eldata.files"),
+    "eldata.download": ("eldata.manifest", "eldata.records", "eldata.errors", *FILES),
     "capture": (
-        *("eldata.records", "eldata.manifest", "eldata.raw", "eldata.errors", "eldata.base", "eldata.files"),
+        *("eldata.records", "eldata.manifest", "eldata.raw", "eldata.errors", *FILES),
         # What the two command lines share, as light as errors; files are read by several processes.
-        *("eldata.console", "eldata.tables", "eldata.parallel"),
+        *("eldata.base.console", "eldata.base.tables", "eldata.base.workers"),
     ),
 }
 REFUSED = {
     "eldata": ("capture",),
     "eldata.metrics": ("eldata.raw", "eldata.manifest", "eldata.datasets", "eldata.evaluation"),
     "eldata.manifest": ("eldata.datasets", "eldata.evaluation", "eldata.cli", "eldata.noise", "eldata.demo"),
-    "eldata.datasets": ("eldata.cli", "eldata.evaluation", "eldata.demo", "eldata.streaming", "eldata.reports"),
-    "eldata.streaming": ("eldata.cli", "eldata.evaluation", "eldata.demo", "eldata.reports"),
+    "eldata.datasets": ("eldata.cli", "eldata.evaluation", "eldata.demo", "eldata.sources.shards", "eldata.reports"),
+    "eldata.sources.shards": ("eldata.cli", "eldata.evaluation", "eldata.demo", "eldata.reports"),
     "eldata.evaluation": ("eldata.cli", "eldata.demo", "eldata.calibration", "eldata.reports"),
     "eldata.calibration": ("eldata.cli", "eldata.evaluation", "eldata.demo", "eldata.reports"),
     "eldata.noise": ("eldata.cli", "eldata.evaluation", "eldata.demo", "eldata.reports", "eldata.calibration"),
@@ -203,7 +211,7 @@ REFUSED = {
 def test_a_room_imports_only(room: str) -> None:
     found = violations(room, allowed=ALLOWED[room])
     # The version alone, which every command prints, every download tells the server and every store states.
-    tells_the_version = room in ("capture", "eldata.download", "eldata.store", "eldata.clusters")
+    tells_the_version = room in ("capture", "eldata.download", "eldata.sources.store", "eldata.base.clusters")
     assert [(importer, name) for importer, name in found if not (tells_the_version and name == "eldata")] == []
 
 
@@ -297,6 +305,27 @@ def test_the_scan_sees(source: str) -> None:
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_banned_constructs_do_not_occur(path: Path) -> None:
     assert banned_in(ast.parse(path.read_text(encoding="utf-8"))) == []
+
+
+# --- text is parsed in one place ----------------------------------------------------------------------------------
+
+PARSERS = ("json.load", "json.loads", "tomllib.load", "tomllib.loads", "csv.reader", "csv.DictReader")
+ELSEWHERE = {
+    "eldata.base.fields": "the reader itself",
+    "eldata.evaluation.saved": "has its own fields yet",
+    "eldata.sources.store.layout": "attributes inside of a checked HDF5 file",
+    "eldata.sources.shards.layout": "facts inside of a checked tar file",
+    "capture.cli.camera": "what was written a moment ago",
+}
+
+
+def test_text_is_parsed_in_one_place() -> None:
+    found = set()
+    for path in MODULES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and dotted(node.func) in PARSERS:
+                found.add(module_name(path))
+    assert found == set(ELSEWHERE)
 
 
 # --- the wheel ----------------------------------------------------------------------------------------------------

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from capture.check.cells import Cells
+    from eldata.base.workers import Workers
     from eldata.records import FrameRecord
 
 PATCHES: Final = 8  # a side
@@ -45,7 +46,7 @@ class BiasUnit:
     name: str
     folder: Path
     records: tuple[FrameRecord, ...]
-    threads: int
+    workers: Workers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,7 +83,7 @@ def check_bias(unit: BiasUnit) -> CheckedGroup:
     remarks: list[Remark] = []
     measures: list[Measure] = []
     patches: list[tuple[FrameRecord, PatchLevels]] = []
-    for record, frame in reduced_frames(unit.folder, records, threads=unit.threads):
+    for record, frame in reduced_frames(unit.folder, records, unit.workers):
         if isinstance(frame, Remark):
             remarks.append(frame)
             continue

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from capture.check.cells import Cells
+    from eldata.base.workers import Workers
     from eldata.records import FrameRecord
 
 _SATURATED = Limits(
@@ -45,7 +46,7 @@ class FlatUnit:
     name: str
     folder: Path
     records: tuple[FrameRecord, ...]
-    threads: int
+    workers: Workers
 
 
 def unevenness(cells: Cells) -> float:
@@ -63,7 +64,7 @@ def check_flats(unit: FlatUnit) -> CheckedGroup:
     remarks: list[Remark] = []
     measures: list[Measure] = []
     pictures: list[Picture] = []
-    for record, frame in reduced_frames(unit.folder, records, threads=unit.threads):
+    for record, frame in reduced_frames(unit.folder, records, unit.workers):
         remark = frame if isinstance(frame, Remark) else None if first is None else other_kind(first, frame)
         if remark is not None or isinstance(frame, Remark):
             remarks += [] if remark is None else [remark]

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 from capture.check.cells import Cells, luminance, reduce_to_cells
 from capture.check.measures import Remark
+from eldata.base.files import inside
 from eldata.errors import EldataError
-from eldata.files import inside
-from eldata.parallel import read_ahead
 from eldata.records import FrameRecord, RawHeader, Sensor
 
 if TYPE_CHECKING:
@@ -18,6 +17,8 @@ if TYPE_CHECKING:
 
     import numpy as np
     from numpy.typing import NDArray
+
+    from eldata.base.workers import Workers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,9 +38,9 @@ class ReducedFrame:
 
 
 def reduced_frames(
-    folder: Path, records: Sequence[FrameRecord], *, threads: int
+    folder: Path, records: Sequence[FrameRecord], workers: Workers
 ) -> Iterator[tuple[FrameRecord, ReducedFrame | Remark]]:
-    """Yield each frame reduced, or what is wrong with its file; at most ``threads`` + 1 are in memory."""
+    """Yield each frame reduced, or what is wrong with its file; at most ``workers.jobs`` + 1 are in memory."""
 
     def reduce(record: FrameRecord) -> tuple[FrameRecord, ReducedFrame | Remark]:
         from eldata.raw.cfa import pack
@@ -55,7 +56,7 @@ def reduced_frames(
         header = RawHeader(frame.path, frame.sensor.make, frame.sensor.model, frame.exposure)
         return record, ReducedFrame(record, header, frame.sensor, cells, luminance(packed, cells))
 
-    yield from read_ahead(reduce, records, threads=threads)
+    yield from workers.read_ahead(reduce, records)
 
 
 def other_kind(first: ReducedFrame, frame: ReducedFrame) -> Remark | None:

@@ -10,8 +10,8 @@ import math
 from dataclasses import dataclass
 from typing import Any, Final, Literal, get_args
 
+from eldata.base.tables import with_error
 from eldata.manifest.verify import RATIO_TOLERANCE
-from eldata.tables import with_error
 
 Verdict = Literal["keep", "look", "shoot again"]
 VERDICTS: Final[tuple[Verdict, ...]] = get_args(Verdict)

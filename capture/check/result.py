@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from capture.check.measures import VERDICTS, Measure, Remark, Verdict, worst
-from eldata.tables import with_error
+from eldata.base.tables import with_error
 
 if TYPE_CHECKING:
     from eldata.records import FrameRecord

@@ -8,9 +8,9 @@ from capture.check.bias import BiasUnit, check_bias
 from capture.check.flat import FlatUnit, check_flats
 from capture.check.result import CheckedGroup, CheckReport
 from capture.check.scene import SceneUnit, check_scene
+from eldata.base.workers import AnyWorkers, Workers
 from eldata.errors import ArgumentError, ManifestError
 from eldata.manifest.catalogue import Manifest, load_manifest
-from eldata.parallel import check_jobs, run_units
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
@@ -27,7 +27,7 @@ def check(
     *,
     scenes: Collection[str] = (),
     cameras: Collection[str] = (),
-    jobs: int = 1,
+    workers: AnyWorkers = 1,
 ) -> CheckReport:
     """Check the pixels of a manifest's scenes and calibration frames.
 
@@ -41,7 +41,7 @@ def check(
         Just these scenes, by name or number (``"scene-3"``, ``"3"``), without the calibration frames; none means all.
     cameras
         Just these cameras; none means all.
-    jobs
+    workers
         Number of worker processes; with fewer scenes than that, files are also decoded ahead.
 
     Raises
@@ -51,7 +51,7 @@ def check(
     ManifestError
         If the manifest is malformed, or its dataset's folder is not there.
     """
-    check_jobs(jobs)
+    workers = Workers.of(workers)
     loaded = manifest if isinstance(manifest, Manifest) else load_manifest(manifest)
     folder = loaded.folder(root)
     if not folder.is_dir():
@@ -60,9 +60,9 @@ def check(
     groups = _groups(_of_scenes(records, scenes))
     if not groups:
         raise ArgumentError(f"{loaded.name}: no scenes and no calibration frames to check")
-    threads = max(1, jobs // len(groups))
-    units = [_unit(key, folder, tuple(group), threads) for key, group in groups.items()]
-    found = run_units(check_unit, units, jobs=jobs, label=loaded.name, unit="scene")
+    within = Workers(max(1, workers.jobs // len(groups)))
+    units = [_unit(key, folder, tuple(group), within) for key, group in groups.items()]
+    found = workers.run(check_unit, units, label=loaded.name, unit="scene")
     return CheckReport(loaded.name, tuple(found))
 
 
@@ -89,15 +89,15 @@ def _groups(records: Sequence[FrameRecord]) -> dict[Key, list[FrameRecord]]:
     return groups
 
 
-def _unit(key: Key, folder: Path, records: tuple[FrameRecord, ...], threads: int) -> Unit:
+def _unit(key: Key, folder: Path, records: tuple[FrameRecord, ...], within: Workers) -> Unit:
     camera, role, which = key
-    kinds: dict[str, Callable[[str, str, Path, tuple[FrameRecord, ...], int], Unit]] = {
+    kinds: dict[str, Callable[[str, str, Path, tuple[FrameRecord, ...], Workers], Unit]] = {
         "": SceneUnit,
         "bias": BiasUnit,
         "flat": FlatUnit,
     }
     name = f"{camera} {role} ISO {which}" if role else f"{camera} {which}".rstrip()
-    return kinds[role](str(folder / records[0].path), name, folder, records, threads)
+    return kinds[role](str(folder / records[0].path), name, folder, records, within)
 
 
 def _of_cameras(records: Sequence[FrameRecord], cameras: Collection[str]) -> list[FrameRecord]:

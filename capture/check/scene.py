@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from capture.check.cells import Cells
+    from eldata.base.workers import Workers
     from eldata.records import FrameRecord, RawHeader
 
 DRIFT: Final = Limits(100 * BRIGHTNESS_LOOK, 100 * BRIGHTNESS_AGAIN, BRIGHTNESS_SOURCE)
@@ -77,7 +78,7 @@ class SceneUnit:
     name: str
     folder: Path
     records: tuple[FrameRecord, ...]
-    threads: int
+    workers: Workers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,7 +106,7 @@ def check_scene(unit: SceneUnit) -> CheckedGroup:
     last: ReducedFrame | None = None
     changes: list[Picture] = []
     of_noisy: list[tuple[FrameRecord, RatioFit, Fraction | None]] = []
-    for record, frame in reduced_frames(unit.folder, [*references, *noisy], threads=unit.threads):
+    for record, frame in reduced_frames(unit.folder, [*references, *noisy], unit.workers):
         if isinstance(frame, Remark):
             found.remarks.append(frame)
             continue

@@ -5,8 +5,8 @@ from __future__ import annotations
 import base64
 from typing import TYPE_CHECKING
 
+from eldata.base.files import write_text
 from eldata.errors import ArgumentError
-from eldata.files import write_text
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.console import OK, add_debug, add_json, write_json
+from eldata.base.console import OK, add_debug, add_json, write_json
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _text(camera: CameraDescription) -> str:
-    from eldata.tables import text_table
+    from eldata.base.tables import text_table
 
     rows = [(f"{time.dial} s", f"{time.true_s:.6g} s") for time in camera.shutter.times]
     return "\n".join(

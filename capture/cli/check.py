@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.console import OK, PROBLEMS, add_cameras, add_debug, add_jobs, add_json, add_root, write_json
+from eldata.base.console import OK, PROBLEMS, add_cameras, add_debug, add_jobs, add_json, add_root, write_json
 
 if TYPE_CHECKING:
     import argparse
@@ -51,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.root,
         scenes=arguments.scenes,
         cameras=arguments.cameras or (),
-        jobs=arguments.jobs,
+        workers=arguments.jobs,
     )
     print(report.format_text())
     if arguments.json:

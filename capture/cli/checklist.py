@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.console import OK, add_debug, add_json, write_json
+from eldata.base.console import OK, add_debug, add_json, write_json
+from eldata.base.files import write_text
 from eldata.errors import ArgumentError
-from eldata.files import write_text
 
 if TYPE_CHECKING:
     import argparse

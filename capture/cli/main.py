@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from capture.cli import camera, check, checklist, manifest, plan, protocol
 from capture.cli import run as tethered
 from eldata import __version__
-from eldata.console import Parser, run
+from eldata.base.console import Parser, run
 
 if TYPE_CHECKING:
     import argparse
@@ -31,7 +31,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the command ``capture``; return its exit code (:mod:`eldata.console`)."""
+    """Run the command ``capture``; return its exit code (:mod:`eldata.base.console`)."""
     return run(parser(), argv)
 
 

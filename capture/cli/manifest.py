@@ -6,7 +6,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.console import OK, PROBLEMS, add_debug, add_jobs, add_json, write_json
+from eldata.base.console import OK, PROBLEMS, add_debug, add_jobs, add_json, write_json
+from eldata.base.workers import Workers
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -78,7 +79,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.only:
         plan = plan.only(arguments.only)
     files = raw_files(arguments.files, plan.camera.raw_extension, outside=None if place is None else Path(place))
-    observed = observe(files, plan.camera.models, jobs=arguments.jobs)
+    workers = Workers(arguments.jobs)
+    observed = observe(files, plan.camera.models, workers)
     if arguments.mapping is None:
         found = match(plan, observed, repeated=arguments.repeated)
     else:
@@ -97,7 +99,7 @@ def run(arguments: argparse.Namespace) -> int:
         return _leave_mapping(output, plan, observed, found)
     if found.doubtful and arguments.mapping is None and not arguments.yes and not _confirmed():
         return _leave_mapping(output, plan, observed, found)
-    _write(plan, found, output, arguments)
+    _write(plan, found, output, arguments, workers)
     return OK
 
 
@@ -114,7 +116,7 @@ def _confirmed() -> bool:
 def _leave_mapping(output: Path, plan: Plan, observed: Observed, found: Match) -> int:
     """Write the mapping for a person to edit, unless one that may be edited is there."""
     from capture.mapping import mapping_text
-    from eldata.files import write_text
+    from eldata.base.files import write_text
 
     path = output.with_suffix(".mapping.json")
     text = mapping_text(plan, observed, found)
@@ -129,12 +131,11 @@ def _leave_mapping(output: Path, plan: Plan, observed: Observed, found: Match) -
     return PROBLEMS
 
 
-def _write(plan: Plan, found: Match, output: Path, arguments: argparse.Namespace) -> None:
+def _write(plan: Plan, found: Match, output: Path, arguments: argparse.Namespace, workers: Workers) -> None:
     from capture.manifest import card_of, in_place, into_layout, with_hashes
     from capture.placing import Placement, check_free, copy, link
     from eldata.manifest.card import save_card
     from eldata.manifest.table import save_records
-    from eldata.parallel import run_units
 
     place = arguments.copy_to or arguments.link_to
     dataset = in_place(plan, found) if place is None else into_layout(plan, found, Path(place).absolute())
@@ -143,7 +144,7 @@ def _write(plan: Plan, found: Match, output: Path, arguments: argparse.Namespace
         for path in (output, card_path):
             if path.exists():
                 raise ArgumentError(f"{path} is there already: give another name, or --replace it")
-    dataset = with_hashes(dataset, jobs=arguments.jobs)
+    dataset = with_hashes(dataset, workers)
     records = [row.record for row in dataset.rows]
     if place is not None:
         placements = [
@@ -151,7 +152,7 @@ def _write(plan: Plan, found: Match, output: Path, arguments: argparse.Namespace
         ]
         check_free(placements)
         work = copy if arguments.copy_to else link
-        for _ in run_units(work, placements, jobs=arguments.jobs, label="copying" if arguments.copy_to else "linking"):
+        for _ in workers.run(work, placements, label="copying" if arguments.copy_to else "linking"):
             pass
     output.parent.mkdir(parents=True, exist_ok=True)
     save_card(card_path, card_of(plan, output.stem, dataset.folder.name, records))
@@ -187,7 +188,7 @@ def _warn_of_unlisted(dataset: Dataset, place: str | None) -> None:
 def format_match(plan: Plan, observed: Observed, found: Match) -> str:
     """Return what was matched, a line a scene, and everything that did not go as planned."""
     from capture.matching import blocks_of
-    from eldata.tables import text_table
+    from eldata.base.tables import text_table
 
     rows = []
     for block in blocks_of(plan):

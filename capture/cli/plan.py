@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from capture.cli.values import metered, scene_time, seconds, spaced, whole
 from capture.protocol import PROTOCOLS, RELEASED
-from eldata.console import OK, add_debug, add_json, write_json
+from eldata.base.console import OK, add_debug, add_json, write_json
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -238,7 +238,7 @@ def format_plan(plan: Plan) -> str:
 
 
 def _table(shots: Sequence[Shot]) -> str:
-    from eldata.tables import text_table
+    from eldata.base.tables import text_table
 
     header = ("frame", "role", "ISO", "factor", "asked", "set", "gives", "ratio", "error", "stops", "reference")
     rows = []
@@ -263,7 +263,7 @@ def _table(shots: Sequence[Shot]) -> str:
 
 
 def _calibration_table(shots: Sequence[Shot]) -> str:
-    from eldata.tables import text_table
+    from eldata.base.tables import text_table
 
     groups: dict[tuple[str, int, str, str], list[int]] = {}
     for shot in shots:

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 from capture.cli.values import seconds, spaced, whole
 from capture.protocol import RELEASED, CaptureProtocol
-from eldata.console import OK, add_debug, add_json, write_json
-from eldata.tables import text_table
+from eldata.base.console import OK, add_debug, add_json, write_json
+from eldata.base.tables import text_table
 
 if TYPE_CHECKING:
     import argparse

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.console import OK, add_debug, add_json, write_json
+from eldata.base.console import OK, add_debug, add_json, write_json
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:

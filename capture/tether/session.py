@@ -24,7 +24,7 @@ from capture.tether.journal import Entry, Journal, fingerprint, place
 from capture.tether.lock import locked
 from capture.tether.preparing import prepare
 from capture.tether.stages import stages_of
-from eldata.files import sha256_of
+from eldata.base.files import sha256_of
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata._compiled import kernel
+from eldata.base.compiled import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

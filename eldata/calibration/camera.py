@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from tqdm import tqdm
 
 from eldata import __version__
+from eldata.base.workers import AnyWorkers, Failed, Workers, accepts_jobs, require_files
 from eldata.calibration.frame_checks import FramesError, sorted_frames
 from eldata.calibration.joint import fit_log_log
 from eldata.calibration.one_iso import calibrate_iso, decodings
@@ -19,11 +20,9 @@ from eldata.datasets.calibration_frames import CalibrationFrames
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.verify import Problem
 from eldata.noise.profile import CameraProfile, LogLogFit, ProfileRow
-from eldata.parallel import Failed, require_files, try_units
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
-    from concurrent.futures import Executor
     from pathlib import Path
 
     from eldata.calibration.frame_checks import IsoFrames
@@ -33,13 +32,13 @@ if TYPE_CHECKING:
 _NO_NOISE_DN = 1e-9  # a scale that a log-log line can hold in place of 0
 
 
+@accepts_jobs
 def calibrate(
     frames: CalibrationFrames | Path | str,
     camera: str | None = None,
     *,
     isos: Collection[int] | None = None,
-    jobs: int = 1,
-    executor: Executor | None = None,
+    workers: AnyWorkers = 1,
 ) -> Calibration:
     """Measure a camera's noise from its bias and flat-field frames (section 3.3 of the paper).
 
@@ -51,11 +50,9 @@ def calibrate(
         The camera's name, if a folder is given and holds several, or if the profile is to have another name.
     isos
         Only these ISOs, if a folder is given.
-    jobs
-        Threads that decode. Neither the figures nor, much, the memory depend on it.
-    executor
-        Measures whole ISOs side by side (:mod:`eldata.parallel`), with a thread each; it is not shut down. Headers are
-        read here, by ``jobs`` threads. Nor do the figures depend on this.
+    workers
+        Number of threads that decode, or an executor that measures whole ISOs side by side, with a thread each
+        (:mod:`eldata.base.workers`). Neither the figures nor, much, the memory depend on it.
 
     Returns
     -------
@@ -67,7 +64,7 @@ def calibrate(
     FramesError
         If frames are missing, unreadable, or unfit: every problem of every ISO, by file.
     ArgumentError
-        If ``isos`` is given with frames that are chosen already, or ``jobs`` is not positive.
+        If ``isos`` is given with frames that are chosen already, or ``workers`` not positive.
     DatasetError
         If there are no frames, or no ISO has pairs of flats.
 
@@ -80,8 +77,10 @@ def calibrate(
         frames = CalibrationFrames(frames, camera, isos=isos)
     elif isos is not None:
         raise ArgumentError("isos is about a folder; choose them with CalibrationFrames(..., isos=...)")
-    chosen = sorted_frames(frames, threads=jobs)
-    found = _measured(frames, chosen, jobs) if executor is None else _measured_on(executor, frames, chosen)
+    workers = Workers.of(workers)
+    # The headers of a folder are read here: they are small, and an executor takes whole ISOs.
+    chosen = sorted_frames(frames, Workers(workers.jobs))
+    found = (_measured if workers.executor is None else _measured_on)(frames, chosen, workers)
     measured = [one for one in found if not isinstance(one, FramesError)]
     problems = [problem for one in found if isinstance(one, FramesError) for problem in one.problems]
     if problems:
@@ -90,21 +89,21 @@ def calibrate(
 
 
 def _measured(
-    frames: CalibrationFrames, chosen: Sequence[IsoFrames], threads: int
+    frames: CalibrationFrames, chosen: Sequence[IsoFrames], workers: Workers
 ) -> list[IsoCalibration | FramesError]:
     found: list[IsoCalibration | FramesError] = []
     total = sum(map(decodings, chosen))
     with tqdm(total=total, desc=f"calibrating {frames.camera}", unit="frame", disable=None, leave=False) as bar:
         for one in chosen:
             try:
-                found.append(calibrate_iso(frames, one, threads=threads, done=bar.update))
+                found.append(calibrate_iso(frames, one, workers, done=bar.update))
             except FramesError as error:
                 found.append(error)
     return found
 
 
 def _measured_on(
-    executor: Executor, frames: CalibrationFrames, chosen: Sequence[IsoFrames]
+    frames: CalibrationFrames, chosen: Sequence[IsoFrames], workers: Workers
 ) -> list[IsoCalibration | FramesError]:
     # Frames are summed where they are decoded: to send them would take longer than that.
     there = copy.copy(frames)
@@ -113,7 +112,7 @@ def _measured_on(
     label = f"calibrating {frames.camera}"
     return [
         _failure(frames, outcome) if isinstance(outcome, Failed) else outcome
-        for outcome in try_units(work, chosen, executor=executor, label=label, unit="ISO")
+        for outcome in workers.attempt(work, chosen, label=label, unit="ISO")
     ]
 
 

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.datasets.calibration_frames import flat_pairs
 from eldata.errors import DatasetError, EldataError, RawFileError
 from eldata.manifest.table import number_text
 from eldata.manifest.verify import RATIO_TOLERANCE, Problem
-from eldata.parallel import read_ahead
 from eldata.raw.reading import read_header
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ class IsoFrames:
     bias_exposure_s: Fraction | None
 
 
-def sorted_frames(frames: CalibrationFrames, *, threads: int = 1) -> tuple[IsoFrames, ...]:
+def sorted_frames(frames: CalibrationFrames, workers: Workers = IN_THIS_PROCESS) -> tuple[IsoFrames, ...]:
     """Read every frame's header and sort the frames by ISO.
 
     Raises
@@ -75,7 +75,7 @@ def sorted_frames(frames: CalibrationFrames, *, threads: int = 1) -> tuple[IsoFr
 
     problems: list[Problem] = []
     headers: dict[FrameRecord, RawHeader] = {}
-    for record, found in zip(frames.records, read_ahead(header_of, frames.records, threads=threads), strict=True):
+    for record, found in zip(frames.records, workers.read_ahead(header_of, frames.records), strict=True):
         if isinstance(found, EldataError):
             problems.append(unreadable(record, found))
         else:

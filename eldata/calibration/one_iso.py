@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata._compiled import in_threads
+from eldata.base.compiled import in_threads
+from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.calibration.colour_bias import ChannelMeans, colour_bias
 from eldata.calibration.defects import MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
 from eldata.calibration.frame_checks import (
@@ -39,7 +40,6 @@ from eldata.calibration.row_noise import LineMeans, row_noise
 from eldata.calibration.spectrum import power_spectrum
 from eldata.errors import DatasetError, RawFileError
 from eldata.manifest.verify import Problem
-from eldata.parallel import read_ahead
 from eldata.raw.compression import lossy_compression
 
 if TYPE_CHECKING:
@@ -56,7 +56,11 @@ HOLD_OUT_FROM = 6
 
 
 def calibrate_iso(
-    frames: CalibrationFrames, chosen: IsoFrames, *, threads: int = 1, done: Callable[[], object] = lambda: None
+    frames: CalibrationFrames,
+    chosen: IsoFrames,
+    workers: Workers = IN_THIS_PROCESS,
+    *,
+    done: Callable[[], object] = lambda: None,
 ) -> IsoCalibration:
     """Measure the noise at one ISO.
 
@@ -66,8 +70,9 @@ def calibrate_iso(
         Where the files are.
     chosen
         The ISO's frames (:func:`~eldata.calibration.frame_checks.sorted_frames`).
-    threads
-        That decode; the result does not depend on it. A frame more than that is in memory, besides the sums.
+    workers
+        The threads that decode; the result does not depend on them. A frame more than that is in memory, besides the
+        sums.
     done
         Called after each decoded frame; :func:`decodings` says how many there will be.
 
@@ -77,7 +82,7 @@ def calibrate_iso(
         If frames differ in size, CFA or levels, are odd or clipped at 0; or if the estimators cannot use them. Every
         problem found is in it.
     """
-    reader = _Reader(frames, threads, done)
+    reader = _Reader(frames, workers, done)
     try:
         return _calibrated(reader, chosen)
     except FramesError:
@@ -102,15 +107,15 @@ def _split(bias: Sequence[FrameRecord]) -> tuple[Sequence[FrameRecord], Sequence
 class _Reader:
     """Decodes frames ahead, and leaves out those that are unlike the first one."""
 
-    def __init__(self, frames: CalibrationFrames, threads: int, done: Callable[[], object]) -> None:
-        self._frames, self.threads, self._done = frames, threads, done
+    def __init__(self, frames: CalibrationFrames, workers: Workers, done: Callable[[], object]) -> None:
+        self._frames, self.workers, self._done = frames, workers, done
         self._first: RawFrame | None = None
         self._sensors: dict[FrameRecord, Sensor] = {}
         self.problems: list[Problem] = []
 
     def read(self, records: Sequence[FrameRecord]) -> Iterator[tuple[FrameRecord, RawFrame]]:
         """Yield the frames that are like the first one; :meth:`refuse` says what is wrong with the others."""
-        decoded = read_ahead(self._read, records, threads=self.threads)
+        decoded = self.workers.read_ahead(self._read, records)
         for record, frame in zip(records, decoded, strict=True):
             self._done()
             if isinstance(frame, RawFileError):
@@ -154,7 +159,7 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
     for _, frame in reader.read(estimated):
         if spectrum is None:
             spectrum, gaps = power_spectrum(frame.mosaic, fixed), missing_codes(frame.mosaic, fixed.pattern)
-        in_threads(partial(_add, frame.mosaic), (residuals, lines, means), reader.threads)
+        in_threads(partial(_add, frame.mosaic), (residuals, lines, means), reader.workers.jobs)
     reader.refuse()
     if spectrum is None:
         raise DatasetError("no bias frame could be read")
@@ -193,7 +198,7 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
         return replace(dark, reproduction=reproduction(held_out, fixed, sensor, dark.parameters, generator))
 
     # The flats decode while the bias frames' figures are worked out.
-    if reader.threads > 1:
+    if reader.workers.jobs > 1:
         with ThreadPoolExecutor(1) as beside:
             waiting = beside.submit(from_bias_frames)
             transfer, spatial, flat_remarks = _flats(reader, chosen, fixed)

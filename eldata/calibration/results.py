@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from eldata.tables import text_table, with_error
+from eldata.base.tables import text_table, with_error
 
 if TYPE_CHECKING:
     import numpy as np

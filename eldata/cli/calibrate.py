@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.console import (
+from eldata.base.console import (
     OK,
     PROBLEMS,
     add_debug,
     add_json,
     add_root,
     add_workers,
-    chosen_executor,
+    chosen_workers,
     whole_number,
     write_json,
 )
@@ -59,11 +59,11 @@ def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
     from dataclasses import asdict
 
+    from eldata.base.files import write_text
     from eldata.calibration.camera import calibrate
     from eldata.calibration.frame_checks import FramesError
     from eldata.datasets.calibration_frames import CalibrationFrames
     from eldata.errors import ArgumentError
-    from eldata.files import write_text
     from eldata.manifest.catalogue import load_manifest
 
     if arguments.frames.endswith(".csv"):
@@ -74,8 +74,8 @@ def run(arguments: argparse.Namespace) -> int:
             raise ArgumentError("--root says where a manifest's files lie; with a folder of frames, leave it out")
         frames = CalibrationFrames(arguments.frames, arguments.camera, isos=arguments.isos)
     try:
-        with chosen_executor(arguments) as executor:
-            found = calibrate(frames, jobs=arguments.jobs, executor=executor)
+        with chosen_workers(arguments) as workers:
+            found = calibrate(frames, workers=workers)
     except FramesError as error:
         for problem in error.problems:
             print(problem.format_text())
@@ -93,7 +93,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         write_json(arguments.json, found.as_dict())
     if arguments.html:
-        from eldata.reports.calibration_page import calibration_page
+        from eldata.reports.calibration.page import calibration_page
 
         write_text(arguments.html, calibration_page(found))
         print(f"\nreport: {arguments.html}")

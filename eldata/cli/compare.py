@@ -6,9 +6,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.console import OK, add_debug, add_json, write_json
+from eldata.base.console import OK, add_debug, add_json, write_json
 from eldata.errors import ArgumentError
-from eldata.reports.evaluation_tables import FORMATS
+from eldata.reports.evaluation.tables import FORMATS
 
 if TYPE_CHECKING:
     import argparse
@@ -48,7 +48,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
-    from eldata.reports.evaluation_comparison import Method, compare, format_comparison
+    from eldata.evaluation.comparison import Method, compare, format_comparison
 
     paths = [Path(name) for name in arguments.results]
     if len(paths) < 2:
@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
         [Method(name, _result(path, arguments.protocol)) for name, path in zip(names, paths, strict=True)]
     )
     if arguments.html:
-        from eldata.reports.comparison_page import write_comparison_page
+        from eldata.reports.compare.page import write_comparison_page
 
         write_comparison_page(comparison, arguments.html)
     if arguments.json:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from eldata.console import OK, add_debug, add_jobs
+from eldata.base.console import OK, add_debug, add_jobs
+from eldata.base.workers import Workers
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -58,7 +59,9 @@ def run(arguments: argparse.Namespace) -> int:
 
         off = {field: 0.0 for feature in arguments.without for field in _FEATURES[feature]}
         features = replace(DEMO_FEATURES, **off)
-        run_calibration_demo(Path(arguments.folder), seed=arguments.seed, features=features, jobs=arguments.jobs)
+        run_calibration_demo(
+            Path(arguments.folder), seed=arguments.seed, features=features, workers=Workers(arguments.jobs)
+        )
         return OK
     if arguments.without:
         raise ArgumentError("--without is about calibration frames: give --calibration too")

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.console import (
+from eldata.base.console import (
     OK,
     PROBLEMS,
     add_cameras,
@@ -14,16 +14,16 @@ from eldata.console import (
     add_json,
     add_root,
     add_workers,
-    chosen_executor,
+    chosen_workers,
 )
 from eldata.errors import ArgumentError
-from eldata.reports.evaluation_tables import FORMATS
+from eldata.reports.evaluation.tables import FORMATS
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Sequence
-    from concurrent.futures import Executor
 
+    from eldata.base.workers import Workers
     from eldata.evaluation.combined import CombinedResult
     from eldata.evaluation.results import EvaluationResult
     from eldata.evaluation.video_results import VideoResult
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add this command."""
     from eldata.protocols.named import FAMILIES, PROTOCOLS
-    from eldata.video_protocols import VIDEO_PROTOCOLS
+    from eldata.protocols.video import VIDEO_PROTOCOLS
 
     parser = commands.add_parser(
         "evaluate",
@@ -108,8 +108,8 @@ def run(arguments: argparse.Namespace) -> int:
     of_clips = _is_of_clips(arguments)
     if of_clips and (arguments.html or arguments.format != "text"):
         raise ArgumentError("--html and --format are for datasets of images")
-    with chosen_executor(arguments) as executor:
-        result = _of_clips(arguments, executor) if of_clips else _of_images(arguments, executor)
+    with chosen_workers(arguments) as workers:
+        result = _of_clips(arguments, workers) if of_clips else _of_images(arguments, workers)
     try:
         _write(result, arguments)
     finally:  # after hours of work the table is shown even if a file cannot be written
@@ -134,7 +134,7 @@ def _show(result: EvaluationResult | CombinedResult | VideoResult, arguments: ar
     if isinstance(result, VideoResult) or arguments.format == "text" or not result.scored:
         print(result.format_text())
     else:
-        from eldata.reports.evaluation_tables import format_evaluations
+        from eldata.reports.evaluation.tables import format_evaluations
 
         for problem in result.problems:
             print(f"eldata evaluate: {problem}", file=sys.stderr)
@@ -154,7 +154,7 @@ def _each(result: EvaluationResult | CombinedResult) -> tuple[EvaluationResult, 
 
 def _write_page(results: Sequence[EvaluationResult], arguments: argparse.Namespace) -> None:
     from eldata.manifest.catalogue import load_manifest, shipped_manifest
-    from eldata.reports.evaluation_page import write_evaluation_page
+    from eldata.reports.evaluation.page import write_evaluation_page
 
     manifest = load_manifest(arguments.manifest) if arguments.manifest else shipped_manifest(arguments.dataset)
     predictions = Path(arguments.predictions) if arguments.predictions else None
@@ -164,13 +164,13 @@ def _write_page(results: Sequence[EvaluationResult], arguments: argparse.Namespa
 
 def _is_of_clips(arguments: argparse.Namespace) -> bool:
     from eldata.manifest.catalogue import load_manifest
-    from eldata.video_protocols import default_video_protocol
+    from eldata.protocols.video import default_video_protocol
 
     name = arguments.dataset if arguments.manifest is None else load_manifest(arguments.manifest).name
     return default_video_protocol(name) is not None
 
 
-def _of_images(arguments: argparse.Namespace, executor: Executor | None) -> EvaluationResult | CombinedResult:
+def _of_images(arguments: argparse.Namespace, workers: Workers) -> EvaluationResult | CombinedResult:
     from eldata.evaluation.evaluate import ALL, evaluate, evaluate_all
 
     if arguments.clips:
@@ -187,8 +187,7 @@ def _of_images(arguments: argparse.Namespace, executor: Executor | None) -> Eval
             exclude_flags=arguments.exclude_flags,
             allow_missing=arguments.allow_missing,
             baseline=arguments.baseline,
-            jobs=arguments.jobs,
-            executor=executor,
+            workers=workers,
         )
     return evaluate(
         arguments.predictions,
@@ -201,12 +200,11 @@ def _of_images(arguments: argparse.Namespace, executor: Executor | None) -> Eval
         exclude_flags=arguments.exclude_flags,
         allow_missing=arguments.allow_missing,
         baseline=arguments.baseline,
-        jobs=arguments.jobs,
-        executor=executor,
+        workers=workers,
     )
 
 
-def _of_clips(arguments: argparse.Namespace, executor: Executor | None) -> VideoResult:
+def _of_clips(arguments: argparse.Namespace, workers: Workers) -> VideoResult:
     from eldata.evaluation.video import evaluate_video
 
     if arguments.cameras or arguments.exclude_flags:
@@ -222,6 +220,5 @@ def _of_clips(arguments: argparse.Namespace, executor: Executor | None) -> Video
         subset=arguments.subset,
         ids=arguments.clips,
         allow_missing=arguments.allow_missing,
-        jobs=arguments.jobs,
-        executor=executor,
+        workers=workers,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.console import OK, add_debug, add_json, add_root, write_json
+from eldata.base.console import OK, add_debug, add_json, add_root, write_json
 
 if TYPE_CHECKING:
     import argparse
@@ -30,9 +30,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
+    from eldata.base.tables import text_table
     from eldata.download.overview import overview
     from eldata.manifest.catalogue import data_root, shipped_manifest, shipped_names
-    from eldata.tables import text_table
 
     names = shipped_names() if arguments.dataset is None else (arguments.dataset,)
     found = [overview(shipped_manifest(name), arguments.root) for name in names]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.console import (
+from eldata.base.console import (
     OK,
     PROBLEMS,
     add_cameras,
@@ -12,7 +12,7 @@ from eldata.console import (
     add_json,
     add_root,
     add_workers,
-    chosen_executor,
+    chosen_workers,
     write_json,
 )
 from eldata.manifest.lock import lock
@@ -44,10 +44,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
     from dataclasses import asdict
 
-    with chosen_executor(arguments) as executor:
-        report = lock(
-            arguments.manifest, arguments.root, cameras=arguments.cameras, jobs=arguments.jobs, executor=executor
-        )
+    with chosen_workers(arguments) as workers:
+        report = lock(arguments.manifest, arguments.root, cameras=arguments.cameras, workers=workers)
     if arguments.json:
         problems = [asdict(problem) for problem in report.problems]
         write_json(arguments.json, {"files_locked": report.files_locked, "problems": problems})

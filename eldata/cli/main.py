@@ -6,6 +6,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from eldata import __version__
+from eldata.base.console import Parser, run
 from eldata.cli import (
     calibrate,
     compare,
@@ -21,7 +22,6 @@ from eldata.cli import (
     synthesize,
     verify,
 )
-from eldata.console import Parser, run
 
 if TYPE_CHECKING:
     import argparse

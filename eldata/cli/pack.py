@@ -5,13 +5,13 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING
 
-from eldata.console import INTERRUPTED, OK, add_cameras, add_debug, add_root, add_workers, chosen_executor
+from eldata.base.console import INTERRUPTED, OK, add_cameras, add_debug, add_root, add_workers, chosen_workers
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
     import argparse
 
-    from eldata.store.sources import Source
+    from eldata.sources.store.sources import Source
 
 
 NAME_HELP = "a dataset's name, such as eld, drv or drv-raw (DRV's camera raws), or a folder of clean raws"
@@ -50,14 +50,12 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
-    from eldata.store.build import build_store
+    from eldata.sources.store.build import build_store
 
     source = _source(arguments)
     try:
-        with chosen_executor(arguments) as executor:
-            report = build_store(
-                source, arguments.out, compression=arguments.compression, jobs=arguments.jobs, executor=executor
-            )
+        with chosen_workers(arguments) as workers:
+            report = build_store(source, arguments.out, compression=arguments.compression, workers=workers)
     except KeyboardInterrupt:
         if arguments.debug:
             raise
@@ -79,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _source(arguments: argparse.Namespace) -> Source:
     from pathlib import Path
 
-    from eldata.store.sources import source_of_dataset, source_of_folder
+    from eldata.sources.store.sources import source_of_dataset, source_of_folder
 
     if not Path(arguments.dataset).is_dir() or arguments.manifest is not None:
         return source_of_dataset(

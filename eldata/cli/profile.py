@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.console import OK, PROBLEMS, add_debug, add_json, whole_number, write_json
+from eldata.base.console import OK, PROBLEMS, add_debug, add_json, whole_number, write_json
 
 if TYPE_CHECKING:
     import argparse
@@ -49,9 +49,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run_show(arguments: argparse.Namespace) -> int:
     """Show and test one profile."""
+    from eldata.base.tables import text_table
+    from eldata.noise.diagnostics import diagnose, parameter_rows, sample_parameters
     from eldata.noise.profile import CameraProfile
-    from eldata.reports.diagnostics import diagnose, parameter_rows, sample_parameters
-    from eldata.tables import text_table
 
     profile = CameraProfile.load(arguments.camera)
     parameters = sample_parameters(profile, arguments.seed, iso=arguments.iso, gain_dn_per_e=arguments.gain)
@@ -84,8 +84,8 @@ def run_show(arguments: argparse.Namespace) -> int:
     if arguments.json:
         write_json(arguments.json, diagnostics.as_dict())
     if arguments.html:
-        from eldata.files import write_text
-        from eldata.reports.page import profile_page
+        from eldata.base.files import write_text
+        from eldata.reports.profile.page import profile_page
 
         write_text(arguments.html, profile_page(diagnostics))
     return PROBLEMS if diagnostics.off else OK
@@ -93,8 +93,8 @@ def run_show(arguments: argparse.Namespace) -> int:
 
 def run_list(arguments: argparse.Namespace) -> int:
     """List the shipped profiles."""
+    from eldata.base.tables import text_table
     from eldata.noise.profile import CameraProfile, shipped_profiles
-    from eldata.tables import text_table
 
     profiles = {name: CameraProfile.load(name) for name in shipped_profiles()}
     rows = []

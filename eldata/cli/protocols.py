@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from typing import TYPE_CHECKING, Any
 
-from eldata.console import OK, add_debug, add_json, write_json
+from eldata.base.console import OK, add_debug, add_json, write_json
 
 if TYPE_CHECKING:
     import argparse
@@ -40,8 +40,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
+    from eldata.base.tables import text_table
     from eldata.protocols.words import HEADER, summary
-    from eldata.tables import text_table
 
     names = arguments.protocol[1:] if arguments.protocol[:1] == ["show"] else arguments.protocol
     found = _chosen(names, arguments.dataset)

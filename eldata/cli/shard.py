@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING
 
-from eldata.console import INTERRUPTED, OK, add_cameras, add_debug, whole_number
+from eldata.base.console import INTERRUPTED, OK, add_cameras, add_debug, whole_number
 
 if TYPE_CHECKING:
     import argparse
@@ -58,7 +58,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
-    from eldata.streaming.writing import write_shards
+    from eldata.sources.shards.writing import write_shards
 
     try:
         report = write_shards(

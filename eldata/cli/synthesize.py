@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from eldata.console import OK, add_debug, add_workers, chosen_executor
+from eldata.base.console import OK, add_debug, add_workers, chosen_workers
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -64,8 +64,8 @@ def run(arguments: argparse.Namespace) -> int:
         format=arguments.format,
     )
     out = Path(arguments.out)
-    with chosen_executor(arguments) as executor:
-        manifest = synthesize(Path(arguments.clean), out, recipe, jobs=arguments.jobs, executor=executor)
+    with chosen_workers(arguments) as workers:
+        manifest = synthesize(Path(arguments.clean), out, recipe, workers=workers)
     noisy = manifest.card.counts.get("noisy", 0)
     print(
         f"{noisy} noisy frames of {manifest.card.counts['reference']} clean ones: {out / 'data' / manifest.card.folder}"

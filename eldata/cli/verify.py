@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.console import (
+from eldata.base.console import (
     OK,
     PROBLEMS,
     add_cameras,
@@ -12,7 +12,7 @@ from eldata.console import (
     add_json,
     add_root,
     add_workers,
-    chosen_executor,
+    chosen_workers,
     write_json,
 )
 from eldata.errors import ArgumentError
@@ -20,8 +20,8 @@ from eldata.manifest.verify import LEVELS, verify
 
 if TYPE_CHECKING:
     import argparse
-    from concurrent.futures import Executor
 
+    from eldata.base.workers import Workers
     from eldata.manifest.verify import VerifyReport
 
 _INDEX = "index.json"
@@ -58,9 +58,9 @@ def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
     if arguments.manifests.endswith(_INDEX):
         return _of_shards(arguments)
-    with chosen_executor(arguments) as executor:
+    with chosen_workers(arguments) as workers:
         check = _of_store if _is_store(arguments.manifests) else _of_files
-        report = check(arguments, executor)
+        report = check(arguments, workers)
     print(report.format_text())
     if arguments.json:
         write_json(arguments.json, report.as_dict())
@@ -68,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _of_shards(arguments: argparse.Namespace) -> int:
-    from eldata.streaming.checks import verify_shards
+    from eldata.sources.shards.checks import verify_shards
 
     if arguments.root is not None or arguments.dataset is not None or arguments.cameras:
         raise ArgumentError("--root, --dataset and --camera are for manifests; shards are checked whole")
@@ -86,21 +86,20 @@ def _is_store(path: str) -> bool:
     return path.lower().endswith((".h5", ".hdf5"))
 
 
-def _of_store(arguments: argparse.Namespace, executor: Executor | None) -> VerifyReport:
-    from eldata.store.checks import verify_store
+def _of_store(arguments: argparse.Namespace, workers: Workers) -> VerifyReport:
+    from eldata.sources.store.checks import verify_store
 
     if arguments.root is not None or arguments.dataset is not None or arguments.cameras:
         raise ArgumentError("--root, --dataset and --camera are for manifests; a store is checked whole")
-    return verify_store(arguments.manifests, level=arguments.level, jobs=arguments.jobs, executor=executor)
+    return verify_store(arguments.manifests, level=arguments.level, workers=workers)
 
 
-def _of_files(arguments: argparse.Namespace, executor: Executor | None) -> VerifyReport:
+def _of_files(arguments: argparse.Namespace, workers: Workers) -> VerifyReport:
     return verify(
         arguments.manifests,
         arguments.root,
         dataset=arguments.dataset,
         cameras=arguments.cameras,
         level=arguments.level,
-        jobs=arguments.jobs,
-        executor=executor,
+        workers=workers,
     )

@@ -31,6 +31,7 @@ from .rgb import rgb2rgb as rgb2rgb
 from .sid import SIDDataset as SIDDataset
 from .stored_clean import StoredClips as StoredClips
 from .stored_clean import StoredFrames as StoredFrames
+from .streamed_pairs import StreamedPairs as StreamedPairs
 from .synthetic import SyntheticPairs as SyntheticPairs
 from .synthetic_clips import ArrayClips as ArrayClips
 from .synthetic_clips import ClipSource as ClipSource

@@ -173,7 +173,7 @@ class PairDataset(Dataset[Sample]):
         DatasetError
             If the files' exposure ratio is more than a tenth off the manifest's, or their sizes differ.
         """
-        from eldata.files import inside
+        from eldata.base.files import inside
         from eldata.raw.reading import read_raw
 
         record = self.records[index]

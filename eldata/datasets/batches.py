@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.store.layout import Compression
+    from eldata.sources.store.layout import Compression
 
 # Free pieces of memory that a process keeps for its next batches: those that come back while it reads ahead.
 _MOST_FREE = 4
@@ -55,7 +55,7 @@ class Field(NamedTuple):
 
 
 def threads_here() -> int | None:
-    """Return how many threads make a batch, as :func:`eldata._compiled.in_threads` takes them: one in a worker.
+    """Return how many threads make a batch, as :func:`eldata.base.compiled.in_threads` takes them: one in a worker.
 
     The workers share the CPUs already.
     """
@@ -63,7 +63,7 @@ def threads_here() -> int | None:
 
 
 def reading_threads(compression: Compression, samples: int) -> int | None:
-    """Return how many threads read some samples of a store, as :func:`eldata._compiled.in_threads` takes them.
+    """Return how many threads read some samples of a store, as :func:`eldata.base.compiled.in_threads` takes them.
 
     zstd decodes for long without Python's lock. The rest is read so soon that more threads wait for that lock: measured
     on four cores, one is the fastest for a sample and two for a batch of eight.

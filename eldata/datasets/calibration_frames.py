@@ -9,8 +9,8 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
+from eldata.base.files import inside
 from eldata.errors import ArgumentError, DatasetError
-from eldata.files import inside
 from eldata.manifest.catalogue import data_root, load_manifest
 from eldata.raw.extensions import RAW_EXTENSIONS
 from eldata.records import FrameRecord

@@ -10,9 +10,9 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset
 
+from eldata.base.files import inside
+from eldata.base.png import rgb_frame
 from eldata.errors import ArgumentError, DatasetError, check_choice
-from eldata.files import inside
-from eldata.images import rgb_frame
 from eldata.manifest.clips import clips_of, select_rows, windows
 from eldata.manifest.drv import Layout
 from eldata.manifest.patterns import expand

@@ -40,7 +40,7 @@ _WORKERS = 2
 
 @runtime_checkable
 class SelfSplitting(Protocol):
-    """An iterable dataset that splits itself over ranks and workers, such as eldata.streaming.StreamedPairs."""
+    """An iterable dataset that splits itself over ranks and workers, such as eldata.sources.shards.StreamedPairs."""
 
     sample_bytes: int
     buffer_bytes: int
@@ -86,7 +86,7 @@ def training_loader(
     Parameters
     ----------
     dataset
-        One with ``len`` and indices, or an iterable one that splits itself (eldata.streaming.StreamedPairs). Items
+        One with ``len`` and indices, or an iterable one that splits itself (eldata.sources.shards.StreamedPairs). Items
         are to depend on (seed, epoch, index) alone, as those of this package do.
     batch_size
         Items a batch; the last batch is dropped if it is smaller.

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset
 
-from eldata._compiled import in_threads
+from eldata.base.compiled import in_threads
 from eldata.datasets.batches import Field, new_arrays, new_batch, reading_threads
 from eldata.datasets.clips import ClipSample, UnpairedClipSample
 from eldata.datasets.draws import CleanCrop, RgbCrop, SharedEpoch
@@ -21,8 +21,8 @@ from eldata.manifest.clips import clips_of, select_rows, windows
 from eldata.raw.cfa import CLIP_RANGES, pack_normalised
 from eldata.raw.levels import LEVELS, white_level_dn, with_levels
 from eldata.records import Exposure
-from eldata.store.layout import StoredFrame, StoredRgb
-from eldata.store.read import PixelReader, open_store
+from eldata.sources.store.layout import StoredFrame, StoredRgb
+from eldata.sources.store.read import PixelReader, open_store
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from eldata.raw.cfa import Clip
     from eldata.raw.levels import Levels
     from eldata.records import FrameRecord, Sensor
-    from eldata.store.layout import Store
+    from eldata.sources.store.layout import Store
 
 Sample = TypeVar("Sample")
 Stored = StoredFrame | StoredRgb

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset
 
-from eldata._compiled import in_threads
+from eldata.base.compiled import in_threads
 from eldata.datasets.base import AMPLIFICATIONS, PairDataset, Sample, checked_ratio
 from eldata.datasets.batches import Field, new_arrays, new_batch, reading_threads
 from eldata.datasets.draws import CleanCrop, SharedEpoch
@@ -19,7 +19,7 @@ from eldata.manifest.pairs import select_pairs
 from eldata.manifest.subsets import find_subset
 from eldata.raw.cfa import CLIP_RANGES, pack_normalised, packed_black_level_dn, packed_shape, packing_sites
 from eldata.raw.levels import FRAME_LEVELS, with_levels
-from eldata.store.read import PixelReader, open_store
+from eldata.sources.store.read import PixelReader, open_store
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from eldata.raw.cfa import CfaRows, Clip
     from eldata.raw.levels import FrameLevels
     from eldata.records import PairRecord, Sensor
-    from eldata.store.layout import StoredFrame
+    from eldata.sources.store.layout import StoredFrame
 
 
 class DnSample(TypedDict):

@@ -123,7 +123,7 @@ class FileSensors:
         return PairSensors(self._sensor(noisy), self._sensor(reference))
 
     def _sensor(self, path: str) -> Sensor:
-        from eldata.files import inside
+        from eldata.base.files import inside
         from eldata.raw.reading import read_raw
 
         if path not in self._known:
@@ -146,7 +146,7 @@ class StoreSensors:
     """
 
     def __init__(self, store: Path | str) -> None:
-        from eldata.store.read import open_store
+        from eldata.sources.store.read import open_store
 
         opened = open_store(store)
         self.store = opened.path

@@ -9,13 +9,13 @@ from eldata.datasets.clean import CleanFrame
 from eldata.errors import DatasetError, check_choice
 from eldata.manifest.patterns import sequence_of
 from eldata.raw.levels import LEVELS, white_level_dn
-from eldata.store.read import PixelReader, StoredMosaic, open_store
+from eldata.sources.store.read import PixelReader, StoredMosaic, open_store
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from eldata.raw.levels import Levels
-    from eldata.store.layout import StoredFrame
+    from eldata.sources.store.layout import StoredFrame
 
 
 def stored_mosaic(reader: PixelReader, frame: StoredFrame) -> StoredMosaic:

@@ -16,23 +16,21 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
+from eldata.base.files import atomic_write, write_text
+from eldata.base.workers import AnyWorkers, Workers, accepts_jobs, require_files
 from eldata.datasets.clean import RawFiles
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError
-from eldata.files import atomic_write, write_text
 from eldata.manifest.card import CameraCard, Card, save_card
 from eldata.manifest.catalogue import Manifest, load_manifest
 from eldata.manifest.table import save_records
 from eldata.noise.components import parse_components
 from eldata.noise.model import NoiseModel
-from eldata.parallel import check_jobs, require_files, run_units
 from eldata.raw.cfa import pack_normalised, packed_area, packed_black_level_dn, unpack
 from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
 from eldata.records import Exposure, FrameRecord, RawFrame
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
     from numpy.typing import NDArray
 
     from eldata.noise.profile import CameraProfile, RowChoice
@@ -93,7 +91,8 @@ class Recipe:
         return NoiseModel(replace(parts, quantisation=False).spec)
 
 
-def synthesize(clean: Path, out: Path, recipe: Recipe, *, jobs: int = 1, executor: Executor | None = None) -> Manifest:
+@accepts_jobs
+def synthesize(clean: Path, out: Path, recipe: Recipe, *, workers: AnyWorkers = 1) -> Manifest:
     """Write a noisy tree for a folder of clean raw files; return its manifest.
 
     Parameters
@@ -104,10 +103,9 @@ def synthesize(clean: Path, out: Path, recipe: Recipe, *, jobs: int = 1, executo
         A new or empty folder.
     recipe
         The noise.
-    jobs
-        Number of worker processes; the files do not depend on it.
-    executor
-        Makes the frames in their place (:mod:`eldata.parallel`); it is not shut down. Its workers write below ``out``.
+    workers
+        Number of worker processes, or an executor (:mod:`eldata.base.workers`), whose workers then write below
+        ``out``; the files do not depend on it.
 
     Raises
     ------
@@ -118,7 +116,7 @@ def synthesize(clean: Path, out: Path, recipe: Recipe, *, jobs: int = 1, executo
     EldataError
         If a file cannot be written.
     """
-    check_jobs(jobs)
+    workers = Workers.of(workers)
     paths = RawFiles(clean).paths
     name = re.sub(r"[^\w.+-]", "-", out.resolve().name) or "synthetic"
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
@@ -129,7 +127,7 @@ def synthesize(clean: Path, out: Path, recipe: Recipe, *, jobs: int = 1, executo
     except OSError as error:
         raise EldataError(f"cannot make {error.filename}: {error.strerror}") from error
     work = partial(_synthesize_file, Path.cwd(), (out / "data" / name).absolute(), recipe)
-    made = list(run_units(work, list(enumerate(paths)), jobs=jobs, executor=executor, label="synthesizing"))
+    made = list(workers.run(work, list(enumerate(paths)), label="synthesizing"))
     records = [record for item in made for record in item.records]
     roles = [record.role for record in records]
     card = Card(

@@ -6,14 +6,15 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from eldata.base.fields import TextFile
+from eldata.base.files import write_text
+from eldata.base.tables import text_table
+from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.calibration.camera import calibrate
 from eldata.datasets.calibration_frames import CalibrationFrames
 from eldata.demo.calibration_frames import DEMO_FEATURES, DEMO_GAMMA, make_calibration_frames
 from eldata.demo.folder import prepare_folder
 from eldata.errors import EldataError
-from eldata.files import write_text
-from eldata.reports.calibration_page import calibration_page
-from eldata.tables import text_table
+from eldata.reports.calibration.page import calibration_page
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def run_calibration_demo(
-    folder: Path, *, seed: int = 0, features: FixedFeatures = DEMO_FEATURES, jobs: int = 1
+    folder: Path, *, seed: int = 0, features: FixedFeatures = DEMO_FEATURES, workers: Workers = IN_THIS_PROCESS
 ) -> Calibration:
     """Make calibration frames in a folder, calibrate from them and compare with the truth, printing what happens.
 
@@ -36,8 +37,8 @@ def run_calibration_demo(
         Of the simulated camera.
     features
         What stays the same from frame to frame.
-    jobs
-        Files worked on at a time.
+    workers
+        Who photographs and measures.
 
     Raises
     ------
@@ -49,13 +50,13 @@ def run_calibration_demo(
     start = time.perf_counter()
     prepare_folder(folder)
     camera = DEMO_GAMMA
-    manifest = make_calibration_frames(folder, camera=camera, seed=seed, features=features, jobs=jobs)
+    manifest = make_calibration_frames(folder, camera=camera, seed=seed, features=features, workers=workers)
     data = folder / "data" / "calibration"
     print(f"{len(manifest.records)} raw files (DNG), bias and flat-field frames of {camera.name}: {data / camera.name}")
 
     profile, report = folder / f"{camera.name}.json", folder / "calibration.html"
     print(f"\n$ eldata calibrate {data} --camera {camera.name} -o {profile} --html {report}")
-    found = calibrate(CalibrationFrames(data, camera.name), jobs=jobs)
+    found = calibrate(CalibrationFrames(data, camera.name), workers=workers)
     print(found.format_text())
     found.profile.save(profile)
     write_text(report, calibration_page(found))

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
+from eldata.base.files import write_text
+from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.demo.body import Body, FixedFeatures, KnownNoise
 from eldata.errors import ArgumentError
-from eldata.files import write_text
 from eldata.manifest.card import CameraCard, Card, save_card
 from eldata.manifest.catalogue import load_manifest
 from eldata.manifest.table import number_text, save_records
-from eldata.parallel import check_jobs, run_units
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, FrameRecord, Sensor
 
@@ -163,7 +163,7 @@ def make_calibration_frames(
     size: tuple[int, int] = (1024, 1536),
     seed: int = 0,
     features: FixedFeatures = DEMO_FEATURES,
-    jobs: int = 1,
+    workers: Workers = IN_THIS_PROCESS,
 ) -> Manifest:
     """Take bias and flat-field frames with a simulated camera into ``folder``.
 
@@ -185,11 +185,11 @@ def make_calibration_frames(
     size
         (H, W) of the mosaics in pixels.
     seed
-        The same seed gives the same files, whatever ``jobs`` is.
+        The same seed gives the same files, wherever it is done.
     features
         How strong the fixed pattern is.
-    jobs
-        Number of worker processes.
+    workers
+        Who photographs them.
 
     Raises
     ------
@@ -197,7 +197,6 @@ def make_calibration_frames(
         If an argument is out of its range, or an ISO has no exposure time from 1/8000 s on that gives its flats.
     """
     _check(isos, bias_frames, flat_levels, seed)
-    check_jobs(jobs)
     camera = replace(camera, sensor=replace(camera.sensor, height=size[0], width=size[1]))
     noise = tuple(camera.noise_at(iso) for iso in isos)
     body = _body(camera.sensor, features, seed)
@@ -210,7 +209,7 @@ def make_calibration_frames(
     for place in (manifests, *sorted({shot.path.parent for shot in shots})):
         place.mkdir(parents=True, exist_ok=True)
     try:
-        for _ in run_units(_take, shots, jobs=jobs, label="calibration frames", unit="frame"):
+        for _ in workers.run(_take, shots, label="calibration frames", unit="frame"):
             pass
     finally:
         _body.cache_clear()  # a caller's process need not keep its arrays

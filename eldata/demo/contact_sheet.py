@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from PIL import Image, ImageDraw, ImageFont
 
-from eldata.files import atomic_write
+from eldata.base.files import atomic_write
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

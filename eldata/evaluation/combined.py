@@ -9,11 +9,11 @@ import textwrap
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+from eldata.base.files import write_text
+from eldata.base.tables import text_table
 from eldata.evaluation.common import csv_number, json_safe, mean
 from eldata.evaluation.results import CSV_COLUMNS, choice_text, problem_lines
-from eldata.files import write_text
 from eldata.protocols.comparability import comparability
-from eldata.tables import text_table
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from eldata.base.workers import AnyWorkers, Workers, accepts_jobs
 from eldata.errors import ArgumentError, DatasetError, ManifestError, PredictionError
 from eldata.evaluation.combined import CombinedResult, NotScored
 from eldata.evaluation.common import file_problems, software
@@ -20,7 +21,6 @@ from eldata.protocols.protocol import Protocol
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
-    from concurrent.futures import Executor
 
     from eldata.evaluation.planning import Plan
     from eldata.evaluation.predictions import FoundPredictions
@@ -37,6 +37,7 @@ ALL = "all"
 _USUAL_RESCALE = (1 / 3, 3.0)
 
 
+@accepts_jobs
 def evaluate(
     predictions: Path | str | None,
     dataset: str = "eld",
@@ -49,8 +50,7 @@ def evaluate(
     exclude_flags: Collection[str] = (),
     allow_missing: bool = False,
     baseline: Baseline | None = None,
-    jobs: int = 1,
-    executor: Executor | None = None,
+    workers: AnyWorkers = 1,
 ) -> EvaluationResult:
     """Score a folder of predictions under a named protocol.
 
@@ -82,10 +82,9 @@ def evaluate(
         Score what is there although predictions are missing or unusable; the table shows the coverage.
     baseline
         ``"input"``: score the noisy input itself, amplified and clipped as the protocol has it.
-    jobs
-        Number of worker processes. Scores do not depend on it.
-    executor
-        Runs the scoring in place of processes of our own (:mod:`eldata.parallel`); the files are checked from here.
+    workers
+        Number of worker processes, or an executor that scores (:mod:`eldata.base.workers`); the files are checked from
+        here. Scores do not depend on it.
 
     Returns
     -------
@@ -115,12 +114,12 @@ def evaluate(
         cameras=cameras,
         allow_missing=allow_missing,
         baseline=baseline,
-        jobs=jobs,
-        executor=executor,
+        workers=Workers.of(workers),
     )
     return result
 
 
+@accepts_jobs
 def evaluate_all(
     predictions: Path | str | None,
     dataset: str = "eld",
@@ -131,8 +130,7 @@ def evaluate_all(
     exclude_flags: Collection[str] = (),
     allow_missing: bool = False,
     baseline: Baseline | None = None,
-    jobs: int = 1,
-    executor: Executor | None = None,
+    workers: AnyWorkers = 1,
 ) -> CombinedResult:
     """Score a folder of predictions under every protocol for the dataset, in one pass over the files.
 
@@ -141,7 +139,7 @@ def evaluate_all(
 
     Parameters
     ----------
-    predictions, dataset, root, manifest, cameras, exclude_flags, allow_missing, baseline, jobs, executor
+    predictions, dataset, root, manifest, cameras, exclude_flags, allow_missing, baseline, workers
         As for :func:`evaluate`.
 
     Returns
@@ -187,8 +185,7 @@ def evaluate_all(
         cameras=cameras,
         allow_missing=allow_missing,
         baseline=baseline,
-        jobs=jobs,
-        executor=executor,
+        workers=Workers.of(workers),
     )
     results = []
     for result, scored in evaluated:
@@ -258,8 +255,7 @@ def _evaluate(
     cameras: Collection[str] | None,
     allow_missing: bool,
     baseline: Baseline | None,
-    jobs: int,
-    executor: Executor | None,
+    workers: Workers,
 ) -> list[tuple[EvaluationResult, PlanScores]]:
     """Return the result of each plan, and what scoring found beyond it."""
     _check_source(plans, predictions, baseline)
@@ -269,7 +265,7 @@ def _evaluate(
         found = [find_predictions(Path(predictions), plan.pairs, known) for plan in plans]
     folder = manifest.folder(root)
     pairs = {pair.path: pair for plan in plans for pair in plan.pairs}
-    _require_dataset(manifest, folder, list(pairs.values()), jobs, executor)
+    _require_dataset(manifest, folder, list(pairs.values()), workers)
 
     problems = [[] if one is None else file_problems(one, allow_missing=allow_missing) for one in found]
     wanted = [allow_missing or not some for some in problems]
@@ -277,8 +273,7 @@ def _evaluate(
         folder,
         [plan if want else replace(plan, pairs=()) for plan, want in zip(plans, wanted, strict=True)],
         None if predictions is None else [one.files for one in found if one is not None],
-        jobs=jobs,
-        executor=executor,
+        workers=workers,
     )
     source = str(predictions) if predictions is not None else f"none: the {baseline} itself"
     provenance = _provenance(manifest, cameras, source)
@@ -320,9 +315,7 @@ def _check_source(plans: Sequence[Plan], predictions: Path | str | None, baselin
             )
 
 
-def _require_dataset(
-    manifest: Manifest, folder: Path, pairs: Sequence[PairRecord], jobs: int, executor: Executor | None
-) -> None:
+def _require_dataset(manifest: Manifest, folder: Path, pairs: Sequence[PairRecord], workers: Workers) -> None:
     if not folder.is_dir():
         raise DatasetError(
             f"{folder}: the dataset is not there; name the folder above it with --root (root=...). Where to get it: "
@@ -330,7 +323,7 @@ def _require_dataset(
         )
     needed = {pair.path for pair in pairs} | {pair.reference for pair in pairs}
     records = [record for record in manifest.records if record.path in needed]
-    problems, _ = check_files(manifest, folder, records, level="metadata", jobs=jobs, executor=executor)
+    problems, _ = check_files(manifest, folder, records, level="metadata", workers=workers)
     if problems:
         more = f" (and {len(problems) - 1} more: eldata verify --level metadata lists all)" if len(problems) > 1 else ""
         raise DatasetError(f"{folder}: the dataset is not what its manifest says: {problems[0]}{more}")

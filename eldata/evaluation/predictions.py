@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from eldata.base.files import atomic_write
+from eldata.base.png import decode_png
 from eldata.errors import EldataError, PredictionError, RawFileError
 from eldata.evaluation.references import normalised_frame
-from eldata.files import atomic_write
-from eldata.images import decode_png
 from eldata.raw.cfa import pack, packed_shape
 from eldata.raw.levels import with_levels
 

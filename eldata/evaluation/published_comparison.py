@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from eldata.base.tables import text_table
 from eldata.errors import ArgumentError
 from eldata.evaluation.published import factor_text, load_published, place_text, shipped_published
 from eldata.protocols import PROTOCOLS
-from eldata.tables import text_table
-from eldata.video_protocols import VIDEO_PROTOCOLS
+from eldata.protocols.video import VIDEO_PROTOCOLS
 
 if TYPE_CHECKING:
     from pathlib import Path

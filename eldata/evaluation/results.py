@@ -9,9 +9,9 @@ from collections import Counter
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+from eldata.base.files import write_text
+from eldata.base.tables import text_table
 from eldata.evaluation.common import csv_number, json_safe, mean
-from eldata.files import write_text
-from eldata.tables import text_table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

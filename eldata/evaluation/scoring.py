@@ -10,17 +10,16 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from eldata.base.files import inside
+from eldata.base.workers import Failed, Workers, require_files
 from eldata.errors import ArgumentError, EldataError, FileError, PredictionError, RawFileError
 from eldata.evaluation.common import EvaluationProblem
 from eldata.evaluation.predictions import load_prediction, load_srgb_prediction
 from eldata.evaluation.references import normalised_frame, rendered_reference
 from eldata.evaluation.results import ImageScore
-from eldata.files import inside
-from eldata.parallel import Failed, require_files, threads_within, try_units
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence
-    from concurrent.futures import Executor
 
     from numpy.typing import NDArray
 
@@ -80,8 +79,7 @@ def score_plans(
     plans: Sequence[Plan],
     files: Sequence[dict[str, Path]] | None,
     *,
-    jobs: int,
-    executor: Executor | None,
+    workers: Workers,
 ) -> list[PlanScores]:
     """Score the pairs of each plan.
 
@@ -94,14 +92,14 @@ def score_plans(
     files
         For each plan, the file of each prediction by the noisy frame's path; pairs without one are left out. ``None``:
         the noisy inputs themselves are scored.
-    jobs, executor
+    workers
         As of :func:`eldata.evaluate`.
     """
     units = _units(plans, files)
     protocols = tuple(plan.protocol for plan in plans)
-    work = partial(_score_unit, _Job(Path.cwd(), folder.absolute(), protocols, threads_within(jobs, executor)))
+    work = partial(_score_unit, _Job(Path.cwd(), folder.absolute(), protocols, workers.threads_within))
     found = [PlanScores() for _ in plans]
-    for outcomes in try_units(work, units, jobs=jobs, executor=executor, label="scoring", unit="reference"):
+    for outcomes in workers.attempt(work, units, label="scoring", unit="reference"):
         if isinstance(outcomes, Failed) and not isinstance(outcomes.error, (EldataError, OSError)):
             raise outcomes.error
         for outcome in _of_unit(outcomes.unit, outcomes.reason) if isinstance(outcomes, Failed) else outcomes:

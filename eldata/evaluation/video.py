@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eldata.base.files import inside
+from eldata.base.png import rgb_frame
+from eldata.base.workers import AnyWorkers, Failed, Workers, accepts_jobs, require_files
 from eldata.errors import ArgumentError, DatasetError, ManifestError, PredictionError
 from eldata.evaluation.common import EvaluationProblem, file_problems, software
 from eldata.evaluation.predictions import find_predictions, load_prediction, load_rgb_prediction, save_prediction
 from eldata.evaluation.video_results import FrameScore, VideoResult, VideoScore
-from eldata.files import inside
-from eldata.images import rgb_frame
 from eldata.manifest.catalogue import Manifest, load_manifest, shipped_manifest
 from eldata.manifest.clip_checks import is_png
 from eldata.manifest.clips import clips_of, select_rows, windows
@@ -27,22 +28,21 @@ from eldata.manifest.drv import Layout
 from eldata.manifest.patterns import expand
 from eldata.manifest.subsets import find_subset
 from eldata.manifest.verify import check_files
-from eldata.parallel import Failed, require_files, threads_within, try_units
-from eldata.video_protocols import default_video_protocol, get_video_protocol
+from eldata.protocols.video import default_video_protocol, get_video_protocol
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
-    from concurrent.futures import Executor
 
     from numpy.typing import NDArray
 
     from eldata.evaluation.predictions import FoundPredictions
     from eldata.manifest.clips import ClipRecord
     from eldata.manifest.verify import Level
+    from eldata.protocols.video import VideoProtocol
     from eldata.records import FrameRecord, Sensor
-    from eldata.video_protocols import VideoProtocol
 
 
+@accepts_jobs
 def evaluate_video(
     predictions: Path | str,
     dataset: str = "drv",
@@ -53,8 +53,7 @@ def evaluate_video(
     subset: str | None = None,
     ids: Collection[str] | None = None,
     allow_missing: bool = False,
-    jobs: int = 1,
-    executor: Executor | None = None,
+    workers: AnyWorkers = 1,
 ) -> VideoResult:
     """Score a folder of predicted clips under a named protocol.
 
@@ -68,7 +67,7 @@ def evaluate_video(
     dataset
         Name of a shipped manifest of clips: ``drv``, the preprocessed ones.
     protocol
-        Name of a protocol (:mod:`eldata.video_protocols`). Default: the dataset's own.
+        Name of a protocol (:mod:`eldata.protocols.video`). Default: the dataset's own.
     root
         The folder that holds the datasets; default ``$ELDATA_ROOT``, else ``./data``.
     manifest
@@ -80,10 +79,9 @@ def evaluate_video(
         Score these clips instead of a subset; the result says so.
     allow_missing
         Score what is there although predictions are missing or unusable; the table shows the coverage.
-    jobs
-        Number of worker processes. Scores do not depend on it.
-    executor
-        Scores in their place (:mod:`eldata.parallel`); it is not shut down. Nor do scores depend on this.
+    workers
+        Number of worker processes, or an executor that scores (:mod:`eldata.base.workers`); the files are checked from
+        here. Scores do not depend on it.
 
     Returns
     -------
@@ -99,6 +97,7 @@ def evaluate_video(
     ManifestError, ArgumentError
         If the manifest is malformed or has no clips, or a name is unknown.
     """
+    workers = Workers.of(workers)
     loaded = shipped_manifest(dataset) if manifest is None else load_manifest(manifest)
     chosen = _protocol(loaded, protocol)
     folder = loaded.folder(root)
@@ -108,7 +107,7 @@ def evaluate_video(
             f"{loaded.card.homepage}"
         )
     subset_name, rows = _rows(loaded, subset, ids)
-    _require(loaded, folder, rows, "quick", jobs, executor)
+    _require(loaded, folder, rows, "quick", workers)
     listed = expand(rows, folder)
     clips = clips_of(listed)
     wanted = tuple(
@@ -118,7 +117,7 @@ def evaluate_video(
     )
     _check_windows(wanted, chosen)
     needed = {path for window in wanted for path in (*window.paths, window.reference)}
-    _require(loaded, folder, [row for row in listed if row.path in needed], "metadata", jobs, executor)
+    _require(loaded, folder, [row for row in listed if row.path in needed], "metadata", workers)
 
     places = {path: _Place(_prediction_of(window, path)) for window in wanted for path in window.paths}
     known = [
@@ -128,7 +127,7 @@ def evaluate_video(
     problems = file_problems(found, allow_missing=allow_missing)
     scores: dict[str, VideoScore] = {}
     if allow_missing or not problems:
-        scores, unusable = _score_all(folder, chosen, wanted, found, jobs, executor)
+        scores, unusable = _score_all(folder, chosen, wanted, found, workers)
         problems += unusable
         if problems and not allow_missing:
             scores = {}
@@ -229,10 +228,9 @@ def _require(
     folder: Path,
     rows: Sequence[FrameRecord],
     level: Level,
-    jobs: int,
-    executor: Executor | None,
+    workers: Workers,
 ) -> None:
-    problems, _ = check_files(manifest, folder, rows, level=level, jobs=jobs, executor=executor)
+    problems, _ = check_files(manifest, folder, rows, level=level, workers=workers)
     if problems:
         more = f" (and {len(problems) - 1} more: eldata verify --level metadata lists all)" if len(problems) > 1 else ""
         raise DatasetError(f"{folder}: the dataset is not what its manifest says: {problems[0]}{more}")
@@ -275,8 +273,7 @@ def _score_all(
     protocol: VideoProtocol,
     wanted: Sequence[ClipRecord],
     found: FoundPredictions,
-    jobs: int,
-    executor: Executor | None,
+    workers: Workers,
 ) -> tuple[dict[str, VideoScore], list[EvaluationProblem]]:
     units = []
     for window in wanted:
@@ -284,10 +281,10 @@ def _score_all(
         if None not in files:
             units.append(_Unit(window, tuple(path for path in files if path is not None)))
     # Processes share the CPUs; within one process the metrics use all of them.
-    work = partial(_score_unit, Path.cwd(), folder.absolute(), protocol, threads_within(jobs, executor))
+    work = partial(_score_unit, Path.cwd(), folder.absolute(), protocol, workers.threads_within)
     scores: dict[str, VideoScore] = {}
     problems: list[EvaluationProblem] = []
-    for outcome in try_units(work, units, jobs=jobs, executor=executor, label="scoring", unit="video"):
+    for outcome in workers.attempt(work, units, label="scoring", unit="video"):
         if isinstance(outcome, VideoScore):
             scores[outcome.scene] = outcome
         elif isinstance(outcome, Failed):

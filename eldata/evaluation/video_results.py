@@ -8,9 +8,9 @@ import json
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+from eldata.base.files import write_text
+from eldata.base.tables import text_table
 from eldata.evaluation.common import csv_number, json_safe, mean
-from eldata.files import write_text
-from eldata.tables import text_table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from eldata.evaluation.common import EvaluationProblem
     from eldata.manifest.clips import ClipRecord
-    from eldata.video_protocols import VideoProtocol
+    from eldata.protocols.video import VideoProtocol
 
 VIDEO_COLUMNS = (
     *("scene", "split", "camera", "start", "frames", "psnr_db", "ssim", "st_rred", "spatial_rred", "temporal_rred"),

@@ -76,7 +76,7 @@ def write_response_table(path: Path | str, curve: ResponseCurve) -> None:
     EldataError
         If the file cannot be written.
     """
-    from eldata.files import write_text
+    from eldata.base.files import write_text
 
     if (curve.irradiance != curve.irradiance[0]).any():
         raise ArgumentError(f"{curve.name}: the curves of R, G and B have different irradiances; write each by itself")

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING
 
 from eldata.base.fields import Fields, TextFile, names_of, shown
+from eldata.base.files import path_problem, write_text
 from eldata.errors import ArgumentError, ManifestError
-from eldata.files import path_problem, write_text
 from eldata.manifest.subsets import Subset
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from eldata.base.files import sha256_of
 from eldata.errors import ManifestError
-from eldata.files import sha256_of
 from eldata.manifest.card import Card, load_card
 from eldata.manifest.table import load_records
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from typing import TYPE_CHECKING
 
+from eldata.base.png import read_png_header, read_rgb16
 from eldata.errors import FileError
-from eldata.images import read_png_header, read_rgb16
 from eldata.manifest.patterns import Finding
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from eldata.base.fields import TextFile
+from eldata.base.files import write_text
 from eldata.errors import ManifestError
-from eldata.files import write_text
 from eldata.manifest.card import CameraCard, Card, Download
 from eldata.manifest.subsets import Subset
 from eldata.records import FrameRecord

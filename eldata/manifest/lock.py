@@ -8,17 +8,16 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.files import sha256_of
+from eldata.base.files import sha256_of
+from eldata.base.workers import AnyWorkers, Failed, Workers, accepts_jobs, require_files
 from eldata.manifest.card import save_card
 from eldata.manifest.catalogue import load_manifest
 from eldata.manifest.patterns import expand
 from eldata.manifest.table import save_records
 from eldata.manifest.verify import Problem, VerifyReport, verify
-from eldata.parallel import Failed, require_files, try_units
 
 if TYPE_CHECKING:
     from collections.abc import Collection
-    from concurrent.futures import Executor
 
     from eldata.records import FrameRecord
 
@@ -32,13 +31,13 @@ class LockReport:
     files_locked: int
 
 
+@accepts_jobs
 def lock(
     manifest: Path | str,
     root: Path | str | None = None,
     *,
     cameras: Collection[str] | None = None,
-    jobs: int = 1,
-    executor: Executor | None = None,
+    workers: AnyWorkers = 1,
 ) -> LockReport:
     """Record size and hash of every file of a manifest, and write the manifest whole or not at all.
 
@@ -56,10 +55,8 @@ def lock(
         The folder that holds the datasets; default ``$ELDATA_ROOT``, else ``./data``.
     cameras
         Lock just these cameras' files.
-    jobs
-        Number of worker processes.
-    executor
-        Reads the files in their place (:mod:`eldata.parallel`); it is not shut down.
+    workers
+        Number of worker processes, or an executor that reads the files (:mod:`eldata.base.workers`).
 
     Raises
     ------
@@ -69,9 +66,8 @@ def lock(
         If it cannot be written.
     """
     loaded = load_manifest(manifest)
-    checks = verify(
-        [loaded], root, dataset=loaded.name, cameras=cameras, level="metadata", jobs=jobs, executor=executor
-    )
+    workers = Workers.of(workers)
+    checks = verify([loaded], root, dataset=loaded.name, cameras=cameras, level="metadata", workers=workers)
     if checks.problems:
         return LockReport(checks, checks.problems, 0)
     folder = loaded.folder(root)
@@ -80,7 +76,7 @@ def lock(
     locked: dict[str, FrameRecord] = {}
     unread: list[Problem] = []
     label = f"{loaded.name} (hashing)"
-    for outcome in try_units(partial(_locked, folder.absolute()), chosen, jobs=jobs, executor=executor, label=label):
+    for outcome in workers.attempt(partial(_locked, folder.absolute()), chosen, label=label):
         if isinstance(outcome, Failed):
             advice = "make it readable where the hash is taken, and lock again"
             unread.append(Problem(loaded.name, outcome.unit.path, "sha256", "a hash", outcome.reason, advice))

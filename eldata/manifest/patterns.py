@@ -15,7 +15,7 @@ from itertools import pairwise
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
-from eldata.files import inside
+from eldata.base.files import inside
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

@@ -23,8 +23,8 @@ from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from eldata.base.fields import TextFile
+from eldata.base.files import write_text
 from eldata.errors import ManifestError
-from eldata.files import write_text
 from eldata.manifest.pairs import UNCERTAIN_ISO
 from eldata.records import FrameRecord
 

@@ -9,8 +9,8 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, get_args
 
 from eldata.base.fields import Cells, TextFile, shown
+from eldata.base.files import path_problem, write_text
 from eldata.errors import ArgumentError, ManifestError
-from eldata.files import path_problem, write_text
 from eldata.records import FrameRecord, Role
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ ROLES: tuple[Role, ...] = get_args(Role)
 _LARGEST_BYTES = 1 << 30  # millions of rows
 _MOST_DECIMALS = 9
 _SHA256 = re.compile(r"sha256:[0-9a-f]{64}")
-_NAME = re.compile(r"[\w.+-]+")
+_NAME = re.compile(r"[\w.+-]{1,255}")
 
 
 def number_text(value: Fraction) -> str:

@@ -20,8 +20,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
+from eldata.base.files import inside, sha256_of
+from eldata.base.workers import AnyWorkers, Failed, Workers, accepts_jobs, require_files
 from eldata.errors import ArgumentError, ManifestError, RawFileError
-from eldata.files import inside, sha256_of
 from eldata.manifest.catalogue import Manifest, find_manifests
 from eldata.manifest.clip_checks import (
     exposure_findings,
@@ -33,11 +34,9 @@ from eldata.manifest.clip_checks import (
 from eldata.manifest.pairs import UNCERTAIN_ISO
 from eldata.manifest.patterns import expand, pattern_findings
 from eldata.manifest.table import number_text
-from eldata.parallel import Failed, check_jobs, require_files, try_units
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
-    from concurrent.futures import Executor
 
     from eldata.manifest.patterns import Finding
     from eldata.records import FrameRecord
@@ -134,6 +133,7 @@ class VerifyReport:
         return "\n".join(lines)
 
 
+@accepts_jobs
 def verify(
     manifests: Path | str | Iterable[Manifest],
     root: Path | str | None = None,
@@ -141,8 +141,7 @@ def verify(
     dataset: str | None = None,
     cameras: Collection[str] | None = None,
     level: Level = "quick",
-    jobs: int = 1,
-    executor: Executor | None = None,
+    workers: AnyWorkers = 1,
 ) -> VerifyReport:
     """Check the files below ``root`` against manifests.
 
@@ -158,17 +157,15 @@ def verify(
         Check just these cameras' files, if you hold a part of a dataset.
     level
         See the module's text.
-    jobs
-        Number of worker processes.
-    executor
-        Looks into the files in their place (:mod:`eldata.parallel`); it is not shut down.
+    workers
+        Number of worker processes, or an executor that looks into the files (:mod:`eldata.base.workers`).
 
     Raises
     ------
     ManifestError
         If a manifest is malformed or has no such dataset or camera.
     """
-    check_jobs(jobs)
+    workers = Workers.of(workers)
     if level not in LEVELS:
         raise ArgumentError(f"level must be one of {', '.join(LEVELS)}; found {level!r}")
     chosen = list(find_manifests(manifests) if isinstance(manifests, (str, Path)) else manifests)
@@ -184,7 +181,7 @@ def verify(
     if cameras:
         chosen = [manifest for manifest in chosen if set(cameras) & set(manifest.card.cameras)]
     reports = [
-        _verify_dataset(manifest, manifest.folder(root), cameras, level, jobs, executor, required=dataset is not None)
+        _verify_dataset(manifest, manifest.folder(root), cameras, level, workers, required=dataset is not None)
         for manifest in chosen
     ]
     return VerifyReport(level, tuple(reports))
@@ -195,8 +192,7 @@ def _verify_dataset(
     folder: Path,
     cameras: Collection[str] | None,
     level: Level,
-    jobs: int,
-    executor: Executor | None,
+    workers: Workers,
     *,
     required: bool,
 ) -> DatasetReport:
@@ -210,7 +206,7 @@ def _verify_dataset(
             advice = f"see {manifest.card.homepage}, or name the folder above it with --root"
             problems.append(Problem(manifest.name, str(folder), "folder", "the dataset's files", "nothing", advice))
         return DatasetReport(manifest.name, needed, True, manifest.card.homepage, len(records), 0, 0, tuple(problems))
-    found, present = check_files(manifest, folder, records, level=level, jobs=jobs, executor=executor)
+    found, present = check_files(manifest, folder, records, level=level, workers=workers)
     listed = expand(records, folder)
     hashed = sum(record.sha256 is not None for record in present) if level == "full" else 0
     return DatasetReport(manifest.name, folder, False, manifest.card.homepage, len(listed), len(present), hashed, found)
@@ -222,8 +218,7 @@ def check_files(
     records: Sequence[FrameRecord],
     *,
     level: Level,
-    jobs: int = 1,
-    executor: Executor | None = None,
+    workers: Workers,
 ) -> tuple[tuple[Problem, ...], tuple[FrameRecord, ...]]:
     """Check some of a manifest's files; return the problems, by path, and the records whose files are there."""
     listed = expand(records, folder)
@@ -235,7 +230,7 @@ def check_files(
         label = f"{manifest.name} ({level})"
         outcomes = [
             _unchecked(manifest.name, outcome) if isinstance(outcome, Failed) else outcome
-            for outcome in try_units(work, present, jobs=jobs, executor=executor, label=label)
+            for outcome in workers.attempt(work, present, label=label)
         ]
         problems += [problem for outcome in outcomes for problem in outcome.problems]
         products = [outcome.exposure_product for outcome in outcomes]

@@ -1,6 +1,3 @@
-from .modules import PSNR as PSNR
-from .modules import SSIM as SSIM
-from .modules import ProtocolScore as ProtocolScore
 from .rescaling import rescale as rescale
 from .rescaling import rescale_factor as rescale_factor
 from .scoring import Score as Score
@@ -19,9 +16,6 @@ from .st_rred import st_rred as st_rred
 __all__ = [
     "PEAK_8_BIT",
     "PEAK_ELD",
-    "PSNR",
-    "SSIM",
-    "ProtocolScore",
     "Score",
     "ScoringRules",
     "StRred",

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata._compiled import kernel
+from eldata.base.compiled import kernel
 from eldata.metrics._kernels import clamp
 
 if TYPE_CHECKING:

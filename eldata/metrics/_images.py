@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from eldata._compiled import in_threads
+from eldata.base.compiled import in_threads
+from eldata.base.tensors import is_tensor
 from eldata.errors import ArgumentError
-from eldata.tensors import is_tensor
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

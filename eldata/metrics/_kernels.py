@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata._compiled import kernel
+from eldata.base.compiled import kernel
 
 if TYPE_CHECKING:
     from eldata.metrics._images import Block

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from eldata._compiled import kernel
+from eldata.base.compiled import kernel
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

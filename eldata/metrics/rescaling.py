@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, overload
 
 import numpy as np
 
+from eldata.base.tensors import is_tensor
 from eldata.metrics._images import check_threads, host_array, pair, total
 from eldata.metrics._kernels import products
-from eldata.tensors import is_tensor
 
 if TYPE_CHECKING:
     import torch

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata._compiled import kernel
+from eldata.base.compiled import kernel
 from eldata.noise._tables import COARSE_BITS, COARSE_STEP, FINE_BITS, FINE_STEPS, TABLE_LIMIT, WIDER_FROM
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from eldata._compiled import in_threads
+from eldata.base.compiled import in_threads
 from eldata.errors import ArgumentError
 from eldata.noise import _kernels
 from eldata.noise._tables import poisson_tables

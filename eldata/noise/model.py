@@ -22,13 +22,13 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 
+from eldata.base.tensors import is_tensor
 from eldata.errors import ArgumentError, check_choice
 from eldata.noise.components import Components, parse_components
 from eldata.noise.layout import channel_bias_dn, row_layout
 from eldata.noise.parameters import NoiseParameters, tukey_lambda_variance
 from eldata.noise.randomness import Generator, key_from
 from eldata.raw.cfa import CLIP_RANGES
-from eldata.tensors import is_tensor
 
 if TYPE_CHECKING:
     import torch

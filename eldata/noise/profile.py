@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from eldata.base.fields import Fields, TextFile, names_of
+from eldata.base.files import write_text
 from eldata.errors import ArgumentError, ProfileError
-from eldata.files import write_text
 from eldata.noise.parameters import NoiseParameters, shape_problem
 from eldata.noise.randomness import Generator, standard_normals, uniforms
 

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
+from eldata.base.files import atomic_write
 from eldata.errors import ArgumentError
-from eldata.files import atomic_write
 from eldata.raw.cfa import packed_black_level_dn
 
 if TYPE_CHECKING:

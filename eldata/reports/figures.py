@@ -17,7 +17,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
-from eldata.reports.comparison import LIMIT
+from eldata.noise.findings import LIMIT
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

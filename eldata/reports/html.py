@@ -14,7 +14,7 @@ from pathlib import Path
 import jinja2
 
 from eldata import __version__
-from eldata.tables import with_error
+from eldata.base.tables import with_error
 
 _TEMPLATES = Path(__file__).parent / "templates"
 

@@ -38,7 +38,7 @@ def pristine(tmp_path_factory: pytest.TempPathFactory) -> FrameTree:
 
 @pytest.fixture(scope="module")
 def found(pristine: FrameTree) -> Calibration:
-    return calibrate(pristine.root, jobs=2)
+    return calibrate(pristine.root, workers=2)
 
 
 @pytest.fixture
@@ -177,7 +177,7 @@ def test_the_text_shows_every_figure(found: Calibration) -> None:
 
 @pytest.mark.parametrize("jobs", [1, 3])
 def test_any_number_of_jobs_gives_the_same(found: Calibration, pristine: FrameTree, jobs: int) -> None:
-    again = calibrate(pristine.root, jobs=jobs)
+    again = calibrate(pristine.root, workers=jobs)
     assert again.as_dict() == found.as_dict()
     assert again.profile == found.profile
     for one, other in zip(again.isos, found.isos, strict=True):
@@ -187,7 +187,7 @@ def test_any_number_of_jobs_gives_the_same(found: Calibration, pristine: FrameTr
 
 def test_the_manifest_gives_the_same(found: Calibration, pristine: FrameTree) -> None:
     frames = pristine.frames(manifest=pristine.manifest)
-    assert calibrate(frames, jobs=2).as_dict() == found.as_dict()
+    assert calibrate(frames, workers=2).as_dict() == found.as_dict()
 
 
 def test_an_iso_does_not_depend_on_the_others(found: Calibration, pristine: FrameTree) -> None:
@@ -323,7 +323,7 @@ def test_xtrans(tmp_path: Path) -> None:
 def test_levels_that_differ_are_left_open(tree: FrameTree) -> None:
     for path in (*tree.files("bias", 400), *tree.files("flat", 400)):
         rewritten(path, black_level_dn=(512.0, 512.0, 511.0, 512.0), white_level_dn=16000.0)
-    found = calibrate(tree.root, jobs=2)
+    found = calibrate(tree.root, workers=2)
     assert (found.profile.black_level_dn, found.profile.white_level_dn) == (None, None)
     assert any(r.startswith("the black level differs by ISO or channel (511, 512 DN)") for r in found.remarks)
     assert any(r.startswith("the white level differs by ISO or channel (16000, 16383 DN)") for r in found.remarks)
@@ -343,8 +343,8 @@ def test_gains_that_are_not_in_proportion_to_iso(found: Calibration) -> None:
 def test_wrong_arguments(pristine: FrameTree, tmp_path: Path) -> None:
     with pytest.raises(ArgumentError, match="isos is about a folder"):
         calibrate(pristine.frames(), isos=[100])
-    with pytest.raises(ArgumentError, match="jobs must be 1 or more"):
-        calibrate(pristine.root, jobs=0)
+    with pytest.raises(ArgumentError, match="workers must be 1 or more"):
+        calibrate(pristine.root, workers=0)
     with pytest.raises(DatasetError, match="no such folder"):
         calibrate(tmp_path / "none")
     with pytest.raises(DatasetError, match="no frames of ISO 200"):

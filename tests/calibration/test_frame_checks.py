@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from eldata import calibrate
+from eldata.base.workers import Workers
 from eldata.calibration import FramesError
 from eldata.calibration.frame_checks import (
     FrameFigures,
@@ -70,7 +71,7 @@ def test_good_frames_have_no_problem(pristine: FrameTree) -> None:
 def test_good_frames_are_sorted_out(pristine: FrameTree) -> None:
     """Against the manifest, which the simulator wrote."""
     rows = load_records(pristine.manifest)
-    for one in sorted_frames(pristine.frames(), threads=2):
+    for one in sorted_frames(pristine.frames(), Workers(2)):
         bias = [row for row in rows if row.role == "bias" and row.iso == one.iso]
         flats = [row for row in rows if row.role == "flat" and row.iso == one.iso]
         assert [record.path for record in one.bias] == [row.path for row in bias]
@@ -188,7 +189,7 @@ def test_every_problem_of_every_iso_at_once(tree: FrameTree) -> None:
     for path, spoil in spoilt.items():
         spoil(path)
     with pytest.raises(FramesError) as raised:
-        calibrate(tree.root, jobs=2)
+        calibrate(tree.root, workers=2)
     assert [problem.path for problem in raised.value.problems] == sorted(relative(tree, path) for path in spoilt)
     first = str(raised.value.problems[0])
     assert str(raised.value) == f"{first} (and 4 more problems)"

@@ -96,7 +96,7 @@ def test_six_megapixels(tmp_path: Path) -> None:
     """
     isos = tuple(noise.iso for noise in SPAN.noise)
     tree = made_tree(tmp_path / "x", camera=SPAN, isos=isos, bias_frames=10, flat_levels=5, size=(2048, 3072), jobs=2)
-    found = calibrate(tree.root, jobs=2)
+    found = calibrate(tree.root, workers=2)
     assert_recovered(tree, found.isos)
     truth = tree.truth["isos"]
     for one, true in zip(found.isos, truth, strict=True):
@@ -149,7 +149,7 @@ def test_random_cameras(kind: str, features: str, tmp_path: Path) -> None:
         seed=seed,
         features=FEATURES[features],
     )
-    found = calibrate(tree.root, jobs=2)
+    found = calibrate(tree.root, workers=2)
     assert_recovered(tree, found.isos)
     assert len(found.profile.rows) == 3
 
@@ -160,7 +160,7 @@ def test_below_what_rounding_lets_through(tmp_path: Path) -> None:
     camera = replace(DEMO_GAMMA, noise=(noise,))
     features = FixedFeatures(dsnu_dn=1.0)  # 0.3 DN at this gain
     tree = made_tree(tmp_path / "x", camera=camera, isos=(100,), bias_frames=10, size=(512, 768), features=features)
-    found = calibrate(tree.root, jobs=2)
+    found = calibrate(tree.root, workers=2)
     (one,) = found.isos
     read = one.read
     assert not read.is_reliable

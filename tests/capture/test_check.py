@@ -61,7 +61,7 @@ def value(group: CheckedGroup, name: str, number: int) -> Measure:
 def test_nothing_is_found_on_ten_clean_scenes(tmp_path: Path, camera: SimulatedCamera, seed: int) -> None:
     """Ten scenes of all sixteen frames: ISO 800 to 3200, ratios 1 to 200."""
     manifest = write_scenes(tmp_path, scenes=range(1, 11), camera=camera, seed=seed)
-    report = check(manifest, tmp_path / "data", jobs=2)
+    report = check(manifest, tmp_path / "data", workers=2)
     assert [str(reason) for group in report.groups for reason in group.reasons] == []
     assert [group.verdict for group in report.groups] == ["keep"] * 10
     assert report.ok
@@ -333,12 +333,12 @@ def test_wrong_usage_is_one_line(
 
 def test_the_result_does_not_depend_on_the_number_of_jobs(two_scenes: Path) -> None:
     csv, data = two_scenes / "manifests" / "my.csv", two_scenes / "data"
-    assert check(csv, data, jobs=1) == check(csv, data, jobs=4)
+    assert check(csv, data, workers=1) == check(csv, data, workers=4)
 
 
 def test_jobs_must_be_positive(two_scenes: Path) -> None:
-    with pytest.raises(ArgumentError, match="jobs"):
-        check(two_scenes / "manifests" / "my.csv", two_scenes / "data", jobs=0)
+    with pytest.raises(ArgumentError, match="workers"):
+        check(two_scenes / "manifests" / "my.csv", two_scenes / "data", workers=0)
 
 
 def test_an_absent_folder_is_an_error(two_scenes: Path, tmp_path: Path) -> None:

@@ -303,7 +303,10 @@ def test_wrong_progress_is_refused(
 def test_missing_field_is_named(plan: Plan, tmp_path: Path) -> None:
     content = exported(plan)
     del content["scenes"][0]["shots"][0]["repeats"]
-    with pytest.raises(ProgressError, match=re.escape("scenes[0].shots[0].repeats: expected a whole number from 0 to 99, found nothing")):
+    with pytest.raises(
+        ProgressError,
+        match=r"shots\[0\]\.repeats: expected a whole number from 0 to 99, found nothing",
+    ):
         load_progress(written(content, tmp_path), plan)
 
 

@@ -17,7 +17,7 @@ import pytest
 
 from capture.calibration import plan_calibration
 from capture.cli import main
-from eldata.files import sha256_of
+from eldata.base.files import sha256_of
 from eldata.manifest import load_manifest, verify
 from tests.capture.simulated import CAMERA, Taken, plan_of, shoot, whole_plan
 

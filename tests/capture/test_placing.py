@@ -10,7 +10,7 @@ import pytest
 
 from capture.errors import MappingError
 from capture.placing import Placement, check_free, copy, link
-from eldata.files import sha256_of
+from eldata.base.files import sha256_of
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -337,7 +337,7 @@ def test_every_field_is_needed(place: tuple[Any, ...], tmp_path: Path) -> None:
     if place[-1] in ("cfa", "true_times"):
         Plan.load(path)  # these have defaults
         return
-    with pytest.raises(PlanError, match="found nothing$|is missing$"):
+    with pytest.raises(PlanError, match=r"found nothing$|is missing$"):
         Plan.load(path)
 
 

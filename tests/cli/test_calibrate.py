@@ -202,7 +202,7 @@ def test_a_target_that_cannot_be_written(option: str, eldata: Cli, pristine: Fra
 def test_a_report_that_cannot_be_written_costs_no_profile(
     eldata: Cli, pristine: FrameTree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("eldata.reports.calibration_page.calibration_page", lambda found: found.camera)
+    monkeypatch.setattr("eldata.reports.calibration.page.calibration_page", lambda found: found.camera)
     target = tmp_path / "no" / "r.html"
     outcome = eldata("calibrate", pristine.root, "--iso", "400", "--html", target, "-o", tmp_path / "p.json")
     assert outcome.code == 2

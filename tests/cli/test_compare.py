@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import pytest
 
+from eldata.base.console import Parser, run
 from eldata.cli import compare as command
-from eldata.console import Parser, run
 from tests.cli.conftest import Outcome, assert_golden
 from tests.reports.evaluations import result_data, table_of, written
 

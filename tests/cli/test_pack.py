@@ -14,11 +14,11 @@ import pytest
 
 from eldata.datasets.packed_clips import PackedClips, PackedUnpairedClips
 from eldata.datasets.packed_store import PackedStore
-from eldata.store import source_of_dataset
-from eldata.store.journal import journaled
+from eldata.sources.store import source_of_dataset
+from eldata.sources.store.journal import journaled
 from tests.cli.test_usage import assert_one_line
 from tests.drv_tree import small_drv, write_raw_clip
-from tests.store.helpers import start_packing
+from tests.sources.store.helpers import start_packing
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from eldata.base.console import Parser, run
 from eldata.cli import profile as command
-from eldata.console import Parser, run
+from eldata.noise import diagnostics
 from eldata.noise.profile import CameraProfile, shipped_profiles
-from eldata.reports import diagnostics
 
 if TYPE_CHECKING:
     import argparse
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 MADE = """
 import sys
 from eldata.cli import profile
-from eldata.console import Parser, run
+from eldata.base.console import Parser, run
 parser = Parser(prog="eldata")
 profile.add_parser(parser.add_subparsers())
 code = run(parser, sys.argv[1:])

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from eldata.streaming import StreamedPairs, verify_shards
+from eldata import StreamedPairs
+from eldata.sources.shards import verify_shards
 from tests.cli.conftest import Outcome
 from tests.cli.test_usage import assert_one_line
 

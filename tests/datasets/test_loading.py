@@ -24,7 +24,7 @@ from eldata.datasets.loading import describe, evaluation_loader, set_epoch, trai
 from eldata.datasets.ranks import ExactSampler, Rank, ShuffledSampler, current_rank
 from eldata.datasets.worker_count import chosen_workers
 from eldata.errors import ArgumentError
-from tests.store.helpers import pack_tree
+from tests.sources.store.helpers import pack_tree
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

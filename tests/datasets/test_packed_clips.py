@@ -24,10 +24,10 @@ from eldata.datasets.packed_clips import PackedClips, PackedUnpairedClips
 from eldata.datasets.stored_clean import StoredClips
 from eldata.errors import ArgumentError, DatasetError
 from eldata.raw.dng import write_dng
-from eldata.store import build_store, source_of_dataset
+from eldata.sources.store import build_store, source_of_dataset
 from tests.drv_tree import NOISY, REFERENCE, RGB_SIZE, SENSOR, SmallDrv, mosaic_of, small_drv, write_raw, write_raw_clip
 from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, make_sensor, random_mosaic
-from tests.store.helpers import pack_folder, pack_tree
+from tests.sources.store.helpers import pack_folder, pack_tree
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -348,7 +348,7 @@ def test_memory_does_not_grow_with_the_store(tmp_path: Path) -> None:
     folder = drv.data / "VBM4D_rawRGB" / "M0003"
     for number in range(2, 101):
         os.link(folder / "0001.png", folder / f"{number:04d}.png")
-    dataset = PackedUnpairedClips(pack_tree(drv, tmp_path / "store.h5", jobs=2).store, crop=256, window=2)
+    dataset = PackedUnpairedClips(pack_tree(drv, tmp_path / "store.h5", workers=2).store, crop=256, window=2)
     process = psutil.Process()
 
     def read(indices: range) -> int:

@@ -27,7 +27,7 @@ from eldata.raw.cfa import pack_normalised
 from eldata.raw.levels import with_levels
 from tests.raw.helpers import BAYER, EXPOSURE, make_sensor, random_mosaic
 from tests.sid_tree import SmallTree, build_small_tree
-from tests.store.helpers import pack_folder, pack_tree, write_clean
+from tests.sources.store.helpers import pack_folder, pack_tree, write_clean
 from tests.trees import BETA, Tree, copy_tree, scale_exposure
 
 if TYPE_CHECKING:
@@ -333,7 +333,7 @@ def test_a_store_of_a_part_and_its_subsets(tree: Tree, tmp_path: Path) -> None:
     card = tree.manifest.card
     subsets = (Subset("beta", "one camera", "", 12, paths="DemoBeta/*"), Subset("all", "all", "", 24))
     save_card(tree.csv.with_suffix(".json"), replace(card, subsets=subsets))
-    from eldata.store import build_store, source_of_dataset
+    from eldata.sources.store import build_store, source_of_dataset
 
     source = source_of_dataset(card.name, root=tree.root, manifest=tree.csv, subset="beta")
     assert {path.rpartition("/")[0] for path, _ in source.files} == {BETA}
@@ -369,7 +369,7 @@ def test_memory_does_not_grow_with_the_store(tmp_path: Path) -> None:
     write_dng(folder / "000.dng", random_mosaic(768, 1024), sensor, EXPOSURE)
     for number in range(1, 120):
         os.link(folder / "000.dng", folder / f"{number:03d}.dng")
-    source = StoredFrames(pack_folder(folder, tmp_path / "store.h5", jobs=2).store)
+    source = StoredFrames(pack_folder(folder, tmp_path / "store.h5", workers=2).store)
     process = psutil.Process()
 
     def read(indices: range) -> int:

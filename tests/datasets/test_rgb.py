@@ -31,7 +31,7 @@ from eldata.isp.response import ResponseCurve
 from eldata.isp.scoring import render_pair_for_scoring
 from eldata.raw import read_raw, write_dng
 from tests.raw.helpers import make_sensor
-from tests.store.helpers import pack_folder, pack_tree
+from tests.sources.store.helpers import pack_folder, pack_tree
 from tests.trees import BETA, Tree, copy_tree, frame
 
 if TYPE_CHECKING:

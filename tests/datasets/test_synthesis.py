@@ -101,7 +101,7 @@ def test_files_depend_on_the_seed_alone(clean: Path, tmp_path: Path) -> None:
     def content(name: str, seed: int, jobs: int) -> dict[str, bytes]:
         out = tmp_path / name / "set"  # the same name: it stands in the manifest
         out.parent.mkdir()
-        synthesize(clean, out, Recipe(SONY, seed=seed), jobs=jobs)
+        synthesize(clean, out, Recipe(SONY, seed=seed), workers=jobs)
         return {str(p.relative_to(out)): p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()}
 
     one, two, other = content("one", 1, 1), content("two", 1, 2), content("other", 2, 1)

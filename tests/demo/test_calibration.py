@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import eldata.demo.calibration
+from eldata.base.workers import Workers
 from eldata.cli.main import main
 from eldata.demo.body import FixedFeatures
 from eldata.demo.calibration import against_truth, run_calibration_demo
@@ -35,7 +36,7 @@ def page(found: Calibration) -> str:
 def patched(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(eldata.demo.calibration, "make_calibration_frames", SMALL)
     patch.setattr(eldata.demo.calibration, "calibration_page", page)
-    patch.setattr("eldata.reports.calibration_page.calibration_page", page)
+    patch.setattr("eldata.reports.calibration.page.calibration_page", page)
 
 
 @pytest.fixture(autouse=True)
@@ -51,7 +52,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Calibration, s
         patched(patch)
         lines: list[str] = []
         patch.setattr("builtins.print", lambda *words, **_: lines.append(" ".join(map(str, words))))
-        found = run_calibration_demo(folder, jobs=2)
+        found = run_calibration_demo(folder, workers=Workers(2))
     return folder, found, "\n".join(lines)
 
 
@@ -181,5 +182,5 @@ def test_again_over_an_earlier_demo(tmp_path: Path) -> None:
     folder.mkdir()
     (folder / ".eldata-demo").write_text("x")
     (folder / "data" / "ELD-demo").mkdir(parents=True)
-    run_calibration_demo(folder, jobs=2)
+    run_calibration_demo(folder, workers=Workers(2))
     assert [path.name for path in (folder / "data").iterdir()] == ["calibration"]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from eldata.base.workers import Workers
 from eldata.demo.body import Body, FixedFeatures
 from eldata.demo.calibration_frames import _TIMES_S, DEMO_FEATURES, DEMO_GAMMA, make_calibration_frames
 from eldata.errors import ArgumentError
@@ -233,7 +234,7 @@ def test_the_default_camera_is_of_the_published_kind() -> None:
 
 
 def test_any_number_of_jobs_gives_the_same_bytes(made: tuple[Path, Manifest], tmp_path: Path) -> None:
-    make_calibration_frames(tmp_path, **SMALL, jobs=2)
+    make_calibration_frames(tmp_path, **SMALL, workers=Workers(2))
     assert digests(tmp_path) == digests(made[0])
     assert len(digests(tmp_path)) == 21
 

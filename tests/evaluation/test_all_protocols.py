@@ -58,7 +58,7 @@ def test_all_equals_single_runs(own: OwnSet, preds: Path) -> None:
 
 
 def test_all_does_not_depend_on_jobs(own: OwnSet, preds: Path) -> None:
-    one, two = (evaluate_all(preds, manifest=own.manifest, root=own.root, jobs=jobs) for jobs in (1, 2))
+    one, two = (evaluate_all(preds, manifest=own.manifest, root=own.root, workers=jobs) for jobs in (1, 2))
     assert one == two
 
 
@@ -231,11 +231,11 @@ def test_a_reference_that_cannot_be_decoded_is_the_problem_of_its_pairs(jobs: in
     own = build_own_set(tmp_path, scenes=2)
     predict(own, tmp_path / "p", scenes=2)
     spoil_pixels(own.files / "s0/clean.dng")
-    found = evaluate(tmp_path / "p", manifest=own.manifest, root=own.root, jobs=jobs)
+    found = evaluate(tmp_path / "p", manifest=own.manifest, root=own.root, workers=jobs)
     assert [problem.path for problem in found.problems] == ["s0/x100.dng", "s0/x50.dng"]
     assert "its reference s0/clean.dng cannot be used: truncated or damaged: its last row" in str(found.problems[0])
     assert found.scored == 0
-    rest = evaluate(tmp_path / "p", manifest=own.manifest, root=own.root, jobs=jobs, allow_missing=True)
+    rest = evaluate(tmp_path / "p", manifest=own.manifest, root=own.root, workers=jobs, allow_missing=True)
     assert [image.scene for image in rest.images] == ["s1", "s1"]
     assert rest.problems == found.problems
 
@@ -254,7 +254,7 @@ def test_a_noisy_frame_that_cannot_be_decoded_is_the_problem_of_its_pair(tmp_pat
 def test_an_executor_of_the_callers(own: OwnSet, preds: Path) -> None:
     expected = evaluate(preds, manifest=own.manifest, root=own.root)
     with ThreadPoolExecutor(2) as executor:
-        assert evaluate(preds, manifest=own.manifest, root=own.root, executor=executor) == expected
-        combined = evaluate_all(preds, manifest=own.manifest, root=own.root, executor=executor)
+        assert evaluate(preds, manifest=own.manifest, root=own.root, workers=executor) == expected
+        combined = evaluate_all(preds, manifest=own.manifest, root=own.root, workers=executor)
         assert executor.submit(int, "7").result() == 7  # it was not shut down
     assert combined.results[0] == expected

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 import pytest
 
+from eldata.base.files import sha256_of
 from eldata.errors import ArgumentError, DatasetError, EldataError, ManifestError
 from eldata.evaluation import EvaluationResult, ImageScore, evaluate
-from eldata.files import sha256_of
 from eldata.protocols import PROTOCOLS
 from tests.evaluation import oracle
 from tests.evaluation.helpers import Tree, place, small_tree
@@ -53,7 +53,7 @@ def incomplete(predictions: Path, tmp_path: Path) -> Path:
 
 
 def test_scores_do_not_depend_on_jobs(tree: Tree, predictions: Path, result: EvaluationResult) -> None:
-    parallel = evaluate(predictions, manifest=tree.manifest, root=tree.root, jobs=2)
+    parallel = evaluate(predictions, manifest=tree.manifest, root=tree.root, workers=2)
     bits = [[np.float64(v).tobytes() for v in (i.psnr_db, i.ssim, i.rescale)] for i in result.images]
     assert [[np.float64(v).tobytes() for v in (i.psnr_db, i.ssim, i.rescale)] for i in parallel.images] == bits
     assert parallel.images == result.images
@@ -64,7 +64,7 @@ def test_problems_do_not_depend_on_jobs(tree: Tree, predictions: Path, tmp_path:
     shutil.copytree(predictions, tmp_path / "preds")
     for name in ("DemoAlpha/scene-1/IMG_0005.npy", "DemoBeta/scene-1/IMG_0014.npy"):
         np.save(tmp_path / "preds" / name, np.zeros((1, 2, 3), np.float32))
-    one, two = (evaluate(tmp_path / "preds", manifest=tree.manifest, root=tree.root, jobs=n) for n in (1, 2))
+    one, two = (evaluate(tmp_path / "preds", manifest=tree.manifest, root=tree.root, workers=n) for n in (1, 2))
     assert len(one.problems) == 2
     assert two.problems == one.problems
 
@@ -81,8 +81,8 @@ def test_two_runs_write_the_same_bytes(tree: Tree, predictions: Path, tmp_path: 
 
 @pytest.mark.parametrize("jobs", [0, -1])
 def test_jobs_must_be_positive(tree: Tree, predictions: Path, jobs: int) -> None:
-    with pytest.raises(ArgumentError, match="jobs"):
-        evaluate(predictions, manifest=tree.manifest, root=tree.root, jobs=jobs)
+    with pytest.raises(ArgumentError, match="workers"):
+        evaluate(predictions, manifest=tree.manifest, root=tree.root, workers=jobs)
 
 
 def test_perfect_predictions(tree: Tree, tmp_path: Path) -> None:

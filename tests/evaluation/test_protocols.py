@@ -24,8 +24,8 @@ from eldata.protocols import (
     protocols_for,
 )
 from eldata.protocols.protocol import CHOICES, DESCRIPTIVE
+from eldata.protocols.video import VIDEO_PROTOCOLS
 from eldata.protocols.words import FIELDS, HEADER, described, summary
-from eldata.video_protocols import VIDEO_PROTOCOLS
 
 GOLDEN = Path(__file__).parent / "golden" / "protocols.json"
 

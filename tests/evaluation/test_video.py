@@ -19,8 +19,8 @@ from eldata.evaluation.video_results import VIDEO_COLUMNS, VideoResult
 from eldata.manifest.drv import scan_raw
 from eldata.metrics import PEAK_ELD, st_rred
 from eldata.protocols import PROTOCOLS
+from eldata.protocols.video import VIDEO_PROTOCOLS, default_video_protocol, get_video_protocol
 from eldata.raw.cfa import unpack
-from eldata.video_protocols import VIDEO_PROTOCOLS, default_video_protocol, get_video_protocol
 from tests.drv_tree import SENSOR, SmallDrv, generator_of, rgb_frame_of, small_drv, still_of, write_png, write_raw_clip
 
 if TYPE_CHECKING:
@@ -157,7 +157,7 @@ def test_raw_scores_are_those_of_the_plain_route(tmp_path: Path) -> None:
 
 
 def test_scores_do_not_depend_on_jobs(drv: SmallDrv, predictions: Path, result: VideoResult) -> None:
-    assert score(drv, predictions, jobs=2).videos == result.videos
+    assert score(drv, predictions, workers=2).videos == result.videos
 
 
 def test_a_16_bit_png_is_read_as_rgb(drv: SmallDrv, tmp_path: Path) -> None:

@@ -46,7 +46,7 @@ def test_sizes_and_hashes_are_filled_in(tree: Tree) -> None:
 @pytest.mark.timeout(120)
 def test_the_locked_manifest_does_not_depend_on_the_number_of_jobs(tree: Tree) -> None:
     unlocked = tree.csv.read_bytes()
-    lock(tree.csv, tree.root, jobs=2)
+    lock(tree.csv, tree.root, workers=2)
     parallel = tree.csv.read_bytes()
     tree.csv.write_bytes(unlocked)
     lock(tree.csv, tree.root)

@@ -21,7 +21,7 @@ from eldata.manifest.catalogue import Manifest, shipped_folder, shipped_manifest
 from eldata.manifest.pairs import select_pairs
 from eldata.manifest.subsets import find_subset
 from eldata.protocols import PROTOCOLS
-from eldata.video_protocols import VIDEO_PROTOCOLS
+from eldata.protocols.video import VIDEO_PROTOCOLS
 
 if TYPE_CHECKING:
     from pathlib import Path

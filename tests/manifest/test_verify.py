@@ -79,9 +79,9 @@ def test_reports_do_not_depend_on_the_number_of_jobs(tree: Tree) -> None:
     retake(tree.file(3), model="Demo Beta")
     swap(tree.file(6), tree.file(7))
     tree.file(9, BETA).unlink()
-    alone = check(tree, "full", jobs=1)
+    alone = check(tree, "full", workers=1)
     assert len(alone.problems) >= 4
-    assert check(tree, "full", jobs=2) == alone
+    assert check(tree, "full", workers=2) == alone
 
 
 def test_manifests_by_file_folder_and_object_say_the_same(pristine: Tree) -> None:
@@ -577,7 +577,7 @@ def test_nothing_verified_is_not_ok(pristine: Tree) -> None:
         ({"cameras": ["Demoalpha"]}, ManifestError, "'Demoalpha'; known are DemoAlpha, DemoBeta"),
         ({"dataset": "eld"}, ManifestError, "called 'eld'; found eld-demo"),
         ({"level": "thorough"}, ArgumentError, "quick, metadata, full; found 'thorough'"),
-        ({"jobs": 0}, ArgumentError, "jobs must be 1 or more; found 0"),
+        ({"workers": 0}, ArgumentError, "workers must be 1 or more; found 0"),
     ],
 )
 def test_unknown_names(pristine: Tree, options: dict[str, object], error: type[Exception], said: str) -> None:

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from eldata.noise.diagnostics import diagnose, sample_parameters
 from eldata.noise.profile import CameraProfile
-from eldata.reports.diagnostics import diagnose, sample_parameters
 
 if TYPE_CHECKING:
-    from eldata.reports.comparison import Diagnostics
+    from eldata.noise.findings import Diagnostics
 
 
 @pytest.fixture(scope="session")

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from eldata.reports.calibration_page import calibration_page
+from eldata.reports.calibration.page import calibration_page
 from eldata.reports.html import digits, measured, prose, typeset
 from eldata.reports.pictures import grey, pooled
 from tests.calibration.simulation import XTRANS
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 DRAWINGS, PICTURES = 9, 1 + 2 + 4  # of an ISO that has everything: spectrum, two frames, shading by channel
 CODE = (
     "import hashlib, sys\n"
-    "from eldata.reports.calibration_page import calibration_page\n"
+    "from eldata.reports.calibration.page import calibration_page\n"
     "from tests.reports.calibrations import calibration, camera_at, measured\n"
     "page = calibration_page(calibration([measured(800.0, camera_at(800.0))]))\n"
     "print(hashlib.sha256(page.encode()).hexdigest())\n"

@@ -14,12 +14,9 @@ import scipy.integrate
 import scipy.stats
 
 from eldata.errors import ArgumentError
+from eldata.noise import diagnostics as module
 from eldata.noise.components import PAPER_MODELS
-from eldata.noise.parameters import NoiseParameters
-from eldata.noise.profile import CameraProfile, shipped_profiles
-from eldata.reports import diagnostics as module
-from eldata.reports.comparison import Comparison, Diagnostics
-from eldata.reports.diagnostics import (
+from eldata.noise.diagnostics import (
     SIGNALS_E,
     diagnose,
     parameter_rows,
@@ -27,6 +24,9 @@ from eldata.reports.diagnostics import (
     tukey_lambda_kurtosis,
     tukey_lambda_quantile,
 )
+from eldata.noise.findings import Comparison, Diagnostics
+from eldata.noise.parameters import NoiseParameters
+from eldata.noise.profile import CameraProfile, shipped_profiles
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -16,18 +16,18 @@ import pytest
 from PIL import Image
 
 from eldata.errors import ArgumentError, EldataError, PredictionError
+from eldata.evaluation.comparison import Method, compare
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.saved import saved_result
 from eldata.isp.preview import preview
 from eldata.raw.levels import packed_frame
 from eldata.raw.reading import read_raw
-from eldata.reports import evaluation_pictures
-from eldata.reports.comparison_page import comparison_page
-from eldata.reports.evaluation_comparison import Method, compare
-from eldata.reports.evaluation_page import evaluation_page, write_evaluation_page
-from eldata.reports.evaluation_pictures import CROP, EACH, Layer, ShownImage, ShownImages, chosen_images, shown_images
-from eldata.reports.evaluation_plots import drawable, score_plots
-from eldata.reports.evaluation_tables import format_results, paper_table
+from eldata.reports.compare.page import comparison_page
+from eldata.reports.evaluation import pictures
+from eldata.reports.evaluation.page import evaluation_page, write_evaluation_page
+from eldata.reports.evaluation.pictures import CROP, EACH, Layer, ShownImage, ShownImages, chosen_images, shown_images
+from eldata.reports.evaluation.plots import drawable, score_plots
+from eldata.reports.evaluation.tables import format_results, paper_table
 from tests.evaluation.helpers import Tree, place, small_tree
 from tests.reports.evaluations import result, result_data, table_of
 from tests.reports.pages import HOSTILE, assert_well_formed, checked
@@ -263,7 +263,7 @@ def pixels(layer: Layer) -> NDArray[np.float64]:
 @pytest.fixture
 def finest(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures whose codec moves a pixel by about one code."""
-    monkeypatch.setattr(evaluation_pictures, "_JPEG_QUALITIES", (100,))
+    monkeypatch.setattr(pictures, "_JPEG_QUALITIES", (100,))
 
 
 @pytest.mark.usefixtures("finest")
@@ -322,8 +322,8 @@ def test_a_crop_comes_with_the_whole(
 ) -> None:
     one = saved_result(evaluated.as_dict(), "test")
     entire = shown_images(one, evaluated.pairs, dataset_folder=tree.files, predictions=predictions)
-    monkeypatch.setattr(evaluation_pictures, "CROP", (16, 24))
-    monkeypatch.setattr(evaluation_pictures, "_WHOLE_WIDTH", 24)
+    monkeypatch.setattr(pictures, "CROP", (16, 24))
+    monkeypatch.setattr(pictures, "_WHOLE_WIDTH", 24)
     shown = shown_images(one, evaluated.pairs, dataset_folder=tree.files, predictions=predictions)
     for image, full in zip(shown.images, entire.images, strict=True):
         assert (image.size, image.full_size) == ((16, 24), (32, 48))
@@ -391,7 +391,7 @@ def test_a_page_of_240_pairs_stays_below_10_mb() -> None:
     """With 24 pictures of noise, which no format makes small: as many bytes as there may be of pictures."""
     one = result(cameras=["a", "b", "c", "d"], scenes=10)
     assert len(one.images) == 240
-    noise = np.random.default_rng(0).bytes(evaluation_pictures._MOST_BYTES // (2 * EACH) // 4)
+    noise = np.random.default_rng(0).bytes(pictures._MOST_BYTES // (2 * EACH) // 4)
     layers = tuple(Layer(key, key, f"{key} 1", noise) for key in ("input", "prediction", "reference", "error"))
     images = tuple(
         ShownImage(rank, score, layers, CROP, (1424, 2128), (), 1.0) for rank, score in chosen_images(one.images)
@@ -409,16 +409,16 @@ def test_pictures_get_smaller_until_they_fit(
         return sum(len(layer.jpeg) for image in shown.images for layer in image.layers)
 
     best = size()
-    monkeypatch.setattr(evaluation_pictures, "_MOST_BYTES", best - 1)
+    monkeypatch.setattr(pictures, "_MOST_BYTES", best - 1)
     assert 0.5 * best < size() < best
 
 
 def test_a_dark_reference_is_shown_brighter_and_a_bright_one_is_not() -> None:
     ramp = np.linspace(0, 1, 10_000, dtype=np.float32).reshape(4, 50, 50)
-    assert evaluation_pictures._brighter(ramp) == 1.0
-    assert evaluation_pictures._brighter(ramp * 0.3) == 2.0
-    assert evaluation_pictures._brighter(ramp * 0.001) == 8.0
-    assert evaluation_pictures._brighter(ramp * 0) == 1.0
+    assert pictures._brighter(ramp) == 1.0
+    assert pictures._brighter(ramp * 0.3) == 2.0
+    assert pictures._brighter(ramp * 0.001) == 8.0
+    assert pictures._brighter(ramp * 0) == 1.0
 
 
 # --- Markdown and LaTeX -------------------------------------------------------------------------------------------

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from eldata.evaluation.comparison import Method, compare
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.saved import saved_result
-from eldata.reports import evaluation_pictures
-from eldata.reports.comparison_page import write_comparison_page
-from eldata.reports.evaluation_comparison import Method, compare
-from eldata.reports.evaluation_page import evaluation_page, write_evaluation_page
-from eldata.reports.evaluation_pictures import ShownImages
+from eldata.reports.compare.page import write_comparison_page
+from eldata.reports.evaluation import pictures
+from eldata.reports.evaluation.page import evaluation_page, write_evaluation_page
+from eldata.reports.evaluation.pictures import ShownImages
 from tests.capture.checklist_browser import Browser, Page
 from tests.evaluation.helpers import place, small_tree
 from tests.reports.evaluations import result
@@ -34,7 +34,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     evaluated = evaluate(folder / "preds", manifest=tree.manifest, root=tree.root)
     paths = {name: folder / f"{name}.html" for name in ("evaluation", "comparison", "hostile", "hostile-comparison")}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(evaluation_pictures, "CROP", (24, 36))
+        patch.setattr(pictures, "CROP", (24, 36))
         write_evaluation_page([evaluated], paths["evaluation"], dataset_folder=tree.files, predictions=folder / "preds")
     methods = [Method(name, result(gain_db=gain, method=gain)) for gain, name in enumerate(("base", "unet", "best"))]
     write_comparison_page(compare(methods), paths["comparison"])

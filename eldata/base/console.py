@@ -1,0 +1,172 @@
+"""What every command line of this distribution shares: one clear line for an error, exit codes, no traceback.
+
+Exit codes: 0 all well; 1 problems were found and listed; 2 wrong usage or unusable input; 130 interrupted; 141 the
+reader of the output left before its end.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import traceback
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from eldata.base.fields import whole_of
+from eldata.base.files import write_text
+from eldata.errors import ArgumentError, EldataError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from eldata.base.workers import Workers
+
+OK, PROBLEMS, UNUSABLE, INTERRUPTED, CLOSED_PIPE = 0, 1, 2, 130, 141
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser whose errors are one line, and that takes no abbreviated options."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**{"allow_abbrev": False} | options)
+
+    def error(self, message: str) -> NoReturn:
+        """Print one line and exit with 2."""
+        self.exit(UNUSABLE, f"{self.prog}: {' '.join(message.split())}; see {self.prog} --help\n")
+
+
+def add_debug(parser: argparse.ArgumentParser) -> None:
+    """Add ``--debug`` to a subcommand."""
+    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Add ``--json`` to a subcommand."""
+    parser.add_argument("--json", metavar="FILE", help="write what is shown here to FILE, machine-readable")
+
+
+def add_root(parser: argparse.ArgumentParser) -> None:
+    """Add ``--root`` to a subcommand."""
+    parser.add_argument(
+        "--root", metavar="R", help="folder that holds the datasets (default: $ELDATA_ROOT, else ./data)"
+    )
+
+
+def add_cameras(parser: argparse.ArgumentParser) -> None:
+    """Add ``--camera`` to a subcommand."""
+    parser.add_argument(
+        "--camera", action="append", dest="cameras", metavar="NAME", help="only this camera; may be repeated"
+    )
+
+
+class _Default(int):
+    """A default that argparse can tell from the same number given: it compares identities, which small ints share."""
+
+
+def add_jobs(parser: argparse._ActionsContainer) -> None:
+    """Add ``--jobs`` to a subcommand; the default is one per CPU."""
+    cpus = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    parser.add_argument(
+        "--jobs",
+        type=whole_number(1),
+        default=_Default(cpus),
+        metavar="J",
+        help="work on so many files at a time (default: one per CPU, here %(default)s)",
+    )
+
+
+def add_workers(parser: argparse.ArgumentParser) -> None:
+    """Add ``--jobs`` and ``--dask``, of which one may be given, to a subcommand: see :func:`chosen_workers`."""
+    group = parser.add_mutually_exclusive_group()
+    add_jobs(group)
+    group.add_argument(
+        "--dask",
+        metavar="ADDRESS",
+        help=(
+            "work on this Dask cluster instead: its scheduler's address, such as tcp://host:8786, or its scheduler "
+            "file (needs the extra eldata[dask]; docs/clusters.md)"
+        ),
+    )
+
+
+@contextmanager
+def chosen_workers(arguments: argparse.Namespace) -> Iterator[Workers]:
+    """Yield the workers that ``--jobs`` or ``--dask`` asks for; a cluster is connected to, and left, in between.
+
+    Usage: ``with chosen_workers(arguments) as workers: verify(..., workers=workers)``.
+    """
+    from eldata.base.workers import Workers
+
+    if arguments.dask is None:
+        yield Workers(arguments.jobs)
+        return
+    from eldata.base.clusters import dask_executor
+
+    with dask_executor(arguments.dask) as executor:
+        yield Workers(arguments.jobs, executor)
+
+
+def whole_number(at_least: int) -> Callable[[str], int]:
+    """Return the type of an option that takes a whole number, for argparse."""
+
+    def read(text: str) -> int:
+        try:
+            return whole_of(text, at_least=at_least)
+        except ArgumentError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+
+    return read
+
+
+def write_json(path: str, data: Any) -> None:
+    """Write plain types as JSON, whole or not at all."""
+    write_text(path, json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:
+    """Parse arguments, run the subcommand's ``run`` and return the exit code.
+
+    A subcommand sets ``run`` and ``command`` as its parser's defaults. What it raises becomes one line on stderr.
+    """
+    try:
+        arguments = parser.parse_args(argv)
+    except SystemExit as leaving:  # argparse has said why
+        return leaving.code if isinstance(leaving.code, int) else UNUSABLE
+    if not hasattr(arguments, "run"):
+        parser.print_usage(sys.stderr)
+        print(f"{parser.prog}: a command is needed; see {parser.prog} --help", file=sys.stderr)
+        return UNUSABLE
+    try:
+        code: int = arguments.run(arguments)
+        sys.stdout.flush()
+    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 # a person sees one line, --debug shows the rest
+        if arguments.debug:
+            traceback.print_exception(error)
+        code, message = _explained(error)
+        if message:
+            print(f"{parser.prog} {arguments.command}: {' '.join(message.split())}", file=sys.stderr)
+    return code
+
+
+def _explained(error: BaseException) -> tuple[int, str]:
+    """Return exit code and message of what a command raised."""
+    if isinstance(error, EldataError):
+        return UNUSABLE, str(error)
+    if isinstance(error, KeyboardInterrupt):
+        return INTERRUPTED, "interrupted; files are written whole or not at all, so none is left half"
+    if isinstance(error, BrokenPipeError):  # head, less: nothing to say, but not known to be all well either
+        _drop_output()
+        return CLOSED_PIPE, ""
+    if isinstance(error, OSError):
+        _drop_output()
+        where = error.filename or "cannot write to standard output"
+        return UNUSABLE, f"{where}: {error.strerror}"
+    return UNUSABLE, f"unexpected {type(error).__name__}: {error}; --debug shows where"
+
+
+def _drop_output() -> None:
+    # Or the interpreter would try to flush once more at its end, and complain.
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,0 +1,101 @@
+"""Files: hashing, atomic writing and paths that stay inside their root."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import secrets
+from contextlib import contextmanager, suppress
+from pathlib import Path, PurePosixPath
+from typing import IO, TYPE_CHECKING
+
+from eldata.errors import EldataError, ManifestError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+def sha256_of(path: Path) -> str:
+    """Return ``sha256:<hex>`` of a file's bytes, read in pieces."""
+    with path.open("rb") as file:
+        return f"sha256:{hashlib.file_digest(file, 'sha256').hexdigest()}"
+
+
+@contextmanager
+def atomic_write(path: Path | str) -> Iterator[IO[bytes]]:
+    """Write a file whole or not at all: a temporary file in the same folder, synced, then renamed.
+
+    Whatever happens before the rename (an error, a full disk, Ctrl-C, kill -9) leaves an older ``path`` as it
+    was; all but the kill also remove the temporary file, which is hidden and ends in ``.part``.
+
+    Raises
+    ------
+    EldataError
+        If the operating system refuses; the message names the file and its reason.
+    """
+    path = Path(path)
+    temporary = path.parent / f".{path.name}.{secrets.token_hex(8)}.part"
+    try:
+        with temporary.open("xb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except OSError as error:
+        if error.filename is not None and Path(error.filename) != temporary:
+            raise  # of another file, in the caller's block
+        raise EldataError(f"cannot write {path}: {error.strerror or error}") from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def write_text(path: Path | str, text: str) -> None:
+    """Write UTF-8 text whole or not at all, with line ends as given."""
+    with atomic_write(path) as file:
+        file.write(text.encode())
+
+
+def path_problem(relative: str) -> str | None:
+    """Return why a manifest's path is unsafe, or ``None`` if it is a plain relative POSIX path."""
+    if not relative:
+        return "is empty"
+    if "\\" in relative:
+        return "contains a backslash; manifests use '/'"
+    if any(ord(character) < 32 or ord(character) == 127 for character in relative):
+        return "contains a control character"
+    if relative.startswith("/"):
+        return "is absolute; paths are relative to the dataset's folder"
+    if ":" in relative.partition("/")[0]:
+        return "names a drive; paths are relative to the dataset's folder"
+    parts = relative.split("/")
+    if any(part in ("", ".", "..") for part in parts):
+        return "contains an empty, '.' or '..' part"
+    if max(map(len, parts)) > 255:
+        return "contains a name of more than 255 characters, which no file system has"
+    return None
+
+
+def inside(root: Path, relative: str) -> Path:
+    """Return ``root / relative``, if that file lies inside of ``root`` once every link is followed.
+
+    The root itself may be a link; a link below it that leads out of it is refused, whether or not it dangles.
+
+    Raises
+    ------
+    ManifestError
+        If the path is unsafe as text or leads outside.
+    """
+    problem = path_problem(relative)
+    if problem is not None:
+        raise ManifestError(f"path {relative!r} {problem}")
+    path = root.joinpath(*PurePosixPath(relative).parts)
+    try:
+        leads_outside = not path.resolve().is_relative_to(root.resolve())
+    except (OSError, RuntimeError) as error:
+        raise ManifestError(f"{path} cannot be followed ({error}); is it a loop of links?") from error
+    if leads_outside:
+        raise ManifestError(
+            f"{path} leads outside of {root} through a link; move the files there, or point --root at their place"
+        )
+    return path

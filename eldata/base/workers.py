@@ -1,0 +1,530 @@
+"""Units of work spread over processes, threads or any executor, results in order.
+
+An executor is a :class:`concurrent.futures.Executor` of the caller: a pool of the standard library, or Dask's
+(``client.get_executor()``), whose workers may be on other machines. It is never shut down here. A bounded number of
+units is in flight: four for each worker that the executor states, so that none waits for work and results do not pile
+up; 64 if it states none.
+"""
+
+from __future__ import annotations
+
+import copy
+import multiprocessing
+import os
+import signal
+import socket
+import sys
+import threading
+import traceback
+import uuid
+import warnings
+from collections import deque
+from concurrent.futures import (
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    wait,
+)
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial, wraps
+from typing import TYPE_CHECKING, Any, Generic, ParamSpec, Protocol, TypeVar
+
+from tqdm import tqdm
+
+from eldata.errors import ArgumentError, EldataError, FileError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from pathlib import Path
+
+Unit = TypeVar("Unit")
+Result = TypeVar("Result")
+Returned = TypeVar("Returned")
+Given = ParamSpec("Given")
+
+_PER_WORKER = 4  # units in flight: enough to keep every worker busy, few enough to hold in memory
+_UNSTATED_WORKERS = 16  # taken for an executor that does not say how many it has
+_MOST_LARGE = 16  # large results in flight, however many the workers: they are held in memory here
+
+
+class UnseenFileError(FileError):
+    """A file cannot be seen by the machine that is to work on it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Failed(Generic[Unit]):
+    """A unit without a result: what it raised, or why its worker was lost."""
+
+    unit: Unit
+    error: Exception
+
+    @property
+    def reason(self) -> str:
+        """What went wrong, as a sentence."""
+        if isinstance(self.error, EldataError):
+            return str(self.error)
+        if isinstance(self.error, OSError):
+            return f"{self.error.filename}: {self.error.strerror}" if self.error.filename else str(self.error)
+        return f"unexpected {type(self.error).__name__}: {self.error}"
+
+
+@dataclass(frozen=True, slots=True)
+class Workers:
+    """Where units of work run: in this process, in processes or threads of our own, or on an executor of the caller's.
+
+    Made once, at the edge (a command line, a public function), and passed on whole.
+
+    Attributes
+    ----------
+    jobs
+        How many units run at a time, in worker processes (:meth:`run`, :meth:`attempt`) or threads
+        (:meth:`read_ahead`); 1 works in this process.
+    executor
+        Runs the units in their place, if given; ``jobs`` then says nothing. It is never shut down here.
+
+    Raises
+    ------
+    ArgumentError
+        If ``jobs`` is not positive.
+    """
+
+    jobs: int = 1
+    executor: Executor | None = None
+
+    def __post_init__(self) -> None:
+        if self.jobs < 1:
+            raise ArgumentError(f"workers must be 1 or more; found {self.jobs}")
+
+    @classmethod
+    def of(cls, given: Workers | Executor | int) -> Workers:
+        """Return what a public function's ``workers`` means: a number of processes, an executor, or this itself."""
+        if isinstance(given, Workers):
+            return given
+        if isinstance(given, int):
+            return cls(given)
+        if callable(getattr(given, "submit", None)):
+            return cls(executor=given)
+        raise ArgumentError(f"workers must be a whole number or an executor; found {given!r}")
+
+    @property
+    def threads_within(self) -> int | None:
+        """How many threads a unit's own work may use: one if units run side by side, else ``None``, all CPUs."""
+        return None if self.jobs == 1 and self.executor is None else 1
+
+    def run(
+        self, work: Callable[[Unit], Result], units: Sequence[Unit], *, label: str = "", unit: str = "file"
+    ) -> Iterator[Result]:
+        """Yield ``work(unit)`` for each unit, in the units' order; the first failure ends it.
+
+        Parameters
+        ----------
+        work
+            A function of a module's top level: worker processes are spawned, not forked, and import it by name.
+        units
+            Picklable and small: paths, not pixels.
+        label, unit
+            What the progress bar on stderr says. It shows on a terminal only.
+
+        Raises
+        ------
+        EldataError
+            If a unit's worker is lost, and lost again as the unit runs alone; or if the executor cannot run units at
+            all. Errors that ``work`` raises come through as they are.
+        """
+        for outcome in self.attempt(work, units, label=label, unit=unit):
+            if isinstance(outcome, Failed):
+                raise outcome.error
+            yield outcome
+
+    def attempt(
+        self, work: Callable[[Unit], Result], units: Sequence[Unit], *, label: str = "", unit: str = "file"
+    ) -> Iterator[Result | Failed[Unit]]:
+        """Yield ``work(unit)`` or, where that failed, :class:`Failed`, for each unit, in the units' order.
+
+        Parameters and errors are those of :meth:`run`, except that a unit that fails, or that ends its worker twice,
+        does not end the others.
+        """
+        with tqdm(total=len(units), desc=label, unit=unit, disable=None, leave=False) as bar:
+            for outcome in _outcomes(work, units, self):
+                bar.update()
+                yield outcome
+
+    def read_ahead(self, work: Callable[[Unit], Result], units: Iterable[Unit]) -> Iterator[Result]:
+        """Yield ``work(unit)`` for each unit, in the units' order, computed by threads that run ahead.
+
+        For work that releases the GIL, as decoding does, and whose results are too large to send between processes. At
+        most ``jobs`` + 1 results are in memory; 1 works in the calling thread. An executor takes the threads' place,
+        with two results per worker and one more in memory at most, and never more than 17.
+
+        Raises
+        ------
+        EldataError
+            Like :meth:`run`, of an executor. Errors that ``work`` raises come through as they are, in their unit's
+            turn.
+        """
+        if self.executor is not None:
+            for outcome in _in_order(work, units, _Lent(self.executor, per_worker=2, most=_MOST_LARGE)):
+                if isinstance(outcome, Failed):
+                    raise outcome.error
+                yield outcome
+                del outcome
+            return
+        if self.jobs == 1:
+            yield from map(work, units)
+            return
+        pool = ThreadPoolExecutor(self.jobs)
+        waiting: deque[Future[Result]] = deque()
+        try:
+            for unit in units:
+                waiting.append(pool.submit(work, unit))
+                if len(waiting) > self.jobs:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+IN_THIS_PROCESS = Workers()
+"""The default of functions that are handed workers."""
+
+AnyWorkers = Workers | Executor | int
+"""What a public function takes as ``workers``: how many processes, an executor, or :class:`Workers`."""
+
+
+def accepts_jobs(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
+    """Let a public function that takes ``workers`` understand ``jobs`` and ``executor`` until 0.3, with a warning."""
+
+    @wraps(function)
+    def accepting(*positional: Given.args, **named: Given.kwargs) -> Returned:
+        old: dict[str, Any] = {name: named.pop(name) for name in ("jobs", "executor") if name in named}
+        if old:
+            if "workers" in named:
+                raise ArgumentError(f"{function.__name__}: workers takes the place of jobs and executor; give it alone")
+            warnings.warn(
+                f"{function.__name__}: jobs and executor are called workers now, a number or an executor; the old "
+                "names go with version 0.3",
+                DeprecationWarning,
+                stacklevel=2,
+            )
+            named["workers"] = Workers(**old)
+        return function(*positional, **named)
+
+    return accepting
+
+
+def require_files(*paths: Path) -> None:
+    """Raise :class:`UnseenFileError` unless this machine sees every file: for the first line of a unit's work.
+
+    Who starts the work has seen them; a worker on another machine may not.
+    """
+    for path in paths:
+        try:
+            os.stat(path)  # noqa: PTH116 # its error says why not, where is_file() is silent
+        except OSError as error:
+            raise UnseenFileError(
+                path,
+                f"{error.strerror} on {socket.gethostname()}; every machine that takes part must see the same files "
+                "under the same paths",
+            ) from error
+
+
+def slots_of(executor: Executor) -> int | None:
+    """Return how many units an executor runs at a time, if it states it, as the standard library's and Dask's do."""
+    client = _dask_client(executor)
+    if client is not None:
+        try:
+            return int(sum(client.nthreads().values()))
+        except OSError:  # the connection is lost, which the units will show
+            return None
+    stated = getattr(executor, "_max_workers", None)
+    return stated if isinstance(stated, int) else None
+
+
+def _dask_client(executor: Executor) -> Any:
+    """Return the client of Dask's executor, else ``None``."""
+    client = getattr(executor, "_client", None)
+    return client if hasattr(client, "nthreads") else None
+
+
+# --- one unit, where it runs ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Raised:
+    """An error on its way back as a value: what an executor itself raises is then told from it."""
+
+    error: Exception
+
+
+def _call(work: Callable[[Unit], Result], unit: Unit) -> Callable[[], Result | _Raised]:
+    """Return a unit's work for another worker."""
+    # Dask takes equal calls for one, and answers with the result that it has.
+    return partial(_run_unit, work, unit, _here(), uuid.uuid4().hex)
+
+
+def _run_unit(work: Callable[[Unit], Result], unit: Unit, caller: tuple[str, int], _: str = "") -> Result | _Raised:
+    try:
+        return work(unit)
+    except Exception as error:  # noqa: BLE001 # whatever it is, it is the unit's
+        host, process = _here()
+        if (host, process) == caller:
+            return _Raised(error)
+        # A traceback does not travel.
+        error.add_note(f"on {host}, process {process}:\n{traceback.format_exc()}")
+        return _Raised(_transportable(error))
+
+
+def _here() -> tuple[str, int]:
+    return socket.gethostname(), os.getpid()
+
+
+def _transportable(error: Exception) -> Exception:
+    """Return an error that can be made again from its arguments, or else one that says the same."""
+    try:
+        copy.copy(error)
+    except Exception:  # noqa: BLE001 # its class may do anything
+        return EldataError(f"unexpected {type(error).__name__}: {error}")
+    return error
+
+
+# --- all units --------------------------------------------------------------------------------------------------------
+
+
+class _Pool(Protocol):
+    """Where units run."""
+
+    def window(self) -> int:
+        """Return how many units may be in flight."""
+
+    def submit(self, call: Callable[[], Any]) -> Future[Any]:
+        """Start a unit."""
+
+    def is_loss(self, error: BaseException) -> bool:
+        """Whether a future's error means that the unit's worker was lost, and the unit may be run again."""
+
+    def renew(self) -> None:
+        """Make good for workers lost, as far as that is ours to do."""
+
+    def loss(self, name: str) -> str:
+        """Return the sentence about a unit that was lost twice."""
+
+
+def _outcomes(
+    work: Callable[[Unit], Result], units: Sequence[Unit], workers: Workers
+) -> Iterator[Result | Failed[Unit]]:
+    if workers.executor is not None:
+        yield from _in_order(work, units, _Lent(workers.executor, per_worker=_PER_WORKER))
+    elif workers.jobs > 1 and len(units) > 1:
+        own = _Own(min(workers.jobs, len(units)))
+        try:
+            yield from _in_order(work, units, own)
+        finally:
+            own.end()
+    else:
+        for unit in units:
+            yield _settled(unit, _run_unit(work, unit, _here()))
+
+
+def _in_order(work: Callable[[Unit], Result], units: Iterable[Unit], pool: _Pool) -> Iterator[Result | Failed[Unit]]:
+    left = iter(units)
+    waiting: deque[tuple[Unit, Future[Any]]] = deque()
+    more = True
+    try:
+        while True:
+            room = pool.window() - len(waiting) if more else 0
+            for _ in range(room):
+                try:
+                    unit = next(left)
+                except StopIteration:
+                    more = False
+                    break
+                waiting.append((unit, pool.submit(_call(work, unit))))
+            if not waiting:
+                return
+            unit, future = waiting[0]
+            error = _error_of(future)
+            if error is None:
+                found = future.result()
+            elif pool.is_loss(error):
+                # Which of the units in flight ended the worker shows only if this one runs with none beside it.
+                wait([other for _, other in waiting])
+                found = _alone(unit, _call(work, unit), pool)
+            else:
+                raise _unrunnable(unit, error) from error
+            waiting.popleft()
+            del future  # and with it the result, which may be large
+            yield _settled(unit, found)
+            del found
+    finally:
+        for _, future in waiting:
+            future.cancel()
+
+
+def _alone(unit: Unit, call: Callable[[], Any], pool: _Pool) -> Any:
+    pool.renew()
+    future = pool.submit(call)
+    try:
+        error = _error_of(future)
+    except BaseException:  # Ctrl-C
+        future.cancel()
+        raise
+    if error is None:
+        return future.result()
+    if not pool.is_loss(error):
+        raise _unrunnable(unit, error) from error
+    pool.renew()
+    return _Raised(EldataError(pool.loss(unit_name(unit))))
+
+
+def _error_of(future: Future[Any]) -> BaseException | None:
+    try:
+        return future.exception()
+    except CancelledError as error:
+        return error
+
+
+def _settled(unit: Unit, found: Result | _Raised) -> Result | Failed[Unit]:
+    return Failed(unit, found.error) if isinstance(found, _Raised) else found
+
+
+def unit_name(unit: object) -> str:
+    """Return what messages call a unit: its path, if it has one."""
+    return str(getattr(unit, "path", unit))
+
+
+def _unrunnable(unit: object, error: BaseException) -> EldataError:
+    """Return what is wrong if it is not the unit's work that failed, but the running of it."""
+    name = unit_name(unit)
+    if isinstance(error, CancelledError):
+        return EldataError(f"the work on {name} was cancelled: was the executor shut down, or its scheduler restarted?")
+    if isinstance(error, BrokenExecutor):
+        return EldataError(
+            f"the executor broke at or soon after {name}: a worker died; lack of memory? make a new executor, with "
+            "fewer workers"
+        )
+    return EldataError(
+        f"the executor cannot run the work on {name}: {type(error).__name__}: {error}; is the same version of eldata "
+        "installed on every worker (of Dask, with the scheduler too)?"
+    )
+
+
+class _Lent:
+    """An executor of the caller's."""
+
+    def __init__(self, executor: Executor, *, per_worker: int, most: int = sys.maxsize) -> None:
+        self._executor, self._per_worker, self._most = executor, per_worker, most
+        client = _dask_client(executor)
+        if client is not None:
+            from eldata.base.clusters import check_cluster
+
+            check_cluster(client)
+        self._window = self._asked = 0
+
+    def window(self) -> int:
+        if self._asked <= 0:  # now and then: a cluster may grow
+            workers = slots_of(self._executor) or _UNSTATED_WORKERS
+            self._window = min(self._per_worker * workers, self._most) + 1
+            self._asked = self._window
+        self._asked -= 1
+        return self._window
+
+    def submit(self, call: Callable[[], Any]) -> Future[Any]:
+        try:
+            return self._executor.submit(call)
+        except BrokenExecutor as error:
+            broken: Future[Any] = Future()
+            broken.set_exception(error)  # of an earlier unit, whose turn comes first
+            return broken
+        except Exception as error:  # its own kind, if it was shut down or lost its cluster
+            raise ArgumentError(f"the executor takes no work: {error}") from error
+
+    def is_loss(self, error: BaseException) -> bool:
+        # Dask runs a lost worker's units again by itself; this is its word for one that lost several workers. It
+        # blames whatever lay on the worker, the innocent too.
+        scheduler = sys.modules.get("distributed.scheduler")
+        return scheduler is not None and isinstance(error, scheduler.KilledWorker)
+
+    def renew(self) -> None:
+        """Do nothing: its workers are the caller's."""
+
+    def loss(self, name: str) -> str:
+        return (
+            f"{name}: the workers that ran it died, again and again, in the end with nothing else beside it; lack of "
+            "memory? their logs may say"
+        )
+
+
+class _Own:
+    """Processes of our own."""
+
+    def __init__(self, jobs: int) -> None:
+        self._jobs = jobs
+        self._pool = self._new()
+
+    def _new(self) -> ProcessPoolExecutor:
+        return ProcessPoolExecutor(self._jobs, mp_context=multiprocessing.get_context("spawn"))
+
+    def window(self) -> int:
+        return _PER_WORKER * self._jobs + 1
+
+    def submit(self, call: Callable[[], Any]) -> Future[Any]:
+        try:
+            return self._start(call)
+        except BrokenProcessPool:
+            self.renew()
+            return self._start(call)
+
+    def _start(self, call: Callable[[], Any]) -> Future[Any]:
+        with _workers_without_ctrl_c():  # each submission may start a process
+            return self._pool.submit(call)
+
+    def is_loss(self, error: BaseException) -> bool:
+        return isinstance(error, BrokenProcessPool)
+
+    def renew(self) -> None:
+        """Start other processes, unless those that are there live."""
+        try:
+            self._start(os.getpid).result()
+        except BrokenProcessPool:
+            self._pool.shutdown(wait=True)
+            self._pool = self._new()
+        else:
+            return
+        try:
+            self._start(os.getpid).result()
+        except BrokenProcessPool as error:
+            raise EldataError(
+                "worker processes die as soon as they start; lack of memory? try fewer --jobs. (A script that uses "
+                "workers > 1 needs the guard if __name__ == '__main__'.)"
+            ) from error
+
+    def loss(self, name: str) -> str:
+        return (
+            f"{name}: a worker process died at it twice, in the end with nothing else beside it; lack of memory? try "
+            "fewer --jobs"
+        )
+
+    def end(self) -> None:
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _workers_without_ctrl_c() -> Iterator[None]:
+    """Let processes that start meanwhile ignore Ctrl-C from their first instruction on.
+
+    It reaches the whole process group; the parent ends the pool and says so once.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread may set signals
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

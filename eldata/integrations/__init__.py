@@ -1,0 +1,1 @@
+"""Metrics and datasets as other frameworks take them."""

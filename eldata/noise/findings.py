@@ -1,0 +1,187 @@
+"""What the diagnostics of a noise profile found: comparisons of simulation and theory, and what the plots show."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+from eldata.noise.model import NoiseModel
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from eldata.noise.parameters import NoiseParameters
+    from eldata.noise.profile import CameraProfile
+
+LIMIT = 4.0
+"""Deviations up to this many standard errors are "ok"."""
+
+_FAR = 1e9  # larger deviations are not told apart: a number stays a number in JSON
+
+Verdict = Literal["ok", "off", "-"]
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """One number of the simulation against the theory's.
+
+    Attributes
+    ----------
+    check
+        What is examined, such as ``"variance over signal"``.
+    symbol, unit
+        Which number of it; 1 is the unit of a plain number.
+    expected, found
+        By the closed form, and in the simulated frames.
+    standard_error
+        Of ``found``; ``None`` where it has none.
+    """
+
+    check: str
+    symbol: str
+    unit: str
+    expected: float
+    found: float
+    standard_error: float | None
+
+    @property
+    def deviation(self) -> float | None:
+        """How far ``found`` lies from ``expected``, in standard errors."""
+        if self.standard_error is None:
+            return None
+        difference = self.found - self.expected
+        return (
+            max(-_FAR, min(_FAR, difference / self.standard_error)) if self.standard_error else _FAR * (difference != 0)
+        )
+
+    @property
+    def verdict(self) -> Verdict:
+        """``"ok"`` up to 4 standard errors, else ``"off"``; ``"-"`` if there is no standard error."""
+        deviation = self.deviation
+        if deviation is None:
+            return "-"
+        return "ok" if abs(deviation) <= LIMIT else "off"
+
+    def cells(self) -> tuple[str, str, str, str, str]:
+        """Return expected, found, standard error, deviation and verdict, with the digits that mean something."""
+        error, deviation = self.standard_error, self.deviation
+        if error is None or deviation is None:
+            return f"{self.expected:.5g}", f"{self.found:.5g}", "-", "-", self.verdict
+        size = abs(deviation)
+        shown = f"{deviation:+.0f}" if size < 1e5 else f"{deviation:+.0e}"
+        if size < 100:
+            shown = f"{round(deviation, 1) + 0.0:+.1f}"
+        if not 1e-9 < error < 1e9:
+            return f"{self.expected:.6g}", f"{self.found:.6g}", f"{error:.1g}", shown, self.verdict
+        places = max(0, math.ceil(-math.log10(error / 3)))  # the error has two digits up to 0.29, one from 0.3 on
+        expected, found = (f"{round(value, places) + 0.0:.{places}f}" for value in (self.expected, self.found))
+        return expected, found, f"{error:.{places}f}", shown, self.verdict
+
+    def as_dict(self) -> dict[str, str | float | None]:
+        """Return fields, deviation and verdict as plain types."""
+        return asdict(self) | {"deviation": self.deviation, "verdict": self.verdict}
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Draws:
+    """Parameters as sampled from the profile, one entry a draw; scales in DN."""
+
+    gain_dn_per_e: NDArray[np.float64]
+    sigma_read_dn: NDArray[np.float64]
+    sigma_row_dn: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Quantiles:
+    """Quantiles of the dark read noise on a grid, for the probability plot."""
+
+    levels: NDArray[np.float64]
+    expected_dn: NDArray[np.float64]
+    found_dn: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Diagnostics:
+    """All comparisons of one camera's noise, and what the plots show.
+
+    Attributes
+    ----------
+    profile, parameters, spec, seed
+        What was examined.
+    mean, variance
+        Comparisons by signal, in the order of :data:`eldata.noise.diagnostics.SIGNALS_E`.
+    colour_bias
+        Per-channel means of a bias frame.
+    rows
+        Row means of that frame: their standard deviation, and which channels share them.
+    read, parts
+        Quantiles of the read noise alone; of the row noise alone and of the quantisation noise alone.
+    fits
+        Sampled parameters against the profile's fits.
+    row_means_dn
+        Sorted row means of the bias frame, each less its channels' mean.
+    quantiles
+        Of the read noise; ``None`` if the model has none.
+    draws
+        What ``fits`` is about.
+    """
+
+    profile: CameraProfile
+    parameters: NoiseParameters
+    spec: str
+    seed: int
+    mean: tuple[Comparison, ...]
+    variance: tuple[Comparison, ...]
+    colour_bias: tuple[Comparison, ...]
+    rows: tuple[Comparison, ...]
+    read: tuple[Comparison, ...]
+    parts: tuple[Comparison, ...]
+    fits: tuple[Comparison, ...]
+    row_means_dn: NDArray[np.float64]
+    quantiles: Quantiles | None
+    draws: Draws
+
+    @property
+    def model(self) -> NoiseModel:
+        """The model under test."""
+        return NoiseModel(self.spec)
+
+    @property
+    def comparisons(self) -> tuple[Comparison, ...]:
+        """Every comparison, in the order of the report."""
+        groups = self.mean, self.variance, self.colour_bias, self.rows, self.read, self.parts, self.fits
+        return tuple(comparison for group in groups for comparison in group)
+
+    @property
+    def off(self) -> tuple[Comparison, ...]:
+        """The comparisons that are off."""
+        return tuple(comparison for comparison in self.comparisons if comparison.verdict == "off")
+
+    @property
+    def summary(self) -> str:
+        """The outcome in one sentence."""
+        judged = [comparison for comparison in self.comparisons if comparison.verdict != "-"]
+        off, unjudged = len(self.off), len(self.comparisons) - len(judged)
+        if off:
+            text = f"{off} of {len(judged)} comparisons off by more than {LIMIT:g} standard errors"
+        else:
+            text = f"all {len(judged)} comparisons within {LIMIT:g} standard errors"
+        if unjudged:
+            text += f"; {unjudged} more have no standard error, because lambda is not above -1/4"
+        return text
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what the terminal shows as plain types."""
+        profile = asdict(self.profile)
+        return {
+            "camera": self.profile.camera,
+            "profile": {key: profile[key] for key in ("source", "gain_range_dn_per_e", "iso_range", "notes")},
+            "model": self.spec,
+            "seed": self.seed,
+            "parameters": asdict(self.parameters),
+            "limit_standard_errors": LIMIT,
+            "ok": not self.off,
+            "comparisons": [comparison.as_dict() for comparison in self.comparisons],
+        }

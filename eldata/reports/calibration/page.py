@@ -1,0 +1,285 @@
+"""A calibration as one HTML page: verdict, tables, fits, and for each ISO the plots that show whether to believe it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from eldata.reports.calibration.iso_pictures import reproduced_pictures, shading_pictures, spectrum_picture
+from eldata.reports.calibration.iso_plots import (
+    bias_plot,
+    channel_names,
+    gaussian_plot,
+    line_spectrum_plot,
+    ppcc_plot,
+    reproduced_quantiles_plot,
+    reproduced_rows_plot,
+    rows_plot,
+    transfer_plot,
+    tukey_lambda_plot,
+)
+from eldata.reports.calibration.joint_plots import joint_plots
+from eldata.reports.html import digits, grouped, measured, rendered
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from eldata.calibration.results import Calibration, IsoCalibration
+    from eldata.reports.figures import Plot
+    from eldata.reports.pictures import Pictures
+
+_HIGH_CHI2 = 5.0  # per degree of freedom
+_FIT_HEADER = ("fit over ln K", "slope", "intercept", "σ", "R²")
+
+
+def calibration_page(calibration: Calibration) -> str:
+    """Return the page; the same calibration gives the same text."""
+    return rendered(
+        "calibration.html",
+        calibration=calibration,
+        verdict=_verdict(calibration),
+        wary=_wary(calibration),
+        remarks=_remarks(calibration),
+        tables=[table for table in _tables(calibration) if table.rows],
+        joint=joint_plots(calibration),
+        sections=[_section(one) for one in calibration.isos],
+        made_from=_made_from(calibration),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Table:
+    name: str
+    caption: str
+    header: tuple[str, ...]
+    rows: list[tuple[str, ...]]
+
+
+@dataclass(frozen=True, slots=True)
+class _Remark:
+    """What is said, and of which ISOs; of the whole if that is empty."""
+
+    isos: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Group:
+    """Plots and figures of one kind of noise."""
+
+    title: str
+    numbers: tuple[tuple[str, str], ...]
+    plots: tuple[Plot, ...] = ()
+    pictures: tuple[Pictures, ...] = ()
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class _Section:
+    """What is shown of one ISO."""
+
+    iso: str
+    summary: str
+    remarks: tuple[str, ...]
+    groups: tuple[_Group, ...]
+
+
+def _tables(calibration: Calibration) -> tuple[_Table, ...]:
+    return (
+        _Table("figures", "Figures, value ± standard error", *calibration.table()),
+        _Table("colour-bias", "Colour bias over the recorded black level [DN]", *calibration.bias_table()),
+        _Table("fits", "Lines of ln σ over ln K", _FIT_HEADER, calibration.fit_table()),
+        _Table("reproduction", "A bias frame kept out, against simulated ones", *calibration.reproduction_table()),
+    )
+
+
+# --- verdict ------------------------------------------------------------------------------------------------------
+
+
+def _verdict(calibration: Calibration) -> str:
+    """Return how much was measured, in a sentence."""
+    isos = calibration.isos
+    where = f"ISO {isos[0].iso:g}" if len(isos) == 1 else f"{len(isos)} ISOs from {isos[0].iso:g} to {isos[-1].iso:g}"
+    gains = [one.gain_dn_per_e for one in isos if one.gain_dn_per_e is not None]
+    if not gains:
+        return f"{where}; K is not known, for want of flats."
+    low, high = digits(min(gains)), digits(max(gains))
+    found = f"K is {low} DN/e⁻" if low == high else f"K from {low} to {high} DN/e⁻"
+    missing = len(isos) - len(gains)
+    return f"{where}, {found}{f', not known at {missing} of them' if missing else ''}."
+
+
+def _wary(calibration: Calibration) -> str:
+    """Return where there is something to be wary of, in a sentence; empty if nowhere."""
+    places = [f"ISO {one.iso:g}" for one in calibration.isos if one.remarks]
+    if not places and not calibration.remarks:
+        return ""
+    if len(places) == len(calibration.isos) > 1:
+        places = ["every ISO"]
+    elif len(places) > 3:
+        places = [f"{len(places)} of {len(calibration.isos)} ISOs"]
+    about = [*places, *(["the calibration as a whole"] if calibration.remarks else [])]
+    number = len(calibration.all_remarks)
+    return f"{number} {'remark' if number == 1 else 'remarks'}, on {_and(about)}."
+
+
+def _remarks(calibration: Calibration) -> tuple[_Remark, ...]:
+    """Return the remarks; what is said of several ISOs is said once."""
+    isos: dict[str, list[str]] = {}
+    for one in calibration.isos:
+        for remark in one.remarks:
+            isos.setdefault(remark, []).append(f"{one.iso:g}")
+    return (
+        *(_Remark(f"ISO {_and(places)}", remark) for remark, places in isos.items()),
+        *(_Remark("", remark) for remark in calibration.remarks),
+    )
+
+
+def _and(items: Sequence[str]) -> str:
+    return " and ".join([", ".join(items[:-1]), items[-1]]) if len(items) > 1 else items[0]
+
+
+def _made_from(calibration: Calibration) -> str:
+    isos = calibration.isos
+    sizes = sorted({(one.sensor.width, one.sensor.height) for one in isos})
+    shapes = _and([f"{width} × {height}" for width, height in sizes])
+    bias, flat = sum(one.bias_frames for one in isos), sum(one.flat_frames for one in isos)
+    kept = sum(one.reproduction is not None for one in isos)
+    frames = f"{bias} bias and {flat} flat frames of {shapes} pixels"
+    return f"{frames}, and held against {kept} more bias {'frame' if kept == 1 else 'frames'}" if kept else frames
+
+
+# --- one ISO ------------------------------------------------------------------------------------------------------
+
+
+def _section(one: IsoCalibration) -> _Section:
+    read, row = one.read, one.rows.rows
+    gain = "not known" if one.transfer is None else digits(one.transfer.gain_dn_per_e)
+    summary = (
+        f"K {gain}, λ {digits(read.tukey_lambda, 2)}, σ TL {digits(read.sigma_tl_dn)}, σ row {digits(row.sigma_dn)}"
+    )
+    return _Section(
+        iso=f"{one.iso:g}",
+        summary=summary,
+        remarks=one.remarks,
+        groups=(
+            _gain(one),
+            _colour_bias(one),
+            _rows(one),
+            _read_noise(one),
+            _reproduction(one),
+            _pattern(one),
+        ),
+    )
+
+
+def _gain(one: IsoCalibration) -> _Group:
+    title = "System gain K"
+    if one.transfer is None:
+        note = "There are no pairs of equal flats of this ISO, so K is not known and there is no photon transfer line."
+        return _Group(title, (), note=note)
+    transfer = one.transfer
+    numbers = [("K [DN/e⁻]", measured(transfer.gain_dn_per_e, transfer.gain_error))]
+    numbers += [
+        (f"K of {name}", measured(line.gain_dn_per_e, line.gain_error))
+        for name, line in zip(channel_names(len(transfer.channels)), transfer.channels, strict=True)
+    ]
+    if one.spatial is not None:
+        numbers.append(("K as published", measured(one.spatial.gain_dn_per_e, one.spatial.gain_error)))
+    numbers += [
+        ("Channels' χ² per d.o.f.", digits(transfer.agreement_chi2_per_dof, 2)),
+        ("Flat frames", str(transfer.frames)),
+        ("Area left out", f"{transfer.left_out:.1%}"),
+    ]
+    return _Group(title, tuple(numbers), plots=(transfer_plot(one, transfer),))
+
+
+def _colour_bias(one: IsoCalibration) -> _Group:
+    bias = one.bias
+    names = channel_names(len(bias.bias_dn))
+    blacks = sorted(set(one.sensor.black_level_dn))
+    numbers = [
+        *(
+            (name, measured(value, error, "DN"))
+            for name, value, error in zip(names, bias.bias_dn, bias.standard_error_dn, strict=True)
+        ),
+        ("Recorded black", f"{_and([f'{level:g}' for level in blacks])} DN"),
+        ("Bias frames", str(bias.frames)),
+    ]
+    return _Group("Colour bias", tuple(numbers), plots=(bias_plot(one),))
+
+
+def _rows(one: IsoCalibration) -> _Group:
+    rows, columns = one.rows.rows, one.rows.columns
+    numbers = (
+        ("σ row", measured(rows.sigma_dn, rows.sigma_error_dn, "DN")),
+        ("σ column", measured(columns.sigma_dn, columns.sigma_error_dn, "DN")),
+        ("Fixed rows", f"{digits(rows.fixed_sigma_dn)} DN"),
+        ("Fixed columns", f"{digits(columns.fixed_sigma_dn)} DN"),
+        ("Shapiro-Wilk p", digits(rows.shapiro_p, 2)),
+        ("Excess kurtosis", digits(rows.excess_kurtosis, 2)),
+    )
+    plots = (rows_plot(one), line_spectrum_plot(one))
+    return _Group("Row noise", numbers, plots=plots, pictures=(spectrum_picture(one),))
+
+
+def _read_noise(one: IsoCalibration) -> _Group:
+    read = one.read
+    numbers = (
+        ("λ", measured(read.tukey_lambda, read.tukey_lambda_error)),
+        ("σ TL", measured(read.sigma_tl_dn, read.sigma_tl_error_dn, "DN")),
+        ("σ G", measured(read.sigma_gauss_dn, read.sigma_gauss_error_dn, "DN")),
+        ("λ by PPCC", digits(read.ppcc_lambda)),
+        ("σ TL by PPCC", f"{digits(read.ppcc_sigma_tl_dn)} DN"),
+        ("χ² per d.o.f.", digits(read.chi2_per_dof)),
+        ("Residuals", grouped(read.residuals)),
+    )
+    note = ""
+    if not read.is_reliable:
+        note = "Rounding to whole DN hides the shape: λ and σ TL are no more than rough."
+    elif read.chi2_per_dof > _HIGH_CHI2:
+        note = (
+            "χ² is far above 1: the noise is not of this family, or the fixed pattern is so faint that rounding to "
+            "whole DN shows as ripples, which average out of λ and σ TL. The plots below tell which: ripples do not "
+            "bend them."
+        )
+    return _Group("Read noise", numbers, plots=(ppcc_plot(one), gaussian_plot(one), tukey_lambda_plot(one)), note=note)
+
+
+def _reproduction(one: IsoCalibration) -> _Group:
+    title = "A bias frame kept out, against the model"
+    found = one.reproduction
+    if found is None:
+        note = f"None was kept out: there were only {one.bias_frames} bias frames, and all went into the estimates."
+        return _Group(title, (), note=note)
+    numbers = (
+        ("R² of the quantiles", digits(found.r_squared, 6)),
+        ("Histograms differ by", f"{found.histogram_distance:.2%}"),
+        ("By chance", f"{found.histogram_distance_by_chance:.2%}"),
+        ("σ real", f"{digits(found.sigma_real_dn, 4)} DN"),
+        ("σ simulated", f"{digits(found.sigma_simulated_dn, 4)} DN"),
+        ("Row means, σ real", f"{digits(found.row_sigma_real_dn)} DN"),
+        ("Row means, σ simulated", f"{digits(found.row_sigma_simulated_dn)} DN"),
+    )
+    return _Group(
+        title,
+        numbers,
+        plots=(reproduced_quantiles_plot(one, found), reproduced_rows_plot(one, found)),
+        pictures=(reproduced_pictures(one, found),),
+    )
+
+
+def _pattern(one: IsoCalibration) -> _Group:
+    pattern = one.pattern
+    numbers = (
+        ("Defects", f"{grouped(pattern.defects)}, {digits(100 * pattern.defects / pattern.pixels, 2)} %"),
+        ("Off their level", grouped(pattern.off_level)),
+        ("Never changing", grouped(pattern.stuck)),
+        *(
+            (f"DSNU of {name}", measured(value, error, "DN"))
+            for name, value, error in zip(
+                channel_names(len(pattern.dsnu_dn)), pattern.dsnu_dn, pattern.dsnu_error_dn, strict=True
+            )
+        ),
+    )
+    return _Group("What stays from frame to frame", numbers, pictures=(shading_pictures(one),))

@@ -1,0 +1,360 @@
+"""Plots of a noise profile's diagnostics."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.ticker import MaxNLocator
+
+from eldata.noise.diagnostics import CHANNELS, SIGNALS_E, read_fit
+from eldata.reports.figures import (
+    MARKERS,
+    Plot,
+    Theme,
+    deviation_band,
+    drawn,
+    figure,
+    fit_band,
+    log_log,
+    log_ticks,
+    plain_ticks,
+    thinned,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from typing import Any
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+    from eldata.noise.findings import Comparison, Diagnostics
+    from eldata.noise.profile import LogLogFit
+
+
+def plots(diagnostics: Diagnostics) -> tuple[Plot, ...]:
+    """Draw every plot that the diagnostics have data for, in the order of the report."""
+    read = "sigma_G" if diagnostics.model.components.read == "gaussian" else "sigma_TL"
+    wanted: list[tuple[str, str, str, str, Callable[[Diagnostics, Theme], Figure]]] = [
+        (
+            "mean",
+            "Mean over signal",
+            _over_signal_alt("Mean of D", diagnostics.mean),
+            (
+                "Points: simulated flats. Line: the closed form, K I plus the mean colour bias. Below: deviation in "
+                "standard errors; the band is what counts as ok."
+            ),
+            _mean,
+        ),
+        (
+            "variance",
+            "Variance over signal",
+            _over_signal_alt("Variance of D", diagnostics.variance),
+            (
+                "Photon transfer: shot noise grows with the signal; the variance at no light is that of read, row and "
+                "quantisation noise together."
+            ),
+            _variance,
+        ),
+        (
+            "colour-bias",
+            "Colour bias",
+            "Mean of a bias frame in R, G1, B and G2, found and expected. " + _worst(diagnostics.colour_bias),
+            "Per-channel mean of a bias frame; the bars are one standard error.",
+            _colour_bias,
+        ),
+        (
+            "row-means",
+            "Row means of a bias frame",
+            "Normal probability plot of the row means. " + _worst(diagnostics.rows),
+            "Normal row noise lies on the line, whose slope is the expected standard deviation.",
+            _row_means,
+        ),
+    ]
+    if diagnostics.quantiles is not None:
+        wanted.append(
+            (
+                "read-noise",
+                "Dark read noise",
+                "Probability plot of the read noise alone against its model. " + _worst(diagnostics.read),
+                (
+                    "Quantiles from 0.0001 to 0.9999 of the read noise alone. Tails that bend off the line would be "
+                    "another distribution."
+                ),
+                _read_noise,
+            )
+        )
+    for name, title, function in (
+        ("read-fit", f"{_letters(read)} over the gain", _read_fit),
+        ("row-fit", f"{_letters('sigma_row')} over the gain", _row_fit),
+    ):
+        wanted.append(
+            (
+                name,
+                title,
+                (
+                    f"{title}: the profile's line with its bands of 1 and 2 standard deviations, and where "
+                    f"{diagnostics.draws.gain_dn_per_e.size} sampled parameters fall."
+                ),
+                (
+                    "Line and bands: the profile's fit. Points: sampled parameters, 68 % and 95 % of which belong in "
+                    "the bands. Diamonds: measured, where the profile has them. The ring is the draw examined here."
+                ),
+                function,
+            )
+        )
+    wanted += [
+        (
+            "lambda-rows",
+            "Calibration rows: λ",
+            f"Lambda of the profile's {len(diagnostics.profile.rows)} calibration rows by ISO.",
+            "0 is the logistic distribution, 0.14 nearly the Gaussian; the lower, the longer the tails.",
+            _lambda_rows,
+        ),
+        (
+            "bias-rows",
+            "Calibration rows: colour bias",
+            f"Colour bias of the profile's {len(diagnostics.profile.rows)} calibration rows by ISO and channel.",
+            "λ and colour bias of one row are sampled together.",
+            _bias_rows,
+        ),
+    ]
+    return tuple(
+        drawn(name, title, alt, caption, partial(draw, diagnostics)) for name, title, alt, caption, draw in wanted
+    )
+
+
+def _over_signal_alt(what: str, comparisons: Sequence[Comparison]) -> str:
+    return (
+        f"{what} against the signal from {SIGNALS_E[0]:g} to {SIGNALS_E[-1]:g} electrons, simulated and by the closed "
+        f"form. {_worst(comparisons)}"
+    )
+
+
+def _worst(comparisons: Sequence[Comparison]) -> str:
+    deviations = [abs(item.deviation) for item in comparisons if item.deviation is not None]
+    if not deviations:
+        return "No standard errors."
+    return f"Largest deviation {max(deviations):.2g} standard errors."
+
+
+def _letters(name: str) -> str:
+    return {"sigma_TL": "σ TL", "sigma_G": "σ G", "sigma_row": "σ row"}[name]
+
+
+# --- figures ------------------------------------------------------------------------------------------------------
+
+
+def _with_deviations(comparisons: Sequence[Comparison], at: Sequence[float], theme: Theme) -> tuple[Figure, Axes, Axes]:
+    """Return a figure whose lower axes show deviations in standard errors; the upper ones are to be filled."""
+    drawing = figure()
+    main, below = drawing.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [2.6, 1]})
+    points = [
+        (x, item.deviation, item.verdict) for x, item in zip(at, comparisons, strict=True) if item.deviation is not None
+    ]
+    deviation_band(below, max([0.0, *(abs(y) for _, y, _ in points)]), theme)
+    for verdict, marker in (("ok", "o"), ("off", "X")):
+        chosen = [(x, y) for x, y, which in points if which == verdict]
+        if chosen:
+            below.plot(*zip(*chosen, strict=True), marker, color=theme.found)
+    return drawing, main, below
+
+
+def _over_signal(
+    comparisons: Sequence[Comparison], theory: Callable[[float], float], label: str, theme: Theme
+) -> Figure:
+    """Draw something against the signal; both axes are logarithmic, but for the neighbourhood of 0."""
+    drawing, main, below = _with_deviations(comparisons, SIGNALS_E, theme)
+    main.set_xscale("asinh", linear_width=1)
+    top = SIGNALS_E[-1]
+    grid = np.sinh(np.linspace(0, math.asinh(top), 120))
+    curve = [theory(float(signal)) for signal in grid]
+    main.plot(grid, curve, color=theme.theory, label="closed form")
+    found = [item.found for item in comparisons]
+    main.plot(SIGNALS_E, found, "o", color=theme.found, label="simulated")
+    values = [*found, *curve]
+    if min(values) > 0:
+        main.set_yscale("log")
+        log_ticks(main.yaxis, sum(1 for power in range(-9, 10) if min(values) < 10.0**power < max(values)))
+    else:
+        width = max(max(map(abs, values)) / top, 1e-6)
+        main.set_yscale("asinh", linear_width=width)
+        first = math.ceil(math.log10(2 * width))
+        powers = [10.0 ** (first + step) for step in range(6)]
+        plain_ticks(main.yaxis, [0, *powers, *(-power for power in powers)])
+        main.set_ylim(*main.get_ylim())
+    main.set_ylabel(label)
+    main.legend(loc="upper left")
+    below.set_xlabel("signal [e⁻]")
+    plain_ticks(below.xaxis, [0, 1, 3, 10, 30, 100, 300])
+    below.set_xlim(-0.2, top * 1.25)
+    return drawing
+
+
+def _mean(diagnostics: Diagnostics, theme: Theme) -> Figure:
+    model, parameters = diagnostics.model, diagnostics.parameters
+
+    def theory(signal: float) -> float:
+        return sum(model.expected_mean_dn(signal, parameters, channel) for channel in range(4)) / 4
+
+    return _over_signal(diagnostics.mean, theory, "mean of D [DN]", theme)
+
+
+def _variance(diagnostics: Diagnostics, theme: Theme) -> Figure:
+    model, parameters = diagnostics.model, diagnostics.parameters
+    return _over_signal(
+        diagnostics.variance,
+        lambda signal: model.expected_variance_dn2(signal, parameters),
+        "variance of D [DN²]",
+        theme,
+    )
+
+
+def _colour_bias(diagnostics: Diagnostics, theme: Theme) -> Figure:
+    places = list(range(4))
+    drawing, main, below = _with_deviations(diagnostics.colour_bias, places, theme)
+    for place, item in zip(places, diagnostics.colour_bias, strict=True):
+        # matplotlib leaves labels with an underscore out of the legend: one entry for four channels.
+        label = ("closed form", "simulated") if place == 0 else ("_", "_")
+        main.hlines(item.expected, place - 0.3, place + 0.3, color=theme.theory, linewidth=2, label=label[0])
+        main.errorbar(
+            place, item.found, yerr=item.standard_error, fmt="o", color=theme.found, capsize=4, label=label[1]
+        )
+    main.set_ylabel("mean [DN]")
+    main.margins(y=0.25)
+    main.legend(loc="best")
+    below.set_xticks(places, CHANNELS)
+    below.set_xlim(-0.5, 3.5)
+    return drawing
+
+
+def _row_means(diagnostics: Diagnostics, theme: Theme) -> Figure:
+    from scipy.special import ndtri
+
+    drawing = figure()
+    axes = drawing.subplots()
+    means = diagnostics.row_means_dn
+    levels = (np.arange(means.size) + 0.5) / means.size
+    shown = thinned(means.size)
+    z = ndtri(levels)
+    expected = diagnostics.rows[0].expected
+    ends = np.array([z[0], z[-1]])
+    axes.plot(ends, ends * expected, color=theme.theory, label="closed form")
+    axes.plot(z[shown], means[shown], "o", markersize=3, color=theme.found, label="simulated")
+    axes.set_xlabel("normal quantile")
+    axes.set_ylabel("row mean [DN]")
+    axes.legend(loc="upper left")
+    return drawing
+
+
+def _read_noise(diagnostics: Diagnostics, theme: Theme) -> Figure:
+    quantiles = diagnostics.quantiles
+    if quantiles is None:
+        return figure()
+    drawing, main, below = _with_deviations(diagnostics.read, [item.expected for item in diagnostics.read], theme)
+    ends = quantiles.expected_dn[[0, -1]]
+    main.plot(ends, ends, color=theme.theory, label="closed form")
+    main.plot(quantiles.expected_dn, quantiles.found_dn, "o", markersize=3, color=theme.found, label="simulated")
+    main.set_ylabel("found quantile [DN]")
+    main.legend(loc="upper left")
+    read = "Gaussian" if diagnostics.model.components.read == "gaussian" else "Tukey-lambda"
+    below.set_xlabel(f"{read} quantile [DN]")
+    return drawing
+
+
+def _read_fit(diagnostics: Diagnostics, theme: Theme) -> Figure:
+    gaussian = diagnostics.model.components.read == "gaussian"
+    name = "sigma_gauss_dn" if gaussian else "sigma_tl_dn"
+    return _fit(
+        diagnostics,
+        read_fit(diagnostics.profile, diagnostics.model.components),
+        diagnostics.draws.sigma_read_dn,
+        name,
+        r"$\sigma_\mathrm{G}$ [DN]" if gaussian else r"$\sigma_\mathrm{TL}$ [DN]",
+        theme,
+    )
+
+
+def _row_fit(diagnostics: Diagnostics, theme: Theme) -> Figure:
+    scales = diagnostics.draws.sigma_row_dn
+    return _fit(diagnostics, diagnostics.profile.row_fit, scales, "sigma_row_dn", r"$\sigma_\mathrm{row}$ [DN]", theme)
+
+
+def _fit(
+    diagnostics: Diagnostics, fit: LogLogFit, scales: NDArray[np.float64], field: str, label: str, theme: Theme
+) -> Figure:
+    """Draw a log-log fit with its bands, the draws, the measured rows and the draw that is examined."""
+    drawing = figure()
+    axes = drawing.subplots()
+    low, high = diagnostics.profile.gain_range_dn_per_e
+    gains = np.geomspace(low / 1.15, high * 1.15, 50)
+    fit_band(axes, fit, gains, theme)
+    axes.plot(
+        diagnostics.draws.gain_dn_per_e, scales, "o", markersize=2.5, alpha=0.75, color=theme.found, label="sampled"
+    )
+    measured = [
+        (row.gain_dn_per_e, getattr(row, field))
+        for row in diagnostics.profile.rows
+        if row.gain_dn_per_e is not None and getattr(row, field) is not None and getattr(row, field) > 0
+    ]
+    if measured:
+        axes.plot(*zip(*measured, strict=True), "D", color=theme.ink, markersize=5, label="measured")
+    parameters = diagnostics.parameters
+    axes.plot(
+        parameters.gain_dn_per_e,
+        getattr(parameters, field),
+        "o",
+        markersize=10,
+        markerfacecolor="none",
+        markeredgewidth=1.8,
+        color=theme.ink,
+        label="examined here",
+    )
+    log_log(axes, label)
+    axes.legend(loc="upper left")
+    return drawing
+
+
+def _by_iso(diagnostics: Diagnostics, axes: Axes) -> list[float]:
+    """Set up an axis of ISOs and return each row's place on it; of row numbers if an ISO is unknown."""
+    isos = [row.iso for row in diagnostics.profile.rows]
+    known = [iso for iso in isos if iso is not None]
+    if len(known) < len(isos):
+        axes.set_xlabel("calibration row")
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        return [float(index + 1) for index in range(len(isos))]
+    axes.set_xscale("log")
+    axes.set_xlabel("ISO")
+    distinct = sorted(set(known))
+    step = math.ceil(len(distinct) / 5)
+    plain_ticks(axes.xaxis, distinct[::step])
+    return known
+
+
+def _lambda_rows(diagnostics: Diagnostics, theme: Theme) -> Figure:
+    drawing = figure()
+    axes = drawing.subplots()
+    places = _by_iso(diagnostics, axes)
+    axes.axhline(0, color=theme.theory, linewidth=1)
+    axes.plot(places, [row.tukey_lambda for row in diagnostics.profile.rows], "o", color=theme.found)
+    axes.set_ylabel("λ")
+    return drawing
+
+
+def _bias_rows(diagnostics: Diagnostics, theme: Theme) -> Figure:
+    drawing = figure()
+    axes = drawing.subplots()
+    places = _by_iso(diagnostics, axes)
+    step = 0.07 if axes.get_xscale() == "log" else 0.0  # side by side, where the channels' values are alike
+    for channel, name in enumerate(CHANNELS):
+        beside = [place * math.exp((channel - 1.5) * step) for place in places]
+        style: dict[str, Any] = {"marker": MARKERS[channel], "color": theme.channels[channel], "linestyle": "none"}
+        axes.plot(beside, [row.colour_bias_dn[channel] for row in diagnostics.profile.rows], label=name, **style)
+    axes.axhline(0, color=theme.theory, linewidth=1)
+    axes.set_ylabel("colour bias [DN]")
+    axes.legend(loc="best", ncols=2)
+    return drawing

@@ -1,0 +1,1 @@
+"""Where frames come from: raw files, arrays, stores and shards."""

@@ -1,0 +1,193 @@
+"""Reading shards from any place that fsspec knows, forward only, going on where a connection broke."""
+
+from __future__ import annotations
+
+import sys
+import time
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import IO, TYPE_CHECKING, Any, Self
+
+from fsspec.core import url_to_fs  # type: ignore[import-untyped] # it has none
+
+from eldata.errors import ArgumentError
+from eldata.sources.shards.layout import INDEX, ShardError, ShardIndex, parse_index
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from fsspec import AbstractFileSystem  # type: ignore[import-untyped] # it has none
+
+# What is fetched at once: as much as a few samples, so that a connection's latency does not count.
+_BLOCK_BYTES = 8 << 20
+_LOCAL = ("file", "local", "memory")
+
+
+@dataclass(frozen=True)
+class Folder:
+    """A folder of shards: an address as fsspec takes it, the options of its file system, and how failures are met.
+
+    A read that fails is tried ``attempts`` times in all without any progress, first after ``wait_s`` seconds and then
+    each time after twice as long. The options may be secrets, and are not shown.
+    """
+
+    address: str
+    options: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    attempts: int = 5
+    wait_s: float = 0.5
+
+    def __post_init__(self) -> None:
+        if self.attempts < 1 or self.wait_s < 0:
+            raise ArgumentError(
+                f"attempts must be 1 or more and retry_wait_s 0 or more; found {self.attempts}, {self.wait_s}"
+            )
+
+    def file_system(self) -> tuple[AbstractFileSystem, str]:
+        """Return the file system and the folder's path in it; each process asks for itself.
+
+        Raises
+        ------
+        ArgumentError
+            If the address has a protocol that fsspec does not know, or whose package is not installed.
+        """
+        try:
+            system, path = url_to_fs(self.address, **self.options)
+        except (ValueError, ImportError) as error:
+            raise ArgumentError(f"{self.address}: cannot be opened ({error})") from error
+        return system, path.rstrip("/")
+
+    def place(self, name: str) -> str:
+        """Return a file's address, for people."""
+        return f"{self.address.rstrip('/')}/{name}"
+
+    def read_index(self) -> ShardIndex:
+        """Return what the shards hold.
+
+        Raises
+        ------
+        ShardError
+            If the index is missing, cannot be read, or is none.
+        ArgumentError
+            As :meth:`file_system` does.
+        """
+        with Forward(self, INDEX) as file:
+            content = file.read_all()
+        return parse_index(self.place(INDEX), content)
+
+
+class Forward:
+    """One file, read forward from a byte on; :meth:`read` gives exactly what was asked for, or an error."""
+
+    def __init__(self, folder: Folder, name: str, start: int = 0) -> None:
+        self.place = folder.place(name)
+        self._folder = folder
+        self._system, path = folder.file_system()
+        self._path = f"{path}/{name}"
+        self._at = start
+        self._file: IO[bytes] | None = None
+        self._has_ranges = True
+        protocol = self._system.protocol
+        self._is_local = bool({protocol, *protocol} & set(_LOCAL)) if protocol else False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._file is not None:
+            with suppress(Exception):  # nothing is lost with it
+                self._file.close()
+            self._file = None
+
+    def read(self, count: int) -> bytes:
+        """Return the next ``count`` bytes.
+
+        Raises
+        ------
+        ShardError
+            If the file is missing, ends before, or cannot be read although it was tried several times.
+        """
+        pieces = []
+        while count > 0:
+            piece = self._piece(count)
+            if not piece:
+                raise ShardError(
+                    self.place, f"is truncated: it ends at byte {self._at}, {count} bytes too early; copy it again"
+                )
+            pieces.append(piece)
+            count -= len(piece)
+        return b"".join(pieces)
+
+    def read_all(self) -> bytes:
+        """Return all the rest; errors as of :meth:`read`."""
+        pieces = []
+        while piece := self._piece(_BLOCK_BYTES):
+            pieces.append(piece)
+        return b"".join(pieces)
+
+    def _piece(self, most: int) -> bytes:
+        """Return some bytes, none at the end."""
+        wait_s = self._folder.wait_s
+        attempt = 1
+        while True:
+            try:
+                if self._file is None:
+                    self._file = self._opened()
+                piece = self._file.read(most)
+            except ValueError as error:  # fsspec's, of a web server that knows no ranges
+                self.close()
+                if self._is_local or not self._has_ranges:
+                    raise ShardError(self.place, f"cannot be read ({error})") from error
+                self._has_ranges = False
+                continue
+            except _failures() as error:
+                self.close()
+                if self._is_local or _is_final(error) or attempt == self._folder.attempts:
+                    tried = f" after {attempt} attempts" if attempt > 1 else ""
+                    reason = f"{type(error).__name__}: {error}".rstrip(": ")
+                    raise ShardError(self.place, f"cannot be read{tried} ({reason}); is the address right?") from error
+            else:
+                self._at += len(piece)
+                return piece
+            time.sleep(wait_s)
+            wait_s *= 2
+            attempt += 1
+
+    def _opened(self) -> IO[bytes]:
+        """Open the file at the byte that is next."""
+        block_bytes = _BLOCK_BYTES if self._has_ranges else 0  # 0: fsspec streams from the first byte on
+        file: IO[bytes] = self._system.open(self._path, "rb", block_size=block_bytes)
+        if self._at and self._has_ranges:
+            with suppress(ValueError):  # a stream that cannot seek: what comes before is read and dropped
+                file.seek(self._at)
+                return file
+        left = self._at
+        while left > 0:
+            dropped = len(file.read(min(left, _BLOCK_BYTES)))
+            if dropped == 0:
+                break  # the next read says that it is truncated
+            left -= dropped
+        return file
+
+
+def _is_final(error: BaseException) -> bool:
+    """Return whether another attempt would end the same: a file that is not there, or not to be had."""
+    if not isinstance(error, (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError)):
+        return False
+    # Of any failure to learn a file's size, fsspec makes a FileNotFoundError with its cause.
+    cause = error.__cause__
+    if cause is None or isinstance(cause, FileNotFoundError):
+        return True
+    return getattr(cause, "status", 0) in (401, 403, 404, 410)
+
+
+def _failures() -> tuple[type[BaseException], ...]:
+    """Return what a broken connection raises."""
+    found: list[type[BaseException]] = [OSError, TimeoutError, EOFError]
+    aiohttp = sys.modules.get("aiohttp")  # fsspec's, if the address needs it
+    if aiohttp is not None:
+        found.append(aiohttp.ClientError)
+    return tuple(found)

@@ -1,0 +1,214 @@
+"""Packing: each file decoded once, by threads, into a store that is whole or not there."""
+
+from __future__ import annotations
+
+import hashlib
+from contextlib import closing, suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import numpy as np
+from tqdm import tqdm
+
+from eldata.base.files import inside
+from eldata.base.png import read_rgb16
+from eldata.base.workers import AnyWorkers, Workers, accepts_jobs, require_files
+from eldata.errors import ArgumentError, EldataError
+from eldata.manifest.clip_checks import is_png
+from eldata.sources.store.journal import journaled
+from eldata.sources.store.layout import FORMAT, chunk_shape, filters, frame_attributes, rgb_attributes, version_of
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from eldata.records import Role
+    from eldata.sources.store.journal import JournaledFile
+    from eldata.sources.store.layout import Compression
+    from eldata.sources.store.sources import Source
+
+
+@dataclass(frozen=True, slots=True)
+class BuildReport:
+    """What was packed: ``frames`` in all, ``resumed`` of them before; bytes of the pixels and of the store."""
+
+    path: Path
+    frames: int
+    resumed: int
+    pixel_bytes: int
+    store_bytes: int
+
+
+@accepts_jobs
+def build_store(
+    source: Source,
+    path: Path | str,
+    *,
+    compression: Compression = "none",
+    workers: AnyWorkers = 1,
+) -> BuildReport:
+    """Pack a source into an HDF5 store.
+
+    The store grows as ``<path>.part``, frame by frame; whatever ends the work (an error, a full disk, Ctrl-C, kill -9)
+    leaves the finished frames there, and the same call goes on. At the end it is renamed.
+
+    Parameters
+    ----------
+    source
+        From :func:`~eldata.sources.store.source_of_dataset` or :func:`~eldata.sources.store.source_of_folder`.
+    path
+        The store, which must not be there yet.
+    compression
+        Lossless: ``"lz4"`` or ``"zstd"`` behind a bitshuffle (needs hdf5plugin, the extra ``compression``), or
+        ``"none"``.
+    workers
+        Number of threads that decode, so many frames and one are in memory; or an executor that decodes
+        (:meth:`eldata.base.workers.Workers.read_ahead`). The store is written here.
+
+    Raises
+    ------
+    ArgumentError
+        If the compression is unknown or its package missing, or ``workers`` not positive.
+    FileError
+        If a file cannot be decoded.
+    EldataError
+        If the store is there already, another process writes it, its part was begun otherwise, or the disk is full.
+    """
+    path = Path(path)
+    workers = Workers.of(workers)
+    options = filters(compression)
+    if path.exists():
+        raise EldataError(f"{path}: is there already; remove it, or name another file")
+    part = path.with_name(f"{path.name}.part")
+    with journaled(part) as file:
+        try:
+            resumed, pixel_bytes = _fill(file, source, compression, options, workers)
+            file.sync()
+            part.rename(path)
+            file.remove_journal()
+        except OSError as error:
+            raise EldataError(
+                f"cannot write {part}: {error.strerror or error}; what is finished is kept there: make room and the "
+                "same command goes on"
+            ) from error
+    return BuildReport(path, len(source.files), resumed, pixel_bytes, path.stat().st_size)
+
+
+def _fill(
+    file: JournaledFile,
+    source: Source,
+    compression: Compression,
+    options: Mapping[str, Any],
+    workers: Workers,
+) -> tuple[int, int]:
+    """Bring the part to its end; return how many frames were there before, and the bytes of all pixels."""
+    is_new = file.is_new
+    store: h5py.File | None = None
+    try:
+        # HDF5's earliest format: later ones mark a file as open, and refuse it after a kill.
+        store = h5py.File(file.path, "w" if is_new else "r+", driver="fileobj", fileobj=file, libver="earliest")
+        if is_new:
+            _begin(store, source, compression)
+            _commit(store, file)
+        else:
+            _check_same(file.path, store, source, compression)
+        frames = store["frames"]
+        resumed = len(frames)
+        waiting = source.files[resumed:]  # frames are written in order
+        decoded = workers.read_ahead(partial(_decoded, source.folder.absolute()), waiting)
+        bar = tqdm(total=len(source.files), initial=resumed, desc="packing", unit="file", disable=None, leave=False)
+        with bar, closing(decoded):  # type: ignore[type-var] # a generator, declared as an iterator
+            for number, (pixels, attributes) in enumerate(decoded, resumed):
+                shape = chunk_shape(pixels.shape)
+                dataset = frames.create_dataset(f"{number:06d}", data=pixels, chunks=shape, **options)
+                dataset.attrs.update(attributes)
+                _commit(store, file)
+                bar.update()
+        pixel_bytes = sum(frame.size * frame.dtype.itemsize for frame in frames.values())
+        store.attrs["complete"] = True
+        _commit(store, file)
+        store.close()
+    except BaseException as error:
+        # What HDF5 makes of an error in our file is another error, or none; ours is the cause.
+        cause = file.failure
+        file.failure = cause or error  # from here on nothing is written
+        if store is not None:
+            _abandon(store)
+        if cause is not None and cause is not error:
+            raise cause from None
+        raise
+    return resumed, pixel_bytes
+
+
+def _begin(store: h5py.File, source: Source, compression: Compression) -> None:
+    from eldata import __version__
+
+    store.attrs.update(
+        {
+            "format": FORMAT,
+            "version": _version(source),
+            "written_by": f"eldata {__version__}",
+            "dataset": source.dataset,
+            "compression": compression,
+            "files_digest": source.digest,
+            "files": len(source.files),
+            "complete": False,
+        }
+    )
+    store.create_group("frames")
+    if source.manifest is not None:
+        for name, content in source.manifest_files().items():
+            store.create_dataset(f"manifest/{name}", data=np.frombuffer(content, np.uint8))
+
+
+def _version(source: Source) -> int:
+    return version_of(path for path, _ in source.files)
+
+
+def _check_same(path: Path, store: h5py.File, source: Source, compression: Compression) -> None:
+    begun = {name: store.attrs.get(name) for name in ("format", "version", "files_digest", "compression")}
+    wanted = {
+        "format": FORMAT,
+        "version": _version(source),
+        "files_digest": source.digest,
+        "compression": compression,
+    }
+    for name, value in wanted.items():
+        if begun[name] != value:
+            raise ArgumentError(
+                f"{path}: was begun with another {name.replace('_', ' ')}: expected {value}, found {begun[name]}; give "
+                "the same dataset and options as then, or remove it to start anew"
+            )
+
+
+def _commit(store: h5py.File, file: JournaledFile) -> None:
+    store.flush()
+    file.commit()
+
+
+def _abandon(store: h5py.File) -> None:
+    with suppress(OSError, RuntimeError, ValueError):  # its last tables are not to be written any more
+        store.close()
+
+
+def _decoded(folder: Path, listed: tuple[str, Role]) -> tuple[NDArray[np.uint16], dict[str, str]]:
+    from eldata.raw.reading import read_raw
+
+    path, role = listed
+    file = inside(folder, path)
+    require_files(file)
+    if is_png(path):
+        planes = np.ascontiguousarray(read_rgb16(file).transpose(2, 0, 1))
+        return planes, rgb_attributes(path, role, pixels_digest(planes))
+    frame = read_raw(file)
+    return frame.mosaic, frame_attributes(path, role, frame, pixels_digest(frame.mosaic))
+
+
+def pixels_digest(frame: NDArray[np.uint16]) -> str:
+    """Return ``sha256:<hex>`` of a frame's pixels, plane by plane, row by row, little-endian."""
+    pixels = np.ascontiguousarray(frame, dtype="<u2")
+    return f"sha256:{hashlib.sha256(pixels.data).hexdigest()}"

@@ -1,0 +1,106 @@
+"""Is a store whole? Finds and lists every problem; never writes."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import TYPE_CHECKING
+
+from tqdm import tqdm
+
+from eldata.base.workers import AnyWorkers, Workers, accepts_jobs, require_files
+from eldata.manifest.verify import DatasetReport, Problem, VerifyReport
+from eldata.sources.store.build import pixels_digest
+from eldata.sources.store.layout import StoredRgb, StoreError, chunk_shape
+from eldata.sources.store.read import PixelReader, open_store, opened
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from eldata.manifest.verify import Level
+    from eldata.sources.store.layout import Store, StoredFrame
+
+_ADVICE = "copy or pack the store again"
+
+
+@accepts_jobs
+def verify_store(path: Path | str, *, level: Level = "quick", workers: AnyWorkers = 1) -> VerifyReport:
+    """Check a store.
+
+    Parameters
+    ----------
+    path
+        The store.
+    level
+        ``"quick"`` and ``"metadata"``: it opens, is complete, holds as many frames as were packed, each of its stated
+        size, and both frames of each pair. ``"full"``: also the checksum of each frame's pixels.
+    workers
+        Number of threads, or an executor that reads the pixels (:mod:`eldata.base.workers`).
+
+    Raises
+    ------
+    StoreError
+        If it is no store, truncated, not complete, or of a newer version.
+    ArgumentError
+        If it is compressed and hdf5plugin is not installed.
+    """
+    workers = Workers.of(workers)
+    store = open_store(path)
+    problems = list(_structure(store))
+    count = len(store.frames) + len(store.rgb)
+    if level == "full":
+        work = partial(_pixels, store.dataset, PixelReader(store.path.absolute()))
+        bar = tqdm(total=count, desc=f"{store.dataset} (full)", unit="frame", disable=None, leave=False)
+        with bar:
+            for found in workers.read_ahead(work, (*store.frames, *store.rgb)):
+                bar.update()
+                problems += found
+    problems.sort(key=lambda problem: problem.path)
+    homepage = "" if store.manifest is None else store.manifest.card.homepage
+    hashed = count if level == "full" else 0
+    report = DatasetReport(store.dataset, store.path, False, homepage, count, count, hashed, tuple(problems))
+    return VerifyReport(level, (report,))
+
+
+def _structure(store: Store) -> Iterator[Problem]:
+    shapes: dict[StoredFrame | StoredRgb, tuple[int, ...]] = {
+        frame: (frame.sensor.height, frame.sensor.width) for frame in store.frames
+    }
+    shapes |= {frame: (3, frame.height, frame.width) for frame in store.rgb}
+    with opened(store.path) as file:
+        for frame, shape in shapes.items():
+            dataset = file["frames"][frame.key]
+            found, expected = f"{dataset.dtype} {dataset.shape}", f"uint16 {shape}"
+            if found != expected:
+                yield Problem(store.dataset, frame.path, "pixels", expected, found, _ADVICE)
+                continue
+            chunks = math.prod(-(-side // of_chunk) for side, of_chunk in zip(shape, chunk_shape(shape), strict=True))
+            written = dataset.id.get_num_chunks()
+            if written != chunks:
+                yield Problem(store.dataset, frame.path, "pixels", f"{chunks} chunks", str(written), _ADVICE)
+    if store.manifest is not None:
+        held = {frame.path for frame in shapes}
+        for record in store.manifest.records:
+            if record.path in held and record.reference is not None and record.reference not in held:
+                yield Problem(store.dataset, record.path, "reference", record.reference, "nothing", _ADVICE)
+
+
+def _pixels(dataset: str, reader: PixelReader, frame: StoredFrame | StoredRgb) -> list[Problem]:
+    require_files(reader.path)
+    try:
+        found = pixels_digest(_read(reader, frame))
+    except StoreError as error:
+        found = error.reason
+    if found == frame.sha256:
+        return []
+    return [Problem(dataset, frame.path, "sha256 of the pixels", frame.sha256, found, _ADVICE)]
+
+
+def _read(reader: PixelReader, frame: StoredFrame | StoredRgb) -> NDArray[np.uint16]:
+    if isinstance(frame, StoredRgb):
+        return reader.read_planes(frame.key, range(frame.height), range(frame.width))
+    return reader.borrow(frame.key, range(frame.sensor.height), range(frame.sensor.width))

@@ -1,0 +1,275 @@
+"""Opening a store, and reading parts of its frames."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import threading
+import weakref
+from collections import OrderedDict
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import numpy as np
+
+from eldata.errors import ArgumentError, EldataError
+from eldata.manifest.catalogue import load_manifest
+from eldata.sources.store.chunks import chunk_table, read_part
+from eldata.sources.store.layout import (
+    COMPRESSIONS,
+    FORMAT,
+    RGB,
+    VERSION,
+    Store,
+    StoreError,
+    filters,
+    stored_frame,
+    stored_rgb,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from eldata.manifest.catalogue import Manifest
+    from eldata.sources.store.chunks import ChunkTable
+
+# Enough for the chunks of a few rows of a crop; a read visits each chunk once. HDF5 frees it with the frame.
+_CHUNK_CACHE_BYTES = 1 << 20
+# Frames whose chunks' places are kept: 3 kB each at 12 megapixels. To look them up takes a millisecond.
+_MOST_TABLES = 4096
+
+
+def open_store(path: Path | str) -> Store:
+    """Read what a store holds, without pixels.
+
+    Raises
+    ------
+    StoreError
+        If the file is missing, truncated, damaged, no store, not complete, or of a newer version.
+    ArgumentError
+        If it is compressed and hdf5plugin is not installed.
+    """
+    path = Path(path)
+    with opened(path) as file:
+        try:
+            manifest = _manifest(path, file)
+            frames, rgb = [], []
+            for key, frame in sorted(file["frames"].items()):
+                if frame.attrs.get("kind") == RGB:
+                    rgb.append(stored_rgb(key, frame.attrs, frame.shape))
+                else:
+                    frames.append(stored_frame(key, frame.attrs))
+            dataset, listed = str(file.attrs["dataset"]), int(file.attrs["files"])
+            compression = next(name for name in COMPRESSIONS if name == file.attrs["compression"])
+        except (OSError, RuntimeError, ValueError, LookupError, TypeError, StopIteration, EldataError) as error:
+            raise StoreError(path, f"is damaged ({error}); copy or pack it again") from error
+    found = len(frames) + len(rgb)
+    if found != listed:
+        raise StoreError(path, f"is damaged: expected {listed} frames, found {found}; copy or pack it again")
+    return Store(path, dataset, compression, manifest, tuple(frames), tuple(rgb))
+
+
+def opened(path: Path) -> h5py.File:
+    """Open a store's HDF5 file for reading; errors as of :func:`open_store`."""
+    try:
+        path.open("rb").close()
+    except OSError as error:
+        raise StoreError(path, f"cannot be read: {error.strerror}") from error
+    if not h5py.is_hdf5(path):
+        raise StoreError(path, "is not an HDF5 file; eldata pack makes stores")
+    try:
+        # A finished store is never written again, so readers need no lock, which some network disks do not have.
+        file = h5py.File(path, "r", locking=False, rdcc_nbytes=_CHUNK_CACHE_BYTES)
+    except OSError as error:
+        reason = "is truncated" if "truncated" in str(error) else "is damaged"
+        raise StoreError(path, f"{reason} ({error}); copy or pack it again") from error
+    try:
+        _check_header(path, dict(file.attrs))
+    except BaseException:  # Ctrl-C too: the caller gets no file that it could close
+        file.close()
+        raise
+    return file
+
+
+def _check_header(path: Path, attributes: dict[str, Any]) -> None:
+    if attributes.get("format") != FORMAT:
+        raise StoreError(path, "is an HDF5 file, but not a store of eldata; eldata pack makes stores")
+    version = int(attributes["version"])
+    if version > VERSION:
+        raise StoreError(
+            path,
+            f"is a store of version {version}, written by {attributes.get('written_by')}; this eldata reads up to "
+            f"version {VERSION}: install a newer one",
+        )
+    if not attributes.get("complete"):
+        raise StoreError(path, "is not complete; the eldata pack command that began it goes on with it")
+    compression = next((name for name in COMPRESSIONS if name == attributes.get("compression")), None)
+    if compression is None:
+        raise StoreError(path, f"has the unknown compression {attributes.get('compression')!r}; is it damaged?")
+    filters(compression)  # HDF5 must know it before it reads, in each process
+
+
+def _manifest(path: Path, file: h5py.File) -> Manifest | None:
+    if "manifest" not in file:
+        return None
+    with tempfile.TemporaryDirectory(prefix="eldata-") as folder:  # the one loader reads files
+        csv = Path(folder) / "manifest.csv"
+        for suffix in ("csv", "json"):
+            csv.with_suffix(f".{suffix}").write_bytes(file[f"manifest/{suffix}"][:].tobytes())
+        return replace(load_manifest(csv), path=path)
+
+
+class PixelReader:
+    """Reads parts of a store's frames, in any process and in several threads at once.
+
+    The file is opened in each process that reads, on its first read. It is never shared: a fork closes it first, and a
+    pickled reader opens it anew. Memory does not grow with the store: a thread keeps one chunk, a process the places of
+    the chunks of the frames that it read last.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._file: h5py.File | None = None
+        self._descriptor: _Descriptor | None = None
+        self._tables: OrderedDict[str, ChunkTable | None] = OrderedDict()
+        self._lock = threading.Lock()
+        self._scratch = threading.local()
+        _READERS.add(self)
+
+    def read(self, key: str, rows: range, columns: range) -> NDArray[np.uint16]:
+        """Return a part of a frame's mosaic, uint16 in DN.
+
+        Raises
+        ------
+        StoreError
+            If the store cannot be read.
+        """
+        pixels = np.empty((len(rows), len(columns)), np.uint16)
+        self._fill(pixels, key, rows, columns)
+        return pixels
+
+    def read_planes(self, key: str, rows: range, columns: range) -> NDArray[np.uint16]:
+        """Return a part of an RGB frame, (3, rows, columns) uint16; errors as of :meth:`read`."""
+        pixels = np.empty((3, len(rows), len(columns)), np.uint16)
+        self._fill(pixels, key, rows, columns)
+        return pixels
+
+    def borrow(self, key: str, rows: range, columns: range) -> NDArray[np.uint16]:
+        """Return a part as :meth:`read` does, in memory that this thread's next call overwrites.
+
+        The pages of new memory cost as much as the reading.
+        """
+        size = len(rows) * len(columns)
+        scratch = getattr(self._scratch, "pixels", None)
+        if scratch is None or scratch.size < size:
+            scratch = self._scratch.pixels = np.empty(size, np.uint16)
+        pixels: NDArray[np.uint16] = scratch[:size].reshape(len(rows), len(columns))
+        self._fill(pixels, key, rows, columns)
+        return pixels
+
+    def _fill(self, pixels: NDArray[np.uint16], key: str, rows: range, columns: range) -> None:
+        try:
+            descriptor, table = self._place(key)
+            if table is None:
+                self._by_hdf5(pixels, key, rows, columns)
+                return
+            for number, plane in enumerate(pixels[None] if pixels.ndim == 2 else pixels):
+                read_part(descriptor.number, table, number, rows, columns, plane)
+        except (OSError, RuntimeError, KeyError, IndexError, ValueError) as error:
+            if isinstance(error, EldataError):
+                raise
+            raise StoreError(self.path, f"frame {key} is damaged ({error}); copy or pack it again") from error
+
+    def _place(self, key: str) -> tuple[_Descriptor, ChunkTable | None]:
+        with self._lock:
+            if self._file is None or self._descriptor is None:
+                self._file = opened(self.path)
+                self._descriptor = _Descriptor(self.path)
+            if key in self._tables:
+                self._tables.move_to_end(key)
+            else:
+                self._tables[key] = chunk_table(h5py.h5d.open(self._file.id, f"frames/{key}".encode()))
+                while len(self._tables) > _MOST_TABLES:
+                    self._tables.popitem(last=False)
+            return self._descriptor, self._tables[key]
+
+    def _by_hdf5(self, pixels: NDArray[np.uint16], key: str, rows: range, columns: range) -> None:
+        with self._lock:
+            if self._file is None:
+                self._file = opened(self.path)
+            # Opened for this read alone: with the dataset HDF5 frees its chunks.
+            dataset = h5py.h5d.open(self._file.id, f"frames/{key}".encode())
+            there = dataset.get_space()
+            there.select_hyperslab((*(0,) * (pixels.ndim - 2), rows.start, columns.start), pixels.shape)
+            dataset.read(h5py.h5s.create_simple(pixels.shape), there, pixels)
+
+    def close(self) -> None:
+        """Close the file; the next read opens it again."""
+        with self._lock:
+            if self._file is not None:
+                self._file.close()
+            self._file = self._descriptor = None  # a thread that is reading holds the latter until it is done
+            self._tables.clear()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"path": self.path}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__init__(state["path"])  # type: ignore[misc] # a pickled reader is a path
+
+
+class _Descriptor:
+    """An open file, closed when nobody holds it any more."""
+
+    def __init__(self, path: Path) -> None:
+        self.number = os.open(path, os.O_RDONLY)
+
+    def __del__(self) -> None:
+        with suppress(AttributeError, OSError):  # it was not opened
+            os.close(self.number)
+
+
+_READERS: weakref.WeakSet[PixelReader] = weakref.WeakSet()
+
+
+def _before_fork() -> None:
+    for reader in list(_READERS):
+        reader.close()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(before=_before_fork)
+
+
+class StoredMosaic:
+    """A frame's mosaic, (H, W) uint16 in DN; ``mosaic[rows, columns]`` reads just that part of it."""
+
+    dtype = np.dtype(np.uint16)
+
+    def __init__(self, reader: PixelReader, key: str, shape: tuple[int, int]) -> None:
+        self._reader = reader
+        self._key = key
+        self.shape = shape
+
+    def __getitem__(self, part: tuple[slice, slice]) -> NDArray[np.uint16]:
+        rows, columns = self._ranges(part)
+        return self._reader.read(self._key, rows, columns)
+
+    def borrow(self, part: tuple[slice, slice]) -> NDArray[np.uint16]:
+        """Read a part into memory that the next call of this thread overwrites."""
+        rows, columns = self._ranges(part)
+        return self._reader.borrow(self._key, rows, columns)
+
+    def _ranges(self, part: tuple[slice, slice]) -> tuple[range, range]:
+        rows, columns = (range(*wanted.indices(side)) for wanted, side in zip(part, self.shape, strict=True))
+        if rows.step != 1 or columns.step != 1:
+            raise ArgumentError("a stored mosaic is read without steps")
+        return rows, columns
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        if copy is False:
+            raise ValueError("a stored mosaic cannot be had without reading it into new memory")
+        return self[:, :].astype(dtype or self.dtype, copy=False)

@@ -1,0 +1,224 @@
+"""Units on executors that the caller brings: threads, processes, and a real Dask cluster of two processes."""
+
+from __future__ import annotations
+
+import os
+import socket
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from functools import partial
+from multiprocessing import get_context
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from eldata.base.workers import Failed, UnseenFileError, Workers, slots_of
+from eldata.errors import ArgumentError, EldataError, RawFileError
+from tests.base.clusters import work
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+pytestmark = pytest.mark.timeout(120)  # a hang is the bug that these tests are for
+
+
+def test_results_come_in_the_units_order(executor: Executor) -> None:
+    numbers = list(range(40))
+    assert list(Workers(executor=executor).run(work.double, numbers)) == [2 * number for number in numbers]
+    assert list(Workers(executor=executor).read_ahead(work.double, iter(numbers))) == [2 * n for n in numbers]
+    assert list(Workers(executor=executor).run(work.double, [])) == []
+
+
+def test_units_run_in_the_executor_whatever_jobs_say(processes: Executor, dask: Executor) -> None:
+    for executor in (processes, dask):
+        for count in (1, 8):
+            assert os.getpid() not in Workers(executor=executor).run(work.process_of, range(count))
+
+
+def test_the_executor_is_not_shut_down(executor: Executor) -> None:
+    """Neither at the end, nor by an error, nor by a caller who leaves early."""
+    list(Workers(executor=executor).run(work.double, range(4)))
+    with pytest.raises(RawFileError):
+        list(Workers(executor=executor).run(work.fail_at_threes, range(4)))
+    results = Workers(executor=executor).run(work.double, range(400))
+    assert next(results) == 0
+    results.close()  # type: ignore[attr-defined] # an iterator by its type, a generator in fact
+    assert executor.submit(work.double, 21).result(60) == 42
+
+
+def test_failing_units_do_not_lose_the_rest(executor: Executor) -> None:
+    found = list(Workers(executor=executor).attempt(work.fail_at_threes, range(10)))
+    assert [one for one in found if not isinstance(one, Failed)] == [1, 2, 4, 5, 7, 8]
+    failed = [one for one in found if isinstance(one, Failed)]
+    assert [(one.unit, one.reason) for one in failed] == [(n, f"{n}.dng: is not whole") for n in (0, 3, 6, 9)]
+    assert all(isinstance(one.error, RawFileError) for one in failed)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_failing_units_without_an_executor(jobs: int, importable: None) -> None:
+    found = list(Workers(jobs).attempt(work.fail_at_threes, range(4)))
+    assert [one.reason if isinstance(one, Failed) else one for one in found] == [
+        *("0.dng: is not whole", 1, 2, "3.dng: is not whole")
+    ]
+
+
+def test_a_mistake_in_the_program_is_the_units_failure_too(executor: Executor) -> None:
+    found = list(Workers(executor=executor).attempt(work.fail_in_the_program, [1, 2, 3]))
+    assert (found[0], found[2]) == (-1, 3)
+    assert isinstance(found[1], Failed)
+    assert found[1].reason.startswith("unexpected ZeroDivisionError")
+    with pytest.raises(ZeroDivisionError):
+        list(Workers(executor=executor).run(work.fail_in_the_program, [1, 2, 3]))
+
+
+def test_where_it_failed_is_told_with_debug(dask: Executor) -> None:
+    """A traceback does not travel; its text does."""
+    (found,) = Workers(executor=dask).attempt(work.fail_in_the_program, [2])
+    assert isinstance(found, Failed)
+    (note,) = found.error.__notes__
+    assert socket.gethostname() in note
+    assert "number // (number - 2)" in note
+
+
+def test_errors_that_cannot_be_made_again(executor: Executor) -> None:
+    """Such an error would break a pool of processes as it is unpickled."""
+    found = list(Workers(executor=executor).attempt(work.fail_oddly, [1, 2]))
+    assert [one.reason for one in found if isinstance(one, Failed)] == [
+        *("unexpected UnpicklableError: 1 and 1", "unexpected UnpicklableError: 2 and 2")
+    ]
+
+
+def test_a_file_that_the_worker_does_not_see(executor: Executor, tmp_path: Path) -> None:
+    (tmp_path / "here.dng").write_bytes(b"123")
+    found = list(Workers(executor=executor).attempt(work.look_at, [tmp_path / "gone.dng", tmp_path / "here.dng"]))
+    assert found[1] == 3
+    assert isinstance(found[0], Failed)
+    assert isinstance(found[0].error, UnseenFileError)
+    assert found[0].reason == (
+        f"{tmp_path / 'gone.dng'}: No such file or directory on {socket.gethostname()}; every machine that takes part "
+        "must see the same files under the same paths"
+    )
+
+
+# --- how many at a time -----------------------------------------------------------------------------------------------
+
+
+class Lazy(Future[Any]):
+    """Runs its call when it is asked for what came of it."""
+
+    def __init__(self, call: Callable[[], Any]) -> None:
+        super().__init__()
+        self.call = call
+
+    def exception(self, timeout: float | None = None) -> BaseException | None:
+        if not self.done():
+            self.set_result(self.call())
+        return super().exception(timeout)
+
+
+class Stepwise(Executor):
+    """Runs each call when its result is wanted, and counts the calls in flight."""
+
+    def __init__(self, workers: int | None = None, cancelling: int | None = None) -> None:
+        self.futures: list[Lazy] = []
+        self.most = 0
+        self.cancelling = cancelling
+        if workers is not None:
+            self._max_workers = workers
+
+    def submit(self, call: Callable[[], Any], /) -> Future[Any]:  # type: ignore[override] # all that is used
+        future = Lazy(call)
+        if len(self.futures) == self.cancelling:
+            future.cancel()
+        self.futures.append(future)
+        self.most = max(self.most, sum(not one.done() for one in self.futures))
+        return future
+
+
+@pytest.mark.parametrize(("workers", "in_flight"), [(1, 5), (3, 13), (None, 65)])
+def test_a_bounded_number_of_units_is_in_flight(workers: int | None, in_flight: int) -> None:
+    executor = Stepwise(workers)
+    results = Workers(executor=executor).run(work.double, range(200))
+    assert executor.futures == [], "nothing starts before a result is wanted"
+    assert list(results) == [2 * number for number in range(200)]
+    assert executor.most == in_flight
+
+
+@pytest.mark.parametrize(("workers", "in_flight"), [(1, 3), (3, 7), (None, 17), (500, 17)])
+def test_fewer_large_results_are_in_flight(workers: int | None, in_flight: int) -> None:
+    executor = Stepwise(workers)
+    list(Workers(executor=executor).read_ahead(work.double, range(200)))
+    assert executor.most == in_flight
+
+
+def test_the_window_follows_a_cluster_that_grows() -> None:
+    executor = Stepwise(1)
+    results = Workers(executor=executor).run(work.double, range(200))
+    next(results)
+    assert executor.most == 5
+    executor._max_workers = 3
+    list(results)
+    assert executor.most == 13
+
+
+def test_what_waits_is_cancelled_if_the_caller_leaves() -> None:
+    executor = Stepwise(1)
+    results = Workers(executor=executor).run(work.double, range(200))
+    next(results)
+    results.close()  # type: ignore[attr-defined] # an iterator by its type, a generator in fact
+    assert [future.cancelled() for future in executor.futures] == [False, True, True, True, True]
+
+
+def test_workers_are_counted(threads: Executor, processes: Executor, dask: Executor) -> None:
+    assert [slots_of(executor) for executor in (threads, processes, dask)] == [2, 2, 2]
+    assert slots_of(Stepwise()) is None
+
+
+# --- executors that cannot --------------------------------------------------------------------------------------------
+
+
+def test_an_executor_that_was_shut_down() -> None:
+    pool = ThreadPoolExecutor(1)
+    pool.shutdown()
+    with pytest.raises(ArgumentError, match=r"^the executor takes no work: cannot schedule new futures after shutdown"):
+        list(Workers(executor=pool).run(work.double, [1]))
+
+
+def test_a_broken_pool_of_the_callers_is_an_error_that_names_the_unit(importable: None) -> None:
+    tasks = [work.Task(3, "three.dng"), *(work.Task(number) for number in range(4, 40))]
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        with pytest.raises(EldataError, match=r"^the executor broke at or soon after three\.dng"):
+            list(Workers(executor=pool).run(work.end_the_process, tasks))
+        with pytest.raises(EldataError, match=r"^the executor broke"):
+            list(Workers(executor=pool).run(work.end_the_process, tasks))
+
+
+def test_work_that_cannot_travel(processes: Executor) -> None:
+    with pytest.raises(EldataError, match=r"^the executor cannot run the work on 1: .*pickle"):
+        list(Workers(executor=processes).run(lambda number: number, [1]))
+
+
+def test_a_unit_that_someone_cancels() -> None:
+    results = Workers(executor=Stepwise(1, cancelling=2)).run(work.double, range(9))
+    assert [next(results), next(results)] == [0, 2]
+    with pytest.raises(EldataError, match=r"^the work on 2 was cancelled"):
+        next(results)
+
+
+# --- processes of our own ---------------------------------------------------------------------------------------------
+
+
+def test_a_unit_that_ends_its_process_once_is_run_again(importable: None, tmp_path: Path) -> None:
+    tasks = [work.Task(number) for number in range(30)]
+    found = list(Workers(2).attempt(partial(work.end_the_process_once, tmp_path), tasks))
+    assert (tmp_path / "died").exists()
+    assert found == list(range(30))
+
+
+def test_a_unit_that_ends_every_process_is_named_and_the_rest_is_done(importable: None) -> None:
+    tasks = [work.Task(number, f"{number}.dng") for number in range(30)]
+    found = list(Workers(2).attempt(work.end_the_process, tasks))
+    assert [one for one in found if not isinstance(one, Failed)] == [number for number in range(30) if number != 3]
+    assert isinstance(found[3], Failed)
+    assert found[3].unit == tasks[3]
+    assert found[3].reason.startswith("3.dng: a worker process died at it twice")
+    assert "--jobs" in found[3].reason

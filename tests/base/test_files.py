@@ -1,0 +1,350 @@
+"""Atomic writing, hashing and paths that stay inside their root."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import IO, Any
+
+import pytest
+
+import eldata.base.files
+from eldata.base.files import atomic_write, inside, path_problem, sha256_of, write_text
+from eldata.errors import EldataError, ManifestError
+
+OLD, NEW = b"old content", b"new content\n" * 1000
+
+
+@pytest.fixture
+def old(tmp_path: Path) -> Path:
+    path = tmp_path / "scores.csv"
+    path.write_bytes(OLD)
+    return path
+
+
+def only(path: Path, content: bytes) -> bool:
+    """The file has this content and its folder holds nothing else, so no ``.part`` either."""
+    return path.read_bytes() == content and list(path.parent.iterdir()) == [path]
+
+
+# --- atomic_write -------------------------------------------------------------------------------------------
+
+
+def test_a_new_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.bin"
+    with atomic_write(path) as file:
+        file.write(NEW)
+        assert not path.exists()
+    assert only(path, NEW)
+
+
+def test_an_old_file_stands_until_the_new_one_is_whole(old: Path) -> None:
+    with atomic_write(str(old)) as file:
+        file.write(NEW)
+        file.flush()
+        assert old.read_bytes() == OLD
+        (part,) = set(old.parent.iterdir()) - {old}
+        assert part.name.startswith(".")
+        assert part.name.endswith(".part")
+    assert only(old, NEW)
+
+
+@pytest.mark.parametrize("error", [ValueError("x"), KeyboardInterrupt(), SystemExit(3)], ids=repr)
+def test_an_error_inside_leaves_the_old_file_alone(error: BaseException, old: Path) -> None:
+    def write() -> None:
+        with atomic_write(old) as file:
+            file.write(NEW)
+            raise error
+
+    with pytest.raises(type(error)) as caught:
+        write()
+    assert caught.value is error
+    assert only(old, OLD)
+
+
+@pytest.mark.parametrize("umask", [0o022, 0o077, 0o002])
+def test_permissions_follow_the_umask(umask: int, tmp_path: Path) -> None:
+    before = os.umask(umask)
+    try:
+        with atomic_write(tmp_path / "a") as file:
+            file.write(NEW)
+        plain = tmp_path / "b"
+        plain.write_bytes(NEW)
+        assert (tmp_path / "a").stat().st_mode == plain.stat().st_mode
+        assert os.umask(umask) == umask  # unchanged
+    finally:
+        os.umask(before)
+
+
+# Regression: the mask is read by setting it to 022 for a moment. A second thread that reads it in that
+# moment restores 022, which then is the process's mask: with 077 later files become readable by everyone.
+def test_threads_that_write_leave_the_umask_as_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = os.umask
+
+    def slow(mask: int) -> int:
+        previous = real(mask)
+        time.sleep(0.002)  # a wider moment
+        return previous
+
+    before = real(0o077)
+    try:
+        monkeypatch.setattr(os, "umask", slow)
+        with ThreadPoolExecutor(4) as pool:
+            list(pool.map(lambda number: write_text(tmp_path / f"{number}.txt", "x"), range(40)))
+        monkeypatch.undo()
+        assert real(0o077) == 0o077
+        assert {path.stat().st_mode & 0o777 for path in tmp_path.iterdir()} == {0o600}
+    finally:
+        real(before)
+
+
+KILLED = """
+import os, signal, sys
+from eldata.base.files import atomic_write
+with atomic_write(sys.argv[1]) as file:
+    file.write(b"new content" * 100000)
+    file.flush()
+    os.fsync(file.fileno())
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_kill_9_in_the_middle_leaves_the_old_file_intact(old: Path) -> None:
+    env = {**os.environ, "PYTHONPATH": str(Path(eldata.base.files.__file__).parents[2])}
+    done = subprocess.run([sys.executable, "-c", KILLED, str(old)], timeout=60, env=env)
+    assert done.returncode == -signal.SIGKILL
+    assert old.read_bytes() == OLD
+    # What is left behind is hidden, and it does not stand in the next writer's way.
+    (left,) = set(old.parent.iterdir()) - {old}
+    assert left.name.startswith(".")
+    assert left.name.endswith(".part")
+    with atomic_write(old) as file:
+        file.write(NEW)
+    assert old.read_bytes() == NEW
+
+
+def test_a_missing_folder_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "missing" / "a.csv"
+    with (
+        pytest.raises(EldataError, match=r"cannot write .*missing/a\.csv: No such file or directory") as caught,
+        atomic_write(path),
+    ):
+        pytest.fail("there is nowhere to write to")
+    assert isinstance(caught.value.__cause__, FileNotFoundError)
+
+
+def test_a_file_where_the_folder_should_be(old: Path) -> None:
+    with pytest.raises(EldataError, match=r"scores\.csv/a\.csv: Not a directory"):
+        write_text(old / "a.csv", "x")
+    assert only(old, OLD)
+
+
+def test_a_folder_where_the_file_should_be(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.mkdir()
+    with pytest.raises(EldataError, match=r"a\.csv: Is a directory"):
+        write_text(path, "x")
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_an_unwritable_folder(old: Path) -> None:
+    old.parent.chmod(0o500)
+    try:
+        with pytest.raises(EldataError, match=r"cannot write .*scores\.csv: Permission denied"):
+            write_text(old, "x")
+    finally:
+        old.parent.chmod(0o700)
+    assert only(old, OLD)
+
+
+def test_a_refusing_folder(old: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(path: Path, *_: object) -> IO[bytes]:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+
+    monkeypatch.setattr(Path, "open", refuse)
+    with pytest.raises(EldataError, match=r"cannot write .*scores\.csv: Permission denied"):
+        write_text(old, "x")
+    monkeypatch.undo()
+    assert only(old, OLD)
+
+
+def test_a_disk_that_is_full_when_it_is_synced(old: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(EldataError, match=r"cannot write .*scores\.csv: No space left on device"):
+        write_text(old, "x")
+    assert only(old, OLD)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
+@pytest.mark.parametrize("size", [10, 1_000_000])
+def test_a_disk_that_is_full_when_it_is_written(size: int, old: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    really_open = Path.open
+
+    def on_full_disk(*_: object) -> IO[Any]:
+        return really_open(Path("/dev/full"), "wb")
+
+    monkeypatch.setattr(Path, "open", on_full_disk)
+    with pytest.raises(EldataError, match=r"cannot write .*scores\.csv: No space left on device"):
+        write_text(old, "x" * size)
+    monkeypatch.undo()
+    assert only(old, OLD)
+
+
+def test_text_is_utf8_with_line_ends_as_given(tmp_path: Path) -> None:
+    write_text(tmp_path / "a.txt", "é\r\nb\n")
+    assert (tmp_path / "a.txt").read_bytes() == b"\xc3\xa9\r\nb\n"
+
+
+# --- sha256_of ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("content", [b"", b"abc", bytes(range(256)) * 20_000], ids=["empty", "abc", "5 MB"])
+def test_sha256_is_that_of_the_bytes(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(content)
+    assert sha256_of(tmp_path / "a") == "sha256:" + hashlib.sha256(content).hexdigest()
+
+
+def test_sha256_of_the_standards_example(tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(b"abc")  # FIPS 180-2, appendix B.1
+    assert sha256_of(tmp_path / "a") == "sha256:ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+
+
+# --- path_problem and inside --------------------------------------------------------------------------------
+
+SAFE = [
+    "a",
+    "a.ARW",
+    "SonyA7S2/scene-1/IMG_0004.ARW",
+    "scene 1/ä.dng",
+    "..a/b..",
+    ".hidden",
+    "...",
+    "a/b:c",
+    "~/a",
+    "-rf",
+    "a" * 200,
+]
+UNSAFE = {
+    "": "is empty",
+    "/etc/passwd": "is absolute",
+    "//server/share": "is absolute",
+    "/": "is absolute",
+    "..": "'..' part",
+    ".": "'.'",
+    "../a": "'..' part",
+    "a/../../b": "'..' part",
+    "a/..": "'..' part",
+    "a/./b": "'.'",
+    "./a": "'.'",
+    "a//b": "empty",
+    "a/": "empty",
+    "a\\b": "backslash",
+    "..\\a": "backslash",
+    "C:\\a": "backslash",
+    "C:/a": "drive",
+    "c:a": "drive",
+    "a\nb": "control character",
+    "a\0b": "control character",
+    "a\x7f": "control character",
+    "\ta": "control character",
+}
+
+
+@pytest.mark.parametrize("path", SAFE)
+def test_plain_relative_paths(path: str, tmp_path: Path) -> None:
+    assert path_problem(path) is None
+    assert inside(tmp_path, path) == tmp_path / path
+
+
+@pytest.mark.parametrize(("path", "problem"), UNSAFE.items(), ids=map(repr, UNSAFE))
+def test_unsafe_paths(path: str, problem: str, tmp_path: Path) -> None:
+    found = path_problem(path)
+    assert found is not None
+    assert problem in found
+    with pytest.raises(ManifestError, match="path ") as caught:
+        inside(tmp_path, path)
+    assert repr(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    """A dataset's folder with a file, a sibling whose name starts alike, and a file outside."""
+    root = tmp_path / "data"
+    (root / "scene-1").mkdir(parents=True)
+    (root / "scene-1" / "a.ARW").write_bytes(b"raw")
+    (tmp_path / "data-other").mkdir()
+    (tmp_path / "data-other" / "a.ARW").write_bytes(b"other")
+    (tmp_path / "secret").write_bytes(b"secret")
+    return root
+
+
+def test_files_and_links_inside(root: Path) -> None:
+    (root / "b.ARW").symlink_to(root / "scene-1" / "a.ARW")
+    (root / "c").symlink_to("scene-1")
+    (root / "scene-1" / "up").symlink_to("..")
+    (root / "dangling").symlink_to("scene-1/not yet there")
+    for path in ("scene-1/a.ARW", "b.ARW", "c/a.ARW", "scene-1/up/c/a.ARW", "dangling", "not/yet/there"):
+        assert inside(root, path) == root / path
+
+
+@pytest.mark.parametrize(
+    ("link", "target", "path"),
+    [
+        ("leak", "../secret", "leak"),
+        ("leak", "..", "leak/secret"),
+        ("leak", "/", "leak/etc/passwd"),
+        ("leak", "../data-other", "leak/a.ARW"),  # its path begins with the root's as text
+        ("leak", "../gone", "leak"),
+        ("leak", "../gone", "leak/deeper"),
+        ("scene-1/leak", "../../secret", "scene-1/leak"),
+    ],
+)
+def test_a_link_that_leads_outside_is_refused(link: str, target: str, path: str, root: Path) -> None:
+    (root / link).symlink_to(target)
+    with pytest.raises(ManifestError, match="leads outside of") as caught:
+        inside(root, path)
+    assert path in str(caught.value)
+
+
+def test_a_chain_of_links_is_followed_to_its_end(root: Path) -> None:
+    (root / "one").symlink_to("two")
+    (root / "two").symlink_to("three")
+    (root / "three").symlink_to("../secret")
+    with pytest.raises(ManifestError, match="leads outside of"):
+        inside(root, "one")
+
+
+def test_the_root_itself_may_be_a_link(root: Path) -> None:
+    linked = root.parent / "linked"
+    linked.symlink_to(root)
+    assert inside(linked, "scene-1/a.ARW") == linked / "scene-1" / "a.ARW"
+    (root / "leak").symlink_to("../secret")
+    with pytest.raises(ManifestError, match="leads outside of"):
+        inside(linked, "leak")
+
+
+def test_a_relative_root(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(root.parent)
+    assert inside(Path("data"), "scene-1/a.ARW").read_bytes() == b"raw"
+
+
+# Regression: before Python 3.13 Path.resolve raises RuntimeError on a loop of links; later it
+# returns the path itself, which nobody can open.
+@pytest.mark.parametrize("path", ["loop", "loop/a.ARW"])
+def test_a_loop_of_links_is_refused_as_a_manifests_error(path: str, root: Path) -> None:
+    (root / "loop").symlink_to("pool")
+    (root / "pool").symlink_to("loop")
+    with pytest.raises(ManifestError, match=path):
+        inside(root, path)

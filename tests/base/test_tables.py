@@ -1,0 +1,193 @@
+"""Tables as text, Markdown and LaTeX, and numbers with their errors."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from eldata.base.tables import Strong, latex_table, latex_text, markdown_table, markdown_text, text_table, with_error
+
+
+def test_columns_are_aligned() -> None:
+    rows = [("a", "1", "left"), ("long name", "1000", "l")]
+    assert text_table(("name", "n", "text"), rows, left=(0, 2)) == (
+        "name          n  text\n"
+        "---------  ----  ----\n"
+        "a             1  left\n"
+        "long name  1000  l"
+    )  # fmt: skip
+    assert text_table(("name", "n"), [("a", "10")], left=()) == "name   n\n----  --\n   a  10"
+
+
+def test_a_table_without_rows_is_its_header() -> None:
+    assert text_table(("name", "n"), []) == "name  n\n----  -"
+
+
+def test_rows_of_another_length_are_a_mistake() -> None:
+    with pytest.raises(ValueError, match="shorter"):
+        text_table(("a", "b"), [("1",)])
+
+
+# --- Markdown -----------------------------------------------------------------------------------------------------
+
+HOSTILE = "a_b*c|d`e`<img src=x>[f](javascript:g)~h~ \\ $i$ &amp; \n# {j}"
+
+
+def test_markdown_is_aligned_and_says_which_side() -> None:
+    rows = [("DemoAlpha", "x100", Strong("38.32")), ("", "x200", "35.10")]
+    assert markdown_table(("camera", "factor", "dB"), rows) == (
+        "| camera    | factor |        dB |\n"
+        "| --------- | -----: | --------: |\n"
+        "| DemoAlpha |   x100 | **38.32** |\n"
+        "|           |   x200 |     35.10 |"
+    )
+    assert markdown_table(("a", "b"), [("1", "2")], left=(0, 1)).splitlines()[1] == "| --- | --- |"
+
+
+def unescaped(text: str) -> str:
+    """What CommonMark shows of text in which every special character is escaped; fails if one is not."""
+    plain = re.sub(r"\\[!-/:-@\[-`{-~]", "", text)
+    assert not re.search(r"[\\`*_{}\[\]<>|~&$]", plain), plain
+    return re.sub(r"\\([!-/:-@\[-`{-~])", r"\1", text)
+
+
+def test_markdown_shows_hostile_text_as_it_is() -> None:
+    assert unescaped(markdown_text(HOSTILE)) == " ".join(HOSTILE.split())
+    line = markdown_table(("name", "x"), [(HOSTILE, Strong("1"))]).splitlines()[2]
+    cells = re.split(r"(?<!\\)\|", line)  # bars that divide
+    assert len(cells) == 4
+    assert unescaped(cells[1].strip()) == " ".join(HOSTILE.split())
+    assert cells[2].strip() == "**1**"
+
+
+@given(st.text())
+def test_markdown_of_any_text_is_one_line_and_whole(text: str) -> None:
+    shown = unescaped(markdown_text(text))
+    assert shown.split() == "".join(c if c.isprintable() else " " for c in text).split()
+    assert "\n" not in shown
+
+
+# --- LaTeX --------------------------------------------------------------------------------------------------------
+
+COMMANDS = {
+    r"\textbackslash{}": "\\", r"\textasciitilde{}": "~", r"\textasciicircum{}": "^", r"\textless{}": "<",
+    r"\textgreater{}": ">", r"\textbar{}": "|", r"\textquotedbl{}": '"', r"\dots{}": "…", r"$\times$": "×",
+    r"$\pm$": "±", "$-$": "−", r"$\Delta$": "Δ", "{[}": "[", "{]}": "]", "--": "–",
+    **{rf"\{special}": special for special in "{}$&%#_"},
+}  # fmt: skip
+
+
+def printed(latex: str) -> str:
+    """What LaTeX prints of text: every command is one that is known, and no special character stands bare."""
+    found = ""
+    while latex:
+        command = next((name for name in sorted(COMMANDS, key=len, reverse=True) if latex.startswith(name)), None)
+        if command is None:
+            assert latex[0] not in "\\{}$&%#_~^", latex[:20]
+            found, latex = found + latex[0], latex[1:]
+        else:
+            found, latex = found + COMMANDS[command], latex[len(command) :]
+    return found
+
+
+@given(st.text(alphabet=st.characters(exclude_characters="-", exclude_categories=["C", "Z"]), min_size=1))
+def test_latex_prints_any_text_as_it_is(text: str) -> None:
+    assert printed(latex_text(text)) == text
+
+
+def test_latex_specials() -> None:
+    assert latex_text("my_net & 100% #1 {x} $y$ ~z^2 \\o") == (
+        r"my\_net \& 100\% \#1 \{x\} \$y\$ \textasciitilde{}z\textasciicircum{}2 \textbackslash{}o"
+    )
+    assert latex_text("two\nlines\t% not a comment") == r"two lines \% not a comment"
+
+
+def cells_of(line: str) -> list[str]:
+    assert line.endswith(r" \\")
+    return [cell.strip() for cell in re.split(r"(?<!\\)&", line.removesuffix(r"\\"))]
+
+
+def test_latex_table_is_a_booktabs_table() -> None:
+    text = latex_table(
+        ("camera_x", "dB", "dB"),
+        [("Sony & co", Strong("38.32"), "-0.5"), ("all", "1-2", "+1")],
+        caption="50% of a_b",
+        label="tab:my net/x_y",
+        spans=[("", 1), ("two & more", 2)],
+        rules=[1],
+    )
+    assert text.splitlines() == [
+        r"% needs \usepackage{booktabs}",
+        r"\begin{table}",
+        r"\centering",
+        r"\caption{50\% of a\_b}",
+        r"\label{tab:my-net-x-y}",
+        r"\begin{tabular}{lrr}",
+        r"\toprule",
+        r" & \multicolumn{2}{c}{two \& more} \\",
+        r"\cmidrule(lr){2-3}",
+        r"camera\_x & dB & dB \\",
+        r"\midrule",
+        r"Sony \& co & \textbf{38.32} & $-$0.5 \\",
+        r"\midrule",
+        r"all & 1-2 & +1 \\",
+        r"\bottomrule",
+        r"\end{tabular}",
+        r"\end{table}",
+    ]
+
+
+def test_latex_rows_have_as_many_cells_as_columns_whatever_is_in_them() -> None:
+    text = latex_table((HOSTILE, "[x]"), [(HOSTILE, Strong(HOSTILE)), ("&", "\\\\")], caption=HOSTILE, label=HOSTILE)
+    rows = [line for line in text.splitlines() if line.endswith(r" \\")]
+    assert [len(cells_of(row)) for row in rows] == [2, 2, 2]
+    assert printed(cells_of(rows[0])[0]) == " ".join(HOSTILE.split())
+    assert printed(cells_of(rows[2])[1]) == "\\\\"
+    assert text.count("{") - text.count(r"\{") == text.count("}") - text.count(r"\}")
+    assert [line for line in text.splitlines() if line.startswith((r"\begin", r"\end"))] == [
+        r"\begin{table}",
+        r"\begin{tabular}{lr}",
+        r"\end{tabular}",
+        r"\end{table}",
+    ]
+
+
+# --- numbers ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (1.23456, 0.0123, "1.235 ± 0.012"),
+        (1.23456, 0.029, "1.235 ± 0.029"),
+        (1.23456, 0.031, "1.23 ± 0.03"),
+        (1.23456, 0.099, "1.23 ± 0.10"),
+        (27.0163, 0.0118, "27.016 ± 0.012"),
+        (123.456, 1.4, "123.5 ± 1.4"),
+        (123.456, 4.0, "123 ± 4"),
+        (123.456, 42.0, "123 ± 42"),
+        (1234.5, 1e4, "1234 ± 10000"),
+        (-0.0004, 0.02, "0.000 ± 0.020"),
+        (-2.0, 0.5, "-2.0 ± 0.5"),
+        (0.00012345, 1.5e-6, "0.0001234 ± 0.0000015"),
+        (1.23456789, 0.0, "1.2346"),
+        (1.23456789, math.nan, "1.2346"),
+        (1.23456789, math.inf, "1.2346"),
+        (1.23456789, -1.0, "1.2346"),
+        (math.nan, 0.1, "nan"),
+    ],
+)
+def test_values_with_errors(value: float, error: float, text: str) -> None:
+    assert with_error(value, error) == text
+
+
+@given(st.floats(-1e6, 1e6), st.floats(1e-6, 1e6))
+def test_no_digit_that_matters_is_lost(value: float, error: float) -> None:
+    """The printed value is within a sixth of the error of the true one, and the printed error within a fifth."""
+    shown_value, shown_error = (float(part) for part in with_error(value, error).split(" ± "))
+    assert abs(shown_value - value) <= error / 6 + 1e-9 * abs(value)
+    assert shown_error == pytest.approx(error, rel=0.17)

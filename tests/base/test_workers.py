@@ -1,0 +1,333 @@
+"""Units of work over processes: order, a bounded window, and an end to everything that can go wrong.
+
+The work is functions of the standard library, which a spawned process can import whatever runs the tests.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING, overload
+
+import pytest
+
+from eldata.base.workers import AnyWorkers, Workers, accepts_jobs
+from eldata.errors import ArgumentError, EldataError, RawFileError
+from eldata.raw.reading import read_header
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+pytestmark = pytest.mark.timeout(60)  # a hang is the bug that these tests are for
+
+
+@pytest.fixture(autouse=True)
+def no_process_is_left() -> Iterator[None]:
+    others = {process.pid for process in multiprocessing.active_children()}  # such as another test's cluster
+    yield
+
+    def ours() -> list[int | None]:
+        return [process.pid for process in multiprocessing.active_children() if process.pid not in others]
+
+    deadline = time.monotonic() + 10
+    while ours() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert ours() == []
+
+
+@pytest.mark.parametrize("jobs", [1, 2, 3])
+def test_results_come_in_the_units_order(jobs: int) -> None:
+    """Earlier units take longer, so that results arrive in another order than they are wanted."""
+    units = [f"{{{number}}}" for number in range(30)]
+    assert list(Workers(jobs).run(str.upper, units)) == units
+    assert list(Workers(jobs).run(time.sleep, [0.3, 0.0, 0.2, 0.0])) == [None] * 4
+    assert list(Workers(jobs).run(abs, list(range(-30, 0)))) == list(range(30, 0, -1))
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_no_units(jobs: int) -> None:
+    assert list(Workers(jobs).run(abs, [])) == []
+
+
+def test_one_job_stays_in_this_process() -> None:
+    """No pickling, no start of a process: a lambda works, and a debugger does."""
+    assert list(Workers().run(lambda unit: (unit, os.getpid()), [1, 2])) == [(1, os.getpid()), (2, os.getpid())]
+
+
+def test_more_jobs_are_other_processes() -> None:
+    groups = list(Workers(2).run(eval, ["__import__('os').getpid()"] * 4))
+    assert os.getpid() not in groups
+
+
+class Counted(Sequence[int]):
+    """Numbers, with a count of how many have been taken."""
+
+    def __init__(self, length: int) -> None:
+        self.length, self.taken = length, 0
+
+    def __len__(self) -> int:
+        return self.length
+
+    @overload
+    def __getitem__(self, index: int) -> int: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[int]: ...
+    def __getitem__(self, index: int | slice) -> int | Sequence[int]:
+        if isinstance(index, slice):
+            return range(self.length)[index]
+        if index >= self.length:
+            raise IndexError
+        self.taken = max(self.taken, index + 1)
+        return index
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_the_window_is_bounded(jobs: int) -> None:
+    """Results that nobody has fetched yet (packed images, at times) must not pile up."""
+    units = Counted(1000)
+    results = Workers(jobs).run(abs, units)
+    for expected in range(5):
+        assert next(results) == expected
+        assert units.taken <= expected + 1 + 4 * jobs + 1
+    results.close()  # type: ignore[attr-defined] # an iterator by its type, a generator in fact
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_an_error_comes_through_after_the_results_before_it(jobs: int) -> None:
+    results = Workers(jobs).run(int, ["1", "2", "three", "4"])
+    assert [next(results), next(results)] == [1, 2]
+    with pytest.raises(ValueError, match="'three'"):
+        next(results)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_our_errors_keep_their_fields(tmp_path: Path, jobs: int) -> None:
+    """Exceptions are pickled on their way; those with arguments of their own easily come back broken, or hang."""
+    missing = [tmp_path / "a.dng", tmp_path / "b.dng"]
+    with pytest.raises(RawFileError, match="No such file") as raised:
+        list(Workers(jobs).run(read_header, missing))
+    assert raised.value.path == missing[0]
+    assert str(missing[0]) in str(raised.value)
+
+
+@pytest.mark.parametrize("jobs", [0, -1])
+def test_there_must_be_a_job(jobs: int) -> None:
+    with pytest.raises(ArgumentError, match=f"workers must be 1 or more; found {jobs}"):
+        list(Workers(jobs).run(abs, [1]))
+
+
+@pytest.mark.parametrize("count", [2, 40], ids=["all waiting", "more to come"])
+def test_a_unit_that_kills_every_worker_is_an_error_with_advice(count: int) -> None:
+    """What the kernel does to a worker when memory runs out."""
+    with pytest.raises(EldataError, match=r"^9: a worker process died at it twice") as raised:
+        list(Workers(2).run(signal.raise_signal, [int(signal.SIGKILL)] * count))
+    assert "--jobs" in str(raised.value)
+
+
+def test_the_error_names_the_unit_that_kills() -> None:
+    """The window is full here, and the units before it, whose workers were lost with it, are run again."""
+    units = [0] * 7 + [int(signal.SIGKILL)] + [0] * 40  # signal 0 does nothing
+    results = Workers(2).run(signal.raise_signal, units)
+    assert [next(results) for _ in range(7)] == [None] * 7
+    with pytest.raises(EldataError, match=r"^9: a worker process died"):
+        next(results)
+
+
+UNGUARDED = """
+from eldata.base.workers import AnyWorkers, Workers, accepts_jobs
+
+print(list(Workers(2).run(abs, [1, 2, 3])))
+"""
+
+
+def test_a_script_without_the_guard_is_told_so(tmp_path: Path) -> None:
+    """Each worker runs the script anew as it starts, and dies of that."""
+    script = tmp_path / "work.py"
+    script.write_text(UNGUARDED, encoding="utf-8")
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=50)
+    assert done.returncode == 1
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith("eldata.errors.EldataError: worker processes die as soon as they start")
+    assert "if __name__ == '__main__'" in last
+
+
+def test_leaving_early_ends_the_workers() -> None:
+    results = Workers(2).run(time.sleep, [0.0] * 200)
+    next(results)
+    results.close()  # type: ignore[attr-defined] # an iterator by its type, a generator in fact
+    # no_process_is_left looks
+
+
+# --- threads ----------------------------------------------------------------------------------------------------------
+
+
+def reader_threads() -> list[str]:
+    return [thread.name for thread in threading.enumerate() if thread.name.startswith("ThreadPoolExecutor")]
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_threads_give_results_in_the_units_order(threads: int) -> None:
+    delays = [0.05, 0.0, 0.03, 0.0, 0.01, 0.0]
+
+    def work(index: int) -> int:
+        time.sleep(delays[index])
+        return index
+
+    assert list(Workers(threads).read_ahead(work, range(6))) == list(range(6))
+    assert list(Workers(threads).read_ahead(work, [])) == []
+    assert list(Workers(threads).read_ahead(work, iter([3, 1]))) == [3, 1], "any iterable will do"
+    assert reader_threads() == []
+
+
+def test_one_thread_is_the_callers() -> None:
+    here = threading.get_ident()
+    assert list(Workers(1).read_ahead(lambda _: threading.get_ident(), range(3))) == [here] * 3
+    assert here not in set(Workers(2).read_ahead(lambda _: threading.get_ident(), range(3)))
+
+
+@pytest.mark.parametrize("threads", [2, 4])
+def test_threads_work_at_the_same_time(threads: int) -> None:
+    """A barrier that only so many units together can pass."""
+    barrier = threading.Barrier(threads, timeout=20)
+    passed = list(Workers(threads).read_ahead(lambda _: barrier.wait(), range(2 * threads)))
+    assert sorted(passed) == sorted([*range(threads)] * 2)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_at_most_one_result_more_than_threads_is_in_memory(threads: int) -> None:
+    """Frames are large: the threads wait until the consumer has taken one, however slow it is."""
+    alive, most, lock = 0, 0, threading.Lock()
+
+    class Frame:
+        def __init__(self, _: int) -> None:
+            nonlocal alive, most
+            with lock:
+                alive += 1
+                most = max(most, alive)
+
+        def __del__(self) -> None:
+            nonlocal alive
+            with lock:
+                alive -= 1
+
+    results = Workers(threads).read_ahead(Frame, range(40))
+    for _ in range(40):
+        frame = next(results)
+        time.sleep(0.002)
+        del frame
+    assert most <= threads + 1
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_an_error_of_a_thread_comes_in_its_turn(threads: int) -> None:
+    results = Workers(threads).read_ahead(int, ["1", "2", "three", "4", "five", "6"])
+    assert [next(results), next(results)] == [1, 2]
+    with pytest.raises(ValueError, match="'three'"):
+        next(results)
+    assert reader_threads() == []
+
+
+def test_leaving_early_ends_the_threads() -> None:
+    done: list[int] = []
+    results = Workers(2).read_ahead(done.append, range(1000))
+    next(results)
+    results.close()  # type: ignore[attr-defined] # an iterator by its type, a generator in fact
+    assert reader_threads() == []
+    assert len(done) <= 4
+
+
+@pytest.mark.parametrize("threads", [0, -1])
+def test_there_must_be_a_thread(threads: int) -> None:
+    with pytest.raises(ArgumentError, match=f"workers must be 1 or more; found {threads}"):
+        list(Workers(threads).read_ahead(abs, [1]))
+
+
+INTERRUPTED = """
+import sys
+from pathlib import Path
+from eldata.base.workers import AnyWorkers, Workers, accepts_jobs
+
+if __name__ == "__main__":
+    for _ in Workers(2).run(Path.read_bytes, [Path(name) for name in sys.argv[1:]]):
+        print("one", flush=True)
+"""
+
+
+def test_ctrl_c_ends_everything_and_is_told_once(tmp_path: Path) -> None:
+    """A terminal sends Ctrl-C to the whole process group; each worker would print a traceback of its own.
+
+    The last unit is a pipe: opening it waits until a worker reads it, and that worker works until it is closed.
+    """
+    script, pipe, file = tmp_path / "work.py", tmp_path / "pipe", tmp_path / "file"
+    script.write_text(INTERRUPTED, encoding="utf-8")
+    file.touch()
+    os.mkfifo(pipe)
+    with subprocess.Popen(
+        [sys.executable, str(script), *[str(file)] * 4, str(pipe)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    ) as child:
+        assert child.stdout is not None
+        try:
+            with pipe.open("wb"):
+                for _ in range(4):
+                    assert child.stdout.readline() == b"one\n"
+                os.killpg(child.pid, signal.SIGINT)  # one worker works, and the other waits for work
+            _, errors = child.communicate(timeout=30)
+            deadline = time.monotonic() + 10  # multiprocessing's resource tracker ends a moment after its parent
+            while (survivors := alive_in_group(child.pid)) and time.monotonic() < deadline:
+                time.sleep(0.05)
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(child.pid, signal.SIGKILL)
+    assert child.returncode != 0
+    assert errors.decode().count("KeyboardInterrupt") == 1, errors.decode()
+    assert survivors == []
+
+
+def alive_in_group(group: int) -> list[str]:
+    """Command names of a process group's members that are not zombies."""
+    names = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            name, _, rest = stat.read_text(encoding="utf-8", errors="replace").rpartition(")")
+            state, _, process_group = rest.split()[:3]
+            if int(process_group) == group and state not in "ZX":
+                names.append(name)
+    return names
+
+
+# --- what public functions take -----------------------------------------------------------------------------------
+
+
+@accepts_jobs
+def doubled(units: list[int], *, workers: AnyWorkers = 1) -> list[int]:
+    return list(Workers.of(workers).run(abs, units))
+
+
+def test_a_function_takes_a_number_an_executor_or_workers() -> None:
+    with ThreadPoolExecutor(1) as pool:
+        for workers in (1, pool, Workers(), Workers(executor=pool)):
+            assert doubled([-1, 2], workers=workers) == [1, 2]
+    assert Workers.of(3) == Workers(3)
+    with pytest.raises(ArgumentError, match="workers must be a whole number or an executor; found '2'"):
+        Workers.of("2")  # type: ignore[arg-type]
+
+
+def test_what_0_1_called_it_is_understood_with_a_warning() -> None:
+    with pytest.warns(DeprecationWarning, match="doubled: jobs and executor are called workers now"):
+        assert doubled([-1], jobs=1) == [1]  # type: ignore[call-arg]
+    with ThreadPoolExecutor(1) as pool, pytest.warns(DeprecationWarning, match=r"0\.3"):
+        assert doubled([-1], jobs=1, executor=pool) == [1]  # type: ignore[call-arg]
+    with pytest.raises(ArgumentError, match="give it alone"):
+        doubled([-1], jobs=1, workers=1)  # type: ignore[call-arg]

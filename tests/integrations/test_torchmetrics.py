@@ -1,0 +1,500 @@
+"""The metrics as torchmetrics modules: the numbers of ``eldata evaluate``, in any batches, over any processes."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+import pickle
+import subprocess
+import sys
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import torch
+from skimage.metrics import structural_similarity
+
+from eldata import metrics
+from eldata.errors import ArgumentError
+from eldata.evaluation import evaluate
+from eldata.protocols import PROTOCOLS
+from tests.evaluation import oracle
+from tests.evaluation.helpers import Tree, place, small_tree
+
+pytest.importorskip("torchmetrics", reason="needs eldata[torchmetrics]")
+
+import torchmetrics
+from torchmetrics.functional.image import peak_signal_noise_ratio, structural_similarity_index_measure
+
+from eldata.integrations.torchmetrics import PSNR, SSIM, ProtocolScore
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+ROOT = Path(__file__).parents[2]
+MODULES = [
+    pytest.param(PSNR, id="PSNR"),
+    pytest.param(SSIM, id="SSIM"),
+    pytest.param(ProtocolScore, id="ProtocolScore"),
+]
+
+
+def images(count: int, size: tuple[int, int] = (24, 20), seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
+    """Predictions and references (count, 4, h, w), of errors that differ from image to image."""
+    generator = torch.Generator().manual_seed(seed)
+    target = torch.rand((count, 4, *size), generator=generator)
+    spread = torch.linspace(0.01, 0.2, count)[:, None, None, None]
+    return (0.9 * target + spread * torch.randn(target.shape, generator=generator)), target
+
+
+def numbers(value: Any) -> dict[str, float]:
+    """What ``compute`` gave, as floats."""
+    return {name: float(one) for name, one in (value if isinstance(value, dict) else {"value": value}).items()}
+
+
+def exact_mean(values: list[float]) -> float:
+    """The sum in rational numbers, rounded once; then divided as floats are."""
+    return float(sum(map(Fraction, values), Fraction(0))) / len(values)
+
+
+# --- the numbers --------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> Tree:
+    return small_tree(tmp_path_factory.mktemp("tree") / "demo")
+
+
+@pytest.fixture(scope="module")
+def placed(tree: Tree, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    folder = tmp_path_factory.mktemp("predictions") / "preds"
+    return folder, place(folder, tree)
+
+
+@pytest.mark.parametrize("protocol", ["eld", "eld-uncorrected"])
+def test_the_numbers_are_those_of_evaluate(tree: Tree, placed: tuple[Path, dict[str, Any]], protocol: str) -> None:
+    """To the last bit, by camera and factor as in the table."""
+    from eldata.raw.levels import packed_frame
+    from eldata.raw.reading import read_raw
+
+    folder, predictions = placed
+    result = evaluate(folder, manifest=tree.manifest, root=tree.root, protocol=protocol)
+    assert result.scored == 12
+    groups = {(row.camera, row.ratio): row for row in result.table if row.camera and row.ratio}
+    assert len(groups) == 4
+    for (camera, ratio), row in groups.items():
+        metric = ProtocolScore(protocol)
+        members = [pair for pair in oracle.pairs(tree.files) if (pair.camera, pair.factor) == (camera, ratio)]
+        frames = [
+            packed_frame(read_raw(tree.files / pair.reference), levels="published", clip="both") for pair in members
+        ]
+        metric.update(
+            torch.from_numpy(np.stack([predictions[pair.path] for pair in members])),
+            torch.from_numpy(np.stack(frames)),
+        )
+        assert numbers(metric.compute()) == {"psnr_db": row.psnr_db, "ssim": row.ssim}
+
+
+def test_the_datasets_references_are_those_of_the_protocol(tree: Tree, placed: tuple[Path, dict[str, Any]]) -> None:
+    """What a training loop has at hand, ``ds[i]["target"]``, batched by the default collate."""
+    from eldata.datasets import ELDDataset
+
+    folder, predictions = placed
+    dataset = ELDDataset(tree.files, manifest=tree.manifest)
+    wanted = [index for index, record in enumerate(dataset.records) if record.ratio >= 100]
+    metric = ProtocolScore("eld")
+    for batch in torch.utils.data.DataLoader(torch.utils.data.Subset(dataset, wanted), batch_size=5):
+        prediction = torch.stack([torch.from_numpy(predictions[path]) for path in batch["path"]])
+        metric.update(prediction, batch["target"])
+    result = evaluate(folder, manifest=tree.manifest, root=tree.root)
+    (overall,) = [row for row in result.table if row.camera is None and row.ratio is None]
+    assert numbers(metric.compute()) == {"psnr_db": overall.psnr_db, "ssim": overall.ssim}
+
+
+@pytest.mark.parametrize(("module", "function"), [(PSNR, metrics.psnr), (SSIM, metrics.ssim)])
+@pytest.mark.parametrize("data_range", [1.0, 4.0])
+def test_the_mean_is_that_of_the_functions(module: Any, function: Callable[..., float], data_range: float) -> None:
+    preds, target = images(5)
+    metric = module(data_range=data_range)
+    metric.update(preds, target)
+    expected = exact_mean([function(p, g, data_range=data_range) for p, g in zip(preds, target, strict=True)])
+    assert metric.compute().dtype == torch.float64
+    assert float(metric.compute()) == expected
+
+
+def test_the_sum_is_exact() -> None:
+    """A running float64 sum loses the small score beside large ones of both signs."""
+    metric = PSNR()
+    scores = [1e16, 1.0, -1e16, 0.25]
+    metric.__dict__["psnr_db"] = [torch.tensor([score], dtype=torch.float64) for score in scores]
+    assert sum(scores) / 4 != 0.3125
+    assert float(metric._mean("psnr_db")) == 0.3125
+
+
+def test_psnr_is_that_of_torchmetrics() -> None:
+    """Of each image: theirs takes a batch for one image. It computes log(10) and 10 / log(10) in float32."""
+    preds, target = (tensor.double() for tensor in images(3))
+    ours = PSNR()
+    ours.update(preds, target)
+    theirs = [
+        float(peak_signal_noise_ratio(prediction, reference, data_range=1.0))
+        for prediction, reference in zip(preds, target, strict=True)
+    ]
+    assert float(ours.compute()) == pytest.approx(np.mean(theirs), rel=2 * 2**-24)
+
+
+def test_ssim_is_that_of_scikit_image_and_not_of_torchmetrics() -> None:
+    """Theirs has a Gaussian window and population covariance, which is another number."""
+    preds, target = (tensor.double() for tensor in images(2, size=(40, 48)))
+    ours = SSIM()
+    ours.update(preds, target)
+    expected = [
+        structural_similarity(p.numpy(), g.numpy(), data_range=1.0, channel_axis=0)  # type: ignore[no-untyped-call]
+        for p, g in zip(preds, target, strict=True)
+    ]
+    assert float(ours.compute()) == pytest.approx(np.mean(expected), abs=1e-12)
+    theirs = structural_similarity_index_measure(preds, target, data_range=1.0)
+    assert isinstance(theirs, torch.Tensor)
+    assert abs(float(ours.compute()) - float(theirs)) > 1e-4
+
+
+@pytest.mark.parametrize("protocol", [name for name, protocol in PROTOCOLS.items() if protocol.space == "raw"])
+def test_every_protocol_of_raw_images(protocol: str) -> None:
+    """Region and rules are the protocol's: the score of the crop by the function that evaluate uses."""
+    preds, target = images(1, size=(520, 530))
+    metric = ProtocolScore(protocol)
+    metric.update(preds, target)
+    rules = PROTOCOLS[protocol]
+    region = rules.crop((4, 520, 530))
+    expected = metrics.score_by(preds[0][region], target[0][region], rules.rules)
+    assert numbers(metric.compute()) == {"psnr_db": expected.psnr_db, "ssim": expected.ssim}
+
+
+def test_a_protocol_of_ones_own() -> None:
+    preds, target = images(2)
+    named, given = ProtocolScore("sid"), ProtocolScore(PROTOCOLS["sid"])
+    named.update(preds, target)
+    given.update(preds, target)
+    assert numbers(named.compute()) == numbers(given.compute())
+
+
+# --- batches ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_batches_and_order_change_nothing(module: Any) -> None:
+    preds, target = images(7)
+    whole = module()
+    whole.update(preds, target)
+    expected = numbers(whole.compute())
+    for order, cuts in (
+        ([0, 1, 2, 3, 4, 5, 6], [3, 4]),
+        ([6, 2, 4, 0, 1, 5, 3], [1, 1, 5]),
+        ([3, 2, 1, 0, 6, 5, 4], [7]),
+    ):
+        other, start = module(), 0
+        for length in cuts:
+            part = order[start : start + length]
+            other.update(preds[part], target[part])
+            start += length
+        assert start == 7
+        assert numbers(other.compute()) == expected
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_one_image_without_a_batch(module: Any) -> None:
+    preds, target = images(1)
+    batched, single, plane = module(), module(), module()
+    batched.update(preds, target)
+    single.update(preds[0], target[0])
+    assert numbers(single.compute()) == numbers(batched.compute())
+    plane.update(preds[0, 0], target[0, 0])
+    assert all(math.isfinite(value) for value in numbers(plane.compute()).values())
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_an_empty_batch_adds_nothing(module: Any) -> None:
+    preds, target = images(2)
+    metric = module()
+    metric.update(preds, target)
+    before = numbers(metric.compute())
+    metric.update(preds[:0], target[:0])
+    assert numbers(metric.compute()) == before
+
+
+@pytest.mark.parametrize("module", MODULES)
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float64])
+def test_every_floating_type(module: Any, dtype: torch.dtype) -> None:
+    preds, target = (tensor.to(dtype) for tensor in images(2))
+    given, exact = module(), module()
+    given.update(preds.requires_grad_(), target)
+    exact.update(preds.detach().double(), target.double())
+    found, expected = numbers(given.compute()), numbers(exact.compute())
+    assert all(found[name] == pytest.approx(expected[name], rel=1e-12) for name in expected)
+
+
+# --- what a torchmetrics module does ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_forward_gives_the_batch_and_keeps_all(module: Any) -> None:
+    preds, target = images(5)
+    metric, first, second, whole = module(), module(), module(), module()
+    first.update(preds[:2], target[:2])
+    second.update(preds[2:], target[2:])
+    whole.update(preds, target)
+    assert numbers(metric(preds[:2], target[:2])) == numbers(first.compute())
+    assert numbers(metric(preds[2:], target[2:])) == numbers(second.compute())
+    assert numbers(metric.compute()) == numbers(whole.compute())
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_reset_forgets(module: Any) -> None:
+    preds, target = images(3)
+    metric, fresh = module(), module()
+    metric.update(preds, target)
+    metric.reset()
+    metric.update(preds[:1], target[:1])
+    fresh.update(preds[:1], target[:1])
+    assert numbers(metric.compute()) == numbers(fresh.compute())
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_state_dict_goes_on_where_it_was(module: Any, tmp_path: Path) -> None:
+    """Through a checkpoint file without pickles; states are in it if they are asked for, as torchmetrics has it."""
+    preds, target = images(4)
+    metric, other, whole = module(), module(), module()
+    metric.update(preds[:3], target[:3])
+    assert metric.state_dict() == {}
+    metric.persistent(mode=True)
+    torch.save(metric.state_dict(), tmp_path / "state.pt")
+    other.persistent(mode=True)
+    other.load_state_dict(torch.load(tmp_path / "state.pt", weights_only=True))
+    other.update(preds[3:], target[3:])
+    whole.update(preds, target)
+    assert numbers(other.compute()) == numbers(whole.compute())
+
+
+@pytest.mark.parametrize("module", MODULES)
+@pytest.mark.parametrize(
+    "copied", [copy.deepcopy, lambda metric: pickle.loads(pickle.dumps(metric)), lambda m: m.clone()]
+)
+def test_copies(module: Any, copied: Callable[[Any], Any]) -> None:
+    preds, target = images(3)
+    metric = module()
+    metric.update(preds[:2], target[:2])
+    other = copied(metric)
+    other.update(preds[2:], target[2:])
+    whole = module()
+    whole.update(preds, target)
+    assert numbers(other.compute()) == numbers(whole.compute())
+    assert numbers(metric.compute()) != numbers(whole.compute())
+
+
+def test_in_a_collection() -> None:
+    preds, target = images(3)
+    collection = torchmetrics.MetricCollection({"psnr": PSNR(), "ssim": SSIM(), "eld": ProtocolScore("eld")})
+    collection.update(preds, target)
+    found = {name: float(value) for name, value in collection.compute().items()}
+    assert set(found) == {"psnr", "ssim", "eld_psnr_db", "eld_ssim"}
+    assert found["psnr"] == exact_mean([metrics.psnr(p, g) for p, g in zip(preds, target, strict=True)])
+
+
+def test_a_collection_keeps_protocols_apart() -> None:
+    """After a perfect first batch the scores of both are equal; torchmetrics would go on with one for both."""
+    preds, target = images(3)
+    names = ["eld", "eld-uncorrected"]
+    collection = torchmetrics.MetricCollection({name: ProtocolScore(name) for name in names})
+    alone = {name: ProtocolScore(name) for name in names}
+    for prediction, reference in ((target[:1], target[:1]), (preds[1:], target[1:])):
+        collection.update(prediction, reference)
+        for metric in alone.values():
+            metric.update(prediction, reference)
+    found = collection.compute()
+    for name in names:
+        assert float(found[f"{name}_ssim"]) == numbers(alone[name].compute())["ssim"]
+    assert float(found["eld_ssim"]) != float(found["eld-uncorrected_ssim"])
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_what_it_says_of_itself(module: Any) -> None:
+    assert module.higher_is_better is True
+    assert module.is_differentiable is False
+    assert module.full_state_update is False
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_nothing_seen_is_nan(module: Any) -> None:
+    """As ``evaluate`` prints no number for no image; torchmetrics warns of it."""
+    with pytest.warns(UserWarning, match="before the ``update`` method"):
+        found = numbers(module().compute())
+    assert all(math.isnan(value) for value in found.values())
+
+
+def test_infinite_scores() -> None:
+    preds, target = images(2)
+    metric = PSNR()
+    metric.update(target, target)
+    metric.update(preds, target)
+    assert float(metric.compute()) == math.inf
+    metric.update(torch.full_like(target, math.inf), target)
+    assert math.isnan(float(metric.compute()))
+
+
+# --- processes ----------------------------------------------------------------------------------------------------
+
+WORKER = """
+import json, sys
+import torch
+from eldata.integrations.torchmetrics import PSNR, SSIM, ProtocolScore
+
+rank, world, meeting, data, answer = int(sys.argv[1]), int(sys.argv[2]), *sys.argv[3:6]
+torch.distributed.init_process_group("gloo", init_method=f"file://{meeting}", rank=rank, world_size=world)
+stored = torch.load(data, weights_only=True)
+found = {}
+for case, batches in stored["cases"].items():
+    for module in (PSNR, SSIM, ProtocolScore):
+        metric = module()
+        for batch in batches[rank]:
+            metric.update(stored["preds"][batch], stored["target"][batch])
+        metric._update_count = max(metric._update_count, 1)  # no warning of a process without images
+        for _ in range(2):  # after the first the states are this process's own again
+            value = metric.compute()
+            metric._computed = None
+        values = value if isinstance(value, dict) else {"value": value}
+        kept = sum(part.numel() for part in getattr(metric, metric.columns[0]))
+        found[f"{case} {module.__name__}"] = {n: float(v).hex() for n, v in values.items()} | {"kept": kept}
+with open(answer, "w") as file:
+    json.dump(found, file)
+torch.distributed.destroy_process_group()
+"""
+
+
+@pytest.mark.timeout(180)
+def test_two_processes_with_uneven_batches(tmp_path: Path) -> None:
+    """A real group: its number is that of one process that saw all images, also where one process saw none."""
+    preds, target = images(6)
+    cases = {
+        "uneven": [[[0, 1, 2], [3]], [[4, 5]]],
+        "one image each way": [[[5]], [[0, 1], [2], [3, 4]]],
+        "none here": [[[0, 1, 2, 3, 4, 5]], []],
+        "none first": [[], [[0], [1, 2, 3, 4, 5]]],
+    }
+    torch.save({"preds": preds, "target": target, "cases": cases}, tmp_path / "data.pt")
+    arguments = ["2", str(tmp_path / "meeting"), str(tmp_path / "data.pt")]
+    workers = [
+        subprocess.Popen(
+            [sys.executable, "-c", WORKER, str(rank), *arguments, str(tmp_path / f"{rank}.json")],
+            cwd=ROOT,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        for rank in range(2)
+    ]
+    try:
+        outputs = [worker.communicate(timeout=150)[0] for worker in workers]
+    finally:
+        for worker in workers:
+            worker.kill()
+            worker.wait()
+    assert [worker.returncode for worker in workers] == [0, 0], "\n".join(outputs)
+    found = [json.loads((tmp_path / f"{rank}.json").read_text()) for rank in range(2)]
+    assert len(found[0]) == 4 * 3
+    for module in (PSNR, SSIM, ProtocolScore):
+        alone = module()
+        alone.update(preds, target)
+        expected = {name: value.hex() for name, value in numbers(alone.compute()).items()}
+        for case, batches in cases.items():
+            for rank in range(2):
+                answer = found[rank][f"{case} {module.__name__}"]
+                assert answer.pop("kept") == sum(map(len, batches[rank])), "states are the process's own again"
+                assert answer == expected, case
+
+
+# --- bad input ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("module", MODULES)
+@pytest.mark.parametrize(
+    ("preds", "target", "reason"),
+    [
+        (torch.zeros(2, 4, 8, 8), torch.zeros(3, 4, 8, 8), r"differ in shape: \(2, 4, 8, 8\) against \(3, 4, 8, 8\)"),
+        (torch.zeros(4, 8, 8), torch.zeros(1, 4, 8, 8), r"differ in shape: \(4, 8, 8\) against \(1, 4, 8, 8\)"),
+        (torch.zeros(1, 1, 4, 8, 8), torch.zeros(1, 1, 4, 8, 8), r"found shape \(1, 1, 4, 8, 8\)"),
+        (torch.zeros(8), torch.zeros(8), r"found shape \(8,\)"),
+        (torch.zeros(4, 8, 8, dtype=torch.uint8), torch.zeros(4, 8, 8), "holds integers"),
+        (np.zeros((4, 8, 8), np.float32), torch.zeros(4, 8, 8), "preds must be a torch tensor, not ndarray"),
+        (torch.zeros(4, 8, 8), [0.0], "target must be a torch tensor, not list"),
+    ],
+)
+def test_bad_input_is_refused_and_nothing_added(module: Any, preds: Any, target: Any, reason: str) -> None:
+    metric = module()
+    with pytest.raises(ArgumentError, match=reason):
+        metric.update(preds, target)
+    assert all(getattr(metric, column) == [] for column in metric.columns)
+
+
+def test_a_batch_with_one_bad_image_adds_none_of_it() -> None:
+    preds, target = images(2, size=(6, 6))
+    metric = SSIM()
+    with pytest.raises(ArgumentError, match="too small"):
+        metric.update(preds, target)
+    assert metric.ssim == []
+
+
+def test_bad_arguments() -> None:
+    with pytest.raises(ArgumentError, match="data_range must be positive"):
+        PSNR(data_range=0.0)
+    with pytest.raises(ArgumentError, match="data_range must be positive"):
+        SSIM(data_range=math.inf)
+    with pytest.raises(ArgumentError, match="threads must be at least 1"):
+        ProtocolScore(threads=0)
+    with pytest.raises(ArgumentError, match="no protocol is called 'elf'"):
+        ProtocolScore("elf")
+    with pytest.raises(ArgumentError, match="protocol 'sid2018' is of renderings"):
+        ProtocolScore("sid2018")
+    with pytest.raises(ValueError, match="Unexpected keyword arguments"):
+        PSNR(data_rnage=1.0)
+
+
+def test_a_frame_smaller_than_the_region() -> None:
+    metric = ProtocolScore("sid-tpami")
+    with pytest.raises(ArgumentError, match="too small for the region 'centre-512'"):
+        metric.update(*images(1, size=(100, 100)))
+
+
+# --- without torchmetrics -----------------------------------------------------------------------------------------
+
+WITHOUT = """
+import sys
+sys.modules["torchmetrics"] = None  # what an import of a package that is not installed meets
+import eldata.metrics
+assert eldata.metrics.psnr and eldata.metrics.score
+from eldata.errors import EldataError
+for kind in (EldataError, ImportError):
+    try:
+        import eldata.integrations.torchmetrics
+    except kind as error:
+        assert "pip install 'eldata[torchmetrics]'" in str(error), error
+        assert "\\n" not in str(error)
+    else:
+        raise SystemExit("imported")
+print("said so")
+"""
+
+
+def test_without_torchmetrics_the_rest_works_and_the_error_says_what_to_install() -> None:
+    done = subprocess.run([sys.executable, "-c", WITHOUT], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert done.stdout == "said so\n", done.stderr
+
+
+def test_importing_the_metrics_does_not_load_torchmetrics() -> None:
+    code = (
+        "import sys, eldata.metrics; eldata.metrics.psnr; print('torchmetrics' in sys.modules, 'torch' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert done.stdout == "False False\n", done.stderr

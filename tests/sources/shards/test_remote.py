@@ -1,0 +1,238 @@
+"""Shards elsewhere: fsspec's memory, a web server that fails, shards that are damaged, cut or of somebody else."""
+
+from __future__ import annotations
+
+import io
+import pickle
+import shutil
+import tarfile
+import time
+import zlib
+from collections import Counter
+from typing import TYPE_CHECKING, Any
+
+import fsspec  # type: ignore[import-untyped] # it has none
+import numpy as np
+import pytest
+
+from eldata import StreamedPairs
+from eldata.datasets.loading import evaluation_loader
+from eldata.datasets.ranks import Rank
+from eldata.errors import ArgumentError
+from eldata.sources.shards import ShardError, remote, verify_shards
+from eldata.sources.shards.layout import INDEX, Shard, ShardIndex, index_text, parse_index
+from eldata.sources.shards.members import END
+from eldata.sources.shards.remote import Folder, Forward
+from tests.sources.shards.helpers import identities, unbatched
+from tests.sources.shards.server import serving
+from tests.sources.shards.test_members import INPUT, JSON, TARGET, Bomb, made
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+
+def copied(folder: Path, place: Path) -> Path:
+    shutil.copytree(folder, place)
+    return place
+
+
+# --- other places -------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def memory(tiles: Path) -> Iterator[str]:
+    system = fsspec.filesystem("memory")
+    for path in tiles.iterdir():
+        system.pipe_file(f"/bucket/tiles/{path.name}", path.read_bytes())
+    yield "memory://bucket/tiles"
+    system.rm("/bucket", recursive=True)
+
+
+@pytest.mark.parametrize("end", ["", "/"])
+def test_from_memory(end: str, memory: str, tiles: Path) -> None:
+    here = identities(StreamedPairs(str(tiles), crop=10))
+    assert identities(StreamedPairs(memory + end, crop=10)) == here
+    assert verify_shards(memory + end) == []
+    assert identities(StreamedPairs(f"file://{tiles}", crop=10)) == here
+
+
+@pytest.mark.parametrize("ranges", [True, False])
+def test_from_a_web_server(ranges: bool, tiles: Path) -> None:
+    """One that knows no ranges, as python -m http.server, is read from the first byte on."""
+    here = StreamedPairs(str(tiles), crop=10)
+    with serving(tiles, ranges=ranges) as site:
+        there = StreamedPairs(site.address, crop=10)
+        assert identities(there) == identities(here)
+        assert verify_shards(site.address) == []
+
+
+def test_workers_read_from_a_web_server(tiles: Path) -> None:
+    with serving(tiles) as site:
+        loader = evaluation_loader(StreamedPairs(site.address, augment=False), 5, workers=2)
+        got = unbatched(loader)
+    assert Counter(got) == Counter(identities(StreamedPairs(str(tiles), augment=False)))
+
+
+def test_a_rank_fetches_its_part_alone(tiles: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 144 samples the 72nd rank of 144 reads one; what is fetched at once is made as small as a sample."""
+
+    monkeypatch.setattr(remote, "_BLOCK_BYTES", 4096)
+    with serving(tiles) as site:
+        dataset = StreamedPairs(site.address, rank=Rank(71, 144))
+        site.sent = 0
+        assert len(identities(dataset)) == 1
+        assert 0 < site.sent < 30_000
+    assert sum(path.stat().st_size for path in tiles.glob("*.tar")) > 800_000
+
+
+@pytest.mark.parametrize("ranges", [True, False])
+@pytest.mark.parametrize("failures", [["cut"], ["503", "503", "503"], ["500", "cut", "502", "cut"]])
+def test_a_connection_that_breaks_is_taken_up_again(failures: list[str], ranges: bool, tiles: Path) -> None:
+    with serving(tiles, ranges=ranges) as site:
+        dataset = StreamedPairs(site.address, crop=10, retry_wait_s=0)
+        site.failures = list(failures)
+        assert identities(dataset) == identities(StreamedPairs(str(tiles), crop=10))
+        assert site.failures == []
+
+
+def test_what_keeps_failing_is_one_error(tiles: Path) -> None:
+    with serving(tiles) as site:
+        dataset = StreamedPairs(site.address, attempts=3, retry_wait_s=0)
+        site.failures = ["503"] * 100
+        with pytest.raises(
+            ShardError, match=r"shards/shard-00000\d\.tar: cannot be read after 3 attempts \(.*is the addre"
+        ):
+            next(iter(dataset))
+        assert 100 - len(site.failures) <= 6  # a HEAD and a GET each
+
+
+def test_what_is_not_there_is_not_tried_again(tiles: Path, tmp_path: Path) -> None:
+    folder = copied(tiles, tmp_path / "shards")
+    for path in folder.glob("*.tar"):
+        path.unlink()
+    with serving(folder) as site:
+        dataset = StreamedPairs(site.address, retry_wait_s=1000)
+        with pytest.raises(ShardError, match=r"shard-00000\d\.tar: cannot be read \(FileNotFoundError"):
+            next(iter(dataset))
+        (folder / INDEX).unlink()
+        with pytest.raises(ShardError, match=r"shards/index\.json: cannot be read \(FileNotFoundError"):
+            StreamedPairs(site.address, retry_wait_s=1000)
+    with pytest.raises(ShardError, match=r"nowhere/index\.json: cannot be read \(FileNotFoundError"):
+        StreamedPairs(str(tmp_path / "nowhere"))
+
+
+def test_addresses_that_fsspec_cannot_open() -> None:
+    with pytest.raises(ArgumentError, match=r"tape://reel: cannot be opened .*tape"):
+        StreamedPairs("tape://reel")
+
+
+def test_waits_double(tiles: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    waited: list[float] = []
+    monkeypatch.setattr(time, "sleep", waited.append)
+    with serving(tiles) as site:
+        site.failures = ["503"] * 100
+        with pytest.raises(ShardError), Forward(Folder(site.address, {}, 4, 0.25), "shard-000000.tar") as file:
+            file.read(10)
+    assert waited == [0.25, 0.5, 1.0]
+
+
+# --- damage -------------------------------------------------------------------------------------------------------
+
+
+def test_a_truncated_shard(tiles: Path, tmp_path: Path) -> None:
+    folder = copied(tiles, tmp_path / "shards")
+    index = parse_index("", (folder / INDEX).read_bytes())
+    path = folder / index.shards[1].name
+    end = int(index.shards[1].starts[20]) + 700
+    path.write_bytes(path.read_bytes()[:end])
+    words = rf"shard-000001\.tar: is truncated: it ends at byte {end}, \d+ bytes too early; copy it again"
+    with pytest.raises(ShardError, match=words):
+        list(StreamedPairs(str(folder)))
+    (problem,) = verify_shards(str(folder))
+    assert "shard-000001.tar: is truncated" in problem
+
+
+def test_a_changed_byte_anywhere_is_found(tiles: Path, tmp_path: Path) -> None:
+    """In a header, in the facts, in pixels, in padding, and after the last sample."""
+    folder = copied(tiles, tmp_path / "shards")
+    path = folder / "shard-000002.tar"
+    whole = path.read_bytes()
+    for place in (3, 600, 3000, len(whole) - 1100):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        with pytest.raises(
+            ShardError, match=r"shard-000002\.tar: sample \d+ \(bytes \d+ to \d+\) is damaged or of other"
+        ):
+            list(StreamedPairs(str(folder)))
+        assert len(verify_shards(str(folder))) == 1
+    for tail in (b"", END + b"\0", END[:-1] + b"\1"):
+        path.write_bytes(whole[: -len(END)] + tail)
+        (problem,) = verify_shards(str(folder))
+        assert "does not end after its 44 samples" in problem
+
+
+def test_shards_of_other_work(tiles: Path, frames: Path, tmp_path: Path) -> None:
+    folder = copied(tiles, tmp_path / "shards")
+    shutil.copy(frames / "shard-000000.tar", folder)
+    with pytest.raises(
+        ShardError, match=r"shard-000000\.tar: sample 0 .* of other shards: its checksum is not that of the"
+    ):
+        list(StreamedPairs(str(folder)).for_evaluation(1, Rank()))
+    (folder / "shard-000000.tar").unlink()
+    (folder / "shard-000000.tar").mkdir()
+    with pytest.raises(ShardError, match=r"shard-000000\.tar: cannot be read \(IsADirectoryError"):
+        list(StreamedPairs(str(folder)))
+
+
+# --- shards that somebody made, index and all ---------------------------------------------------------------------
+
+
+def foreign(folder: Path, *samples: bytes) -> str:
+    """Write a shard of any bytes with an index that fits them."""
+    folder.mkdir()
+    content = b"".join(samples) + END
+    (folder / "shard-000000.tar").write_bytes(content)
+    sizes = np.array([len(sample) for sample in samples], np.int64)
+    sums = np.array([zlib.crc32(sample) for sample in samples], np.uint32)
+    shard = Shard("shard-000000.tar", len(content), "sha256:0", sizes, sums)
+    (folder / INDEX).write_text(index_text(ShardIndex("foreign", None, 0, 0, (shard,)), "somebody"))
+    return str(folder)
+
+
+def test_a_hostile_shard_is_refused_and_nothing_is_run(tmp_path: Path) -> None:
+    trace = tmp_path / "was-here"
+    pickled = pickle.dumps(Bomb(trace))
+    good = made(JSON, INPUT, TARGET)
+    hostile: list[Any] = [
+        made(JSON, INPUT, ("000000042.target.pyd", pickled)),
+        made(("000000042.pkl", pickled), INPUT, TARGET),
+        made(JSON, INPUT, ("../../000000042.target.npy", TARGET[1])),
+        made(JSON, INPUT, ("000000042.target.npy", b""), type=tarfile.SYMTYPE, linkname="/etc/passwd"),
+    ]
+    for number, sample in enumerate(hostile):
+        address = foreign(tmp_path / str(number), good, sample)
+        with pytest.raises(
+            ShardError, match=r"shard-000000\.tar: sample 1 \(bytes \d+ to \d+\) is no sample: member '"
+        ):
+            list(StreamedPairs(address))
+        (problem,) = verify_shards(address)
+        assert "is no sample" in problem
+    assert not trace.exists()
+
+
+def test_a_webdataset_of_other_things(tmp_path: Path) -> None:
+    (tmp_path / "photos").mkdir()
+    with tarfile.open(tmp_path / "photos" / "shard-000000.tar", "w") as archive:
+        archive.addfile(tarfile.TarInfo("cat.jpg"), io.BytesIO())
+    with pytest.raises(ShardError, match=r"photos/index\.json: cannot be read"):
+        StreamedPairs(str(tmp_path / "photos"))
+    address = foreign(tmp_path / "cats", made(("0.jpg", b"x"), ("0.cls", b"1"), ("0.txt", b"cat")))
+    with pytest.raises(ShardError, match=r"member '0\.jpg' is none of a shard's: expected KEY\.json"):
+        list(StreamedPairs(address))
+
+
+def test_numbers_that_come_twice_are_found(tmp_path: Path) -> None:
+    good = made(JSON, INPUT, TARGET)
+    address = foreign(tmp_path / "twice", good, good)
+    assert any("expected sha256:0, found" in problem for problem in verify_shards(address))
+    assert Counter(s["path"] for s in StreamedPairs(address, augment=False)) == {"a/ü 1.ARW": 2}

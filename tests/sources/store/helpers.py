@@ -1,0 +1,110 @@
+"""Small raws, stores of them, and what a store holds, for the tests of stores."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import numpy as np
+
+from eldata.raw import write_dng
+from eldata.sources.store import build_store, source_of_dataset, source_of_folder
+from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, make_sensor, random_mosaic
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from eldata.sources.store import Source
+    from tests.drv_tree import SmallDrv
+    from tests.sid_tree import SmallTree
+    from tests.trees import Tree
+
+CFAS = (BAYER["RGGB"], BAYER["GBRG"], XTRANS["xtrans-00"], XTRANS["xtrans-42"])
+SHAPES = ((300, 400), (131, 515), (60, 66), (150, 133))
+
+
+@dataclass(frozen=True)
+class Packed:
+    """A store and what it was made from."""
+
+    store: Path
+    source: Source
+
+
+def write_clean(folder: Path, count: int = 4) -> Path:
+    """Write raws of several cameras: sizes below, at and above a chunk, none of them a multiple."""
+    folder.mkdir(parents=True)
+    for number in range(count):
+        cfa, (height, width) = CFAS[number % 4], SHAPES[number % 4]
+        sensor = make_sensor(cfa, height, width)
+        write_dng(folder / f"{number}.dng", random_mosaic(height, width, seed=number), sensor, EXPOSURE)
+    return folder
+
+
+def pack_tree(tree: Tree | SmallTree | SmallDrv, store: Path, **options: Any) -> Packed:
+    """Pack all pairs of a tree."""
+    source = source_of_dataset(tree.manifest.name, root=tree.root, manifest=tree.csv)
+    build_store(source, store, **options)
+    return Packed(store, source)
+
+
+def pack_folder(folder: Path, store: Path, **options: Any) -> Packed:
+    """Pack a folder of clean raws."""
+    source = source_of_folder(folder)
+    build_store(source, store, **options)
+    return Packed(store, source)
+
+
+def contents(path: Path) -> dict[str, Any]:
+    """Everything in an HDF5 file: attributes, and arrays as dtype, shape, chunks, filters and bytes."""
+    found: dict[str, Any] = {}
+
+    def visit(name: str, item: Any) -> None:
+        for key, value in item.attrs.items():
+            found[f"{name}@{key}"] = value.tobytes() if isinstance(value, np.ndarray) else value
+        if isinstance(item, h5py.Dataset):
+            layout = item.dtype.str, item.shape, item.chunks, sorted(item._filters)
+            found[name] = (*layout, item[...].tobytes())
+
+    with h5py.File(path, "r") as file:
+        visit("/", file)
+        file.visititems(visit)
+    return found
+
+
+_STOPS = """
+import pathlib, sys, time
+from eldata.sources.store import build
+decoded = build._decoded
+def stopping(folder, listed):
+    if listed[0] == sys.argv[1]:
+        pathlib.Path(sys.argv[2]).touch()
+        while True:
+            time.sleep(60)
+    return decoded(folder, listed)
+build._decoded = stopping
+from eldata.cli.main import main
+sys.exit(main(sys.argv[3:]))
+"""
+
+
+def start_packing(arguments: list[str], *, stop_at: str, folder: Path) -> subprocess.Popen[str]:
+    """Start `eldata pack` in a process of its own that comes to a file and stays there; return once it is there."""
+    marker = folder / "stopped"
+    marker.unlink(missing_ok=True)
+    process = subprocess.Popen(
+        [sys.executable, "-c", _STOPS, stop_at, str(marker), *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    while not marker.exists():
+        if process.poll() is not None:
+            raise RuntimeError(f"it ended before {stop_at}: {process.communicate()}")
+        time.sleep(0.005)
+    return process

@@ -1,0 +1,165 @@
+"""Stores of clips: what they hold, RGB frames and mosaics, versions, resuming, what verification finds."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import h5py
+import numpy as np
+import pytest
+
+from eldata.base.png import read_rgb16
+from eldata.errors import ArgumentError, DatasetError, FileError
+from eldata.manifest.drv import scan_raw
+from eldata.raw import read_raw
+from eldata.sources.store import StoredRgb, build_store, open_store, source_of_dataset, verify_store
+from eldata.sources.store.build import pixels_digest
+from eldata.sources.store.layout import StoreError
+from eldata.sources.store.read import PixelReader
+from tests.drv_tree import SmallDrv, small_drv, write_raw_clip
+from tests.sources.store.helpers import contents, pack_tree, start_packing
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+FRAMES = 7
+SIZE = (301, 270)  # above a chunk, no multiple of one
+
+
+@pytest.fixture(scope="module")
+def drv(tmp_path_factory: pytest.TempPathFactory) -> SmallDrv:
+    return small_drv(tmp_path_factory.mktemp("drv"), ("0007", "0013", "M0003"), FRAMES, size=SIZE)
+
+
+@pytest.fixture(scope="module")
+def packed(drv: SmallDrv, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return pack_tree(drv, tmp_path_factory.mktemp("store") / "drv.h5", compression="lz4").store
+
+
+def test_rgb_frames_are_held_as_decoded(drv: SmallDrv, packed: Path) -> None:
+    store = open_store(packed)
+    assert (store.dataset, store.frames) == ("drv", ())
+    assert len(store.rgb) == 3 * FRAMES + 2
+    with h5py.File(packed, locking=False) as file:
+        assert file.attrs["version"] == 2
+        for frame in store.rgb:
+            pixels = read_rgb16(drv.data / frame.path).transpose(2, 0, 1)
+            np.testing.assert_array_equal(file[f"frames/{frame.key}"][...], pixels)
+            assert frame == StoredRgb(frame.key, frame.path, frame.role, *SIZE, pixels_digest(pixels))
+
+
+def test_parts_of_rgb_frames(drv: SmallDrv, packed: Path) -> None:
+    reader = PixelReader(packed)
+    for frame in open_store(packed).rgb:
+        pixels = read_rgb16(drv.data / frame.path).transpose(2, 0, 1)
+        part = range(3, 290), range(200, 270)
+        np.testing.assert_array_equal(reader.read_planes(frame.key, *part), pixels[:, 3:290, 200:270])
+        with pytest.raises(StoreError, match="is damaged"):
+            reader.read_planes(frame.key, range(3), range(SIZE[1] + 300))
+
+
+def test_the_manifest_lists_the_files_in_the_place_of_patterns(packed: Path) -> None:
+    store = open_store(packed)
+    assert store.manifest is not None
+    assert {record.path for record in store.manifest.records} == {frame.path for frame in store.rgb}
+    assert store.manifest.card.counts == {"noisy": 3 * FRAMES, "reference": 2}
+    by_path = {record.path: record for record in store.manifest.records}
+    assert by_path["VBM4D_rawRGB/0007/0003.png"].reference == "long/0007/half0001_0.png"
+    assert by_path["VBM4D_rawRGB/M0003/0003.png"].reference is None
+
+
+def test_frames_stand_in_order_with_their_reference_first(packed: Path) -> None:
+    paths = [frame.path for frame in open_store(packed).rgb]
+    clip = [f"VBM4D_rawRGB/0013/{number:04d}.png" for number in range(1, FRAMES + 1)]
+    start = paths.index("long/0013/half0001_0.png")
+    assert paths[start : start + 1 + FRAMES] == ["long/0013/half0001_0.png", *clip]
+
+
+def test_raw_clips_are_mosaics_in_a_store_of_version_1(tmp_path: Path) -> None:
+    """Readers of stores without RGB frames know all that is in it."""
+    for clip in ("0007", "M0003"):
+        write_raw_clip(tmp_path / "DRV", clip, 3)
+    (tmp_path / "DRV" / "long" / "0007" / "other.ARW").write_bytes(
+        (tmp_path / "DRV" / "long" / "0007" / "DSC00001.ARW").read_bytes()
+    )
+    with pytest.raises(DatasetError, match="has 2 long exposures"):
+        source_of_dataset("drv-raw", root=tmp_path)
+    listed = scan_raw(tmp_path / "DRV", reference="DSC*").save(tmp_path / "drv-raw.csv")
+    source = source_of_dataset("drv-raw", root=tmp_path, manifest=listed.path)
+    assert len(source.files) == 7  # and not the unused one
+    build_store(source, tmp_path / "raw.h5")
+    store = open_store(tmp_path / "raw.h5")
+    with h5py.File(tmp_path / "raw.h5") as file:
+        assert file.attrs["version"] == 1
+        for frame in store.frames:
+            np.testing.assert_array_equal(
+                file[f"frames/{frame.key}"][...], read_raw(tmp_path / "DRV" / frame.path).mosaic
+            )
+    assert verify_store(tmp_path / "raw.h5", level="full").ok
+
+
+def test_what_cannot_be_packed(drv: SmallDrv, tmp_path: Path) -> None:
+    with pytest.raises(ArgumentError, match="a subset names pairs"):
+        source_of_dataset("drv", root=drv.root, manifest=drv.csv, subset="test")
+    with pytest.raises(ArgumentError, match="no clip has split x; known are dynamic, test"):
+        source_of_dataset("drv", root=drv.root, manifest=drv.csv, splits=["x"])
+    # The shipped list has 225 clips: what is not there is not left out in silence.
+    with pytest.raises(DatasetError, match=r"no frames of 222 clips.*choose those that you have with ids"):
+        source_of_dataset("drv", root=drv.root)
+    assert len(source_of_dataset("drv", root=drv.root, ids=["0007"]).files) == FRAMES + 1
+    spoilt = small_drv(tmp_path / "spoilt", ("0007",), 3)
+    frame = spoilt.data / "VBM4D_rawRGB" / "0007" / "0002.png"
+    frame.write_bytes(frame.read_bytes()[:-50])
+    with pytest.raises(FileError, match=r"0002\.png: does not end as a PNG does"):
+        pack_tree(spoilt, tmp_path / "x.h5")
+    assert open_store(pack_tree(drv, tmp_path / "y.h5").store).rgb
+
+
+def test_problems_of_clips_are_found(drv: SmallDrv, packed: Path, tmp_path: Path) -> None:
+    store = pack_tree(drv, tmp_path / "store.h5").store
+    assert verify_store(store, level="full", workers=2).ok
+    assert verify_store(packed, level="full").datasets[0].files_hashed == 3 * FRAMES + 2
+    with h5py.File(store, "r+") as file:
+        by_path = {frame.attrs["path"]: name for name, frame in file["frames"].items()}
+        file[f"frames/{by_path['VBM4D_rawRGB/0007/0002.png']}"][2, 300, 200] ^= 1
+        name = by_path["VBM4D_rawRGB/0007/0004.png"]
+        attributes, pixels = dict(file[f"frames/{name}"].attrs), file[f"frames/{name}"][...]
+        del file[f"frames/{name}"]
+        made = file["frames"].create_dataset(name, pixels.shape, np.uint16, chunks=(1, 256, 256))
+        made.attrs.update(attributes)
+        made[:2] = pixels[:2]
+        file[f"frames/{by_path['long/0007/half0001_0.png']}"].attrs["path"] = "long/0007/other.png"
+    found = [(problem.path, problem.field, problem.expected, problem.found) for problem in verify_store(store).problems]
+    assert ("VBM4D_rawRGB/0007/0004.png", "pixels", "12 chunks", "8") in found
+    lone = [path for path, *rest in found if rest == ["reference", "long/0007/half0001_0.png", "nothing"]]
+    assert lone == [f"VBM4D_rawRGB/0007/{number:04d}.png" for number in range(1, FRAMES + 1)]
+    assert len(found) == FRAMES + 1
+    full = {problem.path for problem in verify_store(store, level="full").problems if "sha256" in problem.field}
+    assert full == {"VBM4D_rawRGB/0007/0002.png", "VBM4D_rawRGB/0007/0004.png"}
+
+
+def test_a_truncated_store_of_clips(packed: Path, tmp_path: Path) -> None:
+    own = tmp_path / "own.h5"
+    own.write_bytes(packed.read_bytes())
+    os.truncate(own, int(own.stat().st_size * 0.9))
+    with pytest.raises(StoreError, match="is truncated"):
+        open_store(own)
+
+
+def test_packing_clips_is_killed_and_resumed(drv: SmallDrv, packed: Path, tmp_path: Path) -> None:
+    store = tmp_path / "store.h5"
+    files = source_of_dataset("drv", root=drv.root, manifest=drv.csv).files
+    command = ["pack", "drv", "--manifest", str(drv.csv), "--root", str(drv.root), "-o", str(store)]
+    command += ["--compression", "lz4", "--jobs", "1"]
+    for number in (0, 9):
+        process = start_packing(command, stop_at=files[number][0], folder=tmp_path)
+        os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+    done = subprocess.run([sys.executable, "-m", "eldata.cli.main", *command], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "23 frames packed (9 of them before)" in done.stdout
+    assert contents(store) == contents(packed)

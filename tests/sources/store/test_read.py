@@ -1,0 +1,215 @@
+"""Opening stores: what is refused and how; reading parts; verification."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import shutil
+import threading
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from eldata.errors import ArgumentError
+from eldata.raw import read_raw
+from eldata.sources.store import open_store, verify_store
+from eldata.sources.store.layout import StoreError
+from eldata.sources.store.read import PixelReader, StoredMosaic
+from tests.sources.store.helpers import Packed, pack_folder, write_clean
+
+# Python 3.12 and later warn of any fork in a process that has threads.
+pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory: pytest.TempPathFactory) -> Packed:
+    folder = tmp_path_factory.mktemp("clean")
+    return pack_folder(write_clean(folder / "raws"), folder / "clean.h5", compression="lz4")
+
+
+@pytest.fixture
+def own(clean: Packed, tmp_path: Path) -> Path:
+    """A copy to spoil."""
+    return Path(shutil.copy(clean.store, tmp_path / "store.h5"))
+
+
+# --- refusals -----------------------------------------------------------------------------------------------------
+
+
+def refused(path: Path, reason: str) -> None:
+    for work in (open_store, verify_store):
+        with pytest.raises(StoreError, match=reason) as caught:
+            work(path)
+        assert str(caught.value).startswith(f"{path}: ")
+
+
+def test_a_missing_store(tmp_path: Path) -> None:
+    refused(tmp_path / "store.h5", "cannot be read: No such file or directory")
+    refused(tmp_path, "cannot be read: Is a directory")
+
+
+@pytest.mark.parametrize("share", [0.02, 0.3, 0.7, 0.999])
+def test_a_truncated_store(share: float, own: Path) -> None:
+    os.truncate(own, int(own.stat().st_size * share))
+    refused(own, "is truncated .*; copy or pack it again")
+
+
+def test_foreign_files(tmp_path: Path) -> None:
+    text, empty, hdf5 = tmp_path / "a.h5", tmp_path / "b.h5", tmp_path / "c.h5"
+    text.write_text("path,role")
+    empty.touch()
+    with h5py.File(hdf5, "w") as file:
+        file["x"] = np.zeros(3)
+    refused(text, "is not an HDF5 file; eldata pack makes stores")
+    refused(empty, "is not an HDF5 file; eldata pack makes stores")
+    refused(hdf5, "is an HDF5 file, but not a store of eldata")
+
+
+def test_a_newer_store(own: Path) -> None:
+    with h5py.File(own, "r+") as file:
+        file.attrs["version"] = 3
+        file.attrs["written_by"] = "eldata 9.1"
+    refused(own, r"is a store of version 3, written by eldata 9\.1; .* up to version 2: install a newer one")
+
+
+def test_a_store_that_is_not_complete(own: Path) -> None:
+    with h5py.File(own, "r+") as file:
+        file.attrs["complete"] = False
+    refused(own, "is not complete; the eldata pack command that began it goes on with it")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (lambda file: file["frames"].pop("000001"), "expected 4 frames, found 3"),
+        (lambda file: file.pop("frames"), "is damaged"),
+        (lambda file: file["frames/000002"].attrs.pop("sensor"), "is damaged"),
+        (lambda file: file["frames/000002"].attrs.update(exposure="{"), "is damaged"),
+        (lambda file: file.attrs.update(compression="gzip"), "unknown compression 'gzip'"),
+    ],
+)
+def test_a_damaged_store(spoil: Any, reason: str, own: Path) -> None:
+    with h5py.File(own, "r+") as file:
+        spoil(file)
+    refused(own, reason)
+
+
+# --- verification -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("jobs", [1, 3])
+def test_a_whole_store_is_all_well(jobs: int, clean: Packed) -> None:
+    for level, hashed in (("quick", 0), ("full", 4)):
+        report = verify_store(clean.store, level=level, workers=jobs)  # type: ignore[arg-type]
+        assert report.ok
+        assert (report.datasets[0].files_checked, report.datasets[0].files_hashed) == (4, hashed)
+        assert report.format_text() == f"raws: 4 of 4 files checked ({level}) in {clean.store}: all well"
+
+
+def test_another_pixel_is_found(own: Path) -> None:
+    with h5py.File(own, "r+") as file:
+        file["frames/000001"][130, 258] ^= 1
+    assert verify_store(own).ok
+    (problem,) = verify_store(own, level="full").problems
+    assert (problem.path, problem.field) == ("1.dng", "sha256 of the pixels")
+
+
+def test_damaged_chunks_are_found(own: Path) -> None:
+    with h5py.File(own) as file:
+        place = file["frames/000002"].id.get_chunk_info(0)
+    content = bytearray(own.read_bytes())
+    content[place.byte_offset : place.byte_offset + place.size] = bytes(place.size)
+    own.write_bytes(content)
+    assert [problem.path for problem in verify_store(own, level="full").problems] == ["2.dng"]
+
+
+def test_another_size_is_found(own: Path) -> None:
+    with h5py.File(own, "r+") as file:
+        attributes = dict(file["frames/000003"].attrs)
+        del file["frames/000003"]
+        file["frames"].create_dataset("000003", (64, 64), np.uint16, chunks=(64, 64)).attrs.update(attributes)
+        pixels, attributes = file["frames/000000"][...], dict(file["frames/000000"].attrs)
+        del file["frames/000000"]
+        file["frames"].create_dataset("000000", pixels.shape, np.uint16, chunks=(256, 256)).attrs.update(attributes)
+        file["frames/000000"][:256, :] = pixels[:256]
+    found = {problem.path: (problem.expected, problem.found) for problem in verify_store(own).problems}
+    assert found == {"3.dng": ("uint16 (150, 133)", "uint16 (64, 64)"), "0.dng": ("4 chunks", "2")}
+
+
+# --- reading ------------------------------------------------------------------------------------------------------
+
+
+def test_parts_are_the_files_pixels(clean: Packed) -> None:
+    reader = PixelReader(clean.store)
+    generator = np.random.default_rng(0)
+    for frame in open_store(clean.store).frames:
+        mosaic = read_raw(clean.source.folder / frame.path).mosaic
+        stored = StoredMosaic(reader, frame.key, (frame.sensor.height, frame.sensor.width))
+        assert (stored.shape, stored.dtype) == (mosaic.shape, mosaic.dtype)
+        np.testing.assert_array_equal(np.asarray(stored), mosaic)
+        for _ in range(30):
+            top, bottom = sorted(generator.integers(0, mosaic.shape[0] + 1, 2))
+            left, right = sorted(generator.integers(0, mosaic.shape[1] + 1, 2))
+            part = slice(int(top), int(bottom)), slice(int(left), int(right))
+            np.testing.assert_array_equal(stored[part], mosaic[part])
+            np.testing.assert_array_equal(stored.borrow(part), mosaic[part])
+        np.testing.assert_array_equal(stored[-20:, :5], mosaic[-20:, :5])
+        with pytest.raises(ArgumentError, match="without steps"):
+            stored[::2, :]
+
+
+def test_what_is_read_stays_and_what_is_borrowed_does_not(clean: Packed) -> None:
+    frame = open_store(clean.store).frames[0]
+    reader = PixelReader(clean.store)
+    kept = reader.read(frame.key, range(10), range(10))
+    before = kept.copy()
+    borrowed = reader.borrow(frame.key, range(10), range(10))
+    reader.borrow(frame.key, range(20, 30), range(10))
+    np.testing.assert_array_equal(kept, before)
+    assert not np.array_equal(borrowed, before)
+
+
+def test_threads_may_read_at_once(clean: Packed) -> None:
+    reader = PixelReader(clean.store)
+    frames = open_store(clean.store).frames
+    wrong: list[str] = []
+
+    def read(number: int) -> None:
+        frame = frames[number % 4]
+        mosaic = read_raw(clean.source.folder / frame.path).mosaic
+        parts = (reader.borrow(frame.key, range(top, 60), range(60)) for top in range(40))
+        wrong.extend(frame.path for top, part in enumerate(parts) if not np.array_equal(part, mosaic[top:60, :60]))
+
+    threads = [threading.Thread(target=read, args=(number,)) for number in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert wrong == []
+
+
+def open_descriptors(path: Path) -> int:
+    return sum(link.resolve() == path.resolve() for link in Path("/proc/self/fd").iterdir())
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="needs /proc")
+def test_no_handle_is_shared_over_a_fork_or_pickled(clean: Packed) -> None:
+    reader = PixelReader(clean.store)
+    assert open_descriptors(clean.store) == 0
+    wanted = reader.read("000000", range(5), range(5))
+    assert open_descriptors(clean.store) > 0
+    child = os.fork()
+    if child == 0:
+        inherited = open_descriptors(clean.store)
+        same = np.array_equal(reader.read("000000", range(5), range(5)), wanted)
+        os._exit(inherited + 10 * (not same))
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    np.testing.assert_array_equal(reader.read("000000", range(5), range(5)), wanted)
+    copy = pickle.loads(pickle.dumps(reader))
+    np.testing.assert_array_equal(copy.read("000000", range(5), range(5)), wanted)
+    reader.close()
+    copy.close()
+    assert open_descriptors(clean.store) == 0

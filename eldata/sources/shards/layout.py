@@ -141,7 +141,7 @@ def parse_index(place: str, content: bytes) -> ShardIndex:
     ShardError
         If it is not one of shards that :func:`index_text` made, or of a newer version.
     """
-    data = TextFile(place, ShardError, content=content).json().data
+    data = TextFile(place, ShardError, "expected a whole index, as eldata shard writes it", content).json().data
     if data.get("format") != FORMAT:
         raise ShardError(place, "is not an index of eldata's shards; eldata shard writes them")
     version = data.get("version")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 from contextlib import contextmanager
@@ -11,7 +10,7 @@ from typing import IO, TYPE_CHECKING
 
 from eldata.download.errors import DownloadError
 from eldata.download.sizes import size_text
-from eldata.files import write_text
+from eldata.files import check_posix, try_lock, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -38,15 +37,14 @@ class Partial:
     @contextmanager
     def opened(self) -> Iterator[IO[bytes]]:
         """Open it for one process at a time."""
+        check_posix("fetching a file")
         try:
             file = self.path.open("ab", buffering=0)
         except OSError as error:
             raise DownloadError(f"cannot write {self.path}: {error.strerror}") from error
         with file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError as error:
-                raise DownloadError(f"{self.path}: another process is fetching it; wait for that one") from error
+            if not try_lock(self.path, file):
+                raise DownloadError(f"{self.path}: another process is fetching it; wait for that one")
             yield file
 
     @staticmethod

@@ -12,13 +12,13 @@ to the disk yet; :func:`eldata.store.verify_store` finds that by the checksum of
 
 from __future__ import annotations
 
-import fcntl
 import os
 import struct
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 from eldata.errors import EldataError
+from eldata.files import check_posix, try_lock
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -191,22 +191,16 @@ def journaled(path: Path) -> Iterator[JournaledFile]:
     Raises
     ------
     EldataError
-        If another process is writing it, or it cannot be written or resumed.
+        If another process is writing it, it cannot be written or resumed, or this system has no file locks.
     """
+    check_posix("writing a store")
     try:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
     except OSError as error:
         raise EldataError(f"cannot write {path}: {error.strerror}") from error
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        # The other writer may have finished, and renamed this file, between the two lines above.
-        taken = not os.path.samestat(os.fstat(descriptor), path.stat())
-    except OSError:
-        taken = True
-    if taken:
-        os.close(descriptor)
-        raise EldataError(f"{path}: another process is writing it; wait for that one")
-    try:
+        if not (try_lock(path, descriptor) and _is_at(path, descriptor)):
+            raise EldataError(f"{path}: another process is writing it; wait for that one")
         file = JournaledFile(path, descriptor)
     except BaseException as error:
         os.close(descriptor)
@@ -218,3 +212,11 @@ def journaled(path: Path) -> Iterator[JournaledFile]:
     finally:
         with suppress(OSError):  # whoever opens it next undoes the rest
             file.release()
+
+
+def _is_at(path: Path, descriptor: int) -> bool:
+    """Return whether the open file still has its name: another writer may have finished, and renamed it, meanwhile."""
+    try:
+        return os.path.samestat(os.fstat(descriptor), path.stat())
+    except OSError:
+        return False

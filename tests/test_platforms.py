@@ -43,7 +43,7 @@ def test_what_needs_posix_says_so_in_one_line(lines: list[list[str]]) -> None:
 
 
 def test_only_one_place_imports_modules_of_posix() -> None:
-    """And that one inside of functions, which the process above would not notice of a function that it does not call."""
+    """Others may import them inside functions that the process above does not call."""
     importers = set()
     for path in [*(ROOT / "eldata").rglob("*.py"), *(ROOT / "capture").rglob("*.py")]:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

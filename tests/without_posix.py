@@ -39,11 +39,11 @@ def take_away() -> None:
 
     def import_(name: str, globals_: Any = None, *rest: Any) -> Any:
         importer = str((globals_ or {}).get("__name__"))
-        if name in MODULES and importer.split(".")[0] in OURS:
+        if name in MODULES and importer.split(".", maxsplit=1)[0] in OURS:
             raise ImportError(f"No module named {name!r}, which {importer} imports")
         return imported(name, globals_, *rest)
 
-    builtins.__import__ = import_
+    setattr(builtins, "__import__", import_)  # noqa: B010 # typed as if it could not be replaced
     for module, names in MISSING:
         for name in names:
             if hasattr(module, name):

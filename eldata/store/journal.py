@@ -199,9 +199,7 @@ def journaled(path: Path) -> Iterator[JournaledFile]:
     except OSError as error:
         raise EldataError(f"cannot write {path}: {error.strerror}") from error
     try:
-        if not (try_lock(path, descriptor) and _is_at(path, descriptor)):
-            raise EldataError(f"{path}: another process is writing it; wait for that one")
-        file = JournaledFile(path, descriptor)
+        file = _claimed(path, descriptor)
     except BaseException as error:
         os.close(descriptor)
         if isinstance(error, OSError):
@@ -214,8 +212,14 @@ def journaled(path: Path) -> Iterator[JournaledFile]:
             file.release()
 
 
+def _claimed(path: Path, descriptor: int) -> JournaledFile:
+    if not (try_lock(path, descriptor) and _is_at(path, descriptor)):
+        raise EldataError(f"{path}: another process is writing it; wait for that one")
+    return JournaledFile(path, descriptor)
+
+
 def _is_at(path: Path, descriptor: int) -> bool:
-    """Return whether the open file still has its name: another writer may have finished, and renamed it, meanwhile."""
+    """Return whether the file still has its name: another writer may have finished, and renamed it, before our lock."""
     try:
         return os.path.samestat(os.fstat(descriptor), path.stat())
     except OSError:

@@ -453,16 +453,27 @@ def archive() -> bytes:
 @reader
 def unfinished_download(files: Path, work: Path) -> Any:
     """It goes on where it ended: the part's note names its file by address, size and mark."""
-    from eldata.download import Fetcher
+    from eldata.download import Fetcher, fetch_dataset, overview
+    from eldata.manifest import save_records, shipped_manifest
 
     part, note = (files / "download" / f"set.zip.part{end}" for end in ("", ".json"))
-    shutil.copy(part, work / part.name)
+    held = work / "data" / "archives"
+    held.mkdir(parents=True)
+    shutil.copy(part, held)
+    save_records(work / "eld.csv", shipped_manifest("eld").records)
+    card = loaded(ROOT / "manifests" / "eld.json")
     with pytest.MonkeyPatch.context() as patch, serving(archive()) as (address, ranges):
         patch.setenv("NO_PROXY", "127.0.0.1")
-        (work / note.name).write_text(json.dumps(loaded(note) | {"address": address}), encoding="utf-8")
-        path = Fetcher(plain_http_hosts=["127.0.0.1"]).fetch(address, work / "set.zip")
-    assert path.read_bytes() == archive()
-    return [ranges, sorted(one.name for one in work.iterdir())]
+        (held / note.name).write_text(json.dumps(loaded(note) | {"address": address}), encoding="utf-8")
+        card["downloads"] = [{"address": address, "direct": True}]
+        (work / "eld.json").write_text(json.dumps(card), encoding="utf-8")
+        manifest = load_manifest(work / "eld.csv")
+        # Version 0.1 has a record of its own for a download of the card.
+        (one,) = getattr(overview(manifest, work / "data"), "places", manifest.card.downloads)
+        fetch_dataset(one, manifest, work / "data", Fetcher(plain_http_hosts=["127.0.0.1"]))
+    assert (held / "set.zip").read_bytes() == archive()
+    there = sorted(path.relative_to(work).as_posix() for path in (work / "data").rglob("*") if path.is_file())
+    return [ranges, there]
 
 
 # --- the tests: after the readers, which they are made of -----------------------------------------------------------

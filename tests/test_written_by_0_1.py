@@ -469,8 +469,8 @@ def unfinished_download(files: Path, work: Path) -> Any:
         (work / "eld.json").write_text(json.dumps(card), encoding="utf-8")
         manifest = load_manifest(work / "eld.csv")
         # Version 0.1 has a record of its own for a download of the card.
-        (one,) = getattr(overview(manifest, work / "data"), "places", manifest.card.downloads)
-        fetch_dataset(one, manifest, work / "data", Fetcher(plain_http_hosts=["127.0.0.1"]))
+        downloads: Any = getattr(overview(manifest, work / "data"), "places", manifest.card.downloads)
+        fetch_dataset(downloads[0], manifest, work / "data", Fetcher(plain_http_hosts=["127.0.0.1"]))
     assert (held / "set.zip").read_bytes() == archive()
     there = sorted(path.relative_to(work).as_posix() for path in (work / "data").rglob("*") if path.is_file())
     return [ranges, there]

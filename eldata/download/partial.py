@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import tempfile
@@ -11,7 +10,7 @@ from dataclasses import asdict, dataclass
 from typing import IO, TYPE_CHECKING
 
 from eldata.base.fields import TextFile
-from eldata.base.files import write_text
+from eldata.base.files import check_posix, try_lock, write_text
 from eldata.download.sizes import size_text
 from eldata.errors import DownloadError
 
@@ -97,16 +96,15 @@ def opened(target: Path) -> Iterator[Partial]:
     DownloadError
         If it cannot be written, or another process is fetching it.
     """
+    check_posix("fetching a file")
     path, _ = _paths(target)
     try:
         file = path.open("ab", buffering=0)
     except OSError as error:
         raise DownloadError(f"cannot write {path}: {error.strerror}") from error
     with file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise DownloadError(f"{path}: another process is fetching it; wait for that one") from error
+        if not try_lock(path, file):
+            raise DownloadError(f"{path}: another process is fetching it; wait for that one")
         yield Partial(target, file)
 
 

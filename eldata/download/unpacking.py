@@ -7,7 +7,6 @@ sign that files may be missing. The next run goes on with those, and removes the
 
 from __future__ import annotations
 
-import fcntl
 import os
 import shutil
 import stat
@@ -16,7 +15,7 @@ from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from typing import IO, TYPE_CHECKING, Any
 
-from eldata.base.files import inside
+from eldata.base.files import check_posix, inside, try_lock
 from eldata.download.sizes import check_room, progress_bar
 from eldata.errors import ArchiveError, DownloadError, ManifestError
 
@@ -191,15 +190,14 @@ class _Comparison:
 @contextmanager
 def _staging_folder(folder: Path) -> Iterator[Path]:
     """Give one process at a time an empty hidden folder; it is gone at the end if all went well."""
+    check_posix("unpacking an archive")
     staging = folder / STAGING
     with _disk_named(folder):
         folder.mkdir(parents=True, exist_ok=True)
         handle = os.open(folder, os.O_RDONLY)
     try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise DownloadError(f"{folder}: another process is unpacking there; wait for that one") from error
+        if not try_lock(folder, handle):
+            raise DownloadError(f"{folder}: another process is unpacking there; wait for that one")
         with _disk_named(staging):
             if os.path.lexists(staging):  # of a run that was killed
                 _remove(staging)

@@ -176,7 +176,8 @@ def _simulated(
 
     Pixels scatter by ``spread_dn`` around ``level_dn``, which comes on top of the colour bias.
     """
-    from eldata.noise.model import Adc, NoiseModel
+    from eldata.noise.exposures import Adc
+    from eldata.noise.model import NoiseModel
 
     # The model's converter has one black level; with a pattern of several, clipping at 0 happens elsewhere by their
     # difference, which is far from any bias frame that the estimators take.

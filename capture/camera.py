@@ -17,7 +17,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
-from capture.errors import CameraError
+from capture.capture_errors import CameraError
 from capture.exact import ExactNumber, as_exact, parse_seconds
 from capture.fields import Fields
 from eldata.base.files import write_text

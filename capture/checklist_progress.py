@@ -27,8 +27,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from capture.capture_errors import PlanError
 from capture.checklist_content import Row, every_item, rows
-from capture.errors import PlanError
 from capture.fields import Fields
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from capture.errors import MappingError
+from capture.capture_errors import MappingError
 from capture.plan import CALIBRATION
 from eldata.base.files import sha256_of
 from eldata.base.workers import IN_THIS_PROCESS, Workers

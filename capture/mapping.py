@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from capture.errors import MappingError
+from capture.capture_errors import MappingError
 from capture.fields import Fields
 from capture.matching import Match, Remark, checked
 

@@ -13,7 +13,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Final, Literal, get_args
 
 from capture.alignment import Stretch, align
-from capture.errors import MappingError
+from capture.capture_errors import MappingError
 from capture.plan import CALIBRATION
 from eldata.errors import ArgumentError
 

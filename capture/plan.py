@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from capture.calibration import CalibrationPlan, plan_calibration
 from capture.camera import CameraDescription, camera_as_dict, camera_from
-from capture.errors import PlanError
+from capture.capture_errors import PlanError
 from capture.fields import Fields
 from capture.protocol import CaptureProtocol
 from capture.shots import Shot, check_isos, scene_shots

@@ -18,12 +18,10 @@ from capture.check.pictures import map_picture
 from capture.check.result import CheckedGroup, Picture, sorted_by_path
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
     from capture.check.cells import Cells
-    from eldata.base.workers import Workers
+    from capture.check.frames import Unit
     from eldata.records import FrameRecord
 
 PATCHES: Final = 8  # a side
@@ -36,17 +34,6 @@ _BLACK = Limits(
 _SHADING_SOURCE: Final = (
     "the noise of a pixel, or 2 DN: more than the dark shading of usual sensors at a short exposure"
 )
-
-
-@dataclass(frozen=True, slots=True)
-class BiasUnit:
-    """The bias frames of one camera and ISO: small, for worker processes."""
-
-    path: str
-    name: str
-    folder: Path
-    records: tuple[FrameRecord, ...]
-    workers: Workers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,14 +63,14 @@ def patch_levels(cells: Cells) -> PatchLevels:
     return PatchLevels(levels, errors, cells.spread_dn)
 
 
-def check_bias(unit: BiasUnit) -> CheckedGroup:
+def check_bias(unit: Unit) -> CheckedGroup:
     """Check the bias frames of one ISO."""
     records = sorted_by_path(unit.records, "bias")
     first: ReducedFrame | None = None
     remarks: list[Remark] = []
     measures: list[Measure] = []
     patches: list[tuple[FrameRecord, PatchLevels]] = []
-    for record, frame in reduced_frames(unit.folder, records, unit.workers):
+    for record, frame in reduced_frames(unit, records):
         if isinstance(frame, Remark):
             remarks.append(frame)
             continue

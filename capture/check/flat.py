@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,10 +16,8 @@ from capture.check.result import CheckedGroup, Picture, sorted_by_path
 from capture.check.scene import FLICKER
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from capture.check.cells import Cells
-    from eldata.base.workers import Workers
+    from capture.check.frames import Unit
     from eldata.records import FrameRecord
 
 _SATURATED = Limits(
@@ -38,17 +35,6 @@ _PAIR = Limits(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class FlatUnit:
-    """The flats of one camera and ISO: small, for worker processes."""
-
-    path: str
-    name: str
-    folder: Path
-    records: tuple[FrameRecord, ...]
-    workers: Workers
-
-
 def unevenness(cells: Cells) -> float:
     """Return the distance of the 5th and the 95th percentile of the blocks over their median, of the worst channel."""
     mean, _ = cells.pooled(BLOCK, BLOCK)
@@ -56,7 +42,7 @@ def unevenness(cells: Cells) -> float:
     return float(np.max((high - low) / np.maximum(middle, 1e-6)))
 
 
-def check_flats(unit: FlatUnit) -> CheckedGroup:
+def check_flats(unit: Unit) -> CheckedGroup:
     """Check the flats of one ISO; two after each other with the same exposure time are a pair."""
     records = sorted_by_path(unit.records, "flat")
     first: ReducedFrame | None = None
@@ -64,7 +50,7 @@ def check_flats(unit: FlatUnit) -> CheckedGroup:
     remarks: list[Remark] = []
     measures: list[Measure] = []
     pictures: list[Picture] = []
-    for record, frame in reduced_frames(unit.folder, records, unit.workers):
+    for record, frame in reduced_frames(unit, records):
         remark = frame if isinstance(frame, Remark) else None if first is None else other_kind(first, frame)
         if remark is not None or isinstance(frame, Remark):
             remarks += [] if remark is None else [remark]

@@ -28,10 +28,9 @@ from eldata.errors import RawFileError
 
 if TYPE_CHECKING:
     from fractions import Fraction
-    from pathlib import Path
 
     from capture.check.cells import Cells
-    from eldata.base.workers import Workers
+    from capture.check.frames import Unit
     from eldata.records import FrameRecord, RawHeader
 
 DRIFT: Final = Limits(100 * BRIGHTNESS_LOOK, 100 * BRIGHTNESS_AGAIN, BRIGHTNESS_SOURCE)
@@ -70,17 +69,6 @@ SIGNAL: Final = Limits(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class SceneUnit:
-    """One scene's files: small, for worker processes."""
-
-    path: str
-    name: str
-    folder: Path
-    records: tuple[FrameRecord, ...]
-    workers: Workers
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Reference:
     cells: Cells
@@ -96,7 +84,7 @@ class _Found:
     pictures: list[Picture]
 
 
-def check_scene(unit: SceneUnit) -> CheckedGroup:
+def check_scene(unit: Unit) -> CheckedGroup:
     """Check the frames of one scene, references first, each decoded once."""
     references, noisy = sorted_by_path(unit.records, "reference"), sorted_by_path(unit.records, "noisy")
     found = _Found([], [], [])
@@ -106,7 +94,7 @@ def check_scene(unit: SceneUnit) -> CheckedGroup:
     last: ReducedFrame | None = None
     changes: list[Picture] = []
     of_noisy: list[tuple[FrameRecord, RatioFit, Fraction | None]] = []
-    for record, frame in reduced_frames(unit.folder, [*references, *noisy], unit.workers):
+    for record, frame in reduced_frames(unit, [*references, *noisy]):
         if isinstance(frame, Remark):
             found.remarks.append(frame)
             continue

@@ -41,7 +41,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
-    from capture.check.run import check
+    from capture.check.checking import check
     from capture.check.sheet import check_sheet_name, write_sheet
 
     if arguments.sheet:

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING, Final
 
-from capture.tether.errors import CameraLostError, GphotoError
+from capture.capture_errors import CameraLostError, GphotoError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from capture.tether.errors import TetherError
+from capture.capture_errors import TetherError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

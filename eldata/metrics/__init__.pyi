@@ -1,10 +1,10 @@
+from .image_score import Score as Score
+from .image_score import ScoringRules as ScoringRules
+from .image_score import factor_by as factor_by
+from .image_score import score as score
+from .image_score import score_by as score_by
 from .rescaling import rescale as rescale
 from .rescaling import rescale_factor as rescale_factor
-from .scoring import Score as Score
-from .scoring import ScoringRules as ScoringRules
-from .scoring import factor_by as factor_by
-from .scoring import score as score
-from .scoring import score_by as score_by
 from .signal_to_noise import psnr as psnr
 from .similarity import ssim as ssim
 from .st_rred import PEAK_8_BIT as PEAK_8_BIT

@@ -11,7 +11,7 @@ import torch
 from eldata.errors import ArgumentError
 from eldata.isp.rendering import CameraColour, Gamma, Rendering
 from eldata.isp.response import ResponseCurve
-from eldata.isp.scoring import render_pair_for_scoring
+from eldata.isp.srgb_pairs import render_pair_for_scoring
 from eldata.raw.colour import camera_to_srgb
 from tests.raw.helpers import BAYER, XTRANS, make_sensor
 

@@ -411,7 +411,7 @@ def test_gaussian_shot_noise_has_the_poisson_variance() -> None:
 
 def test_each_image_has_its_own_parameters() -> None:
     clean = gradient((3, 4, 32, 48), 1.0)
-    each: dict[str, list[Any]] = {
+    each: dict[str, Any] = {
         "gain_dn_per_e": [0.1, 0.8, 6.0],
         "ratio": [100.0, 200.0, 300.0],
         "tukey_lambda": [-0.2, 0.0, 0.14],
@@ -422,7 +422,7 @@ def test_each_image_has_its_own_parameters() -> None:
     kinds: dict[str, Any] = {"shot": "poisson", "read": "tukey-lambda", "quantisation": "uniform", "range_dn": 15871.0}
     together = noisy(clean, **kinds, **each)
     for image in range(3):
-        alone = {name: [values[image]] for name, values in each.items()}
+        alone: dict[str, Any] = {name: [values[image]] for name, values in each.items()}
         part = noisy(clean[image : image + 1].copy(), **kinds, **alone, first_image=image)
         np.testing.assert_array_equal(part[0], together[image])
 

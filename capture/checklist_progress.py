@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from capture.capture_errors import PlanError
-from capture.checklist_content import Row, every_item, rows
+from capture.checklist_content import ChecklistRow, every_item, rows
 from capture.fields import Fields
 
 if TYPE_CHECKING:
@@ -174,7 +174,7 @@ def _scene(fields: Fields, plan: Plan, before: Sequence[str]) -> SceneProgress:
     return SceneProgress(name, metered_s, _shots(fields, "shots", rows(scene.shots)))
 
 
-def _shots(fields: Fields, name: str, expected: Sequence[Row]) -> tuple[ShotProgress, ...]:
+def _shots(fields: Fields, name: str, expected: Sequence[ChecklistRow]) -> tuple[ShotProgress, ...]:
     items = fields.items(name)
     if len(items) != len(expected):
         raise fields.wrong(name, f"the plan's {len(expected)} rows", f"{len(items)} rows")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from capture.capture_errors import MappingError
 from capture.fields import Fields
-from capture.matching import Match, Remark, checked
+from capture.matching import Match, MatchRemark, checked
 
 if TYPE_CHECKING:
     from capture.matching import Slot
@@ -88,7 +88,7 @@ def load_mapping(path: Path | str, plan: Plan, observed: Observed) -> Match:
         frames[slot], used[file] = given[file], slot
     left = [frame for frame in observed.frames if frame.path.resolve() not in used]
     remarks = [
-        Remark("extra", f"{frame.path.name}: {frame.settings}: left out by the mapping", path=frame.path)
+        MatchRemark("extra", f"{frame.path.name}: {frame.settings}: left out by the mapping", path=frame.path)
         for frame in left
     ]
     return checked(plan, Match(frames, tuple(remarks)))

@@ -15,7 +15,7 @@ import numpy as np
 from capture.check.frames import ReducedFrame, file_name, other_kind, reduced_frames
 from capture.check.measures import Limits, Measure, Remark
 from capture.check.pictures import map_picture
-from capture.check.result import CheckedGroup, Picture, sorted_by_path
+from capture.check.result import CheckedGroup, SheetPicture, sorted_by_path
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -84,7 +84,7 @@ def check_bias(unit: Unit) -> CheckedGroup:
             continue
         measures.append(_black(record, frame.cells))
         patches.append((record, patch_levels(frame.cells)))
-    pictures: list[Picture] = []
+    pictures: list[SheetPicture] = []
     if len(patches) == 1:
         text = "the only bias frame of this ISO: a light leak cannot be told from the sensor's own pattern"
         remarks.append(Remark(patches[0][0].path, text, "look"))

@@ -12,7 +12,7 @@ from capture.check.frames import ReducedFrame, file_name, other_kind, reduced_fr
 from capture.check.measures import Limits, Measure, Remark
 from capture.check.pictures import map_picture, scene_picture
 from capture.check.ratio import residuals_between
-from capture.check.result import CheckedGroup, Picture, sorted_by_path
+from capture.check.result import CheckedGroup, SheetPicture, sorted_by_path
 from capture.check.scene import FLICKER
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def check_flats(unit: Unit) -> CheckedGroup:
     waiting: ReducedFrame | None = None
     remarks: list[Remark] = []
     measures: list[Measure] = []
-    pictures: list[Picture] = []
+    pictures: list[SheetPicture] = []
     for record, frame in reduced_frames(unit, records):
         remark = frame if isinstance(frame, Remark) else None if first is None else other_kind(first, frame)
         if remark is not None or isinstance(frame, Remark):

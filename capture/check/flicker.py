@@ -21,7 +21,7 @@ from capture.check.measures import Estimate
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from capture.check.ratio import Residuals
+    from capture.check.ratio import StripResiduals
 
     Array = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ class Flicker:
     sigmas: float
 
 
-def flicker_of_contrast(residuals: Residuals) -> Flicker | None:
+def flicker_of_contrast(residuals: StripResiduals) -> Flicker | None:
     """Measure the modulation of the scene's contrast within each row.
 
     Offsets of rows, such as row noise and banding of the sensor, drop out: right for dark frames. It needs a scene with
@@ -62,7 +62,7 @@ def flicker_of_contrast(residuals: Residuals) -> Flicker | None:
     return _strongest(*_modulation(weight, expected, residuals.residual_dn))
 
 
-def flicker_of_level(residuals: Residuals) -> Flicker | None:
+def flicker_of_level(residuals: StripResiduals) -> Flicker | None:
     """Measure the modulation of the rows' whole signal: right for bright frames, and for flats without contrast."""
     weight = residuals.sigma_dn**-2.0
     return _strongest(*_modulation(weight, residuals.expected_dn, residuals.residual_dn))

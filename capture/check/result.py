@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class SheetPicture:
     """A small picture for the contact sheet: what it shows, and a JPEG."""
 
     caption: str
@@ -41,7 +41,7 @@ class CheckedGroup:
     files: int
     measures: tuple[Measure, ...]
     remarks: tuple[Remark, ...]
-    pictures: tuple[Picture, ...]
+    pictures: tuple[SheetPicture, ...]
 
     @property
     def findings(self) -> tuple[Measure | Remark, ...]:
@@ -88,7 +88,9 @@ class CheckedGroup:
         lines = [f"{self.name}: {self.verdict}"]
         lines += [f"    {one.verdict}: {one}" for one in self.reasons]
         if self.verdict == "keep":
-            lines[0] += f" ({self.files} files; {', '.join(summary(one) for one in self.extremes if one.deviation)})"
+            lines[0] += (
+                f" ({self.files} files; {', '.join(measure_summary(one) for one in self.extremes if one.deviation)})"
+            )
         return "\n".join(lines)
 
 
@@ -115,7 +117,7 @@ class CheckReport:
         return "\n".join([*(group.format_text() for group in self.groups), f"{self.dataset}: {total}"])
 
 
-def summary(measure: Measure) -> str:
+def measure_summary(measure: Measure) -> str:
     """Return a measure's name and value, such as ``shift 0.02 ± 0.01 px``; a ratio as its distance from the nominal."""
     if not measure.unit:
         off, error = (100 * value / measure.expected for value in (measure.value, measure.standard_error))

@@ -22,7 +22,7 @@ from capture.check.measures import (
 )
 from capture.check.pictures import change_picture, scene_picture
 from capture.check.ratio import RatioFit, fit_ratio, residuals_between
-from capture.check.result import CheckedGroup, Picture, sorted_by_path
+from capture.check.result import CheckedGroup, SheetPicture, sorted_by_path
 from capture.check.shift import Tiles, make_tiles, measure_focus, measure_shift, moved_tiles
 from eldata.errors import RawFileError
 
@@ -81,7 +81,7 @@ class _Found:
 
     measures: list[Measure]
     remarks: list[Remark]
-    pictures: list[Picture]
+    pictures: list[SheetPicture]
 
 
 def check_scene(unit: Unit) -> CheckedGroup:
@@ -92,7 +92,7 @@ def check_scene(unit: Unit) -> CheckedGroup:
     first: ReducedFrame | None = None
     tiles: Tiles | None = None
     last: ReducedFrame | None = None
-    changes: list[Picture] = []
+    changes: list[SheetPicture] = []
     of_noisy: list[tuple[FrameRecord, RatioFit, Fraction | None]] = []
     for record, frame in reduced_frames(unit, [*references, *noisy]):
         if isinstance(frame, Remark):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from capture.cli.values import seconds, spaced, whole
+from capture.cli.values import seconds, spaced, whole_number
 from capture.protocol import RELEASED, CaptureProtocol
 from eldata.base.console import OK, add_debug, add_json, write_json
 from eldata.base.tables import text_table
@@ -33,14 +33,14 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument(
         "--base-iso",
-        type=whole,
+        type=whole_number,
         default=RELEASED.base_iso,
         metavar="ISO",
         help="ISO of the references (default: %(default)s)",
     )
     parser.add_argument(
         "--isos",
-        type=whole,
+        type=whole_number,
         nargs="+",
         default=RELEASED.noisy_isos,
         metavar="ISO",
@@ -48,7 +48,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument(
         "--factors",
-        type=whole,
+        type=whole_number,
         nargs="+",
         default=RELEASED.low_light_factors,
         metavar="FACTOR",

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _WHOLE = re.compile(r"-?[0-9]{1,9}")
 
 
-def whole(text: str) -> int:
+def whole_number(text: str) -> int:
     """Return a whole number."""
     if _WHOLE.fullmatch(text) is None:
         raise argparse.ArgumentTypeError(f"expected a whole number of at most nine digits, found {text!r}")

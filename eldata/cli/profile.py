@@ -51,7 +51,8 @@ def _seed(text: str) -> int:
 def run_show(arguments: argparse.Namespace) -> int:
     """Show and test one profile."""
     from eldata.base.tables import text_table
-    from eldata.noise.diagnostics import diagnose, parameter_rows, sample_parameters
+    from eldata.noise.diagnostics import diagnose, sample_parameters
+    from eldata.noise.findings import parameter_rows
     from eldata.noise.profile import CameraProfile
 
     profile = CameraProfile.load(arguments.camera)

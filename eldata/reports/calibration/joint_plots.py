@@ -126,7 +126,7 @@ def _by_iso(axes: Axes, isos: Sequence[float]) -> None:
 def _gain_plot(calibration: Calibration) -> Plot:
     known = [one for one in calibration.isos if one.gain_dn_per_e is not None]
     ratios = [(one.gain_dn_per_e or 0.0) / one.iso for one in known]
-    usual = float(np.median(ratios))
+    usual = calibration.usual_gain_per_iso
     spread = max(abs(ratio / usual - 1) for ratio in ratios)
     return drawn(
         "gain",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from eldata.noise.diagnostics import CHANNELS, SIGNALS_E, read_fit
+from eldata.noise.findings import CHANNELS, SIGNALS_E
 from eldata.reports.figures import (
     MARKERS,
     Plot,
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from eldata.noise.findings import Comparison, Diagnostics
+    from eldata.noise.findings import Diagnostics, TheoryCheck
     from eldata.noise.profile import LogLogFit
 
 
@@ -128,14 +128,14 @@ def plots(diagnostics: Diagnostics) -> tuple[Plot, ...]:
     )
 
 
-def _over_signal_alt(what: str, comparisons: Sequence[Comparison]) -> str:
+def _over_signal_alt(what: str, comparisons: Sequence[TheoryCheck]) -> str:
     return (
         f"{what} against the signal from {SIGNALS_E[0]:g} to {SIGNALS_E[-1]:g} electrons, simulated and by the closed "
         f"form. {_worst(comparisons)}"
     )
 
 
-def _worst(comparisons: Sequence[Comparison]) -> str:
+def _worst(comparisons: Sequence[TheoryCheck]) -> str:
     deviations = [abs(item.deviation) for item in comparisons if item.deviation is not None]
     if not deviations:
         return "No standard errors."
@@ -149,7 +149,9 @@ def _letters(name: str) -> str:
 # --- figures ------------------------------------------------------------------------------------------------------
 
 
-def _with_deviations(comparisons: Sequence[Comparison], at: Sequence[float], theme: Theme) -> tuple[Figure, Axes, Axes]:
+def _with_deviations(
+    comparisons: Sequence[TheoryCheck], at: Sequence[float], theme: Theme
+) -> tuple[Figure, Axes, Axes]:
     """Return a figure whose lower axes show deviations in standard errors; the upper ones are to be filled."""
     drawing = figure()
     main, below = drawing.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [2.6, 1]})
@@ -165,7 +167,7 @@ def _with_deviations(comparisons: Sequence[Comparison], at: Sequence[float], the
 
 
 def _over_signal(
-    comparisons: Sequence[Comparison], theory: Callable[[float], float], label: str, theme: Theme
+    comparisons: Sequence[TheoryCheck], theory: Callable[[float], float], label: str, theme: Theme
 ) -> Figure:
     """Draw something against the signal; both axes are logarithmic, but for the neighbourhood of 0."""
     drawing, main, below = _with_deviations(comparisons, SIGNALS_E, theme)
@@ -196,22 +198,11 @@ def _over_signal(
 
 
 def _mean(diagnostics: Diagnostics, theme: Theme) -> Figure:
-    model, parameters = diagnostics.model, diagnostics.parameters
-
-    def theory(signal: float) -> float:
-        return sum(model.expected_mean_dn(signal, parameters, channel) for channel in range(4)) / 4
-
-    return _over_signal(diagnostics.mean, theory, "mean of D [DN]", theme)
+    return _over_signal(diagnostics.mean, diagnostics.expected_mean_dn, "mean of D [DN]", theme)
 
 
 def _variance(diagnostics: Diagnostics, theme: Theme) -> Figure:
-    model, parameters = diagnostics.model, diagnostics.parameters
-    return _over_signal(
-        diagnostics.variance,
-        lambda signal: model.expected_variance_dn2(signal, parameters),
-        "variance of D [DN²]",
-        theme,
-    )
+    return _over_signal(diagnostics.variance, diagnostics.expected_variance_dn2, "variance of D [DN²]", theme)
 
 
 def _colour_bias(diagnostics: Diagnostics, theme: Theme) -> Figure:
@@ -233,14 +224,11 @@ def _colour_bias(diagnostics: Diagnostics, theme: Theme) -> Figure:
 
 
 def _row_means(diagnostics: Diagnostics, theme: Theme) -> Figure:
-    from scipy.special import ndtri
-
     drawing = figure()
     axes = drawing.subplots()
     means = diagnostics.row_means_dn
-    levels = (np.arange(means.size) + 0.5) / means.size
     shown = thinned(means.size)
-    z = ndtri(levels)
+    z = diagnostics.normal_quantiles
     expected = diagnostics.rows[0].expected
     ends = np.array([z[0], z[-1]])
     axes.plot(ends, ends * expected, color=theme.theory, label="closed form")
@@ -271,7 +259,7 @@ def _read_fit(diagnostics: Diagnostics, theme: Theme) -> Figure:
     name = "sigma_gauss_dn" if gaussian else "sigma_tl_dn"
     return _fit(
         diagnostics,
-        read_fit(diagnostics.profile, diagnostics.model.components),
+        diagnostics.read_fit,
         diagnostics.draws.sigma_read_dn,
         name,
         r"$\sigma_\mathrm{G}$ [DN]" if gaussian else r"$\sigma_\mathrm{TL}$ [DN]",

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 from capture.cli.values import metered, scene_time, seconds, spaced, whole_number
 from capture.protocol import PROTOCOLS, RELEASED
-from eldata.base.console import OK, add_debug, add_json, write_json
+from eldata.base.console import OK, add_debug, add_json
+from eldata.base.files import write_json
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:

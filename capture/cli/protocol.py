@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 from capture.cli.values import seconds, spaced, whole_number
 from capture.protocol import RELEASED, CaptureProtocol
-from eldata.base.console import OK, add_debug, add_json, write_json
+from eldata.base.console import OK, add_debug, add_json
+from eldata.base.files import write_json
 from eldata.base.tables import text_table
 
 if TYPE_CHECKING:

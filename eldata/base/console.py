@@ -7,14 +7,12 @@ reader of the output left before its end.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 import traceback
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from eldata.base.files import write_text
 from eldata.errors import EldataError
 
 if TYPE_CHECKING:
@@ -111,11 +109,6 @@ def _positive(text: str) -> int:
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"expected a whole number of 1 or more, found {text!r}")
     return int(text)
-
-
-def write_json(path: str, data: Any) -> None:
-    """Write plain types as JSON, whole or not at all."""
-    write_text(path, json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:

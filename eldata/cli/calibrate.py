@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from eldata.base.console import OK, PROBLEMS, add_debug, add_json, add_root, add_workers, chosen_workers, write_json
+from eldata.base.console import OK, PROBLEMS, add_debug, add_json, add_root, add_workers, chosen_workers
+from eldata.base.files import write_json
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -6,7 +6,6 @@ changes, in thirds of a stop, so that the signal is proportional to time x K ove
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
-from eldata.base.files import write_text
+from eldata.base.files import write_json
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.demo.body import Body, FixedFeatures, KnownNoise
 from eldata.errors import ArgumentError
@@ -213,7 +212,7 @@ def make_calibration_frames(
             pass
     finally:
         _body.cache_clear()  # a caller's process need not keep its arrays
-    write_text(folder / "truth.json", json.dumps(_truth(plan, body), indent=1) + "\n")
+    write_json(folder / "truth.json", _truth(plan, body), indent=1)
     records = [_record(shot, data, camera.name) for shot in shots]
     save_card(manifests / f"{NAME}.json", _card(camera, records))
     save_records(manifests / f"{NAME}.csv", records)

@@ -6,7 +6,7 @@ import json
 from dataclasses import MISSING, asdict, dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
-from eldata.base.files import path_problem, write_text
+from eldata.base.files import path_problem, write_json
 from eldata.errors import ManifestError
 from eldata.manifest.subsets import Subset
 
@@ -162,7 +162,7 @@ def load_card(path: Path) -> Card:
 
 def save_card(path: Path, card: Card) -> None:
     """Write a dataset card as JSON, whole or not at all."""
-    write_text(path, json.dumps(asdict(card), indent=2, ensure_ascii=False) + "\n")
+    write_json(path, asdict(card))
 
 
 def _subsets(path: Path, value: Any) -> tuple[Subset, ...]:

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from eldata.base.files import write_text
+from eldata.base.files import write_json
 from eldata.errors import ArgumentError, ProfileError
 from eldata.noise.parameters import NoiseParameters, shape_problem
 from eldata.noise.randomness import Generator, standard_normals, uniforms
@@ -115,7 +115,7 @@ class CameraProfile:
 
     def save(self, path: Path | str) -> None:
         """Write the profile as JSON, whole or not at all."""
-        write_text(path, json.dumps({"schema": SCHEMA} | asdict(self), indent=1) + "\n")
+        write_json(path, {"schema": SCHEMA} | asdict(self), indent=1)
 
     def gain_at_iso(self, iso: float) -> float:
         """Return K at an ISO: the row's where one was measured, else in proportion between the known limits.

@@ -201,12 +201,10 @@ class _Matcher:
                 titles = ", ".join(block.title for block in blocks)
                 lost = ", ".join(block.title for block in blocks[len(places) :])
                 verb = "is" if len(blocks) - len(places) == 1 else "are"
-                self.remarks.append(
-                    MatchRemark(
-                        "ambiguous",
-                        f"{titles} have equal exposures, and {len(places)} of these {len(blocks)} were found: taken "
-                        f"for the first ones, so {lost} {verb} missing. If another one is, edit the mapping",
-                    )
+                self.note(
+                    "ambiguous",
+                    f"{titles} have equal exposures, and {len(places)} of these {len(blocks)} were found: taken for "
+                    f"the first ones, so {lost} {verb} missing. If another one is, edit the mapping",
                 )
         found.sort(key=lambda place: place.first)
         self.note_order(found)
@@ -222,12 +220,10 @@ class _Matcher:
         if len(blocks) > 1:
             titles = ", ".join(block.title for block in blocks)
             names = ", ".join(f"{self.name(place.first)} to {self.name(place.last)}" for place in dropped)
-            self.remarks.append(
-                MatchRemark(
-                    "ambiguous",
-                    f"{titles} have equal exposures, and {len(places)} such series were found for {len(blocks)}: "
-                    f"left out as a first attempt: {names}. If another one is, edit the mapping",
-                )
+            self.note(
+                "ambiguous",
+                f"{titles} have equal exposures, and {len(places)} such series were found for {len(blocks)}: left out "
+                f"as a first attempt: {names}. If another one is, edit the mapping",
             )
         return sorted(kept, key=lambda place: place.first)
 
@@ -235,7 +231,7 @@ class _Matcher:
         planned = [block.title for block in self.blocks]
         taken = [place.block.title for place in found]
         if taken != [title for title in planned if title in taken]:
-            self.remarks.append(MatchRemark("scene-order", f"taken in the order {', '.join(taken)}"))
+            self.note("scene-order", f"taken in the order {', '.join(taken)}")
 
     # --- what is left over --------------------------------------------------------------------------------------------
 
@@ -294,16 +290,8 @@ class _Matcher:
         for index in unused:
             taken = self.name(chosen[-1]) if len(chosen) == 1 else f"{self.name(chosen[0])} to {self.name(chosen[-1])}"
             which = "last" if self.repeated == "last" else "first"
-            self.remarks.append(
-                MatchRemark(
-                    "repeated",
-                    f"{self.name(index)}: {block.title} frame {shot.number} was taken more than once; the {which} one "
-                    f"is used, {taken}",
-                    block.scene,
-                    shot.number,
-                    self.frames[index].path,
-                )
-            )
+            text = f"{block.title} frame {shot.number} was taken more than once; the {which} one is used, {taken}"
+            self.note("repeated", f"{self.name(index)}: {text}", (block, shot), index)
 
     def windows(self, found: Sequence[_Found]) -> dict[int, range]:
         """Return the frames between which each block's forgotten shots may stand: up to its neighbours' own."""
@@ -337,15 +325,8 @@ class _Matcher:
                 at[shot.number] = chosen
                 after = [number for number, i in at.items() if i < chosen]
                 where = f"after frame {max(after, key=lambda number: at[number])}" if after else "before all others"
-                self.remarks.append(
-                    MatchRemark(
-                        "out-of-order",
-                        f"{self.name(chosen)}: {place.block.title} frame {shot.number}, taken out of order ({where})",
-                        place.block.scene,
-                        shot.number,
-                        self.frames[chosen].path,
-                    )
-                )
+                text = f"{self.name(chosen)}: {place.block.title} frame {shot.number}, taken out of order ({where})"
+                self.note("out-of-order", text, (place.block, shot), chosen)
 
     def name_missing(self, found: Sequence[_Found]) -> None:
         have = {(block.scene, shot.number) for block, shot in self.used.values()}
@@ -354,7 +335,8 @@ class _Matcher:
             lacking = [shot for shot in block.shots if (block.scene, shot.number) not in have]
             if len(lacking) == len(block.shots):
                 text = f"{block.title}: none of its {len(lacking)} frames"
-                self.remarks += [MatchRemark("missing", text, block.scene, shot.number) for shot in lacking]
+                for shot in lacking:
+                    self.note("missing", text, (block, shot))
                 continue
             for shot in lacking:
                 settings = f"{shot.role}, ISO {shot.iso}, {shot.setting.dial} s"
@@ -364,17 +346,10 @@ class _Matcher:
                 if near is not None:
                     frame = self.frames[near]
                     text += f"; {frame.path.name} may be meant, but was taken at {frame.settings}"
-                    self.remarks.append(
-                        MatchRemark(
-                            "wrong-setting",
-                            f"{frame.path.name}: {frame.settings}, where {block.title} frame {shot.number} asks for "
-                            f"ISO {shot.iso}, {shot.setting.dial} s; not used",
-                            block.scene,
-                            shot.number,
-                            frame.path,
-                        )
-                    )
-                self.remarks.append(MatchRemark("missing", text, block.scene, shot.number))
+                    wanted = f"{block.title} frame {shot.number} asks for ISO {shot.iso}, {shot.setting.dial} s"
+                    wrong = f"{frame.path.name}: {frame.settings}, where {wanted}; not used"
+                    self.note("wrong-setting", wrong, (block, shot), near)
+                self.note("missing", text, (block, shot))
 
     def meant_for(self, shot: Shot, window: range, place: _Found) -> int | None:
         """Return the left-over frame that stands where a missing shot should, with the ISO or time slightly off."""
@@ -411,7 +386,13 @@ class _Matcher:
                         "their order were taken for; not used"
                     )
                     break
-            self.remarks.append(MatchRemark(kind, text, path=frame.path))
+            self.note(kind, text, frame=index)
+
+    def note(self, kind: Kind, text: str, of: tuple[_Block, Shot] | None = None, frame: int | None = None) -> None:
+        """Remark on something, of which shot and which frame."""
+        path = None if frame is None else self.frames[frame].path
+        scene, number = ("", None) if of is None else (of[0].scene, of[1].number)
+        self.remarks.append(MatchRemark(kind, text, scene, number, path))
 
     def name(self, index: int) -> str:
         return self.frames[index].path.name

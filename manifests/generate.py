@@ -9,8 +9,8 @@ import argparse
 from collections.abc import Iterable
 from pathlib import Path
 
-from eldata.manifest.card import Card, save_card
-from eldata.manifest.table import save_records
+from eldata.manifest.card import Card
+from eldata.manifest.catalogue import save_manifest
 from eldata.records import FrameRecord
 from manifests.published_drv import load_splits, published_drv, save_splits, splits_from_lists
 from manifests.published_eld import published_eld
@@ -52,8 +52,7 @@ def main() -> None:
         lists = {split: arguments.drv_lists / f"{split}_list.txt" for split in ("train", "val", "test")}
         save_splits(facts_of("drv"), splits_from_lists(lists))
     for card, records in published():
-        save_records(FOLDER / f"{card.name}.csv", records)
-        save_card(FOLDER / f"{card.name}.json", card)
+        save_manifest(FOLDER / f"{card.name}.csv", card, records)
 
 
 if __name__ == "__main__":

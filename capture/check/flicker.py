@@ -11,12 +11,12 @@ holds the noise that the rows really have, row noise and banding included, so no
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from capture.check.measures import Estimate
+from capture.check.measures import Estimate, Measure, MeasureKind
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -48,6 +48,12 @@ class Flicker:
     amplitude: Estimate
     cycles: float
     sigmas: float
+
+    def measure(self, kind: MeasureKind, path: str, text: str) -> Measure:
+        """Return the amplitude as a measure in percent, judged by this frame's own chance."""
+        amplitude = self.amplitude
+        own = replace(kind, sigmas=self.sigmas)
+        return Measure(own, path, text, 100 * amplitude.value, 100 * amplitude.standard_error)
 
 
 def flicker_of_contrast(residuals: StripResiduals) -> Flicker | None:

@@ -119,12 +119,12 @@ class CheckReport:
 
 def measure_summary(measure: Measure) -> str:
     """Return a measure's name and value, such as ``shift 0.02 ± 0.01 px``; a ratio as its distance from the nominal."""
-    if not measure.unit:
-        off, error = (100 * value / measure.expected for value in (measure.value, measure.standard_error))
+    if not measure.kind.unit:
+        off, error = (100 * value / measure.kind.expected for value in (measure.value, measure.standard_error))
         return f"{measure.name} {with_error(off - 100, max(error, _FINEST))} % off"
     if not measure.standard_error:
-        return f"{measure.name} {measure.value:.3g} {measure.unit}"
-    return f"{measure.name} {with_error(measure.value, max(measure.standard_error, _FINEST))} {measure.unit}"
+        return f"{measure.name} {measure.value:.3g} {measure.kind.unit}"
+    return f"{measure.name} {with_error(measure.value, max(measure.standard_error, _FINEST))} {measure.kind.unit}"
 
 
 _FINEST = 0.01  # of the digits in a summary: %, px or DN
@@ -132,8 +132,8 @@ _FINEST = 0.01  # of the digits in a summary: %, px or DN
 
 def _closeness(measure: Measure) -> tuple[int, float, float]:
     # Of values that are well, one that may be chance is less close to its limit than its distance says.
-    beyond_chance = max(0.0, measure.deviation - measure.sigmas * measure.standard_error)
-    limit = min(measure.limits.look, measure.limits.again)
+    beyond_chance = max(0.0, measure.deviation - measure.kind.sigmas * measure.standard_error)
+    limit = min(measure.kind.look, measure.kind.again)
     return VERDICTS.index(measure.verdict), beyond_chance / limit, measure.deviation / limit
 
 

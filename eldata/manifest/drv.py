@@ -22,16 +22,15 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from eldata.errors import DatasetError
-from eldata.manifest.card import Card, save_card
-from eldata.manifest.catalogue import Manifest, load_manifest, shipped_manifest
+from eldata.manifest.catalogue import Manifest, save_manifest, shipped_manifest
 from eldata.manifest.patterns import expand, is_pattern
-from eldata.manifest.table import save_records
 from eldata.raw.extensions import RAW_EXTENSIONS
 from eldata.records import FrameRecord
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
+    from eldata.manifest.card import Card
     from eldata.records import Role
 
 # Split of the clips without a reference.
@@ -106,10 +105,7 @@ class Scan:
 
     def save(self, path: Path | str) -> Manifest:
         """Write the manifest's CSV and, beside it, its card; ``eldata verify`` and ``eldata lock`` take it then."""
-        path = Path(path)
-        save_card(path.with_suffix(".json"), self.card)
-        save_records(path, self.records)
-        return load_manifest(path)
+        return save_manifest(path, self.card, self.records)
 
 
 def scan_preprocessed(folder: Path | str) -> Scan:

@@ -7,7 +7,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.reports.figures import MARKERS, Plot, Theme, deviation_band, drawn, figure, legend_above, log_ticks, thinned
+from eldata.reports.figures import (
+    MARKERS,
+    Plot,
+    Theme,
+    deviation_band,
+    drawn,
+    figure,
+    legend_above,
+    log_ticks,
+    one_axes,
+    probability_plot,
+    thinned,
+)
 from eldata.reports.html import digits, measured
 
 if TYPE_CHECKING:
@@ -209,18 +221,16 @@ def rows_plot(one: IsoCalibration) -> Plot:
 
 def _rows(one: IsoCalibration, theme: Theme) -> Figure:
     rows = one.rows.rows
-    drawing = figure()
-    axes = drawing.subplots()
     shown = thinned(rows.quantiles.size)
-    ends = rows.quantiles[[0, -1]]
-    slope, level = rows.normal_line_dn
-    axes.plot(ends, slope * ends + level, color=theme.theory, label="normal")
-    axes.plot(rows.quantiles[shown], rows.ordered_dn[shown], "o", markersize=3, color=theme.found, label="row means")
-    _note(axes, f"R² {digits(rows.r_squared, 5)}\nShapiro-Wilk p {digits(rows.shapiro_p, 2)}")
-    axes.set_xlabel("normal quantile")
-    axes.set_ylabel("row mean [DN]")
-    axes.legend(loc="upper left")
-    return drawing
+    return probability_plot(
+        rows.quantiles[shown],
+        rows.ordered_dn[shown],
+        rows.normal_line_dn,
+        theme,
+        names=("normal", "row means"),
+        labels=("normal quantile", "row mean [DN]"),
+        note=f"R² {digits(rows.r_squared, 5)}\nShapiro-Wilk p {digits(rows.shapiro_p, 2)}",
+    )
 
 
 def line_spectrum_plot(one: IsoCalibration) -> Plot:
@@ -243,8 +253,7 @@ def line_spectrum_plot(one: IsoCalibration) -> Plot:
 
 def _line_spectrum(one: IsoCalibration, theme: Theme) -> Figure:
     rows, columns = one.rows.rows, one.rows.columns
-    drawing = figure()
-    axes = drawing.subplots()
+    drawing, axes = one_axes()
     variance = one.rows.pixel_variance_dn2 or 1.0
     of_pixels = variance / columns.deviations_dn.shape[1]
     for line, alone, colour, style, name in (
@@ -293,8 +302,7 @@ def ppcc_plot(one: IsoCalibration) -> Plot:
 
 def _ppcc(one: IsoCalibration, theme: Theme) -> Figure:
     read = one.read
-    drawing = figure()
-    axes = drawing.subplots()
+    drawing, axes = one_axes()
     shapes, correlations = read.curve
     best = read.highest_correlation
     axes.plot(shapes, correlations, color=theme.found)
@@ -358,21 +366,15 @@ def _probability(
     family: str,
     theme: Theme,
 ) -> Figure:
-    drawing = figure()
-    axes = drawing.subplots()
-    ends = quantiles[[0, -1]]
-    axes.plot(ends, slope * ends, color=theme.theory, label=family)
-    axes.plot(quantiles, ordered, "o", markersize=3, color=theme.found, label="read noise")
-    _note(axes, f"R² {digits(r_squared, 6)}")
-    axes.set_xlabel(f"{family} quantile")
-    axes.set_ylabel("read noise [DN]")
-    axes.legend(loc="upper left")
-    return drawing
-
-
-def _note(axes: Axes, text: str) -> None:
-    """Write into the lower right corner, which rising points leave free."""
-    axes.text(0.98, 0.04, text, transform=axes.transAxes, ha="right", va="bottom", fontsize=9.5)
+    return probability_plot(
+        quantiles,
+        ordered,
+        (slope, 0.0),
+        theme,
+        names=(family, "read noise"),
+        labels=(f"{family} quantile", "read noise [DN]"),
+        note=f"R² {digits(r_squared, 6)}",
+    )
 
 
 # --- real against simulated ---------------------------------------------------------------------------------------
@@ -394,17 +396,15 @@ def reproduced_quantiles_plot(one: IsoCalibration, reproduction: Reproduction) -
 
 
 def _reproduced_quantiles(reproduction: Reproduction, theme: Theme) -> Figure:
-    drawing = figure()
-    axes = drawing.subplots()
-    real, simulated = reproduction.quantiles_real_dn, reproduction.quantiles_simulated_dn
-    ends = simulated[[0, -1]]
-    axes.plot(ends, ends, color=theme.theory, label="alike")
-    axes.plot(simulated, real, "o", markersize=3, color=theme.found, label="quantiles")
-    _note(axes, f"R² {digits(reproduction.r_squared, 6)}")
-    axes.set_xlabel("simulated [DN]")
-    axes.set_ylabel("real [DN]")
-    axes.legend(loc="upper left")
-    return drawing
+    return probability_plot(
+        reproduction.quantiles_simulated_dn,
+        reproduction.quantiles_real_dn,
+        (1.0, 0.0),
+        theme,
+        names=("alike", "quantiles"),
+        labels=("simulated [DN]", "real [DN]"),
+        note=f"R² {digits(reproduction.r_squared, 6)}",
+    )
 
 
 def reproduced_rows_plot(one: IsoCalibration, reproduction: Reproduction) -> Plot:
@@ -424,8 +424,7 @@ def reproduced_rows_plot(one: IsoCalibration, reproduction: Reproduction) -> Plo
 
 
 def _reproduced_rows(reproduction: Reproduction, period: int, theme: Theme) -> Figure:
-    drawing = figure()
-    axes = drawing.subplots()
+    drawing, axes = one_axes()
     frequency, real, simulated = reproduction.smoothed_row_powers_dn2(period)
     axes.plot(frequency, simulated, "--", color=theme.theory, label="simulated")
     axes.plot(frequency, real, "-", color=theme.found, label="real")

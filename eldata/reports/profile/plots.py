@@ -20,7 +20,9 @@ from eldata.reports.figures import (
     fit_band,
     log_log,
     log_ticks,
+    one_axes,
     plain_ticks,
+    probability_plot,
     thinned,
 )
 
@@ -224,19 +226,16 @@ def _colour_bias(diagnostics: Diagnostics, theme: Theme) -> Figure:
 
 
 def _row_means(diagnostics: Diagnostics, theme: Theme) -> Figure:
-    drawing = figure()
-    axes = drawing.subplots()
     means = diagnostics.row_means_dn
     shown = thinned(means.size)
-    z = diagnostics.normal_quantiles
-    expected = diagnostics.rows[0].expected
-    ends = np.array([z[0], z[-1]])
-    axes.plot(ends, ends * expected, color=theme.theory, label="closed form")
-    axes.plot(z[shown], means[shown], "o", markersize=3, color=theme.found, label="simulated")
-    axes.set_xlabel("normal quantile")
-    axes.set_ylabel("row mean [DN]")
-    axes.legend(loc="upper left")
-    return drawing
+    return probability_plot(
+        diagnostics.normal_quantiles[shown],
+        means[shown],
+        (diagnostics.rows[0].expected, 0.0),
+        theme,
+        names=("closed form", "simulated"),
+        labels=("normal quantile", "row mean [DN]"),
+    )
 
 
 def _read_noise(diagnostics: Diagnostics, theme: Theme) -> Figure:
@@ -276,8 +275,7 @@ def _fit(
     diagnostics: Diagnostics, fit: LogLogFit, scales: NDArray[np.float64], field: str, label: str, theme: Theme
 ) -> Figure:
     """Draw a log-log fit with its bands, the draws, the measured rows and the draw that is examined."""
-    drawing = figure()
-    axes = drawing.subplots()
+    drawing, axes = one_axes()
     low, high = diagnostics.profile.gain_range_dn_per_e
     gains = np.geomspace(low / 1.15, high * 1.15, 50)
     fit_band(axes, fit, gains, theme)
@@ -324,8 +322,7 @@ def _by_iso(diagnostics: Diagnostics, axes: Axes) -> list[float]:
 
 
 def _lambda_rows(diagnostics: Diagnostics, theme: Theme) -> Figure:
-    drawing = figure()
-    axes = drawing.subplots()
+    drawing, axes = one_axes()
     places = _by_iso(diagnostics, axes)
     axes.axhline(0, color=theme.theory, linewidth=1)
     axes.plot(places, [row.tukey_lambda for row in diagnostics.profile.rows], "o", color=theme.found)
@@ -334,8 +331,7 @@ def _lambda_rows(diagnostics: Diagnostics, theme: Theme) -> Figure:
 
 
 def _bias_rows(diagnostics: Diagnostics, theme: Theme) -> Figure:
-    drawing = figure()
-    axes = drawing.subplots()
+    drawing, axes = one_axes()
     places = _by_iso(diagnostics, axes)
     step = 0.07 if axes.get_xscale() == "log" else 0.0  # side by side, where the channels' values are alike
     for channel, name in enumerate(CHANNELS):

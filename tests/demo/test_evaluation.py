@@ -124,7 +124,7 @@ def test_running_again_after_an_interruption(tmp_path: Path, monkeypatch: pytest
         def interrupt(*_: object) -> None:
             raise KeyboardInterrupt
 
-        patch.setattr("eldata.demo.tree.save_records", interrupt)
+        patch.setattr("eldata.demo.tree.save_manifest", interrupt)
         with pytest.raises(KeyboardInterrupt):
             run_demo(tmp_path / "x", scenes=1)
     assert (tmp_path / "x").exists()

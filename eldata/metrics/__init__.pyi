@@ -12,20 +12,3 @@ from .st_rred import PEAK_ELD as PEAK_ELD
 from .st_rred import StRred as StRred
 from .st_rred import raw_to_grey as raw_to_grey
 from .st_rred import st_rred as st_rred
-
-__all__ = [
-    "PEAK_8_BIT",
-    "PEAK_ELD",
-    "Score",
-    "ScoringRules",
-    "StRred",
-    "factor_by",
-    "psnr",
-    "raw_to_grey",
-    "rescale",
-    "rescale_factor",
-    "score",
-    "score_by",
-    "ssim",
-    "st_rred",
-]

@@ -216,7 +216,7 @@ def bars(axes: Axes, at: Sequence[float], values: Sequence[float], errors: Seque
     axes.errorbar(at, values, yerr=errors, fmt="o", color=theme.found, capsize=3, label="measured")
 
 
-def probability_plot(
+def quantile_plot(
     expected: NDArray[np.float64],
     found: NDArray[np.float64],
     line: tuple[float, float],

@@ -17,7 +17,7 @@ from eldata.reports.figures import (
     legend_above,
     log_ticks,
     one_axes,
-    probability_plot,
+    quantile_plot,
     thinned,
 )
 from eldata.reports.html import digits, measured
@@ -222,7 +222,7 @@ def rows_plot(one: IsoCalibration) -> Plot:
 def _rows(one: IsoCalibration, theme: Theme) -> Figure:
     rows = one.rows.rows
     shown = thinned(rows.quantiles.size)
-    return probability_plot(
+    return quantile_plot(
         rows.quantiles[shown],
         rows.ordered_dn[shown],
         rows.normal_line_dn,
@@ -366,7 +366,7 @@ def _probability(
     family: str,
     theme: Theme,
 ) -> Figure:
-    return probability_plot(
+    return quantile_plot(
         quantiles,
         ordered,
         (slope, 0.0),
@@ -396,7 +396,7 @@ def reproduced_quantiles_plot(one: IsoCalibration, reproduction: Reproduction) -
 
 
 def _reproduced_quantiles(reproduction: Reproduction, theme: Theme) -> Figure:
-    return probability_plot(
+    return quantile_plot(
         reproduction.quantiles_simulated_dn,
         reproduction.quantiles_real_dn,
         (1.0, 0.0),

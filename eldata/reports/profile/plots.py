@@ -22,7 +22,7 @@ from eldata.reports.figures import (
     log_ticks,
     one_axes,
     plain_ticks,
-    probability_plot,
+    quantile_plot,
     thinned,
 )
 
@@ -228,7 +228,7 @@ def _colour_bias(diagnostics: Diagnostics, theme: Theme) -> Figure:
 def _row_means(diagnostics: Diagnostics, theme: Theme) -> Figure:
     means = diagnostics.row_means_dn
     shown = thinned(means.size)
-    return probability_plot(
+    return quantile_plot(
         diagnostics.normal_quantiles[shown],
         means[shown],
         (diagnostics.rows[0].expected, 0.0),

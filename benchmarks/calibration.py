@@ -31,8 +31,8 @@ from eldata.calibration import (
     row_noise,
 )
 from eldata.datasets import CalibrationFrames
-from eldata.demo.body import tukey_lambda_quantile
 from eldata.demo.calibration_frames import DEMO_GAMMA, make_calibration_frames
+from eldata.noise.diagnostics import tukey_lambda_quantile
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

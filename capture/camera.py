@@ -7,7 +7,6 @@ Exposure ratios follow from what is given. So both are kept.
 
 from __future__ import annotations
 
-import json
 import re
 from bisect import bisect_left
 from dataclasses import dataclass
@@ -16,10 +15,10 @@ from functools import cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
-from capture.errors import CameraError
+from capture.capture_errors import CameraError
 from capture.exact import ExactNumber, as_exact, parse_seconds
 from eldata.base.fields import Fields, TextFile
-from eldata.base.files import write_text
+from eldata.base.files import write_json
 from eldata.errors import ArgumentError
 from eldata.raw.extensions import RAW_EXTENSIONS
 
@@ -271,7 +270,7 @@ class CameraDescription:
 
     def save(self, path: Path | str) -> None:
         """Write the description as JSON, whole or not at all."""
-        write_text(path, json.dumps({"schema": SCHEMA} | camera_as_dict(self), indent=2) + "\n")
+        write_json(path, {"schema": SCHEMA} | camera_as_dict(self))
 
     @property
     def fastest(self) -> ShutterTime:

@@ -26,8 +26,8 @@ import unicodedata
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from capture.checklist_content import Row, every_item, rows
-from capture.errors import PlanError
+from capture.capture_errors import PlanError
+from capture.checklist_content import ChecklistRow, every_item, rows
 from capture.exact import parse_seconds
 from eldata.base.fields import Fields, TextFile, shown
 
@@ -173,7 +173,7 @@ def _scene(fields: Fields, plan: Plan, before: Sequence[str]) -> SceneProgress:
     return SceneProgress(name, metered_s, _shots(fields, "shots", rows(scene.shots)))
 
 
-def _shots(fields: Fields, name: str, expected: Sequence[Row]) -> tuple[ShotProgress, ...]:
+def _shots(fields: Fields, name: str, expected: Sequence[ChecklistRow]) -> tuple[ShotProgress, ...]:
     items = fields.objects(name)
     if len(items) != len(expected):
         raise fields.problem(name, f"expected the plan's {len(expected)} rows, found {len(items)} rows")

@@ -6,7 +6,6 @@ follow. On load they are computed again and must agree: a shot changed by hand w
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from contextlib import contextmanager
@@ -17,12 +16,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 from capture.calibration import CalibrationPlan, plan_calibration
 from capture.camera import CameraDescription, camera_as_dict, camera_from, wholes
-from capture.errors import PlanError
+from capture.capture_errors import PlanError
 from capture.exact import parse_seconds
 from capture.protocol import CaptureProtocol
 from capture.shots import Shot, check_isos, scene_shots
 from eldata.base.fields import Fields, TextFile, shown
-from eldata.base.files import write_text
+from eldata.base.files import write_json
 from eldata.errors import EldataError
 
 if TYPE_CHECKING:
@@ -221,7 +220,7 @@ class Plan:
 
     def save(self, path: Path | str) -> None:
         """Write the plan as JSON, whole or not at all."""
-        write_text(path, json.dumps(self.as_dict(), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+        write_json(path, self.as_dict(), indent=1)
 
     @classmethod
     def load(cls, path: Path | str) -> Plan:

@@ -22,13 +22,13 @@ from eldata.evaluation.published import load_published
 from eldata.isp.response_files import read_response_table
 from eldata.manifest.card import load_card
 from eldata.manifest.catalogue import shipped_manifest
-from eldata.manifest.sid import SHORT_EXPOSURES, load_scenes
 from eldata.manifest.table import COLUMNS, load_records
 from eldata.noise.profile import CameraProfile
 from eldata.protocols.custom import load_protocol
 from eldata.records import Exposure, PairRecord, Sensor
 from eldata.sources.shards.layout import Facts, Side, facts_text, parse_facts, parse_index
 from eldata.sources.store.layout import stored_frame
+from manifests.sid_scenes import SHORT_EXPOSURES, load_scenes
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, Final
 
+from capture.capture_errors import TetherError
 from capture.exact import as_exact
 from capture.matching import STOPS_TOLERANCE
-from capture.tether.errors import TetherError
 from eldata.base.fields import fraction_of, whole_of
 
 if TYPE_CHECKING:

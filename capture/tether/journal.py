@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import TYPE_CHECKING, Any, Final
 
+from capture.capture_errors import JournalError
 from capture.plan import CALIBRATION
-from capture.tether.errors import JournalError
 from eldata.base.fields import TextFile
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from capture.tether.errors import TetherError
+from capture.capture_errors import TetherError
 from eldata.base.fields import TextFile
 from eldata.base.files import check_posix, try_lock
 

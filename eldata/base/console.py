@@ -7,7 +7,6 @@ reader of the output left before its end.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 import traceback
@@ -15,7 +14,6 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from eldata.base.fields import whole_of
-from eldata.base.files import write_text
 from eldata.errors import ArgumentError, EldataError
 
 if TYPE_CHECKING:
@@ -118,11 +116,6 @@ def whole_number(at_least: int) -> Callable[[str], int]:
             raise argparse.ArgumentTypeError(str(error)) from None
 
     return read
-
-
-def write_json(path: str, data: Any) -> None:
-    """Write plain types as JSON, whole or not at all."""
-    write_text(path, json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:

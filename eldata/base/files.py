@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import secrets
 import sys
@@ -55,6 +56,16 @@ def write_text(path: Path | str, text: str) -> None:
     """Write UTF-8 text whole or not at all, with line ends as given."""
     with atomic_write(path) as file:
         file.write(text.encode())
+
+
+def write_json(path: Path | str, data: object, *, indent: int = 2) -> None:
+    """Write plain types as JSON, whole or not at all."""
+    write_text(path, json_text(data, indent=indent))
+
+
+def json_text(data: object, *, indent: int = 2) -> str:
+    """Return plain types as the text of a JSON file; only finite numbers have a place in it."""
+    return json.dumps(data, indent=indent, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def check_posix(what: str) -> None:

@@ -13,8 +13,8 @@ from eldata.base.console import (
     add_workers,
     chosen_workers,
     whole_number,
-    write_json,
 )
+from eldata.base.files import write_json
 
 if TYPE_CHECKING:
     import argparse

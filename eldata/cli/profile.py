@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_debug, add_json, whole_number, write_json
+from eldata.base.console import OK, PROBLEMS, add_debug, add_json, whole_number
+from eldata.base.files import write_json
 
 if TYPE_CHECKING:
     import argparse
@@ -50,7 +51,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def run_show(arguments: argparse.Namespace) -> int:
     """Show and test one profile."""
     from eldata.base.tables import text_table
-    from eldata.noise.diagnostics import diagnose, parameter_rows, sample_parameters
+    from eldata.noise.diagnostics import diagnose, sample_parameters
+    from eldata.noise.findings import parameter_rows
     from eldata.noise.profile import CameraProfile
 
     profile = CameraProfile.load(arguments.camera)

@@ -29,7 +29,7 @@ class Version:
 
 
 class Partial:
-    """A file on its way: ``<name>.part``, which :func:`opened` opens, and what it is a part of."""
+    """A file on its way: ``<name>.part``, which :func:`opened_partial` opens, and what it is a part of."""
 
     def __init__(self, target: Path, file: IO[bytes]) -> None:
         self.path, self._note = _paths(target)
@@ -88,7 +88,7 @@ class Partial:
 
 
 @contextmanager
-def opened(target: Path) -> Iterator[Partial]:
+def opened_partial(target: Path) -> Iterator[Partial]:
     """Open what has come of a file, for one process at a time.
 
     Raises

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
 
-from eldata.base.fields import Cells, Fields, TextFile, names_of, shown
+from eldata.base.fields import Fields, TextFile, TextRow, names_of, shown
 from eldata.errors import ManifestError
 from eldata.manifest.catalogue import shipped_folder
 
@@ -153,7 +153,7 @@ def _source(key: str, entry: Fields) -> PublishedSource:
     )
 
 
-def _row(row: Cells, sources: dict[str, PublishedSource]) -> PublishedRow:
+def _row(row: TextRow, sources: dict[str, PublishedSource]) -> PublishedRow:
     source = sources.get(row.text("source"))
     if source is None:
         raise row.problem("source", f"{shown(row.data['source'])} is not in sources.json")

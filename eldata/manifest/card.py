@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING
 
 from eldata.base.fields import Fields, TextFile, names_of, shown
-from eldata.base.files import path_problem, write_text
+from eldata.base.files import path_problem, write_json
 from eldata.errors import ArgumentError, ManifestError
 from eldata.manifest.subsets import Subset
 
@@ -169,4 +168,4 @@ def _subset(entry: Fields) -> Subset:
 
 def save_card(path: Path, card: Card) -> None:
     """Write a dataset card as JSON, whole or not at all."""
-    write_text(path, json.dumps(asdict(card), indent=2, ensure_ascii=False) + "\n")
+    write_json(path, asdict(card))

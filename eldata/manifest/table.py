@@ -8,7 +8,7 @@ import re
 from fractions import Fraction
 from typing import TYPE_CHECKING, get_args
 
-from eldata.base.fields import Cells, TextFile, shown
+from eldata.base.fields import TextFile, TextRow, shown
 from eldata.base.files import path_problem, write_text
 from eldata.errors import ArgumentError, ManifestError
 from eldata.records import FrameRecord, Role
@@ -80,7 +80,7 @@ def _parse(file: TextFile) -> tuple[FrameRecord, ...]:
     role_of = {record.path: record.role for record in records}
     for record, place in zip(records, places.values(), strict=True):
         if record.reference is not None and role_of.get(record.reference) != "reference":
-            row = Cells(file, {}, place)
+            row = TextRow(file, {}, place)
             raise row.wrong("reference", "the path of a row with role reference", record.reference)
     return tuple(sorted(records, key=lambda record: record.path))
 
@@ -115,7 +115,7 @@ def _fields(record: FrameRecord) -> dict[str, str]:
     return {column: text(getattr(record, column)) for column in COLUMNS}
 
 
-def _record(row: Cells) -> FrameRecord:
+def _record(row: TextRow) -> FrameRecord:
     flags = row.data["flags"].split(";") if row.data["flags"] else ()
     if not all(map(_NAME.fullmatch, flags)):
         raise row.wrong("flags", "a ;-separated list of words", row.data["flags"])

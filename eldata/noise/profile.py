@@ -5,7 +5,6 @@ A profile is a JSON file, validated on load. Five cameras ship with the package 
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -13,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from eldata.base.fields import Fields, TextFile, names_of
-from eldata.base.files import write_text
+from eldata.base.files import write_json
 from eldata.errors import ArgumentError, ProfileError
 from eldata.noise.parameters import NoiseParameters, shape_problem
 from eldata.noise.randomness import Generator, standard_normals, uniforms
@@ -115,7 +114,7 @@ class CameraProfile:
 
     def save(self, path: Path | str) -> None:
         """Write the profile as JSON, whole or not at all."""
-        write_text(path, json.dumps({"schema": SCHEMA} | asdict(self), indent=1) + "\n")
+        write_json(path, {"schema": SCHEMA} | asdict(self), indent=1)
 
     def gain_at_iso(self, iso: float) -> float:
         """Return K at an ISO: the row's where one was measured, else in proportion between the known limits.

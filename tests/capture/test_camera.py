@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from capture.camera import EXAMPLE, CameraDescription, Shutter, ladder
-from capture.errors import CameraError
+from capture.capture_errors import CameraError
 from capture.exact import ExactNumber, as_exact
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from capture.calibration import CalibrationPlan, default_isos, plan_calibration
 from capture.camera import EXAMPLE, Shutter
-from capture.errors import ImpossibleShotError, PlanError
+from capture.capture_errors import ImpossibleShotError, PlanError
 from capture.plan import CALIBRATION, RATIO_TOLERANCE, Plan, make_plan
 from capture.protocol import PAPER, RELEASED
 from capture.shots import scene_shots

@@ -14,11 +14,11 @@ from eldata.errors import ArgumentError, ManifestError
 from eldata.manifest.card import load_card, save_card
 from eldata.manifest.catalogue import Manifest, shipped_folder, shipped_manifest
 from eldata.manifest.pairs import select_pairs
-from eldata.manifest.sid import SID_CAMERAS, SONY, load_scenes, save_scenes, scenes_from_lists
-from eldata.manifest.sid_published import published_sid
 from eldata.manifest.subsets import Subset, find_subset
 from eldata.manifest.table import save_records
 from eldata.manifest.verify import Level, Problem, verify
+from manifests.published_sid import published_sid
+from manifests.sid_scenes import SID_CAMERAS, SONY, load_scenes, save_scenes, scenes_from_lists
 from tests.sid_tree import NAMES, SmallTree, build_sid_tree, build_small_tree
 from tests.trees import scale_exposure, swap
 

@@ -15,6 +15,7 @@ from eldata.base.fields import TextFile
 from eldata.base.files import write_text
 from eldata.errors import ManifestError
 from eldata.manifest.card import CameraCard, Card, Download
+from eldata.manifest.drv import DYNAMIC
 from eldata.manifest.subsets import Subset
 from eldata.records import FrameRecord
 
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 CAMERA = "SonyRX100M6"
-DYNAMIC = "dynamic"
 DYNAMIC_CLIPS = tuple(f"M{number:04d}" for number in range(23))
 
 _COLUMNS = ("scene", "split")

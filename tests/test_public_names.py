@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 import eldata
+from tests.waiting import PATIENCE_S
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = sorted(".".join(stub.parent.relative_to(ROOT).parts) for stub in (ROOT / "eldata").rglob("__init__.pyi"))
@@ -73,7 +74,7 @@ def test_a_function_is_not_hidden_by_its_module(package: str, name: str) -> None
         f"assert callable({package}.{name}), {package}.{name}\n"
         "assert callable(eldata.verify) and callable(eldata.evaluate)\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 0, done.stderr
 
 

@@ -18,6 +18,7 @@ import pytest
 import eldata.base.files
 from eldata.base.files import atomic_write, inside, path_problem, sha256_of, write_text
 from eldata.errors import EldataError, ManifestError
+from tests.waiting import PATIENCE_S
 
 OLD, NEW = b"old content", b"new content\n" * 1000
 
@@ -118,7 +119,7 @@ with atomic_write(sys.argv[1]) as file:
 
 def test_kill_9_in_the_middle_leaves_the_old_file_intact(old: Path) -> None:
     env = {**os.environ, "PYTHONPATH": str(Path(eldata.base.files.__file__).parents[2])}
-    done = subprocess.run([sys.executable, "-c", KILLED, str(old)], timeout=60, env=env)
+    done = subprocess.run([sys.executable, "-c", KILLED, str(old)], timeout=PATIENCE_S, env=env)
     assert done.returncode == -signal.SIGKILL
     assert old.read_bytes() == OLD
     # What is left behind is hidden, and it does not stand in the next writer's way.

@@ -24,6 +24,7 @@ from tests.capture.simulated_scenes import (
     radiance,
     write_scenes,
 )
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -358,5 +359,5 @@ def test_help_loads_neither_torch_nor_rawpy() -> None:
         "import sys; from capture.cli import main; main(['check', '--help']); import capture.check; "
         "print([name for name in ('torch', 'rawpy', 'matplotlib') if name in sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S, check=True)
     assert done.stdout.splitlines()[-1] == "[]"

@@ -15,6 +15,7 @@ import pytest
 
 from eldata.noise import CameraProfile
 from tests.calibration.trees import CAMERA, FrameTree, made_tree, relative, rewritten
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -250,7 +251,7 @@ def test_ctrl_c_leaves_nothing_half(jobs: str, pristine: FrameTree, tmp_path: Pa
             assert process.stdout.readline() == "measuring\n"
             time.sleep(0.1)
             os.killpg(process.pid, signal.SIGINT)
-            out, err = process.communicate(timeout=30)
+            out, err = process.communicate(timeout=PATIENCE_S)
         finally:
             process.kill()
     assert process.returncode == 130
@@ -273,7 +274,7 @@ def test_ctrl_c_at_any_moment(pristine: FrameTree, tmp_path: Path) -> None:
             try:
                 time.sleep(delay_s)
                 os.killpg(process.pid, signal.SIGINT)
-                out, err = process.communicate(timeout=30)
+                out, err = process.communicate(timeout=PATIENCE_S)
             finally:
                 process.kill()
         if process.returncode == 0:  # a fast machine

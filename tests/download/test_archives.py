@@ -17,6 +17,7 @@ from eldata.download import archives
 from eldata.download.archives import Archive, Member, check_members, open_archive
 from eldata.download.errors import ArchiveError, DownloadError
 from tests.download.helpers import contents, noise, sevenzipped, tarred, zipped
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -349,5 +350,5 @@ def test_looking_into_archives_is_light() -> None:
         "for name in eldata.download.__all__: getattr(eldata.download, name)\n"
         "print(*(name for name in ('torch', 'rawpy', 'py7zr', 'requests') if name in sys.modules))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S)
     assert (done.returncode, done.stdout.strip(), done.stderr) == (0, "", "")

@@ -18,9 +18,9 @@ from eldata.download.fetching import Fetcher, Patience
 from eldata.download.partial import Partial
 from tests.download import server
 from tests.download.helpers import contents, fetcher, noise, note_of, tree, zipped
+from tests.waiting import PATIENCE_S, until
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
 CONTENT = zipped(contents(30_000))
@@ -382,17 +382,10 @@ def stuck_after(count: int) -> server.Behaviour:
         handler.start(200, Content_Length=len(site.content), ETag=site.etag)
         handler.wfile.write(site.content[:count])
         handler.wfile.flush()
-        site.over.wait(120)
+        site.over.wait(PATIENCE_S)
         handler.cut()
 
     return behaviour
-
-
-def wait_for(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + 20
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 @pytest.mark.parametrize("sent", [signal.SIGKILL, signal.SIGINT])
@@ -401,9 +394,9 @@ def test_a_killed_run_is_gone_on_with(sent: signal.Signals, site: server.Site, t
     site.then(stuck_after(600_000))
     process = subprocess.Popen([sys.executable, "-c", FETCH, site.address, str(target)], stderr=subprocess.PIPE)
     try:
-        wait_for(lambda: part_of(target).exists() and part_of(target).stat().st_size >= 580_000)
+        until(lambda: part_of(target).exists() and part_of(target).stat().st_size >= 580_000)
         process.send_signal(sent)
-        process.communicate(timeout=10)
+        process.communicate(timeout=PATIENCE_S)
     finally:
         process.kill()
     assert not target.exists()

@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
     from pathlib import Path
 
-pytestmark = pytest.mark.timeout(120)
-
 
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory: pytest.TempPathFactory) -> Tree:
@@ -158,6 +156,7 @@ def unseen(path: Path) -> str:
     return str(error)
 
 
+@pytest.mark.dask
 def test_verify_names_the_files_that_workers_do_not_see(tree: Tree, dask: Executor, tmp_path: Path) -> None:
     own = tree.copy(tmp_path / "own")
     gone = sorted(own.files.glob("*/*/*.dng"))[3]
@@ -166,6 +165,7 @@ def test_verify_names_the_files_that_workers_do_not_see(tree: Tree, dask: Execut
     assert (problem.path, problem.found) == (gone.relative_to(own.files).as_posix(), unseen(gone))
 
 
+@pytest.mark.dask
 def test_calibrate_names_the_iso_whose_files_workers_do_not_see(
     frames: FrameTree, dask: Executor, tmp_path: Path
 ) -> None:
@@ -177,6 +177,7 @@ def test_calibrate_names_the_iso_whose_files_workers_do_not_see(
     assert (problem.path, problem.found) == ("DemoGamma, ISO 400", unseen(gone))
 
 
+@pytest.mark.dask
 def test_pack_names_the_file_that_workers_do_not_see(tree: Tree, dask: Executor, tmp_path: Path) -> None:
     own = tree.copy(tmp_path / "own")
     source = source_of_dataset("eld-demo", root=own.root, manifest=own.manifest)

@@ -117,6 +117,7 @@ with atomic_write(sys.argv[1]) as file:
 """
 
 
+@pytest.mark.kill
 def test_kill_9_in_the_middle_leaves_the_old_file_intact(old: Path) -> None:
     env = {**os.environ, "PYTHONPATH": str(Path(eldata.base.files.__file__).parents[2])}
     done = subprocess.run([sys.executable, "-c", KILLED, str(old)], timeout=PATIENCE_S, env=env)

@@ -121,6 +121,7 @@ def test_there_must_be_a_job(jobs: int) -> None:
         list(Workers(jobs).run(abs, [1]))
 
 
+@pytest.mark.kill
 @pytest.mark.parametrize("count", [2, 40], ids=["all waiting", "more to come"])
 def test_a_unit_that_kills_every_worker_is_an_error_with_advice(count: int) -> None:
     """What the kernel does to a worker when memory runs out."""
@@ -129,6 +130,7 @@ def test_a_unit_that_kills_every_worker_is_an_error_with_advice(count: int) -> N
     assert "--jobs" in str(raised.value)
 
 
+@pytest.mark.kill
 def test_the_error_names_the_unit_that_kills() -> None:
     """The window is full here, and the units before it, whose workers were lost with it, are run again."""
     units = [0] * 7 + [int(signal.SIGKILL)] + [0] * 40  # signal 0 does nothing
@@ -258,6 +260,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.kill
 def test_ctrl_c_ends_everything_and_is_told_once(tmp_path: Path) -> None:
     """A terminal sends Ctrl-C to the whole process group; each worker would print a traceback of its own.
 

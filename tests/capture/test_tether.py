@@ -46,6 +46,8 @@ if TYPE_CHECKING:
 
     from capture.plan import Plan
 
+pytestmark = pytest.mark.tether
+
 PORT = "usb:001,005"
 SMALL = CaptureProtocol(noisy_isos=(800,), low_light_factors=(10,))
 

@@ -249,6 +249,7 @@ def real(tmp_path: Path) -> Gphoto:
     return Gphoto(found.program, f"disk:{tmp_path / 'my card'}", PATIENCE_S)
 
 
+@pytest.mark.tether
 @needs_gphoto2
 def test_the_real_program_lists_and_downloads(real: Gphoto, tmp_path: Path) -> None:
     files = real.card()
@@ -266,6 +267,7 @@ def test_the_real_program_lists_and_downloads(real: Gphoto, tmp_path: Path) -> N
         real.fetch(PurePosixPath("/DCIM/100MSDCF/DSC00009.ARW"), folder)
 
 
+@pytest.mark.tether
 @needs_gphoto2
 def test_the_real_program_refuses_what_a_card_cannot_do(real: Gphoto, tmp_path: Path) -> None:
     assert real.detect() == ()  # a card is no camera
@@ -278,6 +280,7 @@ def test_the_real_program_refuses_what_a_card_cannot_do(real: Gphoto, tmp_path: 
     assert "This camera can not capture" in (tmp_path / "gphoto2.log").read_text()
 
 
+@pytest.mark.tether
 @needs_gphoto2
 @pytest.mark.parametrize("port", ["", "usb:001,099", "bogus", "ptpip:127.0.0.1"])
 def test_the_real_program_without_a_camera(port: str) -> None:
@@ -289,6 +292,7 @@ def test_the_real_program_without_a_camera(port: str) -> None:
         gphoto.settings(["iso"])
 
 
+@pytest.mark.tether
 @needs_gphoto2
 def test_a_session_with_the_real_program_and_no_camera(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     if Gphoto.find("gphoto2", timeout_s=PATIENCE_S).detect():

@@ -236,6 +236,7 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
+@pytest.mark.kill
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_ctrl_c_leaves_nothing_half(jobs: str, pristine: FrameTree, tmp_path: Path) -> None:
     targets = ["-o", str(tmp_path / "p.json"), "--json", str(tmp_path / "d.json"), "--html", str(tmp_path / "r.html")]
@@ -260,6 +261,7 @@ def test_ctrl_c_leaves_nothing_half(jobs: str, pristine: FrameTree, tmp_path: Pa
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.kill
 def test_ctrl_c_at_any_moment(pristine: FrameTree, tmp_path: Path) -> None:
     """While threads decode: one line, and an end."""
     command = [sys.executable, "-m", "eldata.cli.main", "calibrate", str(pristine.root), "--jobs", "2"]

@@ -143,6 +143,7 @@ def test_no_room_is_one_line_and_the_command_goes_on(eldata: Cli, tree: Tree, tm
     assert eldata("verify", store, "--level", "full").code == 0
 
 
+@pytest.mark.kill
 def test_ctrl_c_is_one_line_and_the_command_goes_on(eldata: Cli, tree: Tree, tmp_path: Path) -> None:
     store = tmp_path / "store.h5"
     files = source_of_dataset("eld-demo", root=tree.root, manifest=tree.manifest).files

@@ -190,6 +190,7 @@ def full_verification(tree: Tree) -> list[str | Path]:
     return ["verify", tree.manifest, "--root", tree.root, "--level", "full", "--jobs", "2"]
 
 
+@pytest.mark.kill
 @pytest.mark.parametrize("delay_s", [0.0, 0.05, 0.15, 0.6])
 def test_ctrl_c_ends_verify_with_one_line(delay_s: float, long_tree: Tree) -> None:
     code, out, err = interrupted(full_verification(long_tree), delay_s)
@@ -200,6 +201,7 @@ def test_ctrl_c_ends_verify_with_one_line(delay_s: float, long_tree: Tree) -> No
     assert "Traceback" not in err
 
 
+@pytest.mark.kill
 def test_ctrl_c_ends_evaluate_with_one_line(long_tree: Tree, tmp_path: Path) -> None:
     for record in sorted(long_tree.files.glob("*/*/IMG_*.dng")):
         link = tmp_path / "preds" / record.relative_to(long_tree.files)
@@ -218,6 +220,7 @@ def test_ctrl_c_ends_evaluate_with_one_line(long_tree: Tree, tmp_path: Path) -> 
     assert not list(tmp_path.glob(".*"))
 
 
+@pytest.mark.kill
 def test_ctrl_c_with_debug_shows_where(long_tree: Tree) -> None:
     code, _, err = interrupted([*full_verification(long_tree), "--debug"], 0.3)
     assert code == 130

@@ -84,6 +84,7 @@ def test_shards_are_verified(eldata: Cli, sharded: Shard, store: Path, tmp_path:
     assert_one_line(eldata("verify", out / "index.json", "--root", tmp_path), "shards are checked whole")
 
 
+@pytest.mark.kill
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_an_ended_command_goes_on(number: signal.Signals, sharded: Shard, store: Path, tmp_path: Path) -> None:
     """Ended as soon as the third shard is there; a run that was faster than that is begun anew."""

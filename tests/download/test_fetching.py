@@ -388,6 +388,7 @@ def stuck_after(count: int) -> server.Behaviour:
     return behaviour
 
 
+@pytest.mark.kill
 @pytest.mark.parametrize("sent", [signal.SIGKILL, signal.SIGINT])
 def test_a_killed_run_is_gone_on_with(sent: signal.Signals, site: server.Site, target: Path) -> None:
     site.content = zipped({"a": noise(10**6)})

@@ -193,6 +193,7 @@ def start_and_stop_halfway(archive: Archive, folder: Path, sent: signal.Signals)
         process.kill()
 
 
+@pytest.mark.kill
 @pytest.mark.parametrize("sent", [signal.SIGKILL, signal.SIGINT])
 @pytest.mark.parametrize("name", ["zip", "tar.gz", "7z"])
 def test_a_killed_run_is_gone_on_with(sent: signal.Signals, name: str, tmp_path: Path) -> None:

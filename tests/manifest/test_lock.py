@@ -171,6 +171,7 @@ lock(sys.argv[2], sys.argv[3])
 """
 
 
+@pytest.mark.kill
 @pytest.mark.parametrize("moment", ["fsync", "replace"])
 def test_a_kill_while_writing_leaves_the_manifest(tree: Tree, moment: str) -> None:
     """Before the data are safe on disk, and just before the new file takes the old one's name."""

@@ -143,6 +143,7 @@ def test_refusals() -> None:
         score(image[:6], image[:6], rescaling="none")
 
 
+@pytest.mark.memory
 @pytest.mark.parametrize("contiguous", [True, False])
 def test_memory_of_a_full_frame(contiguous: bool) -> None:
     shape = (4, 1416, 2120)
@@ -169,6 +170,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 """
 
 
+@pytest.mark.memory
 def test_peak_of_a_process() -> None:
     """What the kernels allocate themselves does not show in tracemalloc."""
     child = subprocess.run([sys.executable, "-c", PEAK], capture_output=True, text=True, check=True)

@@ -185,6 +185,7 @@ def test_an_executor_that_was_shut_down() -> None:
         list(Workers(executor=pool).run(work.double, [1]))
 
 
+@pytest.mark.kill
 def test_a_broken_pool_of_the_callers_is_an_error_that_names_the_unit(importable: None) -> None:
     tasks = [work.Task(3, "three.dng"), *(work.Task(number) for number in range(4, 40))]
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
@@ -209,6 +210,7 @@ def test_a_unit_that_someone_cancels() -> None:
 # --- processes of our own ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.kill
 def test_a_unit_that_ends_its_process_once_is_run_again(importable: None, tmp_path: Path) -> None:
     tasks = [work.Task(number) for number in range(30)]
     found = list(Workers(2).attempt(partial(work.end_the_process_once, tmp_path), tasks))
@@ -216,6 +218,7 @@ def test_a_unit_that_ends_its_process_once_is_run_again(importable: None, tmp_pa
     assert found == list(range(30))
 
 
+@pytest.mark.kill
 def test_a_unit_that_ends_every_process_is_named_and_the_rest_is_done(importable: None) -> None:
     tasks = [work.Task(number, f"{number}.dng") for number in range(30)]
     found = list(Workers(2).attempt(work.end_the_process, tasks))

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 import eldata
+from tests.cases import in_one_test
 from tests.waiting import PATIENCE_S
 
 ROOT = Path(__file__).parents[1]
@@ -36,14 +37,14 @@ def test_the_top_level_has_what_scripts_rely_on() -> None:
     assert eldata.__version__
 
 
-@pytest.mark.parametrize("package", PACKAGES)
+@in_one_test("package", PACKAGES)
 def test_all_is_what_the_stub_promises(package: str) -> None:
     module = import_module(package)
     assert sorted(vars(module)["__all__"]) == sorted(promised(package))
     assert set(promised(package)) <= set(dir(module))
 
 
-@pytest.mark.parametrize(("package", "name"), [(package, name) for package in PACKAGES for name in promised(package)])
+@in_one_test("package, name", [(package, name) for package in PACKAGES for name in promised(package)])
 def test_each_name_resolves_and_is_documented(package: str, name: str) -> None:
     found = getattr(import_module(package), name)
     assert not inspect.ismodule(found), "the function, not the module of the same name"
@@ -52,7 +53,7 @@ def test_each_name_resolves_and_is_documented(package: str, name: str) -> None:
         assert inspect.getdoc(found)
 
 
-@pytest.mark.parametrize("package", PACKAGES)
+@in_one_test("package", PACKAGES)
 def test_an_unknown_name_is_an_attribute_error(package: str) -> None:
     """hasattr, and getattr with a default, rest on it."""
     assert not hasattr(import_module(package), "no_such_name")

@@ -18,6 +18,7 @@ import pytest
 import eldata.base.files
 from eldata.base.files import atomic_write, inside, path_problem, sha256_of, write_text
 from eldata.errors import EldataError, ManifestError
+from tests.cases import in_one_test
 from tests.waiting import PATIENCE_S
 
 OLD, NEW = b"old content", b"new content\n" * 1000
@@ -269,7 +270,7 @@ def test_plain_relative_paths(path: str, tmp_path: Path) -> None:
     assert inside(tmp_path, path) == tmp_path / path
 
 
-@pytest.mark.parametrize(("path", "problem"), UNSAFE.items(), ids=map(repr, UNSAFE))
+@in_one_test("path, problem", UNSAFE.items())
 def test_unsafe_paths(path: str, problem: str, tmp_path: Path) -> None:
     found = path_problem(path)
     assert found is not None

@@ -7,14 +7,15 @@ import pytest
 
 from eldata.demo import scenes
 from eldata.errors import ArgumentError
+from tests.cases import in_one_test
 
 BASE = (1, 2, 3, 4)
 NUMBERS = (*BASE, 5, 6, 7, 8, 1001)
 SIZES = ((64, 64), (65, 97), (256, 384), (301, 200), (64, 301))
 
 
-@pytest.mark.parametrize("number", NUMBERS)
-@pytest.mark.parametrize(("height", "width"), SIZES)
+@in_one_test("number", NUMBERS)
+@in_one_test("height, width", SIZES)
 def test_radiance_is_finite_float32_between_0_and_1(number: int, height: int, width: int) -> None:
     radiance = scenes.scene_radiance(number, height, width)
     assert radiance.shape == (3, height, width)

@@ -129,6 +129,7 @@ FEATURES = {
 }
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("kind", "features"),
     [*(("bayer", features) for features in FEATURES), ("xtrans", "everything"), ("xtrans", "nothing")],

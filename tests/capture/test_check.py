@@ -58,6 +58,7 @@ def value(group: CheckedGroup, name: str, number: int) -> Measure:
 # --- clean --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(("camera", "seed"), [(ALPHA, 1), (BETA, 2)])
 def test_nothing_is_found_on_ten_clean_scenes(tmp_path: Path, camera: SimulatedCamera, seed: int) -> None:
     """Ten scenes of all sixteen frames: ISO 800 to 3200, ratios 1 to 200."""

@@ -374,6 +374,7 @@ torch.distributed.destroy_process_group()
 """
 
 
+@pytest.mark.study
 def test_two_processes_with_uneven_batches(tmp_path: Path) -> None:
     """A real group: its number is that of one process that saw all images, also where one process saw none."""
     preds, target = images(6)

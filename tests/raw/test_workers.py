@@ -129,6 +129,7 @@ def test_a_forked_child_of_a_process_that_has_developed(before: str, files: list
     assert done.stdout.strip() == "exit code 0", done.stderr
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 def test_data_loader_workers_of_a_process_that_has_developed(method: str, files: list[Path], tmp_path: Path) -> None:
     done = run_script(tmp_path, LOADER_SCRIPT, method, *map(str, files))

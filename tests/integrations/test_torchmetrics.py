@@ -22,7 +22,7 @@ from eldata.errors import ArgumentError
 from eldata.evaluation import evaluate
 from eldata.protocols import PROTOCOLS
 from tests.evaluation import oracle
-from tests.evaluation.helpers import Tree, place, small_tree
+from tests.evaluation.helpers import Tree, place
 
 pytest.importorskip("torchmetrics", reason="needs eldata[torchmetrics]")
 
@@ -65,8 +65,8 @@ def exact_mean(values: list[float]) -> float:
 
 
 @pytest.fixture(scope="module")
-def tree(tmp_path_factory: pytest.TempPathFactory) -> Tree:
-    return small_tree(tmp_path_factory.mktemp("tree") / "demo")
+def tree(demo_tree: Path) -> Tree:
+    return Tree(demo_tree)
 
 
 @pytest.fixture(scope="module")

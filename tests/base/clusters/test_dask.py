@@ -23,7 +23,7 @@ from eldata.base.workers import Failed, Workers
 from eldata.cli.main import main
 from eldata.manifest.verify import verify
 from tests.base.clusters import work
-from tests.evaluation.helpers import Tree, small_tree
+from tests.evaluation.helpers import Tree
 from tests.waiting import PATIENCE_S, until
 
 if TYPE_CHECKING:
@@ -37,8 +37,8 @@ pytestmark = pytest.mark.dask
 
 
 @pytest.fixture(scope="module")
-def tree(tmp_path_factory: pytest.TempPathFactory) -> Tree:
-    return small_tree(tmp_path_factory.mktemp("tree") / "demo")
+def tree(demo_tree: Path) -> Tree:
+    return Tree(demo_tree)
 
 
 def scheduler_of(cluster: LocalCluster) -> Any:

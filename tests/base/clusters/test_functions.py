@@ -27,7 +27,7 @@ from eldata.sources.store.sources import source_of_dataset
 from tests import trees
 from tests.calibration.trees import FrameTree, made_tree
 from tests.drv_tree import small_drv
-from tests.evaluation.helpers import Tree, place, small_tree
+from tests.evaluation.helpers import Tree, place
 from tests.sources.store.helpers import contents, write_clean
 
 if TYPE_CHECKING:
@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 
 
 @pytest.fixture(scope="module")
-def tree(tmp_path_factory: pytest.TempPathFactory) -> Tree:
-    return small_tree(tmp_path_factory.mktemp("tree") / "demo")
+def tree(demo_tree: Path) -> Tree:
+    return Tree(demo_tree)
 
 
 @pytest.fixture(scope="module")

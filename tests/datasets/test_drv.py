@@ -316,6 +316,7 @@ def test_default_collate(drv: SmallDrv, raw: Path) -> None:
     assert batch["ratio"].tolist() == [100.0] * 3
 
 
+@pytest.mark.memory
 def test_memory_does_not_grow_with_the_number_of_windows(tmp_path: Path) -> None:
     """Twelve megapixels, thirty windows of five frames (48 MB a packed frame), of which a part is kept.
 

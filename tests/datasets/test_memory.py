@@ -37,6 +37,7 @@ print(*peaks)
 """
 
 
+@pytest.mark.memory
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
 def test_memory_of_a_worker(tmp_path: Path) -> None:
     sensor = Sensor("eldata", "Big", ((0, 1), (3, 2)), (512.0,) * 4, 16383.0, *SIZE)

@@ -361,6 +361,7 @@ def test_clean_frames_are_no_pairs(tmp_path: Path) -> None:
 # --- memory -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.memory
 def test_memory_does_not_grow_with_the_store(tmp_path: Path) -> None:
     """120 frames of 1.5 MB each, every one read: 180 MB, or 8 MB if nothing is kept."""
     folder = tmp_path / "raws"

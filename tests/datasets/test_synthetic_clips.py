@@ -293,6 +293,7 @@ def test_the_repr_says_what_is_made(folder: Path) -> None:
         assert part in text
 
 
+@pytest.mark.memory
 def test_one_whole_frame_is_in_memory_at_a_time(tmp_path: Path) -> None:
     """Eight frames of 4 megapixels (8 MB each as mosaics): the crops are small, so the growth stays below 50 MB."""
     write_dng(tmp_path / "1.dng", random_mosaic(2000, 2000), make_sensor(height=2000, width=2000), EXPOSURE)

@@ -266,6 +266,7 @@ def test_pooled_takes_means() -> None:
 # --- in a browser -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.browser
 @pytest.mark.parametrize("width", [390, 1280])
 @EVERY
 def test_in_a_browser(chromium: str, which: str, width: int, request: pytest.FixtureRequest, tmp_path: Path) -> None:

@@ -123,6 +123,7 @@ def test_another_process_makes_the_same_page_without_pyplot(page: str) -> None:
 # --- in a browser -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.browser
 @pytest.mark.parametrize("width", [390, 1280])
 @pytest.mark.parametrize("which", ["page", "hostile"])
 def test_in_a_browser(chromium: str, which: str, width: int, request: pytest.FixtureRequest, tmp_path: Path) -> None:

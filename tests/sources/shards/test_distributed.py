@@ -19,6 +19,8 @@ from tests.sources.shards.helpers import identities
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+pytestmark = pytest.mark.study
+
 RANKS = 3
 ROOT = Path(__file__).parents[3]
 

@@ -27,6 +27,7 @@ def errors_of(*command: str) -> list[float]:
     return [float(text) for text in re.findall(r"epoch \d: mean absolute error (\S+)", done.stdout)]
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("which", ["store", "shards"])
 def test_it_learns(which: str, eld: Path, tiles: Path) -> None:
     errors = errors_of(str(EXAMPLE), str(eld if which == "store" else tiles))
@@ -34,6 +35,7 @@ def test_it_learns(which: str, eld: Path, tiles: Path) -> None:
     assert errors[2] < errors[0]
 
 
+@pytest.mark.study
 def test_under_torchrun(tiles: Path) -> None:
     """Two ranks: it ends, so both had as many batches."""
     launch = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]

@@ -95,7 +95,7 @@ def test_six_megapixels(tmp_path: Path) -> None:
     sigma_row / sqrt(9216), 0.01 sigma_row: 0.05 DN is five of them up to a sigma_row of 1 DN; above, five count.
     """
     isos = tuple(noise.iso for noise in SPAN.noise)
-    tree = made_tree(tmp_path / "x", camera=SPAN, isos=isos, bias_frames=10, flat_levels=5, size=(2048, 3072), jobs=2)
+    tree = made_tree(tmp_path / "x", camera=SPAN, isos=isos, bias_frames=10, flat_levels=5, size=(2048, 3072), workers=2)
     found = calibrate(tree.root, workers=2)
     assert_recovered(tree, found.isos)
     truth = tree.truth["isos"]

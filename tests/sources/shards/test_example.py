@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.waiting import PATIENCE_S
+
 EXAMPLE = Path(__file__).parents[3] / "examples" / "train_from_store.py"
 OPTIONS = ["--crop", "16", "--batch-size", "2", "--epochs", "3", "--workers", "2"]
 
@@ -19,7 +21,7 @@ def errors_of(*command: str) -> list[float]:
         [sys.executable, *command, *OPTIONS],
         capture_output=True,
         text=True,
-        timeout=240,
+        timeout=PATIENCE_S,
         env={**os.environ, "OMP_NUM_THREADS": "1"},
     )
     assert done.returncode == 0, done.stderr

@@ -121,6 +121,7 @@ def test_the_hash_of_what_goes_on_is_that_of_the_whole(site: server.Site, target
     fetched(site, target, size_bytes=len(CONTENT), sha256=sha256_of(CONTENT))
 
 
+@pytest.mark.kill
 @pytest.mark.parametrize("sent", [signal.SIGKILL, signal.SIGINT])
 def test_a_run_killed_while_pooch_checks_the_hash_loses_nothing(
     sent: signal.Signals, site: server.Site, target: Path

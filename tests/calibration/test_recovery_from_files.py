@@ -88,6 +88,7 @@ SPAN = CalibrationCamera(
 )
 
 
+@pytest.mark.study
 def test_six_megapixels(tmp_path: Path) -> None:
     """4 ISOs x 10 bias + 10 flats of 2048 x 3072 pixels, with shading, hot pixels and every fixed pattern.
 

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from capture.camera import EXAMPLE, CameraDescription, Shutter, ladder
 from capture.capture_errors import CameraError
 from capture.exact import ExactNumber, as_exact
+from tests.cases import in_one_test
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -170,8 +171,8 @@ def test_each_field_is_needed(field: str, tmp_path: Path) -> None:
     assert str(caught.value).endswith(", found nothing")
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
+@in_one_test(
+    "change, words",
     [
         ({"schema": 2}, "field schema: expected 1 (a newer file needs a newer capture), found 2"),
         ({"schema": True}, "field schema"),

@@ -24,6 +24,7 @@ from tests.capture.simulated_scenes import (
     radiance,
     write_scenes,
 )
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -57,6 +58,7 @@ def value(group: CheckedGroup, name: str, number: int) -> Measure:
 # --- clean --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(("camera", "seed"), [(ALPHA, 1), (BETA, 2)])
 def test_nothing_is_found_on_ten_clean_scenes(tmp_path: Path, camera: SimulatedCamera, seed: int) -> None:
     """Ten scenes of all sixteen frames: ISO 800 to 3200, ratios 1 to 200."""
@@ -358,5 +360,5 @@ def test_help_loads_neither_torch_nor_rawpy() -> None:
         "import sys; from capture.cli import main; main(['check', '--help']); import capture.check; "
         "print([name for name in ('torch', 'rawpy', 'matplotlib') if name in sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S, check=True)
     assert done.stdout.splitlines()[-1] == "[]"

@@ -125,6 +125,7 @@ def test_too_dark_frames_have_no_drift() -> None:
 # --- shift and focus ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(("camera", "scene"), [(ALPHA, 1), (BETA, 2), (BETA, 3), (ALPHA, 4)])
 def test_shift_to_a_tenth_of_a_pixel(camera: SimulatedCamera, scene: int) -> None:
     light = radiance(scene)
@@ -201,6 +202,7 @@ def fits(camera: SimulatedCamera, iso: int, ratio: int, frames: int) -> list[Rat
     return found
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(("iso", "ratio"), [(800, 1), (800, 100), (3200, 10), (3200, 200)])
 def test_the_ratio_is_within_its_standard_error(iso: int, ratio: int) -> None:
     off = []

@@ -26,6 +26,7 @@ from capture.checklist_content import every_item, rows
 from capture.cli import main
 from tests.capture.checklist_plans import HOSTILE, PLANS, plan_of, small
 from tests.reports.pages import assert_well_formed, checked
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -105,7 +106,7 @@ def test_same_plan_gives_same_files_in_another_process(plan: Plan, tmp_path: Pat
         assert main(["checklist", str(tmp_path / "plan.json"), "-o", str(tmp_path / f"one.{form}")]) == 0
         command = [sys.executable, "-c", "import sys; from capture.cli import main; sys.exit(main(sys.argv[1:]))"]
         command += ["checklist", str(tmp_path / "plan.json"), "-o", str(tmp_path / f"two.{form}")]
-        subprocess.run(command, check=True, timeout=60, stdout=subprocess.DEVNULL)
+        subprocess.run(command, check=True, timeout=PATIENCE_S, stdout=subprocess.DEVNULL)
         assert (tmp_path / f"one.{form}").read_bytes() == (tmp_path / f"two.{form}").read_bytes()
 
 
@@ -190,7 +191,7 @@ def test_command_loads_nothing_heavy(plan: Plan, tmp_path: Path) -> None:
         "assert not {'torch', 'rawpy', 'numpy'} & set(sys.modules)\n"
     )
     command = [sys.executable, "-c", code, "checklist", str(tmp_path / "plan.json"), "-o", str(tmp_path / "it.html")]
-    subprocess.run(command, check=True, timeout=60, stdout=subprocess.DEVNULL)
+    subprocess.run(command, check=True, timeout=PATIENCE_S, stdout=subprocess.DEVNULL)
 
 
 # --- the progress that comes back -----------------------------------------------------------------------------------

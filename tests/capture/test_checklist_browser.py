@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
     from capture.plan import Plan
 
+pytestmark = pytest.mark.browser
+
 PHONE, DESKTOP = 390, 1280
 DOUBLE_TAP_S = 0.55  # longer than what the page takes for one tap too many
 

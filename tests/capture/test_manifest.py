@@ -20,6 +20,7 @@ from capture.cli import main
 from eldata.base.files import sha256_of
 from eldata.manifest import load_manifest, verify
 from tests.capture.simulated import CAMERA, Taken, plan_of, shoot, whole_plan
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from capture.plan import Plan
@@ -364,7 +365,7 @@ def test_asked_on_a_terminal(tmp_path: Path, answer: str, code: int) -> None:
     arguments = ["manifest", str(tmp_path / "plan.json"), str(field.card), "-o", str(field.csv), "--jobs", "1"]
     process = subprocess.Popen([*command, *arguments], cwd=ROOT, stdin=terminal, stdout=terminal, stderr=terminal)
     os.write(child, answer.encode() or b"\x04")
-    assert process.wait(60) == code
+    assert process.wait(PATIENCE_S) == code
     os.close(terminal)
     os.close(child)
     assert field.csv.exists() == (code == 0)

@@ -19,6 +19,7 @@ from capture.plan import CALIBRATION, RATIO_TOLERANCE, Plan, make_plan
 from capture.protocol import PAPER, RELEASED
 from capture.shots import scene_shots
 from tests.capture.simulated import CAMERA, plan_of
+from tests.cases import in_one_test
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -312,8 +313,8 @@ def dotted(place: tuple[Any, ...]) -> str:
     return "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in place).lstrip(".")
 
 
-@pytest.mark.parametrize("place", places(CONTENT), ids=dotted)
-@pytest.mark.parametrize("wrong", [{"x": 1}, -7, "soon"], ids=["object", "number", "text"])
+@in_one_test("place", places(CONTENT))
+@in_one_test("wrong", [{"x": 1}, -7, "soon"])
 def test_every_field_is_checked(place: tuple[Any, ...], wrong: object, tmp_path: Path) -> None:
     if place in ((("scenes", 0, "notes", 0)), ("camera", "name"), ("camera", "models", 0)) and wrong == "soon":
         return  # any text will do
@@ -325,7 +326,7 @@ def test_every_field_is_checked(place: tuple[Any, ...], wrong: object, tmp_path:
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("place", [place for place in places(CONTENT) if isinstance(place[-1], str)], ids=dotted)
+@in_one_test("place", [place for place in places(CONTENT) if isinstance(place[-1], str)])
 def test_every_field_is_needed(place: tuple[Any, ...], tmp_path: Path) -> None:
     content = copy.deepcopy(CONTENT)
     at = content

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from eldata.errors import EldataError, ManifestError
 from eldata.manifest.table import COLUMNS, ROLES, load_records, number_text, save_records
 from eldata.records import FrameRecord
+from tests.cases import in_one_test
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -181,8 +182,8 @@ def test_the_rows_below_are_fine_before_they_are_spoilt(path: Path) -> None:
     assert [record.role for record in load_records(path)] == ["reference", "noisy"]
 
 
-@pytest.mark.parametrize(
-    ("column", "value", "said"),
+@in_one_test(
+    "column, value, said",
     [
         ("path", "", "is empty"),
         ("path", "/Cam/IMG_0004.ARW", "absolute"),

@@ -13,6 +13,7 @@ import torch
 from eldata import metrics
 from eldata.errors import ArgumentError
 from eldata.metrics import _images
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -114,7 +115,7 @@ def test_threads_do_not_change_a_bit(metric: Metric, shape: tuple[int, ...], mon
         if threading.current_thread().name.startswith("eldata"):
             helped.set()
         else:
-            helped.wait(10)  # or this thread may be done before another has begun
+            helped.wait(PATIENCE_S)  # or this thread may be done before another has begun
         return blocks(pair, band)
 
     monkeypatch.setattr(_images.Pair, "blocks", spy)

@@ -9,6 +9,7 @@ from eldata.errors import ArgumentError
 from eldata.noise import NoiseParameters
 from eldata.noise.packed_rows import channel_bias_dn, packed_rows
 from eldata.raw.cfa import XTRANS_CFA, pack, packed_area
+from tests.cases import in_one_test
 from tests.raw.helpers import BAYER, XTRANS, XTRANS_COLOURS, Cfa
 
 
@@ -36,7 +37,7 @@ def test_bayer_entries_share_a_layout_row_just_if_they_share_a_mosaic_row(phase:
     np.testing.assert_array_equal(ours[:, None] == ours, real[:, None] == real)
 
 
-@pytest.mark.parametrize("name", XTRANS)
+@in_one_test("name", XTRANS)
 def test_xtrans_rows(name: str) -> None:
     cfa: Cfa = XTRANS[name]
     mosaic = row_numbers(30, 36)

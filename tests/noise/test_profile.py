@@ -17,6 +17,7 @@ from scipy import stats
 from eldata.errors import ArgumentError, ProfileError
 from eldata.noise import CameraProfile, NoiseParameters, shipped_profiles
 from eldata.noise.profile import LogLogFit, ProfileRow
+from tests.cases import in_one_test
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -244,7 +245,7 @@ def wrong_id(value: object) -> str:
     return "missing" if value is MISSING else shown(value) if isinstance(value, tuple) else repr(value)[:20]
 
 
-@pytest.mark.parametrize(("keys", "value"), WRONG, ids=wrong_id)
+@in_one_test("keys, value", WRONG)
 def test_a_wrong_field_is_named(keys: tuple[str | int, ...], value: object, tmp_path: Path) -> None:
     with pytest.raises(ProfileError) as caught:
         load(changed(keys, value), tmp_path)

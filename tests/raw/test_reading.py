@@ -18,6 +18,7 @@ from eldata.raw import exposure_ratio, read_header, read_raw, write_dng
 from eldata.raw.colour import camera_to_srgb
 from eldata.raw.reading import _exif_tags, _simplest_fraction
 from eldata.records import Exposure
+from tests.cases import in_one_test
 from tests.raw.helpers import (
     BAYER,
     EXPOSURE,
@@ -51,8 +52,8 @@ def where(part: np.ndarray, whole: np.ndarray) -> tuple[int, int]:
     return int(found[0][0]), int(found[0][1])
 
 
-@pytest.mark.parametrize("margins", MARGINS)
-@pytest.mark.parametrize("name", BAYER)
+@in_one_test("margins", MARGINS)
+@in_one_test("name", BAYER)
 def test_the_bayer_phase_is_that_of_the_visible_area(name: str, margins: tuple[int, int], tmp_path: Path) -> None:
     # A DNG's CFAPattern counts from the active area's corner. LibRaw widens an odd margin by one.
     path, whole = tmp_path / "a.dng", random_mosaic(64, 66)

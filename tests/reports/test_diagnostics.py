@@ -154,6 +154,7 @@ def test_an_independent_simulation_agrees(sony: CameraProfile, monkeypatch: pyte
     np.testing.assert_allclose([item.found for item in result.read], np.quantile(read, levels))
 
 
+@pytest.mark.study
 def test_standard_errors_are_those_of_repeated_simulation(sony: CameraProfile, monkeypatch: pytest.MonkeyPatch) -> None:
     """Over 100 seeds, every deviation has mean 0 and standard deviation 1, within 4.5 of their own standard errors."""
     for name, size in (

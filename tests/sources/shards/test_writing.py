@@ -21,6 +21,7 @@ from eldata.sources.shards import ShardError, members, verify_shards, write_shar
 from eldata.sources.shards.layout import INDEX, index_text, parse_index
 from eldata.sources.shards.tiles import grid
 from eldata.sources.shards.writing import BEGUN
+from tests.cases import in_one_test
 from tests.raw.helpers import BAYER, XTRANS, make_sensor
 
 if TYPE_CHECKING:
@@ -113,9 +114,9 @@ def test_a_part_of_the_store(eld: Path, tmp_path: Path) -> None:
 # --- where tiles lie ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("cfa", [*BAYER.values(), XTRANS["xtrans-00"], XTRANS["xtrans-42"]])
-@pytest.mark.parametrize(("height", "width"), [(64, 96), (61, 99), (38, 38)])
-@pytest.mark.parametrize("overlap", [0, 4])
+@in_one_test("cfa", [*BAYER.values(), XTRANS["xtrans-00"], XTRANS["xtrans-42"]])
+@in_one_test("height, width", [(64, 96), (61, 99), (38, 38)])
+@in_one_test("overlap", [0, 4])
 def test_tiles_cover_what_packing_keeps(cfa: Any, height: int, width: int, overlap: int) -> None:
     sensor = make_sensor(cfa, height, width)
     period, scale = (2, 2) if len(cfa) == 2 else (6, 3)

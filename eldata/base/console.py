@@ -184,10 +184,8 @@ def _explained(error: BaseException, arguments: argparse.Namespace) -> tuple[int
     if isinstance(error, EldataError):
         return UNUSABLE, str(error)
     if isinstance(error, KeyboardInterrupt):
-        return (
-            INTERRUPTED,
-            f"interrupted; {vars(arguments).get('interrupted', _INTERRUPTED).format_map(vars(arguments))}",
-        )
+        given = vars(arguments)
+        return INTERRUPTED, f"interrupted; {given.get('interrupted', _INTERRUPTED).format_map(given)}"
     if isinstance(error, BrokenPipeError):  # head, less: nothing to say, but not known to be all well either
         _drop_output()
         return CLOSED_PIPE, ""

@@ -25,7 +25,7 @@ from eldata.manifest.catalogue import Manifest, load_manifest
 from eldata.manifest.table import save_records
 from eldata.noise.components import parse_components
 from eldata.noise.model import NoiseModel
-from eldata.raw.cfa import pack_normalised, packed_area, packed_black_level_dn, unpack
+from eldata.raw.cfa import cfa_from, pack_normalised, packed_area, packed_black_level_dn, unpack
 from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
 from eldata.records import Exposure, FrameRecord, RawFrame
@@ -221,11 +221,7 @@ def _cropped(frame: RawFrame) -> RawFrame:
     """Return the part of a frame that packs, so that every pixel of the noisy one has its noise."""
     cfa = frame.sensor.cfa
     area = packed_area((frame.mosaic.shape[0], frame.mosaic.shape[1]), cfa)
-    period = len(cfa)
-    shifted = tuple(
-        tuple(cfa[(y + area.top) % period][(x + area.left) % period] for x in range(period)) for y in range(period)
-    )
-    sensor = replace(frame.sensor, cfa=shifted, height=area.height, width=area.width)
+    sensor = replace(frame.sensor, cfa=cfa_from(cfa, area.top, area.left), height=area.height, width=area.width)
     return replace(frame, mosaic=np.ascontiguousarray(frame.mosaic[area.slices]), sensor=sensor)
 
 

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import torch
-
-from eldata.datasets.draws import CleanCrop, NoiseChoice, NoiseFacts
+from eldata.datasets.base import SIDES
+from eldata.datasets.crops import Crop
+from eldata.datasets.draws import NoiseChoice, NoiseFacts
+from eldata.datasets.items import Part
 from eldata.datasets.noisy_items import NoisyItems
-from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     import numpy as np
-    from numpy.typing import NDArray
+    import torch
 
-    from eldata.datasets.clean import CleanFrame, CleanSource
+    from eldata.datasets.clean import CleanSource
     from eldata.datasets.draws import NoiseDraw
     from eldata.noise.model import NoiseModel
     from eldata.noise.profile import CameraProfile, RowChoice
+    from eldata.sources.frames import Frame
 
 
 class SyntheticSample(NoiseFacts):
@@ -35,14 +36,10 @@ class SyntheticSample(NoiseFacts):
 
 
 class _Item(NamedTuple):
-    frame: CleanFrame
-    crop: CleanCrop
+    frame: Frame
+    crop: Crop
     draw: NoiseDraw
     generator: np.random.Generator
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return self.crop.packed_shape
 
     @property
     def range_dn(self) -> float:
@@ -97,31 +94,42 @@ class SyntheticPairs(NoisyItems[_Item, SyntheticSample]):
         iso: float | None = None,
         row: RowChoice = "any",
     ) -> None:
-        if crops_per_frame < 1:
-            raise ArgumentError(f"crops_per_frame must be 1 or more; found {crops_per_frame}")
-        super().__init__(NoiseChoice.of(profiles, ratio, iso, row), model, crop=crop, augment=augment, seed=seed)
+        super().__init__(
+            NoiseChoice.of(profiles, ratio, iso, row),
+            model,
+            crop=crop,
+            augment=augment,
+            crops=("crops_per_frame", crops_per_frame),
+            seed=seed,
+        )
         self.source = source
         self.crops_per_frame = crops_per_frame
 
     def __len__(self) -> int:
         return len(self.source) * self.crops_per_frame
 
-    def _drawn(self, index: int, generator: np.random.Generator) -> _Item:
+    @property
+    def reads_parts(self) -> bool:
+        """Whether the source says that its frames read parts."""
+        return getattr(self.source, "reads_parts", False)
+
+    def drawn(self, index: int, generator: np.random.Generator) -> _Item:
+        """Draw a crop of frame ``index`` modulo their number, and its noise."""
         frame = self.source.frame(index % len(self.source))
-        crop = CleanCrop.draw(frame, generator, crop=self.crop, augment=self.augment)
+        crop = Crop.draw(frame, generator, crop=self.crop, augment=self.augment)
         return _Item(frame, crop, self.noise.draw(generator), generator)
 
-    def _fill(self, item: _Item, target: NDArray[np.float32]) -> None:
-        item.crop.packed(item.frame, out=target)
+    def shapes(self, item: _Item) -> dict[str, tuple[int, ...]]:
+        """Return the shapes of input and target."""
+        return dict.fromkeys(SIDES, item.crop.packed_shape)
 
-    def _sample(self, item: _Item, noisy: NDArray[np.float32], target: NDArray[np.float32]) -> SyntheticSample:
-        return SyntheticSample(
-            **item.draw.facts(), input=torch.from_numpy(noisy), target=torch.from_numpy(target), path=item.frame.name
-        )
+    def parts(self, item: _Item) -> Iterator[Part]:
+        """Yield the clean crop."""
+        yield Part("target", item.frame)
+
+    def facts(self, item: _Item) -> dict[str, Any]:
+        """Return what the noise was made with, and where the frame comes from."""
+        return {**item.draw.facts(), "path": item.frame.name}
 
     def __repr__(self) -> str:
-        cameras = ", ".join(profile.camera for profile in self.noise.profiles)
-        return (
-            f"SyntheticPairs({self.source!r}, {len(self)} items, cameras: {cameras}; {self.model!r}, "
-            f"ratio={self.noise.ratio}, crop={self.crop}, augment={self.augment}, seed={self.seed})"
-        )
+        return self._text(self.source, f"{len(self)} items")

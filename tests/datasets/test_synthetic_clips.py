@@ -14,8 +14,9 @@ import pytest
 import torch
 from torch.utils.data import DataLoader, default_collate
 
-from eldata.datasets.draws import CleanCrop
-from eldata.datasets.synthetic_clips import ArrayClips, RawClips, SyntheticClips, SyntheticClipSample
+from eldata.datasets.clean import ArrayClips, RawClips
+from eldata.datasets.crops import Crop
+from eldata.datasets.synthetic_clips import SyntheticClips, SyntheticClipSample
 from eldata.errors import ArgumentError, DatasetError, ProfileError
 from eldata.noise import NoiseModel, NoiseParameters
 from eldata.raw import write_dng
@@ -283,7 +284,7 @@ def test_numbers_that_make_no_sense(folder: Path) -> None:
 def test_a_crop_drawn_for_one_frame_fits_another() -> None:
     source = ArrayClips([np.random.default_rng(1).uniform(0, 1, (2, 4, 20, 20)).astype(np.float32)], range_dn=1000.0)
     frame = source.clip(0).frame(0)
-    crop = CleanCrop.draw(frame, np.random.default_rng(5), crop=6, augment=True)
+    crop = Crop.draw(frame, np.random.default_rng(5), crop=6, augment=True)
     assert crop.packed(frame).shape == crop.packed(source.clip(0).frame(1)).shape == (4, 6, 6)
 
 

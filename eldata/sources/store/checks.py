@@ -102,5 +102,5 @@ def _pixels(dataset: str, reader: PixelReader, frame: StoredFrame | StoredRgb) -
 
 def _read(reader: PixelReader, frame: StoredFrame | StoredRgb) -> NDArray[np.uint16]:
     if isinstance(frame, StoredRgb):
-        return reader.read_planes(frame.key, range(frame.height), range(frame.width))
+        return reader.read(frame.key, range(frame.height), range(frame.width), 3)
     return reader.borrow(frame.key, range(frame.sensor.height), range(frame.sensor.width))

@@ -57,9 +57,9 @@ def test_parts_of_rgb_frames(drv: SmallDrv, packed: Path) -> None:
     for frame in open_store(packed).rgb:
         pixels = read_rgb16(drv.data / frame.path).transpose(2, 0, 1)
         part = range(3, 290), range(200, 270)
-        np.testing.assert_array_equal(reader.read_planes(frame.key, *part), pixels[:, 3:290, 200:270])
+        np.testing.assert_array_equal(reader.read(frame.key, *part, 3), pixels[:, 3:290, 200:270])
         with pytest.raises(StoreError, match="is damaged"):
-            reader.read_planes(frame.key, range(3), range(SIZE[1] + 300))
+            reader.read(frame.key, range(3), range(SIZE[1] + 300), 3)
 
 
 def test_the_manifest_lists_the_files_in_the_place_of_patterns(packed: Path) -> None:
@@ -106,7 +106,7 @@ def test_what_cannot_be_packed(drv: SmallDrv, tmp_path: Path) -> None:
     with pytest.raises(ArgumentError, match="a subset names pairs"):
         source_of_dataset("drv", root=drv.root, manifest=drv.csv, subset="test")
     with pytest.raises(ArgumentError, match="no clip has split x; known are dynamic, test"):
-        source_of_dataset("drv", root=drv.root, manifest=drv.csv, splits=["x"])
+        source_of_dataset("drv", root=drv.root, manifest=drv.csv, split=["x"])
     # The shipped list has 225 clips: what is not there is not left out in silence.
     with pytest.raises(DatasetError, match=r"no frames of 222 clips.*choose those that you have with ids"):
         source_of_dataset("drv", root=drv.root)

@@ -60,12 +60,14 @@ def threads_here() -> int | None:
     return None if get_worker_info() is None else 1
 
 
-def reading_threads(samples: int) -> int:
+def reading_threads(samples: int, *, decodes_long: bool = False) -> int | None:
     """Return how many threads read some samples of a store, as :func:`eldata.base.compiled.in_threads` takes them.
 
-    Reads are so soon done that more threads wait for Python's lock, and HDF5 decodes under one of its own: measured on
-    four cores, one is the fastest for a sample and two for a batch of eight.
+    zstd decodes for long without Python's lock. The rest is read so soon that more threads wait for that lock: measured
+    on four cores, one is the fastest for a sample and two for a batch of eight.
     """
+    if decodes_long:
+        return threads_here()
     return 1 if samples == 1 or get_worker_info() is not None else 2
 
 

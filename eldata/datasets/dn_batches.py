@@ -62,6 +62,7 @@ class DnPairs(ReadItems[PairItem, DnSample]):
 
     def __init__(self, pairs: SourcePairs) -> None:
         self.pairs = pairs
+        self.source = pairs.source
 
     def __len__(self) -> int:
         return len(self.pairs)

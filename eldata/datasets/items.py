@@ -179,7 +179,8 @@ class ReadItems(Dataset[Sample], ABC, Generic[Item, Sample]):
 
         if self.reads_parts:
             works = [(item, arrays, part) for item, arrays in items for part in self.parts(item)]
-            in_threads(lambda work: fill(*work), works, reading_threads(len(items)))
+            decodes_long = getattr(getattr(self, "source", None), "decodes_long", False)  # a store says so
+            in_threads(lambda work: fill(*work), works, reading_threads(len(items), decodes_long=decodes_long))
         else:
             for item, arrays in items:
                 for part in self.parts(item):

@@ -186,8 +186,8 @@ def test_a_batch_in_dn_becomes_the_raw_routes(which: str, clip: Any, eld: Path, 
     levels: Any
     for levels in ("published", "metadata"):
         pairs = PackedStore({"eld": eld, "fuji": fuji}[which], crop=6, levels=levels, clip=clip)
-        dn_batches = DataLoader(pairs.in_dn(), batch_size=5)
-        for batch, wanted in zip(dn_batches, DataLoader(pairs, batch_size=5), strict=True):
+        in_dn = DataLoader(pairs.in_dn(), batch_size=5)
+        for batch, wanted in zip(in_dn, DataLoader(pairs, batch_size=5), strict=True):
             assert batch["input_dn"].dtype == batch["target_dn"].dtype == torch.uint16
             same_batch(normalise_batch(batch, clip=clip), wanted)
             # What runs on a device, here on the CPU.

@@ -298,6 +298,7 @@ class StoreFrames:
     def __init__(self, path: Path | str) -> None:
         self.store = open_store(path)
         self.path = self.store.path
+        self.decodes_long = self.store.compression == "zstd"
         self._reader = PixelReader(self.path)
         self._held: dict[str, StoredFrame | StoredRgb] = {frame.path: frame for frame in self.store.frames}
         self._held |= {frame.path: frame for frame in self.store.rgb}

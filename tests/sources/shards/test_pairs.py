@@ -229,7 +229,8 @@ def test_the_buffer_holds_crops_alone(frames: Path) -> None:
     items = list(dataset._items(range(24), 0))
     assert len(items) == 24
     for item in items:
-        for array in (item.input_dn, item.target_dn):
+        assert item.pair.input is not None
+        for array in (item.pair.input.mosaic, item.pair.target.mosaic):
             assert (array.shape, array.base, array.flags.owndata) == ((16, 16), None, True)
 
 

@@ -103,7 +103,7 @@ def test_raw_clips_are_mosaics_in_a_store_of_version_1(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_packed(drv: SmallDrv, tmp_path: Path) -> None:
-    with pytest.raises(ArgumentError, match="a subset names pairs"):
+    with pytest.raises(ArgumentError, match="no subset is called 'test'; known are none"):
         source_of_dataset("drv", root=drv.root, manifest=drv.csv, subset="test")
     with pytest.raises(ArgumentError, match="no clip has split x; known are dynamic, test"):
         source_of_dataset("drv", root=drv.root, manifest=drv.csv, split=["x"])

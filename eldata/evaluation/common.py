@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
+from eldata import __version__
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -47,11 +49,11 @@ def software() -> dict[str, str]:
     """Return the versions that a score may depend on."""
     import rawpy
 
-    packages = ("eldata", "numpy", "numba", "rawpy", "exifread")
     return {
+        "eldata": __version__,
         "python": platform.python_version(),
         "libraw": ".".join(map(str, rawpy.libraw_version)),
-        **{name: version(name) for name in packages},
+        **{name: version(name) for name in ("numpy", "numba", "rawpy", "exifread")},
     }
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from eldata import __version__
 from eldata.errors import FileError
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.saved import load_results, saved_result
@@ -111,7 +112,7 @@ def changed(*keys: str | int, to: object) -> dict[str, Any]:
         (changed("coverage", "missing", to=["a", 1]), ["coverage.missing[1]", "text"]),
         (changed("provenance", to="eld"), ["field provenance", "object", "'eld'"]),
         (changed("provenance", "dataset", to=None), ["provenance.dataset", "text", "null"]),
-        (changed("provenance", "eldata", to="99.0.0"), ["provenance.eldata", "99.0.0", "0.1.0", "update"]),
+        (changed("provenance", "eldata", to="99.0.0"), ["provenance.eldata", "99.0.0", __version__, "update"]),
         (changed("protocol", "name", to=3), ["protocol.name", "text"]),
         (changed("table", 0, "scored", to=-1), ["table[0].scored", "-1"]),
         (changed("notes", to="odd"), ["field notes", "list of texts"]),

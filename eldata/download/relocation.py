@@ -1,4 +1,4 @@
-"""Which folder inside of an archive is which folder of the dataset: found by the names that the manifest lists."""
+"""Which folder of an archive goes to which folder of the dataset: found by the names that the manifest lists."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
 
-from eldata.download.errors import ArchiveError
+from eldata.errors import ArchiveError
 from eldata.manifest.patterns import is_pattern
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class Relocation:
     """What lies in ``inside`` of the archive belongs into ``below`` of the dataset's folder; empty is the top."""
 
     inside: str
@@ -30,13 +30,13 @@ class Layout:
         return f"{self.below}/{rest}" if self.below else rest
 
 
-def find_layout(
+def find_relocation(
     archive: Path, names: Collection[str], listed: Collection[str], unlisted_below: str | None = None
-) -> Layout:
-    """Return the one layout under which an archive's files are those that a manifest lists.
+) -> Relocation:
+    """Return the one relocation by which an archive's files are those that a manifest lists.
 
     A publisher packs ``Sony/short/...``, ``SID/Sony/short/...`` or ``short/...``, and changes that between versions.
-    The ends of the listed paths tell which; where two layouts fit (``scene-1/IMG_0001.CR2`` without its camera), none
+    The ends of the listed paths tell which; where two fit (``scene-1/IMG_0001.CR2`` without its camera), none
     is guessed. If no file is listed, the archive's top is ``unlisted_below`` of the dataset, if that is given.
 
     Raises
@@ -45,12 +45,12 @@ def find_layout(
         If no file is listed, or the files fit in several ways.
     """
     ends = _Ends(listed)
-    votes: Counter[Layout] = Counter()
+    votes: Counter[Relocation] = Counter()
     unclear: list[str] = []
     for name in names:
         inside, above = ends.of(name)
         if len(above) == 1:
-            votes[Layout(inside, next(iter(above)))] += 1
+            votes[Relocation(inside, next(iter(above)))] += 1
         elif above:
             unclear.append(name)
     if len(votes) == 1 and not unclear:
@@ -58,7 +58,7 @@ def find_layout(
     by_hand = f"unpack it by hand so that {min(listed)} lies in the dataset's folder, then run eldata verify"
     if not votes and not unclear:
         if unlisted_below is not None:
-            return Layout("", unlisted_below)
+            return Relocation("", unlisted_below)
         raise ArchiveError(
             archive,
             f"none of its {len(names)} files is listed (found such as {min(names)}, expected such as {min(listed)}); "
@@ -66,7 +66,7 @@ def find_layout(
         )
     if unclear:
         raise ArchiveError(archive, f"{unclear[0]} could be any of several listed files; {by_hand}")
-    ways = ", ".join(f"{layout.inside or '.'} as {layout.below or '.'}" for layout, _ in votes.most_common(3))
+    ways = ", ".join(f"{way.inside or '.'} as {way.below or '.'}" for way, _ in votes.most_common(3))
     raise ArchiveError(archive, f"its files fit the manifest in {len(votes)} ways ({ways}); {by_hand}")
 
 

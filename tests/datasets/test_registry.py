@@ -45,7 +45,8 @@ ARGUMENTS = {
     "subset": "subset",
 }
 TAKE_ONE_VALUE = ("subset",)
-# Values that the message lists where they are not those of the manifest: SID's split eval is val and test; clips of drv without a reference are another class's, with a split of their own.
+# Values that the message lists where they are not those of the manifest: SID's split eval is val and test; clips of drv
+# without a reference are another class's, with a split of their own.
 OWN_VALUES = {
     ("sid-sony", "split"): {"train", "val", "test", "eval"},
     ("sid-fuji", "split"): {"train", "val", "test", "eval"},

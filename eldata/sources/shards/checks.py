@@ -7,7 +7,7 @@ from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 from eldata.errors import DatasetError
-from eldata.sources.shards.layout import ShardError
+from eldata.sources.shards.index import ShardError
 from eldata.sources.shards.members import END
 from eldata.sources.shards.remote import Folder, Forward
 from eldata.sources.shards.samples import checked_sample
@@ -15,7 +15,7 @@ from eldata.sources.shards.samples import checked_sample
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from eldata.sources.shards.layout import Shard
+    from eldata.sources.shards.index import Shard
 
 
 def verify_shards(address: str, *, storage_options: Mapping[str, Any] | None = None) -> list[str]:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.raw.cfa import packed_shape
-from eldata.sources.shards.layout import KEY_DIGITS, Facts, facts_text, member_names, parse_facts
+from eldata.sources.shards.index import KEY_DIGITS, Facts, facts_text, member_names, parse_facts
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -11,7 +11,7 @@ from typing import IO, TYPE_CHECKING, Any, Self
 from fsspec.core import url_to_fs  # type: ignore[import-untyped] # it has none
 
 from eldata.errors import ArgumentError
-from eldata.sources.shards.layout import INDEX, ShardError, ShardIndex, parse_index
+from eldata.sources.shards.index import INDEX, ShardError, ShardIndex, parse_index
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

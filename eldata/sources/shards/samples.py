@@ -6,14 +6,14 @@ import zlib
 from contextlib import closing
 from typing import TYPE_CHECKING
 
-from eldata.sources.shards.layout import ShardError, key_of
+from eldata.sources.shards.index import ShardError, key_of
 from eldata.sources.shards.members import MemberError, Sample, from_bytes
 from eldata.sources.shards.remote import Forward
 
 if TYPE_CHECKING:
     from collections.abc import Generator
 
-    from eldata.sources.shards.layout import ShardIndex
+    from eldata.sources.shards.index import ShardIndex
     from eldata.sources.shards.remote import Folder
     from eldata.sources.shards.splitting import Run
 

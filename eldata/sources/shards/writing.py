@@ -19,7 +19,7 @@ from eldata.base.keywords import keywords
 from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.manifest.pairs import RENAMED, Choice
 from eldata.sources.pairs import checked_ratio
-from eldata.sources.shards.layout import FORMAT, INDEX, VERSION, Facts, Shard, ShardIndex, Side, index_text, key_of
+from eldata.sources.shards.index import FORMAT, INDEX, VERSION, Facts, Shard, ShardIndex, Side, index_text, key_of
 from eldata.sources.shards.members import END, to_bytes
 from eldata.sources.shards.tiles import grid, whole
 from eldata.sources.store.read import StoreFrames

@@ -11,7 +11,7 @@ from tqdm import tqdm
 from eldata.base.workers import AnyWorkers, Workers, accepts_jobs, require_files
 from eldata.manifest.verify import DatasetReport, Problem, VerifyReport
 from eldata.sources.store.build import pixels_digest
-from eldata.sources.store.layout import StoredRgb, StoreError, chunk_shape
+from eldata.sources.store.format import StoredRgb, StoreError, chunk_shape
 from eldata.sources.store.read import PixelReader, open_store, opened
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.manifest.verify import Level
-    from eldata.sources.store.layout import Store, StoredFrame
+    from eldata.sources.store.format import Store, StoredFrame
 
 _ADVICE = "copy or pack the store again"
 

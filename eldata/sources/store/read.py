@@ -22,7 +22,7 @@ from eldata.manifest.pairs import choose_pairs
 from eldata.records import FrameRecord
 from eldata.sources.frames import Frame
 from eldata.sources.store.chunks import chunk_table, read_part
-from eldata.sources.store.layout import (
+from eldata.sources.store.format import (
     COMPRESSIONS,
     FORMAT,
     RGB,

@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eldata.records import Exposure, PairRecord
-from eldata.sources.shards.layout import Facts, Side, facts_text, parse_facts
+from eldata.sources.shards.index import Facts, Side, facts_text, parse_facts
 from eldata.sources.shards.members import END, MemberError, from_bytes, to_bytes
 from tests.raw.helpers import BAYER, XTRANS, make_sensor, random_mosaic
 

@@ -20,7 +20,7 @@ from eldata.datasets.loading import evaluation_loader
 from eldata.datasets.ranks import Rank
 from eldata.errors import ArgumentError
 from eldata.sources.shards import ShardError, remote, verify_shards
-from eldata.sources.shards.layout import INDEX, Shard, ShardIndex, index_text, parse_index
+from eldata.sources.shards.index import INDEX, Shard, ShardIndex, index_text, parse_index
 from eldata.sources.shards.members import END
 from eldata.sources.shards.remote import Folder, Forward
 from tests.sources.shards.helpers import identities, unbatched

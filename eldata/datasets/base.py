@@ -12,7 +12,7 @@ import numpy as np
 from eldata.base.files import inside
 from eldata.datasets.choices import Options, Representation, understood
 from eldata.datasets.crops import Crop
-from eldata.datasets.items import CroppedItems, Part
+from eldata.datasets.items import CroppedItems, Cropping, Part
 from eldata.errors import DatasetError
 from eldata.manifest.catalogue import Manifest, data_root, load_manifest, shipped_manifest, shipped_names
 from eldata.manifest.pairs import Choice, choose_pairs
@@ -57,30 +57,19 @@ class Sample(TypedDict):
     flags: str
 
 
-class Cropping(TypedDict, total=False):
-    """Which part of a pair is an item: keyword arguments of every dataset of pairs.
-
-    Item i of epoch e depends on (seed, e, i) alone: not on workers, their number, or what was read before.
+class PairCropping(Cropping, total=False):
+    """Which parts of pairs are items.
 
     Attributes
     ----------
-    crop
-        Side of the square crop in packed pixels, even for X-Trans; ``None`` takes whole frames.
-    augment
-        Draw one of the eight orientations of the mosaic; the CFA stays in order.
     crops_per_frame
         Items per pair: the length is this times the number of pairs, and item i is of pair i modulo that number.
-    seed
-        First part of each item's seed.
     """
 
-    crop: int | None
-    augment: bool
     crops_per_frame: int
-    seed: int
 
 
-class PairOptions(Options, Cropping, total=False):
+class PairOptions(Options, PairCropping, total=False):
     """All of the keyword arguments that a dataset of pairs has."""
 
 
@@ -146,7 +135,7 @@ class SourcePairs(CroppedItems[PairItem, Sample]):
         *,
         name: str = "",
         representation: Representation | None = None,
-        cropping: Cropping | None = None,
+        cropping: PairCropping | None = None,
     ) -> None:
         chosen, cut = representation or {}, cropping or {}
         self.source = source
@@ -156,12 +145,7 @@ class SourcePairs(CroppedItems[PairItem, Sample]):
         self.clip = chosen.get("clip", "both")
         self.amplification = chosen.get("amplification", "metadata")
         self.crops_per_frame = cut.get("crops_per_frame", 1)
-        super().__init__(
-            crop=cut.get("crop"),
-            augment=cut.get("augment", False),
-            crops=("crops_per_frame", self.crops_per_frame),
-            seed=cut.get("seed", 0),
-        )
+        super().__init__(cut, ("crops_per_frame", self.crops_per_frame))
         # A source that reads parts knows all but the pixels: what is not a pair is refused here.
         self._pairs = tuple(map(self._opened, self.records)) if self.reads_parts else ()
 
@@ -274,7 +258,7 @@ class PairDataset(SourcePairs):
         Which pairs (:class:`~eldata.manifest.pairs.Choice`): ``cameras``, ``scenes``, ``isos``, ``ratios``, ``split``,
         ``subset``, ``exclude_flags``. What becomes of their DN (:class:`~eldata.datasets.choices.Representation`):
         ``levels`` (default ``"published"``), ``clip`` (``"both"``), ``amplification`` (``"metadata"``). Which part of
-        them (:class:`Cropping`): ``crop``, ``augment``, ``crops_per_frame``, ``seed``; by default whole frames.
+        them (:class:`PairCropping`): ``crop``, ``augment``, ``crops_per_frame``, ``seed``; by default whole frames.
 
     Raises
     ------
@@ -293,7 +277,7 @@ class PairDataset(SourcePairs):
     """
 
     def __init__(self, root: Path | str | None, manifest: Path | str, **options: Unpack[PairOptions]) -> None:
-        choice, representation, cropping = understood(self, options, Choice, Representation, Cropping)
+        choice, representation, cropping = understood(self, options, Choice, Representation, PairCropping)
         loaded = _manifest(manifest)
         self.root = data_root() / loaded.card.folder if root is None else Path(root)
         records = choose_pairs(loaded.records, loaded.card.subsets, **choice)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, Unpack
 
 from eldata.datasets.choices import Options, Representation, understood
 from eldata.datasets.crops import Crop, Region
-from eldata.datasets.items import CroppedItems, Part
+from eldata.datasets.items import CroppedItems, Cropping, Part
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.clips import choose_clips, clips_of, windows
 from eldata.manifest.drv import Layout
@@ -71,8 +71,8 @@ class ClipSample(_Facts):
     reference: str
 
 
-class WindowOptions(Options, total=False):
-    """Which windows of which clips, and which part of them: keyword arguments of every dataset of clips.
+class Windowing(TypedDict, total=False):
+    """Which windows of which clips, and which part of them.
 
     Attributes
     ----------
@@ -88,10 +88,8 @@ class WindowOptions(Options, total=False):
         continuous ones as in the ELD paper, the fifth to the ninth (the paper does not say which).
     region
         (top, left, height, width) in pixels of the packed frame: the part that is kept of each frame. ``None``
-        (default) is all of it: for DRV 15 MB a frame preprocessed and 80 MB raw.
-    crop, augment, seed
-        Random crops in place of a region, as in :class:`eldata.datasets.base.Cropping`; every frame and the reference
-        are cut at the same place and turned the same way.
+        (default) is all of it: for DRV 15 MB a frame preprocessed and 80 MB raw. Or a random ``crop``
+        (:class:`~eldata.datasets.items.Cropping`): every frame and the reference are cut and turned alike.
     crops_per_window
         Items per window: the length is this times the number of windows, and item i is of window i modulo that number.
     """
@@ -101,28 +99,11 @@ class WindowOptions(Options, total=False):
     stride: int | None
     frames: FrameRange
     region: Region | None
-    crop: int | None
-    augment: bool
     crops_per_window: int
-    seed: int
 
 
-class _Windowing(TypedDict, total=False):
-    window: int
-    stride: int | None
-    frames: FrameRange
-
-
-class _Cropping(TypedDict, total=False):
-    region: Region | None
-    crop: int | None
-    augment: bool
-    crops_per_window: int
-    seed: int
-
-
-class _Ids(TypedDict, total=False):
-    ids: Collection[str] | None
+class WindowOptions(Options, Cropping, Windowing, total=False):
+    """All of the keyword arguments that a dataset of clips has."""
 
 
 @dataclass(slots=True)
@@ -151,7 +132,7 @@ class ClipWindows(CroppedItems[_Item, Sample]):
     place
         Where the source is, for messages.
     options
-        See :class:`WindowOptions`, :class:`~eldata.manifest.pairs.Choice` and
+        See :class:`Windowing`, :class:`~eldata.datasets.items.Cropping`, :class:`~eldata.manifest.pairs.Choice` and
         :class:`~eldata.datasets.choices.Representation`.
 
     Raises
@@ -173,27 +154,22 @@ class ClipWindows(CroppedItems[_Item, Sample]):
         place: Path,
         **options: Unpack[WindowOptions],
     ) -> None:
-        choice, ids, representation, windowing, cropping = understood(
-            self, options, Choice, _Ids, Representation, _Windowing, _Cropping
+        choice, representation, cropping, windowing = understood(
+            self, options, Choice, Representation, Cropping, Windowing
         )
-        self.region: Region | None = cropping.get("region")
+        self.region: Region | None = windowing.get("region")
         if self.region is not None and (min(self.region[:2]) < 0 or min(self.region[2:]) < 1):
             raise ArgumentError(f"region must be (top, left, height, width), the sizes above 0; found {self.region}")
         if self.region is not None and cropping.get("crop") is not None:
             raise ArgumentError("give a region or a crop, not both")
-        self.crops_per_window: int = cropping.get("crops_per_window", 1)
-        super().__init__(
-            crop=cropping.get("crop"),
-            augment=cropping.get("augment", False),
-            crops=("crops_per_window", self.crops_per_window),
-            seed=cropping.get("seed", 0),
-        )
+        self.crops_per_window: int = windowing.get("crops_per_window", 1)
+        super().__init__(cropping, ("crops_per_window", self.crops_per_window))
         self.source = source
         self.root = place
         self.levels = representation.get("levels", "metadata")
         self.clip = representation.get("clip", "both")
         self.amplification = representation.get("amplification", "metadata")
-        chosen = expand(choose_clips(rows, subsets, **ids, **choice), place)
+        chosen = expand(choose_clips(rows, subsets, ids=windowing.get("ids"), **choice), place)
         self.layout = Layout.of(chosen)
         self.clips = clips_of(chosen)
         lone = [clip.scene for clip in self.clips if clip.reference is None]
@@ -276,7 +252,8 @@ class ClipWindows(CroppedItems[_Item, Sample]):
         for place, path in enumerate(item.record.paths):
             if place:
                 frame = self._frame(path)
-            self._check_frame(frame, path, like, known, name, ratio)
+            if not self.reads_parts:  # else it was checked before
+                self._check_frame(frame, path, like, known, name, ratio)
             yield Part("input", frame, place, 1.0 if ratio is None else item.ratio)
             del frame
 

@@ -35,7 +35,7 @@ class DRVDataset(PairedClips):
         A manifest's CSV file in place of the shipped one, such as one that ``eldata lock`` has filled in.
     options
         Which windows of which clips: ``window``, ``stride``, ``frames``, ``region``, ``split`` (``"train"``, ``"val"``
-        or ``"test"``), ``ids`` and all else of :class:`~eldata.datasets.clips.WindowOptions`.
+        or ``"test"``), ``ids`` and all else of :class:`~eldata.datasets.clips.Windowing`.
 
     Raises
     ------

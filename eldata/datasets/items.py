@@ -7,7 +7,7 @@ read, by several threads where the source allows it, into memory that is used ag
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypedDict, TypeVar
 
 import numpy as np
 import torch
@@ -190,19 +190,35 @@ class ReadItems(Dataset[Sample], ABC, Generic[Item, Sample]):
             self.finish(item, arrays)
 
 
+class Cropping(TypedDict, total=False):
+    """Which part of frames is an item: keyword arguments of every dataset of pairs or clips.
+
+    Item i of epoch e depends on (seed, e, i) alone: not on workers, their number, or what was read before.
+
+    Attributes
+    ----------
+    crop
+        Side of the square crop in pixels of the packed (or RGB) frame, even for X-Trans; ``None`` takes whole frames.
+    augment
+        Draw one of the eight orientations; a mosaic's CFA stays in order.
+    seed
+        First part of each item's seed.
+    """
+
+    crop: int | None
+    augment: bool
+    seed: int
+
+
 class CroppedItems(ReadItems[Item, Sample]):
     """Items that are random crops, drawn from (seed, epoch, index).
 
     Parameters
     ----------
-    crop
-        Side of the square crop in pixels of the packed frame, even for X-Trans; ``None`` takes whole frames.
-    augment
-        Draw one of the eight orientations of the mosaic; the CFA stays in order.
+    cropping
+        By default whole frames as they are.
     crops
         Items per record, and the name of this argument.
-    seed
-        First part of each item's seed.
 
     Raises
     ------
@@ -210,13 +226,14 @@ class CroppedItems(ReadItems[Item, Sample]):
         If one is out of its range.
     """
 
-    def __init__(self, *, crop: int | None, augment: bool, crops: tuple[str, int], seed: int) -> None:
+    def __init__(self, cropping: Cropping, crops: tuple[str, int]) -> None:
+        crop, seed = cropping.get("crop"), cropping.get("seed", 0)
         if seed < 0:
             raise ArgumentError(f"seed must be 0 or more; found {seed}")
         if crops[1] < 1 or (crop is not None and crop < 2):
             raise ArgumentError(f"{crops[0]} must be 1 or more and crop 2 or more; found {crops[1]}, {crop}")
         self.crop = crop
-        self.augment = augment
+        self.augment = cropping.get("augment", False)
         self.seed = seed
         self._epoch = SharedEpoch()
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.datasets.draws import NoiseChoice, NoiseDraw
+    from eldata.datasets.items import Cropping
 
 
 class DrawnNoise(DrawnItem, Protocol):
@@ -41,16 +42,9 @@ class NoisyItems(CroppedItems[Item, Sample]):
     """Items whose target is read, and whose input is that with noise."""
 
     def __init__(
-        self,
-        noise: NoiseChoice,
-        model: NoiseModel | None,
-        *,
-        crop: int | None,
-        augment: bool,
-        crops: tuple[str, int],
-        seed: int,
+        self, noise: NoiseChoice, model: NoiseModel | None, cropping: Cropping, crops: tuple[str, int]
     ) -> None:
-        super().__init__(crop=crop, augment=augment, crops=crops, seed=seed)
+        super().__init__(cropping, crops)
         self.noise = noise
         self.model = NoiseModel(clip="both") if model is None else model
 

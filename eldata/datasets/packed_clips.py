@@ -28,7 +28,7 @@ class PackedClips(PairedClips):
     path
         The store, as ``eldata pack drv`` or ``eldata pack drv-raw`` makes it.
     options
-        See :class:`~eldata.datasets.clips.WindowOptions`; by default ``crop=512`` and ``augment=True``.
+        As of :class:`~eldata.datasets.clips.ClipWindows`; by default ``crop=512`` and ``augment=True``.
 
     Raises
     ------

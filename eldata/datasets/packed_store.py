@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Unpack
 
-from eldata.datasets.base import Cropping, PairOptions, SourcePairs
+from eldata.datasets.base import PairCropping, PairOptions, SourcePairs
 from eldata.datasets.choices import Representation, understood
 from eldata.datasets.dn_batches import DnPairs
 from eldata.manifest.pairs import Choice
@@ -47,7 +47,7 @@ class PackedStore(SourcePairs):
     source: StoreFrames
 
     def __init__(self, path: Path | str, **options: Unpack[PairOptions]) -> None:
-        choice, representation, cropping = understood(self, options, Choice, Representation, Cropping)
+        choice, representation, cropping = understood(self, options, Choice, Representation, PairCropping)
         source = StoreFrames(path)
         super().__init__(
             source,

@@ -97,10 +97,8 @@ class SyntheticPairs(NoisyItems[_Item, SyntheticSample]):
         super().__init__(
             NoiseChoice.of(profiles, ratio, iso, row),
             model,
-            crop=crop,
-            augment=augment,
-            crops=("crops_per_frame", crops_per_frame),
-            seed=seed,
+            {"crop": crop, "augment": augment, "seed": seed},
+            ("crops_per_frame", crops_per_frame),
         )
         self.source = source
         self.crops_per_frame = crops_per_frame

@@ -100,10 +100,8 @@ class SyntheticClips(NoisyItems[_Item, SyntheticClipSample]):
         super().__init__(
             NoiseChoice.of(profiles, ratio, iso, row),
             model,
-            crop=crop,
-            augment=augment,
-            crops=("windows_per_clip", windows_per_clip),
-            seed=seed,
+            {"crop": crop, "augment": augment, "seed": seed},
+            ("windows_per_clip", windows_per_clip),
         )
         self.source = source
         self.frames = frames

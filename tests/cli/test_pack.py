@@ -175,7 +175,7 @@ def test_clips_are_packed_verified_and_read(eldata: Cli, tmp_path: Path) -> None
     )
     assert_one_line(eldata(*packing, "-o", tmp_path / "x.h5", "--split", "x"), "no clip has split x", "dynamic")
     assert_one_line(eldata(*packing, "-o", tmp_path / "x.h5", "--camera", "X"), "no clip has camera X", "SonyRX100M6")
-    assert_one_line(eldata(*packing, "-o", tmp_path / "x.h5", "--subset", "x"), "a subset names pairs")
+    assert_one_line(eldata(*packing, "-o", tmp_path / "x.h5", "--subset", "x"), "no subset is called 'x'")
     assert_one_line(eldata("pack", tmp_path, "-o", tmp_path / "x.h5", "--clip", "1"), "--clip", "is a folder")
 
 

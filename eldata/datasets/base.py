@@ -74,7 +74,7 @@ class PairOptions(Options, PairCropping, total=False):
 
 
 @dataclass(slots=True)
-class Pair:
+class OpenedPair:
     """Two frames; those of a source that decodes whole frames are here only until they are read.
 
     ``ratio`` is what the input is multiplied by, ``exposure`` the noisy file's.
@@ -90,11 +90,11 @@ class Pair:
 class PairItem(NamedTuple):
     """One item: a pair, and the part of both of its frames."""
 
-    pair: Pair
+    pair: OpenedPair
     crop: Crop
 
 
-def pair_facts(pair: Pair) -> dict[str, Any]:
+def pair_facts(pair: OpenedPair) -> dict[str, Any]:
     """Return the fields of a :class:`Sample` that are not tensors."""
     record = pair.record
     return {
@@ -198,15 +198,15 @@ class SourcePairs(CroppedItems[PairItem, Sample]):
         """Return the fields of a :class:`Sample` that are not tensors."""
         return pair_facts(item.pair)
 
-    def _begun(self, record: PairRecord) -> Pair:
-        return Pair(record, self.source.frame(record.reference).with_levels(self.levels))
+    def _begun(self, record: PairRecord) -> OpenedPair:
+        return OpenedPair(record, self.source.frame(record.reference).with_levels(self.levels))
 
-    def _opened(self, record: PairRecord) -> Pair:
+    def _opened(self, record: PairRecord) -> OpenedPair:
         pair = self._begun(record)
         self._open_input(pair)
         return pair
 
-    def _open_input(self, pair: Pair) -> None:
+    def _open_input(self, pair: OpenedPair) -> None:
         record, target = pair.record, pair.target
         noisy = self._noisy(record, target)
         ratio = checked_ratio(record, target, noisy)

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Unpack
 from eldata.datasets.base import no_folder
 from eldata.datasets.clips import PairedClips, UnpairedClips
 from eldata.manifest.catalogue import data_root, load_manifest, shipped_manifest
-from eldata.manifest.drv import scan_raw
-from eldata.manifest.drv_published import DYNAMIC
+from eldata.manifest.drv import DYNAMIC, scan_raw
 from eldata.sources.frames import Files
 
 if TYPE_CHECKING:

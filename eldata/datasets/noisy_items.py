@@ -2,20 +2,45 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypedDict, TypeVar
 
+from eldata.base.keywords import keywords
 from eldata.datasets.batches import threads_here
-from eldata.datasets.items import CroppedItems, DrawnItem
+from eldata.datasets.draws import NoiseChoice
+from eldata.datasets.items import CroppedItems, Cropping, DrawnItem
 from eldata.noise.model import NoiseModel
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
 
-    from eldata.datasets.draws import NoiseChoice, NoiseDraw
-    from eldata.datasets.items import Cropping
+    from eldata.datasets.draws import NoiseDraw
+    from eldata.noise.profile import CameraProfile, RowChoice
+
+
+class Noise(TypedDict, total=False):
+    """What noise is made.
+
+    Attributes
+    ----------
+    model
+        The noise model; by default (``None``) the full one, clipped to [0, 1] as the published loaders' input is.
+    ratio
+        Low-light factors: (lowest, highest), drawn uniformly; by default the paper's, 100 to 300. Or one fixed number.
+    iso, row
+        As in :meth:`eldata.noise.CameraProfile.sample`.
+    """
+
+    model: NoiseModel | None
+    ratio: float | tuple[float, float]
+    iso: float | None
+    row: RowChoice
+
+
+class NoiseOptions(Cropping, Noise, total=False):
+    """All of the keyword arguments that synthetic pairs and clips share; by default ``crop=512, augment=True``."""
 
 
 class DrawnNoise(DrawnItem, Protocol):
@@ -42,11 +67,16 @@ class NoisyItems(CroppedItems[Item, Sample]):
     """Items whose target is read, and whose input is that with noise."""
 
     def __init__(
-        self, noise: NoiseChoice, model: NoiseModel | None, cropping: Cropping, crops: tuple[str, int]
+        self,
+        profiles: CameraProfile | str | Sequence[CameraProfile | str],
+        crops: tuple[str, int],
+        options: NoiseOptions,
     ) -> None:
-        super().__init__(cropping, crops)
-        self.noise = noise
-        self.model = NoiseModel(clip="both") if model is None else model
+        cropping, noise = keywords(type(self).__name__, options, Cropping, Noise, renamed={})
+        super().__init__({"crop": 512, "augment": True} | cropping, crops)
+        ratio, row = noise.get("ratio", (100.0, 300.0)), noise.get("row", "any")
+        self.noise = NoiseChoice.of(profiles, ratio, noise.get("iso"), row)
+        self.model: NoiseModel = noise.get("model") or NoiseModel(clip="both")
 
     def finish(self, item: Item, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Add the noise."""

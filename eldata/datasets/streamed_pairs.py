@@ -14,7 +14,7 @@ import numpy as np
 from torch.utils.data import IterableDataset, get_worker_info
 
 from eldata.datasets.augmentation import Orientation
-from eldata.datasets.base import SIDES, Pair, PairItem, Sample, pair_facts
+from eldata.datasets.base import SIDES, OpenedPair, PairItem, Sample, pair_facts
 from eldata.datasets.choices import Representation, understood
 from eldata.datasets.crops import Crop
 from eldata.datasets.items import Part, ReadItems, SharedEpoch
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from eldata.datasets.choices import Amplification
     from eldata.raw.cfa import Clip
     from eldata.raw.levels import FrameLevels
-    from eldata.sources.shards.members import Sample as StoredSample
+    from eldata.sources.shards.members import StoredSample
 
 # Keep these random numbers apart from those of the items, which are seeded by (seed, epoch, index).
 _SHARDS, _BUFFER = 1, 2
@@ -270,7 +270,7 @@ class StreamedPairs(IterableDataset[Sample]):
         whole = Crop((slice(None), slice(None)), drawn.cfa, Orientation(), drawn.height, drawn.width)
         return PairItem(replace(pair, input=cuts[0], target=cuts[1]), whole)
 
-    def _pair(self, sample: StoredSample) -> Pair:
+    def _pair(self, sample: StoredSample) -> OpenedPair:
         """Return a sample's frames."""
         facts = sample.facts
         name = f"{self.folder.address}: {facts.record.path}"
@@ -279,7 +279,7 @@ class StreamedPairs(IterableDataset[Sample]):
             for mosaic, side in ((sample.target_dn, facts.target), (sample.input_dn, facts.input))
         )
         ratio = facts.ratio if self.amplification == "metadata" else facts.record.ratio
-        return Pair(facts.record, target, noisy, ratio, noisy.exposure)
+        return OpenedPair(facts.record, target, noisy, ratio, noisy.exposure)
 
     def __repr__(self) -> str:
         tile = "whole frames" if self.index.tile is None else f"tiles of {self.index.tile}"

@@ -6,7 +6,6 @@ its card, and ``OUT/parameters.json`` with all that the noise was made with. ``<
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
@@ -16,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from eldata.base.files import atomic_write, write_text
+from eldata.base.files import atomic_write, write_json
 from eldata.base.workers import AnyWorkers, Workers, accepts_jobs, require_files
 from eldata.datasets.clean import RawFiles
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError
@@ -152,7 +151,7 @@ def synthesize(clean: Path, out: Path, recipe: Recipe, *, workers: AnyWorkers = 
         "format": recipe.format,
         "frames": [frame for item in made for frame in item.parameters],
     }
-    write_text(out / "parameters.json", json.dumps(parameters, indent=1) + "\n")
+    write_json(out / "parameters.json", parameters, indent=1)
     save_card(out / "manifests" / f"{name}.json", card)
     save_records(out / "manifests" / f"{name}.csv", records)
     return load_manifest(out / "manifests" / f"{name}.csv")

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
 
 from eldata.datasets.base import SIDES
 from eldata.datasets.crops import Crop
-from eldata.datasets.draws import NoiseChoice, NoiseFacts
+from eldata.datasets.draws import NoiseFacts
 from eldata.datasets.items import Part
-from eldata.datasets.noisy_items import NoisyItems
+from eldata.datasets.noisy_items import NoiseOptions, NoisyItems
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 
     from eldata.datasets.clean import CleanSource
     from eldata.datasets.draws import NoiseDraw
-    from eldata.noise.model import NoiseModel
-    from eldata.noise.profile import CameraProfile, RowChoice
+    from eldata.noise.profile import CameraProfile
     from eldata.sources.frames import Frame
 
 
@@ -59,20 +58,12 @@ class SyntheticPairs(NoisyItems[_Item, SyntheticSample]):
         their two methods.
     profiles
         One camera profile or several (one is drawn for each item), by name, path or object.
-    model
-        The noise model; by default the full one, clipped to [0, 1] as the published loaders' input is.
-    ratio
-        Low-light factors: (lowest, highest), drawn uniformly; the paper's by default. Or one fixed number.
-    crop
-        Side of the square crop in packed pixels, even for X-Trans; ``None`` takes whole frames.
-    augment
-        Draw one of the eight orientations of the mosaic; the CFA stays in order.
     crops_per_frame
         Items per clean frame: the length is this times the number of frames.
-    seed
-        First part of each item's seed.
-    iso, row
-        As in :meth:`eldata.noise.CameraProfile.sample`.
+    options
+        What noise is made (:class:`~eldata.datasets.noisy_items.Noise`): ``model``, ``ratio``, ``iso``, ``row``; and
+        from which crops (:class:`~eldata.datasets.items.Cropping`): ``crop`` (default 512), ``augment`` (``True``),
+        ``seed``.
 
     Raises
     ------
@@ -85,21 +76,10 @@ class SyntheticPairs(NoisyItems[_Item, SyntheticSample]):
         source: CleanSource,
         profiles: CameraProfile | str | Sequence[CameraProfile | str],
         *,
-        model: NoiseModel | None = None,
-        ratio: float | tuple[float, float] = (100.0, 300.0),
-        crop: int | None = 512,
-        augment: bool = True,
         crops_per_frame: int = 1,
-        seed: int = 0,
-        iso: float | None = None,
-        row: RowChoice = "any",
+        **options: Unpack[NoiseOptions],
     ) -> None:
-        super().__init__(
-            NoiseChoice.of(profiles, ratio, iso, row),
-            model,
-            {"crop": crop, "augment": augment, "seed": seed},
-            ("crops_per_frame", crops_per_frame),
-        )
+        super().__init__(profiles, ("crops_per_frame", crops_per_frame), options)
         self.source = source
         self.crops_per_frame = crops_per_frame
 

@@ -6,13 +6,13 @@ et al., TPAMI 2021, section on videography: parameters are drawn once a clip, no
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
 
 from eldata.datasets.base import SIDES
 from eldata.datasets.crops import Crop
-from eldata.datasets.draws import NoiseChoice, NoiseFacts
+from eldata.datasets.draws import NoiseFacts
 from eldata.datasets.items import Part
-from eldata.datasets.noisy_items import NoisyItems
+from eldata.datasets.noisy_items import NoiseOptions, NoisyItems
 from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 
     from eldata.datasets.clean import CleanSource, ClipSource
     from eldata.datasets.draws import NoiseDraw
-    from eldata.noise.model import NoiseModel
-    from eldata.noise.profile import CameraProfile, RowChoice
+    from eldata.noise.profile import CameraProfile
     from eldata.sources.frames import Frame
 
 
@@ -86,23 +85,12 @@ class SyntheticClips(NoisyItems[_Item, SyntheticClipSample]):
         profiles: CameraProfile | str | Sequence[CameraProfile | str],
         *,
         frames: int = 5,
-        model: NoiseModel | None = None,
-        ratio: float | tuple[float, float] = (100.0, 300.0),
-        crop: int | None = 512,
-        augment: bool = True,
         windows_per_clip: int = 1,
-        seed: int = 0,
-        iso: float | None = None,
-        row: RowChoice = "any",
+        **options: Unpack[NoiseOptions],
     ) -> None:
         if frames < 1 or windows_per_clip < 1:
             raise ArgumentError(f"frames and windows_per_clip must be 1 or more; found {frames}, {windows_per_clip}")
-        super().__init__(
-            NoiseChoice.of(profiles, ratio, iso, row),
-            model,
-            {"crop": crop, "augment": augment, "seed": seed},
-            ("windows_per_clip", windows_per_clip),
-        )
+        super().__init__(profiles, ("windows_per_clip", windows_per_clip), options)
         self.source = source
         self.frames = frames
         self.windows_per_clip = windows_per_clip

@@ -37,7 +37,7 @@ class MemberError(ValueError):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sample:
+class StoredSample:
     """One sample of a shard: its number, facts, and both mosaics (H, W) uint16 in DN, views of the bytes read."""
 
     number: int
@@ -56,7 +56,7 @@ def to_bytes(key: str, facts: Facts, input_dn: NDArray[np.uint16], target_dn: ND
     )
 
 
-def from_bytes(content: bytes) -> Sample:
+def from_bytes(content: bytes) -> StoredSample:
     """Return the sample that a part of a tar file is.
 
     Raises
@@ -79,7 +79,7 @@ def from_bytes(content: bytes) -> Sample:
         raise MemberError(f"member {members[0][0]} does not hold a sample's facts ({error})") from error
     sensors = facts.input.sensor, facts.target.sensor
     mosaics = [_mosaic(name, body, sensor) for (name, body), sensor in zip(members[1:], sensors, strict=True)]
-    return Sample(int(members[0][0].partition(".")[0]), facts, mosaics[0], mosaics[1])
+    return StoredSample(int(members[0][0].partition(".")[0]), facts, mosaics[0], mosaics[1])
 
 
 def _header(name: str, size: int) -> bytes:

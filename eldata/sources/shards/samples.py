@@ -7,7 +7,7 @@ from contextlib import closing
 from typing import TYPE_CHECKING
 
 from eldata.sources.shards.index import ShardError, key_of
-from eldata.sources.shards.members import MemberError, Sample, from_bytes
+from eldata.sources.shards.members import MemberError, StoredSample, from_bytes
 from eldata.sources.shards.remote import Forward
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from eldata.sources.shards.splitting import Run
 
 
-def read_run(folder: Folder, index: ShardIndex, run: Run) -> Generator[Sample]:
+def read_run(folder: Folder, index: ShardIndex, run: Run) -> Generator[StoredSample]:
     """Yield neighbouring samples of a shard, one in memory at a time.
 
     Raises
@@ -37,13 +37,13 @@ def read_run(folder: Folder, index: ShardIndex, run: Run) -> Generator[Sample]:
             start += size
 
 
-def read_sample(folder: Folder, index: ShardIndex, run: Run) -> Sample:
+def read_sample(folder: Folder, index: ShardIndex, run: Run) -> StoredSample:
     """Return the first sample of a run; errors as of :func:`read_run`."""
     with closing(read_run(folder, index, run)) as samples:
         return next(samples)
 
 
-def checked_sample(place: str, where: str, content: bytes, crc32: int) -> Sample:
+def checked_sample(place: str, where: str, content: bytes, crc32: int) -> StoredSample:
     """Return the sample that bytes of a shard are, if their checksum is that of the index.
 
     Raises

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 import zlib
 from dataclasses import dataclass
@@ -14,7 +13,8 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 from tqdm import tqdm
 
-from eldata.base.files import atomic_write, write_text
+from eldata.base.fields import TextFile
+from eldata.base.files import atomic_write, write_json, write_text
 from eldata.base.keywords import keywords
 from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.manifest.pairs import RENAMED, Choice
@@ -175,21 +175,19 @@ def _begin(folder: Path, options: dict[str, Any]) -> None:
             if _LEFT_OVER.fullmatch(name):
                 (folder / name).unlink()
         there = [name for name in there if not _LEFT_OVER.fullmatch(name)]
-        begun = json.loads((folder / BEGUN).read_text(encoding="utf-8")) if BEGUN in there else None
     except OSError as error:
         raise EldataError(f"cannot write into {folder}: {error.strerror or error}") from error
-    except ValueError as error:
-        raise EldataError(f"{folder / BEGUN}: is damaged ({error}); remove the folder to start anew") from error
+    begun = TextFile(folder / BEGUN, EldataError, "remove the folder to start anew").json() if BEGUN in there else None
     if INDEX in there:
         raise EldataError(f"{folder}: holds finished shards already; remove it, or name another folder")
     if begun is None:
         if there:
             raise EldataError(f"{folder}: holds other files, such as {there[0]}; name a new folder")
-        write_text(folder / BEGUN, json.dumps(wanted, indent=1) + "\n")
+        write_json(folder / BEGUN, wanted, indent=1)
         return
     for name, value in wanted.items():
-        if not isinstance(begun, dict) or begun.get(name) != value:
-            found = begun.get(name) if isinstance(begun, dict) else begun
+        if begun.data.get(name) != value:
+            found = begun.data.get(name)
             raise ArgumentError(
                 f"{folder}: was begun with another {name.replace('_', ' ')}: expected {value}, found {found}; give the "
                 "same store and options as then, or remove the folder to start anew"

@@ -102,7 +102,7 @@ class RawFiles(SomeFrames):
     Raises
     ------
     DatasetError
-        If there is no raw file.
+        If there is not a raw file.
     """
 
     def __init__(self, files: Path | str | Iterable[Path | str], *, levels: Levels = "metadata", keep: int = 0) -> None:
@@ -148,7 +148,7 @@ class Arrays:
     Parameters
     ----------
     arrays
-        One array a frame, or one array (N, C, h, w).
+        One array per frame, or one array (N, C, h, w).
     range_dn
         White minus black level of the camera that is simulated, DN.
     cfa
@@ -197,7 +197,7 @@ class StoredFrames(SomeFrames):
     Raises
     ------
     StoreError
-        If the file is no store, truncated, not complete, or of a newer version.
+        If the file is not a store, truncated, not complete, or of a newer version.
     ArgumentError
         If ``levels`` is unknown.
     """
@@ -218,7 +218,7 @@ class StoredFrames(SomeFrames):
 
 
 class RawClips:
-    """Clean clips of raw files: folders, one a clip, whose files are in the order of the numbers in their names.
+    """Clean clips of raw files: folders, one per clip, whose files are in the order of the numbers in their names.
 
     Parameters
     ----------
@@ -283,7 +283,7 @@ class ArrayClips:
     Parameters
     ----------
     arrays
-        One array a clip; their lengths and sizes may differ.
+        One array per clip; their lengths and sizes may differ.
     range_dn, cfa
         As in :class:`Arrays`.
 
@@ -325,7 +325,7 @@ class StoredClips:
     Raises
     ------
     StoreError
-        If the file is no store, truncated, not complete, or of a newer version.
+        If the file is not a store, truncated, not complete, or of a newer version.
     DatasetError
         If it holds a dataset's pairs or clips, or the names of a clip do not follow one numbering.
     ArgumentError

@@ -81,7 +81,7 @@ class NoiseChoice:
         Raises
         ------
         ArgumentError
-            If the ratio makes no sense, or there is no profile.
+            If the ratio is invalid, or there is no profile.
         ProfileError
             If a profile is unknown or malformed.
         """

@@ -116,7 +116,7 @@ def training_loader(
         One with ``len`` and indices, or an iterable one that splits itself (eldata.sources.shards.StreamedPairs). Items
         are to depend on (seed, epoch, index) alone, as those of this package do.
     batch_size
-        Items a batch; the last batch is dropped if it is smaller.
+        Items per batch; the last batch is dropped if it is smaller.
     options
         See :class:`LoaderOptions`.
 
@@ -193,7 +193,7 @@ def evaluation_loader(
 
 
 def describe(loader: DataLoader[Any]) -> str:
-    """Return what was chosen for a loader, and why, one setting a line.
+    """Return what was chosen for a loader, and why, one setting per line.
 
     Raises
     ------

@@ -102,8 +102,8 @@ class SourceSensors:
 
     Notes
     -----
-    A sample without ``reference`` is synthetic: both sensors are those of ``path``. A ``path`` that is no raw file (the
-    packed arrays of DRV) takes its reference's. The first sample of a raw file decodes that file once more.
+    A sample without ``reference`` is synthetic: both sensors are those of ``path``. A ``path`` that is not a raw file
+    (a packed array) takes its reference's. The first sample of a raw file decodes that file once more.
     """
 
     def __init__(self, source: FrameSource) -> None:
@@ -205,7 +205,7 @@ class StagedPairs(Dataset[dict[str, Any]]):
         return (self[index] for index in range(len(self)))
 
     def __getitem__(self, index: int) -> dict[str, Any]:
-        """Take one pair and apply the stages; errors as of the wrapped dataset and its stages.
+        """Take one pair and apply the stages; raises like the wrapped dataset and its stages.
 
         Raises
         ------

@@ -25,7 +25,7 @@ def exposure_data(exposure: Exposure) -> dict[str, str | None]:
 
 
 def exposure_of(data: Mapping[str, Any]) -> Exposure:
-    """Return the exposure that :func:`exposure_data` wrote; ArgumentError or TypeError if it is none."""
+    """Return the exposure that :func:`exposure_data` wrote; ArgumentError or TypeError if it is something else."""
     return Exposure(**{name: exact(text) for name, text in data.items()})
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def checked_ratio(record: PairRecord, reference: Frame, noisy: Frame) -> Fraction:
-    """Return the exposure ratio that a pair's files state; the manifest's if the noisy one is no raw file.
+    """Return the exposure ratio that a pair's files state; the manifest's if the noisy one is not a raw file.
 
     Raises
     ------

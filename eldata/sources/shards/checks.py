@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def verify_shards(address: str, *, storage_options: Mapping[str, Any] | None = None) -> list[str]:
-    """Read all shards and return what is wrong with them, one line a shard; nothing if all is well.
+    """Read all shards and return what is wrong with them, one line per shard; nothing if all is well.
 
     Raises
     ------

@@ -112,7 +112,7 @@ class Facts:
 
 
 def index_text(index: ShardIndex, written_by: str) -> str:
-    """Return the index as JSON, a line a shard."""
+    """Return the index as JSON, one line per shard."""
     head = {
         "format": FORMAT,
         "version": VERSION,

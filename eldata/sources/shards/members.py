@@ -71,7 +71,7 @@ def from_bytes(content: bytes) -> StoredSample:
     expected = member_names(found[1]) if found else member_names("KEY")
     for (name, _), wanted in zip(members, expected, strict=True):
         if name != wanted:
-            raise MemberError(f"member {name!r} is none of a shard's: expected {wanted}")
+            raise MemberError(f"member {name!r} does not belong in a shard: expected {wanted}")
     try:
         facts = parse_facts(bytes(members[0][1]))
         _check_sides(facts)
@@ -95,7 +95,7 @@ def _members(content: bytes) -> Iterator[tuple[str, memoryview]]:
         try:
             info = tarfile.TarInfo.frombuf(bytes(view[at : at + BLOCK]), "utf-8", "surrogateescape")
         except tarfile.HeaderError as error:
-            raise MemberError(f"byte {at} of the sample is no tar header ({error})") from error
+            raise MemberError(f"byte {at} of the sample is not a tar header ({error})") from error
         if info.type not in (tarfile.REGTYPE, tarfile.AREGTYPE):
             raise MemberError(f"member {info.name!r} is a link, folder or device; a shard holds plain files only")
         end = at + BLOCK + info.size

@@ -38,7 +38,7 @@ def read_run(folder: Folder, index: ShardIndex, run: Run) -> Generator[StoredSam
 
 
 def read_sample(folder: Folder, index: ShardIndex, run: Run) -> StoredSample:
-    """Return the first sample of a run; errors as of :func:`read_run`."""
+    """Return the first sample of a run; raises like :func:`read_run`."""
     with closing(read_run(folder, index, run)) as samples:
         return next(samples)
 
@@ -62,4 +62,4 @@ def checked_sample(place: str, where: str, content: bytes, crc32: int) -> Stored
     try:
         return from_bytes(content)
     except MemberError as error:
-        raise ShardError(place, f"{where} is no sample: {error}") from error
+        raise ShardError(place, f"{where} is not a sample: {error}") from error

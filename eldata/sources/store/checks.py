@@ -44,7 +44,7 @@ def verify_store(path: Path | str, *, level: Level = "quick", workers: AnyWorker
     Raises
     ------
     StoreError
-        If it is no store, truncated, not complete, or of a newer version.
+        If it is not a store, truncated, not complete, or of a newer version.
     ArgumentError
         If it is compressed and hdf5plugin is not installed.
     """

@@ -46,7 +46,7 @@ COMPRESSIONS: tuple[Compression, ...] = get_args(Compression)
 
 
 class StoreError(FileError):
-    """A file is no store, or one that cannot be used."""
+    """A file is not a store, or one that cannot be used."""
 
 
 @dataclass(frozen=True, slots=True)

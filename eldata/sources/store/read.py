@@ -81,7 +81,7 @@ def open_store(path: Path | str) -> Store:
 
 
 def opened(path: Path) -> h5py.File:
-    """Open a store's HDF5 file for reading; errors as of :func:`open_store`."""
+    """Open a store's HDF5 file for reading; raises like :func:`open_store`."""
     try:
         path.open("rb").close()
     except OSError as error:

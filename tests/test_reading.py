@@ -8,8 +8,8 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from eldata.sources.shards.layout import Facts, Side, facts_text, parse_facts, parse_index
-from eldata.sources.store.layout import stored_frame
+from eldata.sources.shards.index import Facts, Side, facts_text, parse_facts, parse_index
+from eldata.sources.store.format import stored_frame
 
 from capture.camera import EXAMPLE, CameraDescription
 from capture.exact import parse_seconds

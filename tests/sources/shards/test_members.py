@@ -170,11 +170,11 @@ def test_links_folders_devices_and_extensions(kind: bytes) -> None:
     ("content", "words"),
     [
         (b"", "a sample has 3 members; found 0"),
-        (b"\0" * 1024, "no tar header"),
-        (b"x" * 1024, "no tar header"),
+        (b"\0" * 1024, "is not a tar header"),
+        (b"x" * 1024, "is not a tar header"),
         (made(JSON, INPUT), "a sample has 3 members; found 2"),
         (made(JSON, INPUT, TARGET)[:-512], "'000000042.target.npy' says that it has 224 bytes, more than its sample"),
-        (made(JSON, INPUT, TARGET) + b"\1" * 100, "no tar header"),
+        (made(JSON, INPUT, TARGET) + b"\1" * 100, "is not a tar header"),
         (made(JSON, TARGET, INPUT), "member '000000042.target.npy' does not belong in a shard"),
         (made(("42.json", JSON[1]), INPUT, TARGET), "member '42.json' does not belong in a shard"),
         (

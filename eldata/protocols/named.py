@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from eldata.protocols.clips import CLIP_PROTOCOLS
 from eldata.protocols.protocol import Protocol
 
 _TPAMI = "K. Wei et al., Physics-based Noise Modeling for Extreme Low-light Photography, TPAMI 2021"
@@ -230,9 +231,10 @@ PROTOCOLS: dict[str, Protocol] = {
         _LRD_ELD,
         _SID_SRGB,
         _SID2018,
+        *CLIP_PROTOCOLS,
     )
 }
-"""By name; a dataset's default comes first."""
+"""Those of images and those of clips by name; a dataset's default comes first."""
 
 FAMILIES: tuple[str, ...] = tuple(dict.fromkeys(p.family for p in PROTOCOLS.values() if p.family))
-"""Names that stand for one protocol a dataset."""
+"""Names that stand for one protocol per dataset."""

@@ -12,8 +12,8 @@ import pytest
 
 from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation import evaluate, evaluate_all, load_prediction, save_prediction
-from eldata.evaluation.results import CSV_COLUMNS
 from eldata.protocols import PROTOCOLS
+from eldata.protocols.kinds import IMAGES
 from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
 from tests.evaluation import plain
@@ -52,7 +52,7 @@ def test_all_equals_single_runs(own: OwnSet, preds: Path) -> None:
     combined = evaluate_all(preds, manifest=own.manifest, root=own.root)
     assert [result.protocol.name for result in combined.results] == ["eld", "eld-uncorrected", "led-sid", "lrd-sid"]
     for result in combined.results:
-        assert result == evaluate(preds, manifest=own.manifest, root=own.root, protocol=result.protocol)
+        assert result == evaluate(preds, manifest=own.manifest, root=own.root, protocol=result.protocol.name)
     assert len({image.psnr_db for result in combined.results for image in result.images}) == 16
     assert combined.scored == 4
 
@@ -119,12 +119,12 @@ def test_files_of_all(own: OwnSet, preds: Path, tmp_path: Path) -> None:
     assert {one["protocol"] for one in data["not_scored"]} == {"eld-cvpr20", "sid-srgb", "sid2018"}
     with (tmp_path / "all.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    assert tuple(rows[0]) == ("protocol", *CSV_COLUMNS)
+    assert tuple(rows[0]) == ("protocol", *IMAGES.columns)
     for result in combined.results:
         mine = [row for row in rows if row["protocol"] == result.protocol.name]
         assert [float(row["psnr_db"]) for row in mine] == [image.psnr_db for image in result.images]
         result.write_csv(tmp_path / "one.csv")
-        assert (tmp_path / "one.csv").read_text().splitlines()[0] == ",".join(CSV_COLUMNS)
+        assert (tmp_path / "one.csv").read_text().splitlines()[0] == ",".join(IMAGES.columns)
 
 
 def test_problems_are_told_once(own: OwnSet, tmp_path: Path) -> None:
@@ -170,7 +170,7 @@ def test_all_of_the_input(own: OwnSet) -> None:
 # --- sets of one's own ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", [name for name in PROTOCOLS if PROTOCOLS[name].space == "raw"])
+@pytest.mark.parametrize("name", [name for name, one in PROTOCOLS.items() if one.space == "raw" and one.kind is IMAGES])
 def test_any_protocol_scores_whatever_factors_a_set_has(name: str, own: OwnSet, preds: Path) -> None:
     result = evaluate(preds, manifest=own.manifest, root=own.root, protocol=name)
     assert result.provenance["ratios"] == [50, 100]

@@ -5,17 +5,22 @@ from __future__ import annotations
 import csv
 import json
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
+from eldata.base.workers import Workers
 from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation import evaluate, evaluate_all, load_prediction, save_prediction
+from eldata.evaluation.evaluate import perform
+from eldata.evaluation.request import make_request
 from eldata.protocols import PROTOCOLS
 from eldata.protocols.kinds import IMAGES
 from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
+from tests.drv_tree import small_drv
 from tests.evaluation import plain
 from tests.evaluation.own_set import OwnSet, build_own_set
 
@@ -258,3 +263,23 @@ def test_an_executor_of_the_callers(own: OwnSet, preds: Path) -> None:
         combined = evaluate_all(preds, manifest=own.manifest, root=own.root, workers=executor)
         assert executor.submit(int, "7").result() == 7  # it was not shut down
     assert combined.results[0] == expected
+
+
+# --- errors of our own ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_an_error_of_our_own_is_raised_and_names_its_unit(own: OwnSet, preds: Path, jobs: int, tmp_path: Path) -> None:
+    """It is not a problem of the data, of images and clips alike, whatever is allowed to be missing."""
+    drv = small_drv(tmp_path / "drv", ("0007",), 12)
+    broken = replace(PROTOCOLS["eld"], name="broken"), replace(PROTOCOLS["drv-rgb"], name="broken")
+    for protocol in broken:
+        object.__setattr__(protocol, "data_range", "1")  # as a mistake of ours might, past all checks
+    images = make_request(preds, "", None, {"manifest": own.manifest, "root": own.root, "allow_missing": True})
+    clips = make_request(None, "", None, {"manifest": drv.csv, "root": drv.root, "ids": ["0007"], "baseline": "input"})
+    for request, protocol, unit in zip((images, clips), broken, ("s0/clean.dng", "long/0007/"), strict=True):
+        with pytest.raises(TypeError) as caught:
+            perform(replace(request, protocols=(protocol,), workers=Workers(jobs)))
+        assert any(
+            note.startswith(f"while the predictions for the reference {unit}") for note in caught.value.__notes__
+        )

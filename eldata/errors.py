@@ -57,3 +57,11 @@ class DatasetError(EldataError):
 
 class ProfileError(EldataError):
     """A camera profile is malformed or unknown."""
+
+
+class DownloadError(EldataError):
+    """A file cannot be fetched or written; what has come so far is kept unless the message says otherwise."""
+
+
+class ArchiveError(FileError):
+    """An archive is damaged, unsafe to unpack, or a different one from what was asked for."""

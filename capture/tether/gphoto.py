@@ -25,6 +25,7 @@ from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING, Final
 
 from capture.tether.errors import CameraLostError, GphotoError
+from eldata.base.files import check_posix
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -166,7 +167,10 @@ class Gphoto:
         ------
         GphotoError
             If it is not installed.
+        EldataError
+            If this system cannot run a session (:func:`~eldata.base.files.check_posix`).
         """
+        check_posix("tethered capture")
         path = shutil.which(name)
         if path is None:
             raise GphotoError(f"{name}: there is no such program; {INSTALL}")

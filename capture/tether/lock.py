@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import time
@@ -11,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from capture.tether.errors import TetherError
+from eldata.base.files import check_posix, try_lock
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -45,14 +45,17 @@ def locked(folder: Path) -> Iterator[Lock]:
     ------
     TetherError
         If another session keeps it for some seconds.
+    EldataError
+        If this system, or the folder's disk, has no file locks.
     """
+    check_posix("tethered capture")
     try:
         descriptor = os.open(folder / NAME, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     except OSError as error:
         raise TetherError(f"{folder}: cannot be written to ({error.strerror})") from error
     try:
         deadline = time.monotonic() + WAIT_S
-        while not _taken(descriptor):
+        while not try_lock(folder, descriptor):
             if time.monotonic() > deadline:
                 raise TetherError(f"{folder}: {_holder(descriptor)}")
             time.sleep(_STEP_S)
@@ -61,14 +64,6 @@ def locked(folder: Path) -> Iterator[Lock]:
         yield lock
     finally:
         os.close(descriptor)
-
-
-def _taken(descriptor: int) -> bool:
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
 
 
 def _holder(descriptor: int) -> str:

@@ -1,10 +1,11 @@
-"""Files: hashing, atomic writing and paths that stay inside their root."""
+"""Files: hashing, atomic writing, locks, and paths that stay inside their root."""
 
 from __future__ import annotations
 
 import hashlib
 import os
 import secrets
+import sys
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING
@@ -54,6 +55,39 @@ def write_text(path: Path | str, text: str) -> None:
     """Write UTF-8 text whole or not at all, with line ends as given."""
     with atomic_write(path) as file:
         file.write(text.encode())
+
+
+def check_posix(what: str) -> None:
+    """Raise :class:`EldataError` if this system lacks the locks, and with them the calls, of POSIX.
+
+    Call it before the first ``os.pread``, ``os.O_CLOEXEC`` and their kin, which Windows does not have either.
+    """
+    try:
+        import fcntl  # noqa: F401 # asked for, not used
+    except ImportError:
+        raise EldataError(
+            f"{what} needs a POSIX system such as Linux or macOS: this Python ({sys.platform}) has no module fcntl; "
+            "on Windows, run it under WSL"
+        ) from None
+
+
+def try_lock(path: Path, file: int | IO[bytes]) -> bool:
+    """Lock an open file or folder for as long as it is open; ``False`` if another process holds the lock.
+
+    Raises
+    ------
+    EldataError
+        If its disk keeps no locks.
+    """
+    import fcntl
+
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError as error:
+        raise EldataError(f"{path}: cannot be locked ({error.strerror}); choose a place on another disk") from error
+    return True
 
 
 def path_problem(relative: str) -> str | None:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from eldata.download.installing import Installed
     from eldata.download.overview import Overview, Presence
-    from eldata.download.places import Place
+    from eldata.manifest.card import Download
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -24,7 +24,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "download",
         help="fetch a dataset where its publisher allows it; unpack and check what was fetched by hand",
         description=(
-            "Say where a dataset is to be had, how large it is and under which licence; with --yes, fetch the archives "
+            "Say where a dataset is available, how large it is and under which licence; with --yes, fetch the archives "
             "that the publisher lets programs fetch, go on where a broken connection ended, check their structure and "
             "unpack them into the dataset's folder. With --from, do the same with an archive that you saved by hand. "
             "Nothing that is there is fetched again or replaced."
@@ -76,22 +76,23 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    from eldata.download.card_downloads import choose_parts, holds
     from eldata.download.installing import unpack_dataset
     from eldata.download.overview import overview, presence_of
-    from eldata.download.places import choose_parts
     from eldata.manifest.catalogue import shipped_manifest
 
     manifest = shipped_manifest(arguments.dataset)
     found = overview(manifest, arguments.root)
-    parts = choose_parts(found.places, arguments.parts) if arguments.yes or arguments.parts else ()
+    downloads = manifest.card.downloads
+    parts = choose_parts(downloads, arguments.parts) if arguments.yes or arguments.parts else ()
     wanted = [
-        record for record in manifest.records if not arguments.parts or any(place.holds(record.path) for place in parts)
+        record for record in manifest.records if not arguments.parts or any(holds(part, record.path) for part in parts)
     ]
     installed: list[Installed] = []
     if arguments.archives:
         installed = [unpack_dataset(path, manifest, found.folder) for path in arguments.archives]
     elif not presence_of(found.folder, wanted).complete:
-        print(_terms(found, parts or found.places))
+        print(_terms(found, parts or downloads))
         if arguments.yes:
             installed = _fetch(found, parts)
     for one in installed:
@@ -110,8 +111,8 @@ def _run(arguments: argparse.Namespace) -> int:
     return OK if presence.complete and not differing else PROBLEMS
 
 
-def _terms(found: Overview, places: Sequence[Place]) -> str:
-    from eldata.download.overview import format_places
+def _terms(found: Overview, downloads: Sequence[Download]) -> str:
+    from eldata.download.overview import format_downloads
 
     card = found.manifest.card
     lines = [
@@ -120,29 +121,29 @@ def _terms(found: Overview, places: Sequence[Place]) -> str:
         f"    cite: {card.citation}",
         f"    homepage: {card.homepage}",
         "",
-        *format_places(places),
+        *format_downloads(downloads),
         "",
         "Each download costs its publisher money: fetch an archive once, keep it, and copy it between your machines.",
     ]
-    if any(place.direct for place in places):
+    if any(download.direct for download in downloads):
         lines.append(f"To fetch what is marked direct: {found.download_command} --yes")
     lines.append(f"What is marked by hand, open in a browser and save; then: {found.download_command} --from FILE")
     return "\n".join(lines) + "\n"
 
 
-def _fetch(found: Overview, parts: Sequence[Place]) -> list[Installed]:
+def _fetch(found: Overview, parts: Sequence[Download]) -> list[Installed]:
+    from eldata.download.card_downloads import holds
     from eldata.download.fetching import Fetcher
     from eldata.download.installing import fetch_dataset
     from eldata.download.overview import presence_of
 
     fetcher = Fetcher()
-    return [
-        fetch_dataset(place, found.manifest, found.root, fetcher)
-        for place in parts
-        if not presence_of(
-            found.folder, [record for record in found.manifest.records if place.holds(record.path)]
-        ).complete
-    ]
+    installed = []
+    for part in parts:
+        listed = [record for record in found.manifest.records if holds(part, record.path)]
+        if not presence_of(found.folder, listed).complete:
+            installed.append(fetch_dataset(part, found.manifest, found.root, fetcher))
+    return installed
 
 
 def _conclusion(found: Overview, presence: Presence, differing: int) -> str:

@@ -18,7 +18,7 @@ import mmap
 import os
 import threading
 import weakref
-from multiprocessing.reduction import DupFd, ForkingPickler
+from multiprocessing.reduction import ForkingPickler
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -251,6 +251,8 @@ class _SharedPiece(_Piece):
 
     def sent(self) -> Any:
         """Return the piece's descriptor for another process, which will hold it."""
+        from multiprocessing.reduction import DupFd  # only where there is memfd_create, so not on Windows
+
         self._times_sent += 1
         return DupFd(self._descriptor)
 

@@ -5,58 +5,22 @@ from __future__ import annotations
 import unicodedata
 from dataclasses import dataclass
 from pathlib import PurePosixPath
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING
 
 from eldata.base.files import path_problem
-from eldata.download.errors import ArchiveError
-from eldata.download.formats import HEAD_BYTES, archive_format, looks_like
+from eldata.download.readers import HEAD_BYTES, archive_format, looks_like, reader_of
+from eldata.errors import ArchiveError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-Kind = Literal["file", "folder", "link", "special"]
+    from eldata.download.readers import Member, Reader, Sink
 
 # Zip's deflate reaches 1000:1 on zeros; raw files of dark scenes shrink to a third, never to a hundredth.
 MOST_EXPANSION = 100
 SURELY_HARMLESS_BYTES = 64 * 2**20
 MOST_MEMBERS = 500_000  # the largest of the known datasets has a tenth of it
-
-
-@dataclass(frozen=True, slots=True)
-class Member:
-    """One entry of an archive.
-
-    ``name`` is a clean relative path, ``stored_name`` what the archive calls it. ``packed_bytes`` and ``crc32`` are
-    ``None`` where the format does not state them.
-    """
-
-    name: str
-    stored_name: str
-    kind: Kind
-    size_bytes: int
-    packed_bytes: int | None = None
-    crc32: int | None = None
-
-
-class Sink(Protocol):
-    """Takes one member's bytes; ``finish`` is called once all have come and their checksum is right."""
-
-    def write(self, piece: bytes) -> None:
-        """Take the next bytes."""
-
-    def finish(self) -> None:
-        """Take note that the member is whole."""
-
-
-class Reader(Protocol):
-    """Reads one archive format."""
-
-    def members(self, path: Path) -> tuple[Member, ...]:
-        """Return every entry, files and others, as stored."""
-
-    def deliver(self, path: Path, members: Sequence[Member], receive: Callable[[Member], Sink]) -> None:
-        """Send each of these members' bytes to the sink that ``receive`` opens for it, in the archive's order."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +32,7 @@ class Archive:
     reader: Reader
 
     def deliver(self, members: Sequence[Member], receive: Callable[[Member], Sink]) -> None:
-        """Send members' bytes to sinks (see :class:`Reader`).
+        """Send members' bytes to sinks (see :class:`~eldata.download.readers.Reader`).
 
         Raises
         ------
@@ -84,13 +48,11 @@ def open_archive(path: Path) -> Archive:
     Raises
     ------
     ArchiveError
-        If it is no archive, cut short, encrypted, or has a member that would leave the folder, is a link or a device,
-        collides with another, or expands beyond reason; the message names it.
+        If it is not an archive, cut short, encrypted, or has a member that would leave the folder, is a link or a
+        device, collides with another, or expands beyond reason; the message names it.
     DownloadError
         If a reader for the format is missing; the message says how to go on.
     """
-    from eldata.download.readers import reader_of
-
     try:
         with path.open("rb") as file:
             head = file.read(HEAD_BYTES)

@@ -6,15 +6,16 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from eldata.download.archives import open_archive
-from eldata.download.layout import count_listed, find_layout
-from eldata.download.places import archives_folder, place_of_archive, places_of
-from eldata.download.unpacking import Unpacked, unpack
+from eldata.download.card_downloads import SUFFIXES, archive_name, kept_archives
+from eldata.download.relocation import count_listed, find_relocation
+from eldata.download.unpacking import Unpacked, unpack_archive
+from eldata.errors import DownloadError
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from eldata.download.fetching import Fetcher
-    from eldata.download.places import Place
+    from eldata.manifest.card import Download
     from eldata.manifest.catalogue import Manifest
 
 
@@ -56,28 +57,36 @@ def unpack_dataset(archive_path: Path, manifest: Manifest, folder: Path) -> Inst
     Raises
     ------
     ArchiveError, DownloadError
-        See :func:`~eldata.download.archives.open_archive`, :func:`~eldata.download.layout.find_layout` and
-        :func:`~eldata.download.unpacking.unpack`.
+        See :func:`~eldata.download.archives.open_archive`, :func:`~eldata.download.relocation.find_relocation` and
+        :func:`~eldata.download.unpacking.unpack_archive`.
     """
     archive = open_archive(archive_path)
     listed = [record.path for record in manifest.records]
     names = [member.name for member in archive.files]
-    place = place_of_archive(places_of(manifest.card), archive_path.name)
-    layout = find_layout(archive_path, names, listed, place.below if place is not None else None)
-    targets = {name: target for name in names if (target := layout.target(name)) is not None}
-    unpacked = unpack(archive, targets, folder)
+    below = next((one.below for one in manifest.card.downloads if archive_name(one) == archive_path.name), None)
+    relocation = find_relocation(archive_path, names, listed, below)
+    targets = {name: target for name in names if (target := relocation.target(name)) is not None}
+    unpacked = unpack_archive(archive, targets, folder)
     left = tuple(sorted(set(names) - set(targets)))
     return Installed(archive_path, unpacked, count_listed(targets.values(), listed), left)
 
 
-def fetch_dataset(place: Place, manifest: Manifest, root: Path, fetcher: Fetcher) -> Installed:
-    """Fetch an archive into the data root's folder of archives, where it is kept, and unpack it.
+def fetch_dataset(download: Download, manifest: Manifest, root: Path, fetcher: Fetcher) -> Installed:
+    """Fetch an archive of the card into the data root's folder of archives, where it is kept, and unpack it.
 
     Raises
     ------
     ArchiveError, DownloadError
         See :meth:`~eldata.download.fetching.Fetcher.fetch` and :func:`unpack_dataset`.
     """
-    target = archives_folder(root) / place.file_name
-    fetcher.fetch(place.address, target, size_bytes=place.size_bytes, sha256=place.sha256)
-    return unpack_dataset(target, manifest, manifest.folder(root))
+    name = archive_name(download)
+    if not name:
+        raise DownloadError(
+            f"{download.address}: expected an address that ends in the name of an archive ({', '.join(SUFFIXES)}); "
+            "fetch it in a browser and use --from"
+        )
+
+    def process(archive: Path) -> Installed:
+        return unpack_dataset(archive, manifest, manifest.folder(root))
+
+    return fetcher.fetch(kept_archives(manifest.card, root), name, process, size_bytes=download.size_bytes)

@@ -8,7 +8,7 @@ import textwrap
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from eldata.download.places import Place, places_of
+from eldata.download.card_downloads import archive_size
 from eldata.download.unpacking import STAGING
 from eldata.manifest.catalogue import data_root
 from eldata.manifest.patterns import is_pattern, matching
@@ -17,13 +17,14 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
+    from eldata.manifest.card import Download
     from eldata.manifest.catalogue import Manifest
     from eldata.records import FrameRecord
 
 
 @dataclass(frozen=True, slots=True)
 class Presence:
-    """How many of the manifest's rows have their file there (and not empty), and how large those files are.
+    """How many of the manifest's rows have their file there (and not empty).
 
     A row that stands for a whole clip (a pattern) counts once a single file of it is there; ``patterns`` says how many
     such rows there are. ``unfinished``: there are some, and an unpacking that ended early: more of their files may be
@@ -32,7 +33,6 @@ class Presence:
 
     files_listed: int
     files_present: int
-    bytes_present: int
     unfinished: bool
     patterns: int = 0
 
@@ -61,7 +61,6 @@ class Overview:
 
     manifest: Manifest
     root: Path
-    places: tuple[Place, ...]
     presence: Presence
 
     @property
@@ -79,19 +78,20 @@ class Overview:
     @property
     def size(self) -> str:
         """The size of the archives, as far as it is known."""
-        first_of: dict[str, Place] = {}
-        for place in self.places:
-            if place.size_text:
-                first_of.setdefault(place.part, place)
-        named = {part: place for part, place in first_of.items() if part} or first_of  # no mirrors beside them
-        return " + ".join(place.size_text for place in named.values()) or "not known"
+        first_of: dict[str, str] = {}
+        for download in self.manifest.card.downloads:
+            if size := archive_size(download):
+                first_of.setdefault(download.part, size)
+        named = {part: size for part, size in first_of.items() if part} or first_of  # no mirrors beside them
+        return " + ".join(named.values()) or "not known"
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as plain JSON types."""
-        return asdict(self.manifest.card) | {
+        card = asdict(self.manifest.card)
+        return card | {
             "manifest": str(self.manifest.path),
             "folder_on_disk": str(self.folder),
-            "places": [asdict(place) for place in self.places],
+            "places": card["downloads"],
             "presence": asdict(self.presence) | {"complete": self.presence.complete},
             "verify": self.verify_command,
         }
@@ -113,7 +113,7 @@ class Overview:
             f"such as    {self.folder / self.manifest.records[0].path}",
             "",
             "where to get it",
-            *format_places(self.places),
+            *format_downloads(card.downloads),
         ]
         if card.subsets:
             lines += ["", "subsets (eldata evaluate --subset)"]
@@ -146,46 +146,36 @@ def _wrapped(text: str, indent: str) -> list[str]:
     return textwrap.wrap(text, 100, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
-def format_places(places: Iterable[Place]) -> list[str]:
-    """Return lines that say where archives are to be had."""
+def format_downloads(downloads: Iterable[Download]) -> list[str]:
+    """Return lines that say where archives are available."""
     lines = []
-    for place in places:
-        size = f", {place.size_text}" if place.size_text else ""
-        how = "direct" if place.direct else "by hand, in a browser"
-        part = f", part {place.part}" if place.part else ""
-        lines.append(f"    {place.address}")
-        lines.append(f"        {how}{part}{size}{': ' if place.notes else ''}{place.notes}")
+    for download in downloads:
+        how = "direct" if download.direct else "by hand, in a browser"
+        part = f"part {download.part}" if download.part else ""
+        facts = ", ".join(filter(None, (how, part, archive_size(download))))
+        lines += [f"    {download.address}", f"        {facts}{': ' if download.notes else ''}{download.notes}"]
     return lines or ["    see the homepage"]
 
 
 def presence_of(folder: Path, records: Iterable[FrameRecord]) -> Presence:
     """Return how much of what is listed is in a folder; names and sizes alone are looked at."""
-    listed = present = size = patterns = 0
+    listed = present = patterns = 0
     for record in records:
+        pattern = is_pattern(record.path)
         listed += 1
-        patterns += is_pattern(record.path)
-        sizes = [_size_of(folder / path) for path in _files_of(folder, record.path)]
-        present += any(sizes)
-        size += sum(sizes)
-    return Presence(listed, present, size, patterns > 0 and (folder / STAGING).exists(), patterns)
+        patterns += pattern
+        paths = matching(folder, record.path) if pattern else (record.path,)
+        present += any(_is_there(folder / path) for path in paths)
+    return Presence(listed, present, patterns > 0 and (folder / STAGING).exists(), patterns)
 
 
-def _files_of(folder: Path, path: str) -> tuple[str, ...]:
-    return matching(folder, path) if is_pattern(path) else (path,)
-
-
-def _size_of(path: Path) -> int:
+def _is_there(path: Path) -> bool:
     try:
-        return path.stat().st_size
+        return path.stat().st_size > 0
     except OSError:
-        return 0
+        return False
 
 
 def overview(manifest: Manifest, root: Path | str | None = None) -> Overview:
     """Return what is known of a dataset and what of it lies below ``root``."""
-    return Overview(
-        manifest,
-        data_root(root),
-        places_of(manifest.card),
-        presence_of(manifest.folder(root), manifest.records),
-    )
+    return Overview(manifest, data_root(root), presence_of(manifest.folder(root), manifest.records))

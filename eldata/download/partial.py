@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
+import tempfile
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from typing import IO, TYPE_CHECKING
 
-from eldata.base.files import write_text
-from eldata.download.errors import DownloadError
+from eldata.base.files import check_posix, try_lock, write_text
 from eldata.download.sizes import size_text
+from eldata.errors import DownloadError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -28,31 +28,16 @@ class Version:
 
 
 class Partial:
-    """A file on its way: ``<name>.part`` and what it is a part of."""
+    """A file on its way: ``<name>.part``, which :func:`opened` opens, and what it is a part of."""
 
-    def __init__(self, target: Path) -> None:
-        self.target = target
-        self.path = target.with_name(f"{target.name}.part")
-        self._note = target.with_name(f"{target.name}.part.json")
+    def __init__(self, target: Path, file: IO[bytes]) -> None:
+        self.path, self._note = _paths(target)
+        self._file = file
 
-    @contextmanager
-    def opened(self) -> Iterator[IO[bytes]]:
-        """Open it for one process at a time."""
-        try:
-            file = self.path.open("ab", buffering=0)
-        except OSError as error:
-            raise DownloadError(f"cannot write {self.path}: {error.strerror}") from error
-        with file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError as error:
-                raise DownloadError(f"{self.path}: another process is fetching it; wait for that one") from error
-            yield file
-
-    @staticmethod
-    def size_of(file: IO[bytes]) -> int:
-        """Return how many bytes have come."""
-        return os.fstat(file.fileno()).st_size
+    @property
+    def size_bytes(self) -> int:
+        """How many bytes have come."""
+        return os.fstat(self._file.fileno()).st_size
 
     def version(self) -> Version | None:
         """Return which file the bytes belong to, ``None`` if that is not known."""
@@ -66,31 +51,68 @@ class Partial:
         """Write down which file the bytes belong to, before the first of them."""
         write_text(self._note, json.dumps(asdict(version)) + "\n")
 
-    def restart(self, file: IO[bytes]) -> None:
+    def restart(self) -> None:
         """Forget what has come."""
         self._note.unlink(missing_ok=True)
-        file.truncate(0)
+        self._file.truncate(0)
 
-    def append(self, file: IO[bytes], piece: bytes) -> None:
+    def append(self, piece: bytes) -> None:
         """Add bytes at the end."""
         rest = memoryview(piece)
         try:
             while rest:
-                rest = rest[file.write(rest) :]
+                rest = rest[self._file.write(rest) :]
         except OSError as error:
             raise DownloadError(
-                f"cannot write {self.path}: {error.strerror}; {size_text(self.size_of(file))} are kept there: make "
-                "room and the same command goes on"
+                f"cannot write {self.path}: {error.strerror}; {size_text(self.size_bytes)} are kept there: make room "
+                "and the same command goes on"
             ) from error
 
-    def sync(self, file: IO[bytes]) -> None:
-        """Make sure that the bytes are on the disk."""
+    def hand_over(self, temporary: Path) -> None:
+        """Give the whole file pooch's temporary name as well as its own.
+
+        Pooch deletes what bears its name when Ctrl-C comes while it checks the hash; ours stays until :func:`discard`.
+        """
         try:
-            os.fsync(file.fileno())
+            os.fsync(self._file.fileno())
+            for other in temporary.parent.glob(f"{tempfile.gettempprefix()}*"):  # of a run killed during that check
+                if other.exists() and other.samefile(self.path):
+                    other.unlink()
+            try:
+                temporary.hardlink_to(self.path)
+            except OSError:  # exFAT and others know no links
+                self.path.rename(temporary)
         except OSError as error:
             raise DownloadError(f"cannot write {self.path}: {error.strerror}") from error
 
-    def discard(self) -> None:
-        """Remove what is left of it."""
-        self.path.unlink(missing_ok=True)
-        self._note.unlink(missing_ok=True)
+
+@contextmanager
+def opened(target: Path) -> Iterator[Partial]:
+    """Open what has come of a file, for one process at a time.
+
+    Raises
+    ------
+    DownloadError
+        If it cannot be written, or another process is fetching it.
+    """
+    check_posix("fetching a file")
+    path, _ = _paths(target)
+    try:
+        file = path.open("ab", buffering=0)
+    except OSError as error:
+        raise DownloadError(f"cannot write {path}: {error.strerror}") from error
+    with file:
+        if not try_lock(path, file):
+            raise DownloadError(f"{path}: another process is fetching it; wait for that one")
+        yield Partial(target, file)
+
+
+def discard(target: Path) -> None:
+    """Remove what :class:`Partial` keeps beside a file."""
+    for path in _paths(target):
+        if path.exists():  # not missing_ok: a disk that is read only refuses even that
+            path.unlink()
+
+
+def _paths(target: Path) -> tuple[Path, Path]:
+    return target.with_name(f"{target.name}.part"), target.with_name(f"{target.name}.part.json")

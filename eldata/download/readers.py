@@ -1,4 +1,7 @@
-"""Readers of the archive formats. None of them writes a file: members' bytes go to sinks, links and modes nowhere."""
+"""The archive formats: telling them apart, and a reader of each.
+
+No reader writes a file: members' bytes go to sinks, links and modes nowhere.
+"""
 
 from __future__ import annotations
 
@@ -9,20 +12,88 @@ import tarfile
 import zipfile
 import zlib
 from contextlib import contextmanager
-from typing import IO, TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import IO, TYPE_CHECKING, Any, Literal, Protocol
 
-from eldata.download.archives import Member
-from eldata.download.errors import ArchiveError, DownloadError
+from eldata.errors import ArchiveError, DownloadError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
-    from eldata.download.archives import Kind, Reader, Sink
-    from eldata.download.formats import Format
+Format = Literal["zip", "7z", "tar"]
+Kind = Literal["file", "folder", "link", "special"]
+
+# Enough to see the mark of a tar file, at byte 257.
+HEAD_BYTES = 512
+
+_MARKS: tuple[tuple[bytes, Format], ...] = (
+    (b"PK\x03\x04", "zip"),
+    (b"PK\x05\x06", "zip"),  # an empty one
+    (b"7z\xbc\xaf\x27\x1c", "7z"),
+    (b"\x1f\x8b", "tar"),
+    (b"BZh", "tar"),
+    (b"\xfd7zXZ\x00", "tar"),
+)
 
 _PIECE_BYTES = 2**20
 _CUT_SHORT = "its download was not finished, or not all parts were joined: delete it and fetch it again"
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """One entry of an archive.
+
+    ``name`` is a clean relative path, ``stored_name`` what the archive calls it. ``packed_bytes`` and ``crc32`` are
+    ``None`` where the format does not state them.
+    """
+
+    name: str
+    stored_name: str
+    kind: Kind
+    size_bytes: int
+    packed_bytes: int | None = None
+    crc32: int | None = None
+
+
+class Sink(Protocol):
+    """Takes one member's bytes; ``finish`` is called once all have come and their checksum is right."""
+
+    def write(self, piece: bytes) -> None:
+        """Take the next bytes."""
+
+    def finish(self) -> None:
+        """Take note that the member is whole."""
+
+
+class Reader(Protocol):
+    """Reads one archive format."""
+
+    def members(self, path: Path) -> tuple[Member, ...]:
+        """Return every entry, files and others, as stored."""
+
+    def deliver(self, path: Path, members: Sequence[Member], receive: Callable[[Member], Sink]) -> None:
+        """Send each of these members' bytes to the sink that ``receive`` opens for it, in the archive's order."""
+
+
+def archive_format(head: bytes) -> Format | None:
+    """Return an archive's format by its first ``HEAD_BYTES`` bytes, ``None`` if they belong to no archive."""
+    for mark, name in _MARKS:
+        if head.startswith(mark):
+            return name
+    return "tar" if head[257:262] == b"ustar" else None
+
+
+def looks_like(head: bytes) -> str:
+    """Say what a file looks like by its first bytes, which are not an archive's."""
+    text = head.lstrip(b"\xef\xbb\xbf \t\r\n").lower()
+    if text.startswith((b"<!doctype", b"<html", b"<head", b"<?xml", b"<!--")):
+        return "a web page, as Google Drive sends when it asks for a confirmation or a login"
+    if head.startswith(b"Rar!"):
+        return "a RAR archive; unpack it with unrar or 7z"
+    if not head.strip(b"\0"):
+        return "nothing but zeros" if head else "an empty file"
+    return f"a file of another kind, which starts with {head[:8]!r}"
 
 
 def reader_of(name: Format, path: Path) -> Reader:
@@ -70,12 +141,14 @@ def _clean(stored_name: str) -> str:
     return name
 
 
-def _copy(source: IO[bytes], sink: Sink) -> int:
+def _copy(path: Path, member: Member, source: IO[bytes], sink: Sink) -> None:
     size = 0
-    while piece := source.read(_PIECE_BYTES):
-        sink.write(piece)
-        size += len(piece)
-    return size
+    with source:
+        while piece := source.read(_PIECE_BYTES):
+            sink.write(piece)
+            size += len(piece)
+    _check_size(path, member, size)
+    sink.finish()
 
 
 class ZipReader:
@@ -130,10 +203,7 @@ class ZipReader:
         with _damage_named(path, zipfile.BadZipFile, NotImplementedError), zipfile.ZipFile(path) as archive:
             for member in members:
                 sink = receive(member)
-                with archive.open(member.stored_name) as source:
-                    size = _copy(source, sink)
-                _check_size(path, member, size)
-                sink.finish()
+                _copy(path, member, archive.open(member.stored_name), sink)
 
 
 class TarReader:
@@ -172,13 +242,8 @@ class TarReader:
             for info in archive:
                 member = wanted.get(info.name)
                 source = archive.extractfile(info) if member is not None and info.isreg() else None
-                if member is None or source is None:
-                    continue
-                sink = receive(member)
-                with source:
-                    size = _copy(source, sink)
-                _check_size(path, member, size)
-                sink.finish()
+                if member is not None and source is not None:
+                    _copy(path, member, source, receive(member))
 
 
 class SevenZipReader:

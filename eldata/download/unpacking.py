@@ -7,7 +7,6 @@ sign that files may be missing. The next run goes on with those, and removes the
 
 from __future__ import annotations
 
-import fcntl
 import os
 import shutil
 import stat
@@ -16,18 +15,18 @@ from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from typing import IO, TYPE_CHECKING, Any
 
-from tqdm import tqdm
-
-from eldata.base.files import inside
-from eldata.download.errors import ArchiveError, DownloadError
-from eldata.download.sizes import size_text
-from eldata.errors import ManifestError
+from eldata.base.files import check_posix, inside, try_lock
+from eldata.download.sizes import check_room, progress_bar
+from eldata.errors import ArchiveError, DownloadError, ManifestError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-    from eldata.download.archives import Archive, Member, Sink
+    from tqdm import tqdm
+
+    from eldata.download.archives import Archive
+    from eldata.download.readers import Member, Sink
 
 STAGING = ".eldata-unpacking"
 _PIECE_BYTES = 2**20
@@ -35,7 +34,7 @@ _PIECE_BYTES = 2**20
 
 @dataclass(frozen=True, slots=True)
 class Unpacked:
-    """What :func:`unpack` did, as paths relative to the dataset's folder.
+    """What :func:`unpack_archive` did, as paths relative to the dataset's folder.
 
     ``differing`` were there already with other content (or as something else than a file) and were left alone.
     """
@@ -45,7 +44,7 @@ class Unpacked:
     differing: tuple[str, ...]
 
 
-def unpack(archive: Archive, targets: Mapping[str, str], folder: Path) -> Unpacked:
+def unpack_archive(archive: Archive, targets: Mapping[str, str], folder: Path) -> Unpacked:
     """Write an archive's files below ``folder``, without following links out of it and without replacing a file.
 
     Parameters
@@ -69,7 +68,11 @@ def unpack(archive: Archive, targets: Mapping[str, str], folder: Path) -> Unpack
         except ManifestError as error:
             raise ArchiveError(archive.path, str(error)) from error
     result: dict[str, str] = {}
-    with _staging_folder(folder) as staging, _progress_bar(archive, members) as bar:
+    total_bytes = sum(member.size_bytes for member in members)
+    with (
+        _staging_folder(folder) as staging,
+        progress_bar(f"unpacking {archive.path.name}", total_bytes) as bar,
+    ):
         to_read, missing = [], 0
         for member in members:
             verdict = _verdict(member, places[member.name], bar)
@@ -78,7 +81,7 @@ def unpack(archive: Archive, targets: Mapping[str, str], folder: Path) -> Unpack
                 continue
             to_read.append(member)
             missing += 0 if places[member.name].exists() else member.size_bytes
-        _check_room(folder, missing)
+        check_room(folder, missing, "to be unpacked")
         with ExitStack() as opened:
 
             def receive(member: Member) -> Sink:
@@ -187,15 +190,14 @@ class _Comparison:
 @contextmanager
 def _staging_folder(folder: Path) -> Iterator[Path]:
     """Give one process at a time an empty hidden folder; it is gone at the end if all went well."""
+    check_posix("unpacking an archive")
     staging = folder / STAGING
     with _disk_named(folder):
         folder.mkdir(parents=True, exist_ok=True)
         handle = os.open(folder, os.O_RDONLY)
     try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise DownloadError(f"{folder}: another process is unpacking there; wait for that one") from error
+        if not try_lock(folder, handle):
+            raise DownloadError(f"{folder}: another process is unpacking there; wait for that one")
         with _disk_named(staging):
             if os.path.lexists(staging):  # of a run that was killed
                 _remove(staging)
@@ -217,15 +219,6 @@ def _remove(path: Path) -> None:
         path.unlink()  # a link is removed, not followed
 
 
-def _check_room(folder: Path, missing: int) -> None:
-    free = shutil.disk_usage(folder).free
-    if missing > free:
-        raise DownloadError(
-            f"{folder}: {size_text(missing)} are to be unpacked, {size_text(free)} are free; make room, or choose "
-            "another disk with --root"
-        )
-
-
 @contextmanager
 def _disk_named(path: Path) -> Iterator[None]:
     try:
@@ -234,9 +227,3 @@ def _disk_named(path: Path) -> Iterator[None]:
         raise DownloadError(
             f"cannot write {path}: {error.strerror}; files unpacked before are whole, and the same command goes on"
         ) from error
-
-
-def _progress_bar(archive: Archive, members: list[Member]) -> tqdm[Any]:
-    total = sum(member.size_bytes for member in members)
-    name = f"unpacking {archive.path.name}"
-    return tqdm(desc=name, total=total, unit="B", unit_scale=True, unit_divisor=1000, disable=None, leave=False)

@@ -8,6 +8,7 @@ from dataclasses import replace
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Unpack
 
+from eldata import __version__
 from eldata.base.workers import accepts_jobs
 from eldata.errors import ArgumentError, ManifestError, PredictionError
 from eldata.evaluation.combined import CombinedResult, NotScored
@@ -248,9 +249,10 @@ def _provenance(request: Request, plan: Plan) -> dict[str, Any]:
         "manifest_sha256": manifest.digest,
         "cameras": "all" if cameras is None else [name for name in manifest.card.cameras if name in cameras],
         "predictions": "none: the input itself" if request.predictions is None else str(request.predictions),
+        "eldata": __version__,
         "python": platform.python_version(),
         "libraw": ".".join(map(str, rawpy.libraw_version)),
-        **{name: version(name) for name in ("eldata", "numpy", "numba", "rawpy", "exifread")},
+        **{name: version(name) for name in ("numpy", "numba", "rawpy", "exifread")},
         "protocol_digest": plan.protocol.digest,
         "subset": plan.subset,
         **plan.facts,

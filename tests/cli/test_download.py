@@ -273,7 +273,7 @@ def test_help(eldata: Cli) -> None:
 def test_neither_torch_nor_rawpy_is_loaded(arguments: list[str], tmp_path: Path) -> None:
     code = (
         "import sys; from eldata.cli.main import main; main(sys.argv[1:])\n"
-        "print('LOADED', *(name for name in ('torch', 'rawpy', 'requests') if name in sys.modules))"
+        "print('LOADED', *(name for name in ('torch', 'rawpy', 'requests', 'pooch') if name in sys.modules))"
     )
     command = [sys.executable, "-c", code, *arguments]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, cwd=tmp_path)

@@ -215,29 +215,24 @@ def test_compare(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path) 
         assert "ST-RRED" in eldata("compare", *paths, "--format", form).out
 
 
-def test_results_of_version_0_1_compare_with_those_of_today(
-    eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path
-) -> None:
-    """What 0.1 did not state, because it could not be chosen, is no difference."""
-    from tests.evaluation.test_saved import WRITTEN_BY_0_1
-
-    old = tmp_path / "old.json"
+def test_what_0_1_did_not_state_is_no_difference(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path) -> None:
+    """Cameras and flags could not be chosen of clips."""
     run(eldata, drv, predictions, *CHOSEN, "--json", tmp_path / "new.json")
-    data = json.loads((WRITTEN_BY_0_1 / "clips.json").read_text(encoding="utf-8"))
-    new = json.loads((tmp_path / "new.json").read_text(encoding="utf-8"))
-    for name in ("manifest_sha256", "layout"):  # of another small set
-        data["provenance"][name] = new["provenance"][name]
-    old.write_text(json.dumps(data), encoding="utf-8")
-    outcome = eldata("compare", old, tmp_path / "new.json")
+    data = json.loads((tmp_path / "new.json").read_text(encoding="utf-8"))
+    for name in ("cameras", "excluded_flags", "included_flags"):
+        del data["provenance"][name]
+    data["table"] = {name: data["table"][0][name] for name in ("psnr_db", "ssim", "st_rred")}
+    (tmp_path / "old.json").write_text(json.dumps(data), encoding="utf-8")
+    outcome = eldata("compare", tmp_path / "old.json", tmp_path / "new.json")
     assert (outcome.code, outcome.err) == (0, "")
 
 
 def test_images_and_clips_do_not_compare(eldata: Cli) -> None:
     from tests.evaluation.test_saved import WRITTEN_BY_0_1
 
-    outcome = eldata("compare", WRITTEN_BY_0_1 / "images.json", WRITTEN_BY_0_1 / "clips.json")
+    outcome = eldata("compare", WRITTEN_BY_0_1 / "eld.json", WRITTEN_BY_0_1 / "drv.json")
     assert outcome.code == 2
-    assert "images has scores of images, clips of videos; these do not compare" in outcome.err
+    assert "eld has scores of images, drv of videos; these do not compare" in outcome.err
 
 
 def test_published_numbers(eldata: Cli, drv: SmallDrv, predictions: Path) -> None:

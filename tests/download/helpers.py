@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from eldata.download.card_downloads import kept_archives
 from eldata.download.fetching import Fetcher, Patience
 from eldata.manifest.card import CameraCard, Card, Download, save_card
 from eldata.manifest.catalogue import Manifest, load_manifest
@@ -23,6 +24,15 @@ HASTY = Patience(tries=3, first_wait_s=0.001, longest_wait_s=0.002, silence_s=5)
 
 def fetcher(patience: Patience = HASTY) -> Fetcher:
     return Fetcher(patience, plain_http_hosts=["127.0.0.1"])
+
+
+def fetch(
+    address: str, target: Path, patience: Patience = HASTY, *, size_bytes: int | None = None, sha256: str | None = None
+) -> Path:
+    """Fetch as a card with this one download says, into the data root whose folder of archives ``target`` lies in."""
+    card = small_card(Download(address, size_bytes, direct=True, sha256=sha256))
+    archives = kept_archives(card, target.parent.parent)
+    return fetcher(patience).fetch(archives, target.name, lambda path: path, size_bytes=size_bytes)
 
 
 def noise(size: int, seed: int = 0) -> bytes:
@@ -84,10 +94,16 @@ class Shelf:
 
 def make_shelf(folder: Path, *downloads: Download) -> Shelf:
     folder.mkdir(parents=True, exist_ok=True)
-    names = file_names()
-    records = [FrameRecord(path=name, role="noisy", camera="SonyA7S2", scene="1", split="test") for name in names]
+    records = [
+        FrameRecord(path=name, role="noisy", camera="SonyA7S2", scene="1", split="test") for name in file_names()
+    ]
     save_records(folder / "small.csv", records)
-    card = Card(
+    save_card(folder / "small.json", small_card(*downloads))
+    return Shelf(folder)
+
+
+def small_card(*downloads: Download) -> Card:
+    return Card(
         name="small",
         title="Small set",
         version="1.0",
@@ -97,13 +113,11 @@ def make_shelf(folder: Path, *downloads: Download) -> Shelf:
         homepage="https://example.org/small",
         cfa="bayer",
         cameras={"SonyA7S2": CameraCard(("ILCE-7SM2",))},
-        counts={"noisy": len(names)},
+        counts={"noisy": len(file_names())},
         downloads=downloads,
         known_defects=("Frame 3 is blurred.",),
         sources=("The paper.",),
     )
-    save_card(folder / "small.json", card)
-    return Shelf(folder)
 
 
 def note_of(target: Path) -> dict[str, object]:

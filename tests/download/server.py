@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Site:
-    """What the server holds under every path, and how it answers: one behaviour a request, the last one for good.
+    """What the server holds under every path, and how it answers: one behaviour per request, the last one for good.
 
     ``over`` is set when the server ends: behaviours that say nothing wait for it.
     """
@@ -26,6 +26,7 @@ class Site:
         self.etag = '"one"'
         self.behaviours: list[Behaviour] = [serve]
         self.requests: list[dict[str, str]] = []
+        self.sent_bytes = 0
         self.over = threading.Event()
 
     def then(self, *behaviours: Behaviour) -> None:
@@ -81,6 +82,7 @@ def answer(handler: Handler, site: Site, *, most: int | None = None, shift: int 
         headers["Content_Range"] = f"bytes {start}-{total - 1}/{total}"
     handler.start(206 if start is not None else 200, Content_Length=len(body) + shift, **headers)
     handler.wfile.write(body[:most])
+    site.sent_bytes += len(body[:most])
     if shift or most is not None:
         handler.cut()
 

@@ -9,15 +9,20 @@ import signal
 import subprocess
 import sys
 import time
+import zipfile
 from typing import TYPE_CHECKING, Any
 
+import pooch
 import pytest
+import requests
 
-from eldata.download.errors import DownloadError
+from eldata.download.card_downloads import kept_archives
 from eldata.download.fetching import Fetcher, Patience
-from eldata.download.partial import Partial
+from eldata.download.partial import opened
+from eldata.errors import DownloadError
+from eldata.manifest.card import Download
 from tests.download import server
-from tests.download.helpers import contents, fetcher, noise, note_of, tree, zipped
+from tests.download.helpers import contents, fetch, fetcher, noise, note_of, small_card, tree, zipped
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -34,13 +39,13 @@ def target(tmp_path: Path, site: server.Site) -> Path:
 
 def fetched(site: server.Site, target: Path, **options: Any) -> None:
     """Fetch, and see that the file is right and nothing lies beside it."""
-    assert fetcher().fetch(site.address, target, **options) == target
+    assert fetch(site.address, target, **options) == target
     assert tree(target.parent) == {target.name: site.content}
 
 
 def refused(site: server.Site, target: Path, *words: str, **options: Any) -> str:
     with pytest.raises(DownloadError) as caught:
-        fetcher().fetch(site.address, target, **options)
+        fetch(site.address, target, **options)
     message = str(caught.value)
     for word in words:
         assert word in message
@@ -51,6 +56,135 @@ def refused(site: server.Site, target: Path, *words: str, **options: Any) -> str
 
 def part_of(target: Path) -> Path:
     return target.with_name(f"{target.name}.part")
+
+
+# --- pooch ------------------------------------------------------------------------------------------------------------
+
+
+def sha256_of(content: bytes) -> str:
+    return f"sha256:{hashlib.sha256(content).hexdigest()}"
+
+
+def test_pooch_asks_for_what_the_card_states_and_unpacking_is_its_processor(
+    site: server.Site, target: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The registry is the card's, pooch calls the downloader and the processor, and hands on what this one returns."""
+    told: list[tuple[str, ...]] = []
+    stream = pooch.core.stream_download
+
+    def spied(address: str, path: Path, known_hash: str, *arguments: Any, **options: Any) -> None:
+        told.append((address, str(path), known_hash))
+        stream(address, path, known_hash, *arguments, **options)
+
+    monkeypatch.setattr(pooch.core, "stream_download", spied)
+    card = small_card(Download(site.address, direct=True, sha256=sha256_of(CONTENT)))
+    archives = kept_archives(card, target.parent.parent)
+    for times in (1, 2):
+        assert fetcher().fetch(archives, "set.zip", lambda path: path.read_bytes()) == CONTENT
+        assert told == [(site.address, str(target), sha256_of(CONTENT))]
+        assert len(site.requests) == 1, times
+
+
+def test_a_broken_download_goes_on_within_pooch(site: server.Site, target: Path) -> None:
+    """Any registry of pooch's; the hash may be any that pooch knows."""
+    site.then(*[server.breaking_after(16_384)] * 8, server.serve)
+    known_hash = f"md5:{hashlib.md5(CONTENT, usedforsecurity=False).hexdigest()}"
+    archives = pooch.create(target.parent, "", registry={"set.zip": known_hash}, urls={"set.zip": site.address})
+    assert fetcher().fetch(archives, "set.zip", tree_beside) == {"set.zip": CONTENT}
+    assert site.ranges == [None, *(f"bytes={16_384 * n}-" for n in range(1, 9))]
+
+
+def tree_beside(path: Path) -> dict[str, bytes]:
+    return tree(path.parent)
+
+
+def test_what_the_downloader_saves(site: server.Site, target: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """20 MB over connections that break after 6 MB each: why pooch's own downloader does not do, however patient."""
+    monkeypatch.setattr(time, "sleep", lambda _: None)
+    site.content = zipped({"a": noise(20_000_000)}, zipfile.ZIP_STORED)[:20_000_000]
+    site.then(server.breaking_after(6_000_000))
+    alone = pooch.create(
+        target.parent, "", registry={"set.zip": None}, urls={"set.zip": site.address}, retry_if_failed=5
+    )
+    with pytest.raises(requests.RequestException):
+        alone.fetch("set.zip")
+    assert (len(site.requests), site.sent_bytes, tree(target.parent)) == (6, 36_000_000, {})
+    site.requests.clear()
+    site.sent_bytes = 0
+    fetched(site, target)
+    assert len(site.requests) == 4
+    assert site.sent_bytes - 20_000_000 in range(3 * 2**14)  # each break loses less than one piece
+
+
+def test_the_hash_of_what_goes_on_is_that_of_the_whole(site: server.Site, target: Path) -> None:
+    site.then(server.breaking_after(16_384), server.serve)
+    fetched(site, target, size_bytes=len(CONTENT), sha256=sha256_of(CONTENT))
+
+
+@pytest.mark.parametrize("sent", [signal.SIGKILL, signal.SIGINT])
+def test_a_run_killed_while_pooch_checks_the_hash_loses_nothing(
+    sent: signal.Signals, site: server.Site, target: Path
+) -> None:
+    process = started(site, target, known_hash=sha256_of(CONTENT), slow="yes")
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"checking\n"
+        refused(site, target, "another process is fetching it")
+        process.send_signal(sent)
+        process.communicate(timeout=10)
+    finally:
+        process.kill()
+    assert part_of(target).read_bytes() == CONTENT
+    site.requests.clear()
+    fetched(site, target, sha256=sha256_of(CONTENT))
+    assert site.requests == []
+
+
+def test_a_run_killed_before_it_removes_its_part(site: server.Site, target: Path) -> None:
+    fetched(site, target)
+    part_of(target).hardlink_to(target)
+    fetched(site, target)
+    assert len(site.requests) == 1
+
+
+def test_a_disk_that_knows_no_links(site: server.Site, target: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+
+    monkeypatch.setattr(type(target), "hardlink_to", refuse)
+    site.then(server.breaking_after(16_384), server.serve)
+    fetched(site, target, sha256=sha256_of(CONTENT))
+    refused_hash = f"sha256:{'0' * 64}"
+    target.unlink()
+    refused(site, target, "expected sha256:0000", sha256=refused_hash)
+    assert tree(target.parent) == {}
+
+
+def test_pooch_says_nothing_meanwhile(site: server.Site, target: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    level = pooch.get_logger().level
+    fetched(site, target)
+    assert capfd.readouterr() == ("", "")
+    assert pooch.get_logger().level == level
+
+
+@pytest.mark.parametrize("kind", [ValueError, OSError])
+def test_what_the_processor_raises_is_not_taken_for_a_failed_download(
+    kind: type[Exception], site: server.Site, target: Path
+) -> None:
+    def process(_: Path) -> None:
+        raise kind("of its own")
+
+    card = small_card(Download(site.address, direct=True, sha256=sha256_of(CONTENT)))
+    for _ in range(2):
+        with pytest.raises(kind, match="of its own"):
+            fetcher().fetch(kept_archives(card, target.parent.parent), "set.zip", process)
+        assert tree(target.parent) == {"set.zip": CONTENT}
+
+
+def test_a_redirect_to_nonsense_keeps_what_has_come(site: server.Site, target: Path) -> None:
+    site.then(server.breaking_after(16_384), server.redirect("https://[nonsense/"))
+    refused(site, target, "is malformed or redirects to what is (Invalid IPv6 URL)", sha256=sha256_of(CONTENT))
+    assert part_of(target).read_bytes() == CONTENT[:16_384]
 
 
 # --- the connection ---------------------------------------------------------------------------------------------------
@@ -64,7 +198,7 @@ def test_a_good_server(site: server.Site, target: Path) -> None:
 
 def test_what_is_there_is_not_fetched_again(site: server.Site, target: Path) -> None:
     fetched(site, target)
-    fetched(site, target, size_bytes=len(CONTENT), sha256=f"sha256:{hashlib.sha256(CONTENT).hexdigest()}")
+    fetched(site, target, size_bytes=len(CONTENT), sha256=sha256_of(CONTENT))
     assert len(site.requests) == 1
 
 
@@ -72,7 +206,7 @@ def test_what_is_there_is_not_fetched_again(site: server.Site, target: Path) -> 
 def test_what_is_there_and_wrong_is_named_and_kept(site: server.Site, target: Path, wrong: dict[str, Any]) -> None:
     fetched(site, target)
     with pytest.raises(DownloadError, match=r"set\.zip: expected .*, found .*; move it away"):
-        fetcher().fetch(site.address, target, **wrong)
+        fetch(site.address, target, **wrong)
     assert target.read_bytes() == CONTENT
     assert len(site.requests) == 1
 
@@ -104,7 +238,7 @@ def test_no_server(site: server.Site, target: Path) -> None:
 def test_a_silent_server(site: server.Site, target: Path) -> None:
     site.then(server.silent, server.serve)
     hasty = Patience(tries=5, first_wait_s=0.001, silence_s=0.3)
-    fetcher(hasty).fetch(site.address, target)
+    fetch(site.address, target, hasty)
     assert target.read_bytes() == CONTENT
     assert len(site.requests) >= 2  # more where the machine is so busy that the server is silent too
 
@@ -245,7 +379,7 @@ def test_a_server_that_claims_less_cuts_the_file(site: server.Site, target: Path
     """The protocol ends there. The archive's structure shows it (test_archives), or the size on the card."""
     site.then(server.claiming(-1_000))
     refused(site, target, "expected", str(len(CONTENT)), size_bytes=len(CONTENT))
-    assert fetcher().fetch(site.address, target).stat().st_size == len(CONTENT) - 1_000
+    assert fetch(site.address, target).stat().st_size == len(CONTENT) - 1_000
 
 
 def test_a_size_that_is_not_the_cards(site: server.Site, target: Path) -> None:
@@ -253,8 +387,21 @@ def test_a_size_that_is_not_the_cards(site: server.Site, target: Path) -> None:
     assert not part_of(target).exists() or part_of(target).stat().st_size == 0
 
 
+def test_a_part_of_another_size_than_the_cards_starts_over(site: server.Site, target: Path) -> None:
+    site.then(server.breaking_after(16_384), server.breaking_after(0))
+    refused(site, target)
+    part_of(target).write_bytes(CONTENT)
+    site.then(changed)
+    site.requests.clear()
+    size_bytes = len(zipped(contents(30_001)))
+    assert size_bytes != len(CONTENT)
+    fetched(site, target, size_bytes=size_bytes)
+    assert site.ranges == [None]
+
+
 def test_a_hash_that_is_not_the_cards_starts_over_next_time(site: server.Site, target: Path) -> None:
-    refused(site, target, "expected sha256:0000", "found sha256:", sha256=f"sha256:{'0' * 64}")
+    message = refused(site, target, "expected sha256:0000", "homepage", sha256=f"sha256:{'0' * 64}")
+    assert sha256_of(CONTENT).partition(":")[2] in message
     assert tree(target.parent) == {}
 
 
@@ -296,7 +443,7 @@ def test_a_login_page_on_the_way_costs_nothing(behaviour: server.Behaviour, site
 
 def test_something_else_in_place_of_the_archive(site: server.Site, target: Path) -> None:
     site.content = b"not an archive at all" * 100
-    refused(site, target, "no archive", "not an a")
+    refused(site, target, "another kind", "not an a")
 
 
 def test_a_server_that_states_no_length(site: server.Site, target: Path) -> None:
@@ -324,10 +471,10 @@ def test_a_redirect_to_an_unencrypted_place(site: server.Site, target: Path) -> 
     refused(site, target, "redirects to http://example.org/set.zip", "not encrypted")
 
 
-@pytest.mark.parametrize("address", ["http://127.0.0.1/set.zip", "ftp://example.org/set.zip", "file:///etc/passwd"])
+@pytest.mark.parametrize("address", ["http://127.0.0.1/set.zip", "ftp://example.org/set.zip", "file:///etc/set.zip"])
 def test_plain_http_is_refused(address: str, target: Path) -> None:
     with pytest.raises(DownloadError, match="not encrypted"):
-        Fetcher().fetch(address, target)
+        Fetcher().fetch(kept_archives(small_card(Download(address, direct=True)), target), "set.zip", print)
 
 
 # --- the disk ---------------------------------------------------------------------------------------------------------
@@ -356,13 +503,13 @@ def test_a_disk_that_fills_up(site: server.Site, target: Path) -> None:
 
 def test_a_folder_that_cannot_be_made(site: server.Site, tmp_path: Path) -> None:
     (tmp_path / "archives").write_text("a file")
-    with pytest.raises(DownloadError, match=r"cannot make the folder .*archives"):
-        fetcher().fetch(site.address, tmp_path / "archives" / "set.zip")
+    with pytest.raises(DownloadError, match=r"cannot keep .*archives/set\.zip: Not a directory"):
+        fetch(site.address, tmp_path / "archives" / "set.zip")
 
 
 def test_one_process_at_a_time(site: server.Site, target: Path) -> None:
     target.parent.mkdir()
-    with Partial(target).opened():
+    with opened(target):
         refused(site, target, "another process is fetching it")
     fetched(site, target)
 
@@ -371,10 +518,24 @@ def test_one_process_at_a_time(site: server.Site, target: Path) -> None:
 
 FETCH = """
 import sys
-from pathlib import Path
+import pooch
 from eldata.download.fetching import Fetcher
-Fetcher(plain_http_hosts=["127.0.0.1"]).fetch(sys.argv[1], Path(sys.argv[2]))
+
+address, folder, known_hash, slow = sys.argv[1:]
+if slow:
+    def hash_matches(*_, **__):
+        print("checking", flush=True)
+        sys.stdin.read()
+    pooch.core.hash_matches = hash_matches
+archives = pooch.create(folder, "", registry={"set.zip": known_hash or None}, urls={"set.zip": address})
+Fetcher(plain_http_hosts=["127.0.0.1"]).fetch(archives, "set.zip", print)
 """
+
+
+def started(site: server.Site, target: Path, *, known_hash: str = "", slow: str = "") -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-c", FETCH, site.address, str(target.parent), known_hash, slow]
+    pipe = subprocess.PIPE
+    return subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe)
 
 
 def stuck_after(count: int) -> server.Behaviour:
@@ -399,7 +560,7 @@ def wait_for(condition: Callable[[], bool]) -> None:
 def test_a_killed_run_is_gone_on_with(sent: signal.Signals, site: server.Site, target: Path) -> None:
     site.content = zipped({"a": noise(10**6)})
     site.then(stuck_after(600_000))
-    process = subprocess.Popen([sys.executable, "-c", FETCH, site.address, str(target)], stderr=subprocess.PIPE)
+    process = started(site, target)
     try:
         wait_for(lambda: part_of(target).exists() and part_of(target).stat().st_size >= 580_000)
         process.send_signal(sent)
@@ -423,7 +584,7 @@ def test_ctrl_c_comes_through_and_keeps_what_has_come(
     site.then(server.breaking_after(16_384))
     monkeypatch.setattr(time, "sleep", interrupt)
     with pytest.raises(KeyboardInterrupt):
-        fetcher().fetch(site.address, target)
+        fetch(site.address, target)
     assert part_of(target).read_bytes() == CONTENT[:16_384]
 
 

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from eldata.download.archives import Archive, open_archive
-from eldata.download.errors import ArchiveError, DownloadError
-from eldata.download.unpacking import STAGING, Unpacked, unpack
+from eldata.download.unpacking import STAGING, Unpacked, unpack_archive
+from eldata.errors import ArchiveError, DownloadError
 from tests.download.helpers import contents, noise, sevenzipped, tarred, tree, zipped
 from tests.download.test_archives import PACKERS
 
@@ -31,7 +31,7 @@ def archive_of(tmp_path: Path, content: bytes) -> Archive:
 
 
 def unpack_all(archive: Archive, folder: Path) -> Unpacked:
-    return unpack(archive, {member.name: member.name for member in archive.files}, folder)
+    return unpack_archive(archive, {member.name: member.name for member in archive.files}, folder)
 
 
 @pytest.mark.parametrize("name", PACKERS)
@@ -45,7 +45,7 @@ def test_unpacked_once_and_then_identical(name: str, tmp_path: Path) -> None:
 
 def test_members_go_where_they_are_told(tmp_path: Path) -> None:
     archive = archive_of(tmp_path, zipped({"x/a": b"a", "x/b": b"b"}))
-    assert unpack(archive, {"x/a": "y/z/a"}, tmp_path / "SID").written == ("y/z/a",)
+    assert unpack_archive(archive, {"x/a": "y/z/a"}, tmp_path / "SID").written == ("y/z/a",)
     assert tree(tmp_path / "SID") == {"y/z/a": b"a"}
 
 
@@ -174,7 +174,7 @@ class Slow(unpacking._NewFile):
 
 unpacking._NewFile = Slow
 archive = open_archive(Path(sys.argv[1]))
-unpacking.unpack(archive, {member.name: member.name for member in archive.files}, Path(sys.argv[2]))
+unpacking.unpack_archive(archive, {member.name: member.name for member in archive.files}, Path(sys.argv[2]))
 """
 
 

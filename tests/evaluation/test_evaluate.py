@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 import pytest
 
+from eldata import __version__
 from eldata.base.files import sha256_of
 from eldata.errors import ArgumentError, DatasetError, EldataError, ManifestError
 from eldata.evaluation import EvaluationResult, UnitScore, evaluate
@@ -342,7 +343,8 @@ def test_provenance(tree: Tree, predictions: Path, result: EvaluationResult) -> 
     assert provenance["protocol_digest"] == PROTOCOLS["eld"].digest
     assert provenance["cameras"] == "all"
     assert provenance["predictions"] == str(predictions)
-    for name in ("eldata", "numpy", "numba", "rawpy", "exifread"):
+    assert provenance["eldata"] == __version__
+    for name in ("numpy", "numba", "rawpy", "exifread"):
         assert provenance[name] == version(name)
     assert provenance["libraw"].count(".") == 2
     assert provenance["python"].startswith("3.")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from eldata import __version__
 from eldata.base.tables import FORMATS
 from eldata.errors import FileError
 from eldata.evaluation.evaluate import evaluate
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from tests.evaluation.helpers import Tree
 
 
-WRITTEN_BY_0_1 = Path(__file__).parent / "written_by_0_1"
+WRITTEN_BY_0_1 = Path(__file__).parents[1] / "written_by_0_1" / "results"
 
 
 def as_read_back(result: EvaluationResult, path: Path) -> EvaluationResult:
@@ -45,29 +46,30 @@ def test_what_evaluate_wrote_is_read_back(tree: Tree, predictions: Path, tmp_pat
     assert saved.scores[0].place == ("DemoAlpha", "scene-1")
 
 
-def test_what_version_0_1_wrote_of_images_is_read_back(tree: Tree, predictions: Path) -> None:
-    """The same numbers as today's, and the same text."""
-    (saved,) = load_results(WRITTEN_BY_0_1 / "images.json")
-    result = evaluate(predictions, manifest=tree.manifest, root=tree.root)
-    assert saved.scores == result.scores
-    assert saved.table == result.table
-    assert saved.format_text() == result.format_text()
+def test_what_version_0_1_wrote_of_images_is_the_same_once_read_back() -> None:
+    for name in ("eld", "incomplete", "hallway"):
+        (saved,) = load_results(WRITTEN_BY_0_1 / f"{name}.json")
+        assert saved.as_dict() == json.loads((WRITTEN_BY_0_1 / f"{name}.json").read_text(encoding="utf-8"))
     several = load_results(WRITTEN_BY_0_1 / "all.json")
-    assert [one.protocol.name for one in several] == ["eld", "eld-uncorrected", "led-eld", "lrd-eld"]
-    assert several[0].scores == saved.scores
+    data = json.loads((WRITTEN_BY_0_1 / "all.json").read_text(encoding="utf-8"))
+    assert [one.as_dict() for one in several] == data["results"]
 
 
 def test_what_version_0_1_wrote_of_clips_is_read_back() -> None:
-    (saved,) = load_results(WRITTEN_BY_0_1 / "clips.json")
-    data = json.loads((WRITTEN_BY_0_1 / "clips.json").read_text(encoding="utf-8"))
-    assert saved.kind is CLIPS
-    assert [score.scene for score in saved.videos] == ["0007", "0013"]
-    assert [score.as_dict(CLIPS) for score in saved.scores] == data["videos"]
-    assert {name: getattr(saved, name) for name in data["table"]} == data["table"]
-    assert saved.format_text() + "\n" == (WRITTEN_BY_0_1 / "clips.txt").read_text(encoding="utf-8")
-    (rest,) = load_results(WRITTEN_BY_0_1 / "clips-incomplete.json")
-    assert (rest.scored, rest.expected, rest.missing) == (1, 2, ("0007",))
-    assert "INCOMPLETE: 1 videos" in rest.format_text()
+    """The same but for the table, which is a list of rows now."""
+    for name in ("drv", "drv-some"):
+        (saved,) = load_results(WRITTEN_BY_0_1 / f"{name}.json")
+        data = json.loads((WRITTEN_BY_0_1 / f"{name}.json").read_text(encoding="utf-8"))
+        assert saved.kind is CLIPS
+        means = data.pop("table")
+        found = saved.as_dict()
+        assert found.pop("table") == [
+            {"camera": None, "ratio": None, "videos": saved.expected, "scored": saved.scored} | means
+        ]
+        assert found == data
+        assert [score.path for score in saved.scores] == [one["frame_scores"][0]["path"] for one in data["videos"]]
+        numbers = f"{saved.psnr_db:.2f}", f"{saved.ssim:.3f}", f"{saved.st_rred:.3f}"
+        assert tuple(saved.format_table().splitlines()[2].split()[-3:]) == numbers
 
 
 def test_rows_hold_their_images() -> None:
@@ -147,7 +149,7 @@ def changed(*keys: str | int, to: object) -> dict[str, Any]:
         (changed("coverage", "missing", to=["a", 1]), ["coverage.missing[1]", "text"]),
         (changed("provenance", to="eld"), ["field provenance", "object", "'eld'"]),
         (changed("provenance", "dataset", to=None), ["provenance.dataset", "text", "null"]),
-        (changed("provenance", "eldata", to="99.0.0"), ["provenance.eldata", "99.0.0", "0.1.0", "update"]),
+        (changed("provenance", "eldata", to="99.0.0"), ["provenance.eldata", "99.0.0", __version__, "update"]),
         (changed("protocol", "name", to=3), ["protocol.name", "text"]),
         (changed("table", 0, "scored", to=-1), ["table[0].scored", "-1"]),
         (changed("notes", to="odd"), ["field notes", "list of texts"]),

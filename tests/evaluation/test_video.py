@@ -31,7 +31,7 @@ CLIPS = ("0007", "0013")
 IDS = list(CLIPS)
 SCORED = range(5, 10)  # frames numbered from 1
 SIZE = (48, 56)
-WRITTEN_BY_0_1 = Path(__file__).parent / "written_by_0_1"
+WRITTEN_BY_0_1 = Path(__file__).parents[1] / "written_by_0_1" / "results"
 
 
 @pytest.fixture(scope="module")
@@ -289,7 +289,7 @@ def test_protocols_for_clips() -> None:
         "drv-raw": "sha256:0efdfc76cf35114a14c8b9628317f911d628a8f2877a58db36daa9a998308d1a",
         "drv-raw-uncorrected": "sha256:7daac255f80baed8d0ff5242b55d1dec9f5b10338c05e55e47ca11c61f9b6300",
     }
-    saved = json.loads((WRITTEN_BY_0_1 / "clips.json").read_text(encoding="utf-8"))
+    saved = json.loads((WRITTEN_BY_0_1 / "drv.json").read_text(encoding="utf-8"))
     assert PROTOCOLS["drv-rgb"].as_dict() == saved["protocol"]
     for name, protocol in of_clips.items():
         assert get_protocol(name) is protocol

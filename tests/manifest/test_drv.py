@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from eldata.base.png import decode_png, read_png_header, read_rgb16, rgb_frame
-from eldata.download.places import choose_parts, places_of
+from eldata.download.card_downloads import archive_name, choose_parts, holds
 from eldata.errors import ArgumentError, DatasetError, FileError, ManifestError
 from eldata.manifest.card import load_card, save_card
 from eldata.manifest.catalogue import shipped_folder, shipped_manifest
@@ -106,16 +106,16 @@ def test_subsets_count_clips() -> None:
 def test_a_program_fetches_what_the_manifest_lists() -> None:
     """Whether an archive of raws is here already, the manifest cannot tell: those are fetched by hand."""
     manifest = shipped_manifest("drv")
-    places = {place.file_name: place for place in places_of(manifest.card)}
+    downloads = {archive_name(download): download for download in manifest.card.downloads}
     shorts = [f"short{number}" for number in range(1, 6)]
-    assert set(places) == {"long.zip", "VBM4D_rawRGB.zip", *(f"{part}.zip" for part in shorts)}
-    assert [place.part for place in choose_parts(tuple(places.values()), ["long", "noisy"])] == ["long", "noisy"]
+    assert set(downloads) == {"long.zip", "VBM4D_rawRGB.zip", *(f"{part}.zip" for part in shorts)}
+    assert [part.part for part in choose_parts(tuple(downloads.values()), ["long", "noisy"])] == ["long", "noisy"]
     for part in shorts:
-        assert (places[f"{part}.zip"].part, places[f"{part}.zip"].below) == (part, "short")
+        assert (downloads[f"{part}.zip"].part, downloads[f"{part}.zip"].below) == (part, "short")
         with pytest.raises(ArgumentError, match="known are long, noisy"):
-            choose_parts(tuple(places.values()), [part])
+            choose_parts(tuple(downloads.values()), [part])
     for record in manifest.records:
-        holders = [place.part for place in places.values() if place.holds(record.path)]
+        holders = [download.part for download in downloads.values() if holds(download, record.path)]
         assert holders == ["long" if record.role == "reference" else "noisy"]
 
 

@@ -245,8 +245,7 @@ def raf_with_exif() -> bytes:
     image = Image.new("RGB", (16, 8))
     exif = image.getexif()
     exif[271], exif[272] = "FUJIFILM", "X-T2"
-    details = exif.get_ifd(0x8769)
-    details[33434], details[33437], details[34855] = IFDRational(1, 30), IFDRational(28, 10), 1600
+    exif[0x8769] = {33434: IFDRational(1, 30), 33437: IFDRational(28, 10), 34855: 1600}
     jpeg = io.BytesIO()
     image.save(jpeg, "JPEG", exif=exif)
     head = b"FUJIFILMCCD-RAW 0201FF129502X-T2".ljust(84, b"\0") + struct.pack(">II", 160, len(jpeg.getvalue()))

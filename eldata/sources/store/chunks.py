@@ -72,7 +72,7 @@ def chunk_table(dataset: h5py.h5d.DatasetID) -> ChunkTable | None:
         decode = _decoder(_CODECS[values[4]])
         if decode is None:
             return None
-    if dataset.dtype != np.dtype("<u2") or sys.byteorder != "little":
+    if dataset.dtype != np.dtype("<u2") or sys.byteorder != "little" or not hasattr(os, "preadv"):
         return None
     *planes, height, width = dataset.shape
     *_, chunk_height, chunk_width = properties.get_chunk()

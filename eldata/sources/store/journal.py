@@ -12,12 +12,12 @@ to the disk yet; :func:`eldata.sources.store.verify_store` finds that by the che
 
 from __future__ import annotations
 
-import fcntl
 import os
 import struct
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
+from eldata.base.files import check_posix, try_lock
 from eldata.errors import EldataError
 
 if TYPE_CHECKING:
@@ -191,23 +191,15 @@ def journaled(path: Path) -> Iterator[JournaledFile]:
     Raises
     ------
     EldataError
-        If another process is writing it, or it cannot be written or resumed.
+        If another process is writing it, it cannot be written or resumed, or this system has no file locks.
     """
+    check_posix("writing a store")
     try:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
     except OSError as error:
         raise EldataError(f"cannot write {path}: {error.strerror}") from error
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        # The other writer may have finished, and renamed this file, between the two lines above.
-        taken = not os.path.samestat(os.fstat(descriptor), path.stat())
-    except OSError:
-        taken = True
-    if taken:
-        os.close(descriptor)
-        raise EldataError(f"{path}: another process is writing it; wait for that one")
-    try:
-        file = JournaledFile(path, descriptor)
+        file = _claimed(path, descriptor)
     except BaseException as error:
         os.close(descriptor)
         if isinstance(error, OSError):
@@ -218,3 +210,17 @@ def journaled(path: Path) -> Iterator[JournaledFile]:
     finally:
         with suppress(OSError):  # whoever opens it next undoes the rest
             file.release()
+
+
+def _claimed(path: Path, descriptor: int) -> JournaledFile:
+    if not (try_lock(path, descriptor) and _is_at(path, descriptor)):
+        raise EldataError(f"{path}: another process is writing it; wait for that one")
+    return JournaledFile(path, descriptor)
+
+
+def _is_at(path: Path, descriptor: int) -> bool:
+    """Return whether the file still has its name: another writer may have finished, and renamed it, before our lock."""
+    try:
+        return os.path.samestat(os.fstat(descriptor), path.stat())
+    except OSError:
+        return False

@@ -1,0 +1,75 @@
+"""Other systems than Linux: nothing at start needs POSIX, and what does need it says so in one line."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from eldata.base.files import try_lock
+from eldata.errors import EldataError
+from tests import without_posix
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def lines(tmp_path_factory: pytest.TempPathFactory) -> list[list[str]]:
+    """What a process without POSIX prints: words by line."""
+    folder = tmp_path_factory.mktemp("windows")
+    command = [sys.executable, "-m", "tests.without_posix", str(folder)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return [line.split(" ", 1) for line in done.stdout.splitlines()]
+
+
+def test_every_module_and_every_help_works_without_posix(lines: list[list[str]]) -> None:
+    ((_, counts),) = [line for line in lines if line[0] == "helps"]
+    eldata, capture = map(int, counts.split())
+    assert eldata >= 15
+    assert capture >= 8
+
+
+def test_what_needs_posix_says_so_in_one_line(lines: list[list[str]]) -> None:
+    refused = [line[1] for line in lines if line[0] == "refused"]
+    uses = ("writing a store", "fetching a file", "unpacking an archive", "tethered capture", "tethered capture")
+    assert [line.partition(" needs ")[0] for line in refused] == list(uses)
+    for line in refused:
+        assert line.endswith(f"({sys.platform}) has no module fcntl; on Windows, run it under WSL")
+    assert ["left"] in lines, "nothing was begun"
+
+
+def test_only_one_place_imports_modules_of_posix() -> None:
+    """Others may import them inside functions that the process above does not call."""
+    importers = set()
+    for path in [*(ROOT / "eldata").rglob("*.py"), *(ROOT / "capture").rglob("*.py")]:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [str(node.module)] if isinstance(node, ast.ImportFrom) else []
+            if without_posix.MODULES & set(names):
+                importers.add(path.relative_to(ROOT).as_posix())
+    assert importers == {"eldata/base/files.py"}
+
+
+def test_a_lock_is_held_until_the_file_is_closed(tmp_path: Path) -> None:
+    pytest.importorskip("fcntl")
+    path = tmp_path / "file"
+    with path.open("wb") as first, path.open("rb") as second:
+        assert try_lock(path, first)
+        assert not try_lock(path, second)
+        first.close()
+        assert try_lock(path, second.fileno())
+
+
+def test_a_disk_without_locks_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fcntl = pytest.importorskip("fcntl")
+
+    def refuse(*_: object) -> None:
+        raise OSError(37, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with pytest.raises(EldataError, match=r"cannot be locked \(No locks available\); choose a place on another disk"):
+        try_lock(tmp_path, 0)

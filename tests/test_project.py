@@ -1,0 +1,264 @@
+"""What strangers who join meet: forms, workflows, policies. All parse, agree with each other and lead somewhere."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import subprocess
+import sys
+import tarfile
+import tomllib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import yaml
+
+import eldata
+from eldata.manifest import shipped_manifest
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+ROOT = Path(__file__).parents[1]
+WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
+FORMS = sorted(path for path in (ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml") if path.name != "config.yml")
+PROSE = ["README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "CODE_OF_CONDUCT.md", "docs/migrating.md"]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+
+
+def parsed(path: Path) -> Any:
+    return yaml.safe_load(path.read_text(encoding="utf-8"))
+
+
+def script(name: str) -> ModuleType:
+    """A module of the folder .ci, which is not a package."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / ".ci" / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+# --- citation -----------------------------------------------------------------------------------------------------
+
+
+def test_the_citation_is_whole() -> None:
+    """By the rules of the Citation File Format 1.2.0: what it requires of the file and of each reference."""
+    citation = parsed(ROOT / "CITATION.cff")
+    assert citation["cff-version"] == "1.2.0"
+    assert citation["version"] == eldata.__version__
+    assert citation["license"] == PROJECT["project"]["license"]
+    assert citation["authors"] == PROJECT["project"]["authors"]
+    assert all(isinstance(citation[name], str) for name in ("message", "title", "abstract"))
+    for reference in citation["references"]:
+        assert {"type", "title", "authors"} <= set(reference)
+
+
+def test_the_paper_is_cited_as_its_dataset_card_has_it() -> None:
+    (paper,) = parsed(ROOT / "CITATION.cff")["references"]
+    names = [f"{author['given-names'][0]}. {author['family-names']}" for author in paper["authors"]]
+    authors = " and ".join([", ".join(names[:-1]), names[-1]])
+    cited = f"{authors}, {paper['title']}, {paper['journal']}, {paper['year']}"
+    assert shipped_manifest("eld").card.citation == cited
+
+
+# --- forms --------------------------------------------------------------------------------------------------------
+
+
+def test_the_forms_are_found() -> None:
+    assert [path.stem for path in FORMS] == ["bug", "dataset-request", "numbers-do-not-match"]
+    assert parsed(FORMS[0].with_name("config.yml")) == {"blank_issues_enabled": True}
+
+
+@pytest.mark.parametrize("path", FORMS, ids=lambda path: path.stem)
+def test_a_form_is_well_formed(path: Path) -> None:
+    """By the rules for issue forms: a form that breaks one is not offered, without a word to anyone."""
+    form = parsed(path)
+    assert {"name", "description", "body"} <= set(form) <= {"name", "description", "body", "title", "labels"}
+    ids = [field["id"] for field in form["body"] if field["type"] != "markdown"]
+    assert len(ids) == len(set(ids))
+    for field in form["body"]:
+        attributes = field["attributes"]
+        if field["type"] == "markdown":
+            assert attributes["value"]
+            continue
+        assert field["type"] in ("input", "textarea", "checkboxes")
+        assert isinstance(attributes["label"], str)
+        assert isinstance(attributes.get("description", ""), str)
+        if field["type"] == "checkboxes":
+            assert all(isinstance(option["label"], str) for option in attributes["options"])
+
+
+def test_numbers_that_do_not_match_come_with_what_explains_them() -> None:
+    form = parsed(ROOT / ".github" / "ISSUE_TEMPLATE" / "numbers-do-not-match.yml")
+    required = {field["id"] for field in form["body"] if field.get("validations", {}).get("required")}
+    assert required >= {"numbers", "protocol", "manifest", "result", "command", "versions"}
+
+
+# --- workflows and hooks ------------------------------------------------------------------------------------------
+
+
+def steps(workflow: Any) -> list[dict[str, Any]]:
+    return [step for job in workflow["jobs"].values() for step in job["steps"]]
+
+
+def test_the_workflows_are_found() -> None:
+    assert [path.stem for path in WORKFLOWS] == ["release", "tests"]
+
+
+@pytest.mark.parametrize("path", WORKFLOWS, ids=lambda path: path.stem)
+def test_a_workflow_is_well_formed(path: Path) -> None:
+    workflow = parsed(path)
+    assert workflow[True], "'on', which YAML 1.1 reads as true"
+    assert workflow["permissions"] == {"contents": "read"}, "what a job needs beyond reading, it asks for itself"
+    for job in workflow["jobs"].values():
+        assert job["runs-on"]
+        assert set(job.get("needs", "").split()) <= set(workflow["jobs"])
+    for step in steps(workflow):
+        assert ("run" in step) != ("uses" in step), step
+        assert re.fullmatch(r"[\w-]+/[\w-]+@[\w./-]+", step.get("uses", "a/b@v1"))
+        # What others write (a title, a branch's name) would be run: it has to come through the environment.
+        assert "${{" not in step.get("run", "")
+
+
+def test_every_file_that_a_workflow_names_is_there() -> None:
+    named = [word for path in WORKFLOWS for step in steps(parsed(path)) for word in step.get("run", "").split()]
+    files = [word for word in named if re.match(r"(tests|\.ci|manifests|docs)/", word)]
+    assert len(files) > 5
+    assert [name for name in files if not (ROOT / name).exists()] == []
+
+
+def test_each_python_of_the_classifiers_is_tested() -> None:
+    jobs = parsed(ROOT / ".github" / "workflows" / "tests.yml")["jobs"]
+    words = "Programming Language :: Python :: 3."
+    stated = [line.removeprefix(words) for line in PROJECT["project"]["classifiers"] if line.startswith(words)]
+    assert jobs["linux"]["strategy"]["matrix"]["python"] == [f"3.{minor}" for minor in stated]
+    assert PROJECT["project"]["requires-python"] == f">=3.{stated[0]}"
+    assert jobs["lowest"]["steps"][1]["with"]["python-version"] == f"3.{stated[0]}"
+    assert jobs["newest"]["steps"][1]["with"]["python-version"] == f"3.{stated[-1]}"
+
+
+def test_hooks_fetch_nothing() -> None:
+    (repository,) = parsed(ROOT / ".pre-commit-config.yaml")["repos"]
+    assert repository["repo"] == "local"
+    for hook in repository["hooks"]:
+        assert {"id", "name", "entry"} <= set(hook)
+        assert hook["language"] == "system"
+        assert hook["entry"].split("/")[0] == ".venv" or hook["entry"].split()[0] == "git"
+
+
+# --- versions -----------------------------------------------------------------------------------------------------
+
+
+def test_the_changelog_begins_with_this_version() -> None:
+    headings = re.findall(r"^## (.*)$", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert re.fullmatch(rf"{re.escape(eldata.__version__)} \((unreleased|\d{{4}}-\d\d-\d\d)\)", headings[0])
+    assert headings[1:] == ["0.1.0"]
+
+
+RELEASED = """# Changelog
+## 0.2.0 (2026-12-01)
+
+- New.
+
+## 0.1.0
+- Old.
+"""
+CITED = "title: eldata\nversion: 0.2.0\nlicense: MIT\n"
+
+
+def test_notes_are_the_section_of_the_version() -> None:
+    assert script("release").notes("v0.2.0", "0.2.0", RELEASED, CITED) == "- New.\n"
+
+
+@pytest.mark.parametrize(
+    ("tag", "changelog", "citation", "words"),
+    [
+        ("v0.2.1", RELEASED, CITED, r"the tag is v0\.2\.1, .* expected the tag v0\.2\.0"),
+        ("0.2.0", RELEASED, CITED, r"expected the tag v0\.2\.0"),
+        ("v0.2.0", RELEASED.replace("2026-12-01", "unreleased"), CITED, r"CHANGELOG\.md: expected the heading"),
+        ("v0.2.0", RELEASED, CITED.replace("0.2.0", "0.1.0"), r"CITATION\.cff: expected .* 0\.2\.0"),
+    ],
+)
+def test_a_release_needs_what_it_says_to_agree(tag: str, changelog: str, citation: str, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        script("release").notes(tag, "0.2.0", changelog, citation)
+
+
+def test_a_release_reads_the_version_of_this_package() -> None:
+    release = script("release")
+    assert release.version_of((ROOT / "eldata" / "__init__.py").read_text(encoding="utf-8")) == eldata.__version__
+    with pytest.raises(ValueError, match="expected a line such as"):
+        release.version_of("version = 1")
+
+
+def test_a_tag_that_does_not_fit_ends_the_release() -> None:
+    command = [sys.executable, str(ROOT / ".ci" / "release.py"), "v99.0.0"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1
+    assert done.stdout == ""
+    assert done.stderr.startswith("the tag is v99.0.0")
+
+
+# --- floors -------------------------------------------------------------------------------------------------------
+
+
+def test_floors_are_written_as_constraints() -> None:
+    command = [sys.executable, str(ROOT / ".ci" / "lowest.py")]
+    lines = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout.splitlines()
+    assert lines == sorted(lines)
+    names = {line.partition("==")[0] for line in lines}
+    assert {"numpy", "torch", "rawpy", "dask", "py7zr"} <= names
+    assert not names & {"pytest", "mypy", "ruff"}, "tools of the extra dev"
+    for requirement in PROJECT["project"]["dependencies"]:
+        assert requirement.replace(">=", "==") in lines
+
+
+@pytest.mark.parametrize(
+    ("requirement", "extra", "words"),
+    [
+        ("numpy>=2.1,<3", "h5py>=3", "'numpy>=2.1,<3'"),
+        ("numpy", "h5py>=3", "'numpy'"),
+        ("numpy>=2.1", "numpy>=2.2", r"numpy has two floors, 2\.1 and 2\.2"),
+    ],
+)
+def test_what_is_not_a_floor_is_refused(requirement: str, extra: str, words: str) -> None:
+    text = f'[project]\ndependencies = ["{requirement}"]\noptional-dependencies = {{ a = ["{extra}"] }}\n'
+    with pytest.raises(ValueError, match=words):
+        script("lowest").floors(text)
+
+
+# --- documents and the source archive -----------------------------------------------------------------------------
+
+
+def anchors(path: Path) -> set[str]:
+    """The anchors of a document's headings, as GitHub makes them."""
+    headings = re.findall(r"^#+ (.*)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("name", PROSE)
+def test_links_lead_somewhere(name: str) -> None:
+    page = ROOT / name
+    for link in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
+        if link.startswith("https://"):
+            continue
+        file, _, anchor = link.partition("#")
+        target = page.parent / file if file else page
+        assert target.exists(), link
+        assert not anchor or anchor in anchors(target), link
+
+
+def test_the_source_archive_holds_what_its_tests_read(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", str(tmp_path)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    (built,) = tmp_path.glob("*.tar.gz")
+    with tarfile.open(built) as archive:
+        held = {name.partition("/")[2] for name in archive.getnames()}
+    files = [*PROSE, "CITATION.cff", "LICENSE", "Makefile", "constraints.txt", "pyproject.toml"]
+    files += [".pre-commit-config.yaml", ".ci/run", ".ci/lowest.py", ".ci/release.py", "tests/conftest.py"]
+    files += [path.relative_to(ROOT).as_posix() for path in [*WORKFLOWS, *FORMS]]
+    assert [name for name in files if name not in held] == []

@@ -1,0 +1,119 @@
+"""Run as a program: our code as a system without the modules and calls of POSIX would see it, such as Windows.
+
+Only imports that our own modules make fail. The standard library of this system cannot do without them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import builtins
+import contextlib
+import importlib
+import io
+import mmap
+import multiprocessing.reduction
+import os
+import pkgutil
+import signal
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+OURS = ("eldata", "capture")
+MODULES = frozenset({"fcntl", "grp", "pty", "pwd", "resource", "termios", "tty"})
+MISSING = (
+    (os, ("O_CLOEXEC", "killpg", "memfd_create", "pread", "preadv", "pwrite", "register_at_fork", "sched_getaffinity")),
+    (os, ("MFD_CLOEXEC", "statvfs")),
+    (mmap, ("MAP_ANONYMOUS", "MAP_PRIVATE")),
+    (signal, ("SIGKILL",)),
+    (multiprocessing.reduction, ("DupFd",)),
+)
+
+
+def take_away() -> None:
+    """Let this process have nothing of :data:`MODULES` and :data:`MISSING` from now on, as far as we import it."""
+    imported = builtins.__import__
+
+    def import_(name: str, globals_: Any = None, *rest: Any) -> Any:
+        importer = str((globals_ or {}).get("__name__"))
+        if name in MODULES and importer.split(".", maxsplit=1)[0] in OURS:
+            raise ImportError(f"No module named {name!r}, which {importer} imports")
+        return imported(name, globals_, *rest)
+
+    setattr(builtins, "__import__", import_)  # noqa: B010 # typed as if it could not be replaced
+    for module, names in MISSING:
+        for name in names:
+            if hasattr(module, name):
+                delattr(module, name)
+
+
+def import_everything() -> None:
+    for package in OURS:
+        found = importlib.import_module(package)
+        for module in pkgutil.walk_packages(found.__path__, f"{package}."):
+            if not module.name.endswith("__main__"):
+                importlib.import_module(module.name)
+
+
+def commands(parser: argparse.ArgumentParser, words: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """Yield the words of each command, and of each command's commands."""
+    yield words
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for name, below in action.choices.items():
+                yield from commands(below, (*words, name))
+
+
+def show_help(program: str) -> int:
+    """Ask each command of a program for help; return how many there are."""
+    main = importlib.import_module({"eldata": "eldata.cli.main", "capture": "capture.cli.main"}[program])
+    every = list(commands(main.parser()))
+    for words in every:
+        shown = io.StringIO()
+        with contextlib.redirect_stdout(shown), contextlib.suppress(SystemExit):
+            main.main([*words, "--help"])
+        if f"usage: {program}" not in shown.getvalue():
+            raise SystemExit(f"{program} {' '.join(words)} --help printed {shown.getvalue()!r}")
+    return len(every)
+
+
+def refusals(folder: Path) -> Iterator[str]:
+    """Yield how each thing that needs POSIX says so."""
+    from capture.tether.gphoto import Gphoto
+    from capture.tether.lock import locked
+    from eldata.download.partial import opened
+    from eldata.download.unpacking import _staging_folder
+    from eldata.errors import EldataError
+    from eldata.sources.store.journal import journaled
+
+    uses: tuple[Callable[[], Any], ...] = (
+        lambda: journaled(folder / "store.h5").__enter__(),
+        lambda: opened(folder / "archive.zip").__enter__(),
+        lambda: _staging_folder(folder / "data").__enter__(),
+        lambda: locked(folder).__enter__(),
+        lambda: Gphoto.find("gphoto2", timeout_s=60),
+    )
+    for use in uses:
+        try:
+            use()
+        except EldataError as error:
+            yield str(error)
+
+
+def main(folder: Path) -> None:
+    import_everything()  # and what our modules rest on, which may use all that this system has
+    for name in [name for name in sys.modules if name.split(".")[0] in OURS]:
+        del sys.modules[name]
+    take_away()
+    print("helps", show_help("eldata"), show_help("capture"))
+    import_everything()
+    for refusal in refusals(folder):
+        print("refused", refusal)
+    print("left", *sorted(path.name for path in folder.iterdir()))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

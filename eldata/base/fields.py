@@ -26,7 +26,7 @@ from dataclasses import dataclass, fields
 from fractions import Fraction
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeVar, overload
 
 from eldata.errors import ArgumentError, EldataError, FileError
 
@@ -152,18 +152,18 @@ class _Missing:
 
 _MISSING: Final = _Missing()
 _REPR: Final = reprlib.Repr()
-_REPR.maxlevel, _REPR.maxlist, _REPR.maxdict, _REPR.maxstring = 2, 6, 4, _LONGEST_SHOWN
+_REPR.maxlevel, _REPR.maxlist, _REPR.maxdict = 2, 6, 4
 
 
-def shown(found: object) -> str:
+def shown(found: object, longest: int = _LONGEST_SHOWN) -> str:
     """Return a value as a message shows it: on one line, and short."""
     if found is None or isinstance(found, bool):
         return json.dumps(found)
     try:
-        text = _REPR.repr(found)
+        text = repr(found[:longest]) if isinstance(found, str) else _REPR.repr(found)
     except ValueError:  # Python refuses to write out the largest whole numbers
         return "a number of thousands of digits"
-    return text if len(text) <= _LONGEST_SHOWN else f"{text[: _LONGEST_SHOWN - 3]}..."
+    return text if len(text) <= longest else f"{text[: longest - 3]}..."
 
 
 def _named(name: str) -> str:
@@ -302,7 +302,7 @@ class TextFile:
         try:
             header = next(reader, [])
             if header != list(columns):
-                found = shown(",".join(header))
+                found = shown(",".join(header), longest=400)
                 raise self.problem(f"expected the columns {','.join(columns)}; found {found}", "line 1")
             for cells in reader:
                 if len(cells) != len(header):
@@ -325,10 +325,9 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return data
 
 
-def _short_whole(text: str) -> int:
-    if len(text) > _MOST_DIGITS:
-        raise _JsonError(f"a whole number has {len(text)} digits; at most {_MOST_DIGITS} are read")
-    return int(text)
+def _short_whole(text: str) -> float:
+    """Return a whole number; as a float if it is too long for any field but a number, infinite if for that as well."""
+    return int(text) if len(text) <= _MOST_DIGITS else float(text)
 
 
 def _place_of_constant(data: Any) -> str:
@@ -366,6 +365,8 @@ class Fields:
     data: Mapping[str, Any]
     place: str = ""
 
+    _absent: ClassVar[tuple[object, ...]] = (None,)
+
     def problem(self, name: str, reason: str) -> EldataError:
         """Return the error that something is wrong with a field, to be raised."""
         return self.file.problem(reason, self._where(name))
@@ -394,9 +395,15 @@ class Fields:
             raise self.problem(name, "is missing")
         return self.data[name]
 
-    def optional(self, name: str, read: Callable[..., Value], **options: Any) -> Value | None:
-        """Return ``read(name, **options)``; ``None`` where the field is not there, or null."""
-        return None if self.data.get(name) is None else read(name, **options)
+    @overload
+    def optional(self, name: str, read: Callable[..., Value], default: Value, **options: Any) -> Value: ...
+    @overload
+    def optional(self, name: str, read: Callable[..., Value], **options: Any) -> Value | None: ...
+    def optional(
+        self, name: str, read: Callable[..., Value], default: Value | None = None, **options: Any
+    ) -> Value | None:
+        """Return ``read(name, **options)``; the default where the field is not there, null, or an empty cell."""
+        return default if self.data.get(name) in self._absent else read(name, **options)
 
     def schema(self, number: int, program: str = "eldata") -> None:
         """Refuse a file of another schema number."""
@@ -420,7 +427,7 @@ class Fields:
         *,
         expected: str = "a list",
         count: int | None = None,
-        at_least: int = 0,
+        fewest: int = 0,
         once: bool = False,
         missing_ok: bool = False,
         **options: Any,
@@ -433,7 +440,7 @@ class Fields:
             The list's name; such as ``Fields.text``.
         expected
             What the list should be, in words.
-        count, at_least
+        count, fewest
             How many elements it has; how many it has at least.
         once
             Whether each value may stand in it only once.
@@ -441,12 +448,15 @@ class Fields:
             Whether a list that is not there is an empty one.
         """
         found = self.data.get(name, [] if missing_ok else _MISSING)
-        if not isinstance(found, list) or len(found) < at_least or (count is not None and len(found) != count):
+        if not isinstance(found, list) or len(found) < fewest or (count is not None and len(found) != count):
             raise self.wrong(name, expected, found)
         inner = Fields(self.file, {f"{name}[{index}]": item for index, item in enumerate(found)}, self.place)
         values = tuple(read(inner, element, **options) for element in inner.data)
-        if once and len(set(values)) < len(values):
-            raise self.wrong(name, "each value once", found)
+        if once:
+            first = {value: at for at, value in reversed(list(enumerate(values)))}
+            for at, value in enumerate(values):
+                if first[value] != at:
+                    raise self.wrong(f"{name}[{at}]", "each value once", value)
         return values
 
     def objects(self, name: str, **options: Any) -> tuple[Fields, ...]:
@@ -521,20 +531,18 @@ class Fields:
 def _did_you_mean(name: str, known: Collection[str]) -> str:
     from difflib import get_close_matches
 
-    near = get_close_matches(name[:_LONGEST_SHOWN], known, n=1)
+    near = get_close_matches(name[:_LONGEST_SHOWN], known, n=1, cutoff=0.75)
     return f" (did you mean {near[0]}?)" if near else ""
 
 
 @dataclass(frozen=True, slots=True)
 class Cells(Fields):
-    """A row of a CSV file; numbers are parsed from the cells' text, and an empty cell is one that is not known."""
+    """A row of a CSV file; numbers are parsed from the cells' text, and an empty cell is one that is not there."""
+
+    _absent: ClassVar[tuple[object, ...]] = ("",)
 
     def _where(self, name: str) -> str:
         return f"{self.place}, column {name}"
-
-    def optional(self, name: str, read: Callable[..., Value], **options: Any) -> Value | None:
-        """Return ``read(name, **options)``; ``None`` where the cell is empty."""
-        return read(name, **options) if self.data[name] else None
 
     def whole(self, name: str, *, at_least: int = 0, at_most: int = LARGEST_WHOLE) -> int:
         """Return a whole number."""

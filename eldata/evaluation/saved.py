@@ -34,7 +34,7 @@ def load_results(path: Path | str) -> tuple[EvaluationResult, ...]:
     top = TextFile(path, FileError, advice=_AGAIN).json()
     if "results" not in top.data:
         return (_result(top),)
-    return tuple(_result(one) for one in top.objects("results", at_least=1, expected="a list of results"))
+    return tuple(_result(one) for one in top.objects("results", fewest=1, expected="a list of results"))
 
 
 def saved_result(data: object, source: Path | str) -> EvaluationResult:
@@ -91,7 +91,7 @@ def _score(one: Fields, kind: Kind) -> UnitScore:
         return UnitScore(one.text("path"), camera, scene, iso, ratio, values)
     frames = tuple(
         FrameScore(frame.text("path"), *(frame.parsed(name, _value) for name in ("psnr_db", "ssim", "rescale")))
-        for frame in one.objects("frame_scores", at_least=1)
+        for frame in one.objects("frame_scores", fewest=1)
     )
     split, start = one.text("split"), one.whole("start")
     return UnitScore(frames[0].path, camera, scene, 0.0, None, values, split=split, start=start, frames=frames)
@@ -110,7 +110,7 @@ def _table(top: Fields, kind: Kind, scores: tuple[UnitScore, ...], expected: int
             scored=row.whole("scored"),
             values={name: row.parsed(name, _value) for name in names},
         )
-        for row in top.objects("table", at_least=1)
+        for row in top.objects("table", fewest=1)
     )
 
 

@@ -169,8 +169,7 @@ ALLOWED = {
     "eldata.records": ("eldata.errors", "eldata.raw.colour"),
     "eldata.base.compiled": ("nothing",),
     "eldata.raw": ("eldata.records", "eldata.errors", "eldata.base.files", "eldata.base.compiled"),
-    # Protocols by name, for the modules of training loops.
-    "eldata.metrics": ("eldata.errors", "eldata.base.compiled", "eldata.base.tensors", "eldata.protocols"),
+    "eldata.metrics": ("eldata.errors", "eldata.base.compiled", "eldata.base.tensors", "eldata.base.moved"),
     "eldata.protocols": ("eldata.errors", "eldata.metrics"),
     "eldata.isp": ("eldata.raw", "eldata.records", "eldata.errors", "eldata.base.files"),
     "eldata.sources.store": (

@@ -1,8 +1,8 @@
-"""Named, frozen protocols of clips: each frame against the clip's one still, the window of frames as a video."""
+"""What a protocol of clips is: each frame against the clip's one still, the window of frames as a video."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 from eldata.protocols.kinds import CLIPS, Kind
@@ -77,43 +77,3 @@ class ClipProtocol(Protocol):
     def as_dict(self) -> dict[str, Any]:
         """Return what it states as plain types, with the definitions of its metrics."""
         return {name: getattr(self, name) for name in _STATED}
-
-
-_PAPER = (
-    "K. Wei et al., Physics-based Noise Modeling for Extreme Low-light Photography, TPAMI 2021, results on DRV: "
-    "averages over five continuous frames a video; which five, and which black and white level, is not said; ELD "
-    "repository, commit 53d5408, util/index.py (metrics), models/ELD_model.py (correction); no code for video is public"
-)
-_RGB = ClipProtocol(
-    name="drv-rgb",
-    title="DRV as preprocessed by its authors: RGB, frames 5 to 9 of each clip, one scalar per frame",
-    source=f"{_PAPER}; on the preprocessed RGB frames, where the paper has raw ones",
-    dataset="drv",
-    pixels="rgb",
-)
-_RAW = ClipProtocol(
-    name="drv-raw",
-    title="DRV raw as in the ELD paper: packed raw, frames 5 to 9 of each clip, one scalar per frame",
-    source=_PAPER,
-    dataset="drv-raw",
-)
-
-CLIP_PROTOCOLS: tuple[ClipProtocol, ...] = (
-    _RGB,
-    replace(
-        _RGB,
-        name="drv-rgb-uncorrected",
-        title="DRV as preprocessed by its authors, without the scalar: the prediction's own brightness counts",
-        source=f"{_PAPER}; on the preprocessed RGB frames; without the illuminance correction",
-        rescaling="none",
-    ),
-    _RAW,
-    replace(
-        _RAW,
-        name="drv-raw-uncorrected",
-        title="DRV raw without the scalar: the prediction's own brightness counts",
-        source=f"{_PAPER}; without the illuminance correction",
-        rescaling="none",
-    ),
-)
-"""A dataset's default comes first."""

@@ -325,7 +325,7 @@ def test_the_wheel_holds_what_it_must(wheel: Path) -> None:
     published = {f"published/{path.name}" for path in (ROOT / "manifests" / "published").iterdir()}
     shipped = "eldata/manifest/shipped/"
     assert {name.removeprefix(shipped) for name in names if name.startswith(shipped)} == beside | published
-    assert {"eldata/py.typed", "capture/py.typed"} <= names
+    assert {"eldata/py.typed", "capture/py.typed", "eldata/protocols/shipped.toml"} <= names
     sources = [*(ROOT / "eldata").rglob("*.py*"), *(ROOT / "capture").rglob("*.py*")]
     ours = {path.relative_to(ROOT).as_posix() for path in sources if path.suffix in (".py", ".pyi")}
     assert "eldata/__init__.pyi" in ours
@@ -339,6 +339,7 @@ def test_the_wheel_holds_nothing_else(wheel: Path) -> None:
     assert {Path(name).suffix for name in names if "dist-info" not in name} <= {
         ".py",
         ".pyi",
+        ".toml",
         ".typed",
         ".css",
         ".csv",

@@ -223,7 +223,7 @@ def load_rgb_prediction(path: Path, shape: tuple[int, int, int]) -> NDArray[np.f
     Raises
     ------
     PredictionError
-        As :func:`load_prediction`.
+        Like :func:`load_prediction`.
     """
     if path.suffix.lower() == ".dng":
         raise PredictionError(path, "expected an RGB frame, found a DNG; save npy (3, h, w) or a 16-bit RGB PNG")
@@ -258,7 +258,7 @@ def load_srgb_prediction(path: Path, shape: tuple[int, int, int]) -> NDArray[np.
     Raises
     ------
     PredictionError
-        As :func:`load_prediction`.
+        Like :func:`load_prediction`.
     """
     if path.suffix.lower() == ".dng":
         raise PredictionError(path, "expected a rendering in sRGB, found a DNG; save an RGB PNG of 8 or 16 bits")

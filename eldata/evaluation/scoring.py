@@ -10,7 +10,7 @@ from collections import defaultdict
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
@@ -440,6 +440,11 @@ class ScoredArrays:
     prediction: NDArray[Any]
     reference: NDArray[Any]
     sensor: Sensor | None
+
+    @property
+    def error(self) -> NDArray[Any]:
+        """The absolute error, mean over channels, (h, w)."""
+        return cast("NDArray[Any]", np.abs(self.prediction - self.reference).mean(axis=0))
 
 
 def scored_arrays(folder: Path, protocol: Protocol, pair: Pair, frame: FrameScore, file: Path | None) -> ScoredArrays:

@@ -166,7 +166,7 @@ def paired_difference(
     Raises
     ------
     ArgumentError
-        As :func:`interval_of_mean`, and if there are not as many scores of one method as of the other.
+        Like :func:`interval_of_mean`, and if there are not as many scores of one method as of the other.
     """
     if len(first) != len(second):
         raise ArgumentError(f"paired scores are of the same images; found {len(first)} and {len(second)}")
@@ -199,7 +199,7 @@ def sign_flip_p_value(
     Raises
     ------
     ArgumentError
-        As :func:`interval_of_mean`.
+        Like :func:`interval_of_mean`.
     """
     _check(LEVEL, resamples, seed)
     sums, _ = _by_scene(differences, scenes)

@@ -154,8 +154,7 @@ def _decoded(result: EvaluationResult, folder: Path, predictions: Path | None) -
         if predictions is not None and place not in files:
             raise PredictionError(predictions, f"the prediction of {frame.path} is gone since it was scored")
         arrays = scored_arrays(folder, protocol, pairs[score.path], frame, files.get(place))
-        error = np.abs(arrays.prediction - arrays.reference).mean(axis=0)
-        decoded.append(_Decoded(rank, score, frame.path, arrays, error))
+        decoded.append(_Decoded(rank, score, frame.path, arrays, arrays.error))
     return decoded
 
 

@@ -183,6 +183,8 @@ def _clip_plan(request: Request, protocol: ClipProtocol) -> Plan:
         ("camera", request.cameras, {row.camera for row in rows}),
         ("flag", request.exclude_flags, {flag for row in rows for flag in row.flags}),
     ):
+        if isinstance(wanted, str):
+            raise ArgumentError(f"give {name} values as a list: [{wanted!r}]")
         for value in wanted or ():
             if value not in known:
                 raise ArgumentError(f"no clip has {name} {value!r}; known are {', '.join(sorted(known)) or 'none'}")

@@ -235,5 +235,22 @@ def test_images_and_clips_do_not_compare(eldata: Cli) -> None:
     assert "eld has scores of images, drv of videos; these do not compare" in outcome.err
 
 
+def test_the_manifest_is_read_once(
+    eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from eldata.manifest import catalogue, table
+
+    read: list[Path] = []
+    genuine = table.load_records
+
+    def load(path: Path) -> object:
+        read.append(path)
+        return genuine(path)
+
+    monkeypatch.setattr(catalogue, "load_records", load)
+    run(eldata, drv, predictions, *CHOSEN, "--html", tmp_path / "a.html", "--compare")
+    assert [path for path in read if path == drv.csv] == [drv.csv]
+
+
 def test_published_numbers(eldata: Cli, drv: SmallDrv, predictions: Path) -> None:
     assert "no published numbers on drv are known" in run(eldata, drv, predictions, *CHOSEN, "--compare")

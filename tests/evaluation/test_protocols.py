@@ -313,6 +313,7 @@ def test_any_dataset_and_all_factors(tmp_path: Path) -> None:
         ('base = "eld"\ntitle = "x"\n', r"field 'name' is missing"),
         ('name = "x"\ntitle = "x"\n', r"field 'base' is missing"),
         ('base = "ELD"\nname = "x"\ntitle = "x"\n', r"base: no protocol is called 'ELD'; known are eld"),
+        ('base = "drv-rgb"\nname = "x"\ntitle = "x"\n', r"base: 'drv-rgb' scores clips; .* starts from one of images"),
         ('base = "eld"\nname = "sid"\ntitle = "x"\n', r"name: 'sid' is the name of a shipped protocol"),
         ('base = "eld"\nname = "all"\ntitle = "x"\n', r"name: 'all' is the name of a shipped"),
         ('base = "eld"\nname = "led"\ntitle = "x"\n', r"name: 'led' is the name of a shipped"),

@@ -274,6 +274,10 @@ def test_unknown_names_list_the_known(drv: SmallDrv, predictions: Path) -> None:
         score(drv, predictions, ids=["0099"])
     with pytest.raises(ArgumentError, match="give a subset or ids"):
         score(drv, predictions, subset="test")
+    with pytest.raises(ArgumentError, match=r"give camera values as a list: \['SonyRX100M6'\]"):
+        score(drv, predictions, cameras="SonyRX100M6")
+    with pytest.raises(TypeError, match="has no option 'camera'; known are root, manifest, cameras"):
+        score(drv, predictions, camera=["SonyRX100M6"])
     with pytest.raises(ArgumentError, match="its card names no subset"):
         score(drv, predictions, ids=None)
     with pytest.raises(EldataError, match="no such folder of predictions"):

@@ -9,12 +9,14 @@ import math
 import re
 import shutil
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from eldata.base.tables import FORMATS
 from eldata.errors import ArgumentError, EldataError, PredictionError
 from eldata.evaluation.combined import CombinedResult
 from eldata.evaluation.comparison import Method, compare
@@ -24,6 +26,7 @@ from eldata.evaluation.saved import saved_result
 from eldata.isp.preview import preview
 from eldata.raw.levels import packed_frame
 from eldata.raw.reading import read_raw
+from eldata.reports.compare import page as compare_page
 from eldata.reports.compare.page import comparison_page
 from eldata.reports.evaluation import pictures
 from eldata.reports.evaluation.page import evaluation_page, write_evaluation_page
@@ -34,8 +37,6 @@ from tests.reports.evaluations import result, result_data, table_of
 from tests.reports.pages import HOSTILE, assert_well_formed, checked
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
     from eldata.evaluation.results import EvaluationResult
@@ -252,6 +253,30 @@ def test_errors(evaluated: EvaluationResult, tree: Tree, predictions: Path, tmp_
     with pytest.raises(PredictionError, match="is gone since it was scored"):
         write_evaluation_page([evaluated], tmp_path / "a.html", dataset_folder=tree.files, predictions=gone)
     assert not (tmp_path / "a.html").exists()
+
+
+def test_what_is_shown_is_not_saved_and_read_again(
+    evaluated: EvaluationResult, tree: Tree, predictions: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """JSON is written and parsed at the file alone."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("a result was serialised")
+
+    monkeypatch.setattr(type(evaluated), "as_dict", refuse)
+    write_evaluation_page([evaluated], tmp_path / "a.html", dataset_folder=tree.files, predictions=predictions)
+    for form in FORMATS:
+        assert evaluated.format(form)
+    methods = [Method(name, evaluated) for name in ("a", "b")]
+    assert comparison_page(compare(methods))
+
+
+def test_pages_of_results_compute_nothing() -> None:
+    """Intervals, choices and comparisons come from the evaluation; pages import constants and types of statistics."""
+    computing = ("interval_of_mean", "interval_of_scores", "paired_difference", "sign_flip_p_value")
+    for module in [*Path(pictures.__file__).parent.glob("*.py"), *Path(compare_page.__file__).parent.glob("*.py")]:
+        text = module.read_text(encoding="utf-8")
+        assert not [name for name in (*computing, "eldata.metrics", "eldata.evaluation.saved") if name in text], module
 
 
 # --- pictures -----------------------------------------------------------------------------------------------------

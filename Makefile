@@ -4,10 +4,18 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: help demo test lint bench manifests clean
+PYTEST := $(BIN)/pytest -n auto --dist worksteal
+# The marks of pyproject.toml: what takes long, or needs a program or machine that not everybody has.
+RARE := study or browser or tether or dask or kill or memory
+
+# The tests start hundreds of processes. Without bytecode, which images of containers like to switch off, each of them
+# would compile the package anew.
+unexport PYTHONDONTWRITEBYTECODE
+
+.PHONY: help demo test test-all test-rest lint bench manifests clean
 
 help:  ## What there is to make
-	@grep -hE '^[a-z]+:.*##' Makefile | sed 's/:.*## /\t/' | expand -t 12
+	@grep -hE '^[a-z-]+:.*##' Makefile | sed 's/:.*## /\t/' | expand -t 12
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed" if sys.version_info < (3, 11) else 0)'
@@ -24,14 +32,19 @@ lint: $(STAMP)  ## Style and types
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-test: lint  ## Style, types and all tests
-	$(BIN)/pytest -n auto --dist worksteal
+test: lint  ## Style, types and every test that is quick, in five minutes or less on two cores
+	$(PYTEST) -m 'not ($(RARE))'
+
+test-all: test test-rest  ## The same, then long studies and tests of browser, tether, Dask, kills and memory
+
+test-rest: $(STAMP)
+	$(PYTEST) -m '$(RARE)'
 
 bench: $(STAMP)  ## Benchmarks against the straightforward routes, about twenty minutes
 	$(BIN)/python -m benchmarks
 
 manifests: $(STAMP)  ## Write the shipped manifests anew
-	$(BIN)/python manifests/generate.py
+	$(BIN)/python -m manifests.generate
 
 clean:  ## Remove what make made
 	rm -rf $(VENV) eldata-demo .mypy_cache .ruff_cache .pytest_cache

@@ -3,7 +3,25 @@
 from __future__ import annotations
 
 import signal
+from typing import TYPE_CHECKING
+
+import pytest
+
+from tests.shared import made_once
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
 
 # A run that was started in the background of a shell ignores Ctrl-C, and so would every process that tests start.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(scope="session")
+def demo_tree(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """The demo's tree: two cameras, one scene, sixteen frames each of 64 x 96 pixels. Not to be changed: copy it."""
+    from tests.trees import build_tree
+
+    with made_once(tmp_path_factory, "demo", build_tree) as folder:
+        yield folder

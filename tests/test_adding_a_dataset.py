@@ -17,6 +17,7 @@ import pytest
 
 from eldata.raw import write_dng
 from eldata.records import Exposure, Sensor
+from tests.waiting import PATIENCE_S
 
 ROOT = Path(__file__).parents[1]
 DOCUMENT = ROOT / "docs" / "adding-a-dataset.md"
@@ -66,7 +67,7 @@ class Place:
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
-            timeout=300,
+            timeout=PATIENCE_S,
         )
         assert done.returncode == 0, done.stdout
         return done.stdout

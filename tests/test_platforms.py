@@ -12,6 +12,7 @@ import pytest
 from eldata.base.files import try_lock
 from eldata.errors import EldataError
 from tests import without_posix
+from tests.waiting import PATIENCE_S
 
 ROOT = Path(__file__).parents[1]
 
@@ -21,7 +22,7 @@ def lines(tmp_path_factory: pytest.TempPathFactory) -> list[list[str]]:
     """What a process without POSIX prints: words by line."""
     folder = tmp_path_factory.mktemp("windows")
     command = [sys.executable, "-m", "tests.without_posix", str(folder)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 0, done.stderr
     return [line.split(" ", 1) for line in done.stdout.splitlines()]
 

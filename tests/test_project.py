@@ -16,6 +16,7 @@ import yaml
 
 import eldata
 from eldata.manifest import shipped_manifest
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -196,7 +197,7 @@ def test_a_release_reads_the_version_of_this_package() -> None:
 
 def test_a_tag_that_does_not_fit_ends_the_release() -> None:
     command = [sys.executable, str(ROOT / ".ci" / "release.py"), "v99.0.0"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 1
     assert done.stdout == ""
     assert done.stderr.startswith("the tag is v99.0.0")
@@ -207,7 +208,7 @@ def test_a_tag_that_does_not_fit_ends_the_release() -> None:
 
 def test_floors_are_written_as_constraints() -> None:
     command = [sys.executable, str(ROOT / ".ci" / "lowest.py")]
-    lines = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout.splitlines()
+    lines = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=True).stdout.splitlines()
     assert lines == sorted(lines)
     names = {line.partition("==")[0] for line in lines}
     assert {"numpy", "torch", "rawpy", "dask", "py7zr"} <= names
@@ -253,7 +254,7 @@ def test_links_lead_somewhere(name: str) -> None:
 
 def test_the_source_archive_holds_what_its_tests_read(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", str(tmp_path)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 0, done.stderr
     (built,) = tmp_path.glob("*.tar.gz")
     with tarfile.open(built) as archive:

@@ -58,9 +58,14 @@ class Tree:
 
 
 def build_tree(folder: Path) -> Tree:
-    """Two cameras, one scene, sixteen frames each: 32 files, 64 x 96 pixels."""
-    manifest = make_tree(folder, scenes=1, size=SIZE)
-    return Tree(manifest.path, folder / "data")
+    """Two cameras, one scene, sixteen frames each: 32 files, 64 x 96 pixels. The fixture ``demo_tree`` has them."""
+    make_tree(folder, scenes=1, size=SIZE)
+    return tree_in(folder)
+
+
+def tree_in(folder: Path) -> Tree:
+    """The demo's tree that lies in ``folder``."""
+    return Tree(folder / "manifests" / "eld-demo.csv", folder / "data")
 
 
 def copy_tree(tree: Tree, folder: Path) -> Tree:

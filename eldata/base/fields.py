@@ -290,7 +290,7 @@ class TextFile:
             raise self.problem(f"expected an object, found {shown(data)}")
         return Fields(self, data)
 
-    def rows(self, columns: Sequence[str]) -> Iterator[Cells]:
+    def rows(self, columns: Sequence[str]) -> Iterator[TextRow]:
         """Yield the rows of a CSV file whose first line names these columns.
 
         Raises
@@ -308,7 +308,7 @@ class TextFile:
                 if len(cells) != len(header):
                     reason = f"expected {len(header)} fields, found {len(cells)}"
                     raise self.problem(reason, f"line {reader.line_num}")
-                yield Cells(self, dict(zip(header, cells, strict=True)), f"line {reader.line_num}")
+                yield TextRow(self, dict(zip(header, cells, strict=True)), f"line {reader.line_num}")
         except csv.Error as error:
             raise self.problem(f"is not CSV ({error})", f"line {reader.line_num}") from error
 
@@ -536,7 +536,7 @@ def _did_you_mean(name: str, known: Collection[str]) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Cells(Fields):
+class TextRow(Fields):
     """A row of a CSV file; numbers are parsed from the cells' text, and an empty cell is one that is not there."""
 
     _absent: ClassVar[tuple[object, ...]] = ("",)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import textwrap
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from eldata.base.files import write_text
+from eldata.base.files import write_json
 from eldata.base.tables import text_table
 from eldata.evaluation.results import nothing_scored, problem_lines, write_scores
 from eldata.evaluation.scores import json_safe, mean
@@ -170,7 +169,7 @@ class CombinedResult:
 
     def write_json(self, path: Path | str) -> None:
         """Write :meth:`as_dict` as JSON, whole or not at all."""
-        write_text(path, json.dumps(self.as_dict(), indent=2, allow_nan=False) + "\n")
+        write_json(path, self.as_dict())
 
     def write_csv(self, path: Path | str) -> None:
         """Write the scores as CSV, ``protocol`` before the columns of a single one, whole or not at all."""

@@ -13,20 +13,20 @@ from eldata.base.workers import accepts_jobs
 from eldata.errors import ArgumentError, ManifestError, PredictionError
 from eldata.evaluation.combined import CombinedResult, NotScored
 from eldata.evaluation.pairs import frames_of, place_of
-from eldata.evaluation.planning import known_places, make_plan, require_files
+from eldata.evaluation.planning import known_places, plan_scoring, require_pairs
 from eldata.evaluation.predictions import find_predictions, prediction_space
 from eldata.evaluation.request import ALL, Options, Request, make_request
 from eldata.evaluation.results import EvaluationResult
-from eldata.evaluation.scoring import score_plans
+from eldata.evaluation.units import score_plans
 from eldata.protocols.kinds import IMAGES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from eldata.evaluation.planning import Plan
+    from eldata.evaluation.planning import ScoringPlan
     from eldata.evaluation.predictions import FoundPredictions
-    from eldata.evaluation.scoring import PlanScores
+    from eldata.evaluation.units import PlanScores
     from eldata.protocols.protocol import Protocol
 
 # A factor beyond these hides a prediction of another scale: the score says nothing of it.
@@ -123,16 +123,16 @@ def perform(request: Request) -> CombinedResult:
         Like :func:`evaluate` and :func:`evaluate_all`.
     """
     if not request.every:
-        plan = make_plan(request, request.protocols[0])
+        plan = plan_scoring(request, request.protocols[0])
         ((result, _),) = _scored(request, [plan])
         return CombinedResult((result,))
     if request.predictions is not None and not request.predictions.is_dir():
         find_predictions(request.predictions, [], [])  # says so
-    plans: list[Plan] = []
+    plans: list[ScoringPlan] = []
     left_out: list[NotScored] = []
     for protocol in request.protocols:
         try:
-            plans.append(make_plan(request, protocol))
+            plans.append(plan_scoring(request, protocol))
         except (ArgumentError, ManifestError) as error:
             left_out.append(NotScored(protocol.name, str(error)))
     plans, unfit = _of_one_space(request, plans)
@@ -149,7 +149,7 @@ def perform(request: Request) -> CombinedResult:
     return CombinedResult(tuple(results), tuple(left_out))
 
 
-def _of_one_space(request: Request, plans: Sequence[Plan]) -> tuple[list[Plan], list[NotScored]]:
+def _of_one_space(request: Request, plans: Sequence[ScoringPlan]) -> tuple[list[ScoringPlan], list[NotScored]]:
     """Return the plans that take predictions as they are, raw or renderings, and why not the others."""
     if request.kind is not IMAGES:
         return list(plans), []
@@ -160,7 +160,7 @@ def _of_one_space(request: Request, plans: Sequence[Plan]) -> tuple[list[Plan], 
     return fit, [NotScored(plan.protocol.name, f"scores {wanted}; {what}") for plan in plans if plan not in fit]
 
 
-def _are_renderings(request: Request, predictions: Path, plans: Sequence[Plan]) -> bool:
+def _are_renderings(request: Request, predictions: Path, plans: Sequence[ScoringPlan]) -> bool:
     """Return whether a folder holds renderings in sRGB, by the first prediction that can be read."""
     places = dict.fromkeys(pair.path for plan in plans for pair in plan.pairs)
     for file in find_predictions(predictions, places, known_places(request)).files.values():
@@ -174,7 +174,7 @@ def _are_renderings(request: Request, predictions: Path, plans: Sequence[Plan]) 
 # --- one pass over the files ------------------------------------------------------------------------------------------
 
 
-def _scored(request: Request, plans: Sequence[Plan]) -> list[tuple[EvaluationResult, PlanScores]]:
+def _scored(request: Request, plans: Sequence[ScoringPlan]) -> list[tuple[EvaluationResult, PlanScores]]:
     """Return the result of each plan, and what scoring found beyond it."""
     found: list[FoundPredictions | None] = [None] * len(plans)
     if request.predictions is not None:
@@ -185,7 +185,7 @@ def _scored(request: Request, plans: Sequence[Plan]) -> list[tuple[EvaluationRes
             )
             for plan in plans
         ]
-    require_files(request, {pair.path: pair for plan in plans for pair in plan.pairs}.values())
+    require_pairs(request, {pair.path: pair for plan in plans for pair in plan.pairs}.values())
 
     problems = [[] if one is None else one.problems(allow_missing=request.allow_missing) for one in found]
     wanted = [request.allow_missing or not some for some in problems]
@@ -208,7 +208,9 @@ def _scored(request: Request, plans: Sequence[Plan]) -> list[tuple[EvaluationRes
     return results
 
 
-def _notes(plan: Plan, found: FoundPredictions | None, result: EvaluationResult, scored: PlanScores) -> list[str]:
+def _notes(
+    plan: ScoringPlan, found: FoundPredictions | None, result: EvaluationResult, scored: PlanScores
+) -> list[str]:
     notes, scores = [], result.scores
     if plan.set_aside:
         factors = ", ".join(f"x{ratio:g}" for ratio in plan.facts["ratios"])
@@ -239,7 +241,7 @@ def _notes(plan: Plan, found: FoundPredictions | None, result: EvaluationResult,
     return notes
 
 
-def _provenance(request: Request, plan: Plan) -> dict[str, Any]:
+def _provenance(request: Request, plan: ScoringPlan) -> dict[str, Any]:
     import rawpy
 
     manifest, cameras = request.manifest, request.cameras

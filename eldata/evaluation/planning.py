@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class ScoringPlan:
     """A protocol and what it scores here.
 
     Attributes
@@ -61,7 +61,7 @@ def known_places(request: Request) -> list[str]:
     return [clip_place(row.scene, row.path) for row in expand(noisy, request.folder)]
 
 
-def make_plan(request: Request, protocol: Protocol) -> Plan:
+def plan_scoring(request: Request, protocol: Protocol) -> ScoringPlan:
     """Return what a protocol scores.
 
     Of a set that comes with the package these are the protocol's pairs or clips. A set of the user's own has its own
@@ -90,7 +90,7 @@ def make_plan(request: Request, protocol: Protocol) -> Plan:
 # --- images -----------------------------------------------------------------------------------------------------------
 
 
-def _shipped_plan(request: Request, protocol: Protocol) -> Plan:
+def _shipped_plan(request: Request, protocol: Protocol) -> ScoringPlan:
     if protocol.subset is not None and request.subset not in (None, protocol.subset):
         raise ArgumentError(
             f"protocol {protocol.name!r} scores the subset {protocol.subset!r}, not {request.subset!r}; leave the "
@@ -113,7 +113,7 @@ def _shipped_plan(request: Request, protocol: Protocol) -> Plan:
     )
 
 
-def _own_plan(request: Request, protocol: Protocol) -> Plan:
+def _own_plan(request: Request, protocol: Protocol) -> ScoringPlan:
     there = {record.ratio for record in request.manifest.records if record.role == "noisy"}
     has_all = bool(protocol.ratios) and all(ratio in there for ratio in protocol.ratios)
     set_aside = [f"cameras {', '.join(protocol.cameras)}"] if protocol.cameras else []
@@ -143,7 +143,7 @@ def _image_plan(
     ratios: Collection[float] | None,
     subset: str | None,
     set_aside: tuple[str, ...] = (),
-) -> Plan:
+) -> ScoringPlan:
     subsets = request.manifest.card.subsets
     chosen = find_subset(subsets, subset) if subset is not None else subsets[0] if subsets else None
     candidates, pairs = (
@@ -153,7 +153,7 @@ def _image_plan(
         for flags in ((), request.exclude_flags)
     )
     there = _counted(pair.flags for pair in candidates)
-    return Plan(
+    return ScoringPlan(
         protocol=protocol,
         pairs=pairs,
         subset=None if chosen is None else chosen.name,
@@ -175,7 +175,7 @@ def _counted(flags: Iterable[tuple[str, ...]]) -> dict[str, int]:
 # --- clips ------------------------------------------------------------------------------------------------------------
 
 
-def _clip_plan(request: Request, protocol: ClipProtocol) -> Plan:
+def _clip_plan(request: Request, protocol: ClipProtocol) -> ScoringPlan:
     """Return the windows; the numbering of all frames of their clips is checked."""
     require_folder(request)
     subset, rows = _clip_rows(request)
@@ -209,7 +209,9 @@ def _clip_plan(request: Request, protocol: ClipProtocol) -> Plan:
     ids = None if request.ids is None else sorted(request.ids)
     facts = {"ids": ids, "layout": str(Layout.of(listed)), "included_flags": _counted(kept.values())}
     there = _counted(flags_of.values())
-    return Plan(protocol, found, subset, {flag: there.get(flag, 0) for flag in request.exclude_flags}, facts=facts)
+    return ScoringPlan(
+        protocol, found, subset, {flag: there.get(flag, 0) for flag in request.exclude_flags}, facts=facts
+    )
 
 
 def _clip_rows(request: Request) -> tuple[str | None, tuple[FrameRecord, ...]]:
@@ -242,7 +244,7 @@ def require_folder(request: Request) -> None:
         )
 
 
-def require_files(request: Request, pairs: Iterable[Pair]) -> None:
+def require_pairs(request: Request, pairs: Iterable[Pair]) -> None:
     """Raise :class:`DatasetError` unless the files of these pairs are what the manifest says."""
     require_folder(request)
     needed = {path for pair in pairs for path in (*frames_of(pair), pair.reference)}

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from eldata.base.files import write_text
+from eldata.base.files import write_json, write_text
 from eldata.base.tables import latex_table, markdown_table, markdown_text, text_table
 from eldata.evaluation.pairs import name_of
 from eldata.evaluation.scores import EvaluationProblem, UnitScore, csv_number, json_safe
@@ -263,7 +262,7 @@ class EvaluationResult:
 
     def write_json(self, path: Path | str) -> None:
         """Write :meth:`as_dict` as JSON, whole or not at all."""
-        write_text(path, json.dumps(self.as_dict(), indent=2, allow_nan=False) + "\n")
+        write_json(path, self.as_dict())
 
     def write_csv(self, path: Path | str) -> None:
         """Write the scores as CSV with the columns of their kind, every digit, whole or not at all."""

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from eldata.base.fields import TextFile
+from eldata.errors import ArgumentError
 from eldata.protocols.clips import ClipProtocol
 from eldata.protocols.protocol import Protocol
 
 
 def _shipped() -> dict[str, Protocol]:
-    content = tomllib.loads((Path(__file__).parent / "shipped.toml").read_text(encoding="utf-8"))
+    content = TextFile(Path(__file__).parent / "shipped.toml", ArgumentError).toml().data
     texts: dict[str, str] = {}
     for name, text in content["texts"].items():
         texts[name] = text.strip().format_map(texts)

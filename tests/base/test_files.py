@@ -18,6 +18,8 @@ import pytest
 import eldata.base.files
 from eldata.base.files import atomic_write, inside, path_problem, sha256_of, write_text
 from eldata.errors import EldataError, ManifestError
+from tests.cases import in_one_test
+from tests.waiting import PATIENCE_S
 
 OLD, NEW = b"old content", b"new content\n" * 1000
 
@@ -116,9 +118,10 @@ with atomic_write(sys.argv[1]) as file:
 """
 
 
+@pytest.mark.kill
 def test_kill_9_in_the_middle_leaves_the_old_file_intact(old: Path) -> None:
     env = {**os.environ, "PYTHONPATH": str(Path(eldata.base.files.__file__).parents[2])}
-    done = subprocess.run([sys.executable, "-c", KILLED, str(old)], timeout=60, env=env)
+    done = subprocess.run([sys.executable, "-c", KILLED, str(old)], timeout=PATIENCE_S, env=env)
     assert done.returncode == -signal.SIGKILL
     assert old.read_bytes() == OLD
     # What is left behind is hidden, and it does not stand in the next writer's way.
@@ -267,7 +270,7 @@ def test_plain_relative_paths(path: str, tmp_path: Path) -> None:
     assert inside(tmp_path, path) == tmp_path / path
 
 
-@pytest.mark.parametrize(("path", "problem"), UNSAFE.items(), ids=map(repr, UNSAFE))
+@in_one_test("path, problem", UNSAFE.items())
 def test_unsafe_paths(path: str, problem: str, tmp_path: Path) -> None:
     found = path_problem(path)
     assert found is not None

@@ -23,11 +23,10 @@ import pytest
 from eldata.base.workers import AnyWorkers, Workers, accepts_jobs
 from eldata.errors import ArgumentError, EldataError, RawFileError
 from eldata.raw.reading import read_header
+from tests.waiting import PATIENCE_S, until
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-
-pytestmark = pytest.mark.timeout(60)  # a hang is the bug that these tests are for
 
 
 @pytest.fixture(autouse=True)
@@ -38,10 +37,7 @@ def no_process_is_left() -> Iterator[None]:
     def ours() -> list[int | None]:
         return [process.pid for process in multiprocessing.active_children() if process.pid not in others]
 
-    deadline = time.monotonic() + 10
-    while ours() and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert ours() == []
+    until(lambda: not ours(), "the end of every process that the test started")
 
 
 @pytest.mark.parametrize("jobs", [1, 2, 3])
@@ -125,6 +121,7 @@ def test_there_must_be_a_job(jobs: int) -> None:
         list(Workers(jobs).run(abs, [1]))
 
 
+@pytest.mark.kill
 @pytest.mark.parametrize("count", [2, 40], ids=["all waiting", "more to come"])
 def test_a_unit_that_kills_every_worker_is_an_error_with_advice(count: int) -> None:
     """What the kernel does to a worker when memory runs out."""
@@ -133,6 +130,7 @@ def test_a_unit_that_kills_every_worker_is_an_error_with_advice(count: int) -> N
     assert "--jobs" in str(raised.value)
 
 
+@pytest.mark.kill
 def test_the_error_names_the_unit_that_kills() -> None:
     """The window is full here, and the units before it, whose workers were lost with it, are run again."""
     units = [0] * 7 + [int(signal.SIGKILL)] + [0] * 40  # signal 0 does nothing
@@ -153,7 +151,7 @@ def test_a_script_without_the_guard_is_told_so(tmp_path: Path) -> None:
     """Each worker runs the script anew as it starts, and dies of that."""
     script = tmp_path / "work.py"
     script.write_text(UNGUARDED, encoding="utf-8")
-    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=50)
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 1
     last = done.stderr.splitlines()[-1]
     assert last.startswith("eldata.errors.EldataError: worker processes die as soon as they start")
@@ -197,7 +195,7 @@ def test_one_thread_is_the_callers() -> None:
 @pytest.mark.parametrize("threads", [2, 4])
 def test_threads_work_at_the_same_time(threads: int) -> None:
     """A barrier that only so many units together can pass."""
-    barrier = threading.Barrier(threads, timeout=20)
+    barrier = threading.Barrier(threads, timeout=PATIENCE_S)
     passed = list(Workers(threads).read_ahead(lambda _: barrier.wait(), range(2 * threads)))
     assert sorted(passed) == sorted([*range(threads)] * 2)
 
@@ -262,6 +260,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.kill
 def test_ctrl_c_ends_everything_and_is_told_once(tmp_path: Path) -> None:
     """A terminal sends Ctrl-C to the whole process group; each worker would print a traceback of its own.
 
@@ -283,16 +282,14 @@ def test_ctrl_c_ends_everything_and_is_told_once(tmp_path: Path) -> None:
                 for _ in range(4):
                     assert child.stdout.readline() == b"one\n"
                 os.killpg(child.pid, signal.SIGINT)  # one worker works, and the other waits for work
-            _, errors = child.communicate(timeout=30)
-            deadline = time.monotonic() + 10  # multiprocessing's resource tracker ends a moment after its parent
-            while (survivors := alive_in_group(child.pid)) and time.monotonic() < deadline:
-                time.sleep(0.05)
+            _, errors = child.communicate(timeout=PATIENCE_S)
+            # multiprocessing's resource tracker ends a moment after its parent
+            until(lambda: not alive_in_group(child.pid), "the end of the process group")
         finally:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(child.pid, signal.SIGKILL)
     assert child.returncode != 0
     assert errors.decode().count("KeyboardInterrupt") == 1, errors.decode()
-    assert survivors == []
 
 
 def alive_in_group(group: int) -> list[str]:

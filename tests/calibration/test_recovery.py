@@ -97,6 +97,7 @@ def test_lost_in_rounding_is_said() -> None:
 DRAWS = 100
 
 
+@pytest.mark.study
 def test_standard_errors_cover_the_truth() -> None:
     """100 cameras of 55 kilopixels, 8 bias frames, 4 pairs: 95 % intervals (Student's where few frames give them).
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from eldata import calibrate
+from eldata.base.workers import Workers
 from eldata.demo.body import FixedFeatures, KnownNoise
 from eldata.demo.calibration_frames import DEMO_FEATURES, DEMO_GAMMA, CalibrationCamera
 from eldata.noise import CameraProfile
@@ -87,6 +88,7 @@ SPAN = CalibrationCamera(
 )
 
 
+@pytest.mark.study
 def test_six_megapixels(tmp_path: Path) -> None:
     """4 ISOs x 10 bias + 10 flats of 2048 x 3072 pixels, with shading, hot pixels and every fixed pattern.
 
@@ -95,7 +97,9 @@ def test_six_megapixels(tmp_path: Path) -> None:
     sigma_row / sqrt(9216), 0.01 sigma_row: 0.05 DN is five of them up to a sigma_row of 1 DN; above, five count.
     """
     isos = tuple(noise.iso for noise in SPAN.noise)
-    tree = made_tree(tmp_path / "x", camera=SPAN, isos=isos, bias_frames=10, flat_levels=5, size=(2048, 3072), jobs=2)
+    tree = made_tree(
+        tmp_path / "x", camera=SPAN, isos=isos, bias_frames=10, flat_levels=5, size=(2048, 3072), workers=Workers(2)
+    )
     found = calibrate(tree.root, workers=2)
     assert_recovered(tree, found.isos)
     truth = tree.truth["isos"]
@@ -129,6 +133,7 @@ FEATURES = {
 }
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("kind", "features"),
     [*(("bayer", features) for features in FEATURES), ("xtrans", "everything"), ("xtrans", "nothing")],

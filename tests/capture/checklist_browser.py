@@ -16,6 +16,8 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any
 
+from tests.waiting import PATIENCE_S, until
+
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
@@ -68,14 +70,14 @@ class Browser:
         while data:
             data = data[os.write(self._out, data) :]
         while True:
-            answer = self._message(30)
+            answer = self._message()
             if answer.get("id") == message["id"]:
                 assert "error" not in answer, (method, answer["error"])
                 return dict(answer["result"])
             self.events.append(answer)
 
-    def _message(self, seconds: float) -> dict[str, Any]:
-        end = time.monotonic() + seconds
+    def _message(self) -> dict[str, Any]:
+        end = time.monotonic() + PATIENCE_S
         while b"\0" not in self._buffer:
             ready, _, _ = select.select([self._in], [], [], max(0, end - time.monotonic()))
             assert ready, "the browser does not answer"
@@ -92,13 +94,13 @@ class Browser:
                 if event.get("method") == method and event.get("sessionId") == session:
                     del self.events[index]
                     return dict(event["params"])
-            self.events.append(self._message(30))
+            self.events.append(self._message())
 
     def close(self) -> None:
         """End the browser."""
         if self._process.poll() is None:
             self.send("Browser.close")
-        self._process.wait(30)
+        self._process.wait(PATIENCE_S)
         os.close(self._in)
         os.close(self._out)
 
@@ -181,10 +183,7 @@ class Page:
         self.send("DOM.setFileInputFiles", nodeId=node, files=[str(path)])
 
     def wait(self, condition: Callable[[], bool]) -> None:
-        end = time.monotonic() + 10
-        while not condition():
-            assert time.monotonic() < end, "waited in vain"
-            time.sleep(0.02)
+        until(condition, "what the page is to show")
 
     def picture(self, path: Path, *, whole: bool = False) -> None:
         data = self.send("Page.captureScreenshot", captureBeyondViewport=whole, **self._whole(whole=whole))["data"]

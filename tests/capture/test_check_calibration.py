@@ -55,6 +55,7 @@ def named(group: CheckedGroup) -> set[tuple[str, int]]:
     return {(one.name, int(one.path[-8:-4])) for one in group.reasons if isinstance(one, Measure)}
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("seed", range(2))
 def test_nothing_is_found_on_clean_frames(tmp_path: Path, seed: int) -> None:
     """Fixed pattern, hot pixels, shading and vignetting of the demo's camera included; five ISOs each."""

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from capture.capture_errors import ImpossibleShotError
 from capture.checklist import html_checklist, load_progress
-from capture.errors import ImpossibleShotError
 from capture.exact import parse_seconds
 from capture.plan import plan_scene
 from eldata.errors import ArgumentError
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from capture.plan import Plan
+
+pytestmark = pytest.mark.browser
 
 PHONE, DESKTOP = 390, 1280
 DOUBLE_TAP_S = 0.55  # longer than what the page takes for one tap too many

@@ -10,6 +10,7 @@ import pytest
 
 from capture.cli import main
 from eldata import __version__
+from tests.waiting import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -201,7 +202,7 @@ def test_heavy_packages_stay_out(arguments: list[str]) -> None:
         "heavy = {'torch', 'rawpy', 'numpy'} & set(sys.modules)\n"
         "assert not heavy, heavy\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, text=True, capture_output=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, text=True, capture_output=True, timeout=PATIENCE_S)
     assert done.returncode == 0, done.stderr
 
 
@@ -217,7 +218,7 @@ def test_full_standard_output_is_one_line(unbuffered: str) -> None:
             text=True,
             stdout=full,
             stderr=subprocess.PIPE,
-            timeout=60,
+            timeout=PATIENCE_S,
         )
     assert done.returncode == 2
     assert done.stderr == "capture protocol: cannot write to standard output: No space left on device\n"

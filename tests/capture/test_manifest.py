@@ -20,6 +20,7 @@ from capture.cli import main
 from eldata.base.files import sha256_of
 from eldata.manifest import load_manifest, verify
 from tests.capture.simulated import CAMERA, Taken, plan_of, shoot, whole_plan
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from capture.plan import Plan
@@ -218,12 +219,12 @@ def test_an_edited_mapping(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     [
         ({"number": 99}, "shots[1].number: expected a shot of the plan (scene-1 has none of this number), found 99"),
         ({"scene": "scene-9"}, "expected a shot of the plan (scene-9 has none of this number)"),
-        ({"scene": None}, "shots[1].scene: expected a text, found None"),
+        ({"scene": None}, "shots[1].scene: expected a text, found null"),
         ({"number": 1}, "each shot once (scene-1 frame 1 has a file already)"),
         ({"file": 1}, "shots[1].file: expected a text, found 1"),
         ({"file": "nowhere.dng"}, "expected one of the files given"),
         ({"file": 0}, "shots[1].file"),
-        ({"note": "x"}, "field shots[1].note: expected one of the fields scene, number, shot, file"),
+        ({"note": "x"}, "field shots[1].note: is unknown; known are scene, number, shot, file"),
         ({"file": "FIRST"}, "each file once (scene-1 frame 1 has it)"),
         ({"file": "LAST", "last": None}, "asks for ISO 800, 1/200 s, and "),
     ],
@@ -364,7 +365,7 @@ def test_asked_on_a_terminal(tmp_path: Path, answer: str, code: int) -> None:
     arguments = ["manifest", str(tmp_path / "plan.json"), str(field.card), "-o", str(field.csv), "--jobs", "1"]
     process = subprocess.Popen([*command, *arguments], cwd=ROOT, stdin=terminal, stdout=terminal, stderr=terminal)
     os.write(child, answer.encode() or b"\x04")
-    assert process.wait(60) == code
+    assert process.wait(PATIENCE_S) == code
     os.close(terminal)
     os.close(child)
     assert field.csv.exists() == (code == 0)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from capture.errors import MappingError
+from capture.capture_errors import MappingError
 from capture.placing import Placement, check_free, copy, link
 from eldata.base.files import sha256_of
 
@@ -75,6 +75,7 @@ def test_without_hard_links_a_copy_is_still_whole(placement: Placement, monkeypa
         link(placement)
 
 
+@pytest.mark.kill
 def test_killed_while_copying_leaves_no_half_file(tmp_path: Path) -> None:
     source, target = tmp_path / "big.ARW", tmp_path / "data" / "IMG_0001.ARW"
     with source.open("wb") as file:

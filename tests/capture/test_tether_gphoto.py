@@ -27,6 +27,7 @@ from capture.tether.preparing import model_problem
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure
 from tests.capture.simulated import CAMERA, SENSOR
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -244,10 +245,11 @@ def real(tmp_path: Path) -> Gphoto:
     card.mkdir(parents=True)
     (card / "DSC00001.ARW").write_bytes(bytes(range(256)) * 5000)
     (card / "DSC00002.JPG").write_bytes(b"jpeg")
-    found = Gphoto.find("gphoto2", timeout_s=30)
-    return Gphoto(found.program, f"disk:{tmp_path / 'my card'}", 30)
+    found = Gphoto.find("gphoto2", timeout_s=PATIENCE_S)
+    return Gphoto(found.program, f"disk:{tmp_path / 'my card'}", PATIENCE_S)
 
 
+@pytest.mark.tether
 @needs_gphoto2
 def test_the_real_program_lists_and_downloads(real: Gphoto, tmp_path: Path) -> None:
     files = real.card()
@@ -265,6 +267,7 @@ def test_the_real_program_lists_and_downloads(real: Gphoto, tmp_path: Path) -> N
         real.fetch(PurePosixPath("/DCIM/100MSDCF/DSC00009.ARW"), folder)
 
 
+@pytest.mark.tether
 @needs_gphoto2
 def test_the_real_program_refuses_what_a_card_cannot_do(real: Gphoto, tmp_path: Path) -> None:
     assert real.detect() == ()  # a card is no camera
@@ -277,10 +280,11 @@ def test_the_real_program_refuses_what_a_card_cannot_do(real: Gphoto, tmp_path: 
     assert "This camera can not capture" in (tmp_path / "gphoto2.log").read_text()
 
 
+@pytest.mark.tether
 @needs_gphoto2
 @pytest.mark.parametrize("port", ["", "usb:001,099", "bogus", "ptpip:127.0.0.1"])
 def test_the_real_program_without_a_camera(port: str) -> None:
-    gphoto = Gphoto.find("gphoto2", timeout_s=30)
+    gphoto = Gphoto.find("gphoto2", timeout_s=PATIENCE_S)
     if gphoto.detect():
         pytest.skip("a camera is connected")
     gphoto = replace(gphoto, port=port)
@@ -288,9 +292,10 @@ def test_the_real_program_without_a_camera(port: str) -> None:
         gphoto.settings(["iso"])
 
 
+@pytest.mark.tether
 @needs_gphoto2
 def test_a_session_with_the_real_program_and_no_camera(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    if Gphoto.find("gphoto2", timeout_s=30).detect():
+    if Gphoto.find("gphoto2", timeout_s=PATIENCE_S).detect():
         pytest.skip("a camera is connected")
     plan = make_plan(CAMERA, CaptureProtocol(), {"scene-1": Fraction(1)})
     plan.save(tmp_path / "plan.json")

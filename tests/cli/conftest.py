@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from eldata.cli.main import main
-from tests.evaluation.helpers import Tree, place, small_tree
+from tests.evaluation.helpers import Tree, place
 
 GOLDEN = Path(__file__).parent / "golden"
 
@@ -42,9 +42,9 @@ def eldata(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, 
 
 
 @pytest.fixture(scope="session")
-def tree(tmp_path_factory: pytest.TempPathFactory) -> Tree:
+def tree(demo_tree: Path) -> Tree:
     """Two cameras, one scene. Not to be changed: copy it."""
-    return small_tree(tmp_path_factory.mktemp("tree") / "demo")
+    return Tree(demo_tree)
 
 
 @pytest.fixture(scope="session")

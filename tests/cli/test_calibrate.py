@@ -15,6 +15,7 @@ import pytest
 
 from eldata.noise import CameraProfile
 from tests.calibration.trees import CAMERA, FrameTree, made_tree, relative, rewritten
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -235,6 +236,7 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
+@pytest.mark.kill
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_ctrl_c_leaves_nothing_half(jobs: str, pristine: FrameTree, tmp_path: Path) -> None:
     targets = ["-o", str(tmp_path / "p.json"), "--json", str(tmp_path / "d.json"), "--html", str(tmp_path / "r.html")]
@@ -250,7 +252,7 @@ def test_ctrl_c_leaves_nothing_half(jobs: str, pristine: FrameTree, tmp_path: Pa
             assert process.stdout.readline() == "measuring\n"
             time.sleep(0.1)
             os.killpg(process.pid, signal.SIGINT)
-            out, err = process.communicate(timeout=30)
+            out, err = process.communicate(timeout=PATIENCE_S)
         finally:
             process.kill()
     assert process.returncode == 130
@@ -259,6 +261,7 @@ def test_ctrl_c_leaves_nothing_half(jobs: str, pristine: FrameTree, tmp_path: Pa
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.kill
 def test_ctrl_c_at_any_moment(pristine: FrameTree, tmp_path: Path) -> None:
     """While threads decode: one line, and an end."""
     command = [sys.executable, "-m", "eldata.cli.main", "calibrate", str(pristine.root), "--jobs", "2"]
@@ -273,7 +276,7 @@ def test_ctrl_c_at_any_moment(pristine: FrameTree, tmp_path: Path) -> None:
             try:
                 time.sleep(delay_s)
                 os.killpg(process.pid, signal.SIGINT)
-                out, err = process.communicate(timeout=30)
+                out, err = process.communicate(timeout=PATIENCE_S)
             finally:
                 process.kill()
         if process.returncode == 0:  # a fast machine

@@ -15,6 +15,7 @@ from eldata.manifest.card import Download
 from tests.cli.test_usage import assert_one_line
 from tests.download import server
 from tests.download.helpers import HASTY, contents, make_shelf, sevenzipped, tree, zipped
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -276,6 +277,6 @@ def test_neither_torch_nor_rawpy_is_loaded(arguments: list[str], tmp_path: Path)
         "print('LOADED', *(name for name in ('torch', 'rawpy', 'requests', 'pooch') if name in sys.modules))"
     )
     command = [sys.executable, "-c", code, *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, cwd=tmp_path)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.splitlines()[-1] == "LOADED"

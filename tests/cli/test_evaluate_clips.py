@@ -130,7 +130,7 @@ def test_every_protocol(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path:
 def test_each_prediction_is_read_once_for_all_protocols(
     drv: SmallDrv, predictions: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from eldata.evaluation import scoring
+    from eldata.evaluation import units
     from eldata.evaluation.predictions import load_rgb_prediction as genuine
 
     loaded = []
@@ -139,7 +139,7 @@ def test_each_prediction_is_read_once_for_all_protocols(
         loaded.append(path)
         return genuine(path, shape)
 
-    monkeypatch.setattr(scoring, "load_rgb_prediction", load)
+    monkeypatch.setattr(units, "load_rgb_prediction", load)
     evaluate_all(predictions, manifest=drv.csv, root=drv.root, ids=["0007", "0013"])
     assert len(loaded) == len(set(loaded)) == 10
 

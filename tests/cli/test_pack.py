@@ -19,6 +19,7 @@ from eldata.sources.store.journal import journaled
 from tests.cli.test_usage import assert_one_line
 from tests.drv_tree import small_drv, write_raw_clip
 from tests.sources.store.helpers import start_packing
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -133,7 +134,7 @@ def test_no_room_is_one_line_and_the_command_goes_on(eldata: Cli, tree: Tree, tm
     """A limit on the size of files, which the operating system enforces as it does the disk's."""
     store = tmp_path / "store.h5"
     process = start(command(tree, store), limit_bytes=200_000)
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, out, err.count("\n")) == (2, "", 1)
     assert f"cannot write {store}.part: File too large; what is finished is kept there: make room" in err
     again = eldata(*command(tree, store))
@@ -142,12 +143,13 @@ def test_no_room_is_one_line_and_the_command_goes_on(eldata: Cli, tree: Tree, tm
     assert eldata("verify", store, "--level", "full").code == 0
 
 
+@pytest.mark.kill
 def test_ctrl_c_is_one_line_and_the_command_goes_on(eldata: Cli, tree: Tree, tmp_path: Path) -> None:
     store = tmp_path / "store.h5"
     files = source_of_dataset("eld-demo", root=tree.root, manifest=tree.manifest).files
     process = start_packing(command(tree, store, "--jobs", "1"), stop_at=files[7][0], folder=tmp_path)
     os.killpg(process.pid, signal.SIGINT)
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, out, err.count("\n")) == (130, "", 1)
     assert f"interrupted; the finished frames are kept in {store}.part, and the same command goes on" in err
     assert not store.exists()

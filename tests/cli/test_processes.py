@@ -20,6 +20,7 @@ from eldata.manifest.card import load_card, save_card
 from eldata.manifest.eld import EldCamera, eld_records
 from eldata.manifest.table import save_records
 from tests.evaluation.helpers import Tree
+from tests.waiting import PATIENCE_S, until
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -29,14 +30,14 @@ MODULE = [sys.executable, "-m", "eldata.cli.main"]
 
 def call(*arguments: str | Path, stdout: int = subprocess.PIPE) -> subprocess.CompletedProcess[str]:
     command = [*MODULE, *(str(argument) for argument in arguments)]
-    return subprocess.run(command, stdout=stdout, stderr=subprocess.PIPE, text=True, timeout=60)
+    return subprocess.run(command, stdout=stdout, stderr=subprocess.PIPE, text=True, timeout=PATIENCE_S)
 
 
 def test_the_installed_script_runs(tree: Tree) -> None:
     script = Path(sys.executable).with_name("eldata")
     result = subprocess.run(
         [str(script), "verify", str(tree.manifest), "--root", str(tree.root)],
-        capture_output=True, text=True, timeout=60,
+        capture_output=True, text=True, timeout=PATIENCE_S,
     )  # fmt: skip
     assert (result.returncode, result.stderr) == (0, "")
     assert "all well" in result.stdout
@@ -131,15 +132,8 @@ def workers(process: subprocess.Popen[str]) -> list[psutil.Process]:
     ]
 
 
-def wait_for(condition: Callable[[], bool], seconds: float = 30) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
-
-
 def wait_for_workers(process: subprocess.Popen[str]) -> None:
-    wait_for(lambda: process.poll() is not None or len(workers(process)) == 2)
+    until(lambda: process.poll() is not None or len(workers(process)) == 2)
 
 
 def start(*arguments: str | Path) -> subprocess.Popen[str]:
@@ -166,7 +160,7 @@ def disturbed(
             time.sleep(delay_s)
             if process.poll() is None:
                 disturb(process)
-            out, err = process.communicate(timeout=30)
+            out, err = process.communicate(timeout=PATIENCE_S)
         finally:
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGKILL)
@@ -187,7 +181,7 @@ def interrupted(command: list[str | Path], delay_s: float) -> tuple[int, str, st
         os.killpg(process.pid, signal.SIGINT)
 
     outcome = disturbed(command, delay_s, interrupt)
-    _, alive = psutil.wait_procs(family, timeout=20)
+    _, alive = psutil.wait_procs(family, timeout=PATIENCE_S)
     assert not alive
     return outcome
 
@@ -196,6 +190,7 @@ def full_verification(tree: Tree) -> list[str | Path]:
     return ["verify", tree.manifest, "--root", tree.root, "--level", "full", "--jobs", "2"]
 
 
+@pytest.mark.kill
 @pytest.mark.parametrize("delay_s", [0.0, 0.05, 0.15, 0.6])
 def test_ctrl_c_ends_verify_with_one_line(delay_s: float, long_tree: Tree) -> None:
     code, out, err = interrupted(full_verification(long_tree), delay_s)
@@ -206,6 +201,7 @@ def test_ctrl_c_ends_verify_with_one_line(delay_s: float, long_tree: Tree) -> No
     assert "Traceback" not in err
 
 
+@pytest.mark.kill
 def test_ctrl_c_ends_evaluate_with_one_line(long_tree: Tree, tmp_path: Path) -> None:
     for record in sorted(long_tree.files.glob("*/*/IMG_*.dng")):
         link = tmp_path / "preds" / record.relative_to(long_tree.files)
@@ -224,6 +220,7 @@ def test_ctrl_c_ends_evaluate_with_one_line(long_tree: Tree, tmp_path: Path) -> 
     assert not list(tmp_path.glob(".*"))
 
 
+@pytest.mark.kill
 def test_ctrl_c_with_debug_shows_where(long_tree: Tree) -> None:
     code, _, err = interrupted([*full_verification(long_tree), "--debug"], 0.3)
     assert code == 130

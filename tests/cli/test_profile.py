@@ -13,6 +13,7 @@ from eldata.base.console import Parser, run
 from eldata.cli import profile as command
 from eldata.noise import diagnostics
 from eldata.noise.profile import CameraProfile, shipped_profiles
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     import argparse
@@ -167,7 +168,7 @@ def test_unusable_input_is_one_line_and_exit_code_2(profile: Cli, arguments: lis
 @pytest.mark.parametrize("arguments", [["--help"], ["show", "--help"], ["list", "--help"]])
 def test_help_loads_nothing_heavy(arguments: list[str]) -> None:
     done = subprocess.run(
-        [sys.executable, "-c", MADE, "profile", *arguments], capture_output=True, text=True, timeout=60
+        [sys.executable, "-c", MADE, "profile", *arguments], capture_output=True, text=True, timeout=PATIENCE_S
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1] == "LOADED"
@@ -178,6 +179,6 @@ def test_show_without_a_page_draws_nothing() -> None:
         [sys.executable, "-c", MADE, "profile", "show", "SonyA7S2", "--model", "U"],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
     )
     assert done.stdout.splitlines()[-1] == "LOADED numba", done.stderr

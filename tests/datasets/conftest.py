@@ -6,16 +6,16 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.trees import Tree, build_tree, copy_tree
+from tests.trees import Tree, copy_tree, tree_in
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 
 @pytest.fixture(scope="session")
-def pristine(tmp_path_factory: pytest.TempPathFactory) -> Tree:
+def pristine(demo_tree: Path) -> Tree:
     """Not to be changed."""
-    return build_tree(tmp_path_factory.mktemp("pristine"))
+    return tree_in(demo_tree)
 
 
 @pytest.fixture

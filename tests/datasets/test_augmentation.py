@@ -10,6 +10,7 @@ import pytest
 from eldata.datasets.augmentation import ORIENTATIONS, Orientation, copy_oriented, oriented
 from eldata.errors import ArgumentError
 from eldata.raw.cfa import XTRANS_CFA, pack
+from tests.cases import in_one_test
 from tests.raw.helpers import BAYER, BAYER_COLOURS, SOME_CFAS, XTRANS, XTRANS_COLOURS, Cfa
 
 ALL_CFAS: dict[str, Cfa] = {**BAYER, **XTRANS}
@@ -52,7 +53,7 @@ def expected(
 
 
 @EACH
-@pytest.mark.parametrize("cfa", ALL_CFAS.values(), ids=ALL_CFAS.keys())
+@in_one_test("cfa", ALL_CFAS.values())
 def test_the_cfa_stays_and_the_pixels_are_the_turned_ones(cfa: Cfa, orientation: Orientation) -> None:
     period = len(cfa)
     height, width = 3 * period, 4 * period
@@ -77,7 +78,7 @@ def test_the_cfa_stays_and_the_pixels_are_the_turned_ones(cfa: Cfa, orientation:
 
 
 @EACH
-@pytest.mark.parametrize("cfa", SOME_CFAS.values(), ids=SOME_CFAS.keys())
+@in_one_test("cfa", SOME_CFAS.values())
 def test_it_is_a_view(cfa: Cfa, orientation: Orientation) -> None:
     mosaic = np.zeros((24, 36), dtype=np.uint16)
     view = oriented(mosaic, cfa, orientation)
@@ -88,7 +89,7 @@ def test_it_is_a_view(cfa: Cfa, orientation: Orientation) -> None:
 
 
 @EACH
-@pytest.mark.parametrize("cfa", SOME_CFAS.values(), ids=SOME_CFAS.keys())
+@in_one_test("cfa", SOME_CFAS.values())
 def test_packed_channels_hold_their_own_colour(cfa: Cfa, orientation: Orientation) -> None:
     packed = pack(oriented(colours(cfa, 36, 48), cfa, orientation), cfa)
     letters = BAYER_COLOURS if len(cfa) == 2 else XTRANS_COLOURS
@@ -97,7 +98,7 @@ def test_packed_channels_hold_their_own_colour(cfa: Cfa, orientation: Orientatio
 
 
 @EACH
-@pytest.mark.parametrize("cfa", BAYER.values(), ids=BAYER.keys())
+@in_one_test("cfa", BAYER.values())
 def test_the_first_green_is_the_one_in_reds_rows(cfa: Cfa, orientation: Orientation) -> None:
     """In the packed form R and G1 come from the same rows of the view, whatever they were before the turn."""
     mosaic = np.arange(24 * 36).reshape(24, 36)
@@ -110,7 +111,7 @@ def test_the_first_green_is_the_one_in_reds_rows(cfa: Cfa, orientation: Orientat
 
 
 @EACH
-@pytest.mark.parametrize("cfa", [*SOME_CFAS.values(), ((0,),)], ids=[*SOME_CFAS.keys(), "none"])
+@in_one_test("cfa", [*SOME_CFAS.values(), ((0,),)])
 def test_a_copy_is_the_view(cfa: Cfa, orientation: Orientation) -> None:
     """At sizes below, at and above what the compiled loops take at once; of a part of a larger mosaic too."""
     period = len(cfa)

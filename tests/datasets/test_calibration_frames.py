@@ -23,6 +23,7 @@ from eldata.errors import ArgumentError, DatasetError, ManifestError, RawFileErr
 from eldata.manifest.table import load_records, save_records
 from eldata.records import FrameRecord
 from tests.calibration.trees import CAMERA, FrameTree, made_tree, named
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -295,7 +296,6 @@ def test_repr_says_what_is_in_it(pristine: FrameTree) -> None:
         assert part in text
 
 
-@pytest.mark.timeout(120)
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 # Newer Pythons warn of any fork of a process with threads; that this one is safe is what the test is about.
 @pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")
@@ -307,7 +307,7 @@ def test_workers_and_the_default_collate(pristine: FrameTree, method: str) -> No
         batch_size=7,
         num_workers=2,
         multiprocessing_context=method,
-        timeout=60,
+        timeout=PATIENCE_S,
     )
     batches = list(loader)
     assert len(batches) == 2
@@ -372,7 +372,7 @@ def test_choosing_loads_neither_torch_nor_rawpy(pristine: FrameTree) -> None:
         [sys.executable, "-c", code, str(pristine.root), str(pristine.manifest)],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
     )
     assert (done.stdout, done.stderr) == ("14 14\n", "")
 

@@ -35,6 +35,7 @@ from tests.drv_tree import (
     write_raw_clip,
     write_rgb_clip,
 )
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -298,7 +299,7 @@ def test_workers_change_nothing(method: str, drv: SmallDrv, raw: Path) -> None:
     every: list[Any] = [opened(drv, window=3), DRVRawDataset(raw, window=3), DRVRawDynamicDataset(raw, window=3)]
     expected = [sample for dataset in every for sample in dataset]
     loader: DataLoader[Any] = DataLoader(
-        ConcatDataset(every), batch_size=None, num_workers=2, multiprocessing_context=method, timeout=120
+        ConcatDataset(every), batch_size=None, num_workers=2, multiprocessing_context=method, timeout=PATIENCE_S
     )
     for sample, wanted in zip(loader, expected, strict=True):
         same(sample, wanted)
@@ -316,6 +317,7 @@ def test_default_collate(drv: SmallDrv, raw: Path) -> None:
     assert batch["ratio"].tolist() == [100.0] * 3
 
 
+@pytest.mark.memory
 def test_memory_does_not_grow_with_the_number_of_windows(tmp_path: Path) -> None:
     """Twelve megapixels, thirty windows of five frames (48 MB a packed frame), of which a part is kept.
 

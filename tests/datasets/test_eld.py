@@ -20,6 +20,7 @@ from eldata.errors import ArgumentError, DatasetError, ManifestError, RawFileErr
 from eldata.manifest.catalogue import load_manifest
 from eldata.records import Exposure
 from tests.trees import ALPHA, Tree, frame, retake, scale_exposure, swap
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -199,14 +200,13 @@ def same_samples(found: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
             assert found[name] == value, name
 
 
-@pytest.mark.timeout(120)
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 # Newer Pythons warn of any fork of a process with threads; that this one is safe is what the test is about.
 @pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")
 def test_workers_give_what_indexing_gives(pristine: Tree, method: str) -> None:
     dataset = demo(pristine)
     expected = list(dataset)  # reads in the parent first, so that whatever a fork could trip over is there
-    loader = DataLoader(dataset, batch_size=None, num_workers=2, multiprocessing_context=method, timeout=60)
+    loader = DataLoader(dataset, batch_size=None, num_workers=2, multiprocessing_context=method, timeout=PATIENCE_S)
     loaded = list(loader)
     assert len(loaded) == 12
     for found, sample in zip(loaded, expected, strict=True):

@@ -25,6 +25,7 @@ from eldata.datasets.ranks import ExactSampler, Rank, ShuffledSampler, current_r
 from eldata.datasets.worker_count import chosen_workers
 from eldata.errors import ArgumentError
 from tests.sources.store.helpers import pack_tree
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -197,7 +198,7 @@ def test_raw_files_after_the_parent_used_threads(pristine: Tree, tmp_path: Path)
         [sys.executable, str(tmp_path / "script.py"), pristine.data, pristine.csv, pristine.file(1)],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE_S,
         env={**os.environ, "PYTHONPATH": str(Path(eldata.errors.__file__).parents[1]), "OMP_NUM_THREADS": "4"},
     )
     assert (done.stdout.strip(), done.returncode) == ("all equal", 0), done.stderr

@@ -14,6 +14,7 @@ from eldata.manifest.card import CameraCard, Card, save_card
 from eldata.manifest.table import save_records
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, FrameRecord, Sensor
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -37,6 +38,7 @@ print(*peaks)
 """
 
 
+@pytest.mark.memory
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
 def test_memory_of_a_worker(tmp_path: Path) -> None:
     sensor = Sensor("eldata", "Big", ((0, 1), (3, 2)), (512.0,) * 4, 16383.0, *SIZE)
@@ -73,7 +75,9 @@ def test_memory_of_a_worker(tmp_path: Path) -> None:
         counts={"reference": 1, "noisy": 2},
     )
     save_card(tmp_path / "big.json", card)
-    done = subprocess.run([sys.executable, "-c", CODE, str(tmp_path)], capture_output=True, text=True, timeout=120)
+    done = subprocess.run(
+        [sys.executable, "-c", CODE, str(tmp_path)], capture_output=True, text=True, timeout=PATIENCE_S
+    )
     assert done.returncode == 0, done.stderr
     peaks = [float(text) for text in done.stdout.split()]
     assert max(peaks) < 500

@@ -342,6 +342,7 @@ def test_clean_clips_are_those_of_the_raw_files(tmp_path: Path) -> None:
 # --- memory -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.memory
 def test_memory_does_not_grow_with_the_store(tmp_path: Path) -> None:
     """A clip of 100 frames of 1.2 MB, every one read: 120 MB, or 10 MB if nothing is kept."""
     drv = small_drv(tmp_path, ("M0003",), 1, size=(400, 500))

@@ -29,6 +29,7 @@ from tests.raw.helpers import BAYER, EXPOSURE, make_sensor, random_mosaic
 from tests.sid_tree import SmallTree, build_small_tree
 from tests.sources.store.helpers import pack_folder, pack_tree, write_clean
 from tests.trees import BETA, Tree, copy_tree, scale_exposure
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -224,7 +225,9 @@ def some(store: Path, **options: Any) -> PackedStore:
 
 def loader(dataset: Any, method: str, **options: Any) -> Iterator[Any]:
     return iter(
-        DataLoader(dataset, batch_size=None, num_workers=2, multiprocessing_context=method, timeout=60, **options)
+        DataLoader(
+            dataset, batch_size=None, num_workers=2, multiprocessing_context=method, timeout=PATIENCE_S, **options
+        )
     )
 
 
@@ -276,7 +279,12 @@ def test_workers_read_compressed_stores_in_dn(method: str, fuji: Path) -> None:
 def test_an_epoch_reaches_persistent_workers(eld: Path) -> None:
     dataset, reference = some(eld), some(eld)
     batches = DataLoader(
-        dataset, batch_size=None, num_workers=2, multiprocessing_context="fork", persistent_workers=True, timeout=60
+        dataset,
+        batch_size=None,
+        num_workers=2,
+        multiprocessing_context="fork",
+        persistent_workers=True,
+        timeout=PATIENCE_S,
     )
     seen = []
     for epoch in (0, 1, 4, 0):
@@ -361,6 +369,7 @@ def test_clean_frames_are_no_pairs(tmp_path: Path) -> None:
 # --- memory -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.memory
 def test_memory_does_not_grow_with_the_store(tmp_path: Path) -> None:
     """120 frames of 1.5 MB each, every one read: 180 MB, or 8 MB if nothing is kept."""
     folder = tmp_path / "raws"

@@ -22,6 +22,7 @@ from eldata.raw.levels import with_levels
 from tests.raw.helpers import sid_pack
 from tests.sid_tree import SENSORS, frames_of, write_frames
 from tests.trees import scale_exposure, swap
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -270,13 +271,12 @@ def test_it_opens_by_its_names(sid: Path) -> None:
 # --- workers ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.timeout(120)
 @BOTH
 # Newer Pythons warn of any fork of a process with threads; that this one is safe, and spawn, are tested with ELD.
 @pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")
 def test_workers_give_what_indexing_gives(camera: str, sid: Path) -> None:
     dataset = some(camera, sid)
-    loader = DataLoader(dataset, batch_size=2, num_workers=2, multiprocessing_context="fork", timeout=60)
+    loader = DataLoader(dataset, batch_size=2, num_workers=2, multiprocessing_context="fork", timeout=PATIENCE_S)
     batches = list(loader)
     inputs = torch.cat([batch["input"] for batch in batches])
     assert torch.equal(inputs, torch.stack([sample["input"] for sample in dataset]))

@@ -21,6 +21,7 @@ from eldata.raw import write_dng
 from eldata.raw.cfa import XTRANS_CFA, pack, pack_normalised, unpack
 from tests.noise.helpers import Law
 from tests.raw.helpers import BAYER, BAYER_COLOURS, EXPOSURE, XTRANS, XTRANS_COLOURS, Cfa, make_sensor, random_mosaic
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -141,7 +142,7 @@ def loader(dataset: SyntheticPairs, workers: int, method: str | None, **options:
         batch_size=None,
         num_workers=workers,
         multiprocessing_context=method,
-        timeout=60 if workers else 0,
+        timeout=PATIENCE_S if workers else 0,
         **options,
     )
 
@@ -160,7 +161,7 @@ def test_batches_hold_the_items(crop: int | None, workers: int, folder: Path) ->
     """Which DataLoaders ask for at once; whole frames and the last, smaller batch too."""
     dataset = raw_pairs(folder, crop=crop, augment=False)
     dataset.set_epoch(1)
-    batches = list(DataLoader(dataset, batch_size=5, num_workers=workers, timeout=60 if workers else 0))
+    batches = list(DataLoader(dataset, batch_size=5, num_workers=workers, timeout=PATIENCE_S if workers else 0))
     assert [len(batch["path"]) for batch in batches] == [5, 5, 2]
     for number, batch in enumerate(batches):
         wanted = default_collate([dataset[index] for index in range(5 * number, min(5 * number + 5, 12))])

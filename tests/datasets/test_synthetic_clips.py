@@ -22,6 +22,7 @@ from eldata.raw import write_dng
 from eldata.raw.cfa import XTRANS_CFA, pack_normalised
 from tests.noise.helpers import Law
 from tests.raw.helpers import BAYER, EXPOSURE, make_sensor, random_mosaic
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -203,7 +204,7 @@ def test_workers_and_epochs(method: str, folder: Path) -> None:
         num_workers=2,
         multiprocessing_context=method,
         persistent_workers=True,
-        timeout=60,
+        timeout=PATIENCE_S,
     )
     for epoch in (0, 3):
         dataset.set_epoch(epoch)
@@ -293,6 +294,7 @@ def test_the_repr_says_what_is_made(folder: Path) -> None:
         assert part in text
 
 
+@pytest.mark.memory
 def test_one_whole_frame_is_in_memory_at_a_time(tmp_path: Path) -> None:
     """Eight frames of 4 megapixels (8 MB each as mosaics): the crops are small, so the growth stays below 50 MB."""
     write_dng(tmp_path / "1.dng", random_mosaic(2000, 2000), make_sensor(height=2000, width=2000), EXPOSURE)
@@ -309,7 +311,7 @@ def test_one_whole_frame_is_in_memory_at_a_time(tmp_path: Path) -> None:
 @pytest.mark.parametrize("workers", [0, 2])
 def test_batches_hold_the_windows(workers: int, folder: Path) -> None:
     dataset = raw_clips(folder)
-    batches = list(DataLoader(dataset, batch_size=4, num_workers=workers, timeout=60 if workers else 0))
+    batches = list(DataLoader(dataset, batch_size=4, num_workers=workers, timeout=PATIENCE_S if workers else 0))
     for number, batch in enumerate(batches):
         wanted = default_collate([dataset[index] for index in range(4 * number, min(4 * number + 4, len(dataset)))])
         assert list(batch) == list(wanted)

@@ -297,7 +297,6 @@ def test_draws_stay_in_the_shipped_ranges() -> None:
         ({"flat_levels": 1}, "flat_levels must be 2 to 13"),
         ({"flat_levels": 14}, "flat_levels must be 2 to 13"),
         ({"seed": -1}, "seed"),
-        ({"jobs": 0}, "jobs"),
     ],
 )
 def test_unusable_arguments(changes: dict[str, Any], words: str, tmp_path: Path) -> None:

@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import TYPE_CHECKING, Any
 
+from tests.waiting import PATIENCE_S
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
@@ -127,7 +129,7 @@ def without_mark(most: int | None = None) -> Behaviour:
 
 
 def silent(_handler: Handler, site: Site) -> None:
-    site.over.wait(120)
+    site.over.wait(PATIENCE_S)
 
 
 def without_length(handler: Handler, site: Site) -> None:

@@ -17,7 +17,9 @@ from eldata.download import archives
 from eldata.download.archives import Archive, check_members, open_archive
 from eldata.download.readers import Member
 from eldata.errors import ArchiveError, DownloadError
+from tests.cases import in_one_test
 from tests.download.helpers import contents, noise, sevenzipped, tarred, zipped
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -149,7 +151,7 @@ def test_seven_zip_without_its_reader(tmp_path: Path, monkeypatch: pytest.Monkey
 # --- damage -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("share", [0.999, 0.9, 0.5, 0.1])
+@in_one_test("share", [0.999, 0.9, 0.5, 0.1])
 def test_cut_short(share: float, pack: Callable[[dict[str, bytes]], bytes], tmp_path: Path) -> None:
     content = pack(contents())
     if pack is PACKERS["tar"]:
@@ -174,7 +176,7 @@ def test_a_flipped_bit_is_found(name: str, tmp_path: Path) -> None:
     refused(saved(tmp_path, bytes(content)), "damaged")
 
 
-@pytest.mark.parametrize("seed", range(25))
+@in_one_test("seed", range(25))
 def test_damage_anywhere_is_one_error_or_none(
     seed: int, pack: Callable[[dict[str, bytes]], bytes], tmp_path: Path
 ) -> None:
@@ -350,5 +352,5 @@ def test_looking_into_archives_is_light() -> None:
         "for name in eldata.download.__all__: getattr(eldata.download, name)\n"
         "print(*(name for name in ('torch', 'rawpy', 'py7zr', 'requests', 'pooch') if name in sys.modules))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S)
     assert (done.returncode, done.stdout.strip(), done.stderr) == (0, "", "")

@@ -18,14 +18,14 @@ import requests
 
 from eldata.download.card_downloads import kept_archives
 from eldata.download.fetching import Fetcher, Patience
-from eldata.download.partial import opened
+from eldata.download.partial import opened_partial
 from eldata.errors import DownloadError
 from eldata.manifest.card import Download
 from tests.download import server
 from tests.download.helpers import contents, fetch, fetcher, noise, note_of, small_card, tree, zipped
+from tests.waiting import PATIENCE_S, until
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
 CONTENT = zipped(contents(30_000))
@@ -121,6 +121,7 @@ def test_the_hash_of_what_goes_on_is_that_of_the_whole(site: server.Site, target
     fetched(site, target, size_bytes=len(CONTENT), sha256=sha256_of(CONTENT))
 
 
+@pytest.mark.kill
 @pytest.mark.parametrize("sent", [signal.SIGKILL, signal.SIGINT])
 def test_a_run_killed_while_pooch_checks_the_hash_loses_nothing(
     sent: signal.Signals, site: server.Site, target: Path
@@ -131,7 +132,7 @@ def test_a_run_killed_while_pooch_checks_the_hash_loses_nothing(
         assert process.stdout.readline() == b"checking\n"
         refused(site, target, "another process is fetching it")
         process.send_signal(sent)
-        process.communicate(timeout=10)
+        process.communicate(timeout=PATIENCE_S)
     finally:
         process.kill()
     assert part_of(target).read_bytes() == CONTENT
@@ -509,7 +510,7 @@ def test_a_folder_that_cannot_be_made(site: server.Site, tmp_path: Path) -> None
 
 def test_one_process_at_a_time(site: server.Site, target: Path) -> None:
     target.parent.mkdir()
-    with opened(target):
+    with opened_partial(target):
         refused(site, target, "another process is fetching it")
     fetched(site, target)
 
@@ -543,28 +544,22 @@ def stuck_after(count: int) -> server.Behaviour:
         handler.start(200, Content_Length=len(site.content), ETag=site.etag)
         handler.wfile.write(site.content[:count])
         handler.wfile.flush()
-        site.over.wait(120)
+        site.over.wait(PATIENCE_S)
         handler.cut()
 
     return behaviour
 
 
-def wait_for(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + 20
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
-
-
+@pytest.mark.kill
 @pytest.mark.parametrize("sent", [signal.SIGKILL, signal.SIGINT])
 def test_a_killed_run_is_gone_on_with(sent: signal.Signals, site: server.Site, target: Path) -> None:
     site.content = zipped({"a": noise(10**6)})
     site.then(stuck_after(600_000))
     process = started(site, target)
     try:
-        wait_for(lambda: part_of(target).exists() and part_of(target).stat().st_size >= 580_000)
+        until(lambda: part_of(target).exists() and part_of(target).stat().st_size >= 580_000)
         process.send_signal(sent)
-        process.communicate(timeout=10)
+        process.communicate(timeout=PATIENCE_S)
     finally:
         process.kill()
     assert not target.exists()

@@ -16,6 +16,7 @@ from eldata.download.unpacking import STAGING, Unpacked, unpack_archive
 from eldata.errors import ArchiveError, DownloadError
 from tests.download.helpers import contents, noise, sevenzipped, tarred, tree, zipped
 from tests.download.test_archives import PACKERS
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -166,7 +167,7 @@ class Slow(unpacking._NewFile):
         if Slow.made == 2:
             super().write(piece[:1000])
             print("half", flush=True)
-            time.sleep(60)
+            time.sleep(600)
         super().write(piece)
     def finish(self):
         super().finish()
@@ -187,11 +188,12 @@ def start_and_stop_halfway(archive: Archive, folder: Path, sent: signal.Signals)
         with pytest.raises(DownloadError, match="another process is unpacking there"):
             unpack_all(archive, folder)
         process.send_signal(sent)
-        process.communicate(timeout=10)
+        process.communicate(timeout=PATIENCE_S)
     finally:
         process.kill()
 
 
+@pytest.mark.kill
 @pytest.mark.parametrize("sent", [signal.SIGKILL, signal.SIGINT])
 @pytest.mark.parametrize("name", ["zip", "tar.gz", "7z"])
 def test_a_killed_run_is_gone_on_with(sent: signal.Signals, name: str, tmp_path: Path) -> None:

@@ -4,16 +4,16 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.evaluation.helpers import Tree, place, small_tree
+from tests.evaluation.helpers import Tree, place
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 
 @pytest.fixture(scope="session")
-def tree(tmp_path_factory: pytest.TempPathFactory) -> Tree:
+def tree(demo_tree: Path) -> Tree:
     """Two cameras, one scene. Not to be changed: copy it."""
-    return small_tree(tmp_path_factory.mktemp("tree") / "demo")
+    return Tree(demo_tree)
 
 
 @pytest.fixture(scope="session")

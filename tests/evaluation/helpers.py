@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 
 from eldata.demo.tree import make_tree
-from eldata.evaluation.planning import make_plan
+from eldata.evaluation.planning import plan_scoring
 from eldata.evaluation.request import make_request
 from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
@@ -59,7 +59,7 @@ class Tree:
 def scored_pairs(dataset: str, protocol: str | Protocol, **options: Unpack[Options]) -> list[PairRecord]:
     """The pairs that a protocol scores of a shipped set."""
     request = make_request("predictions", dataset, protocol, options)
-    return [pair for pair in make_plan(request, request.protocols[0]).pairs if isinstance(pair, PairRecord)]
+    return [pair for pair in plan_scoring(request, request.protocols[0]).pairs if isinstance(pair, PairRecord)]
 
 
 def small_tree(folder: Path, scenes: int = 1) -> Tree:

@@ -23,7 +23,7 @@ from eldata.evaluation import evaluate
 from eldata.protocols import PROTOCOLS
 from eldata.protocols.kinds import IMAGES
 from tests.evaluation import oracle
-from tests.evaluation.helpers import Tree, place, small_tree
+from tests.evaluation.helpers import Tree, place
 
 pytest.importorskip("torchmetrics", reason="needs eldata[torchmetrics]")
 
@@ -31,6 +31,7 @@ import torchmetrics
 from torchmetrics.functional.image import peak_signal_noise_ratio, structural_similarity_index_measure
 
 from eldata.integrations.torchmetrics import PSNR, SSIM, ProtocolScore
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -65,8 +66,8 @@ def exact_mean(values: list[float]) -> float:
 
 
 @pytest.fixture(scope="module")
-def tree(tmp_path_factory: pytest.TempPathFactory) -> Tree:
-    return small_tree(tmp_path_factory.mktemp("tree") / "demo")
+def tree(demo_tree: Path) -> Tree:
+    return Tree(demo_tree)
 
 
 @pytest.fixture(scope="module")
@@ -376,7 +377,7 @@ torch.distributed.destroy_process_group()
 """
 
 
-@pytest.mark.timeout(180)
+@pytest.mark.study
 def test_two_processes_with_uneven_batches(tmp_path: Path) -> None:
     """A real group: its number is that of one process that saw all images, also where one process saw none."""
     preds, target = images(6)
@@ -399,7 +400,7 @@ def test_two_processes_with_uneven_batches(tmp_path: Path) -> None:
         for rank in range(2)
     ]
     try:
-        outputs = [worker.communicate(timeout=150)[0] for worker in workers]
+        outputs = [worker.communicate(timeout=PATIENCE_S)[0] for worker in workers]
     finally:
         for worker in workers:
             worker.kill()
@@ -491,7 +492,7 @@ print("said so")
 
 
 def test_without_torchmetrics_the_rest_works_and_the_error_says_what_to_install() -> None:
-    done = subprocess.run([sys.executable, "-c", WITHOUT], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", WITHOUT], cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.stdout == "said so\n", done.stderr
 
 
@@ -499,5 +500,5 @@ def test_importing_the_metrics_does_not_load_torchmetrics() -> None:
     code = (
         "import sys, eldata.metrics; eldata.metrics.psnr; print('torchmetrics' in sys.modules, 'torch' in sys.modules)"
     )
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.stdout == "False False\n", done.stderr

@@ -12,6 +12,7 @@ from eldata.errors import ArgumentError, RawFileError
 from eldata.isp.libraw import render_libraw, sixteen_to_eight_bits
 from eldata.raw.dng import write_dng
 from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, make_sensor, random_mosaic
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -94,5 +95,5 @@ def test_a_forked_child_renders_after_its_parent(tmp_path: Path) -> None:
         "    os._exit(0 if (render_libraw(sys.argv[1]) == first).all() else 3)\n"
         "sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))\n"
     )
-    done = subprocess.run([sys.executable, "-c", script, str(path)], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", script, str(path)], capture_output=True, text=True, timeout=PATIENCE_S)
     assert (done.returncode, done.stderr) == (0, "")

@@ -11,6 +11,7 @@ import pytest
 from eldata.errors import ManifestError
 from eldata.manifest.card import CameraCard, Card, Download, load_card, save_card
 from eldata.manifest.catalogue import find_manifests, load_manifest, shipped_manifest
+from tests.cases import in_one_test
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -94,8 +95,8 @@ DELETE = object()
 REQUIRED = ("name", "title", "version", "folder", "citation", "licence", "homepage", "cfa", "cameras", "counts")
 
 
-@pytest.mark.parametrize(
-    ("where", "value", "field"),
+@in_one_test(
+    "where, value, field",
     [
         *[((name,), DELETE, name) for name in REQUIRED],
         *[((name,), 7, name) for name in REQUIRED],
@@ -143,8 +144,8 @@ def test_a_bad_field_is_named(path: Path, where: tuple[str | int, ...], value: A
         (b"{", "is not JSON"),
         (b"\xff\xfe", "is not JSON"),
         (b"path,role\n", "is not JSON"),
-        (b"[]", "expected a JSON object, found list"),
-        (b"null", "expected a JSON object, found NoneType"),
+        (b"[]", "expected an object, found []"),
+        (b"null", "expected an object, found null"),
         (b'{"a":' * 100_000, "is not JSON"),
     ],
     ids=["empty", "cut off", "binary", "csv", "list", "null", "deep"],

@@ -18,6 +18,7 @@ from eldata.manifest.lock import lock
 from eldata.manifest.table import load_records, save_records
 from eldata.manifest.verify import verify
 from tests.trees import Tree, flip_compressed_byte, frame, scale_exposure
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -43,7 +44,6 @@ def test_sizes_and_hashes_are_filled_in(tree: Tree) -> None:
     assert full.datasets[0].files_hashed == 32
 
 
-@pytest.mark.timeout(120)
 def test_the_locked_manifest_does_not_depend_on_the_number_of_jobs(tree: Tree) -> None:
     unlocked = tree.csv.read_bytes()
     lock(tree.csv, tree.root, workers=2)
@@ -171,12 +171,13 @@ lock(sys.argv[2], sys.argv[3])
 """
 
 
+@pytest.mark.kill
 @pytest.mark.parametrize("moment", ["fsync", "replace"])
 def test_a_kill_while_writing_leaves_the_manifest(tree: Tree, moment: str) -> None:
     """Before the data are safe on disk, and just before the new file takes the old one's name."""
     before = tree.csv.read_bytes()
     command = [sys.executable, "-c", KILLED, moment, str(tree.csv), str(tree.root)]
-    done = subprocess.run(command, capture_output=True, timeout=60)
+    done = subprocess.run(command, capture_output=True, timeout=PATIENCE_S)
     assert done.returncode == -signal.SIGKILL, done.stderr.decode()
     assert tree.csv.read_bytes() == before
     assert len(load_records(tree.csv)) == 32

@@ -8,8 +8,6 @@ from functools import cache
 from itertools import product
 from typing import TYPE_CHECKING
 
-import pytest
-
 from eldata.evaluation.published import (
     COLUMNS,
     PublishedRow,
@@ -21,6 +19,7 @@ from eldata.manifest.catalogue import Manifest, shipped_folder, shipped_manifest
 from eldata.manifest.pairs import select_pairs
 from eldata.manifest.subsets import find_subset
 from eldata.protocols import PROTOCOLS
+from tests.cases import in_one_test
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -109,9 +108,7 @@ def test_each_source_says_how_it_was_computed() -> None:
         assert source.commit is None or "@" in source.commit
 
 
-@pytest.mark.parametrize(
-    "row", ROWS, ids=lambda row: f"{row.source}-{row.table}-{row.dataset}-{row.place}-{row.method}"
-)
+@in_one_test("row", ROWS)
 def test_each_row_is_of_what_eldata_knows(row: PublishedRow) -> None:
     assert row.camera in CAMERAS[row.dataset]
     assert row.ratio in RATIOS[row.dataset]
@@ -126,7 +123,7 @@ def test_each_row_is_of_what_eldata_knows(row: PublishedRow) -> None:
     assert row.st_rred is None or 0 < row.st_rred < 10
 
 
-@pytest.mark.parametrize("row", [row for row in ROWS if row.protocols and row.dataset in shipped_names()])
+@in_one_test("row", [row for row in ROWS if row.protocols and row.dataset in shipped_names()])
 def test_pairs_are_as_many_as_the_protocol_and_the_subset_give(row: PublishedRow) -> None:
     """The count that a result's has to equal, from the manifest."""
     manifest = manifest_of(row.dataset)
@@ -184,7 +181,7 @@ BY_HAND = [
 ]
 
 
-@pytest.mark.parametrize(("source", "table", "dataset", "camera", "ratio", "method", "psnr_db", "ssim"), BY_HAND)
+@in_one_test("source, table, dataset, camera, ratio, method, psnr_db, ssim", BY_HAND)
 def test_a_sample_read_by_hand(
     source: str,
     table: str,

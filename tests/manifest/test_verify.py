@@ -72,7 +72,6 @@ def test_a_good_copy_passes(pristine: Tree, level: Level) -> None:
     assert (dataset.files_listed, dataset.files_checked, dataset.files_hashed) == (32, 32, 0)
 
 
-@pytest.mark.timeout(120)
 def test_reports_do_not_depend_on_the_number_of_jobs(tree: Tree) -> None:
     """Results come back in order from worker processes, and what they say survives the way."""
     tree.file(2).write_bytes(tree.file(2).read_bytes()[:-4000])

@@ -12,11 +12,12 @@ from skimage.metrics import peak_signal_noise_ratio
 
 from eldata.errors import ArgumentError
 from eldata.metrics import psnr
+from tests.cases import in_one_test
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (7, 7), (4, 33, 57), (2, 600, 259), (3, 5, 2000)])
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-@pytest.mark.parametrize("data_range", [1.0, 255.0, 0.3])
+@in_one_test("shape", [(1, 1), (7, 7), (4, 33, 57), (2, 600, 259), (3, 5, 2000)])
+@in_one_test("dtype", [np.float32, np.float64])
+@in_one_test("data_range", [1.0, 255.0, 0.3])
 def test_equals_scikit_image(shape: tuple[int, ...], dtype: npt.DTypeLike, data_range: float) -> None:
     rng = np.random.default_rng(1)
     g = (data_range * rng.random(shape)).astype(dtype)

@@ -243,6 +243,7 @@ def test_threads_do_not_change_a_bit() -> None:
     assert st_rred(p, g, threads=1) == st_rred(p, g, threads=3) == st_rred(p, g)
 
 
+@pytest.mark.memory
 def test_memory_does_not_grow_by_whole_frames() -> None:
     frame = 8 * 400 * 500
 

@@ -8,6 +8,7 @@ import pytest
 
 from eldata.errors import ArgumentError
 from eldata.noise import PAPER_MODELS, Components, parse_components
+from tests.cases import in_one_test
 
 # The rows of the paper's ablation table: shot, read, colour bias, row, quantisation.
 TABLE = {
@@ -35,7 +36,7 @@ def test_the_papers_rows(spec: str) -> None:
     assert parse_components(spec) == TABLE[spec]
 
 
-@pytest.mark.parametrize("names", every_model(), ids="+".join)
+@in_one_test("names", every_model())
 def test_any_order_and_any_spacing(names: tuple[str, ...]) -> None:
     wanted = Components(
         shot="poisson" if "P*" in names else "gaussian" if "P" in names else "none",
@@ -50,7 +51,7 @@ def test_any_order_and_any_spacing(names: tuple[str, ...]) -> None:
         assert parse_components(f"  {'+'.join(order)} ") == wanted
 
 
-@pytest.mark.parametrize("names", every_model(), ids="+".join)
+@in_one_test("names", every_model())
 def test_the_spec_of_the_components_gives_them_back(names: tuple[str, ...]) -> None:
     components = parse_components("+".join(names))
     assert set(components.spec.split("+")) == set(names)

@@ -14,8 +14,9 @@ from scipy import stats
 
 from eldata.errors import ArgumentError
 from eldata.noise import PAPER_MODELS, NoiseModel, NoiseParameters
-from eldata.noise.model import Adc
+from eldata.noise.exposures import Adc
 from eldata.raw.cfa import XTRANS_CFA, unpack
+from tests.cases import in_one_test
 from tests.noise.helpers import (
     LAMBDAS,
     LEAST_P_VALUE,
@@ -383,8 +384,8 @@ def test_values_below_0_count_as_no_light() -> None:
         same_bits(noisy(clean, spec), noisy(np.zeros_like(clean), spec))
 
 
-@pytest.mark.parametrize("spec", [*PAPER_MODELS, "P", "P*", "B"])
-@pytest.mark.parametrize("clip", ["none", "both"])
+@in_one_test("spec", [*PAPER_MODELS, "P", "P*", "B"])
+@in_one_test("clip", ["none", "both"])
 def test_nan_stays_where_it_is(spec: str, clip: Any) -> None:
     clean = np.full((4, 16, 16), 0.25, np.float32)
     holes = np.zeros(clean.shape, bool)

@@ -12,14 +12,15 @@ from eldata.errors import ArgumentError
 from eldata.noise import NoiseModel, NoiseParameters
 from eldata.noise.mosaic import pack_whole, unpack_whole
 from eldata.raw.cfa import pack
+from tests.cases import in_one_test
 from tests.raw.helpers import BAYER, CFAS
 
 RANGE = 15000.0
 PARAMETERS = NoiseParameters(1.5, -0.1, 2.0, 3.0, 4.0, (10.0, 20.0, 30.0, 40.0))
 
 
-@pytest.mark.parametrize("name", CFAS)
-@pytest.mark.parametrize("shape", [(12, 18), (13, 17), (2, 3, 11, 8), (6, 6), (1, 1)])
+@in_one_test("name", CFAS)
+@in_one_test("shape", [(12, 18), (13, 17), (2, 3, 11, 8), (6, 6), (1, 1)])
 def test_whole_mosaics_come_back(name: str, shape: tuple[int, ...]) -> None:
     mosaic = np.random.default_rng(0).random(shape).astype(np.float32)
     packed = pack_whole(mosaic, CFAS[name])

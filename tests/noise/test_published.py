@@ -17,6 +17,7 @@ import pytest
 
 from eldata.errors import ProfileError
 from eldata.noise import CameraProfile, profiles_from_published, read_published
+from tests.cases import in_one_test
 
 NESTED: dict[str, Any] = {
     "Kmin": np.float64(0.25),
@@ -132,8 +133,8 @@ def attacks(marker: Path) -> dict[str, Any]:
 NAMES = list(attacks(Path("marker")))
 
 
-@pytest.mark.parametrize("protocol", [0, 2, 3, 4, 5])
-@pytest.mark.parametrize("name", NAMES)
+@in_one_test("protocol", [0, 2, 3, 4, 5])
+@in_one_test("name", NAMES)
 def test_code_is_refused_by_name_and_does_not_run(name: str, protocol: int, tmp_path: Path) -> None:
     marker = tmp_path / "marker"
     attack = attacks(marker)[name]
@@ -208,7 +209,7 @@ def test_objects_of_other_classes_are_refused(value: object, protocol: int, tmp_
 GOOD = npy(held(PLAIN, 4))
 
 
-@pytest.mark.parametrize("length", sorted({0, 1, 5, 6, 8, 10, 60, *range(128, len(GOOD), 37), len(GOOD) - 1}))
+@in_one_test("length", sorted({0, 1, 5, 6, 8, 10, 60, *range(128, len(GOOD), 37), len(GOOD) - 1}))
 def test_a_truncated_file(length: int, tmp_path: Path) -> None:
     with pytest.raises(ProfileError, match=r"Camera_params\.npy: is not a published parameter file"):
         read_published(file_of(tmp_path, GOOD[:length]))

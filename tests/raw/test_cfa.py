@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from eldata.errors import ArgumentError
 from eldata.raw import pack, packed_area, packed_shape, unpack
 from eldata.raw.cfa import packed_channels
+from tests.cases import in_one_test
 from tests.raw.helpers import (
     BAYER,
     BAYER_COLOURS,
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 DTYPES = ["uint8", "uint16", "int32", "int64", "float32", "float64", "bool", "complex64"]
 
 
-@pytest.mark.parametrize("name", CFAS)
+@in_one_test("name", CFAS)
 def test_each_packed_channel_holds_just_its_colour(name: str) -> None:
     cfa = CFAS[name]
     tiled = np.tile(np.array(cfa, np.uint8), (8, 8))[: 16 + 29, : 16 + 30]
@@ -73,7 +74,7 @@ def test_xtrans_equals_the_published_sid_packing() -> None:
     np.testing.assert_array_equal(pack(mosaic, xtrans_at(0, 0)), sid_pack(mosaic))
 
 
-@pytest.mark.parametrize("name", XTRANS)
+@in_one_test("name", XTRANS)
 def test_xtrans_at_any_offset_loses_the_fewest_rows_and_columns_and_packs_as_sid(name: str) -> None:
     cfa, mosaic = XTRANS[name], random_mosaic(31, 40)
     area = packed_area((31, 40), cfa)
@@ -94,8 +95,8 @@ def test_xtrans_needs_no_crop_at_the_offsets_where_it_starts_as_in_sid() -> None
     assert whole == {"xtrans-00", "xtrans-33"}
 
 
-@pytest.mark.parametrize("name", CFAS)
-@pytest.mark.parametrize("shape", [(23, 25), (24, 24), (12, 35), (11, 11)])
+@in_one_test("name", CFAS)
+@in_one_test("shape", [(23, 25), (24, 24), (12, 35), (11, 11)])
 def test_packed_shape_is_what_pack_returns(name: str, shape: tuple[int, int]) -> None:
     cfa = CFAS[name]
     packed = pack(np.zeros(shape, np.uint16), cfa)
@@ -197,7 +198,7 @@ def test_the_tables_of_these_tests_are_the_patterns_by_name() -> None:
     assert letters(XTRANS["xtrans-00"])[0] == "RBGBRG"
 
 
-@pytest.mark.parametrize("name", CFAS)
+@in_one_test("name", CFAS)
 def test_a_mosaic_below_one_period_is_refused(name: str) -> None:
     cfa = CFAS[name]
     rows, columns = reference_area((100, 100), cfa)

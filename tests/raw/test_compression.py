@@ -10,6 +10,7 @@ import pytest
 from eldata.errors import RawFileError
 from eldata.raw import write_dng
 from eldata.raw.compression import lossy_compression
+from tests.cases import in_one_test
 from tests.raw.helpers import BAYER, EXPOSURE, make_sensor, random_mosaic
 
 if TYPE_CHECKING:
@@ -86,8 +87,8 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("order", ["<", ">"])
-@pytest.mark.parametrize("name", CASES)
+@in_one_test("order", ["<", ">"])
+@in_one_test("name", CASES)
 def test_what_headers_say(name: str, order: str, tmp_path: Path) -> None:
     options, words = CASES[name]
     found = lossy_compression(raw_file(tmp_path / "a.arw", **options, order=order))  # type: ignore[arg-type] # a table

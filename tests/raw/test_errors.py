@@ -13,6 +13,7 @@ from PIL import Image
 
 from eldata.errors import RawFileError
 from eldata.raw import read_header, read_raw, write_dng
+from tests.cases import in_one_test
 from tests.raw.helpers import (
     BAYER,
     EXPOSURE,
@@ -103,8 +104,8 @@ def test_noise(content: bytes, tmp_path: Path) -> None:
 # --- truncated ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("fraction", [0.01, 0.05, 0.1, 0.25, 0.5, 0.8, 0.9, 0.95])
+@in_one_test("kind", KINDS)
+@in_one_test("fraction", [0.01, 0.05, 0.1, 0.25, 0.5, 0.8, 0.9, 0.95])
 def test_a_truncated_file_at_every_fraction(kind: str, fraction: float, tmp_path: Path) -> None:
     cfa, compression = KINDS[kind]
     path = tmp_path / "a.dng"

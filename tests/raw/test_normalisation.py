@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from eldata.errors import ArgumentError
 from eldata.raw import denormalise, normalise, pack, pack_normalised, packed_shape, unpack
 from eldata.raw.cfa import packed_black_level_dn
+from tests.cases import in_one_test
 from tests.raw.helpers import BAYER, CFAS, XTRANS_COLOURS, Cfa, random_mosaic, reference_pack, xtrans_at
 
 if TYPE_CHECKING:
@@ -51,9 +52,9 @@ def same_bits(a: NDArray[np.float32], b: NDArray[np.float32]) -> bool:
     return a.shape == b.shape and a.dtype == b.dtype == np.float32 and a.tobytes() == b.tobytes()
 
 
-@pytest.mark.parametrize("name", CFAS)
-@pytest.mark.parametrize("clip", CLIPS)
-@pytest.mark.parametrize("gain", [1.0, 100.0, 0.3])
+@in_one_test("name", CFAS)
+@in_one_test("clip", CLIPS)
+@in_one_test("gain", [1.0, 100.0, 0.3])
 def test_pack_normalised_is_the_formula_bit_for_bit(name: str, clip: Clip, gain: float) -> None:
     cfa = CFAS[name]
     mosaic = random_mosaic(47, 61, seed=5, low=0, high=65535)
@@ -114,7 +115,7 @@ def test_normalise_after_pack_is_pack_normalised(name: str, clip: Clip) -> None:
     assert same_bits(apart, pack_normalised(mosaic, cfa, black_of(cfa), 15871.0, clip=clip))
 
 
-@pytest.mark.parametrize("name", CFAS)
+@in_one_test("name", CFAS)
 def test_black_becomes_zero_and_white_one_in_every_channel(name: str) -> None:
     cfa = CFAS[name]
     black = (512.0, 509.0, 511.0, 514.0) if name in BAYER else (1022.0, 1023.0, 1021.0)

@@ -21,6 +21,7 @@ from torch.utils.data import DataLoader, Dataset
 import eldata.errors
 from eldata.raw import read_raw, write_dng
 from tests.raw.helpers import BAYER, EXPOSURE, make_sensor, random_mosaic, xtrans_at
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -52,7 +53,7 @@ def child():
 
 process = multiprocessing.get_context("fork").Process(target=child)
 process.start()
-process.join(20)
+process.join(250)
 print("exit code", process.exitcode)
 process.kill()
 process.join()
@@ -82,7 +83,7 @@ if __name__ == "__main__":
         collate_fn=read_and_develop,
         num_workers=2,
         multiprocessing_context=method,
-        timeout=40,
+        timeout=250,  # of pytest's 600 s: a loader that hangs names itself
     )
     for _ in range(2):
         for path, frame in zip(paths, loader, strict=True):
@@ -115,7 +116,7 @@ def run_script(folder: Path, script: str, *arguments: str) -> subprocess.Complet
         [sys.executable, str(folder / "script.py"), *arguments],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE_S,
         # More than one OpenMP thread whatever the machine: with one there is no pool to wait for.
         env={**os.environ, "PYTHONPATH": package, "OMP_NUM_THREADS": "4"},
     )
@@ -128,6 +129,7 @@ def test_a_forked_child_of_a_process_that_has_developed(before: str, files: list
     assert done.stdout.strip() == "exit code 0", done.stderr
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 def test_data_loader_workers_of_a_process_that_has_developed(method: str, files: list[Path], tmp_path: Path) -> None:
     done = run_script(tmp_path, LOADER_SCRIPT, method, *map(str, files))
@@ -143,7 +145,7 @@ def test_a_worker_hands_the_error_with_its_file_to_the_parent(files: list[Path],
     paths = cast("Dataset[Path]", [files[0], bad, files[1]])
     read = cast("Callable[[list[Path]], RawFrame]", read_raw)  # without batches it gets one path
     loader: DataLoader[Path] = DataLoader(
-        paths, batch_size=None, collate_fn=read, num_workers=1, multiprocessing_context="fork", timeout=60
+        paths, batch_size=None, collate_fn=read, num_workers=1, multiprocessing_context="fork", timeout=PATIENCE_S
     )
     frames = iter(loader)
     next(frames)

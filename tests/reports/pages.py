@@ -10,6 +10,8 @@ from html.parser import HTMLParser
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
+from tests.waiting import PATIENCE_S
+
 if TYPE_CHECKING:
     from pathlib import Path
 
@@ -114,7 +116,7 @@ def seen_in_browser(chromium: str, text: str, width: int, folder: Path) -> dict[
     options += ["--disable-background-networking", "--disable-component-update", "--disable-sync"]
     options += [f"--user-data-dir={folder / 'user'}", "--window-size=1600,1000", "--virtual-time-budget=5000"]
     command = [chromium, *options, "--dump-dom", path.as_uri()]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
     match = re.search(r'<pre id="probe">(.+?)</pre>', done.stdout, flags=re.DOTALL)
     assert match, done.stderr[-2000:]
     found = json.loads(unescape(match[1]))

@@ -23,6 +23,7 @@ from tests.calibration.simulation import XTRANS
 from tests.reports import calibrations
 from tests.reports.calibrations import camera_at
 from tests.reports.pages import HOSTILE, assert_self_contained, assert_well_formed, checked, seen_in_browser
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -220,7 +221,7 @@ def test_hostile_text_stays_text(sparse: str) -> None:
 
 def test_another_process_makes_the_same_page_without_pyplot() -> None:
     made = calibration_page(calibrations.calibration([calibrations.measured(800.0, camera_at(800.0))]))
-    done = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, timeout=120)
+    done = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.stdout.split() == [hashlib.sha256(made.encode()).hexdigest(), "[]"], done.stderr
 
 
@@ -266,6 +267,7 @@ def test_pooled_takes_means() -> None:
 # --- in a browser -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.browser
 @pytest.mark.parametrize("width", [390, 1280])
 @EVERY
 def test_in_a_browser(chromium: str, which: str, width: int, request: pytest.FixtureRequest, tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from eldata.noise.diagnostics import diagnose, sample_parameters
 from eldata.reports.profile.page import profile_page
 from eldata.reports.profile.plots import plots
 from tests.reports.pages import HOSTILE, assert_self_contained, assert_well_formed, checked, seen_in_browser
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -116,13 +117,14 @@ def test_another_process_makes_the_same_page_without_pyplot(page: str) -> None:
         "print(hashlib.sha256(page.encode()).hexdigest())\n"
         "print([name for name in ('matplotlib.pyplot', 'torch', 'rawpy') if name in sys.modules])\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.stdout.split() == [hashlib.sha256(page.encode()).hexdigest(), "[]"], done.stderr
 
 
 # --- in a browser -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.browser
 @pytest.mark.parametrize("width", [390, 1280])
 @pytest.mark.parametrize("which", ["page", "hostile"])
 def test_in_a_browser(chromium: str, which: str, width: int, request: pytest.FixtureRequest, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from eldata.errors import ArgumentError, PredictionError
 from eldata.evaluation.looking import worst_and_best, worst_frame
 from eldata.evaluation.pairs import place_of
 from eldata.evaluation.predictions import find_predictions
-from eldata.evaluation.scoring import scored_arrays
+from eldata.evaluation.units import scored_arrays
 from eldata.isp.preview import preview
 from eldata.protocols.protocol import Protocol
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from eldata.evaluation.results import EvaluationResult
     from eldata.evaluation.scores import UnitScore
-    from eldata.evaluation.scoring import ScoredArrays
+    from eldata.evaluation.units import ScoredArrays
 
 EACH: Final = 4
 """How many of the worst and of the best are shown."""

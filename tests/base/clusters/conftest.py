@@ -8,11 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from distributed import Client, LocalCluster
+
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from concurrent.futures import Executor
+
+    from distributed import Client, LocalCluster
 
 
 @pytest.fixture(scope="session")
@@ -27,6 +30,8 @@ def importable() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def cluster(importable: None) -> Iterator[LocalCluster]:
     """Two worker processes of Dask, one thread each; its scheduler is a thread of this process."""
+    from distributed import LocalCluster  # a second, which only the tests that need it shall cost
+
     with LocalCluster(  # type: ignore[no-untyped-call]
         n_workers=2,
         threads_per_worker=1,
@@ -39,6 +44,8 @@ def cluster(importable: None) -> Iterator[LocalCluster]:
 
 @pytest.fixture(scope="session")
 def client(cluster: LocalCluster) -> Iterator[Client]:
+    from distributed import Client
+
     with Client(cluster, set_as_default=False) as made:  # type: ignore[no-untyped-call]
         yield made
 
@@ -46,7 +53,7 @@ def client(cluster: LocalCluster) -> Iterator[Client]:
 @pytest.fixture
 def dask(client: Client) -> Executor:
     """Dask's executor, with both workers there: a test before this one may have killed some."""
-    client.wait_for_workers(2, timeout=60)
+    client.wait_for_workers(2, timeout=PATIENCE_S)
     executor: Executor = client.get_executor()  # type: ignore[no-untyped-call]
     return executor
 
@@ -63,7 +70,7 @@ def processes(importable: None) -> Iterator[Executor]:
         yield pool
 
 
-@pytest.fixture(params=["threads", "processes", "dask"])
+@pytest.fixture(params=["threads", "processes", pytest.param("dask", marks=pytest.mark.dask)])
 def executor(request: pytest.FixtureRequest) -> Executor:
     """Each kind of executor that a caller may bring."""
     found: Executor = request.getfixturevalue(request.param)

@@ -18,7 +18,6 @@ from tests.base.clusters import work
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
-pytestmark = pytest.mark.timeout(120)  # a hang is the bug that these tests are for
 
 
 def test_results_come_in_the_units_order(executor: Executor) -> None:
@@ -28,6 +27,7 @@ def test_results_come_in_the_units_order(executor: Executor) -> None:
     assert list(Workers(executor=executor).run(work.double, [])) == []
 
 
+@pytest.mark.dask
 def test_units_run_in_the_executor_whatever_jobs_say(processes: Executor, dask: Executor) -> None:
     for executor in (processes, dask):
         for count in (1, 8):
@@ -70,6 +70,7 @@ def test_a_mistake_in_the_program_is_the_units_failure_too(executor: Executor) -
         list(Workers(executor=executor).run(work.fail_in_the_program, [1, 2, 3]))
 
 
+@pytest.mark.dask
 def test_where_it_failed_is_told_with_debug(dask: Executor) -> None:
     """A traceback does not travel; its text does."""
     (found,) = Workers(executor=dask).attempt(work.fail_in_the_program, [2])
@@ -168,6 +169,7 @@ def test_what_waits_is_cancelled_if_the_caller_leaves() -> None:
     assert [future.cancelled() for future in executor.futures] == [False, True, True, True, True]
 
 
+@pytest.mark.dask
 def test_workers_are_counted(threads: Executor, processes: Executor, dask: Executor) -> None:
     assert [slots_of(executor) for executor in (threads, processes, dask)] == [2, 2, 2]
     assert slots_of(Stepwise()) is None
@@ -183,6 +185,7 @@ def test_an_executor_that_was_shut_down() -> None:
         list(Workers(executor=pool).run(work.double, [1]))
 
 
+@pytest.mark.kill
 def test_a_broken_pool_of_the_callers_is_an_error_that_names_the_unit(importable: None) -> None:
     tasks = [work.Task(3, "three.dng"), *(work.Task(number) for number in range(4, 40))]
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
@@ -207,6 +210,7 @@ def test_a_unit_that_someone_cancels() -> None:
 # --- processes of our own ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.kill
 def test_a_unit_that_ends_its_process_once_is_run_again(importable: None, tmp_path: Path) -> None:
     tasks = [work.Task(number) for number in range(30)]
     found = list(Workers(2).attempt(partial(work.end_the_process_once, tmp_path), tasks))
@@ -214,6 +218,7 @@ def test_a_unit_that_ends_its_process_once_is_run_again(importable: None, tmp_pa
     assert found == list(range(30))
 
 
+@pytest.mark.kill
 def test_a_unit_that_ends_every_process_is_named_and_the_rest_is_done(importable: None) -> None:
     tasks = [work.Task(number, f"{number}.dng") for number in range(30)]
     found = list(Workers(2).attempt(work.end_the_process, tasks))

@@ -27,19 +27,17 @@ from eldata.sources.store.sources import source_of_dataset
 from tests import trees
 from tests.calibration.trees import FrameTree, made_tree
 from tests.drv_tree import small_drv
-from tests.evaluation.helpers import Tree, place, small_tree
+from tests.evaluation.helpers import Tree, place
 from tests.sources.store.helpers import contents, write_clean
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
     from pathlib import Path
 
-pytestmark = pytest.mark.timeout(120)
-
 
 @pytest.fixture(scope="module")
-def tree(tmp_path_factory: pytest.TempPathFactory) -> Tree:
-    return small_tree(tmp_path_factory.mktemp("tree") / "demo")
+def tree(demo_tree: Path) -> Tree:
+    return Tree(demo_tree)
 
 
 @pytest.fixture(scope="module")
@@ -100,9 +98,9 @@ def test_calibrate_lists_the_problems_of_every_iso(frames: FrameTree, executor: 
         path = own.files("flat", iso)[0]
         path.write_bytes(path.read_bytes()[:-2000])
     found = []
-    for options in ({}, {"executor": executor}):
+    for workers in (1, executor):
         with pytest.raises(FramesError) as raised:
-            calibrate(own.frames(), **options)  # type: ignore[arg-type]
+            calibrate(own.frames(), workers=workers)
         found.append(raised.value.problems)
     assert len(found[0]) >= 2
     assert found[1] == found[0]
@@ -158,6 +156,7 @@ def unseen(path: Path) -> str:
     return str(error)
 
 
+@pytest.mark.dask
 def test_verify_names_the_files_that_workers_do_not_see(tree: Tree, dask: Executor, tmp_path: Path) -> None:
     own = tree.copy(tmp_path / "own")
     gone = sorted(own.files.glob("*/*/*.dng"))[3]
@@ -166,6 +165,7 @@ def test_verify_names_the_files_that_workers_do_not_see(tree: Tree, dask: Execut
     assert (problem.path, problem.found) == (gone.relative_to(own.files).as_posix(), unseen(gone))
 
 
+@pytest.mark.dask
 def test_calibrate_names_the_iso_whose_files_workers_do_not_see(
     frames: FrameTree, dask: Executor, tmp_path: Path
 ) -> None:
@@ -177,6 +177,7 @@ def test_calibrate_names_the_iso_whose_files_workers_do_not_see(
     assert (problem.path, problem.found) == ("DemoGamma, ISO 400", unseen(gone))
 
 
+@pytest.mark.dask
 def test_pack_names_the_file_that_workers_do_not_see(tree: Tree, dask: Executor, tmp_path: Path) -> None:
     own = tree.copy(tmp_path / "own")
     source = source_of_dataset("eld-demo", root=own.root, manifest=own.manifest)

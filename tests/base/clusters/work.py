@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldata.base.workers import require_files
 from eldata.errors import RawFileError
+from tests.waiting import until
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -79,13 +79,5 @@ def end_the_process_once(folder: Path, task: Task) -> int:
 def held(folder: Path, call: Callable[[], Any]) -> Any:
     """Say where this runs, then wait until the test makes the file ``go``."""
     (folder / f"in-{os.getpid()}").touch()
-    wait_for(folder / "go")
+    until((folder / "go").exists, "the test's word to go on")
     return call()
-
-
-def wait_for(path: Path) -> None:
-    end = time.monotonic() + 60
-    while not path.exists():
-        if time.monotonic() > end:
-            raise TimeoutError(path)
-        time.sleep(0.01)

@@ -9,16 +9,16 @@ import pytest
 from eldata.sources.shards import write_shards
 from tests.sid_tree import build_small_tree
 from tests.sources.store.helpers import pack_tree
-from tests.trees import Tree, build_tree
+from tests.trees import Tree, tree_in
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 
 @pytest.fixture(scope="session")
-def pristine(tmp_path_factory: pytest.TempPathFactory) -> Tree:
+def pristine(demo_tree: Path) -> Tree:
     """24 pairs of two cameras, 64 x 96. Not to be changed."""
-    return build_tree(tmp_path_factory.mktemp("pristine"))
+    return tree_in(demo_tree)
 
 
 @pytest.fixture(scope="session")

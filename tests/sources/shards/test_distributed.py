@@ -15,9 +15,12 @@ from eldata import StreamedPairs
 from eldata.datasets import PackedStore
 from eldata.sources.shards import write_shards
 from tests.sources.shards.helpers import identities
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+pytestmark = pytest.mark.study
 
 RANKS = 3
 ROOT = Path(__file__).parents[3]
@@ -47,7 +50,7 @@ def got(eld: Path, shards: Path, tmp_path_factory: pytest.TempPathFactory) -> li
     ]
     try:
         for process in running:
-            out, _ = process.communicate(timeout=240)
+            out, _ = process.communicate(timeout=PATIENCE_S)
             assert process.returncode == 0, out
     finally:
         for process in running:

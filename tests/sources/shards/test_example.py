@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.waiting import PATIENCE_S
+
 EXAMPLE = Path(__file__).parents[3] / "examples" / "train_from_store.py"
 OPTIONS = ["--crop", "16", "--batch-size", "2", "--epochs", "3", "--workers", "2"]
 
@@ -19,7 +21,7 @@ def errors_of(*command: str) -> list[float]:
         [sys.executable, *command, *OPTIONS],
         capture_output=True,
         text=True,
-        timeout=240,
+        timeout=PATIENCE_S,
         env={**os.environ, "OMP_NUM_THREADS": "1"},
     )
     assert done.returncode == 0, done.stderr
@@ -27,6 +29,7 @@ def errors_of(*command: str) -> list[float]:
     return [float(text) for text in re.findall(r"epoch \d: mean absolute error (\S+)", done.stdout)]
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("which", ["store", "shards"])
 def test_it_learns(which: str, eld: Path, tiles: Path) -> None:
     errors = errors_of(str(EXAMPLE), str(eld if which == "store" else tiles))
@@ -34,6 +37,7 @@ def test_it_learns(which: str, eld: Path, tiles: Path) -> None:
     assert errors[2] < errors[0]
 
 
+@pytest.mark.study
 def test_under_torchrun(tiles: Path) -> None:
     """Two ranks: it ends, so both had as many batches."""
     launch = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]

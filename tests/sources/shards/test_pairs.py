@@ -204,6 +204,7 @@ def test_neighbours_are_of_different_frames(tiles: Path) -> None:
 # --- memory -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.memory
 def test_memory_is_bounded_by_the_buffer(tiles: Path, frames: Path) -> None:
     """All samples are 24 x 64 x 96 x 2 x 2 bytes = 590 kB; a buffer of 3 crops of 8 holds 3 x 2 kB."""
     for folder, size in ((frames, 590_000), (tiles, 144 * 34 * 34 * 4)):

@@ -21,6 +21,7 @@ from eldata.sources.shards import ShardError, members, verify_shards, write_shar
 from eldata.sources.shards.layout import INDEX, index_text, parse_index
 from eldata.sources.shards.tiles import grid
 from eldata.sources.shards.writing import BEGUN
+from tests.cases import in_one_test
 from tests.raw.helpers import BAYER, XTRANS, make_sensor
 
 if TYPE_CHECKING:
@@ -113,9 +114,9 @@ def test_a_part_of_the_store(eld: Path, tmp_path: Path) -> None:
 # --- where tiles lie ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("cfa", [*BAYER.values(), XTRANS["xtrans-00"], XTRANS["xtrans-42"]])
-@pytest.mark.parametrize(("height", "width"), [(64, 96), (61, 99), (38, 38)])
-@pytest.mark.parametrize("overlap", [0, 4])
+@in_one_test("cfa", [*BAYER.values(), XTRANS["xtrans-00"], XTRANS["xtrans-42"]])
+@in_one_test("height, width", [(64, 96), (61, 99), (38, 38)])
+@in_one_test("overlap", [0, 4])
 def test_tiles_cover_what_packing_keeps(cfa: Any, height: int, width: int, overlap: int) -> None:
     sensor = make_sensor(cfa, height, width)
     period, scale = (2, 2) if len(cfa) == 2 else (6, 3)
@@ -227,7 +228,7 @@ def test_other_work_is_not_mixed_in(eld: Path, tiles: Path, tmp_path: Path, monk
             write_shards(eld, folder, **options)
     assert bytes_of(folder) == before
     (folder / BEGUN).write_text("{")
-    with pytest.raises(EldataError, match=r"is damaged .* remove the folder to start anew"):
+    with pytest.raises(EldataError, match=r"is not JSON, or not whole .* remove the folder to start anew"):
         write_shards(eld, folder, tile=16)
     with pytest.raises(EldataError, match="holds finished shards already; remove it, or name another folder"):
         write_shards(eld, tiles, tile=16, samples_per_shard=50)
@@ -246,8 +247,8 @@ def test_other_work_is_not_mixed_in(eld: Path, tiles: Path, tmp_path: Path, monk
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda _: b"{", "is not JSON"),
-        (lambda _: b"[]", "is not an index of eldata's shards"),
+        (lambda _: b"{", "is not JSON, or not whole .*; expected a whole index, as eldata shard writes it"),
+        (lambda _: b"[]", r"expected an object, found \[\]; expected a whole index, as eldata shard writes it"),
         (lambda data: data | {"format": "mds"}, "is not an index of eldata's shards"),
         (lambda data: data | {"version": 2}, "is of version 2, written by eldata .*: install a newer one"),
         (lambda data: data | {"samples": 143}, "is damaged: expected 143 samples, found 144"),

@@ -20,7 +20,7 @@ from eldata.raw import read_raw
 from eldata.sources.store import build_store, journal, open_store, source_of_dataset, source_of_folder
 from eldata.sources.store.journal import journaled
 from tests.sources.store.helpers import Packed, contents, pack_folder, pack_tree, start_packing, write_clean
-from tests.trees import Tree, build_tree
+from tests.trees import Tree, tree_in
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -33,8 +33,8 @@ pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:Deprecati
 
 
 @pytest.fixture(scope="module")
-def tree(tmp_path_factory: pytest.TempPathFactory) -> Tree:
-    return build_tree(tmp_path_factory.mktemp("tree"))
+def tree(demo_tree: Path) -> Tree:
+    return tree_in(demo_tree)
 
 
 @pytest.fixture(scope="module")
@@ -179,6 +179,7 @@ def kill(descriptor: int, data: memoryview, offset: int) -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
+@pytest.mark.kill
 def test_killed_at_every_write_and_resumed(clean: Packed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each write of a packing, in turn, is the last one of a process, half done; the next process is killed too."""
     wanted = contents(clean.store)
@@ -208,6 +209,7 @@ def test_killed_at_every_write_and_resumed(clean: Packed, tmp_path: Path, monkey
     assert contents(store) == wanted
 
 
+@pytest.mark.kill
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_the_command_is_killed_and_resumed(jobs: int, tree: Tree, tmp_path: Path) -> None:
     """Processes of their own, each killed while it decodes a file further on than the one before."""
@@ -251,6 +253,7 @@ def test_a_full_disk_is_an_error_and_the_finished_part_stays(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["store.h5"]
 
 
+@pytest.mark.kill
 @pytest.mark.parametrize("number", [3, 14, 25, 36])
 def test_ctrl_c_keeps_the_finished_part(
     number: int, clean: Packed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -150,6 +150,7 @@ def test_a_truncated_store_of_clips(packed: Path, tmp_path: Path) -> None:
         open_store(own)
 
 
+@pytest.mark.kill
 def test_packing_clips_is_killed_and_resumed(drv: SmallDrv, packed: Path, tmp_path: Path) -> None:
     store = tmp_path / "store.h5"
     files = source_of_dataset("drv", root=drv.root, manifest=drv.csv).files

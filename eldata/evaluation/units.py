@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.evaluation.planning import Plan
+    from eldata.evaluation.planning import ScoringPlan
     from eldata.evaluation.request import Request
-    from eldata.metrics.scoring import Score, ScoringRules
+    from eldata.metrics.image_score import Score, ScoringRules
     from eldata.protocols.protocol import Protocol
     from eldata.records import RawFrame, Sensor
 
@@ -83,7 +83,9 @@ class _Outcome:
     unfit: bool = False
 
 
-def score_plans(request: Request, plans: Sequence[Plan], files: Sequence[dict[str, Path]] | None) -> list[PlanScores]:
+def score_plans(
+    request: Request, plans: Sequence[ScoringPlan], files: Sequence[dict[str, Path]] | None
+) -> list[PlanScores]:
     """Score the pairs of each plan.
 
     Parameters
@@ -122,7 +124,7 @@ def score_plans(request: Request, plans: Sequence[Plan], files: Sequence[dict[st
     return found
 
 
-def _units(plans: Sequence[Plan], files: Sequence[dict[str, Path]] | None) -> list[_Unit]:
+def _units(plans: Sequence[ScoringPlan], files: Sequence[dict[str, Path]] | None) -> list[_Unit]:
     pairs: dict[str, Pair] = {}
     scoring: dict[str, list[int]] = defaultdict(list)
     for number, plan in enumerate(plans):
@@ -275,7 +277,7 @@ class _Frame:
 
     def score(self, protocol: Protocol, target: NDArray[Any]) -> tuple[Score, NDArray[Any]]:
         """Return the scores, and the prediction that got them, of the region."""
-        from eldata.metrics.scoring import factor_by, score_by
+        from eldata.metrics.image_score import factor_by, score_by
 
         rules, threads = protocol.rules, self._job.threads
         source, prediction = self.prediction(protocol)
@@ -308,8 +310,8 @@ def _score_rendered(
     threads: int | None,
 ) -> Score:
     """Score a packed raw prediction in sRGB: rescaled in raw, rendered, truncated to 8 bits."""
-    from eldata.isp.scoring import render_pair_for_scoring
-    from eldata.metrics.scoring import score_by
+    from eldata.isp.srgb_pairs import render_pair_for_scoring
+    from eldata.metrics.image_score import score_by
 
     treated = as_scored(prediction, rules, factor, np.float64)
     codes = [image.astype(np.float32) for image in render_pair_for_scoring(treated, target, sensor)]

@@ -17,6 +17,7 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from eldata.errors import ArgumentError
 from eldata.metrics import Score, psnr, rescale, score, ssim
+from tests.cases import in_one_test
 
 Image = npt.NDArray[np.floating[Any]]
 Rescaling = Literal["none", "scalar"]
@@ -45,10 +46,10 @@ def noisy_pair(shape: tuple[int, ...], dtype: npt.DTypeLike, gain: float = 0.8) 
     return p, g
 
 
-@pytest.mark.parametrize("shape", [(1, 7, 7), (4, 33, 57), (2, 530, 519), (3, 263, 8)])
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-@pytest.mark.parametrize("rescaling", ["none", "scalar"])
-@pytest.mark.parametrize("gain", [0.8, 1.3])
+@in_one_test("shape", [(1, 7, 7), (4, 33, 57), (2, 530, 519), (3, 263, 8)])
+@in_one_test("dtype", [np.float32, np.float64])
+@in_one_test("rescaling", ["none", "scalar"])
+@in_one_test("gain", [0.8, 1.3])
 def test_equals_the_protocol(shape: tuple[int, ...], dtype: npt.DTypeLike, rescaling: Rescaling, gain: float) -> None:
     p, g = noisy_pair(shape, dtype, gain)
     result = score(p, g, rescaling=rescaling)
@@ -143,6 +144,7 @@ def test_refusals() -> None:
         score(image[:6], image[:6], rescaling="none")
 
 
+@pytest.mark.memory
 @pytest.mark.parametrize("contiguous", [True, False])
 def test_memory_of_a_full_frame(contiguous: bool) -> None:
     shape = (4, 1416, 2120)
@@ -169,6 +171,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 """
 
 
+@pytest.mark.memory
 def test_peak_of_a_process() -> None:
     """What the kernels allocate themselves does not show in tracemalloc."""
     child = subprocess.run([sys.executable, "-c", PEAK], capture_output=True, text=True, check=True)

@@ -1,0 +1,41 @@
+"""Folders that a run of the tests makes once, whichever worker process asks first, and that nobody may change."""
+
+from __future__ import annotations
+
+import os
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import pytest
+from filelock import FileLock
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+
+@contextmanager
+def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Iterator[Path]:
+    """Give the run's folder ``name``, which ``make`` fills in the first process that asks; fail if a test changes it.
+
+    ``make`` is handed a folder that does not exist yet. What it returns is dropped: other processes see the files only.
+    """
+    base = factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        base = base.parent  # that of the run; a worker has a folder of its own in it
+    folder, made = base / f"shared-{name}", base / f"shared-{name}.made"
+    with FileLock(base / f"shared-{name}.lock"):
+        if not made.exists():
+            make(folder)
+            made.touch()
+    before = _listing(folder)
+    yield folder
+    changed = sorted({path for path, _, _ in before ^ _listing(folder)})
+    if changed:
+        pytest.fail(f"a test changed {folder}, which is shared: {', '.join(changed[:5])}; let it change a copy")
+
+
+def _listing(folder: Path) -> set[tuple[str, int, int]]:
+    """Path, size and time of change of each file."""
+    files = ((path, path.stat()) for path in folder.rglob("*") if path.is_file())
+    return {(path.relative_to(folder).as_posix(), stat.st_size, stat.st_mtime_ns) for path, stat in files}

@@ -1,0 +1,70 @@
+"""The suite's own rules: make leaves out what is marked, clocks decide nothing, and what fails is named."""
+
+from __future__ import annotations
+
+import ast
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from tests.cases import in_one_test
+from tests.shared import made_once
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_make_leaves_out_what_carries_a_mark() -> None:
+    options = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["pytest"]["ini_options"]
+    marks = [line.partition(":")[0] for line in options["markers"]]
+    (rare,) = re.findall(r"^RARE := (.+)$", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    assert rare == " or ".join(marks)
+
+
+def test_no_test_looks_at_a_clock() -> None:
+    """A machine may be busy: conditions are waited for, and speed is for the benchmarks."""
+    may_wait = {"tests/waiting.py", "tests/capture/checklist_browser.py"}
+    clocks = {"monotonic", "perf_counter", "perf_counter_ns", "process_time", "monotonic_ns", "time_ns"}
+    found = {
+        path.relative_to(ROOT).as_posix()
+        for path in (ROOT / "tests").rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Attribute) and node.attr in clocks
+    }
+    assert found - may_wait == set()
+
+
+def test_a_case_that_fails_is_named() -> None:
+    seen = []
+
+    @in_one_test("number", [1, 2, 3])
+    @in_one_test("a, b", [("x", 1), ("y", 2)])
+    def check(number: int, a: str, b: int) -> None:
+        seen.append((number, a, b))
+        assert (number, b) != (2, 2)
+
+    with pytest.raises(AssertionError) as caught:
+        check()
+    assert seen == [(1, "x", 1), (1, "y", 2), (2, "x", 1), (2, "y", 2)]
+    assert caught.value.__notes__ == ["in the case a='y', b=2", "in the case number=2"]
+
+
+def test_a_shared_folder_is_made_once_and_not_to_be_changed(tmp_path_factory: pytest.TempPathFactory) -> None:
+    made = []
+
+    def make(folder: Path) -> None:
+        made.append(folder)
+        folder.mkdir()
+        (folder / "file").write_text("as made")
+
+    name = f"of-{tmp_path_factory.mktemp('own').name}-{id(made)}"  # nobody else's, in any worker process
+    for _ in range(2):
+        with made_once(tmp_path_factory, name, make) as folder:
+            assert (folder / "file").read_text() == "as made"
+    assert len(made) == 1
+    refused = pytest.raises(
+        pytest.fail.Exception, match=r"a test changed .*, which is shared: file; let it change a copy"
+    )
+    with refused, made_once(tmp_path_factory, name, make) as folder:
+        (folder / "file").write_text("as spoilt")

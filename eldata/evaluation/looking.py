@@ -1,20 +1,33 @@
-"""What those who look at a result see of it: groups of scores with their intervals, the worst and the best."""
+"""What those who look at a result see of it: groups of scores with intervals, the worst and the best as scored."""
 
 from __future__ import annotations
 
 import math
 from collections import defaultdict
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
+import numpy as np
+
+from eldata.errors import ArgumentError, PredictionError
+from eldata.evaluation.pairs import place_of
+from eldata.evaluation.predictions import find_predictions
 from eldata.evaluation.scores import FrameScore
-from eldata.evaluation.statistics import interval_of_scores
+from eldata.evaluation.statistics import FEWEST_SCENES, LEVEL, RESAMPLES, SEED, interval_of_scores
+from eldata.evaluation.units import scored_arrays
+from eldata.isp.preview import preview
+from eldata.protocols.protocol import Protocol
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
+    from pathlib import Path
 
+    from numpy.typing import NDArray
+
+    from eldata.evaluation.results import EvaluationResult
     from eldata.evaluation.scores import UnitScore
     from eldata.evaluation.statistics import Interval
+    from eldata.evaluation.units import ScoredArrays
     from eldata.protocols.kinds import Kind
 
 Grouping = Literal["camera", "iso"]
@@ -82,3 +95,89 @@ def worst_frame(score: UnitScore) -> FrameScore:
     """Return the frame of a clip with the lowest PSNR; of an image, itself."""
     only = FrameScore(score.path, score.psnr_db, score.ssim, score.rescale)
     return min(score.frames, key=lambda frame: frame.psnr_db, default=only)
+
+
+# --- the worst and the best, decoded ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenFrame:
+    """One of the worst or the best.
+
+    Attributes
+    ----------
+    rank
+        ``Worst`` or ``Best``.
+    score, frame
+        Its scores; the path of the frame, of a clip that with the lowest PSNR.
+    arrays
+        What was compared.
+    """
+
+    rank: str
+    score: UnitScore
+    frame: str
+    arrays: ScoredArrays
+
+    def rendered(self, values: NDArray[Any]) -> NDArray[np.uint8]:
+        """Return (C, h, w) as 8-bit colours: packed raw as a quick rendering, colours as they are."""
+        if self.arrays.sensor is not None:
+            return preview(values, self.arrays.sensor)
+        return cast("NDArray[np.uint8]", np.rint(np.clip(values, 0, 1) * 255).astype(np.uint8).transpose(1, 2, 0))
+
+
+def seen_frames(
+    result: EvaluationResult, each: int, *, dataset_folder: Path, predictions: Path | None
+) -> tuple[SeenFrame, ...]:
+    """Decode the worst and the best of a result once more, as they were scored.
+
+    Parameters
+    ----------
+    result
+        Scores, units and protocol, just computed.
+    each
+        How many of either, at most.
+    dataset_folder, predictions
+        Where the raw files and the predictions lie; ``None`` if the noisy input itself was scored.
+
+    Raises
+    ------
+    ArgumentError
+        If the result was read back.
+    RawFileError, PredictionError, ManifestError
+        If a file is no longer what was scored.
+    """
+    protocol = result.protocol
+    if not isinstance(protocol, Protocol):
+        raise ArgumentError("pictures are of a result that was just computed; this one was read back")
+    worst, best = worst_and_best(result.scores, each)
+    units = {unit.path: unit for unit in result.units}
+    frames = {score.path: worst_frame(score) for score in (*worst, *best)}
+    places = {path: place_of(units[path], frame.path) for path, frame in frames.items()}
+    files = {} if predictions is None else find_predictions(predictions, places.values(), ()).files
+    seen = []
+    for rank, score in (*(("Worst", score) for score in worst), *(("Best", score) for score in best)):
+        frame, place = frames[score.path], places[score.path]
+        if predictions is not None and place not in files:
+            raise PredictionError(predictions, f"the prediction of {frame.path} is gone since it was scored")
+        arrays = scored_arrays(dataset_folder, protocol, units[score.path], frame, files.get(place))
+        seen.append(SeenFrame(rank, score, frame.path, arrays))
+    return tuple(seen)
+
+
+# --- intervals in words -------------------------------------------------------------------------------------------
+
+INTERVAL = f"{LEVEL:.0%} interval"
+"""Head of a column of intervals."""
+
+TOO_FEW = f"no interval of fewer than {FEWEST_SCENES} scenes"
+
+
+def interval_note(kind: Kind) -> str:
+    """Return what the intervals are, in a sentence or two."""
+    return (
+        f"Intervals: {LEVEL:.0%}, bootstrap over scenes, because {kind.units} of one scene err together ({RESAMPLES} "
+        f"resamples, seed {SEED}, percentiles at the level for few samples). There is none of fewer than "
+        f"{FEWEST_SCENES} scenes. They say how far the mean would move with other scenes like these, not how "
+        "exact a score is."
+    )

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from eldata.base.files import write_text
 from eldata.errors import ArgumentError
-from eldata.evaluation.statistics import FEWEST_SCENES, LEVEL, RESAMPLES, SEED
+from eldata.evaluation.looking import INTERVAL, TOO_FEW, interval_note, seen_frames
 from eldata.evaluation.table import factor_text, short_digest
 from eldata.protocols.kinds import IMAGES
 from eldata.protocols.words import FIELDS, in_words
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from eldata.evaluation.results import EvaluationResult
     from eldata.evaluation.statistics import Interval
-    from eldata.protocols.kinds import Kind, Metric
+    from eldata.protocols.kinds import Metric
 
 
 def write_evaluation_page(
@@ -52,8 +52,8 @@ def write_evaluation_page(
     """
     if not results:
         raise ArgumentError("a page is of one result or more; found none")
-    shown = shown_images(results[0], dataset_folder=dataset_folder, predictions=predictions)
-    write_text(out, evaluation_page(results, shown))
+    seen = seen_frames(results[0], EACH, dataset_folder=dataset_folder, predictions=predictions)
+    write_text(out, evaluation_page(results, shown_images(seen)))
 
 
 def evaluation_page(results: Sequence[EvaluationResult], shown: ShownImages) -> str:
@@ -164,16 +164,6 @@ def _protocol_text(name: str, value: Any) -> str:
     return in_words(name, value) if name in FIELDS else field_text(value)
 
 
-def interval_note(kind: Kind) -> str:
-    """Return what the intervals are, in a sentence or two."""
-    return (
-        f"Intervals: {LEVEL:.0%}, bootstrap over scenes, because {kind.units} of one scene err together ({RESAMPLES} "
-        f"resamples, seed {SEED}, percentiles at the level for few samples). There is none of fewer than "
-        f"{FEWEST_SCENES} scenes. They say how far the mean would move with other scenes like these, not how "
-        "exact a score is."
-    )
-
-
 # --- tables -------------------------------------------------------------------------------------------------------
 
 
@@ -183,17 +173,16 @@ def table_with_intervals(result: EvaluationResult) -> Table:
     found = [{metric.name: result.interval(row, metric.name) for metric in metrics} for row in result.table]
     scenes = tuple(str(intervals[metrics[0].name].scenes) for intervals in found)
     reaches = [tuple(_interval_text(intervals[metric.name], metric) for intervals in found) for metric in metrics]
-    reach_head = f"{LEVEL:.0%} interval"
     if paper.transposed:
         counted, *means = paper.rows
         lines = [counted, ("scenes", *scenes)]
         for mean, reach in zip(means, reaches, strict=True):
-            lines += [mean, (reach_head, *reach)]
+            lines += [mean, (INTERVAL, *reach)]
         return Table(tuple(map(times, paper.header)), _cells(lines), rules=tuple(range(2, len(lines), 2)))
     names = len(paper.header) - len(metrics)
     header = [*paper.header[:names], "scenes"]
     for name in paper.header[names:]:
-        header += [name, reach_head]
+        header += [name, INTERVAL]
     rows = []
     for index, texts in enumerate(paper.rows):
         labels = (times(text) if head == "factor" else text for head, text in zip(header, texts[:names], strict=False))
@@ -286,7 +275,7 @@ def _tiles(result: EvaluationResult) -> tuple[_Tile, ...]:
     for metric in result.kind.metrics:
         interval = result.interval(whole, metric.name)
         reach, scenes = _interval_text(interval, metric), interval.scenes
-        note = f"{LEVEL:.0%}: {reach}" if interval.is_known else f"no interval of fewer than {FEWEST_SCENES} scenes"
+        note = f"{INTERVAL.split()[0]}: {reach}" if interval.is_known else TOO_FEW
         tiles.append(_Tile(metric.label, f"{metric.text(whole.values[metric.name])} {metric.unit}".rstrip(), note))
     cameras = len({score.camera for score in result.scores})
     return (

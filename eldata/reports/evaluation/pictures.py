@@ -9,22 +9,13 @@ from typing import TYPE_CHECKING, Any, Final, cast
 import numpy as np
 from PIL import Image
 
-from eldata.errors import ArgumentError, PredictionError
-from eldata.evaluation.looking import worst_and_best, worst_frame
-from eldata.evaluation.pairs import place_of
-from eldata.evaluation.predictions import find_predictions
-from eldata.evaluation.units import scored_arrays
-from eldata.isp.preview import preview
-from eldata.protocols.protocol import Protocol
-
 if TYPE_CHECKING:
-    from pathlib import Path
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from eldata.evaluation.results import EvaluationResult
+    from eldata.evaluation.looking import SeenFrame
     from eldata.evaluation.scores import UnitScore
-    from eldata.evaluation.units import ScoredArrays
 
 EACH: Final = 4
 """How many of the worst and of the best are shown."""
@@ -95,74 +86,24 @@ class ShownImages:
     error_limit: float
 
 
-@dataclass(frozen=True, slots=True)
-class _Decoded:
-    """Arrays of one frame as it was scored, its mean absolute error, and whose it is."""
-
-    rank: str
-    score: UnitScore
-    frame: str
-    arrays: ScoredArrays
-    error: NDArray[Any]
-
-    def drawn(self, values: NDArray[Any]) -> NDArray[np.uint8]:
-        """Return packed raw as a quick rendering, colours as they are."""
-        if self.arrays.sensor is not None:
-            return preview(values, self.arrays.sensor)
-        return cast("NDArray[np.uint8]", np.rint(np.clip(values, 0, 1) * 255).astype(np.uint8).transpose(1, 2, 0))
-
-
-def shown_images(result: EvaluationResult, *, dataset_folder: Path, predictions: Path | None) -> ShownImages:
-    """Decode and draw the worst and the best of a result; of a clip, its worst frame.
-
-    Parameters
-    ----------
-    result
-        Scores, units and protocol, just computed.
-    dataset_folder, predictions
-        Where the raw files and the predictions lie; ``None`` if the noisy input itself was scored.
-
-    Raises
-    ------
-    RawFileError, PredictionError, ManifestError
-        If a file is no longer what was scored.
-    """
-    decoded = _decoded(result, dataset_folder, predictions)
-    errors = [one.error[_centre(one.error.shape)].ravel() for one in decoded]
+def shown_images(seen: Sequence[SeenFrame]) -> ShownImages:
+    """Draw frames as they were scored, on one scale of errors."""
+    errors = [one.arrays.error[_centre(one.arrays.error.shape)].ravel() for one in seen]
     limit = float(np.quantile(np.concatenate(errors), 0.998)) if errors else 0.0
     limit = max(limit, 1e-6)
     images: tuple[ShownImage, ...] = ()
     for quality in _JPEG_QUALITIES:
-        images = tuple(_drawn(one, limit, quality) for one in decoded)
+        images = tuple(_drawn(one, limit, quality) for one in seen)
         if sum(len(layer.jpeg) for image in images for layer in (*image.layers, *image.whole)) <= _MOST_BYTES:
             break
     return ShownImages(images, limit)
 
 
-def _decoded(result: EvaluationResult, folder: Path, predictions: Path | None) -> list[_Decoded]:
-    protocol = result.protocol
-    if not isinstance(protocol, Protocol):
-        raise ArgumentError("pictures are of a result that was just computed; this one was read back")
-    worst, best = worst_and_best(result.scores, EACH)
-    pairs = {pair.path: pair for pair in result.units}
-    frames = {score.path: worst_frame(score) for score in (*worst, *best)}
-    places = {path: place_of(pairs[path], frame.path) for path, frame in frames.items()}
-    files = {} if predictions is None else find_predictions(predictions, places.values(), ()).files
-    decoded = []
-    for rank, score in (*(("Worst", score) for score in worst), *(("Best", score) for score in best)):
-        frame, place = frames[score.path], places[score.path]
-        if predictions is not None and place not in files:
-            raise PredictionError(predictions, f"the prediction of {frame.path} is gone since it was scored")
-        arrays = scored_arrays(folder, protocol, pairs[score.path], frame, files.get(place))
-        decoded.append(_Decoded(rank, score, frame.path, arrays, arrays.error))
-    return decoded
-
-
 # --- drawing ------------------------------------------------------------------------------------------------------
 
 
-def _drawn(one: _Decoded, limit: float, quality: int) -> ShownImage:
-    arrays = one.arrays
+def _drawn(one: SeenFrame, limit: float, quality: int) -> ShownImage:
+    arrays, error = one.arrays, one.arrays.error
     _, height, width = arrays.reference.shape
     crop = _centre((height, width))
     size = (crop[0].stop - crop[0].start, crop[1].stop - crop[1].start)
@@ -170,7 +111,7 @@ def _drawn(one: _Decoded, limit: float, quality: int) -> ShownImage:
     what = f"{one.frame}: {one.score.psnr_db:.2f} dB"
 
     def layer(key: str, label: str, alt: str, array: NDArray[Any], place: str) -> Layer:
-        pixels = _heat(array[0], limit) if key == "error" else one.drawn(array * brighter)
+        pixels = _heat(array[0], limit) if key == "error" else one.rendered(array * brighter)
         return Layer(key, label, f"{alt} of {what}, {place}", _jpeg(pixels, quality))
 
     layers = []
@@ -183,14 +124,14 @@ def _drawn(one: _Decoded, limit: float, quality: int) -> ShownImage:
     for key, label, alt, array in (
         ("prediction", "Prediction", "Prediction", arrays.prediction),
         ("reference", "Reference", "Reference", arrays.reference),
-        ("error", "Error", "Absolute error", one.error[None]),
+        ("error", "Error", "Absolute error", error[None]),
     ):
         layers.append(layer(key, label, alt, array[(slice(None), *crop)], "centre crop"))
     whole: tuple[Layer, ...] = ()
     if size != (height, width):
         whole = (
             layer("prediction", "Prediction", "Prediction", _reduced(arrays.prediction, _WHOLE_WIDTH), "whole"),
-            layer("error", "Error", "Absolute error", _reduced(one.error[None], _WHOLE_WIDTH), "whole"),
+            layer("error", "Error", "Absolute error", _reduced(error[None], _WHOLE_WIDTH), "whole"),
         )
     return ShownImage(one.rank, one.score, one.frame, tuple(layers), size, (height, width), whole, brighter)
 

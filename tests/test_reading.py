@@ -8,8 +8,6 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from eldata.sources.shards.index import Facts, Side, facts_text, parse_facts, parse_index
-from eldata.sources.store.format import stored_frame
 
 from capture.camera import EXAMPLE, CameraDescription
 from capture.exact import parse_seconds
@@ -28,6 +26,8 @@ from eldata.manifest.table import COLUMNS, load_records
 from eldata.noise.profile import CameraProfile
 from eldata.protocols.custom import load_protocol
 from eldata.records import Exposure, PairRecord, Sensor
+from eldata.sources.shards.index import Facts, Side, facts_text, parse_facts, parse_index
+from eldata.sources.store.format import stored_frame
 from manifests.sid_scenes import SHORT_EXPOSURES, load_scenes
 
 if TYPE_CHECKING:

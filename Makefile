@@ -44,7 +44,7 @@ bench: $(STAMP)  ## Benchmarks against the straightforward routes, about twenty 
 	$(BIN)/python -m benchmarks
 
 manifests: $(STAMP)  ## Write the shipped manifests anew
-	$(BIN)/python manifests/generate.py
+	$(BIN)/python -m manifests.generate
 
 clean:  ## Remove what make made
 	rm -rf $(VENV) eldata-demo .mypy_cache .ruff_cache .pytest_cache

@@ -31,7 +31,7 @@ from eldata.calibration import (
     row_noise,
 )
 from eldata.datasets import CalibrationFrames
-from eldata.demo.body import tukey_lambda_quantile
+from eldata.demo.body import tukey_lambda_values
 from eldata.demo.calibration_frames import DEMO_GAMMA, make_calibration_frames
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def run(files: Files, rounds: int, cores: int) -> list[Row]:
 
 def _fit_alone() -> list[Row]:
     draws = np.random.default_rng(0).random(_RESIDUALS)
-    residuals = np.rint(_SCALE * tukey_lambda_quantile(draws, _SHAPE)).astype(np.int16)
+    residuals = np.rint(_SCALE * tukey_lambda_values(draws, _SHAPE)).astype(np.int16)
     del draws
     read_noise(_counted(residuals[:100_000]))  # compiles
     naive.ppcc(residuals[:1000])

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, Final
 
-from capture.errors import ImpossibleShotError, PlanError
+from capture.capture_errors import ImpossibleShotError, PlanError
 from capture.exact import ExactNumber, as_exact
 from capture.shots import Shot
 

@@ -7,25 +7,24 @@ Exposure ratios follow from what is given. So both are kept.
 
 from __future__ import annotations
 
-import json
 import re
 from bisect import bisect_left
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
 from itertools import pairwise
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
-from capture.errors import CameraError
+from capture.capture_errors import CameraError
 from capture.exact import ExactNumber, as_exact, parse_seconds
-from capture.fields import Fields
-from eldata.base.files import write_text
+from eldata.base.fields import Fields, TextFile
+from eldata.base.files import write_json
 from eldata.errors import ArgumentError
 from eldata.raw.extensions import RAW_EXTENSIONS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
 SCHEMA: Final = 1
 TrueTimes = Literal["powers-of-two", "as-named"]
@@ -265,14 +264,13 @@ class CameraDescription:
         CameraError
             If the file cannot be read, or a field is missing, unknown or wrong; the message names it.
         """
-        path = Path(path)
-        top = Fields.of_file(path, CameraError)
-        top.schema(SCHEMA)
+        top = TextFile(path, CameraError).json()
+        top.schema(SCHEMA, "capture")
         return camera_from(top)
 
     def save(self, path: Path | str) -> None:
         """Write the description as JSON, whole or not at all."""
-        write_text(path, json.dumps({"schema": SCHEMA} | camera_as_dict(self), indent=2) + "\n")
+        write_json(path, {"schema": SCHEMA} | camera_as_dict(self))
 
     @property
     def fastest(self) -> ShutterTime:
@@ -323,38 +321,42 @@ _FIELDS: Final = ("name", "models", "raw_extension", "isos", "base_iso", "shutte
 _SHUTTER_FIELDS: Final = ("step", "fastest", "slowest", "times", "true_times")
 
 
+def wholes(fields: Fields, name: str) -> tuple[int, ...]:
+    """Return a list of whole numbers above 0, at least one, each once."""
+    expected = "a list of at least one whole number"
+    return fields.each(name, Fields.whole, expected=expected, fewest=1, once=True, at_least=1)
+
+
 def camera_from(top: Fields) -> CameraDescription:
     """Return the camera description that stands in a JSON object."""
     top.only(("schema", *_FIELDS))
     shutter = top.inside("shutter")
     shutter.only(_SHUTTER_FIELDS)
-    true_times = shutter.data.get("true_times", "powers-of-two")
-    if true_times not in get_args(TrueTimes):
-        raise shutter.wrong("true_times", f"one of {', '.join(get_args(TrueTimes))}", true_times)
-    step = shutter.seconds("step") if "step" in shutter.data or "times" not in shutter.data else Fraction(1, 3)
+    step = Fraction(1, 3)
+    if "step" in shutter.data or "times" not in shutter.data:
+        step = shutter.parsed("step", parse_seconds)
     if step not in _LADDERS:
         raise shutter.wrong("step", '"1/3", "1/2" or "1" (stops)', shutter.data["step"])
     if "times" in shutter.data and {"fastest", "slowest"} & set(shutter.data):
         raise shutter.wrong("times", "either a list of times, or fastest and slowest", "both")
-    cfa = top.data.get("cfa", "bayer")
-    if cfa not in get_args(Cfa):
-        raise top.wrong("cfa", f"one of {', '.join(get_args(Cfa))}", cfa)
+    true_times: TrueTimes = shutter.optional("true_times", shutter.choice, "powers-of-two", known=get_args(TrueTimes))
     values: dict[str, Any] = {
         "name": top.text("name"),
         "models": top.texts("models"),
         "raw_extension": top.text("raw_extension"),
-        "isos": top.wholes("isos"),
-        "base_iso": top.whole("base_iso"),
+        "isos": wholes(top, "isos"),
+        "base_iso": top.whole("base_iso", at_least=1),
+        "cfa": top.optional("cfa", top.choice, "bayer", known=get_args(Cfa)),
     }
     try:
         if "times" in shutter.data:
             found = Shutter(shutter.texts("times"), step, true_times)
         else:
             found = Shutter.between(shutter.text("fastest"), shutter.text("slowest"), step, true_times)
-        return CameraDescription(**values, shutter=found, cfa=cfa)
+        return CameraDescription(**values, shutter=found)
     except CameraError as error:
-        text = str(error)
-        raise error if text.startswith(f"{top.path}") else CameraError(f"{top.path}: {text}") from None
+        text, name = str(error), str(top.file.name)
+        raise error if text.startswith(name) else CameraError(f"{name}: {text}") from None
 
 
 def camera_as_dict(camera: CameraDescription) -> dict[str, Any]:

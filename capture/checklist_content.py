@@ -33,7 +33,7 @@ class Item:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class ChecklistRow:
     """What has one box to tick: a shot, or calibration shots that follow each other with the same settings.
 
     Attributes
@@ -73,14 +73,14 @@ class Row:
         return words if self.count == 1 else f"{words}, {self.count} frames"
 
 
-def rows(shots: Iterable[Shot]) -> tuple[Row, ...]:
+def rows(shots: Iterable[Shot]) -> tuple[ChecklistRow, ...]:
     """Return the rows of shots: one a shot, but calibration shots with equal settings together."""
     found = []
     for _, group in groupby(shots, key=_together):
         same = list(group)
         shot = same[0]
         found.append(
-            Row(
+            ChecklistRow(
                 shot.number,
                 len(same),
                 shot.role,
@@ -167,7 +167,7 @@ BEFORE_FLATS: Final = (
 )
 
 
-def bias_and_flats(plan: Plan) -> tuple[tuple[Row, ...], tuple[Row, ...]]:
+def bias_and_flats(plan: Plan) -> tuple[tuple[ChecklistRow, ...], tuple[ChecklistRow, ...]]:
     """Return the rows of the calibration frames; both are empty in a plan without."""
     shots = () if plan.calibration is None else plan.calibration.shots
     found = rows(shots)

@@ -24,16 +24,17 @@ from __future__ import annotations
 
 import unicodedata
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from capture.checklist_content import Row, every_item, rows
-from capture.errors import PlanError
-from capture.fields import Fields
+from capture.capture_errors import PlanError
+from capture.checklist_content import ChecklistRow, every_item, rows
+from capture.exact import parse_seconds
+from eldata.base.fields import Fields, TextFile, shown
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from fractions import Fraction
+    from pathlib import Path
 
     from capture.plan import Plan
     from eldata.records import Role
@@ -141,19 +142,19 @@ def load_progress(path: Path | str, plan: Plan) -> Progress:
         If the file cannot be read, a field is missing, unknown or wrong, or its scenes and shots are not the plan's;
         the message names the field, what was expected and what was found.
     """
-    top = Fields.of_file(Path(path), ProgressError)
+    top = TextFile(path, ProgressError).json()
     top.only(("kind", "schema", "plan", "camera", "preparation", "scenes", "calibration"))
     if top.value("kind") != KIND:
         raise top.wrong("kind", f'"{KIND}", the file that the page\'s Export gives', top.data["kind"])
-    top.schema(SCHEMA)
+    top.schema(SCHEMA, "capture")
     if top.text("camera") != plan.camera.name:
         raise top.wrong("camera", f"{plan.camera.name!r}, the plan's", top.data["camera"])
     known = [item.name for item in every_item(plan)]
     # Calibration frames may have left the plan since, and their preparation with them.
     preparation = tuple(name for name in top.texts("preparation") if name in known)
     scenes: list[SceneProgress] = []
-    for index, item in enumerate(top.items("scenes")):
-        scenes.append(_scene(top.inside(f"scenes[{index}]", item), plan, [scene.name for scene in scenes]))
+    for item in top.objects("scenes"):
+        scenes.append(_scene(item, plan, [scene.name for scene in scenes]))
     frames = () if plan.calibration is None else rows(plan.calibration.shots)
     return Progress(top.text("plan"), plan.camera.name, preparation, tuple(scenes), _shots(top, "calibration", frames))
 
@@ -163,29 +164,26 @@ def _scene(fields: Fields, plan: Plan, before: Sequence[str]) -> SceneProgress:
     name = fields.text("name")
     if name in before or name not in (scene.name for scene in plan.scenes):
         raise fields.wrong("name", "one of the plan's scenes, each once", name)
-    metered_s = fields.seconds("metered_s")
+    metered_s = fields.parsed("metered_s", parse_seconds)
     try:
         scene = plan.remeter(name, metered_s).scene(name)
     except PlanError as error:
-        raise ProgressError(
-            f"{fields.path}, field {fields.place}.metered_s: {error}. Enter the time that was used in the page, and "
-            "export again"
-        ) from None
+        advice = "Enter the time that was used in the page, and export again"
+        raise fields.problem("metered_s", f"{error}. {advice}") from None
     return SceneProgress(name, metered_s, _shots(fields, "shots", rows(scene.shots)))
 
 
-def _shots(fields: Fields, name: str, expected: Sequence[Row]) -> tuple[ShotProgress, ...]:
-    items = fields.items(name)
+def _shots(fields: Fields, name: str, expected: Sequence[ChecklistRow]) -> tuple[ShotProgress, ...]:
+    items = fields.objects(name)
     if len(items) != len(expected):
-        raise fields.wrong(name, f"the plan's {len(expected)} rows", f"{len(items)} rows")
+        raise fields.problem(name, f"expected the plan's {len(expected)} rows, found {len(items)} rows")
     found = []
-    for index, (item, row) in enumerate(zip(items, expected, strict=True)):
-        shot = fields.inside(f"{name}[{index}]", item)
+    for shot, row in zip(items, expected, strict=True):
         shot.only(("number", "count", "role", "iso", "dial", "taken_at", "repeats", "file", "remark"))
         for key in ("number", "count", "role", "iso", "dial"):
             value, there = getattr(row, key), shot.value(key)
             if there != value or not isinstance(there, type(value)):
-                raise shot.wrong(key, f"{value!r}, as in the plan", there)
+                raise shot.wrong(key, f"{shown(value)}, as in the plan", there)
         found.append(
             ShotProgress(
                 row.number,
@@ -194,7 +192,7 @@ def _shots(fields: Fields, name: str, expected: Sequence[Row]) -> tuple[ShotProg
                 row.iso,
                 row.dial,
                 taken_at=None if shot.value("taken_at") is None else shot.text("taken_at"),
-                repeats=_repeats(shot),
+                repeats=shot.whole("repeats", at_most=MOST_REPEATS),
                 file=_words(shot, "file"),
                 remark=_words(shot, "remark"),
             )
@@ -202,17 +200,8 @@ def _shots(fields: Fields, name: str, expected: Sequence[Row]) -> tuple[ShotProg
     return tuple(found)
 
 
-def _repeats(fields: Fields) -> int:
-    found = fields.value("repeats")
-    if not isinstance(found, int) or isinstance(found, bool) or not 0 <= found <= MOST_REPEATS:
-        raise fields.wrong("repeats", f"a whole number from 0 to {MOST_REPEATS}", found)
-    return found
-
-
 def _words(fields: Fields, name: str) -> str:
-    found = fields.value(name)
-    if not isinstance(found, str) or len(found) > LONGEST_TEXT:
-        raise fields.wrong(name, f"a text of at most {LONGEST_TEXT} characters", found)
-    if any(unicodedata.category(character) in ("Cc", "Cs") for character in found):
+    found = fields.text(name, empty=True, longest=LONGEST_TEXT)
+    if any(unicodedata.category(character) == "Cc" for character in found):
         raise fields.wrong(name, "a text without control characters", found)
     return found.strip()

@@ -12,7 +12,7 @@ from eldata.base.tables import text_table
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from capture.checklist_content import Item, Row
+    from capture.checklist_content import ChecklistRow, Item
     from capture.plan import Plan
 
 _HEADER = ("", "frame", "what", "ISO", "set", "compare", "file", "remark")
@@ -96,7 +96,7 @@ def _items(items: Sequence[Item]) -> str:
     return "\n".join(f"- [ ] {item.text}. {item.why}" for item in items)
 
 
-def _rows(found: Sequence[Row], table: Callable[[Sequence[Sequence[str]]], str]) -> str:
+def _rows(found: Sequence[ChecklistRow], table: Callable[[Sequence[Sequence[str]]], str]) -> str:
     return table(
         [
             (

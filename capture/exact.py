@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Final
 
+from eldata.base.fields import shown
 from eldata.errors import ArgumentError
 
 # Bounded: a mistyped key must not ask for products of thousands of digits.
@@ -81,7 +82,7 @@ def as_exact(value: ExactNumber | Fraction | int) -> ExactNumber:
     return value if isinstance(value, ExactNumber) else ExactNumber(Fraction(value))
 
 
-def parse_seconds(text: str) -> Fraction:
+def parse_seconds(text: object) -> Fraction:
     """Return the seconds that a text such as ``4``, ``1/2`` or ``0.5`` names, exactly.
 
     Raises
@@ -89,9 +90,11 @@ def parse_seconds(text: str) -> Fraction:
     ArgumentError
         If it names none, or none above 0.
     """
+    if not isinstance(text, str):
+        raise ArgumentError(f'expected seconds as text, such as "1/2", found {shown(text)}')
     sign = text[:1] == "-"
     if _SECONDS.fullmatch(text[sign:]) is None:
-        raise ArgumentError(f"expected seconds such as 4, 1/2 or 0.5, found {text!r}")
+        raise ArgumentError(f"expected seconds such as 4, 1/2 or 0.5, found {shown(text)}")
     try:
         seconds = Fraction(text)
     except ZeroDivisionError:

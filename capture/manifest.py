@@ -9,7 +9,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from capture.errors import MappingError
+from capture.capture_errors import MappingError
 from capture.plan import CALIBRATION
 from eldata.base.files import sha256_of
 from eldata.base.workers import IN_THIS_PROCESS, Workers
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class CopiedRow:
     """A row of the manifest, and the file that it is made from."""
 
     source: Path
@@ -48,7 +48,7 @@ class Dataset:
     """
 
     folder: Path
-    rows: tuple[Row, ...]
+    rows: tuple[CopiedRow, ...]
     remarks: tuple[str, ...]
 
 
@@ -109,7 +109,7 @@ def _dataset(plan: Plan, match: Match, folder: Path, paths: dict[tuple[str, int]
                     f"{scene} frame {shot.number}: compared with frame {number}, as {shot.reference} is missing"
                 )
             reference = paths[scene, number]
-        rows.append(Row(frame.path, _record(plan, scene, shot, frame, paths[slot], reference)))
+        rows.append(CopiedRow(frame.path, _record(plan, scene, shot, frame, paths[slot], reference)))
     return Dataset(folder, tuple(rows), tuple(remarks))
 
 

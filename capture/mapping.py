@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from capture.errors import MappingError
-from capture.fields import Fields
-from capture.matching import Match, Remark, checked
+from capture.capture_errors import MappingError
+from capture.matching import Match, MatchRemark, checked
+from eldata.base.fields import TextFile
+from eldata.base.files import json_text
 
 if TYPE_CHECKING:
     from capture.matching import Slot
@@ -47,7 +47,7 @@ def mapping_as_dict(plan: Plan, observed: Observed, match: Match) -> dict[str, A
 
 def mapping_text(plan: Plan, observed: Observed, match: Match) -> str:
     """Return the mapping as the text of its file."""
-    return json.dumps(mapping_as_dict(plan, observed, match), indent=1, ensure_ascii=False) + "\n"
+    return json_text(mapping_as_dict(plan, observed, match), indent=1)
 
 
 def load_mapping(path: Path | str, plan: Plan, observed: Observed) -> Match:
@@ -62,18 +62,16 @@ def load_mapping(path: Path | str, plan: Plan, observed: Observed) -> Match:
         If the file is malformed, names a shot that the plan does not have, or a file that was not given, is used twice
         or has other settings than its shot; the message says which.
     """
-    path = Path(path)
-    top = Fields.of_file(path, MappingError)
+    top = TextFile(path, MappingError).json()
     top.only(("schema", "shots", "unused", "remarks"))
-    top.schema(SCHEMA)
+    top.schema(SCHEMA, "capture")
     known = {(scene, shot.number) for scene, shot in plan.shots}
     given: dict[Path, ObservedFrame] = {frame.path.resolve(): frame for frame in observed.frames}
     frames: dict[Slot, ObservedFrame] = {}
     used: dict[Path, Slot] = {}
-    for index, item in enumerate(top.items("shots")):
-        fields = top.inside(f"shots[{index}]", item)
+    for fields in top.objects("shots"):
         fields.only(("scene", "number", "shot", "file"))
-        slot = (fields.text("scene"), fields.whole("number"))
+        slot = (fields.text("scene"), fields.whole("number", at_least=1))
         if slot not in known:
             raise fields.wrong("number", f"a shot of the plan ({slot[0]} has none of this number)", slot[1])
         if fields.value("file") is None:
@@ -88,7 +86,7 @@ def load_mapping(path: Path | str, plan: Plan, observed: Observed) -> Match:
         frames[slot], used[file] = given[file], slot
     left = [frame for frame in observed.frames if frame.path.resolve() not in used]
     remarks = [
-        Remark("extra", f"{frame.path.name}: {frame.settings}: left out by the mapping", path=frame.path)
+        MatchRemark("extra", f"{frame.path.name}: {frame.settings}: left out by the mapping", path=frame.path)
         for frame in left
     ]
     return checked(plan, Match(frames, tuple(remarks)))

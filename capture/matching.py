@@ -13,7 +13,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Final, Literal, get_args
 
 from capture.alignment import Stretch, align
-from capture.errors import MappingError
+from capture.capture_errors import MappingError
 from capture.plan import CALIBRATION
 from eldata.errors import ArgumentError
 
@@ -40,7 +40,7 @@ Slot = tuple[str, int]
 
 
 @dataclass(frozen=True, slots=True)
-class Remark:
+class MatchRemark:
     """One thing that did not go as planned: what kind, which shot or file, and what was made of it."""
 
     kind: Kind
@@ -63,10 +63,10 @@ class Match:
     """
 
     frames: dict[Slot, ObservedFrame]
-    remarks: tuple[Remark, ...]
+    remarks: tuple[MatchRemark, ...]
 
     @property
-    def missing(self) -> tuple[Remark, ...]:
+    def missing(self) -> tuple[MatchRemark, ...]:
         """The shots that have no file."""
         return tuple(remark for remark in self.remarks if remark.kind == "missing")
 
@@ -119,9 +119,13 @@ def match(plan: Plan, observed: Observed, *, repeated: Repeated = "last") -> Mat
     if repeated not in get_args(Repeated):
         raise ArgumentError(f"repeated must be 'last' or 'first'; found {repeated!r}")
     matcher = _Matcher(plan, observed.frames, repeated)
-    remarks = [Remark("unusable", f"{file.path.name}: {file.reason}", path=file.path) for file in observed.unusable]
+    remarks = [
+        MatchRemark("unusable", f"{file.path.name}: {file.reason}", path=file.path) for file in observed.unusable
+    ]
     if not observed.by_time:
-        remarks.append(Remark("no-times", "not every file says when it was taken; the order is that of the file names"))
+        remarks.append(
+            MatchRemark("no-times", "not every file says when it was taken; the order is that of the file names")
+        )
     frames, found = matcher.run()
     return Match(frames, (*remarks, *found))
 
@@ -147,7 +151,7 @@ class _Matcher:
         self.blocks = blocks_of(plan)
         self.frames = frames
         self.repeated = repeated
-        self.remarks: list[Remark] = []
+        self.remarks: list[MatchRemark] = []
         self.used: dict[int, tuple[_Block, Shot]] = {}
         self._can_be: dict[tuple[int, str, int], bool] = {}
         start = frames[0].taken if frames else None
@@ -162,7 +166,7 @@ class _Matcher:
             self._can_be[key] = can_be(shot, self.frames[index])
         return self._can_be[key]
 
-    def run(self) -> tuple[dict[Slot, ObservedFrame], list[Remark]]:
+    def run(self) -> tuple[dict[Slot, ObservedFrame], list[MatchRemark]]:
         found = self.stretches()
         for place in found:
             for shot, index in zip(place.block.shots, place.frames, strict=True):
@@ -197,12 +201,10 @@ class _Matcher:
                 titles = ", ".join(block.title for block in blocks)
                 lost = ", ".join(block.title for block in blocks[len(places) :])
                 verb = "is" if len(blocks) - len(places) == 1 else "are"
-                self.remarks.append(
-                    Remark(
-                        "ambiguous",
-                        f"{titles} have equal exposures, and {len(places)} of these {len(blocks)} were found: taken "
-                        f"for the first ones, so {lost} {verb} missing. If another one is, edit the mapping",
-                    )
+                self.note(
+                    "ambiguous",
+                    f"{titles} have equal exposures, and {len(places)} of these {len(blocks)} were found: taken for "
+                    f"the first ones, so {lost} {verb} missing. If another one is, edit the mapping",
                 )
         found.sort(key=lambda place: place.first)
         self.note_order(found)
@@ -218,12 +220,10 @@ class _Matcher:
         if len(blocks) > 1:
             titles = ", ".join(block.title for block in blocks)
             names = ", ".join(f"{self.name(place.first)} to {self.name(place.last)}" for place in dropped)
-            self.remarks.append(
-                Remark(
-                    "ambiguous",
-                    f"{titles} have equal exposures, and {len(places)} such series were found for {len(blocks)}: "
-                    f"left out as a first attempt: {names}. If another one is, edit the mapping",
-                )
+            self.note(
+                "ambiguous",
+                f"{titles} have equal exposures, and {len(places)} such series were found for {len(blocks)}: left out "
+                f"as a first attempt: {names}. If another one is, edit the mapping",
             )
         return sorted(kept, key=lambda place: place.first)
 
@@ -231,7 +231,7 @@ class _Matcher:
         planned = [block.title for block in self.blocks]
         taken = [place.block.title for place in found]
         if taken != [title for title in planned if title in taken]:
-            self.remarks.append(Remark("scene-order", f"taken in the order {', '.join(taken)}"))
+            self.note("scene-order", f"taken in the order {', '.join(taken)}")
 
     # --- what is left over --------------------------------------------------------------------------------------------
 
@@ -290,16 +290,8 @@ class _Matcher:
         for index in unused:
             taken = self.name(chosen[-1]) if len(chosen) == 1 else f"{self.name(chosen[0])} to {self.name(chosen[-1])}"
             which = "last" if self.repeated == "last" else "first"
-            self.remarks.append(
-                Remark(
-                    "repeated",
-                    f"{self.name(index)}: {block.title} frame {shot.number} was taken more than once; the {which} one "
-                    f"is used, {taken}",
-                    block.scene,
-                    shot.number,
-                    self.frames[index].path,
-                )
-            )
+            text = f"{block.title} frame {shot.number} was taken more than once; the {which} one is used, {taken}"
+            self.note("repeated", f"{self.name(index)}: {text}", (block, shot), index)
 
     def windows(self, found: Sequence[_Found]) -> dict[int, range]:
         """Return the frames between which each block's forgotten shots may stand: up to its neighbours' own."""
@@ -333,15 +325,8 @@ class _Matcher:
                 at[shot.number] = chosen
                 after = [number for number, i in at.items() if i < chosen]
                 where = f"after frame {max(after, key=lambda number: at[number])}" if after else "before all others"
-                self.remarks.append(
-                    Remark(
-                        "out-of-order",
-                        f"{self.name(chosen)}: {place.block.title} frame {shot.number}, taken out of order ({where})",
-                        place.block.scene,
-                        shot.number,
-                        self.frames[chosen].path,
-                    )
-                )
+                text = f"{self.name(chosen)}: {place.block.title} frame {shot.number}, taken out of order ({where})"
+                self.note("out-of-order", text, (place.block, shot), chosen)
 
     def name_missing(self, found: Sequence[_Found]) -> None:
         have = {(block.scene, shot.number) for block, shot in self.used.values()}
@@ -350,7 +335,8 @@ class _Matcher:
             lacking = [shot for shot in block.shots if (block.scene, shot.number) not in have]
             if len(lacking) == len(block.shots):
                 text = f"{block.title}: none of its {len(lacking)} frames"
-                self.remarks += [Remark("missing", text, block.scene, shot.number) for shot in lacking]
+                for shot in lacking:
+                    self.note("missing", text, (block, shot))
                 continue
             for shot in lacking:
                 settings = f"{shot.role}, ISO {shot.iso}, {shot.setting.dial} s"
@@ -360,17 +346,10 @@ class _Matcher:
                 if near is not None:
                     frame = self.frames[near]
                     text += f"; {frame.path.name} may be meant, but was taken at {frame.settings}"
-                    self.remarks.append(
-                        Remark(
-                            "wrong-setting",
-                            f"{frame.path.name}: {frame.settings}, where {block.title} frame {shot.number} asks for "
-                            f"ISO {shot.iso}, {shot.setting.dial} s; not used",
-                            block.scene,
-                            shot.number,
-                            frame.path,
-                        )
-                    )
-                self.remarks.append(Remark("missing", text, block.scene, shot.number))
+                    wanted = f"{block.title} frame {shot.number} asks for ISO {shot.iso}, {shot.setting.dial} s"
+                    wrong = f"{frame.path.name}: {frame.settings}, where {wanted}; not used"
+                    self.note("wrong-setting", wrong, (block, shot), near)
+                self.note("missing", text, (block, shot))
 
     def meant_for(self, shot: Shot, window: range, place: _Found) -> int | None:
         """Return the left-over frame that stands where a missing shot should, with the ISO or time slightly off."""
@@ -407,7 +386,13 @@ class _Matcher:
                         "their order were taken for; not used"
                     )
                     break
-            self.remarks.append(Remark(kind, text, path=frame.path))
+            self.note(kind, text, frame=index)
+
+    def note(self, kind: Kind, text: str, of: tuple[_Block, Shot] | None = None, frame: int | None = None) -> None:
+        """Remark on something, of which shot and which frame."""
+        path = None if frame is None else self.frames[frame].path
+        scene, number = ("", None) if of is None else (of[0].scene, of[1].number)
+        self.remarks.append(MatchRemark(kind, text, scene, number, path))
 
     def name(self, index: int) -> str:
         return self.frames[index].path.name
@@ -427,7 +412,7 @@ def checked(plan: Plan, given: Match) -> Match:
         settings = f"ISO {shot.iso}, {shot.setting.dial} s"
         if frame is None:
             text = f"{scene} frame {shot.number} ({shot.role}, {settings}): no file"
-            remarks.append(Remark("missing", text, scene, shot.number))
+            remarks.append(MatchRemark("missing", text, scene, shot.number))
         elif not can_be(shot, frame):
             raise MappingError(
                 f"mapping, {scene} frame {shot.number}: asks for {settings}, and {frame.path} was taken at "

@@ -8,7 +8,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from capture.errors import MappingError
+from capture.capture_errors import MappingError
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.errors import RawFileError
 from eldata.manifest.table import number_text

@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from capture.errors import MappingError
+from capture.capture_errors import MappingError
 from eldata.base.files import sha256_of
 
 if TYPE_CHECKING:

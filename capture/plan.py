@@ -6,7 +6,6 @@ follow. On load they are computed again and must agree: a shot changed by hand w
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from contextlib import contextmanager
@@ -16,12 +15,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from capture.calibration import CalibrationPlan, plan_calibration
-from capture.camera import CameraDescription, camera_as_dict, camera_from
-from capture.errors import PlanError
-from capture.fields import Fields
+from capture.camera import CameraDescription, camera_as_dict, camera_from, wholes
+from capture.capture_errors import PlanError
+from capture.exact import parse_seconds
 from capture.protocol import CaptureProtocol
 from capture.shots import Shot, check_isos, scene_shots
-from eldata.base.files import write_text
+from eldata.base.fields import Fields, TextFile, shown
+from eldata.base.files import write_json
 from eldata.errors import EldataError
 
 if TYPE_CHECKING:
@@ -31,6 +31,7 @@ SCHEMA: Final = 1
 CALIBRATION: Final = "calibration"
 # As eldata verify has it: a pair whose ratio is further off its nominal one is refused there.
 RATIO_TOLERANCE: Final = Fraction(1, 10)
+_MOST_BIAS_FRAMES: Final = 10_000  # of one ISO: every shot is planned
 _SCENE: Final = re.compile(r"scene-[1-9][0-9]{0,5}")
 
 
@@ -219,7 +220,7 @@ class Plan:
 
     def save(self, path: Path | str) -> None:
         """Write the plan as JSON, whole or not at all."""
-        write_text(path, json.dumps(self.as_dict(), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+        write_json(path, self.as_dict(), indent=1)
 
     @classmethod
     def load(cls, path: Path | str) -> Plan:
@@ -307,20 +308,17 @@ def _calibration_as_dict(calibration: CalibrationPlan) -> dict[str, Any]:
 
 
 def _load(path: Path) -> Plan:
-    top = Fields.of_file(path, PlanError)
+    top = TextFile(path, PlanError).json()
     top.only(("schema", "camera", "protocol", "scenes", "calibration"))
-    top.schema(SCHEMA)
+    top.schema(SCHEMA, "capture")
     with _naming(path):
         camera = camera_from(top.inside("camera"))
         fields = top.inside("protocol")
         fields.only(("base_iso", "noisy_isos", "low_light_factors"))
-        isos, factors = fields.wholes("noisy_isos"), fields.wholes("low_light_factors")
-        protocol = CaptureProtocol(fields.whole("base_iso"), isos, factors)
+        isos, factors = (wholes(fields, name) for name in ("noisy_isos", "low_light_factors"))
+        protocol = CaptureProtocol(fields.whole("base_iso", at_least=1), isos, factors)
         check_isos(camera, protocol)
-        scenes = tuple(
-            _scene(top.inside(f"scenes[{index}]", item), camera, protocol)
-            for index, item in enumerate(top.items("scenes"))
-        )
+        scenes = tuple(_scene(scene, camera, protocol) for scene in top.objects("scenes"))
         calibration = None
         if top.value("calibration") is not None:
             calibration = _calibration(top.inside("calibration"), camera, protocol)
@@ -340,21 +338,22 @@ def _naming(path: Path) -> Iterator[None]:
 
 def _scene(fields: Fields, camera: CameraDescription, protocol: CaptureProtocol) -> ScenePlan:
     fields.only(("name", "metered_s", "notes", "shots"))
-    scene = plan_scene(camera, protocol, fields.text("name"), fields.seconds("metered_s"), fields.texts("notes"))
+    scene = plan_scene(
+        camera, protocol, fields.text("name"), fields.parsed("metered_s", parse_seconds), fields.texts("notes")
+    )
     _check_shots(fields, scene.shots)
     return scene
 
 
 def _calibration(fields: Fields, camera: CameraDescription, protocol: CaptureProtocol) -> CalibrationPlan:
     fields.only(("isos", "bias_frames", "flat_levels", "flat_clips_at_s", "shots"))
-    levels = (fields.seconds(f"flat_levels[{index}]", item) for index, item in enumerate(fields.items("flat_levels")))
     calibration = plan_calibration(
         camera,
         protocol.base_iso,
-        fields.wholes("isos"),
-        fields.seconds("flat_clips_at_s"),
-        bias_frames=fields.whole("bias_frames"),
-        flat_levels=tuple(levels),
+        wholes(fields, "isos"),
+        fields.parsed("flat_clips_at_s", parse_seconds),
+        bias_frames=fields.whole("bias_frames", at_least=1, at_most=_MOST_BIAS_FRAMES),
+        flat_levels=fields.each("flat_levels", Fields.parsed, parse=parse_seconds),
     )
     _check_shots(fields, calibration.shots)
     return calibration
@@ -362,10 +361,9 @@ def _calibration(fields: Fields, camera: CameraDescription, protocol: CapturePro
 
 def _check_shots(fields: Fields, shots: Sequence[Shot]) -> None:
     """Refuse a file whose shots are not those that its decisions give."""
-    items = fields.items("shots")
+    items = fields.objects("shots")
     advice = "(shots follow from the rest: change that with capture plan --remeter, not the shots)"
-    for index, (item, shot) in enumerate(zip(items, shots, strict=False)):
-        found = fields.inside(f"shots[{index}]", item)
+    for found, shot in zip(items, shots, strict=False):
         expected = _shot_as_dict(shot)
         found.only(tuple(expected))
         for key, value in expected.items():
@@ -374,6 +372,6 @@ def _check_shots(fields: Fields, shots: Sequence[Shot]) -> None:
             if isinstance(value, float):
                 same = isinstance(there, float) and math.isclose(there, value, rel_tol=1e-9)
             if not same:
-                raise found.wrong(key, f"{value!r} {advice}", there)
+                raise found.wrong(key, f"{shown(value)} {advice}", there)
     if len(items) != len(shots):
-        raise fields.wrong("shots", f"{len(shots)} shots {advice}", f"{len(items)} shots")
+        raise fields.problem("shots", f"expected {len(shots)} shots {advice}, found {len(items)}")

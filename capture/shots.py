@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from capture.errors import ImpossibleShotError, PlanError
+from capture.capture_errors import ImpossibleShotError, PlanError
 
 if TYPE_CHECKING:
     from capture.camera import CameraDescription, ShutterTime

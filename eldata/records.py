@@ -40,7 +40,8 @@ class Sensor:
     white_balance
         Camera white balance: multipliers of R, G1, B, G2, with G1 = 1.
     xyz_to_camera
-        Matrix from CIE XYZ (D65) to the camera's R, G, B, as a DNG's ColorMatrix.
+        Matrix from CIE XYZ (D65) to the camera's R, G, B, as a DNG's ColorMatrix
+        (:func:`eldata.raw.colour.camera_to_srgb` turns it into one to sRGB).
     """
 
     make: str
@@ -59,15 +60,6 @@ class Sensor:
         import numpy as np
 
         return np.asarray(self.cfa, dtype=np.uint8)
-
-    @property
-    def camera_to_srgb(self) -> NDArray[np.float64] | None:
-        """Matrix (3, 3) from white-balanced camera R, G, B to linear sRGB; rows sum to 1."""
-        if self.xyz_to_camera is None:
-            return None
-        from eldata.raw.colour import camera_to_srgb
-
-        return camera_to_srgb(self.xyz_to_camera)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
-"""Write the shipped manifests and their cards: ``python manifests/generate.py`` (or ``make manifests``).
+"""Write the shipped manifests and their cards: ``python -m manifests.generate`` (or ``make manifests``).
 
-The SID rows come from ``facts/sid-*.csv``, one line a scene. ``python manifests/generate.py --sid-lists FOLDER`` writes
+The SID rows come from ``facts/sid-*.csv``, one line a scene. ``python -m manifests.generate --sid-lists FOLDER`` writes
 those anew first, from the file lists of the SID repository (its folder ``dataset``). ``--drv-lists FOLDER`` does the
 same for ``facts/drv.csv``, one line a clip, from the lists of the DRV repository (its folder ``DRV``).
 """
@@ -9,13 +9,13 @@ import argparse
 from collections.abc import Iterable
 from pathlib import Path
 
-from eldata.manifest.card import Card, save_card
-from eldata.manifest.drv_published import load_splits, published_drv, save_splits, splits_from_lists
-from eldata.manifest.eld import published_eld
-from eldata.manifest.sid import SID_CAMERAS, load_scenes, save_scenes, scenes_from_lists
-from eldata.manifest.sid_published import published_sid
-from eldata.manifest.table import save_records
+from eldata.manifest.card import Card
+from eldata.manifest.catalogue import save_manifest
 from eldata.records import FrameRecord
+from manifests.published_drv import load_splits, published_drv, save_splits, splits_from_lists
+from manifests.published_eld import published_eld
+from manifests.published_sid import published_sid
+from manifests.sid_scenes import SID_CAMERAS, load_scenes, save_scenes, scenes_from_lists
 
 FOLDER = Path(__file__).parent
 
@@ -52,8 +52,7 @@ def main() -> None:
         lists = {split: arguments.drv_lists / f"{split}_list.txt" for split in ("train", "val", "test")}
         save_splits(facts_of("drv"), splits_from_lists(lists))
     for card, records in published():
-        save_records(FOLDER / f"{card.name}.csv", records)
-        save_card(FOLDER / f"{card.name}.json", card)
+        save_manifest(FOLDER / f"{card.name}.csv", card, records)
 
 
 if __name__ == "__main__":

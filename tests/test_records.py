@@ -79,24 +79,9 @@ def test_fractions_stay_fractions() -> None:
     assert (back.iso, back.f_number) == (None, None)
 
 
-def test_the_colour_matrix_of_srgb_itself_is_the_identity() -> None:
-    # A camera whose primaries are sRGB's: XYZ (D65) to linear sRGB as IEC 61966-2-1 prints it.
-    xyz_to_srgb = ((3.2406, -1.5372, -0.4986), (-0.9689, 1.8758, 0.0415), (0.0557, -0.2040, 1.0570))
-    matrix = make_sensor(xyz_to_camera=xyz_to_srgb).camera_to_srgb
-    assert matrix is not None
-    np.testing.assert_allclose(matrix, np.eye(3), atol=3e-4)
-
-
-def test_rows_of_the_colour_matrix_sum_to_one() -> None:
-    matrix = make_sensor().camera_to_srgb
-    assert matrix is not None
-    assert matrix.shape == (3, 3)
-    np.testing.assert_allclose(matrix.sum(axis=1), 1, atol=1e-12)
-
-
-def test_without_a_matrix_there_is_no_colour() -> None:
+def test_a_sensor_may_say_nothing_of_colour() -> None:
     sensor = Sensor("", "", BAYER["RGGB"], (0.0,) * 4, 1.0, 2, 2)
-    assert sensor.camera_to_srgb is None
+    assert sensor.xyz_to_camera is None
     assert sensor.white_balance is None
 
 

@@ -84,14 +84,14 @@ def refusals(folder: Path) -> Iterator[str]:
     """Yield how each thing that needs POSIX says so."""
     from capture.tether.gphoto import Gphoto
     from capture.tether.lock import locked
-    from eldata.download.partial import opened
+    from eldata.download.partial import opened_partial
     from eldata.download.unpacking import _staging_folder
     from eldata.errors import EldataError
     from eldata.sources.store.journal import journaled
 
     uses: tuple[Callable[[], Any], ...] = (
         lambda: journaled(folder / "store.h5").__enter__(),
-        lambda: opened(folder / "archive.zip").__enter__(),
+        lambda: opened_partial(folder / "archive.zip").__enter__(),
         lambda: _staging_folder(folder / "data").__enter__(),
         lambda: locked(folder).__enter__(),
         lambda: Gphoto.find("gphoto2", timeout_s=60),

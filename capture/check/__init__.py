@@ -1,8 +1,18 @@
 """`capture check`: are the frames of each scene what they should be? Measured on the real pixels."""
 
-from capture.check.measures import Estimate, Limits, Measure, Remark, Verdict
+from capture.check.checking import check
+from capture.check.measures import Estimate, Measure, MeasureKind, Remark, Verdict
 from capture.check.result import CheckedGroup, CheckReport
-from capture.check.run import check
 from capture.check.sheet import write_sheet
 
-__all__ = ["CheckReport", "CheckedGroup", "Estimate", "Limits", "Measure", "Remark", "Verdict", "check", "write_sheet"]
+__all__ = [
+    "CheckReport",
+    "CheckedGroup",
+    "Estimate",
+    "Measure",
+    "MeasureKind",
+    "Remark",
+    "Verdict",
+    "check",
+    "write_sheet",
+]

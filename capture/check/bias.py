@@ -7,46 +7,35 @@ what differs stays. The standard error of a patch comes from the scatter of its 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from capture.check.frames import ReducedFrame, file_name, other_kind, reduced_frames
-from capture.check.measures import Limits, Measure, Remark
+from capture.check.measures import Measure, MeasureKind, Remark
 from capture.check.pictures import map_picture
-from capture.check.result import CheckedGroup, Picture, sorted_by_path
+from capture.check.result import CheckedGroup, SheetPicture, sorted_by_path
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
     from capture.check.cells import Cells
-    from eldata.base.workers import Workers
+    from capture.check.frames import Unit
     from eldata.records import FrameRecord
 
 PATCHES: Final = 8  # a side
 # Chance exceeds six standard errors once in 500 million patches: of ten frames of 64 patches, never.
 _PATCH_SIGMAS: Final = 6.0
 _OF_MEDIAN: Final = 1.2533
-_BLACK = Limits(
-    0.1, 1.0, "from 1 % on eldata calibrate refuses the frames: neither mean nor noise can be told of clipped black"
+_BLACK = MeasureKind(
+    "black",
+    "%",
+    0.1,
+    1.0,
+    "from 1 % on eldata calibrate refuses the frames: neither mean nor noise can be told of clipped black",
+    "use raw files that keep their black level",
 )
-_SHADING_SOURCE: Final = (
-    "the noise of a pixel, or 2 DN: more than the dark shading of usual sensors at a short exposure"
-)
-
-
-@dataclass(frozen=True, slots=True)
-class BiasUnit:
-    """The bias frames of one camera and ISO: small, for worker processes."""
-
-    path: str
-    name: str
-    folder: Path
-    records: tuple[FrameRecord, ...]
-    workers: Workers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,14 +65,14 @@ def patch_levels(cells: Cells) -> PatchLevels:
     return PatchLevels(levels, errors, cells.spread_dn)
 
 
-def check_bias(unit: BiasUnit) -> CheckedGroup:
+def check_bias(unit: Unit) -> CheckedGroup:
     """Check the bias frames of one ISO."""
     records = sorted_by_path(unit.records, "bias")
     first: ReducedFrame | None = None
     remarks: list[Remark] = []
     measures: list[Measure] = []
     patches: list[tuple[FrameRecord, PatchLevels]] = []
-    for record, frame in reduced_frames(unit.folder, records, unit.workers):
+    for record, frame in reduced_frames(unit, records):
         if isinstance(frame, Remark):
             remarks.append(frame)
             continue
@@ -95,9 +84,9 @@ def check_bias(unit: BiasUnit) -> CheckedGroup:
         if min(frame.cells.mean_dn.shape[1:]) < 2 * PATCHES:
             remarks.append(Remark(record.path, "is too small to look for light leaks in", "look"))
             continue
-        measures.append(_black(record, frame.cells))
+        measures.append(Measure(_BLACK, record.path, "pixels at 0 DN", 100 * frame.cells.zero_share))
         patches.append((record, patch_levels(frame.cells)))
-    pictures: list[Picture] = []
+    pictures: list[SheetPicture] = []
     if len(patches) == 1:
         text = "the only bias frame of this ISO: a light leak cannot be told from the sensor's own pattern"
         remarks.append(Remark(patches[0][0].path, text, "look"))
@@ -141,59 +130,33 @@ def compare_bias(
     level_error = error / PATCHES**0.5
     uneven = change - level
     place = np.unravel_index(int(np.argmax(np.abs(uneven))), uneven.shape)
-    limits = _limits(float(np.median([levels.noise_dn for _, levels in patches])))
+    noise = float(np.median([levels.noise_dn for _, levels in patches]))
     where = f"{_third(place[0], ('top', 'middle', 'bottom'))} {_third(place[1], ('left', 'centre', 'right'))}"
+    leaking = f"unlike the other bias frames at the {where}, by"
     return [
-        Measure(
-            name="level",
-            path=record.path,
-            value=level,
-            standard_error=level_error,
-            expected=0.0,
-            unit="DN",
-            limits=limits,
-            text="mean, less that of the other bias frames",
-            advice="is it a bias frame of this ISO, with the lens capped, and was the camera as warm?",
-        ),
-        Measure(
-            name="leak",
-            path=record.path,
-            value=float(uneven[place]),
-            standard_error=error,
-            expected=0.0,
-            unit="DN",
-            limits=limits,
-            text=f"unlike the other bias frames at the {where}, by",
-            advice="light came in: cap the lens, cover the viewfinder, darken the room",
-            sigmas=_PATCH_SIGMAS,
-        ),
+        Measure(_level(noise), record.path, "mean, less that of the other bias frames", level, level_error),
+        Measure(_leak(noise), record.path, leaking, float(uneven[place]), error),
     ], change
 
 
-def _limits(noise_dn: float) -> Limits:
-    return Limits(
+def _level(noise_dn: float) -> MeasureKind:
+    return MeasureKind(
+        "level",
+        "DN",
         max(0.25, 0.1 * noise_dn),
         max(1.0, 0.5 * noise_dn),
         "a tenth of the noise of a pixel, or 0.25 DN; to shoot again: half of the noise, or 1 DN, as eldata calibrate",
+        "is it a bias frame of this ISO, with the lens capped, and was the camera as warm?",
     )
+
+
+def _leak(noise_dn: float) -> MeasureKind:
+    advice = "light came in: cap the lens, cover the viewfinder, darken the room"
+    return replace(_level(noise_dn), name="leak", advice=advice, sigmas=_PATCH_SIGMAS)
 
 
 def _third(place: np.intp, names: tuple[str, str, str]) -> str:
     return names[min(2, 3 * int(place) // PATCHES)]
-
-
-def _black(record: FrameRecord, cells: Cells) -> Measure:
-    return Measure(
-        name="black",
-        path=record.path,
-        value=100 * cells.zero_share,
-        standard_error=0.0,
-        expected=0.0,
-        unit="%",
-        limits=_BLACK,
-        text="pixels at 0 DN",
-        advice="use raw files that keep their black level",
-    )
 
 
 def _shading(patches: list[tuple[FrameRecord, PatchLevels]]) -> Measure:
@@ -201,15 +164,14 @@ def _shading(patches: list[tuple[FrameRecord, PatchLevels]]) -> Measure:
     middle = _middle(patches)
     noise = float(np.median([levels.noise_dn for _, levels in patches]))
     error = 2**0.5 * float(np.mean([levels.error_dn[0, 0] for _, levels in patches])) * _OF_MEDIAN / len(patches) ** 0.5
-    return Measure(
-        name="shading",
-        path=patches[0][0].path.rpartition("/")[0] or ".",
-        value=float(middle.max() - middle.min()),
-        standard_error=error,
-        expected=0.0,
-        unit="DN",
-        limits=Limits(max(2.0, noise), float("inf"), _SHADING_SOURCE),
-        text="difference between the brightest and the darkest part, in all bias frames of this ISO",
-        advice="a light leak in all of them, or the sensor's own shading: take one in full darkness and compare",
+    kind = MeasureKind(
+        "shading",
+        "DN",
+        max(2.0, noise),
+        float("inf"),
+        "the noise of a pixel, or 2 DN: more than the dark shading of usual sensors at a short exposure",
+        "a light leak in all of them, or the sensor's own shading: take one in full darkness and compare",
         sigmas=_PATCH_SIGMAS,
     )
+    text = "difference between the brightest and the darkest part, in all bias frames of this ISO"
+    return Measure(kind, patches[0][0].path.rpartition("/")[0] or ".", text, float(middle.max() - middle.min()), error)

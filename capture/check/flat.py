@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,43 +10,42 @@ import numpy as np
 from capture.check.drift import BLOCK, brightness_ratios
 from capture.check.flicker import flicker_of_level
 from capture.check.frames import ReducedFrame, file_name, other_kind, reduced_frames
-from capture.check.measures import Limits, Measure, Remark
+from capture.check.measures import Measure, MeasureKind, Remark
 from capture.check.pictures import map_picture, scene_picture
 from capture.check.ratio import residuals_between
-from capture.check.result import CheckedGroup, Picture, sorted_by_path
+from capture.check.result import CheckedGroup, SheetPicture, sorted_by_path
 from capture.check.scene import FLICKER
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from capture.check.cells import Cells
-    from eldata.base.workers import Workers
+    from capture.check.frames import Unit
     from eldata.records import FrameRecord
 
-_SATURATED = Limits(
+_SATURATED = MeasureKind(
+    "saturation",
+    "%",
     0.1,
     1.0,
     "hot pixels saturate too, some in ten thousand; from 1 % on the mean no longer follows the light",
+    "expose the brightest flats less",
 )
-_UNEVEN = Limits(
-    50.0, float("inf"), "a stop between middle and corners, as of a lens that is wide open; the gain itself bears it"
+_UNEVEN = MeasureKind(
+    "evenness",
+    "%",
+    50.0,
+    float("inf"),
+    "a stop between middle and corners, as of a lens that is wide open; the gain itself bears it",
+    "light the surface more evenly, focus on infinity, leave nothing else in the picture",
 )
-_PAIR = Limits(
+_PAIR = MeasureKind(
+    "pair",
+    "%",
     1.0,
     5.0,
     "from 5 % on eldata calibrate leaves the pair out; a lamp of constant light stays within 1 %",
+    "the light changed between the two: use a constant lamp or daylight, and a longer time",
 )
-
-
-@dataclass(frozen=True, slots=True)
-class FlatUnit:
-    """The flats of one camera and ISO: small, for worker processes."""
-
-    path: str
-    name: str
-    folder: Path
-    records: tuple[FrameRecord, ...]
-    workers: Workers
+_FLICKER = replace(FLICKER, advice="the lamp flickers: use another, or longer times")
 
 
 def unevenness(cells: Cells) -> float:
@@ -56,15 +55,15 @@ def unevenness(cells: Cells) -> float:
     return float(np.max((high - low) / np.maximum(middle, 1e-6)))
 
 
-def check_flats(unit: FlatUnit) -> CheckedGroup:
+def check_flats(unit: Unit) -> CheckedGroup:
     """Check the flats of one ISO; two after each other with the same exposure time are a pair."""
     records = sorted_by_path(unit.records, "flat")
     first: ReducedFrame | None = None
     waiting: ReducedFrame | None = None
     remarks: list[Remark] = []
     measures: list[Measure] = []
-    pictures: list[Picture] = []
-    for record, frame in reduced_frames(unit.folder, records, unit.workers):
+    pictures: list[SheetPicture] = []
+    for record, frame in reduced_frames(unit, records):
         remark = frame if isinstance(frame, Remark) else None if first is None else other_kind(first, frame)
         if remark is not None or isinstance(frame, Remark):
             remarks += [] if remark is None else [remark]
@@ -100,29 +99,10 @@ def _single(frame: ReducedFrame) -> Remark:
 
 
 def _alone(record: FrameRecord, cells: Cells) -> list[Measure]:
+    text = "difference between bright and dark parts (95th and 5th percentile) over the median"
     return [
-        Measure(
-            name="saturation",
-            path=record.path,
-            value=100 * cells.clipped_share,
-            standard_error=0.0,
-            expected=0.0,
-            unit="%",
-            limits=_SATURATED,
-            text="saturated pixels",
-            advice="expose the brightest flats less",
-        ),
-        Measure(
-            name="evenness",
-            path=record.path,
-            value=100 * unevenness(cells),
-            standard_error=0.0,
-            expected=0.0,
-            unit="%",
-            limits=_UNEVEN,
-            text="difference between bright and dark parts (95th and 5th percentile) over the median",
-            advice="light the surface more evenly, focus on infinity, leave nothing else in the picture",
-        ),
+        Measure(_SATURATED, record.path, "saturated pixels", 100 * cells.clipped_share),
+        Measure(_UNEVEN, record.path, text, 100 * unevenness(cells)),
     ]
 
 
@@ -134,36 +114,13 @@ def _pair(first: ReducedFrame, second: ReducedFrame, remarks: list[Remark]) -> l
         remarks.append(Remark(path, "too dark, or too much of it saturated, to compare it with its partner", "look"))
         return []
     ratio = max(known, key=lambda one: abs(one.value - 1))
-    measures = [
-        Measure(
-            name="pair",
-            path=path,
-            value=100 * (ratio.value - 1),
-            standard_error=100 * ratio.standard_error,
-            expected=0.0,
-            unit="%",
-            limits=_PAIR,
-            text=f"change of brightness since {against}, of the same exposure",
-            advice="the light changed between the two: use a constant lamp or daylight, and a longer time",
-        )
-    ]
+    text = f"change of brightness since {against}, of the same exposure"
+    measures = [Measure(_PAIR, path, text, 100 * (ratio.value - 1), 100 * ratio.standard_error)]
     if len(known) < len(ratios):
         return measures
     residuals = residuals_between(first.cells, second.cells, [one.value for one in known])
     flicker = None if residuals is None else flicker_of_level(residuals)
     if flicker is not None:
-        measures.append(
-            Measure(
-                name="flicker",
-                path=path,
-                value=100 * flicker.amplitude.value,
-                standard_error=100 * flicker.amplitude.standard_error,
-                expected=0.0,
-                unit="%",
-                limits=FLICKER,
-                text=f"bands that {against} has not, {flicker.cycles:g} a frame, amplitude",
-                advice="the lamp flickers: use another, or longer times",
-                sigmas=flicker.sigmas,
-            )
-        )
+        text = f"bands that {against} has not, {flicker.cycles:g} a frame, amplitude"
+        measures.append(flicker.measure(_FLICKER, path, text))
     return measures

@@ -11,17 +11,17 @@ holds the noise that the rows really have, row noise and banding included, so no
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from capture.check.measures import Estimate
+from capture.check.measures import Estimate, Measure, MeasureKind
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from capture.check.ratio import Residuals
+    from capture.check.ratio import StripResiduals
 
     Array = NDArray[np.float64]
 
@@ -49,8 +49,14 @@ class Flicker:
     cycles: float
     sigmas: float
 
+    def measure(self, kind: MeasureKind, path: str, text: str) -> Measure:
+        """Return the amplitude as a measure in percent, judged by this frame's own chance."""
+        amplitude = self.amplitude
+        own = replace(kind, sigmas=self.sigmas)
+        return Measure(own, path, text, 100 * amplitude.value, 100 * amplitude.standard_error)
 
-def flicker_of_contrast(residuals: Residuals) -> Flicker | None:
+
+def flicker_of_contrast(residuals: StripResiduals) -> Flicker | None:
     """Measure the modulation of the scene's contrast within each row.
 
     Offsets of rows, such as row noise and banding of the sensor, drop out: right for dark frames. It needs a scene with
@@ -62,7 +68,7 @@ def flicker_of_contrast(residuals: Residuals) -> Flicker | None:
     return _strongest(*_modulation(weight, expected, residuals.residual_dn))
 
 
-def flicker_of_level(residuals: Residuals) -> Flicker | None:
+def flicker_of_level(residuals: StripResiduals) -> Flicker | None:
     """Measure the modulation of the rows' whole signal: right for bright frames, and for flats without contrast."""
     weight = residuals.sigma_dn**-2.0
     return _strongest(*_modulation(weight, residuals.expected_dn, residuals.residual_dn))

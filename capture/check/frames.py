@@ -21,6 +21,17 @@ if TYPE_CHECKING:
     from eldata.base.workers import Workers
 
 
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """The files of one scene, or the bias frames or flats of one camera and ISO: small, for worker processes."""
+
+    path: str
+    name: str
+    folder: Path
+    records: tuple[FrameRecord, ...]
+    workers: Workers
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ReducedFrame:
     """What is kept of a decoded frame, and its luminance, which is not meant to be."""
@@ -37,17 +48,15 @@ class ReducedFrame:
         return 2 if len(self.sensor.cfa) == 2 else 3
 
 
-def reduced_frames(
-    folder: Path, records: Sequence[FrameRecord], workers: Workers
-) -> Iterator[tuple[FrameRecord, ReducedFrame | Remark]]:
-    """Yield each frame reduced, or what is wrong with its file; at most ``workers.jobs`` + 1 are in memory."""
+def reduced_frames(unit: Unit, records: Sequence[FrameRecord]) -> Iterator[tuple[FrameRecord, ReducedFrame | Remark]]:
+    """Yield each frame reduced, or what is wrong with its file; at most ``unit.workers.jobs`` + 1 are in memory."""
 
     def reduce(record: FrameRecord) -> tuple[FrameRecord, ReducedFrame | Remark]:
         from eldata.raw.cfa import pack
         from eldata.raw.reading import read_raw
 
         try:
-            frame = read_raw(inside(folder, record.path))
+            frame = read_raw(inside(unit.folder, record.path))
         except EldataError as error:
             text = f"cannot be read ({getattr(error, 'reason', '') or error}); copy it again from the card"
             return record, Remark(record.path, text, "shoot again")
@@ -56,7 +65,7 @@ def reduced_frames(
         header = RawHeader(frame.path, frame.sensor.make, frame.sensor.model, frame.exposure)
         return record, ReducedFrame(record, header, frame.sensor, cells, luminance(packed, cells))
 
-    yield from workers.read_ahead(reduce, records)
+    yield from unit.workers.read_ahead(reduce, records)
 
 
 def other_kind(first: ReducedFrame, frame: ReducedFrame) -> Remark | None:

@@ -40,20 +40,35 @@ RATIO_SOURCE: Final = (
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
-    """From which deviation on to look and to shoot again, and why these.
+class MeasureKind:
+    """A kind of measure: what is expected, from which distance on to look and to shoot again, and what to do then.
 
     Attributes
     ----------
+    name
+        Such as ``"drift"``.
+    unit
+        ``"%"``, ``"px"`` (of the mosaic), ``"DN"`` or ``""``.
     look, again
-        In the unit of the value; infinite where a value alone never leads there.
+        Distances from ``expected`` in ``unit``; infinite where a value alone never leads there.
     source
-        Where the limits come from, in words.
+        Where these limits come from, in words.
+    advice
+        What to do if a value is beyond them.
+    expected
+        The value of a good frame.
+    sigmas
+        Standard errors that the distance must exceed.
     """
 
+    name: str
+    unit: str
     look: float
     again: float
     source: str
+    advice: str
+    expected: float = 0.0
+    sigmas: float = SIGMAS
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,58 +77,50 @@ class Measure:
 
     Attributes
     ----------
-    name
-        Such as ``"drift"``.
+    kind
+        What is measured, and what is expected of it.
     path
         The file that it is about, as in the manifest; for two, the later one.
-    value, standard_error, expected
-        In ``unit``; the standard error is 0 for a count.
-    unit
-        ``"%"``, ``"px"`` (of the mosaic), ``"DN"`` or ``""``.
-    limits
-        Of the distance from ``expected``.
     text
         What it says, as a clause that the value fits behind: ``"brightness of R against IMG_0001.dng"``.
-    advice
-        What to do if it is beyond its limits.
-    sigmas
-        Standard errors that the deviation must exceed.
+    value, standard_error
+        In the kind's unit; the standard error is 0 for a count.
     """
 
-    name: str
+    kind: MeasureKind
     path: str
-    value: float
-    standard_error: float
-    expected: float
-    unit: str
-    limits: Limits
     text: str
-    advice: str
-    sigmas: float = SIGMAS
+    value: float
+    standard_error: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """The kind's."""
+        return self.kind.name
 
     @property
     def deviation(self) -> float:
         """Distance from what is expected, in the unit of the value."""
-        return abs(self.value - self.expected)
+        return abs(self.value - self.kind.expected)
 
     @property
     def verdict(self) -> Verdict:
         """What the value alone asks for."""
-        if self.deviation <= self.sigmas * self.standard_error:
+        if self.deviation <= self.kind.sigmas * self.standard_error:
             return "keep"
-        if self.deviation > self.limits.again:
+        if self.deviation > self.kind.again:
             return "shoot again"
-        return "look" if self.deviation > self.limits.look else "keep"
+        return "look" if self.deviation > self.kind.look else "keep"
 
     def __str__(self) -> str:
-        unit = f" {self.unit}" if self.unit else ""
-        limits = [f"expected {self.expected:.4g}{unit}"] if self.expected else []
-        off = " off" if self.expected else ""
-        limits.append(f"look from {self.limits.look:.3g}{unit}{off}")
-        if math.isfinite(self.limits.again):
-            limits.append(f"shoot again from {self.limits.again:.3g}{unit}{off}")
+        unit = f" {self.kind.unit}" if self.kind.unit else ""
+        limits = [f"expected {self.kind.expected:.4g}{unit}"] if self.kind.expected else []
+        off = " off" if self.kind.expected else ""
+        limits.append(f"look from {self.kind.look:.3g}{unit}{off}")
+        if math.isfinite(self.kind.again):
+            limits.append(f"shoot again from {self.kind.again:.3g}{unit}{off}")
         found = with_error(self.value, self.standard_error)
-        return f"{self.path}: {self.name}: {self.text}: {found}{unit} ({', '.join(limits)}); {self.advice}"
+        return f"{self.path}: {self.name}: {self.text}: {found}{unit} ({', '.join(limits)}); {self.kind.advice}"
 
     def as_dict(self) -> dict[str, Any]:
         """Return the measure as plain JSON types."""
@@ -122,15 +129,15 @@ class Measure:
             "path": self.path,
             "value": _finite(self.value),
             "standard_error": _finite(self.standard_error),
-            "expected": self.expected,
-            "unit": self.unit,
-            "look_from": _finite(self.limits.look),
-            "shoot_again_from": _finite(self.limits.again),
-            "limits_from": self.limits.source,
-            "least_standard_errors": self.sigmas,
+            "expected": self.kind.expected,
+            "unit": self.kind.unit,
+            "look_from": _finite(self.kind.look),
+            "shoot_again_from": _finite(self.kind.again),
+            "limits_from": self.kind.source,
+            "least_standard_errors": self.kind.sigmas,
             "verdict": self.verdict,
             "text": self.text,
-            "advice": self.advice,
+            "advice": self.kind.advice,
         }
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from capture.check.frames import file_name
-from capture.check.result import Picture
+from capture.check.result import SheetPicture
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -21,7 +21,7 @@ _CHANGE_SHOWN: Final = 0.05  # the strongest colour of a difference map, as a sh
 _QUALITY: Final = 85
 
 
-def scene_picture(frame: ReducedFrame, gain: float) -> Picture:
+def scene_picture(frame: ReducedFrame, gain: float) -> SheetPicture:
     """Return a frame as a picture, amplified."""
     iso, time = frame.header.exposure.iso, frame.header.exposure.exposure_s
     settings = f"ISO {float(iso):g}" if iso is not None else "ISO ?"
@@ -32,23 +32,23 @@ def scene_picture(frame: ReducedFrame, gain: float) -> Picture:
     balance = frame.sensor.white_balance
     if balance is not None:
         light *= np.array(balance[:3], dtype=np.float32)
-    return Picture(caption, frame.record.path, _jpeg(_srgb(light)))
+    return SheetPicture(caption, frame.record.path, _jpeg(_srgb(light)))
 
 
-def change_picture(first: ReducedFrame, last: ReducedFrame) -> Picture:
+def change_picture(first: ReducedFrame, last: ReducedFrame) -> SheetPicture:
     """Return where the last reference is brighter (red) or darker (blue) than the first."""
     before, after = (_three_colours(frame.cells)[..., 1] for frame in (first, last))
     floor = 0.01 * first.cells.range_dn
     change = (after - before) / np.maximum(before, floor)
     caption = f"{file_name(last.record.path)} over {file_name(first.record.path)}, ±{100 * _CHANGE_SHOWN:g} %"
-    return Picture(caption, last.record.path, _jpeg(_diverging(change / _CHANGE_SHOWN)))
+    return SheetPicture(caption, last.record.path, _jpeg(_diverging(change / _CHANGE_SHOWN)))
 
 
-def map_picture(caption: str, path: str, values: NDArray[np.floating], full: float) -> Picture:
+def map_picture(caption: str, path: str, values: NDArray[np.floating], full: float) -> SheetPicture:
     """Return a map of values, blue at ``-full``, red at ``+full``."""
     scale = max(1, _WIDEST // (2 * values.shape[1]))
     larger = np.kron(values, np.ones((scale, scale)))
-    return Picture(caption, path, _jpeg(_diverging(larger / full)))
+    return SheetPicture(caption, path, _jpeg(_diverging(larger / full)))
 
 
 def _seconds(time: float) -> str:

@@ -38,7 +38,7 @@ _TO_SIGMA: Final = 1.4826
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Residuals:
+class StripResiduals:
     """What is left of the strips of a frame after what another frame leads to expect, (C, rows, columns), DN.
 
     Attributes
@@ -75,7 +75,7 @@ class RatioFit:
     slope: Estimate
     offset_dn: tuple[float, ...]
     match: Estimate
-    residuals: Residuals
+    residuals: StripResiduals
 
     @property
     def ratio(self) -> Estimate | None:
@@ -113,7 +113,7 @@ def fit_ratio(reference: Cells, noisy: Cells) -> RatioFit | None:
     )
 
 
-def residuals_between(first: Cells, second: Cells, ratios: Sequence[float]) -> Residuals | None:
+def residuals_between(first: Cells, second: Cells, ratios: Sequence[float]) -> StripResiduals | None:
     """Return what differs between two bright frames whose channels have these ratios of brightness.
 
     For frames of equal exposure, whose noise is alike: a fitted line would be too flat by the noise of the first.
@@ -130,9 +130,9 @@ def residuals_between(first: Cells, second: Cells, ratios: Sequence[float]) -> R
     return _limited(expected, residual, sigma, usable)
 
 
-def _limited(expected: Array, residual: Array, sigma: Array, usable: NDArray[np.bool_]) -> Residuals:
+def _limited(expected: Array, residual: Array, sigma: Array, usable: NDArray[np.bool_]) -> StripResiduals:
     limited = np.clip(residual, -_HUBER * sigma, _HUBER * sigma)
-    return Residuals(expected, limited, np.where(usable, sigma, np.inf))
+    return StripResiduals(expected, limited, np.where(usable, sigma, np.inf))
 
 
 def _levels(values: Array, usable: NDArray[np.bool_]) -> NDArray[np.intp]:

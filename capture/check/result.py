@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class SheetPicture:
     """A small picture for the contact sheet: what it shows, and a JPEG."""
 
     caption: str
@@ -41,7 +41,7 @@ class CheckedGroup:
     files: int
     measures: tuple[Measure, ...]
     remarks: tuple[Remark, ...]
-    pictures: tuple[Picture, ...]
+    pictures: tuple[SheetPicture, ...]
 
     @property
     def findings(self) -> tuple[Measure | Remark, ...]:
@@ -88,7 +88,9 @@ class CheckedGroup:
         lines = [f"{self.name}: {self.verdict}"]
         lines += [f"    {one.verdict}: {one}" for one in self.reasons]
         if self.verdict == "keep":
-            lines[0] += f" ({self.files} files; {', '.join(summary(one) for one in self.extremes if one.deviation)})"
+            lines[0] += (
+                f" ({self.files} files; {', '.join(measure_summary(one) for one in self.extremes if one.deviation)})"
+            )
         return "\n".join(lines)
 
 
@@ -115,14 +117,14 @@ class CheckReport:
         return "\n".join([*(group.format_text() for group in self.groups), f"{self.dataset}: {total}"])
 
 
-def summary(measure: Measure) -> str:
+def measure_summary(measure: Measure) -> str:
     """Return a measure's name and value, such as ``shift 0.02 ± 0.01 px``; a ratio as its distance from the nominal."""
-    if not measure.unit:
-        off, error = (100 * value / measure.expected for value in (measure.value, measure.standard_error))
+    if not measure.kind.unit:
+        off, error = (100 * value / measure.kind.expected for value in (measure.value, measure.standard_error))
         return f"{measure.name} {with_error(off - 100, max(error, _FINEST))} % off"
     if not measure.standard_error:
-        return f"{measure.name} {measure.value:.3g} {measure.unit}"
-    return f"{measure.name} {with_error(measure.value, max(measure.standard_error, _FINEST))} {measure.unit}"
+        return f"{measure.name} {measure.value:.3g} {measure.kind.unit}"
+    return f"{measure.name} {with_error(measure.value, max(measure.standard_error, _FINEST))} {measure.kind.unit}"
 
 
 _FINEST = 0.01  # of the digits in a summary: %, px or DN
@@ -130,8 +132,8 @@ _FINEST = 0.01  # of the digits in a summary: %, px or DN
 
 def _closeness(measure: Measure) -> tuple[int, float, float]:
     # Of values that are well, one that may be chance is less close to its limit than its distance says.
-    beyond_chance = max(0.0, measure.deviation - measure.sigmas * measure.standard_error)
-    limit = min(measure.limits.look, measure.limits.again)
+    beyond_chance = max(0.0, measure.deviation - measure.kind.sigmas * measure.standard_error)
+    limit = min(measure.kind.look, measure.kind.again)
     return VERDICTS.index(measure.verdict), beyond_chance / limit, measure.deviation / limit
 
 

@@ -16,69 +16,101 @@ from capture.check.measures import (
     RATIO_LOOK,
     RATIO_SOURCE,
     Estimate,
-    Limits,
     Measure,
+    MeasureKind,
     Remark,
 )
 from capture.check.pictures import change_picture, scene_picture
 from capture.check.ratio import RatioFit, fit_ratio, residuals_between
-from capture.check.result import CheckedGroup, Picture, sorted_by_path
+from capture.check.result import CheckedGroup, SheetPicture, sorted_by_path
 from capture.check.shift import Tiles, make_tiles, measure_focus, measure_shift, moved_tiles
 from eldata.errors import RawFileError
 
 if TYPE_CHECKING:
     from fractions import Fraction
-    from pathlib import Path
 
     from capture.check.cells import Cells
-    from eldata.base.workers import Workers
+    from capture.check.frames import Unit
     from eldata.records import FrameRecord, RawHeader
 
-DRIFT: Final = Limits(100 * BRIGHTNESS_LOOK, 100 * BRIGHTNESS_AGAIN, BRIGHTNESS_SOURCE)
-FLICKER: Final = Limits(
+_INFINITE: Final = float("inf")
+DRIFT: Final = MeasureKind(
+    "drift",
+    "%",
+    100 * BRIGHTNESS_LOOK,
+    100 * BRIGHTNESS_AGAIN,
+    BRIGHTNESS_SOURCE,
+    "the light changed: let lamps warm up, shut out daylight, keep the aperture fixed",
+)
+FLICKER: Final = MeasureKind(
+    "flicker",
+    "%",
     100 * 2**0.5 * BRIGHTNESS_LOOK,
     100 * 2**0.5 * BRIGHTNESS_AGAIN,
     "as for drift; a wave's root mean square is its amplitude over the square root of 2",
+    "the lamp flickers: use daylight, a lamp on batteries or direct current, or no exposures below 1/50 s",
 )
-SHIFT: Final = Limits(
+SHIFT: Final = MeasureKind(
+    "shift",
+    "px",
     0.2,
     0.5,
     "twice the accuracy of a tenth of a pixel that the measure is tested to; from half a pixel on, pixels of the two "
     "frames look at other points of the scene",
+    "the camera moved: fix tripod and head, use a remote release, do not touch lens or focus",
 )
-MOVEMENT: Final = Limits(
-    0.1, float("inf"), "practical: one part in a thousand of the picture, what moved may be of no importance, so look"
+MOVEMENT: Final = MeasureKind(
+    "movement",
+    "%",
+    0.1,
+    _INFINITE,
+    "practical: one part in a thousand of the picture, what moved may be of no importance, so look",
+    "something in the scene moved, or a shadow on it: look at the picture of differences",
 )
-FOCUS: Final = Limits(
+FOCUS: Final = MeasureKind(
+    "focus",
+    "%",
     3.0,
     10.0,
     "the contrast of detail of 5 to 20 pixels; a Gaussian blur of 0.5 pixels takes 3 to 5 %, one of 1 pixel 10 to 20 %",
+    "the focus changed: focus by hand, switch autofocus and stabiliser off, fix the ring with tape",
 )
-CLIPPED: Final = Limits(
+CLIPPED: Final = MeasureKind(
+    "clipped",
+    "%",
     0.5,
     5.0,
     "highlights and lamps clip in any scene; scores leave saturated pixels out, and a twentieth of the picture is too "
     "much to leave out",
+    "expose the references less (and plan the scene anew), or shade the highlights",
 )
-BRIGHTNESS: Final = Limits(90.0, float("inf"), "below a tenth of the range, a frame at x200 has too little signal")
-MATCH: Final = Limits(
-    10.0, 50.0, "practical: 100 % but for noise in aligned frames, about 0 between scenes; halfway between, shoot again"
+BRIGHTNESS: Final = MeasureKind(
+    "brightness",
+    "%",
+    90.0,
+    _INFINITE,
+    "below a tenth of the range, a frame at x200 has too little signal",
+    "underexposed: meter the scene again, for a longer time",
+    expected=100.0,
 )
-
-SIGNAL: Final = Limits(
-    100 * RATIO_LOOK, 50.0, "the tolerance of eldata verify; to shoot again: half of the signal lacks"
+MATCH: Final = MeasureKind(
+    "match",
+    "%",
+    10.0,
+    50.0,
+    "practical: 100 % but for noise in aligned frames, about 0 between scenes; halfway between, shoot again",
+    "another scene, or something moved: is the file in its place?",
+    expected=100.0,
 )
-
-
-@dataclass(frozen=True, slots=True)
-class SceneUnit:
-    """One scene's files: small, for worker processes."""
-
-    path: str
-    name: str
-    folder: Path
-    records: tuple[FrameRecord, ...]
-    workers: Workers
+SIGNAL: Final = MeasureKind(
+    "signal",
+    "%",
+    100 * RATIO_LOOK,
+    50.0,
+    "the tolerance of eldata verify; to shoot again: half of the signal lacks",
+    "no light, or far too little: was the lens capped, the exposure right?",
+    expected=100.0,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,10 +125,10 @@ class _Found:
 
     measures: list[Measure]
     remarks: list[Remark]
-    pictures: list[Picture]
+    pictures: list[SheetPicture]
 
 
-def check_scene(unit: SceneUnit) -> CheckedGroup:
+def check_scene(unit: Unit) -> CheckedGroup:
     """Check the frames of one scene, references first, each decoded once."""
     references, noisy = sorted_by_path(unit.records, "reference"), sorted_by_path(unit.records, "noisy")
     found = _Found([], [], [])
@@ -104,9 +136,9 @@ def check_scene(unit: SceneUnit) -> CheckedGroup:
     first: ReducedFrame | None = None
     tiles: Tiles | None = None
     last: ReducedFrame | None = None
-    changes: list[Picture] = []
+    changes: list[SheetPicture] = []
     of_noisy: list[tuple[FrameRecord, RatioFit, Fraction | None]] = []
-    for record, frame in reduced_frames(unit.folder, [*references, *noisy], unit.workers):
+    for record, frame in reduced_frames(unit, [*references, *noisy]):
         if isinstance(frame, Remark):
             found.remarks.append(frame)
             continue
@@ -120,10 +152,11 @@ def check_scene(unit: SceneUnit) -> CheckedGroup:
             found.pictures.append(scene_picture(frame, float(record.ratio or 1)))
             continue
         kept[record.path] = _Reference(frame.cells, frame.header)
-        found.measures.append(_clipped(frame))
+        found.measures.append(Measure(CLIPPED, record.path, "saturated pixels", 100 * frame.cells.clipped_share))
         if first is None:
             first, tiles = frame, make_tiles(frame.luminance)
-            found.measures.append(_brightness(frame))
+            text = "share of the range that the bright parts reach"
+            found.measures.append(Measure(BRIGHTNESS, record.path, text, 100 * brightest_level(frame.cells)))
             found.pictures.append(scene_picture(frame, 1.0))
         else:
             if last is not None and not _well(found, last):
@@ -149,34 +182,6 @@ def _well(found: _Found, frame: ReducedFrame) -> bool:
 # --- references ---------------------------------------------------------------------------------------------------
 
 
-def _clipped(frame: ReducedFrame) -> Measure:
-    return Measure(
-        name="clipped",
-        path=frame.record.path,
-        value=100 * frame.cells.clipped_share,
-        standard_error=0.0,
-        expected=0.0,
-        unit="%",
-        limits=CLIPPED,
-        text="saturated pixels",
-        advice="expose the references less (and plan the scene anew), or shade the highlights",
-    )
-
-
-def _brightness(frame: ReducedFrame) -> Measure:
-    return Measure(
-        name="brightness",
-        path=frame.record.path,
-        value=100 * brightest_level(frame.cells),
-        standard_error=0.0,
-        expected=100.0,
-        unit="%",
-        limits=BRIGHTNESS,
-        text="share of the range that the bright parts reach",
-        advice="underexposed: meter the scene again, for a longer time",
-    )
-
-
 def _compare(first: ReducedFrame, tiles: Tiles | None, frame: ReducedFrame, found: _Found) -> None:
     """Measure a later reference against the first."""
     path, against = frame.record.path, file_name(first.record.path)
@@ -188,19 +193,9 @@ def _compare(first: ReducedFrame, tiles: Tiles | None, frame: ReducedFrame, foun
     else:
         colour, worst_one = max(known, key=lambda pair: abs(pair[1].value - 1))
         brightness = sum(one.value for _, one in known) / len(known)
-        found.measures.append(
-            Measure(
-                name="drift",
-                path=path,
-                value=100 * (worst_one.value - 1),
-                standard_error=100 * worst_one.standard_error,
-                expected=0.0,
-                unit="%",
-                limits=DRIFT,
-                text=f"change of brightness ({colour}) since {against}",
-                advice="the light changed: let lamps warm up, shut out daylight, keep the aperture fixed",
-            )
-        )
+        text = f"change of brightness ({colour}) since {against}"
+        change, error = 100 * (worst_one.value - 1), 100 * worst_one.standard_error
+        found.measures.append(Measure(DRIFT, path, text, change, error))
     aligned = _compare_places(first, tiles, frame, brightness, found)
     if not aligned or len(known) < len(ratios):
         return
@@ -222,65 +217,25 @@ def _compare_places(
         found.remarks.append(Remark(path, text, "look"))
         return True
     length = shift.length(cut[2], frame.scale)
-    measure = Measure(
-        name="shift",
-        path=path,
-        value=length.value,
-        standard_error=length.standard_error,
-        expected=0.0,
-        unit="px",
-        limits=SHIFT,
-        text=f"distance from {against}",
-        advice="the camera moved: fix tripod and head, use a remote release, do not touch lens or focus",
-    )
+    measure = Measure(SHIFT, path, f"distance from {against}", length.value, length.standard_error)
     found.measures.append(measure)
     if measure.verdict != "keep":
         return False  # what is measured pixel by pixel would tell of the shift again
     focus = measure_focus(cut[0], cut[1], shift, brightness)
     if focus is not None:
-        measure = Measure(
-            name="focus",
-            path=path,
-            value=100 * (focus.value - 1),
-            standard_error=100 * focus.standard_error,
-            expected=0.0,
-            unit="%",
-            limits=FOCUS,
-            text=f"change of the contrast of fine detail since {against}",
-            advice="the focus changed: focus by hand, switch autofocus and stabiliser off, fix the ring with tape",
-        )
+        text = f"change of the contrast of fine detail since {against}"
+        measure = Measure(FOCUS, path, text, 100 * (focus.value - 1), 100 * focus.standard_error)
         found.measures.append(measure)
         if measure.verdict != "keep":
             return True  # edges differ everywhere
-    found.measures.append(
-        Measure(
-            name="movement",
-            path=path,
-            value=100 * changed_share(first.cells, frame.cells, brightness),
-            standard_error=0.0,  # only what exceeds eight standard errors is counted
-            expected=0.0,
-            unit="%",
-            limits=MOVEMENT,
-            text=f"share of the picture that changed otherwise than the whole since {against}",
-            advice="something in the scene moved, or a shadow on it: look at the picture of differences",
-        )
-    )
+    text = f"share of the picture that changed otherwise than the whole since {against}"
+    # Without an error: only what exceeds eight of them is counted.
+    found.measures.append(Measure(MOVEMENT, path, text, 100 * changed_share(first.cells, frame.cells, brightness)))
     return True
 
 
 def _flicker(path: str, flicker: Flicker) -> Measure:
-    return Measure(
-        name="flicker",
-        path=path,
-        value=100 * flicker.amplitude.value,
-        standard_error=100 * flicker.amplitude.standard_error,
-        expected=0.0,
-        unit="%",
-        limits=FLICKER,
-        text=f"bands across the picture, {flicker.cycles:g} a frame, amplitude",
-        advice="the lamp flickers: use daylight, a lamp on batteries or direct current, or no exposures below 1/50 s",
-        sigmas=flicker.sigmas,
-    )
+    return flicker.measure(FLICKER, path, f"bands across the picture, {flicker.cycles:g} a frame, amplitude")
 
 
 # --- noisy frames -------------------------------------------------------------------------------------------------
@@ -318,17 +273,8 @@ def _noisy_measures(
     record: FrameRecord, fit: RatioFit, exif_ratio: Fraction | None, noisy: list[FrameRecord]
 ) -> list[Measure]:
     against = file_name(record.reference or "its reference")
-    match = Measure(
-        name="match",
-        path=record.path,
-        value=100 * fit.match.value,
-        standard_error=100 * fit.match.standard_error,
-        expected=100.0,
-        unit="%",
-        limits=MATCH,
-        text=f"how much of the scene in {against} it shows",
-        advice="another scene, or something moved: is the file in its place?",
-    )
+    text = f"how much of the scene in {against} it shows"
+    match = Measure(MATCH, record.path, text, 100 * fit.match.value, 100 * fit.match.standard_error)
     if match.verdict == "shoot again":
         return [match]  # of another scene there is no ratio
     found = [match]
@@ -349,31 +295,15 @@ def _noisy_measures(
 
 
 def _signal(record: FrameRecord, fit: RatioFit, expected: Fraction) -> Measure:
-    return Measure(
-        name="signal",
-        path=record.path,
-        value=100 * fit.slope.value * float(expected),
-        standard_error=100 * fit.slope.standard_error * float(expected),
-        expected=100.0,
-        unit="%",
-        limits=SIGNAL,
-        text=f"signal that it shows, of that at a ratio of {_number(expected)}; too little to measure the ratio by",
-        advice="no light, or far too little: was the lens capped, the exposure right?",
-    )
+    text = f"signal that it shows, of that at a ratio of {_number(expected)}; too little to measure the ratio by"
+    scale = 100 * float(expected)
+    return Measure(SIGNAL, record.path, text, scale * fit.slope.value, scale * fit.slope.standard_error)
 
 
 def _ratio(name: str, record: FrameRecord, ratio: Estimate, expected: Fraction, text: str, advice: str) -> Measure:
-    return Measure(
-        name=name,
-        path=record.path,
-        value=ratio.value,
-        standard_error=ratio.standard_error,
-        expected=float(expected),
-        unit="",
-        limits=Limits(RATIO_LOOK * float(expected), RATIO_AGAIN * float(expected), RATIO_SOURCE),
-        text=text,
-        advice=advice,
-    )
+    nominal = float(expected)
+    kind = MeasureKind(name, "", RATIO_LOOK * nominal, RATIO_AGAIN * nominal, RATIO_SOURCE, advice, expected=nominal)
+    return Measure(kind, record.path, text, ratio.value, ratio.standard_error)
 
 
 def _ratio_advice(record: FrameRecord, ratio: Estimate, exif_ratio: Fraction | None, noisy: list[FrameRecord]) -> str:

@@ -11,7 +11,7 @@ from eldata.errors import ArgumentError
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from capture.check.result import CheckReport, Picture
+    from capture.check.result import CheckReport, SheetPicture
 
 
 def write_sheet(path: Path | str, report: CheckReport) -> None:
@@ -42,5 +42,5 @@ def sheet_page(report: CheckReport) -> str:
     return environment.get_template("sheet.html").render(report=report, source=_source)
 
 
-def _source(picture: Picture) -> str:
+def _source(picture: SheetPicture) -> str:
     return f"data:image/jpeg;base64,{base64.b64encode(picture.jpeg).decode()}"

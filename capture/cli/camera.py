@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_debug, add_json, write_json
+from eldata.base.console import OK, add_debug, add_json
+from eldata.base.files import write_json
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
             {"dial": time.dial, "nominal_s": str(time.nominal_s), "true_s": time.true_s}
             for time in camera.shutter.times
         ]
-        write_json(arguments.json, json.loads(json.dumps(camera_as_dict(camera))) | {"times": times})
+        write_json(arguments.json, camera_as_dict(camera) | {"times": times})
     return OK
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_cameras, add_debug, add_jobs, add_json, add_root, write_json
+from eldata.base.console import OK, PROBLEMS, add_cameras, add_debug, add_jobs, add_json, add_root
+from eldata.base.files import write_json
 
 if TYPE_CHECKING:
     import argparse
@@ -41,7 +42,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
-    from capture.check.run import check
+    from capture.check.checking import check
     from capture.check.sheet import check_sheet_name, write_sheet
 
     if arguments.sheet:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_debug, add_json, write_json
-from eldata.base.files import write_text
+from eldata.base.console import OK, add_debug, add_json
+from eldata.base.files import write_json, write_text
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:

@@ -6,7 +6,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_debug, add_jobs, add_json, write_json
+from eldata.base.console import OK, PROBLEMS, add_debug, add_jobs, add_json
+from eldata.base.files import write_json
 from eldata.base.workers import Workers
 from eldata.errors import ArgumentError
 

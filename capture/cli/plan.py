@@ -6,9 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from capture.cli.values import metered, scene_time, seconds, spaced, whole
+from capture.cli.values import metered, nine_digits, scene_time, seconds, spaced
 from capture.protocol import PROTOCOLS, RELEASED
-from eldata.base.console import OK, add_debug, add_json, write_json
+from eldata.base.console import OK, add_debug, add_json
+from eldata.base.files import write_json
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("plan", metavar="PLAN", nargs="?", help="a plan to show or to change in place")
     new = parser.add_argument_group("a new plan")
     new.add_argument("--camera", metavar="FILE", help="camera description; capture camera --example writes one")
-    new.add_argument("--scenes", type=whole, metavar="N", help="number of scenes: scene-1 to scene-N")
+    new.add_argument("--scenes", type=nine_digits, metavar="N", help="number of scenes: scene-1 to scene-N")
     new.add_argument(
         "--metered",
         type=metered,
@@ -53,9 +54,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         choices=tuple(PROTOCOLS),
         help="frames a scene: those of the released set (default) or of the paper, without the factors 1 and 10",
     )
-    new.add_argument("--isos", type=whole, nargs="+", metavar="ISO", help="other ISOs of the noisy frames")
+    new.add_argument("--isos", type=nine_digits, nargs="+", metavar="ISO", help="other ISOs of the noisy frames")
     new.add_argument(
-        "--factors", type=whole, nargs="+", metavar="FACTOR", help="other low-light factors than the protocol's"
+        "--factors", type=nine_digits, nargs="+", metavar="FACTOR", help="other low-light factors than the protocol's"
     )
     change = parser.add_argument_group("changes")
     change.add_argument(
@@ -93,12 +94,12 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     calibration.add_argument(
         "--calibration-isos",
-        type=whole,
+        type=nine_digits,
         nargs="+",
         metavar="ISO",
         help="ISOs to calibrate (default: full stops from the base ISO to the highest noisy one)",
     )
-    calibration.add_argument("--bias-frames", type=whole, metavar="N", help="bias frames an ISO (default: 10)")
+    calibration.add_argument("--bias-frames", type=nine_digits, metavar="N", help="bias frames an ISO (default: 10)")
     parser.add_argument(
         "-o", "--output", metavar="FILE", help="the new plan's file; with PLAN: write the changes there"
     )

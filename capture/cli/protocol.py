@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from capture.cli.values import seconds, spaced, whole
+from capture.cli.values import nine_digits, seconds, spaced
 from capture.protocol import RELEASED, CaptureProtocol
-from eldata.base.console import OK, add_debug, add_json, write_json
+from eldata.base.console import OK, add_debug, add_json
+from eldata.base.files import write_json
 from eldata.base.tables import text_table
 
 if TYPE_CHECKING:
@@ -33,14 +34,14 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument(
         "--base-iso",
-        type=whole,
+        type=nine_digits,
         default=RELEASED.base_iso,
         metavar="ISO",
         help="ISO of the references (default: %(default)s)",
     )
     parser.add_argument(
         "--isos",
-        type=whole,
+        type=nine_digits,
         nargs="+",
         default=RELEASED.noisy_isos,
         metavar="ISO",
@@ -48,7 +49,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument(
         "--factors",
-        type=whole,
+        type=nine_digits,
         nargs="+",
         default=RELEASED.low_light_factors,
         metavar="FACTOR",

@@ -7,6 +7,7 @@ import re
 from typing import TYPE_CHECKING
 
 from capture.exact import parse_seconds
+from eldata.base.fields import shown
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -17,10 +18,10 @@ if TYPE_CHECKING:
 _WHOLE = re.compile(r"-?[0-9]{1,9}")
 
 
-def whole(text: str) -> int:
-    """Return a whole number."""
+def nine_digits(text: str) -> int:
+    """Return a whole number of at most nine digits; what it stands for says later which it may be."""
     if _WHOLE.fullmatch(text) is None:
-        raise argparse.ArgumentTypeError(f"expected a whole number of at most nine digits, found {text!r}")
+        raise argparse.ArgumentTypeError(f"expected a whole number of at most nine digits, found {shown(text)}")
     return int(text)
 
 

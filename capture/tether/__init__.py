@@ -1,6 +1,6 @@
 """Tethered capture through the program ``gphoto2``: a plan shot by the computer, and resumed after any accident."""
 
-from capture.tether.errors import CameraLostError, GphotoError, JournalError, TetherError
+from capture.capture_errors import CameraLostError, GphotoError, JournalError, TetherError
 from capture.tether.gphoto import Gphoto
 from capture.tether.journal import Journal
 from capture.tether.session import Outcome, run_session

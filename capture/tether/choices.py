@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, Final
 
+from capture.capture_errors import TetherError
 from capture.exact import as_exact
 from capture.matching import STOPS_TOLERANCE
-from capture.tether.errors import TetherError
+from eldata.base.fields import fraction_of, whole_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -63,7 +64,7 @@ def seconds_of(text: str) -> Fraction | None:
     found = _TIME.fullmatch(text.strip())
     if found is None:
         return None
-    top, bottom = (Fraction((found[name] or "1").replace(",", ".")) for name in ("top", "bottom"))
+    top, bottom = (fraction_of((found[name] or "1").replace(",", ".")) for name in ("top", "bottom"))
     if not top or not bottom:
         return None
     return top / bottom * (60 if found["unit"] == "m" else 1)
@@ -133,7 +134,7 @@ def iso_choice(iso: int, choices: Sequence[str]) -> str:
 def is_iso(text: str, iso: int) -> bool:
     """Return whether a text that the camera shows is an ISO."""
     found = _ISO.fullmatch(text.strip())
-    return found is not None and int(found["iso"]) == iso
+    return found is not None and whole_of(found["iso"]) == iso
 
 
 def choose(camera: CameraDescription, shots: Iterable[Shot], iso: Setting, shutter: Setting) -> Choices:

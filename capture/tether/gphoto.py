@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING, Final
 
-from capture.tether.errors import CameraLostError, GphotoError
+from capture.capture_errors import CameraLostError, GphotoError
 from eldata.base.files import check_posix
 
 if TYPE_CHECKING:

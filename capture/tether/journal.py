@@ -14,8 +14,9 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import TYPE_CHECKING, Any, Final
 
+from capture.capture_errors import JournalError
 from capture.plan import CALIBRATION
-from capture.tether.errors import JournalError
+from eldata.base.fields import TextFile
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -23,9 +24,11 @@ if TYPE_CHECKING:
     from capture.matching import Slot
     from capture.plan import Plan
     from capture.shots import Shot
+    from eldata.base.fields import Fields
 
 NAME: Final = "journal.jsonl"
 SCHEMA: Final = 1
+_ADVICE: Final = "if the file was edited, bring the old one back; else go on in a new folder"
 _EVENTS: Final = ("plan", "intent", "done", "wrong", "failed")
 
 
@@ -115,27 +118,18 @@ class Journal:
             raise JournalError(f"{self.path}: cannot be read ({error.strerror})") from error
         whole = data.rfind(b"\n") + 1
         for number, line in enumerate(data[:whole].splitlines(), 1):
-            try:
-                self._take(json.loads(line))
-            except (ValueError, KeyError, TypeError, RecursionError) as error:
-                raise JournalError(
-                    f"{self.path}, line {number}: is no entry of a journal ({type(error).__name__}: {error}). If the "
-                    "file was edited, bring the old one back; else go on in a new folder"
-                ) from None
+            self._take(TextFile(f"{self.path}, line {number}", JournalError, _ADVICE, line).json())
         return whole
 
-    def _take(self, line: dict[str, Any]) -> None:
-        event = line["event"]
-        if event not in _EVENTS:
-            raise ValueError(f"event {event!r} is unknown")
+    def _take(self, line: Fields) -> None:
+        event = line.choice("event", _EVENTS)
         if event == "plan":
-            if line["schema"] != SCHEMA:
-                raise ValueError(f"schema {line['schema']} is of another version of capture")
-            self.plans.append(str(line["digest"]))
+            line.schema(SCHEMA, "capture")
+            self.plans.append(line.text("digest"))
             return
-        slot = (str(line["scene"]), int(line["number"]))
-        details = {key: value for key, value in line.items() if key not in _COMMON}
-        self.entries.append(Entry(event, slot, str(line["shot"]), str(line["token"]), details))
+        slot = (line.text("scene"), line.whole("number"))
+        details = {key: value for key, value in line.data.items() if key not in _COMMON}
+        self.entries.append(Entry(event, slot, line.text("shot"), line.text("token"), details))
 
     def done(self) -> dict[Slot, Entry]:
         """Return the frames that were taken, by shot; of several the last."""

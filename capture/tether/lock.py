@@ -9,7 +9,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from capture.tether.errors import TetherError
+from capture.capture_errors import TetherError
+from eldata.base.fields import TextFile
 from eldata.base.files import check_posix, try_lock
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 NAME: Final = ".session.lock"
 WAIT_S: Final = 3.0
 _STEP_S: Final = 0.05
+_LARGEST_PROCESS: Final = 2**31 - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,9 +70,9 @@ def locked(folder: Path) -> Iterator[Lock]:
 
 def _holder(descriptor: int) -> str:
     try:
-        said = json.loads(os.pread(descriptor, 64, 0))
-        session, gphoto2 = int(said["session"]), int(said["gphoto2"])
-    except (ValueError, KeyError, TypeError):
+        said = TextFile(NAME, TetherError, content=os.pread(descriptor, 64, 0)).json()
+        session, gphoto2 = said.whole("session", at_most=_LARGEST_PROCESS), said.whole("gphoto2")
+    except TetherError:
         return "another session is at work in this folder; end it first"
     if _alive(session):
         return f"another session is at work in this folder (process {session}); end it first, or take another folder"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
+from capture.capture_errors import CameraLostError, TetherError
 from capture.tether.choices import Choices, choose, format_problem
-from capture.tether.errors import CameraLostError, TetherError
 
 if TYPE_CHECKING:
     from capture.plan import Plan

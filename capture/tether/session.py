@@ -15,8 +15,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
+from capture.capture_errors import CameraLostError, GphotoError, JournalError, TetherError
 from capture.tether.choices import Choices, is_iso, is_time
-from capture.tether.errors import CameraLostError, GphotoError, JournalError, TetherError
 from capture.tether.frames import Look, aside_path, frame_name, look, taken_of
 from capture.tether.gphoto import LOG, Gphoto, parse_taken
 from capture.tether.journal import NAME as JOURNAL

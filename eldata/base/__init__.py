@@ -1,1 +1,1 @@
-"""What is not about photographs: files, workers, console, tables, and how kernels are compiled."""
+"""What is not about photographs: files, text fields, workers, console, tables, and how kernels are compiled."""

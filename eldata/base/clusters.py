@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import pkgutil
 import warnings
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldata import __version__
+from eldata.base.fields import TextFile
 from eldata.errors import EldataError
 
 if TYPE_CHECKING:
@@ -170,12 +170,5 @@ def _scheduler(address: str) -> str:
     """Return a scheduler's address, read from a scheduler file if that is given."""
     if "://" in address or not (address.endswith(".json") or Path(address).exists()):
         return address
-    try:
-        stated = json.loads(Path(address).read_text(encoding="utf-8"))["address"]
-    except OSError as error:
-        raise ClusterError(f"{address}: {error.strerror}; dask scheduler --scheduler-file writes it") from error
-    except (ValueError, KeyError, TypeError) as error:
-        raise ClusterError(
-            f"{address}: no scheduler file; expected JSON with an address, as dask scheduler --scheduler-file writes it"
-        ) from error
-    return str(stated)
+    advice = "expected a scheduler file with an address, as dask scheduler --scheduler-file writes it"
+    return TextFile(address, ClusterError, advice).json().text("address")

@@ -7,18 +7,17 @@ reader of the output left before its end.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 import traceback
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from eldata.base.files import write_text
-from eldata.errors import EldataError
+from eldata.base.fields import whole_of
+from eldata.errors import ArgumentError, EldataError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from eldata.base.workers import Workers
 
@@ -69,7 +68,7 @@ def add_jobs(parser: argparse._ActionsContainer) -> None:
     cpus = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     parser.add_argument(
         "--jobs",
-        type=_positive,
+        type=whole_number(1),
         default=_Default(cpus),
         metavar="J",
         help="work on so many files at a time (default: one per CPU, here %(default)s)",
@@ -107,15 +106,16 @@ def chosen_workers(arguments: argparse.Namespace) -> Iterator[Workers]:
         yield Workers(arguments.jobs, executor)
 
 
-def _positive(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"expected a whole number of 1 or more, found {text!r}")
-    return int(text)
+def whole_number(at_least: int) -> Callable[[str], int]:
+    """Return the type of an option that takes a whole number, for argparse."""
 
+    def read(text: str) -> int:
+        try:
+            return whole_of(text, at_least=at_least)
+        except ArgumentError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
 
-def write_json(path: str, data: Any) -> None:
-    """Write plain types as JSON, whole or not at all."""
-    write_text(path, json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+    return read
 
 
 def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:

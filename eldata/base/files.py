@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import secrets
 import sys
@@ -57,6 +58,16 @@ def write_text(path: Path | str, text: str) -> None:
         file.write(text.encode())
 
 
+def write_json(path: Path | str, data: object, *, indent: int = 2) -> None:
+    """Write plain types as JSON, whole or not at all."""
+    write_text(path, json_text(data, indent=indent))
+
+
+def json_text(data: object, *, indent: int = 2) -> str:
+    """Return plain types as the text of a JSON file; only finite numbers have a place in it."""
+    return json.dumps(data, indent=indent, ensure_ascii=False, allow_nan=False) + "\n"
+
+
 def check_posix(what: str) -> None:
     """Raise :class:`EldataError` if this system lacks the locks, and with them the calls, of POSIX.
 
@@ -102,8 +113,11 @@ def path_problem(relative: str) -> str | None:
         return "is absolute; paths are relative to the dataset's folder"
     if ":" in relative.partition("/")[0]:
         return "names a drive; paths are relative to the dataset's folder"
-    if any(part in ("", ".", "..") for part in relative.split("/")):
+    parts = relative.split("/")
+    if any(part in ("", ".", "..") for part in parts):
         return "contains an empty, '.' or '..' part"
+    if max(map(len, parts)) > 255:
+        return "contains a name of more than 255 characters, which no file system has"
     return None
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from functools import partial
+from operator import itemgetter
 from typing import TYPE_CHECKING
 
 from tqdm import tqdm
@@ -140,40 +141,32 @@ def joined(camera: str, isos: Sequence[IsoCalibration]) -> Calibration:
         If no ISO has a gain.
     """
     ordered = tuple(sorted(isos, key=lambda one: one.iso))
-    with_gain = [one for one in ordered if one.gain_dn_per_e is not None]
-    if not with_gain:
+    known = sorted(((one.gain_dn_per_e, one) for one in ordered if one.gain_dn_per_e is not None), key=itemgetter(0))
+    if not known:
         raise DatasetError(
             f"{camera}: no ISO has two flats of the same exposure, so K is not known: take pairs of equal flats at "
             "four exposures or more, from a tenth to nine tenths of the range"
         )
     remarks = overall_remarks(ordered)
-    points = {
-        "sigma_TL": [(one.gain_dn_per_e or 0.0, one.read.sigma_tl_dn) for one in with_gain],
-        "sigma_G": [(one.gain_dn_per_e or 0.0, one.read.sigma_gauss_dn) for one in with_gain],
-        "sigma_row": [(one.gain_dn_per_e or 0.0, one.rows.rows.sigma_dn) for one in with_gain],
-    }
-    estimates: dict[str, LogLogEstimate | None] = {}
-    fits: dict[str, LogLogFit] = {}
-    for name, pairs in points.items():
-        estimates[name], fits[name], remark = _fitted(name, pairs)
-        remarks += remark
+    of_tukey_lambda, tukey_lambda_fit = _fitted("sigma_TL", [(k, one.read.sigma_tl_dn) for k, one in known], remarks)
+    of_gauss, gauss_fit = _fitted("sigma_G", [(k, one.read.sigma_gauss_dn) for k, one in known], remarks)
+    of_rows, row_fit = _fitted("sigma_row", [(k, one.rows.rows.sigma_dn) for k, one in known], remarks)
     blacks = {level for one in ordered for level in one.sensor.black_level_dn}
     whites = {one.sensor.white_level_dn for one in ordered}
     for name, levels in (("black", blacks), ("white", whites)):
         if max(levels) - min(levels) >= 1:
             listed = ", ".join(f"{level:g}" for level in sorted(levels)[:6])
             remarks.append(f"the {name} level differs by ISO or channel ({listed} DN); the profile leaves it open")
-    lowest = min(with_gain, key=lambda one: one.gain_dn_per_e or 0.0)
-    highest = max(with_gain, key=lambda one: one.gain_dn_per_e or 0.0)
+    (least_gain, lowest), (most_gain, highest) = known[0], known[-1]
     bias, flat = sum(one.bias_frames for one in ordered), sum(one.flat_frames for one in ordered)
     notes = [f"ISO {one.iso:g}: {remark}" for one in ordered for remark in one.remarks] + remarks
     profile = CameraProfile(
         camera=camera,
         source=f"eldata {__version__} calibrate: {bias} bias and {flat} flat frames at {len(ordered)} ISO(s)",
-        gain_range_dn_per_e=(lowest.gain_dn_per_e or 0.0, highest.gain_dn_per_e or 0.0),
-        tukey_lambda_fit=fits["sigma_TL"],
-        gauss_fit=fits["sigma_G"],
-        row_fit=fits["sigma_row"],
+        gain_range_dn_per_e=(least_gain, most_gain),
+        tukey_lambda_fit=tukey_lambda_fit,
+        gauss_fit=gauss_fit,
+        row_fit=row_fit,
         rows=tuple(map(_row, ordered)),
         iso_range=(lowest.iso, highest.iso) if lowest.iso <= highest.iso else None,
         black_level_dn=min(blacks) if max(blacks) - min(blacks) < 1 else None,
@@ -184,9 +177,9 @@ def joined(camera: str, isos: Sequence[IsoCalibration]) -> Calibration:
         camera=camera,
         isos=ordered,
         profile=profile,
-        tukey_lambda_fit=estimates["sigma_TL"],
-        gauss_fit=estimates["sigma_G"],
-        row_fit=estimates["sigma_row"],
+        tukey_lambda_fit=of_tukey_lambda,
+        gauss_fit=of_gauss,
+        row_fit=of_rows,
         remarks=tuple(remarks),
     )
 
@@ -205,21 +198,25 @@ def _row(one: IsoCalibration) -> ProfileRow:
     )
 
 
-def _fitted(name: str, points: Sequence[tuple[float, float]]) -> tuple[LogLogEstimate | None, LogLogFit, list[str]]:
-    """Return the fit of a scale over K; with too few ISOs for one, the line that they do give, and a remark."""
+def _fitted(
+    name: str, points: Sequence[tuple[float, float]], remarks: list[str]
+) -> tuple[LogLogEstimate | None, LogLogFit]:
+    """Return the fit of a scale over K, or with too few ISOs for one the line that they do give; add to the remarks."""
     usable = sorted((gain, scale) for gain, scale in points if scale > 0 and math.isfinite(scale))
     lost = len(points) - len(usable)
-    remarks = [f"{name} was 0 at {lost} ISO(s), which its fit leaves out"] if lost and usable else []
+    if lost:
+        what = f"{lost} ISO(s), which its fit leaves out" if usable else "every ISO; the profile has none"
+        remarks.append(f"{name} was 0 at {what}")
     gains = [gain for gain, _ in usable]
     if len(usable) >= 3 and len(set(gains)) >= 3:
         estimate = fit_log_log(gains, [scale for _, scale in usable])
-        return estimate, estimate.fit, remarks
+        return estimate, estimate.fit
     if not usable:
-        return None, LogLogFit(0.0, math.log(_NO_NOISE_DN), 0.0), [f"{name} was 0 at every ISO; the profile has none"]
+        return None, LogLogFit(0.0, math.log(_NO_NOISE_DN), 0.0)
     (low, first), (high, last) = usable[0], usable[-1]
     slope = math.log(last / first) / math.log(high / low) if high > low else 0.0
     remarks.append(
         f"{name} is known at {len(usable)} ISO(s): the profile has the line through them, without the spread around it "
         "that three or more would show"
     )
-    return None, LogLogFit(slope, math.log(first) - slope * math.log(low), 0.0), remarks
+    return None, LogLogFit(slope, math.log(first) - slope * math.log(low), 0.0)

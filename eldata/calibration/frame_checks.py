@@ -17,7 +17,7 @@ from eldata.manifest.verify import RATIO_TOLERANCE, Problem
 from eldata.raw.reading import read_header
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from fractions import Fraction
 
     from numpy.typing import NDArray
@@ -83,43 +83,47 @@ def sorted_frames(frames: CalibrationFrames, workers: Workers = IN_THIS_PROCESS)
     models = Counter(header.model for header in headers.values())
     model = models.most_common(1)[0][0] if models else ""
     for record, header in headers.items():
-        exposure = header.exposure
-        if header.model != model:
-            problems.append(_problem(record, "camera", model, header.model or "no model", "move it to its own camera"))
-        if exposure.iso is None or exposure.exposure_s is None:
-            lost = "ISO" if exposure.iso is None else "exposure time"
-            advice = "the file has lost its EXIF: copy the original"
-            problems.append(_problem(record, "exposure", "ISO and exposure time", f"no {lost}", advice))
-        elif exposure.iso != record.iso and record.iso is not None:
-            advice = "move it to the folder (or row) of its ISO"
-            problems.append(_problem(record, "iso", number_text(record.iso), number_text(exposure.iso), advice))
-        elif (stated := record.exposure_s) is not None and abs(exposure.exposure_s - stated) > RATIO_TOLERANCE * stated:
-            advice = "correct the manifest's row, or put the file there that it means"
-            problems.append(_problem(record, "exposure_s", _time_text(stated), _time_text(exposure.exposure_s), advice))
+        problems += _unlike_its_row(record, header, model)
     time_of = {record: header.exposure.exposure_s for record, header in headers.items()}
     sorted_out = []
     for iso in frames.isos:
         bias = frames.of("bias", iso)
-        times = Counter(time_of[record] for record in bias if time_of.get(record) is not None)
-        usual = times.most_common(1)[0][0] if times else None
-        for record in bias:
-            found_time = time_of.get(record)
-            if usual is not None and found_time is not None and found_time != usual:
-                problems.append(
-                    _problem(
-                        record,
-                        "exposure_s",
-                        f"{_time_text(usual)} like the other bias frames of ISO {float(iso):g}",
-                        _time_text(found_time),
-                        "take all bias frames at the shortest exposure; is this a flat?",
-                    )
-                )
+        usual, odd = _usual_time({record: time_of.get(record) for record in bias}, iso)
+        problems += odd
         flats = [replace(record, exposure_s=time_of.get(record)) for record in frames.of("flat", iso)]
         pairs, single = flat_pairs(flats)
         sorted_out.append(IsoFrames(iso, bias, pairs, single, usual))
     if problems:
         raise FramesError(sorted(problems, key=lambda problem: problem.path))
     return tuple(sorted_out)
+
+
+def _unlike_its_row(record: FrameRecord, header: RawHeader, model: str) -> Iterator[Problem]:
+    """Yield in what a file's header differs from its row, and its camera from most frames'."""
+    iso, exposure_s, stated = header.exposure.iso, header.exposure.exposure_s, record.exposure_s
+    if header.model != model:
+        yield _problem(record, "camera", model, header.model or "no model", "move it to its own camera")
+    if iso is None or exposure_s is None:
+        lost, advice = "ISO" if iso is None else "exposure time", "the file has lost its EXIF: copy the original"
+        yield _problem(record, "exposure", "ISO and exposure time", f"no {lost}", advice)
+    elif iso != record.iso and record.iso is not None:
+        advice = "move it to the folder (or row) of its ISO"
+        yield _problem(record, "iso", number_text(record.iso), number_text(iso), advice)
+    elif stated is not None and abs(exposure_s - stated) > RATIO_TOLERANCE * stated:
+        advice = "correct the manifest's row, or put the file there that it means"
+        yield _problem(record, "exposure_s", _time_text(stated), _time_text(exposure_s), advice)
+
+
+def _usual_time(times: Mapping[FrameRecord, Fraction | None], iso: Fraction) -> tuple[Fraction | None, list[Problem]]:
+    """Return the exposure time of most bias frames of an ISO, if any is known, and what is wrong with the others."""
+    known = {record: time for record, time in times.items() if time is not None}
+    if not known:
+        return None, []
+    usual = Counter(known.values()).most_common(1)[0][0]
+    expected = f"{_time_text(usual)} like the other bias frames of ISO {float(iso):g}"
+    advice = "take all bias frames at the shortest exposure; is this a flat?"
+    odd = [(record, _time_text(time)) for record, time in known.items() if time != usual]
+    return usual, [_problem(record, "exposure_s", expected, found, advice) for record, found in odd]
 
 
 def _time_text(exposure_s: Fraction) -> str:

@@ -56,6 +56,21 @@ class PhotonTransferLine:
     variance_dn2: NDArray[np.float64] = field(repr=False)
     variance_error_dn2: NDArray[np.float64] = field(repr=False)
 
+    def variance_at(self, signal_dn: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the line's variance at these signals, DN^2."""
+        return self.gain_dn_per_e * signal_dn + self.intercept_dn2
+
+    def pooled(self, levels: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return the points in at most so many levels: weighted means of neighbours, which stay on a line."""
+        order = np.argsort(self.signal_dn, kind="stable")
+        groups = np.array_split(order, min(levels, order.size))
+        weights = [self.variance_error_dn2[group] ** -2.0 for group in groups]
+        signal, variance = (
+            np.array([np.average(values[group], weights=weight) for group, weight in zip(groups, weights, strict=True)])
+            for values in (self.signal_dn, self.variance_dn2)
+        )
+        return signal, variance, np.array([weight.sum() ** -0.5 for weight in weights])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PhotonTransfer:

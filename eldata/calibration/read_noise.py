@@ -146,6 +146,11 @@ class ReadNoise:
     beyond: int
     is_reliable: bool
 
+    @property
+    def highest_correlation(self) -> float:
+        """The curve at ``ppcc_lambda_plain``."""
+        return float(np.interp(self.ppcc_lambda_plain, *self.curve))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProbabilityPlot:

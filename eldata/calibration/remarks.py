@@ -9,6 +9,7 @@ import numpy as np
 
 from eldata.calibration.frame_checks import ADVISED_BIAS_FRAMES
 from eldata.calibration.read_noise import RELIABLE_SIGMA_DN
+from eldata.calibration.results import usual_gain_per_iso
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -135,7 +136,7 @@ def overall_remarks(isos: Sequence[IsoCalibration]) -> list[str]:
     ratios = {one.iso: one.gain_dn_per_e / one.iso for one in isos if one.gain_dn_per_e is not None}
     if len(ratios) < 3:
         return []
-    usual = float(np.median(list(ratios.values())))
+    usual = usual_gain_per_iso(isos)
     odd = {iso: ratio for iso, ratio in ratios.items() if abs(ratio - usual) > _GAIN_TOLERANCE * usual}
     if not odd:
         return []

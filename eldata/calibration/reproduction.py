@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eldata.calibration.spectrum import smoothed_power
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -75,6 +76,16 @@ class Reproduction:
     row_power_simulated_dn2: NDArray[np.float64] = field(repr=False)
     real_dn: NDArray[np.float32] = field(repr=False)
     simulated_dn: NDArray[np.float32] = field(repr=False)
+
+    @property
+    def shown_sigmas_dn(self) -> tuple[float, float]:
+        """Standard deviations of the pieces of both frames, the real one's first."""
+        return float(self.real_dn.std()), float(self.simulated_dn.std())
+
+    def smoothed_row_powers_dn2(self, period: int) -> tuple[NDArray[np.float64], ...]:
+        """Return frequencies and the two periodograms, the real one first, in neighbouring frequencies together."""
+        frequency, real = smoothed_power(self.row_frequency, self.row_power_real_dn2, period)
+        return frequency, real, smoothed_power(self.row_frequency, self.row_power_simulated_dn2, period)[1]
 
     def as_dict(self) -> dict[str, Any]:
         """Return the plain numbers."""
@@ -176,7 +187,8 @@ def _simulated(
 
     Pixels scatter by ``spread_dn`` around ``level_dn``, which comes on top of the colour bias.
     """
-    from eldata.noise.model import Adc, NoiseModel
+    from eldata.noise.exposures import Adc
+    from eldata.noise.model import NoiseModel
 
     # The model's converter has one black level; with a pattern of several, clipping at 0 happens elsewhere by their
     # difference, which is far from any bias frame that the estimators take.

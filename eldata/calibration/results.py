@@ -6,10 +6,14 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from eldata.base.tables import text_table, with_error
+from eldata.calibration.spectrum import SpectrumLines
 
 if TYPE_CHECKING:
-    import numpy as np
+    from collections.abc import Iterable
+
     from numpy.typing import NDArray
 
     from eldata.calibration.colour_bias import ColourBias
@@ -96,6 +100,11 @@ class IsoCalibration:
     remarks: tuple[str, ...]
 
     @property
+    def spectrum_lines(self) -> SpectrumLines:
+        """What the rows' and the columns' line in the spectrum stand out of."""
+        return SpectrumLines.of(self.spectrum_dn2)
+
+    @property
     def gain_dn_per_e(self) -> float | None:
         """System gain K; ``None`` without flats."""
         return None if self.transfer is None else self.transfer.gain_dn_per_e
@@ -119,6 +128,12 @@ class IsoCalibration:
             sigma_row_dn=self.rows.rows.sigma_dn,
             colour_bias_dn=self.colour_bias_dn,
         )
+
+
+def usual_gain_per_iso(isos: Iterable[IsoCalibration]) -> float:
+    """Return the median of K / ISO, DN per electron at ISO 1; nan if no gain is known."""
+    ratios = [one.gain_dn_per_e / one.iso for one in isos if one.gain_dn_per_e is not None]
+    return float(np.median(ratios)) if ratios else math.nan
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,6 +162,11 @@ class Calibration:
     gauss_fit: LogLogEstimate | None
     row_fit: LogLogEstimate | None
     remarks: tuple[str, ...]
+
+    @property
+    def usual_gain_per_iso(self) -> float:
+        """The median of K / ISO; nan if no gain is known."""
+        return usual_gain_per_iso(self.isos)
 
     @property
     def all_remarks(self) -> tuple[str, ...]:

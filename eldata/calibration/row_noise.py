@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.calibration._frames import channels_of, checked_mosaic, classes_of_rows, pixels_per_row
+from eldata.calibration.spectrum import smoothed_power
 from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
@@ -69,6 +70,16 @@ class LineNoise:
     power_dn2: NDArray[np.float64] = field(repr=False)
     deviations_dn: NDArray[np.float64] = field(repr=False)
     fixed_dn: NDArray[np.float64] = field(repr=False)
+
+    @property
+    def normal_line_dn(self) -> tuple[float, float]:
+        """Slope and level of the straight line through the normal probability plot, DN."""
+        slope, level = np.polyfit(self.quantiles, self.ordered_dn, 1)
+        return float(slope), float(level)
+
+    def smoothed_power_dn2(self, period: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the periodogram in neighbouring frequencies together, for a CFA of this period."""
+        return smoothed_power(self.frequency, self.power_dn2, period)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

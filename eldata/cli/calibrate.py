@@ -2,9 +2,22 @@
 
 from __future__ import annotations
 
-import argparse
+from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_debug, add_json, add_root, add_workers, chosen_workers, write_json
+from eldata.base.console import (
+    OK,
+    PROBLEMS,
+    add_debug,
+    add_json,
+    add_root,
+    add_workers,
+    chosen_workers,
+    whole_number,
+)
+from eldata.base.files import write_json
+
+if TYPE_CHECKING:
+    import argparse
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -28,19 +41,18 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("-o", "--output", metavar="FILE", help="write the camera profile to FILE (JSON)")
     parser.add_argument("--html", metavar="FILE", help="write a report with plots to FILE")
     parser.add_argument(
-        "--iso", action="append", dest="isos", type=_iso, metavar="ISO", help="only this ISO; may be repeated"
+        "--iso",
+        action="append",
+        dest="isos",
+        type=whole_number(1),
+        metavar="ISO",
+        help="only this ISO; may be repeated",
     )
     add_root(parser)
     add_workers(parser)
     add_json(parser)
     add_debug(parser)
     parser.set_defaults(run=run, command="calibrate")
-
-
-def _iso(text: str) -> int:
-    if not (text.isascii() and text.isdecimal()) or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"expected a whole number of 1 or more, found {text!r}")
-    return int(text)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -6,7 +6,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_debug, add_json, write_json
+from eldata.base.console import OK, add_debug, add_json
+from eldata.base.files import write_json
 from eldata.errors import ArgumentError
 from eldata.reports.evaluation.tables import FORMATS
 

@@ -65,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
         return OK
     if arguments.without:
         raise ArgumentError("--without is about calibration frames: give --calibration too")
-    from eldata.demo.run import run_demo
+    from eldata.demo.evaluation import run_demo
 
     run_demo(Path(arguments.folder), scenes=arguments.scenes, seed=arguments.seed)
     return OK

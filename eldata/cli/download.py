@@ -7,7 +7,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import INTERRUPTED, OK, PROBLEMS, add_debug, add_json, add_root, write_json
+from eldata.base.console import INTERRUPTED, OK, PROBLEMS, add_debug, add_json, add_root
+from eldata.base.files import write_json
 
 if TYPE_CHECKING:
     import argparse

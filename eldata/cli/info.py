@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_debug, add_json, add_root, write_json
+from eldata.base.console import OK, add_debug, add_json, add_root
+from eldata.base.files import write_json
 
 if TYPE_CHECKING:
     import argparse

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
+from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_debug, add_json, write_json
+from eldata.base.console import OK, PROBLEMS, add_debug, add_json, whole_number
+from eldata.base.files import write_json
+
+if TYPE_CHECKING:
+    import argparse
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -31,7 +35,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     show.add_argument(
         "--model", default="P*+G*+B+R+U", metavar="SPEC", help="components of the noise (default: %(default)s)"
     )
-    show.add_argument("--seed", type=_seed, default=0, metavar="S", help="seed of everything (default: %(default)s)")
+    show.add_argument(
+        "--seed", type=whole_number(0), default=0, metavar="S", help="seed of everything (default: %(default)s)"
+    )
     show.add_argument("--html", metavar="FILE", help="write a page with plots to FILE")
     add_json(show)
     add_debug(show)
@@ -42,16 +48,11 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     listing.set_defaults(run=run_list, command="profile list")
 
 
-def _seed(text: str) -> int:
-    if not (text.isascii() and text.isdecimal()):
-        raise argparse.ArgumentTypeError(f"expected a whole number of 0 or more, found {text!r}")
-    return int(text)
-
-
 def run_show(arguments: argparse.Namespace) -> int:
     """Show and test one profile."""
     from eldata.base.tables import text_table
-    from eldata.noise.diagnostics import diagnose, parameter_rows, sample_parameters
+    from eldata.noise.diagnostics import diagnose, sample_parameters
+    from eldata.noise.findings import parameter_rows
     from eldata.noise.profile import CameraProfile
 
     profile = CameraProfile.load(arguments.camera)

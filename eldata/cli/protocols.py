@@ -5,7 +5,8 @@ from __future__ import annotations
 import textwrap
 from typing import TYPE_CHECKING, Any
 
-from eldata.base.console import OK, add_debug, add_json, write_json
+from eldata.base.console import OK, add_debug, add_json
+from eldata.base.files import write_json
 
 if TYPE_CHECKING:
     import argparse

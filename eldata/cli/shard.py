@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
+from typing import TYPE_CHECKING
 
-from eldata.base.console import INTERRUPTED, OK, add_cameras, add_debug
+from eldata.base.console import INTERRUPTED, OK, add_cameras, add_debug, whole_number
+
+if TYPE_CHECKING:
+    import argparse
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -31,15 +34,21 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument(
         "--overlap",
-        type=_from_0,
+        type=whole_number(0),
         default=0,
         metavar="N",
         help="packed pixels that neighbouring samples share at least (default: %(default)s)",
     )
     parser.add_argument(
-        "--samples-per-shard", type=_from_0, default=64, metavar="N", help="samples a file (default: %(default)s)"
+        "--samples-per-shard",
+        type=whole_number(0),
+        default=64,
+        metavar="N",
+        help="samples a file (default: %(default)s)",
     )
-    parser.add_argument("--seed", type=_from_0, default=0, metavar="S", help="of the order (default: %(default)s)")
+    parser.add_argument(
+        "--seed", type=whole_number(0), default=0, metavar="S", help="of the order (default: %(default)s)"
+    )
     parser.add_argument("--split", action="append", dest="splits", metavar="S", help="only this split; may be repeated")
     parser.add_argument("--subset", metavar="NAME", help="only this subset of the dataset card")
     add_cameras(parser)
@@ -80,10 +89,4 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _tile(text: str) -> int | None:
-    return None if text == "whole" else _from_0(text)
-
-
-def _from_0(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"expected a whole number, found {text!r}")
-    return int(text)
+    return None if text == "whole" else whole_number(0)(text)

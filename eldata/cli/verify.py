@@ -13,8 +13,8 @@ from eldata.base.console import (
     add_root,
     add_workers,
     chosen_workers,
-    write_json,
 )
+from eldata.base.files import write_json
 from eldata.errors import ArgumentError
 from eldata.manifest.verify import LEVELS, verify
 

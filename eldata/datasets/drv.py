@@ -9,8 +9,7 @@ from eldata.datasets.base import no_folder
 from eldata.datasets.clips import PairedClips, RawReader, RgbReader, UnpairedClips, WindowOptions, Windows
 from eldata.errors import check_choice
 from eldata.manifest.catalogue import data_root, load_manifest, shipped_manifest
-from eldata.manifest.drv import scan_raw
-from eldata.manifest.drv_published import DYNAMIC
+from eldata.manifest.drv import DYNAMIC, scan_raw
 
 if TYPE_CHECKING:
     from eldata.raw.cfa import Clip

@@ -257,12 +257,12 @@ class Body:
 
 def temporal_noise_dn(noise: KnownNoise, shape: tuple[int, ...], generator: np.random.Generator) -> NDArray[np.float32]:
     """Return one frame's read and row noise before rounding, (H, W), DN."""
-    read = noise.sigma_tl_dn * tukey_lambda_quantile(generator.random(shape), noise.tukey_lambda)
+    read = noise.sigma_tl_dn * tukey_lambda_values(generator.random(shape), noise.tukey_lambda)
     read += noise.sigma_row_dn * generator.standard_normal((shape[0], 1))
     return read.astype(np.float32)
 
 
-def tukey_lambda_quantile(probability: NDArray[np.float64], shape: float) -> NDArray[np.float64]:
+def tukey_lambda_values(probability: NDArray[np.float64], shape: float) -> NDArray[np.float64]:
     """Return quantiles ``(u^l - (1-u)^l) / l`` of the Tukey-lambda distribution, or its limit, the logistic, at l = 0.
 
     Probabilities are float64 in [0, 1): single precision would cut the tails at 6e-8, within the pixels of one frame.

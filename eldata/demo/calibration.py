@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import time
 from typing import TYPE_CHECKING, Any
 
+from eldata.base.fields import TextFile
 from eldata.base.files import write_text
 from eldata.base.tables import text_table
 from eldata.base.workers import IN_THIS_PROCESS, Workers
@@ -17,6 +17,7 @@ from eldata.errors import EldataError
 from eldata.reports.calibration.page import calibration_page
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
     from eldata.calibration.results import Calibration, IsoCalibration
@@ -61,12 +62,12 @@ def run_calibration_demo(
     write_text(report, calibration_page(found))
 
     print(f"\nfound - true, in brackets in standard errors (truth: {folder / 'truth.json'})")
-    print(against_truth(found, json.loads((folder / "truth.json").read_text(encoding="utf-8"))))
+    print(against_truth(found, TextFile(folder / "truth.json", EldataError).json().data))
     print(f"\nTo look at: {report}. Took {time.perf_counter() - start:.0f} s.")
     return found
 
 
-def against_truth(found: Calibration, truth: dict[str, Any]) -> str:
+def against_truth(found: Calibration, truth: Mapping[str, Any]) -> str:
     """Return a table of the errors of a calibration.
 
     Parameters

@@ -6,7 +6,6 @@ changes, in thirds of a stop, so that the signal is proportional to time x K ove
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
@@ -14,13 +13,13 @@ from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
-from eldata.base.files import write_text
+from eldata.base.files import write_json
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.demo.body import Body, FixedFeatures, KnownNoise
+from eldata.demo.folder import demo_card
 from eldata.errors import ArgumentError
-from eldata.manifest.card import CameraCard, Card, save_card
-from eldata.manifest.catalogue import load_manifest
-from eldata.manifest.table import number_text, save_records
+from eldata.manifest.catalogue import save_manifest
+from eldata.manifest.table import number_text
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, FrameRecord, Sensor
 
@@ -213,11 +212,12 @@ def make_calibration_frames(
             pass
     finally:
         _body.cache_clear()  # a caller's process need not keep its arrays
-    write_text(folder / "truth.json", json.dumps(_truth(plan, body), indent=1) + "\n")
+    write_json(folder / "truth.json", _truth(plan, body), indent=1)
     records = [_record(shot, data, camera.name) for shot in shots]
-    save_card(manifests / f"{NAME}.json", _card(camera, records))
-    save_records(manifests / f"{NAME}.csv", records)
-    return load_manifest(manifests / f"{NAME}.csv")
+    sources = "eldata.demo: a simulated camera; truth.json beside the manifests' folder holds its noise"
+    sensors = {camera.name: camera.sensor}
+    card = demo_card(NAME, "Simulated calibration frames", _FOLDER, sensors, records, sources)
+    return save_manifest(manifests / f"{NAME}.csv", card, records)
 
 
 def _check(isos: Sequence[int], bias_frames: int, flat_levels: int, seed: int) -> None:
@@ -314,23 +314,6 @@ def _record(shot: _Shot, data: Path, camera: str) -> FrameRecord:
         exposure_s=shot.exposure_s,
         width=shot.sensor.width,
         height=shot.sensor.height,
-    )
-
-
-def _card(camera: CalibrationCamera, records: Sequence[FrameRecord]) -> Card:
-    roles = [record.role for record in records]
-    return Card(
-        name=NAME,
-        title="Simulated calibration frames",
-        version="1.0",
-        folder=_FOLDER,
-        citation="none: made by eldata demo",
-        licence="CC0",
-        homepage="made by eldata demo",
-        cfa="bayer" if len(camera.sensor.cfa) == 2 else "xtrans",
-        cameras={camera.name: CameraCard((camera.sensor.model,))},
-        counts={role: roles.count(role) for role in sorted(set(roles))},
-        sources=("eldata.demo: a simulated camera; truth.json beside the manifests' folder holds its noise",),
     )
 
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from eldata.raw.colour import camera_to_srgb
 from eldata.records import Sensor
 
 if TYPE_CHECKING:
@@ -75,12 +76,11 @@ class SimulatedCamera:
             Exposure time as a multiple of the metered one, at which white fills 0.9 of the range at ISO 100.
         """
         sensor = self.sensor
-        matrix, balance = sensor.camera_to_srgb, sensor.white_balance
         camera: NDArray[np.float64] = radiance.astype(np.float64)
-        if matrix is not None:
-            camera = np.einsum("ij,jhw->ihw", np.linalg.inv(matrix), camera)
-        if balance is not None:
-            camera = camera / np.array([balance[0], balance[1], balance[2]])[:, None, None]
+        if sensor.xyz_to_camera is not None:
+            camera = np.einsum("ij,jhw->ihw", np.linalg.inv(camera_to_srgb(sensor.xyz_to_camera)), camera)
+        if sensor.white_balance is not None:
+            camera = camera / np.array(sensor.white_balance[:3])[:, None, None]
         camera = np.maximum(camera, 0)
         colours = np.array([0, 1, 2, 1])[sensor.cfa_pattern]  # of G1 and G2 alike
         rows, columns = np.ogrid[: sensor.height, : sensor.width]

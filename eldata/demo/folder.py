@@ -1,18 +1,47 @@
-"""The folder that a demo writes into: its own, and nobody else's."""
+"""The folder that a demo writes into, its own and nobody else's, and the card of what it makes there."""
 
 from __future__ import annotations
 
 import shutil
+from collections import Counter
 from typing import TYPE_CHECKING
 
 from eldata.base.files import write_text
 from eldata.errors import EldataError
+from eldata.manifest.card import CameraCard, Card
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
+
+    from eldata.records import FrameRecord, Sensor
 
 _MARKER = ".eldata-demo"
 _MADE = ("data", "manifests", "predictions")
+
+
+def demo_card(
+    name: str,
+    title: str,
+    folder: str,
+    sensors: Mapping[str, Sensor],
+    records: Iterable[FrameRecord],
+    source: str,
+) -> Card:
+    """Return the card of simulated files, taken by cameras with these sensors."""
+    return Card(
+        name=name,
+        title=title,
+        version="1.0",
+        folder=folder,
+        citation="none: made by eldata demo",
+        licence="CC0",
+        homepage="made by eldata demo",
+        cfa="bayer" if all(len(sensor.cfa) == 2 for sensor in sensors.values()) else "xtrans",
+        cameras={camera: CameraCard((sensor.model,)) for camera, sensor in sensors.items()},
+        counts=dict(sorted(Counter(str(record.role) for record in records).items())),
+        sources=(source,),
+    )
 
 
 def prepare_folder(folder: Path) -> None:

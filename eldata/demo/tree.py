@@ -9,11 +9,10 @@ import numpy as np
 from tqdm import tqdm
 
 from eldata.demo.camera import BASE_ISO, CAMERAS
+from eldata.demo.folder import demo_card
 from eldata.demo.scenes import scene_radiance
-from eldata.manifest.card import CameraCard, Card, save_card
-from eldata.manifest.catalogue import Manifest, load_manifest
+from eldata.manifest.catalogue import Manifest, save_manifest
 from eldata.manifest.eld import EldCamera, eld_records
-from eldata.manifest.table import save_records
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure
 
@@ -72,20 +71,7 @@ def make_tree(
             path.parent.mkdir(parents=True, exist_ok=True)
             exposure = Exposure(iso, exposure_s, _F_NUMBER)
             write_dng(path, mosaic, camera.sensor, exposure, compression="lossless-jpeg")
-    roles = [record.role for record in records]
-    card = Card(
-        name="eld-demo",
-        title="Simulated ELD-like set",
-        version="1.0",
-        folder="ELD-demo",
-        citation="none: made by eldata demo",
-        licence="CC0",
-        homepage="made by eldata demo",
-        cfa="bayer",
-        cameras={camera.name: CameraCard((camera.sensor.model,)) for camera in cameras},
-        counts={role: roles.count(role) for role in sorted(set(roles))},
-        sources=("eldata.demo: procedural scenes, simulated cameras",),
-    )
-    save_card(manifests / "eld-demo.json", card)
-    save_records(manifests / "eld-demo.csv", records)
-    return load_manifest(manifests / "eld-demo.csv")
+    title, sources = "Simulated ELD-like set", "eldata.demo: procedural scenes, simulated cameras"
+    sensors = {camera.name: camera.sensor for camera in cameras}
+    card = demo_card("eld-demo", title, "ELD-demo", sensors, records, sources)
+    return save_manifest(manifests / "eld-demo.csv", card, records)

@@ -22,7 +22,7 @@ from urllib.parse import urljoin, urlsplit
 
 from eldata import __version__
 from eldata.base.files import sha256_of
-from eldata.download.partial import Partial, Version, discard, opened
+from eldata.download.partial import Partial, Version, discard, opened_partial
 from eldata.download.readers import HEAD_BYTES, archive_format, looks_like
 from eldata.download.sizes import check_room, progress_bar, size_text
 from eldata.errors import DownloadError
@@ -120,7 +120,7 @@ class Fetcher:
             def downloader(address: str, temporary: str, _: Pooch) -> None:
                 nonlocal fetched
                 Path(temporary).unlink()  # pooch made it, empty; a killed run would leave it
-                partial = held.enter_context(opened(target))  # until pooch has put it under its name
+                partial = held.enter_context(opened_partial(target))  # until pooch has put it under its name
                 self._complete(address, partial, size_bytes)
                 partial.hand_over(Path(temporary))
                 fetched = True

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from typing import IO, TYPE_CHECKING
 
+from eldata.base.fields import TextFile
 from eldata.base.files import check_posix, try_lock, write_text
 from eldata.download.sizes import size_text
 from eldata.errors import DownloadError
@@ -28,7 +29,7 @@ class Version:
 
 
 class Partial:
-    """A file on its way: ``<name>.part``, which :func:`opened` opens, and what it is a part of."""
+    """A file on its way: ``<name>.part``, which :func:`opened_partial` opens, and what it is a part of."""
 
     def __init__(self, target: Path, file: IO[bytes]) -> None:
         self.path, self._note = _paths(target)
@@ -42,9 +43,9 @@ class Partial:
     def version(self) -> Version | None:
         """Return which file the bytes belong to, ``None`` if that is not known."""
         try:
-            data = json.loads(self._note.read_text(encoding="utf-8"))
-            return Version(str(data["address"]), int(data["total_bytes"]), str(data["mark"]))
-        except (OSError, ValueError, LookupError, TypeError):
+            note = TextFile(self._note, DownloadError).json()
+            return Version(note.text("address"), note.whole("total_bytes"), note.text("mark", empty=True))
+        except DownloadError:
             return None
 
     def note(self, version: Version) -> None:
@@ -87,7 +88,7 @@ class Partial:
 
 
 @contextmanager
-def opened(target: Path) -> Iterator[Partial]:
+def opened_partial(target: Path) -> Iterator[Partial]:
     """Open what has come of a file, for one process at a time.
 
     Raises

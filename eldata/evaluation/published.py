@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import json
-import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from eldata.base.fields import Fields, TextFile, TextRow, names_of, shown
 from eldata.errors import ManifestError
 from eldata.manifest.catalogue import shipped_folder
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
+    from collections.abc import Collection
     from pathlib import Path
 
 
@@ -117,8 +114,10 @@ def load_published(folder: Path) -> PublishedTables:
     rows: list[PublishedRow] = []
     line_of: dict[tuple[object, ...], str] = {}
     for path in sorted(folder.glob("*.csv")):
-        for where, row in _load_rows(path, sources):
+        for cells in TextFile(path, ManifestError).rows(COLUMNS):
+            row = _row(cells, sources)
             key = (row.source, row.table, row.dataset, row.camera, row.ratio, row.method)
+            where = f"{path}, {cells.place}"
             if key in line_of:
                 raise ManifestError(f"{where}: repeats {line_of[key]}: {row.method}, {row.place}")
             line_of[key] = where
@@ -135,97 +134,46 @@ def shipped_published() -> PublishedTables:
 
 
 def _load_sources(path: Path) -> dict[str, PublishedSource]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ManifestError(f"{path}: cannot be read: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
-        raise ManifestError(f"{path}: is not JSON ({error})") from error
-    if not isinstance(content, dict):
-        raise ManifestError(f"{path}: expected a JSON object, found {type(content).__name__}")
-    return {key: _source(f"{path}, {key}", key, entry) for key, entry in content.items()}
+    top = TextFile(path, ManifestError).json()
+    return {key: _source(key, top.inside(key)) for key in top.data}
 
 
-def _source(where: str, key: str, entry: Any) -> PublishedSource:
-    names = [field.name for field in fields(PublishedSource) if field.name != "key"]
-    if not isinstance(entry, dict) or sorted(entry) != sorted(names):
-        found = ", ".join(entry) if isinstance(entry, dict) else type(entry).__name__
-        raise ManifestError(f"{where}: expected the fields {', '.join(names)}; found {found}")
-    for name, kind in (("tables", dict), ("known", list), ("unknown", list)):
-        if not isinstance(entry[name], kind):
-            raise ManifestError(f"{where}, {name}: expected {kind.__name__}, found {type(entry[name]).__name__}")
-    texts = [entry[name] for name in ("label", "citation", "url")]
-    texts += [*entry["known"], *entry["unknown"], *entry["tables"].values()]
-    if entry["commit"] is not None:
-        texts.append(entry["commit"])
-    if not all(isinstance(text, str) and text for text in texts):
-        raise ManifestError(f"{where}: expected text that is not empty in every field")
-    return PublishedSource(key=key, **(entry | {name: tuple(entry[name]) for name in ("known", "unknown")}))
+def _source(key: str, entry: Fields) -> PublishedSource:
+    entry.only([name for name in names_of(PublishedSource) if name != "key"])
+    tables = entry.inside("tables")
+    return PublishedSource(
+        key=key,
+        label=entry.text("label"),
+        citation=entry.text("citation"),
+        url=entry.text("url"),
+        commit=None if entry.value("commit") is None else entry.text("commit"),
+        tables={name: tables.text(name) for name in tables.data},
+        known=entry.texts("known"),
+        unknown=entry.texts("unknown"),
+    )
 
 
-def _load_rows(path: Path, sources: dict[str, PublishedSource]) -> Iterable[tuple[str, PublishedRow]]:
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except OSError as error:
-        raise ManifestError(f"{path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise ManifestError(f"{path}: is not UTF-8 text (byte {error.start})") from error
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-    try:
-        for cells in reader:
-            where = f"{path} line {reader.line_num}"
-            if reader.line_num == 1:
-                if tuple(cells) != COLUMNS:
-                    raise ManifestError(f"{where}: expected the columns {','.join(COLUMNS)}; found {','.join(cells)}")
-            elif len(cells) != len(COLUMNS):
-                raise ManifestError(f"{where}: expected {len(COLUMNS)} fields, found {len(cells)}")
-            else:
-                yield where, _row(where, dict(zip(COLUMNS, cells, strict=True)), sources)
-    except csv.Error as error:
-        raise ManifestError(f"{path} line {reader.line_num}: is not CSV ({error})") from error
-
-
-def _row(where: str, cells: dict[str, str], sources: dict[str, PublishedSource]) -> PublishedRow:
-    def number(column: str) -> float:
-        try:
-            value = float(cells[column])
-        except ValueError:
-            value = math.nan
-        if not (math.isfinite(value) and value >= 0):
-            raise ManifestError(f"{where}, column {column}: expected a number, found {cells[column]!r}")
-        return value
-
-    def optional(column: str) -> float | None:
-        return number(column) if cells[column] else None
-
-    for column in ("dataset", "camera", "method"):
-        if not cells[column]:
-            raise ManifestError(f"{where}, column {column}: is empty")
-    source = sources.get(cells["source"])
+def _row(row: TextRow, sources: dict[str, PublishedSource]) -> PublishedRow:
+    source = sources.get(row.text("source"))
     if source is None:
-        raise ManifestError(f"{where}, column source: {cells['source']!r} is not in sources.json")
-    if cells["table"] not in source.tables:
-        raise ManifestError(
-            f"{where}, column table: {source.key} has {', '.join(map(repr, source.tables))}; found {cells['table']!r}"
-        )
-    if not (cells["protocol"] or cells["note"]):
-        raise ManifestError(f"{where}, column note: is empty; a number without a protocol needs the reason")
-    if cells["pairs"] and not (cells["pairs"].isdecimal() and int(cells["pairs"]) > 0):
-        raise ManifestError(f"{where}, column pairs: expected a count, found {cells['pairs']!r}")
+        raise row.problem("source", f"{shown(row.data['source'])} is not in sources.json")
+    protocols, note = row.data["protocol"], row.data["note"]
+    if not (protocols or note):
+        raise row.problem("note", "is empty; a number without a protocol needs the reason")
     return PublishedRow(
         source=source.key,
-        table=cells["table"],
-        dataset=cells["dataset"],
-        camera=cells["camera"],
-        subset=cells["subset"] or None,
-        protocols=tuple(name for name in cells["protocol"].split(";") if name),
-        ratio=optional("ratio"),
-        pairs=int(cells["pairs"]) if cells["pairs"] else None,
-        method=cells["method"],
-        psnr_db=number("psnr_db"),
-        ssim=optional("ssim"),
-        st_rred=optional("st_rred"),
-        note=cells["note"],
+        table=row.choice("table", tuple(source.tables)),
+        dataset=row.text("dataset"),
+        camera=row.text("camera"),
+        subset=row.data["subset"] or None,
+        protocols=tuple(name for name in protocols.split(";") if name),
+        ratio=row.optional("ratio", row.number, at_least=0),
+        pairs=row.optional("pairs", row.whole, at_least=1),
+        method=row.text("method"),
+        psnr_db=row.number("psnr_db", at_least=0),
+        ssim=row.optional("ssim", row.number, at_least=0),
+        st_rred=row.optional("st_rred", row.number, at_least=0),
+        note=note,
     )
 
 

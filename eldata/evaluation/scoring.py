@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.evaluation.planning import Plan
-    from eldata.metrics.scoring import Score, ScoringRules
+    from eldata.metrics.image_score import Score, ScoringRules
     from eldata.protocols.protocol import Protocol
     from eldata.records import PairRecord, RawFrame, Sensor
 
@@ -252,7 +252,7 @@ def _score(
     protocol: Protocol,
     shared: _Shared,
 ) -> Score:
-    from eldata.metrics.scoring import factor_by, score_by
+    from eldata.metrics.image_score import factor_by, score_by
 
     rules, threads = protocol.rules, job.threads
     source, prediction = _prediction(job, reference, target, member, protocol, shared)
@@ -281,8 +281,8 @@ def _score_rendered(
     threads: int | None,
 ) -> Score:
     """Score a packed raw prediction in sRGB: rescaled in raw, rendered, truncated to 8 bits."""
-    from eldata.isp.scoring import render_pair_for_scoring
-    from eldata.metrics.scoring import score_by
+    from eldata.isp.srgb_pairs import render_pair_for_scoring
+    from eldata.metrics.image_score import score_by
 
     low, high, _, final_low, final_high = rules.treatment(factor)
     rescaled = np.clip(np.clip(prediction.astype(np.float64), low, high) * factor, final_low, final_high)

@@ -14,7 +14,7 @@ import torch
 
 from eldata.errors import ArgumentError, EldataError
 from eldata.metrics._images import check_data_range, check_threads
-from eldata.metrics.scoring import score_by
+from eldata.metrics.image_score import score_by
 from eldata.metrics.signal_to_noise import psnr
 from eldata.metrics.similarity import ssim
 

@@ -12,4 +12,4 @@ from .response_files import read_dorf as read_dorf
 from .response_files import read_published_response as read_published_response
 from .response_files import read_response_table as read_response_table
 from .response_files import write_response_table as write_response_table
-from .scoring import render_pair_for_scoring as render_pair_for_scoring
+from .srgb_pairs import render_pair_for_scoring as render_pair_for_scoring

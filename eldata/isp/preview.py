@@ -8,6 +8,7 @@ import numpy as np
 
 from eldata.errors import ArgumentError
 from eldata.isp.steps import CHANNELS_OF_COLOUR
+from eldata.raw.colour import camera_to_srgb
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -48,7 +49,7 @@ def preview(packed: NDArray[np.floating[Any]], sensor: Sensor) -> NDArray[np.uin
         red, green, blue, _ = sensor.white_balance
         # Clipped at the level where the first channel saturates, so that blown highlights stay white.
         camera = np.minimum(camera * np.array([red, green, blue])[:, None, None], 1.0)
-    matrix = sensor.camera_to_srgb
-    linear = camera if matrix is None else np.einsum("ij,jhw->ihw", matrix, camera)
-    codes: NDArray[np.uint8] = np.rint(srgb_encode(np.clip(linear, 0, 1)) * 255).astype(np.uint8)
+    if sensor.xyz_to_camera is not None:
+        camera = np.einsum("ij,jhw->ihw", camera_to_srgb(sensor.xyz_to_camera), camera)
+    codes: NDArray[np.uint8] = np.rint(srgb_encode(np.clip(camera, 0, 1)) * 255).astype(np.uint8)
     return codes.transpose(1, 2, 0)

@@ -9,6 +9,7 @@ import numpy as np
 
 from eldata.errors import ArgumentError
 from eldata.isp.steps import bin_colours, colour_matrix, gamma_curve, white_balance
+from eldata.raw.colour import camera_to_srgb
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -59,7 +60,7 @@ class CameraColour:
     white_balance
         Multipliers of R, G1, B, G2.
     camera_to_srgb
-        Matrix (3, 3) from white-balanced camera R, G, B to linear sRGB (:attr:`eldata.records.Sensor.camera_to_srgb`).
+        Matrix (3, 3) from white-balanced camera R, G, B to linear sRGB (:func:`eldata.raw.colour.camera_to_srgb`).
 
     Raises
     ------
@@ -87,15 +88,15 @@ class CameraColour:
             If the sensor lacks one of them: there is no neutral stand-in for either.
         """
         camera = f"{sensor.make} {sensor.model}".strip() or "an unnamed camera"
-        matrix = sensor.camera_to_srgb
-        for name, value in (("white balance", sensor.white_balance), ("colour matrix (xyz_to_camera)", matrix)):
+        balance, matrix = sensor.white_balance, sensor.xyz_to_camera
+        for name, value in (("white balance", balance), ("colour matrix (xyz_to_camera)", matrix)):
             if value is None:
                 raise ArgumentError(
                     f"the sensor record of {camera} has no {name}; take it from another file of that camera, or give "
                     "CameraColour(white_balance, camera_to_srgb) yourself"
                 )
-        rows = tuple(tuple(float(value) for value in row) for row in matrix)  # type: ignore[union-attr] # checked above
-        return cls(sensor.white_balance, rows)  # type: ignore[arg-type] # checked above, 3 x 3
+        rows = tuple(map(tuple, camera_to_srgb(matrix).tolist()))  # type: ignore[arg-type] # checked above
+        return cls(balance, rows)  # type: ignore[arg-type] # checked above, 3 x 3
 
 
 @dataclass(frozen=True, slots=True)

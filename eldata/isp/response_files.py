@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from eldata.base.fields import TextFile, number_of
 from eldata.errors import ArgumentError, FileError
 from eldata.isp.radiometric import CurveModel
 from eldata.isp.response import ResponseCurve
@@ -177,12 +178,7 @@ def read_curve_model(path: Path | str) -> CurveModel:
 
 def _lines(path: Path, *, comments: bool = True) -> list[tuple[int, str]]:
     """Return the lines that hold something, with their numbers from 1."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise ResponseFileError(path, "is not a text file; a file of response curves is needed") from error
-    except OSError as error:
-        raise ResponseFileError(path, f"cannot be read: {error.strerror}") from error
+    text = TextFile(path, ResponseFileError).text("a text file of response curves")
     stripped = [(line.partition("#")[0] if comments else line).strip() for line in text.splitlines()]
     return [(number, line) for number, line in enumerate(stripped, 1) if line]
 
@@ -196,12 +192,9 @@ def _numbers(path: Path, number: int, line: str) -> list[float]:
     values = []
     for text in _SEPARATORS.split(line):
         try:
-            value = float(text)
-        except ValueError as error:
-            raise ResponseFileError(path, f"line {number}: expected numbers; found {text[:40]!r}") from error
-        if not np.isfinite(value):
-            raise ResponseFileError(path, f"line {number}: expected finite numbers; found {text!r}")
-        values.append(value)
+            values.append(number_of(text))
+        except ArgumentError as error:
+            raise ResponseFileError(path, f"line {number}: {error}") from error
     return values
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import MISSING, asdict, dataclass, field, fields
-from typing import TYPE_CHECKING, Any
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING
 
-from eldata.base.files import path_problem, write_text
-from eldata.errors import ManifestError
+from eldata.base.fields import Fields, TextFile, names_of, shown
+from eldata.base.files import path_problem, write_json
+from eldata.errors import ArgumentError, ManifestError
 from eldata.manifest.subsets import Subset
 
 if TYPE_CHECKING:
@@ -92,18 +92,6 @@ class Card:
     sources: tuple[str, ...] = field(default=())
 
 
-_DOWNLOAD_KINDS: dict[str, type] = {
-    "size_bytes": int,
-    "notes": str,
-    "direct": bool,
-    "part": str,
-    "paths": str,
-    "below": str,
-    "sha256": str,
-    "about": str,
-}
-
-
 def load_card(path: Path) -> Card:
     """Read a dataset card.
 
@@ -112,96 +100,72 @@ def load_card(path: Path) -> Card:
     ManifestError
         If the file cannot be read or a field is missing, unknown or of the wrong kind; the message names it.
     """
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ManifestError(f"{path}: cannot be read: {error.strerror}; a manifest needs its dataset card") from error
-    except (ValueError, RecursionError) as error:
-        raise ManifestError(f"{path}: is not JSON ({error})") from error
-    if not isinstance(data, dict):
-        raise ManifestError(f"{path}: expected a JSON object, found {type(data).__name__}")
-    _check_keys(path, "", data, Card)
-    strings = ("name", "title", "version", "folder", "citation", "licence", "homepage", "cfa")
-    texts = {key: _typed(path, key, data[key], str) for key in strings}
-    if path_problem(texts["folder"]) or "/" in texts["folder"]:
-        raise ManifestError(f"{path}, field folder: expected the name of one folder, found {texts['folder']!r}")
-    if texts["cfa"] not in ("bayer", "xtrans"):
-        raise ManifestError(f"{path}, field cfa: expected bayer or xtrans, found {texts['cfa']!r}")
-    cameras = {}
-    for name, entry in _typed(path, "cameras", data["cameras"], dict).items():
-        _check_keys(path, f"cameras.{name}.", _typed(path, f"cameras.{name}", entry, dict), CameraCard)
-        cameras[name] = CameraCard(_texts(path, f"cameras.{name}.models", entry["models"]))
-    counts = {
-        role: _typed(path, f"counts.{role}", count, int)
-        for role, count in _typed(path, "counts", data["counts"], dict).items()
-    }
-    downloads = []
-    for index, entry in enumerate(_typed(path, "downloads", data.get("downloads", []), list)):
-        where = f"downloads[{index}]"
-        _check_keys(path, f"{where}.", _typed(path, where, entry, dict), Download)
-        downloads.append(
-            Download(
-                _typed(path, f"{where}.address", entry["address"], str),
-                **{
-                    key: _typed(path, f"{where}.{key}", entry[key], kind)
-                    for key, kind in _DOWNLOAD_KINDS.items()
-                    if entry.get(key) is not None
-                },
-            )
-        )
+    if not path.exists():
+        raise ManifestError(f"{path}: is missing; a manifest needs its dataset card")
+    top = TextFile(path, ManifestError).json()
+    top.only(names_of(Card))
+    cameras, counts = top.inside("cameras"), top.inside("counts")
+    subsets = tuple(map(_subset, top.objects("subsets", missing_ok=True)))
+    for index, subset in enumerate(subsets):
+        if subset.name in [other.name for other in subsets[:index]]:
+            raise top.problem(f"subsets[{index}].name", f"{shown(subset.name)} names two subsets")
     return Card(
-        **texts,
-        cameras=cameras,
-        counts=counts,
-        downloads=tuple(downloads),
-        subsets=_subsets(path, data.get("subsets", [])),
-        known_defects=_texts(path, "known_defects", data.get("known_defects", [])),
-        sources=_texts(path, "sources", data.get("sources", [])),
+        name=top.text("name", empty=True),
+        title=top.text("title", empty=True),
+        version=top.text("version", empty=True),
+        folder=top.parsed("folder", _folder),
+        citation=top.text("citation", empty=True),
+        licence=top.text("licence", empty=True),
+        homepage=top.text("homepage", empty=True),
+        cfa=top.choice("cfa", ("bayer", "xtrans")),
+        cameras={name: _camera(cameras.inside(name)) for name in cameras.data},
+        counts={role: counts.whole(role) for role in counts.data},
+        downloads=tuple(map(_download, top.objects("downloads", missing_ok=True))),
+        subsets=subsets,
+        known_defects=top.texts("known_defects", missing_ok=True, empty=True),
+        sources=top.texts("sources", missing_ok=True, empty=True),
+    )
+
+
+def _folder(found: object) -> str:
+    if not isinstance(found, str) or path_problem(found) or "/" in found:
+        raise ArgumentError(f"expected the name of one folder, found {shown(found)}")
+    return found
+
+
+def _camera(entry: Fields) -> CameraCard:
+    entry.only(names_of(CameraCard))
+    return CameraCard(entry.texts("models", empty=True))
+
+
+def _download(entry: Fields) -> Download:
+    entry.only(names_of(Download))
+    return Download(
+        address=entry.text("address"),
+        size_bytes=entry.optional("size_bytes", entry.whole),
+        notes=entry.optional("notes", entry.text, "", empty=True),
+        direct=entry.optional("direct", entry.flag, default=False),
+        part=entry.optional("part", entry.text, "", empty=True),
+        paths=entry.optional("paths", entry.text, "*"),
+        below=entry.optional("below", entry.text, empty=True),
+        sha256=entry.optional("sha256", entry.text),
+        about=entry.optional("about", entry.text, "", empty=True),
+    )
+
+
+def _subset(entry: Fields) -> Subset:
+    entry.only(names_of(Subset))
+    return Subset(
+        name=entry.text("name"),
+        title=entry.text("title", empty=True),
+        source=entry.text("source", empty=True),
+        pairs=entry.whole("pairs"),
+        splits=entry.texts("splits", missing_ok=True, empty=True),
+        scenes=entry.texts("scenes", missing_ok=True, empty=True),
+        paths=entry.optional("paths", entry.text, "*"),
     )
 
 
 def save_card(path: Path, card: Card) -> None:
     """Write a dataset card as JSON, whole or not at all."""
-    write_text(path, json.dumps(asdict(card), indent=2, ensure_ascii=False) + "\n")
-
-
-def _subsets(path: Path, value: Any) -> tuple[Subset, ...]:
-    subsets: list[Subset] = []
-    for index, entry in enumerate(_typed(path, "subsets", value, list)):
-        where = f"subsets[{index}]"
-        _check_keys(path, f"{where}.", _typed(path, where, entry, dict), Subset)
-        name, title, source = (_typed(path, f"{where}.{key}", entry[key], str) for key in ("name", "title", "source"))
-        if name in [subset.name for subset in subsets]:
-            raise ManifestError(f"{path}, field {where}.name: {name!r} names two subsets")
-        subsets.append(
-            Subset(
-                name,
-                title,
-                source,
-                _typed(path, f"{where}.pairs", entry["pairs"], int),
-                _texts(path, f"{where}.splits", entry.get("splits", [])),
-                _texts(path, f"{where}.scenes", entry.get("scenes", [])),
-                _typed(path, f"{where}.paths", entry.get("paths", "*"), str),
-            )
-        )
-    return tuple(subsets)
-
-
-def _check_keys(path: Path, prefix: str, data: dict[str, Any], record: type) -> None:
-    known = {item.name: item for item in fields(record)}
-    for key in data:
-        if key not in known:
-            raise ManifestError(f"{path}, field {prefix}{key}: is unknown; known are {', '.join(known)}")
-    for key, item in known.items():
-        if key not in data and item.default is MISSING and item.default_factory is MISSING:
-            raise ManifestError(f"{path}, field {prefix}{key}: is missing")
-
-
-def _typed(path: Path, name: str, value: Any, kind: type) -> Any:
-    if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
-        raise ManifestError(f"{path}, field {name}: expected {kind.__name__}, found {value!r}")
-    return value
-
-
-def _texts(path: Path, name: str, value: Any) -> tuple[str, ...]:
-    return tuple(_typed(path, f"{name}[{i}]", item, str) for i, item in enumerate(_typed(path, name, value, list)))
+    write_json(path, asdict(card))

@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING
 
 from eldata.base.files import sha256_of
 from eldata.errors import ManifestError
-from eldata.manifest.card import Card, load_card
-from eldata.manifest.table import load_records
+from eldata.manifest.card import Card, load_card, save_card
+from eldata.manifest.table import load_records, save_records
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from eldata.records import FrameRecord
 
 ROOT_VARIABLE = "ELDATA_ROOT"
@@ -66,6 +68,22 @@ def load_manifest(path: Path | str) -> Manifest:
     if dict(found) != card.counts:
         raise ManifestError(f"{path}: the card expects {card.counts} rows per role, found {dict(found)}")
     return Manifest(path, card, records, sha256_of(path))
+
+
+def save_manifest(path: Path | str, card: Card, records: Iterable[FrameRecord]) -> Manifest:
+    """Write a manifest's CSV file and, beside it, its card, each whole or not at all; return it as it loads.
+
+    Raises
+    ------
+    ManifestError
+        If rows and card do not fit each other.
+    EldataError
+        If a file cannot be written.
+    """
+    path = Path(path)
+    save_card(path.with_suffix(".json"), card)
+    save_records(path, records)
+    return load_manifest(path)
 
 
 def shipped_folder() -> Path:

@@ -15,7 +15,7 @@ from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.manifest.patterns import is_pattern, sequence_of
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
+    from collections.abc import Collection, Iterable, Sequence
 
     from eldata.records import FrameRecord
 
@@ -127,35 +127,28 @@ def clips_of(records: Iterable[FrameRecord]) -> tuple[Clip, ...]:
         have = sorted(set(scenes) - set(without))
         hint = f"choose those that you have with ids={have!r}" if have else "is this the right folder?"
         raise DatasetError(f"no frames of {len(without)} clips, {', '.join(without[:5])} ...: {hint}")
-    clips = []
-    for scene, rows in sorted(scenes.items()):
-        by_path = {row.path: row for row in rows}
-        parents = {PurePosixPath(path).parent for path in by_path}
-        sequence = sequence_of(PurePosixPath(path).name for path in by_path)
-        if sequence.odd or sequence.doubles or len(parents) > 1:
-            raise DatasetError(
-                f"clip {scene}: its frames do not follow one numbering in one folder: "
-                f"{', '.join(sequence.odd) or sequence.doubles or sorted(map(str, parents))}; eldata verify names them"
-            )
-        (parent,) = parents
-        references = {row.reference for row in rows}
-        reference = references.pop()
-        if references or (reference is not None and (is_pattern(reference) or reference not in files)):
-            raise DatasetError(
-                f"clip {scene}: expected one file as its reference, {reference}; found none, or several "
-                "(eldata verify names them)"
-            )
-        clips.append(
-            Clip(
-                scene=scene,
-                split=rows[0].split,
-                camera=rows[0].camera,
-                frames=tuple(str(parent / name) for name in sequence.names),
-                numbers=sequence.numbers,
-                reference=reference,
-            )
+    return tuple(_clip(scene, rows, files) for scene, rows in sorted(scenes.items()))
+
+
+def _clip(scene: str, rows: Sequence[FrameRecord], files: Collection[str]) -> Clip:
+    paths = {row.path: PurePosixPath(row.path) for row in rows}
+    parents = {path.parent for path in paths.values()}
+    sequence = sequence_of(path.name for path in paths.values())
+    if sequence.odd or sequence.doubles or len(parents) > 1:
+        raise DatasetError(
+            f"clip {scene}: its frames do not follow one numbering in one folder: "
+            f"{', '.join(sequence.odd) or sequence.doubles or sorted(map(str, parents))}; eldata verify names them"
         )
-    return tuple(clips)
+    references = {row.reference for row in rows}
+    reference = references.pop()
+    if references or (reference is not None and (is_pattern(reference) or reference not in files)):
+        raise DatasetError(
+            f"clip {scene}: expected one file as its reference, {reference}; found none, or several (eldata verify "
+            "names them)"
+        )
+    (parent,) = parents
+    frames = tuple(str(parent / name) for name in sequence.names)
+    return Clip(scene, rows[0].split, rows[0].camera, frames, sequence.numbers, reference)
 
 
 def frame_range(name: FrameRange, count: int) -> range:

@@ -22,16 +22,19 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from eldata.errors import DatasetError
-from eldata.manifest.card import Card, save_card
-from eldata.manifest.catalogue import Manifest, load_manifest, shipped_manifest
-from eldata.manifest.drv_published import CAMERA, DYNAMIC_CLIPS
+from eldata.manifest.catalogue import Manifest, save_manifest, shipped_manifest
 from eldata.manifest.patterns import expand, is_pattern
-from eldata.manifest.table import save_records
 from eldata.raw.extensions import RAW_EXTENSIONS
 from eldata.records import FrameRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+
+    from eldata.manifest.card import Card
+    from eldata.records import Role
+
+# Split of the clips without a reference.
+DYNAMIC = "dynamic"
 
 # Flag of a long exposure that is not the one that was chosen as the reference.
 UNUSED = "unused"
@@ -102,10 +105,7 @@ class Scan:
 
     def save(self, path: Path | str) -> Manifest:
         """Write the manifest's CSV and, beside it, its card; ``eldata verify`` and ``eldata lock`` take it then."""
-        path = Path(path)
-        save_card(path.with_suffix(".json"), self.card)
-        save_records(path, self.records)
-        return load_manifest(path)
+        return save_manifest(path, self.card, self.records)
 
 
 def scan_preprocessed(folder: Path | str) -> Scan:
@@ -163,26 +163,15 @@ def scan_raw(folder: Path | str, *, reference: str = "*") -> Scan:
     """
     folder = Path(folder)
     published = shipped_manifest("drv")
+    (camera,) = published.card.cameras
     split_of = {row.scene: row.split for row in published.records if row.role == "noisy"}
-    noisy: dict[str, list[str]] = defaultdict(list)
-    bright: dict[str, list[str]] = defaultdict(list)
-    unused: dict[str, list[str]] = defaultdict(list)
-    stray: list[str] = []
+    found: dict[str, dict[str, list[str]]] = {kind: defaultdict(list) for kind in ("noisy", "reference", UNUSED, "")}
     for path in sorted(folder.rglob("*")):
         relative = path.relative_to(folder)
-        if path.suffix.lower() not in RAW_EXTENSIONS or any(part.startswith(".") for part in relative.parts):
-            continue
-        clips = [part for part in relative.parts[:-1] if part in split_of]
-        long = any(part.casefold() == "long" for part in relative.parts[:-1])
-        short = any(part.casefold().startswith("short") for part in relative.parts[:-1])
-        if len(clips) != 1 or long == short:
-            stray.append(relative.as_posix())
-        elif short:
-            noisy[clips[0]].append(relative.as_posix())
-        elif fnmatchcase(relative.name, reference):
-            bright[clips[0]].append(relative.as_posix())
-        else:
-            unused[clips[0]].append(relative.as_posix())
+        if path.suffix.lower() in RAW_EXTENSIONS and not any(part.startswith(".") for part in relative.parts):
+            kind, clip = _kind_and_clip(relative, split_of, reference)
+            found[kind][clip].append(relative.as_posix())
+    stray, noisy, bright, unused = found[""][""], found["noisy"], found["reference"], found[UNUSED]
     if stray:
         raise DatasetError(
             f"{folder}: cannot tell to which clip {len(stray)} raw files belong, such as {_some(stray)}; expected each "
@@ -190,7 +179,8 @@ def scan_raw(folder: Path | str, *, reference: str = "*") -> Scan:
         )
     if not noisy:
         raise DatasetError(f"{folder}: holds no camera raw of a clip, such as short/0001/<name>.ARW")
-    left_out = sum(len(bright.pop(clip, ())) + len(unused.pop(clip, ())) for clip in DYNAMIC_CLIPS)
+    dynamic = [clip for clip, split in split_of.items() if split == DYNAMIC]
+    left_out = sum(len(bright.pop(clip, ())) + len(unused.pop(clip, ())) for clip in dynamic)
     _check_one_place(folder, noisy)
     _check_one_place(folder, bright)
     for clip, paths in bright.items():
@@ -199,20 +189,29 @@ def scan_raw(folder: Path | str, *, reference: str = "*") -> Scan:
                 f"{folder}: clip {clip} has {len(paths)} long exposures, and which is the reference is not published: "
                 f"{_some(paths)}; name it with reference='PATTERN'"
             )
-    records = [
-        replace(row, scene=clip, split=split_of[clip], path=path, reference=clip_reference)
-        for row, paths_of in (
-            (FrameRecord("", "noisy", CAMERA), noisy),
-            (FrameRecord("", "reference", CAMERA), bright),
-            (FrameRecord("", "reference", CAMERA, flags=(UNUSED,)), unused),
-        )
-        for clip, paths in paths_of.items()
-        for clip_reference in [bright[clip][0] if row.role == "noisy" and clip in bright else None]
-        for path in paths
-    ]
+    reference_of = {clip: paths[0] for clip, paths in bright.items()}
+
+    def rows(role: Role, of_clips: Mapping[str, Sequence[str]], flags: tuple[str, ...] = ()) -> Iterator[FrameRecord]:
+        for clip, paths in of_clips.items():
+            named = reference_of.get(clip) if role == "noisy" else None
+            row = FrameRecord("", role, camera, clip, split_of[clip], reference=named, flags=flags)
+            yield from (replace(row, path=path) for path in paths)
+
+    records = [*rows("noisy", noisy), *rows("reference", bright), *rows("reference", unused, (UNUSED,))]
     notes = (f"{left_out} raws of dynamic clips below long are left out",) if left_out else ()
     card = _listing_card(published.card, "camera raws of one copy", "drv-raw", records)
     return Scan(card, tuple(sorted(records, key=lambda row: row.path)), notes)
+
+
+def _kind_and_clip(path: Path, clips: Collection[str], reference: str) -> tuple[str, str]:
+    """Return what a raw file is (a role, ``unused``, or empty if its folders do not say) and its clip."""
+    folders = path.parts[:-1]
+    named = [part for part in folders if part in clips]
+    long = any(part.casefold() == "long" for part in folders)
+    short = any(part.casefold().startswith("short") for part in folders)
+    if len(named) != 1 or long == short:
+        return "", ""
+    return "noisy" if short else "reference" if fnmatchcase(path.name, reference) else UNUSED, named[0]
 
 
 def _check_one_place(folder: Path, paths_of: Mapping[str, Sequence[str]]) -> None:

@@ -8,8 +8,9 @@ import re
 from fractions import Fraction
 from typing import TYPE_CHECKING, get_args
 
+from eldata.base.fields import TextFile, TextRow, shown
 from eldata.base.files import path_problem, write_text
-from eldata.errors import ManifestError
+from eldata.errors import ArgumentError, ManifestError
 from eldata.records import FrameRecord, Role
 
 if TYPE_CHECKING:
@@ -34,11 +35,10 @@ COLUMNS = (
 )
 ROLES: tuple[Role, ...] = get_args(Role)
 
-_NUMBER = re.compile(r"[0-9]{1,18}(\.[0-9]{1,18})?(/[0-9]{1,18})?")
+_LARGEST_BYTES = 1 << 30  # millions of rows
 _MOST_DECIMALS = 9
-_WHOLE = re.compile(r"[0-9]{1,18}")
 _SHA256 = re.compile(r"sha256:[0-9a-f]{64}")
-_NAME = re.compile(r"[\w.+-]+")
+_NAME = re.compile(r"[\w.+-]{1,255}")
 
 
 def number_text(value: Fraction) -> str:
@@ -64,43 +64,24 @@ def load_records(path: Path) -> tuple[FrameRecord, ...]:
         If the file cannot be read or a row is malformed; the message names file, line and column, what was expected
         and what was found.
     """
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except OSError as error:
-        raise ManifestError(f"{path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise ManifestError(f"{path}: is not UTF-8 text (byte {error.start}); is it a manifest?") from error
-    return _parse(path, text)
+    return _parse(TextFile(path, ManifestError, largest_bytes=_LARGEST_BYTES))
 
 
-def _parse(path: Path, text: str) -> tuple[FrameRecord, ...]:
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-    try:
-        header = next(reader, None)
-        if header is None or tuple(header) != COLUMNS:
-            found = ",".join(header or ())
-            raise ManifestError(f"{path} line 1: expected the columns {','.join(COLUMNS)}; found {found}")
-        records: list[FrameRecord] = []
-        line_of: dict[str, int] = {}
-        for fields in reader:
-            where = f"{path} line {reader.line_num}"
-            if len(fields) != len(COLUMNS):
-                raise ManifestError(f"{where}: expected {len(COLUMNS)} fields, found {len(fields)}")
-            record = _record(where, dict(zip(COLUMNS, fields, strict=True)))
-            key = record.path.casefold()  # two names that one file system would hold as one file
-            if key in line_of:
-                raise ManifestError(f"{where}, column path: {record.path!r} stands in line {line_of[key]} already")
-            line_of[key] = reader.line_num
-            records.append(record)
-    except csv.Error as error:
-        raise ManifestError(f"{path} line {reader.line_num}: is not CSV ({error})") from error
+def _parse(file: TextFile) -> tuple[FrameRecord, ...]:
+    records: list[FrameRecord] = []
+    places: dict[str, str] = {}
+    for row in file.rows(COLUMNS):
+        record = _record(row)
+        key = record.path.casefold()  # two names that one file system would hold as one file
+        if key in places:
+            raise row.problem("path", f"{shown(record.path)} stands in {places[key]} already")
+        places[key] = row.place
+        records.append(record)
     role_of = {record.path: record.role for record in records}
-    for record in records:
+    for record, place in zip(records, places.values(), strict=True):
         if record.reference is not None and role_of.get(record.reference) != "reference":
-            raise ManifestError(
-                f"{path} line {line_of[record.path.casefold()]}, column reference: expected the path of a row with "
-                f"role reference, found {record.reference!r}"
-            )
+            row = TextRow(file, {}, place)
+            raise row.wrong("reference", "the path of a row with role reference", record.reference)
     return tuple(sorted(records, key=lambda record: record.path))
 
 
@@ -117,7 +98,7 @@ def save_records(path: Path, records: Iterable[FrameRecord]) -> None:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
     writer.writerows(_fields(record).values() for record in ordered)
-    for record, read_back in zip(ordered, _parse(path, text.getvalue()), strict=True):
+    for record, read_back in zip(ordered, _parse(TextFile(path, ManifestError, content=text.getvalue())), strict=True):
         if record != read_back:
             raise ManifestError(f"{path}, row {record.path!r}: cannot be written as text and read back the same")
     write_text(path, text.getvalue())
@@ -134,62 +115,42 @@ def _fields(record: FrameRecord) -> dict[str, str]:
     return {column: text(getattr(record, column)) for column in COLUMNS}
 
 
-def _record(where: str, fields: dict[str, str]) -> FrameRecord:
-    def fail(column: str, expected: str) -> ManifestError:
-        return ManifestError(f"{where}, column {column}: expected {expected}, found {fields[column]!r}")
-
-    def safe_path(column: str) -> str:
-        problem = path_problem(fields[column])
-        if problem is not None:
-            raise ManifestError(f"{where}, column {column}: {fields[column]!r} {problem}")
-        return fields[column]
-
-    def optional_number(column: str) -> Fraction | None:
-        if not fields[column]:
-            return None
-        if not _NUMBER.fullmatch(fields[column]):
-            raise fail(column, "a positive number such as 800, 0.005 or 1/30, or nothing")
-        whole, _, divisor = fields[column].partition("/")
-        denominator = int(divisor or 1)
-        value = Fraction(whole) / denominator if denominator else Fraction(0)
-        if value <= 0:
-            raise fail(column, "a positive number")
-        return value
-
-    def optional_whole(column: str) -> int | None:
-        if not fields[column]:
-            return None
-        if not _WHOLE.fullmatch(fields[column]):
-            raise fail(column, "a whole number or nothing")
-        return int(fields[column])
-
-    def matching(column: str, pattern: re.Pattern[str], expected: str) -> str:
-        if fields[column] and not pattern.fullmatch(fields[column]):
-            raise fail(column, expected)
-        return fields[column]
-
-    role = next((role for role in ROLES if role == fields["role"]), None)
-    if role is None:
-        raise fail("role", f"one of {', '.join(ROLES)}")
-    if not fields["camera"]:
-        raise fail("camera", "a camera's name")
-    flags = tuple(fields["flags"].split(";")) if fields["flags"] else ()
-    if not all(_NAME.fullmatch(flag) for flag in flags):
-        raise fail("flags", "a ;-separated list of words")
-    plain = "letters, digits and . _ + -"
+def _record(row: TextRow) -> FrameRecord:
+    flags = row.data["flags"].split(";") if row.data["flags"] else ()
+    if not all(map(_NAME.fullmatch, flags)):
+        raise row.wrong("flags", "a ;-separated list of words", row.data["flags"])
     return FrameRecord(
-        path=safe_path("path"),
-        role=role,
-        camera=matching("camera", _NAME, plain),
-        scene=matching("scene", _NAME, plain),
-        split=matching("split", _NAME, plain),
-        iso=optional_number("iso"),
-        exposure_s=optional_number("exposure_s"),
-        ratio=optional_number("ratio"),
-        reference=safe_path("reference") if fields["reference"] else None,
-        width=optional_whole("width"),
-        height=optional_whole("height"),
-        size_bytes=optional_whole("size_bytes"),
-        sha256=matching("sha256", _SHA256, "sha256: and 64 hexadecimal digits") or None,
-        flags=flags,
+        path=row.parsed("path", _path),
+        role=row.choice("role", ROLES),
+        camera=row.parsed("camera", _name),
+        scene=row.optional("scene", row.parsed, "", parse=_name),
+        split=row.optional("split", row.parsed, "", parse=_name),
+        iso=row.optional("iso", row.fraction, above=0),
+        exposure_s=row.optional("exposure_s", row.fraction, above=0),
+        ratio=row.optional("ratio", row.fraction, above=0),
+        reference=row.optional("reference", row.parsed, parse=_path),
+        width=row.optional("width", row.whole),
+        height=row.optional("height", row.whole),
+        size_bytes=row.optional("size_bytes", row.whole),
+        sha256=row.optional("sha256", row.parsed, parse=_sha256),
+        flags=tuple(flags),
     )
+
+
+def _path(text: str) -> str:
+    problem = path_problem(text)
+    if problem is not None:
+        raise ArgumentError(f"{shown(text)} {problem}")
+    return text
+
+
+def _name(text: str) -> str:
+    if not _NAME.fullmatch(text):
+        raise ArgumentError(f"expected a name of letters, digits and . _ + -, found {shown(text)}")
+    return text
+
+
+def _sha256(text: str) -> str:
+    if not _SHA256.fullmatch(text):
+        raise ArgumentError(f"expected sha256: and 64 hexadecimal digits, found {shown(text)}")
+    return text

@@ -18,7 +18,7 @@ from dataclasses import asdict, dataclass
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 from eldata.base.files import inside, sha256_of
 from eldata.base.workers import AnyWorkers, Failed, Workers, accepts_jobs, require_files
@@ -32,13 +32,13 @@ from eldata.manifest.clip_checks import (
     png_size_findings,
 )
 from eldata.manifest.pairs import UNCERTAIN_ISO
-from eldata.manifest.patterns import expand, pattern_findings
+from eldata.manifest.patterns import Finding, expand, pattern_findings
 from eldata.manifest.table import number_text
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
-    from eldata.manifest.patterns import Finding
+    from eldata.manifest.card import CameraCard
     from eldata.records import FrameRecord
 
 Level = Literal["quick", "metadata", "full"]
@@ -48,6 +48,10 @@ LEVELS: tuple[Level, ...] = get_args(Level)
 # some percent off the nominal one: 213 for 200 occurs in the published set. Shifted numbering and swapped references
 # are off by a factor of two at least.
 RATIO_TOLERANCE = Fraction(1, 10)
+
+_AGAIN = "copy or download it again"
+_PACK_AGAIN = "copy or make it again"
+_NO_EXIF = "the file has lost its EXIF: copy the original"
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +67,11 @@ class Problem:
 
     def __str__(self) -> str:
         return f"{self.path}: {self.field}: expected {self.expected}, found {self.found}; {self.advice}"
+
+    @classmethod
+    def of(cls, dataset: str, finding: Finding) -> Problem:
+        """Say of which dataset a finding is."""
+        return cls(dataset, finding.path, finding.field, finding.expected, finding.found, finding.advice)
 
     def format_text(self) -> str:
         """Return the problem as four lines."""
@@ -222,29 +231,22 @@ def check_files(
 ) -> tuple[tuple[Problem, ...], tuple[FrameRecord, ...]]:
     """Check some of a manifest's files; return the problems, by path, and the records whose files are there."""
     listed = expand(records, folder)
-    present, problems = _check_presence(manifest, folder, listed)
-    problems += _check_unlisted(manifest, folder, listed)
-    findings = pattern_findings(records, folder)
+    present, findings = _check_presence(manifest, folder, listed)
+    findings += _check_unlisted(manifest, folder, listed)
+    of_clips = pattern_findings(records, folder)
     if level != "quick":
-        work = partial(_check_file, manifest.name, folder.absolute(), manifest.card.cameras, level)
-        label = f"{manifest.name} ({level})"
+        work = partial(_check_file, folder.absolute(), manifest.card.cameras, level)
         outcomes = [
-            _unchecked(manifest.name, outcome) if isinstance(outcome, Failed) else outcome
-            for outcome in workers.attempt(work, present, label=label)
+            _unchecked(outcome) if isinstance(outcome, Failed) else outcome
+            for outcome in workers.attempt(work, present, label=f"{manifest.name} ({level})")
         ]
-        problems += [problem for outcome in outcomes for problem in outcome.problems]
-        products = [outcome.exposure_product for outcome in outcomes]
-        problems += _check_ratios(manifest.name, present, products)
-        product_of = {record.path: product for record, product in zip(present, products, strict=True)}
-        findings += png_size_findings(folder, present)
-        findings += exposure_findings(present, product_of, RATIO_TOLERANCE)
-    problems += [_problem(manifest.name, finding) for finding in findings]
-    problems.sort(key=lambda problem: problem.path)
-    return tuple(problems), tuple(present)
-
-
-def _problem(dataset: str, finding: Finding) -> Problem:
-    return Problem(dataset, finding.path, finding.field, finding.expected, finding.found, finding.advice)
+        findings += [finding for found, _ in outcomes for finding in found]
+        product_of = {record.path: product for record, (_, product) in zip(present, outcomes, strict=True)}
+        findings += _check_ratios(present, product_of)
+        of_clips += png_size_findings(folder, present)
+        of_clips += exposure_findings(present, product_of, RATIO_TOLERANCE)
+    findings = sorted([*findings, *of_clips], key=lambda finding: finding.path)
+    return tuple(Problem.of(manifest.name, finding) for finding in findings), tuple(present)
 
 
 # --- quick ----------------------------------------------------------------------------------------------------
@@ -252,27 +254,18 @@ def _problem(dataset: str, finding: Finding) -> Problem:
 
 def _check_presence(
     manifest: Manifest, folder: Path, records: Sequence[FrameRecord]
-) -> tuple[list[FrameRecord], list[Problem]]:
+) -> tuple[list[FrameRecord], list[Finding]]:
     """Return the records whose files can be looked into, and what is wrong with the rest."""
-    dataset = manifest.name
     present: list[FrameRecord] = []
-    problems: list[Problem] = []
+    findings: list[Finding] = []
     missing: dict[str, list[FrameRecord]] = defaultdict(list)
     for record in records:
         try:
             path = inside(folder, record.path)
             size = path.stat().st_size if path.is_file() else None
         except ManifestError as error:
-            problems.append(
-                Problem(
-                    dataset,
-                    record.path,
-                    "path",
-                    "a file below the dataset's folder",
-                    "a link outside",
-                    str(error),
-                )
-            )
+            expected = "a file below the dataset's folder"
+            findings.append(Finding(record.path, "path", expected, "a link outside", str(error)))
             continue
         if size is None:
             # One line for a whole folder that is not there, at the highest level that is not.
@@ -282,36 +275,34 @@ def _check_presence(
             continue
         if size == 0 or size != (record.size_bytes or size):
             expected = "more than 0 bytes" if record.size_bytes is None else f"{record.size_bytes} bytes"
-            advice = "copy or download it again"
-            problems.append(Problem(dataset, record.path, "size_bytes", expected, f"{size} bytes", advice))
+            findings.append(Finding(record.path, "size_bytes", expected, f"{size} bytes", _AGAIN))
         if size > 0:
             present.append(record)
-    for top, lost in missing.items():
-        problems.append(_missing(manifest, folder, top, lost))
-    return present, problems
+    findings += [_missing(manifest, folder, top, lost) for top, lost in missing.items()]
+    return present, findings
 
 
-def _missing(manifest: Manifest, folder: Path, top: str, lost: list[FrameRecord]) -> Problem:
+def _missing(manifest: Manifest, folder: Path, top: str, lost: list[FrameRecord]) -> Finding:
     path = folder / top
     if top == lost[0].path:
         like = [name for name in _names(path.parent) if name.casefold() == path.name.casefold()]
-        found, advice = "nothing", "copy or download it again"
+        found, advice = "nothing", _AGAIN
         if path.is_dir():
             found, advice = "a folder", "move it away and copy the file"
         elif like:
             found, advice = f"only {like[0]}", f"rename it to {path.name}"
-        return Problem(manifest.name, top, "file", "a file", found, advice)
+        return Finding(top, "file", "a file", found, advice)
     advice = "unpack it there"
     if len(manifest.card.cameras) > 1 and len({record.camera for record in lost}) == 1:
         advice += f", or check the cameras you have with --camera (this is {lost[0].camera})"
-    return Problem(manifest.name, f"{top}/", "folder", f"{len(lost)} files", "no such folder", advice)
+    return Finding(f"{top}/", "folder", f"{len(lost)} files", "no such folder", advice)
 
 
 def _names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
 
 
-def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRecord]) -> list[Problem]:
+def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRecord]) -> list[Finding]:
     """Name files of the listed kind that the manifest does not list, in the folders of these records."""
     from eldata.raw.extensions import RAW_EXTENSIONS
 
@@ -324,7 +315,7 @@ def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRec
     raw = {Path(path).parent.as_posix() for path in listed if Path(path).suffix.lower() in RAW_EXTENSIONS}
     # A missing file's name in another case is reported there, with what to do.
     respelled = {path.casefold() for path in listed if not (folder / path).exists()}
-    problems = []
+    findings = []
     count_in = Counter(Path(path).parent.as_posix() for path in listed)
     for parent in sorted({Path(record.path).parent.as_posix() for record in records}):
         kinds = (RAW_EXTENSIONS if parent in raw else frozenset()) | ({".png"} if parent in pictured else frozenset())
@@ -332,116 +323,101 @@ def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRec
         for name in raws:
             path = name if parent == "." else f"{parent}/{name}"
             if path not in listed and path.casefold() not in respelled:
-                problems.append(
-                    Problem(
-                        manifest.name,
-                        path,
-                        "file",
-                        f"the {count_in[parent]} listed raw files in this folder",
-                        f"{len(raws)} raw files, this one unlisted",
-                        "move it away, and make sure that the others were not numbered anew",
-                    )
-                )
-    return problems
+                expected = f"the {count_in[parent]} listed raw files in this folder"
+                advice = "move it away, and make sure that the others were not numbered anew"
+                findings.append(Finding(path, "file", expected, f"{len(raws)} raw files, this one unlisted", advice))
+    return findings
 
 
 # --- metadata and full ----------------------------------------------------------------------------------------
 
+Outcome: TypeAlias = "tuple[list[Finding], Fraction | None]"
+"""What is wrong with a file, and its ISO times exposure time, if it states both."""
 
-@dataclass(frozen=True, slots=True)
-class _Outcome:
-    problems: tuple[Problem, ...]
-    exposure_product: Fraction | None = None
+# Findings of these fields say that the file is not what it should be as a whole: its bytes are not looked into further.
+_OF_CONTENT = ("content", "width", "height")
 
 
-def _unchecked(dataset: str, failed: Failed[FrameRecord]) -> _Outcome:
+def _unchecked(failed: Failed[FrameRecord]) -> Outcome:
     advice = "make it readable where the check runs, and check again"
-    return _Outcome((Problem(dataset, failed.unit.path, "check", "a finished check", failed.reason, advice),))
+    return [Finding(failed.unit.path, "check", "a finished check", failed.reason, advice)], None
 
 
-def _check_file(dataset: str, folder: Path, cameras: dict[str, Any], level: Level, record: FrameRecord) -> _Outcome:
-    from eldata.raw.reading import read_header, read_raw
-
+def _check_file(folder: Path, cameras: Mapping[str, CameraCard], level: Level, record: FrameRecord) -> Outcome:
     path = folder / record.path
     require_files(path)
+    product = None
     if path.suffix == ".npy":
-        return _check_packed(dataset, path, record, level)
-    if is_png(record.path):
-        return _check_png(dataset, folder, record, level)
-    problems: list[Problem] = []
+        findings = _packed_findings(path, record)
+    elif is_png(record.path):
+        findings = png_findings(folder, record)
+    else:
+        findings, product = _header_findings(path, record, cameras[record.camera].models)
+    if level == "full" and not any(finding.field in _OF_CONTENT for finding in findings):
+        if record.sha256 is not None:
+            findings += _hash_findings(path, record)
+        elif is_png(record.path):
+            findings += png_decode_findings(folder, record)
+        elif path.suffix != ".npy":
+            findings += _decode_findings(path, record)
+    return findings, product
 
-    def add(field: str, expected: str, found: str, advice: str) -> None:
-        problems.append(Problem(dataset, record.path, field, expected, found, advice))
 
-    wrong_frame = "is this the frame that its name says? look for shifted numbering and swapped files"
+def _header_findings(path: Path, record: FrameRecord, models: Sequence[str]) -> Outcome:
+    """Compare a raw file's camera, ISO and exposure time with its row."""
+    from eldata.raw.reading import read_header
+
     try:
         header = read_header(path)
     except RawFileError as error:
-        add("content", "a whole raw file", error.reason, "copy or download it again")
-        return _Outcome(tuple(problems))
-    models = cameras[record.camera].models
+        return [Finding(record.path, "content", "a whole raw file", error.reason, _AGAIN)], None
+    findings = []
     if not header.model:
-        add("camera", " or ".join(models), "no camera model", "the file has lost its EXIF: copy the original")
+        findings.append(Finding(record.path, "camera", " or ".join(models), "no camera model", _NO_EXIF))
     elif header.model.casefold() not in {model.casefold() for model in models}:
-        add("camera", " or ".join(models), header.model, "this file was taken by another camera")
-    product = None
-    exposure = header.exposure
-    if exposure.iso is None or exposure.exposure_s is None:
-        lost = "ISO" if exposure.iso is None else "exposure time"
-        add("exposure", "ISO and exposure time", f"no {lost}", "the file has lost its EXIF: copy the original")
-    else:
-        product = exposure.iso * exposure.exposure_s
-        for field, expected, found in (
-            ("iso", record.iso, exposure.iso),
-            ("exposure_s", record.exposure_s, exposure.exposure_s),
-        ):
-            if expected is not None and abs(found - expected) > RATIO_TOLERANCE * expected:
-                add(field, number_text(expected), number_text(found), wrong_frame)
-    if level == "full":
-        if record.sha256 is not None:
-            try:
-                digest = sha256_of(path)
-            except OSError as error:
-                digest = f"unreadable: {error.strerror}"
-            if digest != record.sha256:
-                add(
-                    "sha256",
-                    record.sha256,
-                    digest,
-                    "the file is damaged or another: copy or download it again",
-                )
-        else:
-            try:
-                frame = read_raw(path)
-            except RawFileError as error:
-                add("content", "a raw file that decodes", error.reason, "copy or download it again")
-            else:
-                for field, size, found_size in (
-                    ("width", record.width, frame.sensor.width),
-                    ("height", record.height, frame.sensor.height),
-                ):
-                    if size is not None and size != found_size:
-                        add(
-                            field,
-                            str(size),
-                            str(found_size),
-                            "this file was taken in another mode or by another camera",
-                        )
-    return _Outcome(tuple(problems), product)
+        advice = "this file was taken by another camera"
+        findings.append(Finding(record.path, "camera", " or ".join(models), header.model, advice))
+    iso, exposure_s = header.exposure.iso, header.exposure.exposure_s
+    if iso is None or exposure_s is None:
+        lost = "ISO" if iso is None else "exposure time"
+        return [*findings, Finding(record.path, "exposure", "ISO and exposure time", f"no {lost}", _NO_EXIF)], None
+    advice = "is this the frame that its name says? look for shifted numbering and swapped files"
+    findings += [
+        Finding(record.path, field, number_text(expected), number_text(found), advice)
+        for field, expected, found in (("iso", record.iso, iso), ("exposure_s", record.exposure_s, exposure_s))
+        if expected is not None and abs(found - expected) > RATIO_TOLERANCE * expected
+    ]
+    return findings, iso * exposure_s
 
 
-def _check_png(dataset: str, folder: Path, record: FrameRecord, level: Level) -> _Outcome:
-    problems = [_problem(dataset, finding) for finding in png_findings(folder, record)]
-    if level == "full" and not problems:
-        if record.sha256 is None:
-            problems = [_problem(dataset, finding) for finding in png_decode_findings(folder, record)]
-        elif (digest := sha256_of(folder / record.path)) != record.sha256:
-            advice = "the file is damaged or another: copy or download it again"
-            problems = [Problem(dataset, record.path, "sha256", record.sha256, digest, advice)]
-    return _Outcome(tuple(problems))
+def _hash_findings(path: Path, record: FrameRecord) -> list[Finding]:
+    try:
+        digest = sha256_of(path)
+    except OSError as error:
+        digest = f"unreadable: {error.strerror}"
+    if digest == record.sha256:
+        return []
+    advice = _PACK_AGAIN if path.suffix == ".npy" else f"the file is damaged or another: {_AGAIN}"
+    return [Finding(record.path, "sha256", record.sha256 or "", digest, advice)]
 
 
-def _check_packed(dataset: str, path: Path, record: FrameRecord, level: Level) -> _Outcome:
+def _decode_findings(path: Path, record: FrameRecord) -> list[Finding]:
+    """Decode a raw file whose hash is not known."""
+    from eldata.raw.reading import read_raw
+
+    try:
+        sensor = read_raw(path).sensor
+    except RawFileError as error:
+        return [Finding(record.path, "content", "a raw file that decodes", error.reason, _AGAIN)]
+    advice = "this file was taken in another mode or by another camera"
+    return [
+        Finding(record.path, field, str(size), str(found), advice)
+        for field, size, found in (("width", record.width, sensor.width), ("height", record.height, sensor.height))
+        if size is not None and size != found
+    ]
+
+
+def _packed_findings(path: Path, record: FrameRecord) -> list[Finding]:
     """Check a packed array (a synthetic noisy frame): it has no EXIF to compare, but a header that says its shape."""
     import numpy as np
 
@@ -451,17 +427,12 @@ def _check_packed(dataset: str, path: Path, record: FrameRecord, level: Level) -
         good = array.ndim == 3 and array.dtype == np.float32
     except (OSError, ValueError) as error:
         found, good = str(error), False
-    advice = "copy or make it again"
-    if not good:
-        return _Outcome((Problem(dataset, record.path, "content", "packed float32 (C, h, w)", found, advice),))
-    if level == "full" and record.sha256 is not None and (digest := sha256_of(path)) != record.sha256:
-        return _Outcome((Problem(dataset, record.path, "sha256", record.sha256, digest, advice),))
-    return _Outcome(())
+    return [] if good else [Finding(record.path, "content", "packed float32 (C, h, w)", found, _PACK_AGAIN)]
 
 
-def _check_ratios(dataset: str, records: Sequence[FrameRecord], products: Sequence[Fraction | None]) -> list[Problem]:
-    product_of = {record.path: product for record, product in zip(records, products, strict=True)}
-    problems = []
+def _check_ratios(records: Sequence[FrameRecord], product_of: Mapping[str, Fraction | None]) -> list[Finding]:
+    advice = "are both the frames that their names say? look for shifted numbering and swapped references"
+    findings = []
     for record in records:
         if record.reference is None or record.ratio is None or UNCERTAIN_ISO in record.flags:
             continue
@@ -470,14 +441,6 @@ def _check_ratios(dataset: str, records: Sequence[FrameRecord], products: Sequen
             continue  # named already: missing, unreadable or without exposure
         ratio = reference / noisy
         if abs(ratio - record.ratio) > RATIO_TOLERANCE * record.ratio:
-            problems.append(
-                Problem(
-                    dataset,
-                    record.path,
-                    "ratio",
-                    f"{number_text(record.ratio)} to {record.reference}",
-                    f"{float(ratio):.6g}",
-                    "are both the frames that their names say? look for shifted numbering and swapped references",
-                )
-            )
-    return problems
+            expected = f"{number_text(record.ratio)} to {record.reference}"
+            findings.append(Finding(record.path, "ratio", expected, f"{float(ratio):.6g}", advice))
+    return findings

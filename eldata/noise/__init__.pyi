@@ -1,7 +1,7 @@
 from .components import PAPER_MODELS as PAPER_MODELS
 from .components import Components as Components
 from .components import parse_components as parse_components
-from .model import Adc as Adc
+from .exposures import Adc as Adc
 from .model import NoiseModel as NoiseModel
 from .parameters import NoiseParameters as NoiseParameters
 from .parameters import tukey_lambda_variance as tukey_lambda_variance

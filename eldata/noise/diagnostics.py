@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.errors import ArgumentError
-from eldata.noise.findings import Comparison, Diagnostics, Draws, Quantiles
+from eldata.noise.findings import CHANNELS, SIGNALS_E, Diagnostics, Draws, Quantiles, TheoryCheck, read_fit
 from eldata.noise.model import NoiseModel
 from eldata.noise.parameters import tukey_lambda_variance
 
@@ -37,11 +37,8 @@ if TYPE_CHECKING:
 
     from eldata.noise.components import Components
     from eldata.noise.parameters import NoiseParameters
-    from eldata.noise.profile import CameraProfile, LogLogFit
+    from eldata.noise.profile import CameraProfile
 
-
-CHANNELS = ("R", "G1", "B", "G2")
-SIGNALS_E = (0.0, 1.0, 3.0, 10.0, 30.0, 60.0, 100.0, 150.0, 200.0, 300.0, 400.0, 500.0)
 DRAWS = 300
 
 _READ_LEVELS = (0.0001, 0.001, 0.01, 0.1, 0.25, 0.5, 0.75, 0.9, 0.99, 0.999, 0.9999)
@@ -142,21 +139,6 @@ def diagnose(
     )
 
 
-def parameter_rows(parameters: NoiseParameters) -> list[tuple[str, str, str]]:
-    """Return symbol, value and unit of each parameter."""
-    return [
-        ("K", f"{parameters.gain_dn_per_e:.5g}", "DN/e-"),
-        ("lambda", f"{parameters.tukey_lambda:.5g}", "1"),
-        ("sigma_TL", f"{parameters.sigma_tl_dn:.5g}", "DN"),
-        ("sigma_G", f"{parameters.sigma_gauss_dn:.5g}", "DN"),
-        ("sigma_row", f"{parameters.sigma_row_dn:.5g}", "DN"),
-        *(
-            (f"bias {name}", f"{value:.5g}", "DN")
-            for name, value in zip(CHANNELS, parameters.colour_bias_dn, strict=True)
-        ),
-    ]
-
-
 # --- theory -------------------------------------------------------------------------------------------------------
 
 
@@ -246,7 +228,7 @@ def _frame(
 
 def _over_signal(
     theory: _Theory, actual: NoiseParameters, seed: int
-) -> tuple[tuple[Comparison, ...], tuple[Comparison, ...]]:
+) -> tuple[tuple[TheoryCheck, ...], tuple[TheoryCheck, ...]]:
     """Mean and variance of flats. Rows are the independent units: 2 h of them, of 2 w pixels each."""
     height, width = _FLAT
     count, n, r = 2 * height, 2 * width, theory.row_variance
@@ -260,7 +242,7 @@ def _over_signal(
         fourth = theory.fourth_cumulant(signal)
         label = f"at {signal:g} e-"
         means.append(
-            Comparison(
+            TheoryCheck(
                 "mean over signal",
                 label,
                 "DN",
@@ -270,7 +252,7 @@ def _over_signal(
             )
         )
         variances.append(
-            Comparison(
+            TheoryCheck(
                 "variance over signal",
                 label,
                 "DN^2",
@@ -284,14 +266,14 @@ def _over_signal(
 
 def _bias_frame(
     theory: _Theory, actual: NoiseParameters, seed: int
-) -> tuple[tuple[Comparison, ...], tuple[Comparison, ...], NDArray[np.float64]]:
+) -> tuple[tuple[TheoryCheck, ...], tuple[TheoryCheck, ...], NDArray[np.float64]]:
     """Channel means and row means of a bias frame."""
     height, width = _BIAS
     frame = _frame(theory.model, actual, 0.0, _BIAS, _generator(seed, 1))
     v, r, rounding = theory.pixel_variance(0.0), theory.row_variance, theory.rounding(0.0)
     by_channel = frame.mean(axis=2)  # (4, h)
     bias = tuple(
-        Comparison(
+        TheoryCheck(
             "bias frame, mean by channel",
             name,
             "DN",
@@ -313,7 +295,7 @@ def _bias_frame(
     apart = float(red @ blue + green @ second_green) / (count - 2)
     check = "bias frame, row means"
     rows = (
-        Comparison(
+        TheoryCheck(
             check,
             "standard deviation",
             "DN",
@@ -321,7 +303,7 @@ def _bias_frame(
             math.sqrt(float(row_means @ row_means) / (count - 2)),
             _finite(spread + rounding**2),
         ),
-        Comparison(
+        TheoryCheck(
             check,
             "covariance, same row",
             "DN^2",
@@ -329,7 +311,7 @@ def _bias_frame(
             shared,
             math.hypot(math.sqrt((2 * r * r + 2 * r * q + q * q) / count), rounding**2),
         ),
-        Comparison(
+        TheoryCheck(
             check,
             "covariance, other row",
             "DN^2",
@@ -342,7 +324,9 @@ def _bias_frame(
     return bias, rows, row_means
 
 
-def _read_noise(theory: _Theory, actual: NoiseParameters, seed: int) -> tuple[tuple[Comparison, ...], Quantiles | None]:
+def _read_noise(
+    theory: _Theory, actual: NoiseParameters, seed: int
+) -> tuple[tuple[TheoryCheck, ...], Quantiles | None]:
     """Quantiles of the read noise alone."""
     read, parameters = theory.model.components.read, theory.parameters
     if read == "none":
@@ -365,7 +349,7 @@ def _read_noise(theory: _Theory, actual: NoiseParameters, seed: int) -> tuple[tu
     return comparisons, Quantiles(grid, expected_and_slope(grid)[0], np.quantile(values, grid))
 
 
-def _row_noise(theory: _Theory, actual: NoiseParameters, seed: int) -> tuple[Comparison, ...]:
+def _row_noise(theory: _Theory, actual: NoiseParameters, seed: int) -> tuple[TheoryCheck, ...]:
     """Quantiles of the row noise alone: of one pixel a row."""
     if not theory.model.components.row:
         return ()
@@ -375,7 +359,7 @@ def _row_noise(theory: _Theory, actual: NoiseParameters, seed: int) -> tuple[Com
     return _quantile_comparisons("row noise alone", values, _PART_LEVELS, expected, slope)
 
 
-def _quantisation(theory: _Theory, actual: NoiseParameters, seed: int) -> tuple[Comparison, ...]:
+def _quantisation(theory: _Theory, actual: NoiseParameters, seed: int) -> tuple[TheoryCheck, ...]:
     """Quantiles of the quantisation noise alone: uniform over one DN."""
     if not theory.model.components.quantisation:
         return ()
@@ -402,10 +386,10 @@ def _quantile_comparisons(
     levels: Sequence[float],
     expected: NDArray[np.float64],
     slope: NDArray[np.float64],
-) -> tuple[Comparison, ...]:
+) -> tuple[TheoryCheck, ...]:
     found = np.quantile(values, levels)
     return tuple(
-        Comparison(
+        TheoryCheck(
             check,
             f"quantile {level:g}",
             "DN",
@@ -420,11 +404,6 @@ def _quantile_comparisons(
 # --- the profile's fits -------------------------------------------------------------------------------------------
 
 
-def read_fit(profile: CameraProfile, components: Components) -> LogLogFit:
-    """Return the fit of the read noise that a model uses: sigma_TL, or the Gaussian sigma for ``G``."""
-    return profile.gauss_fit if components.read == "gaussian" else profile.tukey_lambda_fit
-
-
 def _sampled(profile: CameraProfile, components: Components, seed: int) -> Draws:
     rng = _generator(seed, 5)
     drawn = [profile.sample(rng) for _ in range(DRAWS)]
@@ -436,14 +415,14 @@ def _sampled(profile: CameraProfile, components: Components, seed: int) -> Draws
     )
 
 
-def _against_fits(profile: CameraProfile, components: Components, draws: Draws) -> tuple[Comparison, ...]:
+def _against_fits(profile: CameraProfile, components: Components, draws: Draws) -> tuple[TheoryCheck, ...]:
     """Which shares of the draws lie within 1 and 2 sigma of the lines, and where their gains lie."""
     comparisons = []
     low, high = (math.log(limit) for limit in profile.gain_range_dn_per_e)
     if high > low:
         place = float((np.log(draws.gain_dn_per_e) - low).mean()) / (high - low)
         error = math.sqrt(1 / 12 / DRAWS)
-        comparisons.append(Comparison("sampled parameters", "ln K, mean place in its range", "1", 0.5, place, error))
+        comparisons.append(TheoryCheck("sampled parameters", "ln K, mean place in its range", "1", 0.5, place, error))
     read_name = "sigma_G" if components.read == "gaussian" else "sigma_TL"
     for name, fit, scales in (
         (read_name, read_fit(profile, components), draws.sigma_read_dn),
@@ -456,7 +435,7 @@ def _against_fits(profile: CameraProfile, components: Components, draws: Draws) 
         for width in (1, 2):
             share = math.erf(width / math.sqrt(2))
             comparisons.append(
-                Comparison(
+                TheoryCheck(
                     "sampled parameters",
                     f"{name}, share within {width} sigma",
                     "1",

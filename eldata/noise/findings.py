@@ -6,14 +6,19 @@ import math
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
 from eldata.noise.model import NoiseModel
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
+    from eldata.noise.components import Components
     from eldata.noise.parameters import NoiseParameters
-    from eldata.noise.profile import CameraProfile
+    from eldata.noise.profile import CameraProfile, LogLogFit
+
+CHANNELS = ("R", "G1", "B", "G2")
+SIGNALS_E = (0.0, 1.0, 3.0, 10.0, 30.0, 60.0, 100.0, 150.0, 200.0, 300.0, 400.0, 500.0)
 
 LIMIT = 4.0
 """Deviations up to this many standard errors are "ok"."""
@@ -24,7 +29,7 @@ Verdict = Literal["ok", "off", "-"]
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class TheoryCheck:
     """One number of the simulation against the theory's.
 
     Attributes
@@ -84,6 +89,24 @@ class Comparison:
         return asdict(self) | {"deviation": self.deviation, "verdict": self.verdict}
 
 
+def parameter_rows(parameters: NoiseParameters) -> list[tuple[str, str, str]]:
+    """Return symbol, value and unit of each parameter."""
+    bias = zip(CHANNELS, parameters.colour_bias_dn, strict=True)
+    return [
+        ("K", f"{parameters.gain_dn_per_e:.5g}", "DN/e-"),
+        ("lambda", f"{parameters.tukey_lambda:.5g}", "1"),
+        ("sigma_TL", f"{parameters.sigma_tl_dn:.5g}", "DN"),
+        ("sigma_G", f"{parameters.sigma_gauss_dn:.5g}", "DN"),
+        ("sigma_row", f"{parameters.sigma_row_dn:.5g}", "DN"),
+        *((f"bias {name}", f"{value:.5g}", "DN") for name, value in bias),
+    ]
+
+
+def read_fit(profile: CameraProfile, components: Components) -> LogLogFit:
+    """Return the fit of the read noise that a model uses: sigma_TL, or the Gaussian sigma for ``G``."""
+    return profile.gauss_fit if components.read == "gaussian" else profile.tukey_lambda_fit
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Draws:
     """Parameters as sampled from the profile, one entry a draw; scales in DN."""
@@ -111,7 +134,7 @@ class Diagnostics:
     profile, parameters, spec, seed
         What was examined.
     mean, variance
-        Comparisons by signal, in the order of :data:`eldata.noise.diagnostics.SIGNALS_E`.
+        Comparisons by signal, in the order of :data:`SIGNALS_E`.
     colour_bias
         Per-channel means of a bias frame.
     rows
@@ -132,13 +155,13 @@ class Diagnostics:
     parameters: NoiseParameters
     spec: str
     seed: int
-    mean: tuple[Comparison, ...]
-    variance: tuple[Comparison, ...]
-    colour_bias: tuple[Comparison, ...]
-    rows: tuple[Comparison, ...]
-    read: tuple[Comparison, ...]
-    parts: tuple[Comparison, ...]
-    fits: tuple[Comparison, ...]
+    mean: tuple[TheoryCheck, ...]
+    variance: tuple[TheoryCheck, ...]
+    colour_bias: tuple[TheoryCheck, ...]
+    rows: tuple[TheoryCheck, ...]
+    read: tuple[TheoryCheck, ...]
+    parts: tuple[TheoryCheck, ...]
+    fits: tuple[TheoryCheck, ...]
     row_means_dn: NDArray[np.float64]
     quantiles: Quantiles | None
     draws: Draws
@@ -149,13 +172,35 @@ class Diagnostics:
         return NoiseModel(self.spec)
 
     @property
-    def comparisons(self) -> tuple[Comparison, ...]:
+    def read_fit(self) -> LogLogFit:
+        """The profile's fit of the read noise that the model uses."""
+        return read_fit(self.profile, self.model.components)
+
+    @property
+    def normal_quantiles(self) -> NDArray[np.float64]:
+        """The standard normal quantile at each of ``row_means_dn``, for their probability plot."""
+        from scipy.special import ndtri
+
+        count = self.row_means_dn.size
+        quantiles: NDArray[np.float64] = ndtri((np.arange(count) + 0.5) / count)
+        return quantiles
+
+    def expected_mean_dn(self, signal_e: float) -> float:
+        """Return the closed-form mean of D over the four channels, DN above black."""
+        return sum(self.model.expected_mean_dn(signal_e, self.parameters, channel) for channel in range(4)) / 4
+
+    def expected_variance_dn2(self, signal_e: float) -> float:
+        """Return the closed-form variance of D, DN^2."""
+        return self.model.expected_variance_dn2(signal_e, self.parameters)
+
+    @property
+    def comparisons(self) -> tuple[TheoryCheck, ...]:
         """Every comparison, in the order of the report."""
         groups = self.mean, self.variance, self.colour_bias, self.rows, self.read, self.parts, self.fits
         return tuple(comparison for group in groups for comparison in group)
 
     @property
-    def off(self) -> tuple[Comparison, ...]:
+    def off(self) -> tuple[TheoryCheck, ...]:
         """The comparisons that are off."""
         return tuple(comparison for comparison in self.comparisons if comparison.verdict == "off")
 

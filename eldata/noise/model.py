@@ -17,15 +17,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from eldata.base.tensors import is_tensor
 from eldata.errors import ArgumentError, check_choice
 from eldata.noise.components import Components, parse_components
-from eldata.noise.layout import channel_bias_dn, row_layout
+from eldata.noise.exposures import Adc, Exposures
+from eldata.noise.packed_rows import packed_rows
 from eldata.noise.parameters import NoiseParameters, tukey_lambda_variance
 from eldata.noise.randomness import Generator, key_from
 from eldata.raw.cfa import CLIP_RANGES
@@ -37,18 +37,6 @@ if TYPE_CHECKING:
     from eldata.raw.cfa import Cfa, Clip
 
 Image = TypeVar("Image", "NDArray[Any]", "torch.Tensor")
-
-
-@dataclass(frozen=True, slots=True)
-class Adc:
-    """A real analogue-to-digital converter: rounds to whole DN and saturates at 0 and at the white level."""
-
-    black_level_dn: float
-    white_level_dn: float
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.black_level_dn < self.white_level_dn < math.inf:
-            raise ArgumentError(f"expected 0 <= black level < white level; found {self}")
 
 
 class NoiseModel:
@@ -139,7 +127,7 @@ class NoiseModel:
             raise ArgumentError(f"expected clean data (..., C, h, w); found shape {tuple(clean.shape)}")
         images = math.prod(clean.shape[:-3])
         channels = int(clean.shape[-3])
-        row_layout(channels)  # refuses another number of channels
+        packed_rows(channels)  # refuses another number of channels
         drawn = _one_each(parameters, images, "parameters")
         if not all(isinstance(item, NoiseParameters) for item in drawn):
             raise ArgumentError(f"parameters must be NoiseParameters, one or one for each image; found {parameters!r}")
@@ -152,23 +140,32 @@ class NoiseModel:
             raise ArgumentError(f"ratio must be finite and above 0; found {ratio}")
         if not (math.isfinite(range_dn) and range_dn > 0):
             raise ArgumentError(f"range_dn must be finite and above 0; found {range_dn}")
-        values = _Values.of(self.components, drawn, ratios, channels)
+        exposures = Exposures.of(
+            self.components,
+            drawn,
+            ratios,
+            channels,
+            range_dn=range_dn,
+            adc=self.adc,
+            limits=CLIP_RANGES[self.clip],
+        )
         if isinstance(clean, np.ndarray):
-            return self._compiled(clean, values, range_dn, key_from(generator), threads)
+            noisy = _in_numpy(clean, exposures, generator, threads)
+            return noisy.astype(clean.dtype, copy=False) if clean.dtype.kind == "f" else noisy
         import torch
 
         if clean.device.type == "cpu":
-            array = clean.detach().to(torch.float32).numpy()
-            noisy = self._compiled(array, values, range_dn, key_from(generator), threads)
-            return torch.from_numpy(noisy).to(clean.dtype if clean.is_floating_point() else torch.float32)
-        from eldata.noise.on_device import add_noise
+            drawn_here = torch.from_numpy(
+                _in_numpy(clean.detach().to(torch.float32).numpy(), exposures, generator, threads)
+            )
+        else:
+            from eldata.noise.on_device import expose_on_device
 
-        if not isinstance(generator, torch.Generator) or generator.device.type != clean.device.type:
-            raise ArgumentError(f"clean is on {clean.device}: give a torch.Generator of that device")
-        low, high = CLIP_RANGES[self.clip]
-        flat = clean.detach().to(torch.float32).reshape(images, *clean.shape[-3:])
-        noisy_tensor = add_noise(flat, self.components, values, range_dn, self.adc, (low, high), generator)
-        return noisy_tensor.reshape(clean.shape).to(clean.dtype if clean.is_floating_point() else torch.float32)
+            if not isinstance(generator, torch.Generator) or generator.device.type != clean.device.type:
+                raise ArgumentError(f"clean is on {clean.device}: give a torch.Generator of that device")
+            flat = clean.detach().to(torch.float32).reshape(images, *clean.shape[-3:])
+            drawn_here = expose_on_device(flat, exposures, generator).reshape(clean.shape)
+        return drawn_here.to(clean.dtype if clean.is_floating_point() else torch.float32)
 
     def on_mosaic(
         self,
@@ -205,39 +202,6 @@ class NoiseModel:
         )
         return unpack_whole(noisy, cfa, (clean.shape[-2], clean.shape[-1]))
 
-    def _compiled(
-        self, clean: NDArray[Any], values: _Values, range_dn: float, key: int, threads: int | None
-    ) -> NDArray[Any]:
-        from eldata.noise.compiled import add_noise
-
-        low, high = CLIP_RANGES[self.clip]
-        layout = row_layout(clean.shape[-3])
-        flat = np.ascontiguousarray(clean, dtype=np.float32).reshape(math.prod(clean.shape[:-3]), *clean.shape[-3:])
-        quantisation: Literal["none", "uniform", "adc"] = "uniform" if self.components.quantisation else "none"
-        noisy = add_noise(
-            flat,
-            gain_dn_per_e=values.gain_dn_per_e,
-            range_dn=range_dn,
-            ratio=values.ratio,
-            shot=self.components.shot,
-            read=self.components.read,
-            tukey_lambda=values.tukey_lambda,
-            sigma_read_dn=values.sigma_read_dn,
-            sigma_row_dn=values.sigma_row_dn,
-            bias_dn=values.bias_dn,
-            quantisation=quantisation if self.adc is None else "adc",
-            black_dn=0.0 if self.adc is None else self.adc.black_level_dn,
-            white_dn=math.inf if self.adc is None else self.adc.white_level_dn,
-            low=low,
-            high=high,
-            key=key,
-            row_table=layout.table,
-            period=layout.period,
-            threads=threads,
-        )
-        result = noisy.reshape(clean.shape)
-        return result.astype(clean.dtype, copy=False) if clean.dtype.kind == "f" else result
-
     def expected_mean_dn(self, signal_e: float, parameters: NoiseParameters, channel: int = 0) -> float:
         """Return the closed-form mean of D, in DN above black: K I, plus the bias of a Bayer channel."""
         bias = parameters.colour_bias_dn[channel] if self.components.colour_bias else 0.0
@@ -262,34 +226,13 @@ class NoiseModel:
         return shot + read + row + quantisation
 
 
-@dataclass(frozen=True, slots=True)
-class _Values:
-    """Parameters as arrays, one entry an image, 0 where a component is off."""
+def _in_numpy(
+    clean: NDArray[Any], exposures: Exposures, generator: Generator, threads: int | None
+) -> NDArray[np.float32]:
+    from eldata.noise.compiled import expose_compiled
 
-    gain_dn_per_e: NDArray[np.float64]
-    ratio: NDArray[np.float64]
-    tukey_lambda: NDArray[np.float64]
-    sigma_read_dn: NDArray[np.float64]
-    sigma_row_dn: NDArray[np.float64]
-    bias_dn: NDArray[np.float64]
-
-    @classmethod
-    def of(
-        cls, components: Components, drawn: Sequence[NoiseParameters], ratios: Sequence[float], channels: int
-    ) -> _Values:
-        def array(values: list[float]) -> NDArray[np.float64]:
-            return np.array(values, dtype=np.float64)
-
-        sigma = [p.sigma_tl_dn if components.read == "tukey-lambda" else p.sigma_gauss_dn for p in drawn]
-        bias = [channel_bias_dn(p, channels) if components.colour_bias else (0.0,) * channels for p in drawn]
-        return cls(
-            gain_dn_per_e=array([p.gain_dn_per_e for p in drawn]),
-            ratio=array(list(ratios)),
-            tukey_lambda=array([p.tukey_lambda for p in drawn]),
-            sigma_read_dn=array(sigma) * (components.read != "none"),
-            sigma_row_dn=array([p.sigma_row_dn for p in drawn]) * components.row,
-            bias_dn=np.array(bias, dtype=np.float64),
-        )
+    flat = np.ascontiguousarray(clean, dtype=np.float32).reshape(math.prod(clean.shape[:-3]), *clean.shape[-3:])
+    return expose_compiled(flat, exposures, key=key_from(generator), threads=threads).reshape(clean.shape)
 
 
 def _one_each(value: Any, images: int, name: str) -> list[Any]:

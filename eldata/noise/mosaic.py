@@ -40,8 +40,7 @@ def pack_whole(mosaic: Image, cfa: Cfa) -> Image:
     leading: tuple[int, ...] = tuple(mosaic.shape[:-2])
     whole: Image = _zeros(mosaic, (*leading, height * sites.period, width * sites.period))
     whole[..., top : top + mosaic.shape[-2], left : left + mosaic.shape[-1]] = mosaic
-    channels = 1 + max(channel for _, _, channel, _, _ in sites.table)
-    packed: Image = _zeros(mosaic, (*leading, channels, height * sites.sub, width * sites.sub))
+    packed: Image = _zeros(mosaic, (*leading, sites.channels, height * sites.sub, width * sites.sub))
     step, sub = sites.period, sites.sub
     for row, column, channel, y, x in sites.table:
         packed[..., channel, y::sub, x::sub] = whole[..., row::step, column::step]

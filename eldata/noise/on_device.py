@@ -6,34 +6,25 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from eldata.noise.layout import row_layout
+from eldata.noise.packed_rows import packed_rows
 
 if TYPE_CHECKING:
-    from eldata.noise.components import Components
-    from eldata.noise.model import Adc, _Values
+    from eldata.noise.exposures import Exposures
 
 # Uniforms are float64 multiples of 2^-53 from 0 on: half a step keeps them off 0; the largest must not round to 1.
 _HALF_STEP = 2.0**-54
 _LARGEST = 1 - 2.0**-53
 
 
-def add_noise(
-    clean: torch.Tensor,
-    components: Components,
-    values: _Values,
-    range_dn: float,
-    adc: Adc | None,
-    limits: tuple[float, float],
-    generator: torch.Generator,
-) -> torch.Tensor:
-    """Return a noisy exposure of ``clean`` (N, C, h, w) float32; see :class:`eldata.noise.model.NoiseModel`."""
-    device = clean.device
+def expose_on_device(clean: torch.Tensor, exposures: Exposures, generator: torch.Generator) -> torch.Tensor:
+    """Return noisy exposures of ``clean`` (N, C, h, w) float32 on its device."""
+    device, components, adc = clean.device, exposures.components, exposures.adc
 
     def per_image(array: object) -> torch.Tensor:
         values = torch.as_tensor(array, dtype=torch.float32, device=device)
         return values[(...,) + (None,) * (4 - values.ndim)]
 
-    gain, scale = per_image(values.gain_dn_per_e), range_dn / per_image(values.ratio)
+    gain, scale = per_image(exposures.gain_dn_per_e), exposures.range_dn / per_image(exposures.ratio)
     # DN above black: K I. An infinite clean value stays the largest number, which the clip then takes.
     signal = clean.clamp(0.0, torch.finfo(torch.float32).max) * scale
     if components.shot == "poisson":
@@ -45,19 +36,19 @@ def add_noise(
     else:
         dn = signal
     if components.read == "tukey-lambda":
-        shape = torch.as_tensor(values.tukey_lambda, dtype=torch.float64, device=device)[:, None, None, None]
-        dn = dn + per_image(values.sigma_read_dn) * _tukey_lambda(clean.shape, shape, generator)
+        shape = torch.as_tensor(exposures.tukey_lambda, dtype=torch.float64, device=device)[:, None, None, None]
+        dn = dn + per_image(exposures.sigma_read_dn) * _tukey_lambda(clean.shape, shape, generator)
     elif components.read == "gaussian":
-        dn = dn + per_image(values.sigma_read_dn) * torch.randn(clean.shape, generator=generator, device=device)
+        dn = dn + per_image(exposures.sigma_read_dn) * torch.randn(clean.shape, generator=generator, device=device)
     if components.colour_bias:
-        dn = dn + per_image(values.bias_dn)
+        dn = dn + per_image(exposures.bias_dn)
     if components.row:
-        dn = dn + _row_noise(clean.shape, per_image(values.sigma_row_dn), generator)
+        dn = dn + _row_noise(clean.shape, per_image(exposures.sigma_row_dn), generator)
     if components.quantisation:
         dn = dn + (torch.rand(clean.shape, generator=generator, device=device) - 0.5)
     if adc is not None:
         dn = (dn + adc.black_level_dn).round().clamp(0.0, adc.white_level_dn) - adc.black_level_dn
-    return (dn / scale).clamp(*limits)
+    return (dn / scale).clamp(*exposures.limits)
 
 
 def _tukey_lambda(size: torch.Size, shape: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
@@ -74,12 +65,12 @@ def _tukey_lambda(size: torch.Size, shape: torch.Tensor, generator: torch.Genera
 def _row_noise(size: torch.Size, sigma: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
     """Return row noise (N, C, h, w): one draw a mosaic row."""
     images, channels, height, width = size
-    layout = row_layout(channels)
-    rows = -(-height // layout.sub) * layout.period
+    under = packed_rows(channels)
+    rows = -(-height // under.sub) * under.period
     draws = torch.randn((images, rows), generator=generator, device=sigma.device)
-    table = torch.as_tensor(layout.table, device=sigma.device)
+    table = torch.as_tensor(under.table, device=sigma.device)
     y = torch.arange(height, device=sigma.device)[:, None]
-    x = torch.arange(min(width, layout.sub), device=sigma.device)[None, :]
-    row = (y // layout.sub) * layout.period + table[:, y % layout.sub, x % layout.sub]
+    x = torch.arange(min(width, under.sub), device=sigma.device)[None, :]
+    row = (y // under.sub) * under.period + table[:, y % under.sub, x % under.sub]
     noise = draws[:, row] * sigma  # (N, C, h, s): it repeats every s columns
-    return noise.repeat(1, 1, 1, -(-width // layout.sub))[..., :width] if width > layout.sub else noise[..., :width]
+    return noise.repeat(1, 1, 1, -(-width // under.sub))[..., :width] if width > under.sub else noise[..., :width]

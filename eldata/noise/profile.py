@@ -5,14 +5,14 @@ A profile is a JSON file, validated on load. Five cameras ship with the package 
 
 from __future__ import annotations
 
-import json
 import math
-import sys
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
-from eldata.base.files import write_text
+from eldata.base.fields import Fields, TextFile, names_of
+from eldata.base.files import write_json
 from eldata.errors import ArgumentError, ProfileError
 from eldata.noise.parameters import NoiseParameters, shape_problem
 from eldata.noise.randomness import Generator, standard_normals, uniforms
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 SCHEMA = 1
-_LARGEST = sys.float_info.max
 RowChoice = Literal["any", "nearest-gain"]
 
 
@@ -115,7 +114,7 @@ class CameraProfile:
 
     def save(self, path: Path | str) -> None:
         """Write the profile as JSON, whole or not at all."""
-        write_text(path, json.dumps({"schema": SCHEMA} | asdict(self), indent=1) + "\n")
+        write_json(path, {"schema": SCHEMA} | asdict(self), indent=1)
 
     def gain_at_iso(self, iso: float) -> float:
         """Return K at an ISO: the row's where one was measured, else in proportion between the known limits.
@@ -220,116 +219,53 @@ def shipped_profiles() -> tuple[str, ...]:
 
 
 def _read(path: Path) -> CameraProfile:
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ProfileError(f"{path}: cannot be read: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
-        raise ProfileError(f"{path}: is not JSON ({error})") from error
-    reader = _Reader(path)
-    top = reader.record(data, "", {"schema", *(item.name for item in fields(CameraProfile))})
-    if top.get("schema") != SCHEMA:
-        raise reader.wrong("schema", f"{SCHEMA}; a newer profile needs a newer eldata", top.get("schema"))
+    top = TextFile(path, ProfileError).json()
+    top.only(("schema", *names_of(CameraProfile)))
+    top.schema(SCHEMA)
     return CameraProfile(
-        camera=reader.text(top, "camera"),
-        source=reader.text(top, "source"),
-        gain_range_dn_per_e=reader.pair(top, "gain_range_dn_per_e"),
-        tukey_lambda_fit=reader.fit(top, "tukey_lambda_fit"),
-        gauss_fit=reader.fit(top, "gauss_fit"),
-        row_fit=reader.fit(top, "row_fit"),
-        rows=reader.rows(top),
-        iso_range=None if top.get("iso_range") is None else reader.pair(top, "iso_range"),
-        black_level_dn=reader.optional(top, "black_level_dn"),
-        white_level_dn=reader.optional(top, "white_level_dn"),
-        notes=tuple(reader.texts(top, "notes")),
+        camera=top.text("camera"),
+        source=top.text("source"),
+        gain_range_dn_per_e=_range(top, "gain_range_dn_per_e"),
+        tukey_lambda_fit=_fit(top.inside("tukey_lambda_fit")),
+        gauss_fit=_fit(top.inside("gauss_fit")),
+        row_fit=_fit(top.inside("row_fit")),
+        rows=tuple(map(_row, top.objects("rows", fewest=1, expected="a list of at least one row"))),
+        iso_range=top.optional("iso_range", partial(_range, top)),
+        black_level_dn=top.optional("black_level_dn", top.number),
+        white_level_dn=top.optional("white_level_dn", top.number),
+        notes=top.texts("notes", missing_ok=True, empty=True),
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Reader:
-    """Takes typed values out of JSON and names the field that is wrong."""
+def _range(top: Fields, name: str) -> tuple[float, float]:
+    low, high = top.each(name, Fields.number, count=2, expected="two numbers")
+    if not 0 < low <= high:
+        raise top.wrong(name, "two positive numbers, the lower first", [low, high])
+    return low, high
 
-    path: Path
 
-    def wrong(self, name: str, expected: str, found: object) -> ProfileError:
-        return ProfileError(f"{self.path}, field {name}: expected {expected}, found {found!r}")
+def _fit(fit: Fields) -> LogLogFit:
+    fit.only(names_of(LogLogFit))
+    return LogLogFit(fit.number("slope"), fit.number("intercept"), fit.number("sigma", at_least=0))
 
-    def record(self, data: Any, name: str, known: set[str]) -> dict[str, Any]:
-        if not isinstance(data, dict):
-            raise self.wrong(name or "(all)", "an object", data)
-        for key in data:
-            if key not in known:
-                raise self.wrong(f"{name}.{key}".lstrip("."), f"one of {', '.join(sorted(known))}", key)
-        return data
 
-    def items(self, data: dict[str, Any], name: str) -> list[Any]:
-        value = data.get(name)
-        if not isinstance(value, list):
-            raise self.wrong(name, "a list", value)
-        return value
-
-    def text(self, data: dict[str, Any], name: str) -> str:
-        value = data.get(name)
-        if not isinstance(value, str) or not value:
-            raise self.wrong(name, "a text", value)
-        return value
-
-    def texts(self, data: dict[str, Any], name: str) -> list[str]:
-        value = data.get(name, [])
-        if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
-            raise self.wrong(name, "a list of texts", value)
-        return value
-
-    def number(self, value: Any, name: str) -> float:
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not -_LARGEST <= value <= _LARGEST:
-            raise self.wrong(name, "a finite number", value)
-        return float(value)
-
-    def optional(self, data: dict[str, Any], name: str, where: str = "") -> float | None:
-        value = data.get(name)
-        return None if value is None else self.number(value, f"{where}{name}")
-
-    def pair(self, data: dict[str, Any], name: str) -> tuple[float, float]:
-        value = data.get(name)
-        if not isinstance(value, list) or len(value) != 2:
-            raise self.wrong(name, "two numbers", value)
-        low, high = self.number(value[0], f"{name}[0]"), self.number(value[1], f"{name}[1]")
-        if not 0 < low <= high:
-            raise self.wrong(name, "two positive numbers, the lower first", value)
-        return low, high
-
-    def fit(self, data: dict[str, Any], name: str) -> LogLogFit:
-        names = tuple(item.name for item in fields(LogLogFit))
-        value = self.record(data.get(name), name, set(names))
-        fit = LogLogFit(**{key: self.number(value.get(key), f"{name}.{key}") for key in names})
-        if fit.sigma < 0:
-            raise self.wrong(f"{name}.sigma", "0 or more", fit.sigma)
-        return fit
-
-    def rows(self, data: dict[str, Any]) -> tuple[ProfileRow, ...]:
-        items = self.items(data, "rows")
-        if not items:
-            raise self.wrong("rows", "at least one row", items)
-        return tuple(self.row(item, f"rows[{index}]") for index, item in enumerate(items))
-
-    def row(self, data: Any, name: str) -> ProfileRow:
-        value = self.record(data, name, {item.name for item in fields(ProfileRow)})
-        bias = value.get("colour_bias_dn")
-        if not isinstance(bias, list) or len(bias) != 4:
-            raise self.wrong(f"{name}.colour_bias_dn", "four numbers (R, G1, B, G2)", bias)
-        numbers = [self.number(item, f"{name}.colour_bias_dn[{i}]") for i, item in enumerate(bias)]
-        shape = self.number(value.get("tukey_lambda"), f"{name}.tukey_lambda")
-        optional = {
-            item.name: self.optional(value, item.name, f"{name}.")
-            for item in fields(ProfileRow)
-            if item.name not in ("tukey_lambda", "colour_bias_dn")
-        }
-        problem = shape_problem(shape)
-        if problem is not None:
-            raise self.wrong(f"{name}.tukey_lambda", f"a number {problem}", shape)
-        for key, found in optional.items():
-            if found is not None and key in ("iso", "gain_dn_per_e") and not found > 0:
-                raise self.wrong(f"{name}.{key}", "a number above 0", found)
-            if found is not None and key.startswith("sigma") and found < 0:
-                raise self.wrong(f"{name}.{key}", "0 or more", found)
-        return ProfileRow(shape, (numbers[0], numbers[1], numbers[2], numbers[3]), **optional)
+def _row(row: Fields) -> ProfileRow:
+    row.only(names_of(ProfileRow))
+    red, green, blue, second_green = row.each(
+        "colour_bias_dn", Fields.number, count=4, expected="four numbers (R, G1, B, G2)"
+    )
+    shape = row.number("tukey_lambda")
+    problem = shape_problem(shape)
+    if problem is not None:
+        raise row.wrong("tukey_lambda", f"a number {problem}", shape)
+    return ProfileRow(
+        tukey_lambda=shape,
+        colour_bias_dn=(red, green, blue, second_green),
+        iso=row.optional("iso", row.number, above=0),
+        gain_dn_per_e=row.optional("gain_dn_per_e", row.number, above=0),
+        sigma_tl_dn=row.optional("sigma_tl_dn", row.number, at_least=0),
+        sigma_gauss_dn=row.optional("sigma_gauss_dn", row.number, at_least=0),
+        sigma_row_dn=row.optional("sigma_row_dn", row.number, at_least=0),
+        r_squared_tl=row.optional("r_squared_tl", row.number),
+        r_squared_gauss=row.optional("r_squared_gauss", row.number),
+    )

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import tomllib
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from eldata.base.fields import Fields, TextFile, names_of, shown
 from eldata.errors import ArgumentError
 from eldata.protocols.named import FAMILIES, PROTOCOLS
 from eldata.protocols.protocol import CHOICES, Protocol
@@ -14,7 +14,8 @@ from eldata.protocols.protocol import CHOICES, Protocol
 _BASE = "base"
 _LISTS_OF_TEXT = ("cameras", "scenes")
 _NUMBERS = ("data_range", "mse_offset")
-_KNOWN = (_BASE, *(field.name for field in fields(Protocol) if field.name != "family"))
+_KNOWN = (_BASE, *(name for name in names_of(Protocol) if name != "family"))
+_LARGEST_BYTES = 1 << 20
 # Names that mean something else already.
 _TAKEN = ("all", *FAMILIES)
 
@@ -32,28 +33,18 @@ def load_protocol(path: Path | str) -> Protocol:
         is a shipped protocol's; the message names file and field.
     """
     path = Path(path)
-    try:
-        with path.open("rb") as file:
-            content = tomllib.load(file)
-    except OSError as error:
-        raise ArgumentError(f"{path}: the protocol cannot be read: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ArgumentError(f"{path}: is no TOML: {error}") from error
-    for name in content:
-        if name not in _KNOWN:
-            raise ArgumentError(f"{path}: unknown field {name!r}; known are {', '.join(_KNOWN)}")
+    top = TextFile(path, ArgumentError, largest_bytes=_LARGEST_BYTES).toml()
+    top.only(_KNOWN)
     for name in (_BASE, "name", "title"):
-        if name not in content:
-            raise ArgumentError(f"{path}: field {name!r} is missing; a protocol needs base, name and title")
-    values = {name: _value(path, name, value) for name, value in content.items()}
+        if name not in top.data:
+            raise top.problem(name, "is missing; a protocol needs base, name and title")
+    values = {name: _value(top, name) for name in top.data}
     base = values.pop(_BASE)
-    if base not in PROTOCOLS:
-        raise ArgumentError(f"{path}: base: no protocol is called {base!r}; known are {', '.join(PROTOCOLS)}")
     name = values["name"]
     if name in PROTOCOLS or name in _TAKEN:
-        raise ArgumentError(f"{path}: name: {name!r} is the name of a shipped protocol; choose another")
-    if not name or not name.isprintable() or name.endswith(".toml"):
-        raise ArgumentError(f"{path}: name: expected printable text that does not end in .toml, found {name!r}")
+        raise top.problem("name", f"{shown(name)} is the name of a shipped protocol; choose another")
+    if not name.isprintable() or name.endswith(".toml"):
+        raise top.wrong("name", "printable text that does not end in .toml", name)
     start = PROTOCOLS[base]
     made = replace(start, **({"source": f"{path.name}, after {base}: {start.source}", "family": ""} | values))
     try:
@@ -63,32 +54,23 @@ def load_protocol(path: Path | str) -> Protocol:
     return made
 
 
-def _value(path: Path, name: str, value: Any) -> Any:
+def _ratio(top: Fields, name: str) -> Any:
+    top.number(name, above=0)
+    return top.value(name)  # whole where it is: the digest tells 100 from 100.0
+
+
+def _value(top: Fields, name: str) -> Any:
     """Return a field's value as :class:`Protocol` has it."""
-
-    def refuse(expected: str) -> ArgumentError:
-        return ArgumentError(f"{path}: {name}: expected {expected}, found {value!r}")
-
+    if name == _BASE:
+        return top.choice(name, tuple(PROTOCOLS))
     if name in CHOICES:
-        if value not in CHOICES[name]:
-            raise refuse(f"one of {', '.join(map(repr, CHOICES[name]))}")
-        return value
+        return top.choice(name, CHOICES[name])
     if name in _NUMBERS:
-        if not _is_number(value):
-            raise refuse("a number")
-        return float(value)
+        return top.number(name)
     if name == "ratios":
-        if not isinstance(value, list) or not all(_is_number(item) and item > 0 for item in value):
-            raise refuse("a list of positive numbers, such as [100, 200]; [] for all")
-        return tuple(value)
+        return top.each(name, _ratio, expected="a list of positive numbers, such as [100, 200]; [] for all")
     if name in _LISTS_OF_TEXT:
-        if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
-            raise refuse("a list of names; [] for all")
-        return tuple(value)
-    if not isinstance(value, str):
-        raise refuse("text")
-    return None if name == "subset" and value == "" else value
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
+        return top.texts(name, expected="a list of names; [] for all", empty=True)
+    if name == "subset":
+        return top.text(name, empty=True) or None
+    return top.text(name, empty=name not in ("name", "title"))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from eldata.metrics.scoring import ScoringRules
+    from eldata.metrics.image_score import ScoringRules
 
 Levels = Literal["metadata", "published", "metadata-per-channel", "sid-sony", "sid-fuji"]
 Clip = Literal["both", "upper", "none"]
@@ -80,7 +80,7 @@ class Protocol:
         ``raw``: packed raw values are compared; ``srgb``: renderings.
     rendering
         What renders an sRGB reference: ``libraw``, the predictions being renderings already, or ``eld-isp``, the ELD
-        paper's pipeline (:mod:`eldata.isp.scoring`), which renders the packed raw prediction too, once it is rescaled.
+        paper's pipeline (:mod:`eldata.isp.srgb_pairs`), which renders the packed raw prediction too, once rescaled.
     """
 
     name: str
@@ -133,7 +133,7 @@ class Protocol:
     @property
     def rules(self) -> ScoringRules:
         """What decides the scores of a prediction and a reference in the region."""
-        from eldata.metrics.scoring import ScoringRules
+        from eldata.metrics.image_score import ScoringRules
 
         return ScoringRules(
             rescaling=self.rescaling,

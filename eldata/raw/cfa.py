@@ -51,6 +51,7 @@ CLIP_RANGES: dict[Clip, tuple[float, float]] = {
 BAYER_CHANNELS = ("R", "G1", "B", "G2")
 XTRANS_CHANNELS = ("R", "G", "B", "R", "B", "G", "G", "G", "G")
 
+BAYER_CFAS: tuple[CfaRows, ...] = (((0, 1), (3, 2)), ((1, 0), (2, 3)), ((3, 2), (0, 1)), ((2, 3), (1, 0)))
 XTRANS_CFA: CfaRows = (
     (0, 2, 1, 2, 0, 1),
     (1, 1, 0, 1, 1, 2),
@@ -87,17 +88,33 @@ class PackedArea:
         return slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
 
 
-@dataclass(frozen=True, eq=False)
-class _Layout:
+@dataclass(frozen=True, slots=True, eq=False)
+class Sites:
+    """Where packing puts each site of one CFA period.
+
+    Attributes
+    ----------
+    period, sub
+        Side of the period in the mosaic, and in the packed image.
+    top, left
+        Rows and columns that packing drops first.
+    table
+        (sites, 5) int64, read-only: mosaic row and column, packed channel, packed row and column, the last two below
+        ``sub``.
+    colours
+        Channel index in the CFA, and so in ``black_level_dn``, of each packed channel.
+    """
+
     period: int
     sub: int
     top: int
     left: int
-    sites: NDArray[np.int64]
-    colours: tuple[int, ...]  # channel index in the CFA, and so in black_level_dn, of each packed channel
+    table: NDArray[np.int64]
+    colours: tuple[int, ...]
 
     @property
     def channels(self) -> int:
+        """Number of packed channels."""
         return len(self.colours)
 
 
@@ -107,57 +124,29 @@ def _rows(cfa: Cfa) -> CfaRows:
 
 def _as_table(period: int, channel_of: CfaRows) -> NDArray[np.int64]:
     block = 2 if period == 2 else 3
-    return np.array(
-        [
-            (row, column, channel_of[row][column], row // block, column // block)
-            for row in range(period)
-            for column in range(period)
-        ],
-        dtype=np.int64,
-    )
+    sites = [
+        (row, column, channel_of[row][column], row // block, column // block)
+        for row, column in np.ndindex(period, period)
+    ]
+    table = np.array(sites, dtype=np.int64)
+    table.flags.writeable = False
+    return table
 
 
 @cache
-def _layout(cfa: CfaRows) -> _Layout:
-    if (
-        len(cfa) == 2
-        and len(cfa[0]) == len(cfa[1]) == 2
-        and sorted(value for row in cfa for value in row) == [0, 1, 2, 3]
-    ):
-        diagonal = {(cfa[y][x], cfa[1 - y][1 - x]) for y in range(2) for x in range(2)}
-        if any(set(row) == {0, 1} for row in cfa) and (1, 3) in diagonal:
-            return _Layout(2, 1, 0, 0, _as_table(2, cfa), (0, 1, 2, 3))
-    elif len(cfa) == 6 and all(len(row) == 6 for row in cfa):
-        for top, left in sorted(((y, x) for y in range(6) for x in range(6)), key=sum):
+def _sites(cfa: CfaRows) -> Sites:
+    if cfa in BAYER_CFAS:
+        return Sites(2, 1, 0, 0, _as_table(2, cfa), (0, 1, 2, 3))
+    if len(cfa) == 6 and all(len(row) == 6 for row in cfa):
+        for top, left in sorted(np.ndindex(6, 6), key=sum):
             shifted = tuple(tuple(cfa[(y + top) % 6][(x + left) % 6] for x in range(6)) for y in range(6))
             if shifted == XTRANS_CFA:
                 colours = tuple("RGB".index(name) for name in XTRANS_CHANNELS)
-                return _Layout(6, 2, top, left, _as_table(6, _XTRANS_CHANNEL), colours)
+                return Sites(6, 2, top, left, _as_table(6, _XTRANS_CHANNEL), colours)
     raise ArgumentError(
         f"unsupported CFA {cfa}: expected a 2x2 Bayer pattern (0 = R, 1 = G1 in R's row, 2 = B, 3 = G2) or a 6x6 "
         "X-Trans pattern (0 = R, 1 = G, 2 = B) at any offset"
     )
-
-
-@dataclass(frozen=True, slots=True)
-class Sites:
-    """Where packing puts each site of one CFA period, for code that packs other things than numpy arrays.
-
-    Attributes
-    ----------
-    period, sub
-        Side of the period in the mosaic, and in the packed image.
-    top, left
-        Rows and columns that packing drops first.
-    table
-        Per site: mosaic row and column, packed channel, packed row and column, the last two below ``sub``.
-    """
-
-    period: int
-    sub: int
-    top: int
-    left: int
-    table: tuple[tuple[int, int, int, int, int], ...]
 
 
 def packing_sites(cfa: Cfa) -> Sites:
@@ -168,14 +157,12 @@ def packing_sites(cfa: Cfa) -> Sites:
     ArgumentError
         If the CFA is neither Bayer nor X-Trans.
     """
-    layout = _layout(_rows(cfa))
-    table = tuple((int(a), int(b), int(c), int(d), int(e)) for a, b, c, d, e in layout.sites)
-    return Sites(layout.period, layout.sub, layout.top, layout.left, table)
+    return _sites(_rows(cfa))
 
 
 def packed_channels(cfa: Cfa) -> int:
     """Return the number of channels of the packed form: 4 for Bayer, 9 for X-Trans."""
-    return _layout(_rows(cfa)).channels
+    return packing_sites(cfa).channels
 
 
 def packed_area(shape: tuple[int, int], cfa: Cfa) -> PackedArea:
@@ -186,23 +173,23 @@ def packed_area(shape: tuple[int, int], cfa: Cfa) -> PackedArea:
     ArgumentError
         If the CFA is neither Bayer nor X-Trans, or the mosaic does not hold one whole period.
     """
-    layout = _layout(_rows(cfa))
-    height = (shape[0] - layout.top) // layout.period * layout.period
-    width = (shape[1] - layout.left) // layout.period * layout.period
+    sites = packing_sites(cfa)
+    height = (shape[0] - sites.top) // sites.period * sites.period
+    width = (shape[1] - sites.left) // sites.period * sites.period
     if height <= 0 or width <= 0:
         raise ArgumentError(
-            f"a mosaic of {shape[0]} x {shape[1]} pixels does not hold one whole {layout.period} x "
-            f"{layout.period} period of its CFA"
+            f"a mosaic of {shape[0]} x {shape[1]} pixels does not hold one whole {sites.period} x "
+            f"{sites.period} period of its CFA"
         )
-    return PackedArea(layout.top, layout.left, height, width)
+    return PackedArea(sites.top, sites.left, height, width)
 
 
 def packed_shape(shape: tuple[int, int], cfa: Cfa) -> tuple[int, int, int]:
     """Return the packed shape (C, h, w) of a mosaic of ``shape`` (H, W)."""
-    layout = _layout(_rows(cfa))
+    sites = packing_sites(cfa)
     area = packed_area(shape, cfa)
-    scale = layout.period // layout.sub
-    return layout.channels, area.height // scale, area.width // scale
+    scale = sites.period // sites.sub
+    return sites.channels, area.height // scale, area.width // scale
 
 
 def _area_of(mosaic: NDArray[Scalar], cfa: Cfa) -> NDArray[Scalar]:
@@ -233,10 +220,10 @@ def pack(mosaic: NDArray[Scalar], cfa: Cfa) -> NDArray[Scalar]:
     """
     from eldata.raw._kernels import gather
 
-    layout = _layout(_rows(cfa))
+    sites = packing_sites(cfa)
     area = _area_of(mosaic, cfa)
     packed = np.empty(packed_shape(mosaic.shape, cfa), dtype=mosaic.dtype)
-    gather(_as_bits(area), _as_bits(packed), layout.sites, layout.period, layout.sub)
+    gather(_as_bits(area), _as_bits(packed), sites.table, sites.period, sites.sub)
     return packed
 
 
@@ -262,13 +249,13 @@ def unpack(packed: NDArray[Scalar], cfa: Cfa) -> NDArray[Scalar]:
     """
     from eldata.raw._kernels import scatter
 
-    layout = _layout(_rows(cfa))
-    if packed.ndim != 3 or packed.shape[0] != layout.channels or any(n % layout.sub for n in packed.shape[1:]):
-        even = "" if layout.sub == 1 else " with even h and w"
-        raise ArgumentError(f"expected packed data ({layout.channels}, h, w){even}; found shape {packed.shape}")
-    scale = layout.period // layout.sub
+    sites = packing_sites(cfa)
+    if packed.ndim != 3 or packed.shape[0] != sites.channels or any(n % sites.sub for n in packed.shape[1:]):
+        even = "" if sites.sub == 1 else " with even h and w"
+        raise ArgumentError(f"expected packed data ({sites.channels}, h, w){even}; found shape {packed.shape}")
+    scale = sites.period // sites.sub
     mosaic = np.empty((packed.shape[1] * scale, packed.shape[2] * scale), dtype=packed.dtype)
-    scatter(_as_bits(packed), _as_bits(mosaic), layout.sites, layout.period, layout.sub)
+    scatter(_as_bits(packed), _as_bits(mosaic), sites.table, sites.period, sites.sub)
     return mosaic
 
 
@@ -287,7 +274,7 @@ def packed_black_level_dn(cfa: Cfa, black_level_dn: Sequence[float]) -> NDArray[
     ArgumentError
         If there are not as many levels as the CFA has channels (4 for Bayer, 3 for X-Trans).
     """
-    colours = _layout(_rows(cfa)).colours
+    colours = packing_sites(cfa).colours
     if len(black_level_dn) != max(colours) + 1:
         raise ArgumentError(f"expected {max(colours) + 1} black levels for this CFA, found {len(black_level_dn)}")
     return np.array([black_level_dn[colour] for colour in colours], dtype=np.float32)
@@ -359,7 +346,7 @@ def pack_normalised(
     black = packed_black_level_dn(cfa, black_level_dn)
     white = _checked_levels(black, white_level_dn)
     low, high = _clip_range(clip)
-    layout = _layout(_rows(cfa))
+    sites = packing_sites(cfa)
     area = _area_of(mosaic, cfa)
     shape = packed_shape(mosaic.shape, cfa)
     if out is None:
@@ -369,10 +356,10 @@ def pack_normalised(
             f"out must be a writeable C-contiguous float32 array of shape {shape}; found {out.dtype} {out.shape}"
         )
     factor = np.float32(gain)
-    if layout.period == 2:
-        pack_bayer_normalised(area, out, layout.sites[:, 2].reshape(2, 2), black, white, low, high, factor)
+    if sites.period == 2:
+        pack_bayer_normalised(area, out, sites.table[:, 2].reshape(2, 2), black, white, low, high, factor)
     else:
-        pack_xtrans_normalised(area, out, layout.sites, black, white, low, high, factor)
+        pack_xtrans_normalised(area, out, sites.table, black, white, low, high, factor)
     return out
 
 

@@ -48,6 +48,7 @@ from contextlib import contextmanager
 from datetime import datetime
 from fractions import Fraction
 from functools import cache
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -355,11 +356,7 @@ def _cfa(path: Path, raw: rawpy.RawPy) -> tuple[tuple[tuple[int, ...], ...], tup
         packed_channels(rows)
     except ArgumentError as error:
         raise RawFileError(path, f"unsupported colour filter array {rows}; Bayer or X-Trans is needed") from error
-    libraw_index = {
-        mine: theirs
-        for ours_row, row in zip(ours, sites, strict=True)
-        for mine, theirs in zip(ours_row, row, strict=True)
-    }
+    libraw_index = dict(zip(chain(*ours), chain(*sites), strict=True))
     return rows, tuple(libraw_index[channel] for channel in sorted(libraw_index))
 
 

@@ -151,6 +151,12 @@ def figure() -> Figure:
     return Figure(figsize=SIZE_INCHES, layout="constrained")
 
 
+def one_axes() -> tuple[Figure, Axes]:
+    """Return such a figure and the axes that fill it."""
+    drawing = figure()
+    return drawing, drawing.subplots()
+
+
 # --- axes ---------------------------------------------------------------------------------------------------------
 
 
@@ -203,6 +209,37 @@ def log_log(axes: Axes, ylabel: str) -> None:
         log_ticks(axis, 2)
     axes.set_xlabel("K [DN/e⁻]")
     axes.set_ylabel(ylabel)
+
+
+def bars(axes: Axes, at: Sequence[float], values: Sequence[float], errors: Sequence[float], theme: Theme) -> None:
+    """Draw measured values with their standard errors."""
+    axes.errorbar(at, values, yerr=errors, fmt="o", color=theme.found, capsize=3, label="measured")
+
+
+def quantile_plot(
+    expected: NDArray[np.float64],
+    found: NDArray[np.float64],
+    line: tuple[float, float],
+    theme: Theme,
+    *,
+    names: tuple[str, str],
+    labels: tuple[str, str],
+    note: str = "",
+) -> Figure:
+    """Draw ordered values over expected quantiles, with a line of a slope and a level.
+
+    ``names`` are those of the line and the points, ``labels`` those of the axes. The note stands in the lower right
+    corner, which rising points leave free.
+    """
+    drawing, axes = one_axes()
+    ends = expected[[0, -1]]
+    axes.plot(ends, line[0] * ends + line[1], color=theme.theory, label=names[0])
+    axes.plot(expected, found, "o", markersize=3, color=theme.found, label=names[1])
+    axes.text(0.98, 0.04, note, transform=axes.transAxes, ha="right", va="bottom", fontsize=9.5)
+    axes.set_xlabel(labels[0])
+    axes.set_ylabel(labels[1])
+    axes.legend(loc="upper left")
+    return drawing
 
 
 def legend_above(axes: Axes) -> None:

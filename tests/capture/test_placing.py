@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from capture.errors import MappingError
+from capture.capture_errors import MappingError
 from capture.placing import Placement, check_free, copy, link
 from eldata.base.files import sha256_of
 

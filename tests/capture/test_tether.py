@@ -494,7 +494,7 @@ def test_a_damaged_journal_is_refused(rig: Rig, capsys: pytest.CaptureFixture[st
     journal = rig.shots / "journal.jsonl"
     journal.write_bytes(journal.read_bytes().replace(b'"event": "done"', b'"event": "dine"', 1))
     assert rig.run() == 2
-    assert "journal.jsonl, line 3: is no entry of a journal" in capsys.readouterr().err
+    assert "journal.jsonl, line 3, field event: expected one of 'plan', 'intent'" in capsys.readouterr().err
 
 
 def test_a_disk_that_is_full_for_the_journal(rig: Rig, capsys: pytest.CaptureFixture[str]) -> None:

@@ -65,7 +65,7 @@ def test_a_file_of_ones_own(capsys: pytest.CaptureFixture[str], tmp_path: Path) 
     assert command(str(path)) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
-    assert captured.err == f"eldata protocols: {path}: field 'base' is missing; a protocol needs base, name and title\n"
+    assert captured.err == f"eldata protocols: {path}, field base: is missing; a protocol needs base, name and title\n"
 
 
 @pytest.mark.parametrize(
@@ -113,7 +113,7 @@ def test_evaluate_under_a_file(eldata: Cli, tree: Tree, predictions: Path, tmp_p
     path.write_text('base = "eld"\nname = "eld"\ntitle = "x"\n')
     outcome = eldata(*arguments, "--protocol", path)
     assert (outcome.code, outcome.out) == (2, "")
-    assert f"{path}: name: 'eld' is the name of a shipped protocol" in outcome.err
+    assert f"{path}, field name: 'eld' is the name of a shipped protocol" in outcome.err
 
 
 @pytest.mark.parametrize(

@@ -63,7 +63,7 @@ def test_help_names_every_option(sharded: Shard) -> None:
 def test_what_is_wrong_is_one_line(sharded: Shard, store: Path, tmp_path: Path) -> None:
     out = tmp_path / "shards"
     assert_one_line(sharded(store), "--out")
-    assert_one_line(sharded(store, "-o", out, "--tile", "half"), "expected a whole number, found 'half'")
+    assert_one_line(sharded(store, "-o", out, "--tile", "half"), "expected a whole number of 0 or more, found 'half'")
     assert_one_line(sharded(store, "-o", out, "--samples-per-shard", "0"), "samples_per_shard must be 1 or more")
     assert_one_line(sharded(store, "-o", out), "64 x 96 pixels are too few for a tile of 1026 x 1026")
     assert_one_line(sharded(tmp_path / "no.h5", "-o", out), "no.h5: cannot be read")

@@ -225,7 +225,12 @@ def test_malformed_manifest(name: str, command: str, eldata: Cli, own: Tree, pre
 
 @pytest.mark.parametrize(
     ("content", "words"),
-    [("{", ["JSON"]), ("[]", ["JSON object"]), ('{"name": "x"}', ["missing"]), ('{"nonsense": 1}', ["nonsense"])],
+    [
+        ("{", ["JSON"]),
+        ("[]", ["expected an object"]),
+        ('{"name": "x"}', ["found nothing"]),
+        ('{"nonsense": 1}', ["nonsense"]),
+    ],
 )
 def test_malformed_card(content: str, words: list[str], eldata: Cli, own: Tree) -> None:
     card = own.manifest.with_suffix(".json")

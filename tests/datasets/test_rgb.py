@@ -28,7 +28,7 @@ from eldata.datasets.synthetic import SyntheticPairs
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.isp.rendering import Gamma, Rendering
 from eldata.isp.response import ResponseCurve
-from eldata.isp.scoring import render_pair_for_scoring
+from eldata.isp.srgb_pairs import render_pair_for_scoring
 from eldata.raw import read_raw, write_dng
 from tests.datasets.methods import METHODS
 from tests.raw.helpers import make_sensor

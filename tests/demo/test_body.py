@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from eldata.demo.body import Body, FixedFeatures, KnownNoise, temporal_noise_dn, tukey_lambda_quantile
+from eldata.demo.body import Body, FixedFeatures, KnownNoise, temporal_noise_dn, tukey_lambda_values
 from eldata.errors import ArgumentError
 from eldata.records import Sensor
 from tests.calibration.draws import BAYER_PHASES
@@ -44,14 +44,14 @@ def noise_of(sensor: Sensor) -> KnownNoise:
 def test_the_quantile_is_scipys(shape: float) -> None:
     u = np.array([1e-15, 1e-9, 1e-4, 0.2, 0.5, 0.7, 0.9999, 1 - 1e-9])
     np.testing.assert_allclose(
-        tukey_lambda_quantile(u, shape), stats.tukeylambda.ppf(u, shape), rtol=2e-6, atol=1e-12 + 1e-7 * abs(shape)
+        tukey_lambda_values(u, shape), stats.tukeylambda.ppf(u, shape), rtol=2e-6, atol=1e-12 + 1e-7 * abs(shape)
     )
 
 
 @pytest.mark.parametrize("shape", [-0.2, 0.0, 0.2])
 def test_the_ends_of_the_generator_are_finite(shape: float) -> None:
     u = np.array([0.0, 1 - 2.0**-53])
-    low, high = tukey_lambda_quantile(u, shape)
+    low, high = tukey_lambda_values(u, shape)
     assert -1e5 < low < high < 1e5
     assert u[0] == 0  # the argument is left alone
 
@@ -83,7 +83,7 @@ def test_sigma_gauss_is_the_deviation() -> None:
     for shape in (-0.2, 0.0, 0.1):
         noise = replace(NOISE, tukey_lambda=shape, sigma_row_dn=0.0)
         u = (np.arange(2_000_000) + 0.5) / 2_000_000
-        assert noise.sigma_gauss_dn == pytest.approx(2 * float(tukey_lambda_quantile(u, shape).std()), rel=1e-3)
+        assert noise.sigma_gauss_dn == pytest.approx(2 * float(tukey_lambda_values(u, shape).std()), rel=1e-3)
     assert replace(NOISE, tukey_lambda=0.0).sigma_gauss_dn == pytest.approx(2 * math.pi / math.sqrt(3))
 
 

@@ -18,7 +18,7 @@ import requests
 
 from eldata.download.card_downloads import kept_archives
 from eldata.download.fetching import Fetcher, Patience
-from eldata.download.partial import opened
+from eldata.download.partial import opened_partial
 from eldata.errors import DownloadError
 from eldata.manifest.card import Download
 from tests.download import server
@@ -510,7 +510,7 @@ def test_a_folder_that_cannot_be_made(site: server.Site, tmp_path: Path) -> None
 
 def test_one_process_at_a_time(site: server.Site, target: Path) -> None:
     target.parent.mkdir()
-    with opened(target):
+    with opened_partial(target):
         refused(site, target, "another process is fetching it")
     fetched(site, target)
 

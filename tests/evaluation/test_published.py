@@ -351,13 +351,16 @@ GOOD = LINES[0]
     ("line", "reason"),
     [
         (GOOD.replace("one,1", "three,1"), "line 2, column source: 'three' is not in sources.json"),
-        (GOOD.replace("one,1", "one,9"), "line 2, column table: one has '1', '2'; found '9'"),
-        (GOOD.replace("45.25", "4S.25"), "line 2, column psnr_db: expected a number, found '4S.25'"),
-        (GOOD.replace("45.25", ""), "line 2, column psnr_db: expected a number, found ''"),
-        (GOOD.replace("45.25", "nan"), "line 2, column psnr_db: expected a number, found 'nan'"),
-        (GOOD.replace("0.9754", "-0.9"), "line 2, column ssim: expected a number, found '-0.9'"),
-        (GOOD.replace(",30,", ",0,"), "line 2, column pairs: expected a count, found '0'"),
-        (GOOD.replace(",First,", ",,"), "line 2, column method: is empty"),
+        (GOOD.replace("one,1", "one,9"), "line 2, column table: expected one of '1', '2', found '9'"),
+        (
+            GOOD.replace("45.25", "4S.25"),
+            "line 2, column psnr_db: expected a finite number of 0 or more, found '4S.25'",
+        ),
+        (GOOD.replace("45.25", ""), "line 2, column psnr_db: expected a finite number of 0 or more, found ''"),
+        (GOOD.replace("45.25", "nan"), "line 2, column psnr_db: expected a finite number of 0 or more, found 'nan'"),
+        (GOOD.replace("0.9754", "-0.9"), "line 2, column ssim: expected a finite number of 0 or more, found '-0.9'"),
+        (GOOD.replace(",30,", ",0,"), "line 2, column pairs: expected a whole number of 1 or more, found '0'"),
+        (GOOD.replace(",First,", ",,"), "line 2, column method: expected a text, found ''"),
         (GOOD.replace("eld;pmn-eld", "").replace("digits of the log", ""), "column note: is empty"),
         (GOOD + ",more", "line 2: expected 13 fields, found 14"),
         ('one,1,"eld', "line 2: is not CSV"),
@@ -380,20 +383,20 @@ def test_a_number_twice(tmp_path: Path) -> None:
 def test_a_wrong_header(tmp_path: Path) -> None:
     write(tmp_path, [])
     (tmp_path / "eld.csv").write_text("method,psnr\n", encoding="utf-8")
-    with pytest.raises(ManifestError, match=r"line 1: expected the columns source,table,.*; found method,psnr"):
+    with pytest.raises(ManifestError, match=r"line 1: expected the columns source,table,.*; found 'method,psnr'"):
         load_published(tmp_path)
 
 
 @pytest.mark.parametrize(
     ("sources", "reason"),
     [
-        ([], "expected a JSON object, found list"),
-        ({"one": []}, "one: expected the fields label, citation"),
-        ({"one": {**SOURCES["one"], "note": ""}}, "one: expected the fields label, citation"),
-        ({"one": {**SOURCES["one"], "url": ""}}, "one: expected text that is not empty"),
-        ({"one": {**SOURCES["one"], "commit": 7}}, "one: expected text that is not empty"),
-        ({"one": {**SOURCES["one"], "known": "all"}}, "one, known: expected list, found str"),
-        ({"one": {**SOURCES["one"], "tables": ["1"]}}, "one, tables: expected dict, found list"),
+        ([], "sources.json: expected an object, found []"),
+        ({"one": []}, "field one: expected an object, found []"),
+        ({"one": {**SOURCES["one"], "note": ""}}, "field one.note: is unknown; known are label, citation"),
+        ({"one": {**SOURCES["one"], "url": ""}}, "field one.url: expected a text, found ''"),
+        ({"one": {**SOURCES["one"], "commit": 7}}, "field one.commit: expected a text, found 7"),
+        ({"one": {**SOURCES["one"], "known": "all"}}, "field one.known: expected a list of texts, found 'all'"),
+        ({"one": {**SOURCES["one"], "tables": ["1"]}}, "field one.tables: expected an object, found ['1']"),
     ],
 )
 def test_malformed_sources_are_named(tmp_path: Path, sources: Any, reason: str) -> None:

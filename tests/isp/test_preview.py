@@ -10,6 +10,7 @@ import rawpy
 from eldata.demo.camera import CAMERAS
 from eldata.errors import ArgumentError
 from eldata.isp.preview import preview, srgb_encode
+from eldata.raw.colour import camera_to_srgb
 from eldata.raw.dng import write_dng
 from eldata.raw.levels import packed_frame
 from eldata.raw.reading import read_raw
@@ -111,9 +112,8 @@ def test_greens_are_averaged() -> None:
 
 def test_the_colour_matrix_is_applied_after_white_balance() -> None:
     sensor = SENSORS["DemoAlpha"]
-    matrix = sensor.camera_to_srgb
-    assert matrix is not None
-    linear = matrix @ np.array([0.4, 0.3, 0.2])
+    assert sensor.xyz_to_camera is not None
+    linear = camera_to_srgb(sensor.xyz_to_camera) @ np.array([0.4, 0.3, 0.2])
     expected = 255 * srgb_encode(linear.clip(0, 1))
     assert np.abs(preview(balanced((0.4, 0.3, 0.2), sensor), sensor) - expected).max() <= 0.51
 

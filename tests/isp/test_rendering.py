@@ -11,7 +11,8 @@ import torch
 from eldata.errors import ArgumentError
 from eldata.isp.rendering import CameraColour, Gamma, Rendering
 from eldata.isp.response import ResponseCurve
-from eldata.isp.scoring import render_pair_for_scoring
+from eldata.isp.srgb_pairs import render_pair_for_scoring
+from eldata.raw.colour import camera_to_srgb
 from tests.raw.helpers import BAYER, XTRANS, make_sensor
 
 if TYPE_CHECKING:
@@ -34,12 +35,12 @@ CURVES = ResponseCurve(np.broadcast_to(GRID, (3, 64)), np.stack([GRID**power for
 def in_numpy(packed: NDArray[np.float64], sensor: Sensor, curves: Sequence[NDArray[np.float64]] | None = None) -> Any:
     """The published chain (ELD repository, util/process.py: process) in plain float64, of one image."""
     assert sensor.white_balance is not None
-    assert sensor.camera_to_srgb is not None
+    assert sensor.xyz_to_camera is not None
     colours = [0, 1, 2, 1] if len(packed) == 4 else [0, 1, 2, 0, 2, 1, 1, 1, 1]
     factors = [sensor.white_balance[at] for at in (range(4) if len(packed) == 4 else colours)]
     balanced = np.clip(packed * np.array(factors)[:, None, None], 0, 1)
     camera = np.stack([balanced[np.array(colours) == colour].mean(axis=0) for colour in range(3)])
-    linear = np.clip(np.tensordot(sensor.camera_to_srgb, camera, axes=1), 0, 1)
+    linear = np.clip(np.tensordot(camera_to_srgb(sensor.xyz_to_camera), camera, axes=1), 0, 1)
     if curves is None:
         return np.maximum(linear, 1e-8) ** (1 / 2.2)
     return np.stack([np.interp(channel, GRID, curve) for channel, curve in zip(linear, curves, strict=True)])
@@ -170,10 +171,11 @@ def test_scored_codes_are_those_of_the_published_arithmetic() -> None:
     """In float32 throughout, as there, a value within 1e-5 of a whole code may fall on its other side."""
     packed = np.random.default_rng(0).uniform(0, 1, (4, 100, 100)).astype(np.float32)
     assert SENSOR.white_balance is not None
+    assert SENSOR.xyz_to_camera is not None
     tensor = torch.from_numpy(packed)
     balanced = (tensor * torch.tensor(SENSOR.white_balance).view(4, 1, 1)).clamp(0, 1)
     rgb = torch.stack([balanced[0], balanced[[1, 3]].mean(dim=0), balanced[2]])
-    matrix = torch.tensor(SENSOR.camera_to_srgb, dtype=torch.float32)
+    matrix = torch.tensor(camera_to_srgb(SENSOR.xyz_to_camera), dtype=torch.float32)
     linear = (rgb.permute(1, 2, 0)[..., None, :] * matrix).sum(dim=-1).permute(2, 0, 1).clamp(0, 1)
     published = ((linear.clamp(min=1e-8) ** (1 / 2.2)) * 255).int().clamp(0, 255).numpy()
     ours = render_pair_for_scoring(packed, packed, SENSOR)[0].astype(int)

@@ -57,8 +57,8 @@ def test_curves_of_different_irradiances_make_no_table(tmp_path: Path) -> None:
     ("text", "words"),
     [
         ("0 0\n0.5 0.7\n0.6 0.6\n1 1\n", "brightness must never fall"),
-        ("0 0\n1 one\n", "line 2: expected numbers; found 'one'"),
-        ("0 0\nnan 1\n", "line 2: expected finite numbers"),
+        ("0 0\n1 one\n", "line 2: expected a finite number, found 'one'"),
+        ("0 0\nnan 1\n", "line 2: expected a finite number, found 'nan'"),
         ("0 0 0\n1 1 1\n", "lines of 2 numbers"),
         ("0 0\n0.5\n1 1\n", "lines of 2 numbers"),
         ("# nothing\n", "no line of numbers"),

@@ -20,12 +20,12 @@ from eldata.manifest.card import load_card, save_card
 from eldata.manifest.catalogue import shipped_folder, shipped_manifest
 from eldata.manifest.clips import FRAME_RANGES, Clip, clips_of, frame_range, select_rows, windows
 from eldata.manifest.drv import UNUSED, scan_preprocessed, scan_raw
-from eldata.manifest.drv_published import load_splits, published_drv, save_splits, splits_from_lists
 from eldata.manifest.lock import lock
 from eldata.manifest.patterns import expand, matching, sequence_of
 from eldata.manifest.table import save_records
 from eldata.manifest.verify import verify
 from eldata.records import FrameRecord
+from manifests.published_drv import load_splits, published_drv, save_splits, splits_from_lists
 from tests.drv_tree import (
     NOISY,
     REFERENCE,

@@ -11,10 +11,10 @@ import pytest
 from capture.protocol import RELEASED
 from eldata.manifest.card import load_card, save_card
 from eldata.manifest.catalogue import Manifest, shipped_folder, shipped_manifest, shipped_names
-from eldata.manifest.eld import published_eld
 from eldata.manifest.pairs import select_pairs
 from eldata.manifest.table import save_records
 from eldata.manifest.verify import verify
+from manifests.published_eld import published_eld
 from tests.trees import build_published_tree
 
 EXTENSIONS = {"SonyA7S2": ".ARW", "NikonD850": ".nef", "CanonEOS70D": ".CR2", "CanonEOS700D": ".CR2"}

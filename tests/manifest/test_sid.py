@@ -14,11 +14,11 @@ from eldata.errors import ArgumentError, ManifestError
 from eldata.manifest.card import load_card, save_card
 from eldata.manifest.catalogue import Manifest, shipped_folder, shipped_manifest
 from eldata.manifest.pairs import select_pairs
-from eldata.manifest.sid import SID_CAMERAS, SONY, load_scenes, save_scenes, scenes_from_lists
-from eldata.manifest.sid_published import published_sid
 from eldata.manifest.subsets import Subset, find_subset
 from eldata.manifest.table import save_records
 from eldata.manifest.verify import Level, Problem, verify
+from manifests.published_sid import published_sid
+from manifests.sid_scenes import SID_CAMERAS, SONY, load_scenes, save_scenes, scenes_from_lists
 from tests.sid_tree import NAMES, SmallTree, build_sid_tree, build_small_tree
 from tests.trees import scale_exposure, swap
 
@@ -248,10 +248,10 @@ def test_subsets_round_trip_through_the_card(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ('"pairs": 45', '"pairs": "45"', r"subsets\[2\].pairs: expected int"),
+        ('"pairs": 45', '"pairs": "45"', r"subsets\[2\].pairs: expected a whole number of 0 or more, found '45'"),
         ('"name": "all"', '"name": "indoor-15"', r"subsets\[3\].name: 'indoor-15' names two subsets"),
         ('"splits"', '"split"', r"subsets\[0\].split: is unknown"),
-        ('"pairs": 129,', "", r"subsets\[0\].pairs: is missing"),
+        ('"pairs": 129,', "", r"subsets\[0\].pairs: expected a whole number of 0 or more, found nothing"),
     ],
 )
 def test_malformed_subsets_are_named(old: str, new: str, said: str, tmp_path: Path) -> None:

@@ -14,8 +14,8 @@ import torch
 from scipy import stats
 
 from eldata.noise import NoiseModel, NoiseParameters, parse_components
-from eldata.noise.model import Adc, _Values
-from eldata.noise.on_device import add_noise
+from eldata.noise.exposures import Adc, Exposures
+from eldata.noise.on_device import expose_on_device
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -118,8 +118,10 @@ def on_device(
 ) -> torch.Tensor:
     """Call the engine for other devices, whatever the device."""
     components = parse_components(spec)
-    values = _Values.of(components, [parameters] * len(clean), [RATIO] * len(clean), clean.shape[1])
-    return add_noise(clean, components, values, RANGE_DN, adc, limits, generator)
+    images, channels = clean.shape[:2]
+    each = [parameters] * images, [RATIO] * images
+    exposures = Exposures.of(components, *each, channels, range_dn=RANGE_DN, adc=adc, limits=limits)
+    return expose_on_device(clean, exposures, generator)
 
 
 def device_dn(

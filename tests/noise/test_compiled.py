@@ -15,21 +15,17 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from eldata.errors import ArgumentError
 from eldata.noise import _kernels, _tables, compiled
-from eldata.noise.compiled import add_noise
-from eldata.raw.cfa import XTRANS_CFA, packing_sites, unpack
+from eldata.noise.compiled import expose_compiled
+from eldata.noise.components import Components
+from eldata.noise.exposures import Adc, Exposures
+from eldata.raw.cfa import XTRANS_CFA, unpack
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 ALPHA = 1e-5
 SIGMAS = float(stats.norm.isf(ALPHA / 2))  # 4.42
-
-BAYER_ROWS = np.array([[[0]], [[0]], [[1]], [[1]]], dtype=np.int64)
-XTRANS_ROWS = np.zeros((9, 2, 2), dtype=np.int64)
-for _row, _, _channel, _y, _x in packing_sites(XTRANS_CFA).table:
-    XTRANS_ROWS[_channel, _y, _x] = _row
 
 PART: dict[str, dict[str, Any]] = {
     "poisson": {"shot": "poisson"},
@@ -43,20 +39,32 @@ PART: dict[str, dict[str, Any]] = {
 FULL = PART["poisson"] | PART["tukey-lambda"] | PART["row"] | PART["bias"] | PART["uniform"]
 
 
-def noisy(clean: NDArray[np.float32], **changes: Any) -> NDArray[np.float32]:
-    """Call ``add_noise`` with every component off, K = range = ratio = 1, and these changes."""
-    arguments: dict[str, Any] = {
-        "gain_dn_per_e": 1.0,
-        "range_dn": 1.0,
-        "ratio": 1.0,
-        "shot": "none",
-        "read": "none",
-        "key": 1,
-        "row_table": BAYER_ROWS,
-        "period": 2,
-        "threads": 2,
-    }
-    return add_noise(clean, **(arguments | changes))
+def noisy(
+    clean: NDArray[np.float32], *, key: int = 1, first_image: int = 0, threads: int = 2, **changes: Any
+) -> NDArray[np.float32]:
+    """Draw with every component off, K = range = ratio = 1, and these changes."""
+    images, channels = clean.shape[:2]
+    parts = {name: changes.pop(name, "none") for name in ("shot", "read", "quantisation")}
+    components = Components(parts["shot"], parts["read"], False, False, parts["quantisation"] == "uniform")
+    adc = Adc(changes.pop("black_dn", 0.0), changes.pop("white_dn")) if parts["quantisation"] == "adc" else None
+
+    def each(name: str, default: float, shape: tuple[int, ...] = (images,)) -> NDArray[np.float64]:
+        return np.broadcast_to(np.asarray(changes.pop(name, default), dtype=np.float64), shape)
+
+    exposures = Exposures(
+        components=components,
+        range_dn=changes.pop("range_dn", 1.0),
+        gain_dn_per_e=each("gain_dn_per_e", 1.0),
+        ratio=each("ratio", 1.0),
+        tukey_lambda=each("tukey_lambda", 0.0),
+        sigma_read_dn=each("sigma_read_dn", 0.0),
+        sigma_row_dn=each("sigma_row_dn", 0.0),
+        bias_dn=each("bias_dn", 0.0, (images, channels)),
+        adc=adc,
+        limits=(changes.pop("low", -math.inf), changes.pop("high", math.inf)),
+    )
+    assert not changes
+    return expose_compiled(clean, exposures, key=key, first_image=first_image, threads=threads)
 
 
 def flat(value: float, shape: tuple[int, int, int, int] = (1, 4, 512, 512)) -> NDArray[np.float32]:
@@ -403,21 +411,18 @@ def test_gaussian_shot_noise_has_the_poisson_variance() -> None:
 
 def test_each_image_has_its_own_parameters() -> None:
     clean = gradient((3, 4, 32, 48), 1.0)
-    each: dict[str, list[Any]] = {
+    each: dict[str, Any] = {
         "gain_dn_per_e": [0.1, 0.8, 6.0],
-        "range_dn": [15871.0, 1000.0, 4000.0],
         "ratio": [100.0, 200.0, 300.0],
         "tukey_lambda": [-0.2, 0.0, 0.14],
         "sigma_read_dn": [1.0, 2.0, 0.0],
         "sigma_row_dn": [0.3, 0.0, 1.0],
         "bias_dn": [[0, 1, 2, 3], [1, 1, 1, 1], [0, 0, 0, 0]],
-        "low": [0.0, -math.inf, -1.0],
-        "high": [1.0, 2.0, math.inf],
     }
-    kinds: dict[str, Any] = {"shot": "poisson", "read": "tukey-lambda", "quantisation": "uniform"}
+    kinds: dict[str, Any] = {"shot": "poisson", "read": "tukey-lambda", "quantisation": "uniform", "range_dn": 15871.0}
     together = noisy(clean, **kinds, **each)
     for image in range(3):
-        alone = {name: [values[image]] for name, values in each.items()}
+        alone: dict[str, Any] = {name: [values[image]] for name, values in each.items()}
         part = noisy(clean[image : image + 1].copy(), **kinds, **alone, first_image=image)
         np.testing.assert_array_equal(part[0], together[image])
 
@@ -434,7 +439,7 @@ def test_rows_of_a_bayer_mosaic_share_their_draw() -> None:
 def test_rows_of_an_xtrans_mosaic_share_their_draw(columns: int) -> None:
     """Six mosaic rows for two packed ones: 12288 rows of sigma 0.6."""
     clean = flat(0, (1, 9, 4096, columns))
-    out = noisy(clean, sigma_row_dn=0.6, key=82, row_table=XTRANS_ROWS, period=6)[0]
+    out = noisy(clean, sigma_row_dn=0.6, key=82)[0]
     mosaic = unpack(out, XTRANS_CFA)
     np.testing.assert_array_equal(mosaic, np.broadcast_to(mosaic[:, :1], mosaic.shape))
     _check_row_draws(mosaic[:, 0].astype(np.float64), 0.6)
@@ -523,16 +528,6 @@ def test_bits_do_not_depend_on_threads_bands_or_batches(monkeypatch: pytest.Monk
     np.testing.assert_array_equal(noisy(clean, **arguments), expected)
 
 
-def test_out_may_be_another_array_or_the_input() -> None:
-    clean = gradient((2, 4, 32, 600), 2500.0)
-    expected = noisy(clean, **FULL)
-    out = np.empty_like(clean)
-    assert noisy(clean, **FULL, out=out) is out
-    np.testing.assert_array_equal(out, expected)
-    assert noisy(clean, **FULL, out=clean) is clean
-    np.testing.assert_array_equal(clean, expected)
-
-
 def test_other_keys_and_images_give_other_noise() -> None:
     clean = flat(5.0, (2, 4, 64, 64))
     first, second = noisy(clean, **FULL, key=1), noisy(clean, **FULL, key=2)
@@ -548,45 +543,6 @@ def test_the_stream_is_frozen() -> None:
         out = noisy(gradient((2, 4, 8, 600), 1600.0), **(FULL | {"read": read, "shot": shot, "key": 2026}))
         digest.update(out.astype("<f4").tobytes())
     assert digest.hexdigest()[:16] == "7b05bc1223dc25c5"
-
-
-# Arguments
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"key": -1}, "key must be"),
-        ({"key": 1 << 64}, "key must be"),
-        ({"first_image": -1}, "first_image"),
-        ({"gain_dn_per_e": 0.0, "shot": "poisson"}, "gain_dn_per_e must be finite and above 0"),
-        ({"range_dn": math.nan}, "range_dn must be finite"),
-        ({"ratio": [1.0, 2.0, 3.0]}, "ratio must be one number or broadcast"),
-        ({"sigma_read_dn": -1.0}, "sigma_read_dn must be finite and not negative"),
-        ({"sigma_row_dn": math.inf}, "sigma_row_dn must be finite"),
-        ({"bias_dn": math.inf}, "bias_dn must be finite"),
-        ({"bias_dn": [1.0, 2.0]}, "bias_dn must be one number or broadcast"),
-        ({"read": "tukey-lambda", "tukey_lambda": 2.5}, "tukey_lambda must be from -1 to 2"),
-        ({"shot": "P"}, "shot must be one of none, gaussian, poisson"),
-        ({"row_table": BAYER_ROWS[:3]}, "row_table must be"),
-        ({"period": 1}, "row_table must hold rows from 0 to period - 1 = 0"),
-        ({"out": np.empty((1, 4, 4, 8), np.float32)}, "out must be writeable and of shape"),
-    ],
-)
-def test_bad_arguments_are_refused(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(ArgumentError, match=message):
-        noisy(flat(1.0, (2, 4, 4, 8)), **changes)
-
-
-def test_bad_arrays_are_refused() -> None:
-    image = flat(1.0, (2, 4, 4, 8))
-    bad: Any
-    for bad in (image.astype(np.float64), image[0], image[..., ::2]):
-        with pytest.raises(ArgumentError, match="clean must be a C-contiguous float32 array"):
-            noisy(bad)
-    whole = flat(1.0, (3, 4, 4, 8))
-    with pytest.raises(ArgumentError, match="out overlaps clean"):
-        noisy(whole[1:], out=whole[:-1])
 
 
 def test_no_images_are_fine() -> None:

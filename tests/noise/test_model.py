@@ -14,7 +14,7 @@ from scipy import stats
 
 from eldata.errors import ArgumentError
 from eldata.noise import PAPER_MODELS, NoiseModel, NoiseParameters
-from eldata.noise.model import Adc
+from eldata.noise.exposures import Adc
 from eldata.raw.cfa import XTRANS_CFA, unpack
 from tests.cases import in_one_test
 from tests.noise.helpers import (

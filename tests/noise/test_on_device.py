@@ -12,8 +12,8 @@ from scipy import stats
 
 from eldata.errors import ArgumentError
 from eldata.noise import PAPER_MODELS, NoiseModel, NoiseParameters
-from eldata.noise.model import Adc, _Values
-from eldata.noise.on_device import add_noise
+from eldata.noise.exposures import Adc, Exposures
+from eldata.noise.on_device import expose_on_device
 from eldata.raw.cfa import XTRANS_CFA, pack, unpack
 from tests.noise.helpers import (
     LAMBDAS,
@@ -86,11 +86,10 @@ def test_a_set_of_parameters_and_a_ratio_for_each_image(device: str) -> None:
     """16384 pixels an image: the mean and the deviation of each within 5 standard errors."""
     draws = [NoiseParameters(g, 0.1, 1.0, 3 * g, 0.0, (g, 2 * g, 3 * g, 4 * g)) for g in (0.5, 1.0, 4.0)]
     model, ratios = NoiseModel("G+B"), [50.0, 100.0, 200.0]
-    values = _Values.of(model.components, draws, ratios, 4)
+    exposures = Exposures.of(model.components, draws, ratios, 4, range_dn=1000.0)
     clean = torch.full((3, 4, 128, 128), 0.25, device=device)
     generator = torch.Generator(device).manual_seed(0)
-    limits = (-math.inf, math.inf)
-    result = add_noise(clean, model.components, values, 1000.0, None, limits, generator).cpu().numpy()
+    result = expose_on_device(clean, exposures, generator).cpu().numpy()
     for image, draw, ratio in zip(result.astype(np.float64), draws, ratios, strict=True):
         dn = image * 1000.0 / ratio - 250.0 / ratio
         sigma = draw.sigma_gauss_dn

@@ -17,14 +17,12 @@ from eldata.errors import ArgumentError
 from eldata.noise import diagnostics as module
 from eldata.noise.components import PAPER_MODELS
 from eldata.noise.diagnostics import (
-    SIGNALS_E,
     diagnose,
-    parameter_rows,
     sample_parameters,
     tukey_lambda_kurtosis,
     tukey_lambda_quantile,
 )
-from eldata.noise.findings import Comparison, Diagnostics
+from eldata.noise.findings import SIGNALS_E, Diagnostics, TheoryCheck, parameter_rows
 from eldata.noise.parameters import NoiseParameters
 from eldata.noise.profile import CameraProfile, shipped_profiles
 
@@ -260,7 +258,7 @@ def test_a_variance_without_standard_error_is_not_judged(sony: CameraProfile) ->
     [(1.0, 0.0, "ok"), (1.4, 4.0, "ok"), (0.6, -4.0, "ok"), (1.41, 4.1, "off"), (0.59, -4.1, "off")],
 )
 def test_verdict(found: float, deviation: float, verdict: str) -> None:
-    item = Comparison("check", "symbol", "DN", 1.0, found, 0.1 + 1e-12)
+    item = TheoryCheck("check", "symbol", "DN", 1.0, found, 0.1 + 1e-12)
     assert item.deviation == pytest.approx(deviation)
     assert item.verdict == verdict
 
@@ -268,15 +266,15 @@ def test_verdict(found: float, deviation: float, verdict: str) -> None:
 @pytest.mark.parametrize(
     ("item", "cells"),
     [
-        (Comparison("", "", "", 1.23456, 1.2, 0.0123), ("1.235", "1.200", "0.012", "-2.8", "ok")),
-        (Comparison("", "", "", 1.23456, 1.2, 0.0456), ("1.23", "1.20", "0.05", "-0.8", "ok")),
-        (Comparison("", "", "", 0.0, -1e-9, 0.1), ("0.00", "0.00", "0.10", "+0.0", "ok")),
-        (Comparison("", "", "", 12345.6, 12345.6, 17.0), ("12346", "12346", "17", "+0.0", "ok")),
-        (Comparison("", "", "", 0.0, 0.0, 0.0), ("0", "0", "0", "+0.0", "ok")),
-        (Comparison("", "", "", 0.0, 1.0, 0.0), ("0", "1", "0", "+1e+09", "off")),
+        (TheoryCheck("", "", "", 1.23456, 1.2, 0.0123), ("1.235", "1.200", "0.012", "-2.8", "ok")),
+        (TheoryCheck("", "", "", 1.23456, 1.2, 0.0456), ("1.23", "1.20", "0.05", "-0.8", "ok")),
+        (TheoryCheck("", "", "", 0.0, -1e-9, 0.1), ("0.00", "0.00", "0.10", "+0.0", "ok")),
+        (TheoryCheck("", "", "", 12345.6, 12345.6, 17.0), ("12346", "12346", "17", "+0.0", "ok")),
+        (TheoryCheck("", "", "", 0.0, 0.0, 0.0), ("0", "0", "0", "+0.0", "ok")),
+        (TheoryCheck("", "", "", 0.0, 1.0, 0.0), ("0", "1", "0", "+1e+09", "off")),
     ],
 )
-def test_cells(item: Comparison, cells: tuple[str, ...]) -> None:
+def test_cells(item: TheoryCheck, cells: tuple[str, ...]) -> None:
     assert item.cells() == cells
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from eldata.reports.calibration.iso_plots import channel_names
 from eldata.reports.html import digits
-from eldata.reports.pictures import Pictures, common_limit, grey, pooled
+from eldata.reports.pictures import Pictures, grey, limits, pooled
 
 if TYPE_CHECKING:
     from eldata.calibration.reproduction import Reproduction
@@ -20,13 +20,11 @@ _SHADING_SHOWN = 72  # rows or columns
 def spectrum_picture(one: IsoCalibration) -> Pictures:
     """Show the centred power spectrum of a bias frame, in which row noise is a line."""
     spectrum = np.asarray(one.spectrum_dn2, dtype=np.float64)
-    height, width = spectrum.shape
-    ground = float(np.median(spectrum))
-    # The frequencies next to 0 are shading and drift, in both directions.
-    far = np.abs(np.arange(height) - height // 2) > 4
-    rows, columns = float(spectrum[far, width // 2].mean()), float(spectrum[height // 2, far].mean())
-    low = max(float(np.quantile(spectrum, 0.01)), ground / 8, 1e-9)  # of a single tile, chance alone goes far down
-    high = max(float(np.quantile(spectrum, 0.999)), 2 * low)
+    lines = one.spectrum_lines
+    ground, rows, columns = lines.ground_dn2, lines.rows_dn2, lines.columns_dn2
+    low, high = limits([spectrum], 0.01, 0.999)
+    low = max(low, ground / 8, 1e-9)  # of a single tile, chance alone goes far down
+    high = max(high, 2 * low)
     shown = np.log(np.maximum(spectrum, low))
     found = f"{digits(rows / ground)} times the ground" if ground > 0 else f"{digits(rows)} DN²"
     across = f"{digits(columns / ground)} times" if ground > 0 else f"{digits(columns)} DN²"
@@ -57,8 +55,7 @@ def spectrum_picture(one: IsoCalibration) -> Pictures:
 def reproduced_pictures(one: IsoCalibration, reproduction: Reproduction) -> Pictures:
     """Show the same piece of a real bias frame and of a simulated one, on one scale."""
     frames = (reproduction.real_dn, reproduction.simulated_dn)
-    values = np.concatenate([frame.ravel() for frame in frames])
-    low, high = (float(limit) for limit in np.quantile(values, (0.002, 0.998)))
+    low, high = limits(frames, 0.002, 0.998)
     names = ("real", "simulated")
     return Pictures(
         name=f"reproduced-{one.iso:g}",
@@ -71,13 +68,12 @@ def reproduced_pictures(one: IsoCalibration, reproduction: Reproduction) -> Pict
         pictures=tuple(
             grey(
                 name,
-                f"Piece of the {name} bias frame at ISO {one.iso:g}, standard deviation {digits(float(frame.std()))}"
-                " DN.",
+                f"Piece of the {name} bias frame at ISO {one.iso:g}, standard deviation {digits(sigma)} DN.",
                 frame,
                 low,
                 high,
             )
-            for name, frame in zip(names, frames, strict=True)
+            for name, frame, sigma in zip(names, frames, reproduction.shown_sigmas_dn, strict=True)
         ),
         black=f"{digits(low)} DN",
         white=f"{digits(high)} DN",
@@ -88,7 +84,7 @@ def reproduced_pictures(one: IsoCalibration, reproduction: Reproduction) -> Pict
 def shading_pictures(one: IsoCalibration) -> Pictures:
     """Show the level of blocks of the sensor over each channel's mean."""
     planes = [pooled(plane, _SHADING_SHOWN) for plane in one.pattern.shading_dn]
-    limit = common_limit(planes)
+    limit = limits([abs(plane) for plane in planes], 0, 0.99)[1]
     return Pictures(
         name=f"shading-{one.iso:g}",
         title="Shading of the black level",

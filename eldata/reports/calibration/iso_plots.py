@@ -7,7 +7,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.reports.figures import MARKERS, Plot, Theme, deviation_band, drawn, figure, legend_above, log_ticks, thinned
+from eldata.reports.figures import (
+    MARKERS,
+    Plot,
+    Theme,
+    deviation_band,
+    drawn,
+    figure,
+    legend_above,
+    log_ticks,
+    one_axes,
+    quantile_plot,
+    thinned,
+)
 from eldata.reports.html import digits, measured
 
 if TYPE_CHECKING:
@@ -15,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from eldata.calibration.photon_transfer import PhotonTransfer, PhotonTransferLine
+    from eldata.calibration.photon_transfer import PhotonTransfer
     from eldata.calibration.reproduction import Reproduction
     from eldata.calibration.results import IsoCalibration
 
@@ -27,8 +39,6 @@ _SINGLE_FRAMES_SHOWN = 48
 _ROOM_ABOVE = 1.7
 _AROUND_MAXIMUM = 0.27  # of lambda
 _FRAMES_SHOWN = 32
-_FREQUENCIES_SHOWN = 80
-_FREQUENCIES_TOGETHER = 4  # at least: a single one scatters by all of itself
 
 
 def channel_names(channels: int) -> tuple[str, ...]:
@@ -72,8 +82,8 @@ def _transfer(transfer: PhotonTransfer, spatial: PhotonTransfer | None, theme: T
     names = channel_names(len(transfer.channels))
     furthest = 0.0
     for index, line in enumerate(transfer.channels):
-        signal, variance, error = _pooled_levels(line)
-        deviation = (variance - _on_line(line, signal)) / error
+        signal, variance, error = line.pooled(_LEVELS_SHOWN)
+        deviation = (variance - line.variance_at(signal)) / error
         furthest = max(furthest, float(np.abs(deviation).max()))
         main.errorbar(
             signal,
@@ -87,7 +97,7 @@ def _transfer(transfer: PhotonTransfer, spatial: PhotonTransfer | None, theme: T
         below.plot(signal, deviation, MARKERS[index], markersize=3.5, color=theme.channels[index])
     ends = np.array([0.0, max(float(line.signal_dn.max()) for line in transfer.channels)])
     for index, line in enumerate(transfer.channels):
-        main.plot(ends, _on_line(line, ends), color=theme.theory, label="fitted" if index == 0 else "_")
+        main.plot(ends, line.variance_at(ends), color=theme.theory, label="fitted" if index == 0 else "_")
     if spatial is not None:
         _single_frames(main, spatial, theme)
     main.set_ylabel("variance [DN²]")
@@ -120,24 +130,6 @@ def _single_frames(axes: Axes, spatial: PhotonTransfer, theme: Theme) -> None:
         axes.plot(
             signal[beyond], np.full(beyond.sum(), 0.97 * high), "^", markersize=6, color=theme.ink, label="beyond"
         )
-
-
-def _on_line(line: PhotonTransferLine, signal: NDArray[np.float64]) -> NDArray[np.float64]:
-    return line.gain_dn_per_e * signal + line.intercept_dn2
-
-
-def _pooled_levels(
-    line: PhotonTransferLine,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return signal, variance and error of neighbouring levels together: weighted means stay on a line."""
-    order = np.argsort(line.signal_dn, kind="stable")
-    groups = np.array_split(order, min(_LEVELS_SHOWN, order.size))
-    weights = [line.variance_error_dn2[group] ** -2.0 for group in groups]
-    return (
-        np.array([np.average(line.signal_dn[g], weights=w) for g, w in zip(groups, weights, strict=True)]),
-        np.array([np.average(line.variance_dn2[g], weights=w) for g, w in zip(groups, weights, strict=True)]),
-        np.array([w.sum() ** -0.5 for w in weights]),
-    )
 
 
 # --- colour bias --------------------------------------------------------------------------------------------------
@@ -229,18 +221,16 @@ def rows_plot(one: IsoCalibration) -> Plot:
 
 def _rows(one: IsoCalibration, theme: Theme) -> Figure:
     rows = one.rows.rows
-    drawing = figure()
-    axes = drawing.subplots()
     shown = thinned(rows.quantiles.size)
-    ends = rows.quantiles[[0, -1]]
-    slope, level = np.polyfit(rows.quantiles, rows.ordered_dn, 1)
-    axes.plot(ends, slope * ends + level, color=theme.theory, label="normal")
-    axes.plot(rows.quantiles[shown], rows.ordered_dn[shown], "o", markersize=3, color=theme.found, label="row means")
-    _note(axes, f"R² {digits(rows.r_squared, 5)}\nShapiro-Wilk p {digits(rows.shapiro_p, 2)}")
-    axes.set_xlabel("normal quantile")
-    axes.set_ylabel("row mean [DN]")
-    axes.legend(loc="upper left")
-    return drawing
+    return quantile_plot(
+        rows.quantiles[shown],
+        rows.ordered_dn[shown],
+        rows.normal_line_dn,
+        theme,
+        names=("normal", "row means"),
+        labels=("normal quantile", "row mean [DN]"),
+        note=f"R² {digits(rows.r_squared, 5)}\nShapiro-Wilk p {digits(rows.shapiro_p, 2)}",
+    )
 
 
 def line_spectrum_plot(one: IsoCalibration) -> Plot:
@@ -263,16 +253,15 @@ def line_spectrum_plot(one: IsoCalibration) -> Plot:
 
 def _line_spectrum(one: IsoCalibration, theme: Theme) -> Figure:
     rows, columns = one.rows.rows, one.rows.columns
-    drawing = figure()
-    axes = drawing.subplots()
+    drawing, axes = one_axes()
     variance = one.rows.pixel_variance_dn2 or 1.0
     of_pixels = variance / columns.deviations_dn.shape[1]
     for line, alone, colour, style, name in (
         (columns, variance / rows.deviations_dn.shape[1], theme.ink, ":", "columns"),
         (rows, of_pixels, theme.found, "-", "rows"),
     ):
-        frequency, power = _smoothed(line.frequency, line.power_dn2 / alone, len(one.sensor.cfa))
-        axes.plot(frequency, power, style, color=colour, label=name)
+        frequency, power = line.smoothed_power_dn2(len(one.sensor.cfa))
+        axes.plot(frequency, power / alone, style, color=colour, label=name)
     axes.axhline(1 + rows.sigma_dn**2 / of_pixels, color=theme.theory, label="white noise of σ row")
     axes.axhline(1, color=theme.theory, linewidth=1, linestyle="--", label="pixels alone")
     _log_power(axes)
@@ -280,19 +269,6 @@ def _line_spectrum(one: IsoCalibration, theme: Theme) -> Figure:
     axes.set_ylabel("power / pixels' own")
     axes.legend(loc="best", ncols=2)
     return drawing
-
-
-def _smoothed(
-    frequency: NDArray[np.float64], power: NDArray[np.float64], period: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return means of neighbouring frequencies, without those that taking off the channels' means has emptied.
-
-    These are 0 and the multiples of one over the CFA's period.
-    """
-    places = frequency * period
-    kept = np.flatnonzero(np.abs(places - np.rint(places)) > period * frequency[1] / 2)
-    groups = np.array_split(kept, max(1, min(_FREQUENCIES_SHOWN, kept.size // _FREQUENCIES_TOGETHER)))
-    return np.array([frequency[g].mean() for g in groups]), np.array([power[g].mean() for g in groups])
 
 
 def _log_power(axes: Axes) -> None:
@@ -326,10 +302,9 @@ def ppcc_plot(one: IsoCalibration) -> Plot:
 
 def _ppcc(one: IsoCalibration, theme: Theme) -> Figure:
     read = one.read
-    drawing = figure()
-    axes = drawing.subplots()
+    drawing, axes = one_axes()
     shapes, correlations = read.curve
-    best = float(np.interp(read.ppcc_lambda_plain, shapes, correlations))
+    best = read.highest_correlation
     axes.plot(shapes, correlations, color=theme.found)
     axes.axvline(read.ppcc_lambda_plain, color=theme.theory, label=f"maximum {digits(read.ppcc_lambda_plain, 2)}")
     axes.plot(read.ppcc_lambda_plain, max(best, float(correlations.max())), "o", color=theme.theory)
@@ -391,21 +366,15 @@ def _probability(
     family: str,
     theme: Theme,
 ) -> Figure:
-    drawing = figure()
-    axes = drawing.subplots()
-    ends = quantiles[[0, -1]]
-    axes.plot(ends, slope * ends, color=theme.theory, label=family)
-    axes.plot(quantiles, ordered, "o", markersize=3, color=theme.found, label="read noise")
-    _note(axes, f"R² {digits(r_squared, 6)}")
-    axes.set_xlabel(f"{family} quantile")
-    axes.set_ylabel("read noise [DN]")
-    axes.legend(loc="upper left")
-    return drawing
-
-
-def _note(axes: Axes, text: str) -> None:
-    """Write into the lower right corner, which rising points leave free."""
-    axes.text(0.98, 0.04, text, transform=axes.transAxes, ha="right", va="bottom", fontsize=9.5)
+    return quantile_plot(
+        quantiles,
+        ordered,
+        (slope, 0.0),
+        theme,
+        names=(family, "read noise"),
+        labels=(f"{family} quantile", "read noise [DN]"),
+        note=f"R² {digits(r_squared, 6)}",
+    )
 
 
 # --- real against simulated ---------------------------------------------------------------------------------------
@@ -427,17 +396,15 @@ def reproduced_quantiles_plot(one: IsoCalibration, reproduction: Reproduction) -
 
 
 def _reproduced_quantiles(reproduction: Reproduction, theme: Theme) -> Figure:
-    drawing = figure()
-    axes = drawing.subplots()
-    real, simulated = reproduction.quantiles_real_dn, reproduction.quantiles_simulated_dn
-    ends = simulated[[0, -1]]
-    axes.plot(ends, ends, color=theme.theory, label="alike")
-    axes.plot(simulated, real, "o", markersize=3, color=theme.found, label="quantiles")
-    _note(axes, f"R² {digits(reproduction.r_squared, 6)}")
-    axes.set_xlabel("simulated [DN]")
-    axes.set_ylabel("real [DN]")
-    axes.legend(loc="upper left")
-    return drawing
+    return quantile_plot(
+        reproduction.quantiles_simulated_dn,
+        reproduction.quantiles_real_dn,
+        (1.0, 0.0),
+        theme,
+        names=("alike", "quantiles"),
+        labels=("simulated [DN]", "real [DN]"),
+        note=f"R² {digits(reproduction.r_squared, 6)}",
+    )
 
 
 def reproduced_rows_plot(one: IsoCalibration, reproduction: Reproduction) -> Plot:
@@ -457,14 +424,10 @@ def reproduced_rows_plot(one: IsoCalibration, reproduction: Reproduction) -> Plo
 
 
 def _reproduced_rows(reproduction: Reproduction, period: int, theme: Theme) -> Figure:
-    drawing = figure()
-    axes = drawing.subplots()
-    for power, colour, style, name in (
-        (reproduction.row_power_simulated_dn2, theme.theory, "--", "simulated"),
-        (reproduction.row_power_real_dn2, theme.found, "-", "real"),
-    ):
-        frequency, smooth = _smoothed(reproduction.row_frequency, power, period)
-        axes.plot(frequency, smooth, style, color=colour, label=name)
+    drawing, axes = one_axes()
+    frequency, real, simulated = reproduction.smoothed_row_powers_dn2(period)
+    axes.plot(frequency, simulated, "--", color=theme.theory, label="simulated")
+    axes.plot(frequency, real, "-", color=theme.found, label="real")
     _log_power(axes)
     axes.set_xlabel("frequency [cycles per row]")
     axes.set_ylabel("power [DN²]")

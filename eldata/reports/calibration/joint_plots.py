@@ -12,12 +12,14 @@ from eldata.reports.figures import (
     MARKERS,
     Plot,
     Theme,
+    bars,
     drawn,
     figure,
     fit_band,
     legend_above,
     log_log,
     log_ticks,
+    one_axes,
     plain_ticks,
 )
 from eldata.reports.html import digits
@@ -87,21 +89,13 @@ def _scale_plot(name: str, letters: str, label: str, estimate: LogLogEstimate | 
 
 
 def _scale(label: str, estimate: LogLogEstimate | None, points: Sequence[Point], theme: Theme) -> Figure:
-    drawing = figure()
-    axes = drawing.subplots()
+    drawing, axes = one_axes()
     gains = [gain for gain, _, _ in points]
     if estimate is not None:
         fit_band(axes, estimate.fit, np.geomspace(min(gains) / 1.15, max(gains) * 1.15, 50), theme)
-    axes.errorbar(
-        gains,
-        [scale for _, scale, _ in points],
-        # A bar down to 0 has no end on a logarithmic axis.
-        yerr=[_bar(min(error, 0.9 * scale)) for _, scale, error in points],
-        fmt="o",
-        color=theme.found,
-        capsize=3,
-        label="measured",
-    )
+    # A bar down to 0 has no end on a logarithmic axis.
+    errors = [_bar(min(error, 0.9 * scale)) for _, scale, error in points]
+    bars(axes, gains, [scale for _, scale, _ in points], errors, theme)
     log_log(axes, label)
     if len(points) == 1:
         gain, scale, _ = points[0]
@@ -126,7 +120,7 @@ def _by_iso(axes: Axes, isos: Sequence[float]) -> None:
 def _gain_plot(calibration: Calibration) -> Plot:
     known = [one for one in calibration.isos if one.gain_dn_per_e is not None]
     ratios = [(one.gain_dn_per_e or 0.0) / one.iso for one in known]
-    usual = float(np.median(ratios))
+    usual = calibration.usual_gain_per_iso
     spread = max(abs(ratio / usual - 1) for ratio in ratios)
     return drawn(
         "gain",
@@ -150,22 +144,16 @@ def _gain(known: Sequence[IsoCalibration], usual: float, theme: Theme) -> Figure
     errors = [0.0 if one.transfer is None else _bar(one.transfer.gain_error) for one in known]
     ends = np.array([isos[0] / 1.3, isos[-1] * 1.3])
     main.plot(ends, usual * ends, color=theme.theory, label="constant K / ISO")
-    main.errorbar(isos, gains, yerr=errors, fmt="o", color=theme.found, capsize=3, label="measured")
+    bars(main, isos, gains, errors, theme)
     below.axhline(1, color=theme.theory, linewidth=1)
-    below.errorbar(
-        isos,
-        [gain / iso / usual for gain, iso in zip(gains, isos, strict=True)],
-        yerr=[error / iso / usual for error, iso in zip(errors, isos, strict=True)],
-        fmt="o",
-        color=theme.found,
-        capsize=3,
-    )
+    relative = [gain / iso / usual for gain, iso in zip(gains, isos, strict=True)]
+    bars(below, isos, relative, [error / iso / usual for error, iso in zip(errors, isos, strict=True)], theme)
     main.set_yscale("log")
     low, high = main.get_ylim()
     log_ticks(main.yaxis, round(math.log10(high / low)))
     main.set_ylabel("K [DN/e⁻]")
     main.legend(loc="upper left")
-    reach = max(0.02, *(1.2 * abs(gain / iso / usual - 1) for gain, iso in zip(gains, isos, strict=True)))
+    reach = max(0.02, *(1.2 * abs(ratio - 1) for ratio in relative))
     below.set_ylim(1 - reach, 1 + reach)
     below.set_ylabel("K / ISO [median]")
     _by_iso(below, isos)
@@ -187,20 +175,13 @@ def _lambda_plot(calibration: Calibration) -> Plot:
 
 
 def _shapes(calibration: Calibration, theme: Theme) -> Figure:
-    drawing = figure()
-    axes = drawing.subplots()
+    drawing, axes = one_axes()
     axes.axhline(GAUSSIAN_LAMBDA, color=theme.ink, linewidth=1, linestyle=":", label="Gaussian, 0.14")
     axes.axhline(0, color=theme.theory, linewidth=1, label="logistic, 0")
-    axes.errorbar(
-        [one.iso for one in calibration.isos],
-        [one.read.tukey_lambda for one in calibration.isos],
-        yerr=[_bar(one.read.tukey_lambda_error) for one in calibration.isos],
-        fmt="o",
-        color=theme.found,
-        capsize=3,
-        label="measured",
-    )
-    _by_iso(axes, [one.iso for one in calibration.isos])
+    isos = [one.iso for one in calibration.isos]
+    shapes = [one.read.tukey_lambda for one in calibration.isos]
+    bars(axes, isos, shapes, [_bar(one.read.tukey_lambda_error) for one in calibration.isos], theme)
+    _by_iso(axes, isos)
     axes.set_ylabel("λ")
     axes.margins(y=0.1)
     legend_above(axes)
@@ -223,8 +204,7 @@ def _bias_plot(calibration: Calibration) -> Plot:
 
 
 def _biases(calibration: Calibration, theme: Theme) -> Figure:
-    drawing = figure()
-    axes = drawing.subplots()
+    drawing, axes = one_axes()
     axes.axhline(0, color=theme.theory, linewidth=1)
     names = channel_names(len(calibration.isos[0].bias.bias_dn))
     for channel, name in enumerate(names):

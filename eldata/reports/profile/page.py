@@ -6,13 +6,12 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING
 
-from eldata.noise.diagnostics import CHANNELS, parameter_rows
-from eldata.noise.findings import LIMIT
+from eldata.noise.findings import CHANNELS, LIMIT, parameter_rows
 from eldata.reports.html import rendered
 from eldata.reports.profile.plots import plots
 
 if TYPE_CHECKING:
-    from eldata.noise.findings import Comparison, Diagnostics
+    from eldata.noise.findings import Diagnostics, TheoryCheck
 
 
 def profile_page(diagnostics: Diagnostics) -> str:
@@ -40,10 +39,10 @@ class _Group:
     title: str
     heading: str
     labels: tuple[str, ...]
-    comparisons: tuple[Comparison, ...]
+    comparisons: tuple[TheoryCheck, ...]
 
     @classmethod
-    def of(cls, check: str, comparisons: tuple[Comparison, ...]) -> _Group:
+    def of(cls, check: str, comparisons: tuple[TheoryCheck, ...]) -> _Group:
         units = {item.unit for item in comparisons}
         unit = comparisons[0].unit if len(units) == 1 else ""
         title = check[:1].upper() + check[1:] + (f" [{unit}]" if unit not in ("", "1") else "")
@@ -55,9 +54,9 @@ class _Group:
         return cls(title, "quantity", tuple(labels), comparisons)
 
     @property
-    def off(self) -> tuple[Comparison, ...]:
+    def off(self) -> tuple[TheoryCheck, ...]:
         return tuple(item for item in self.comparisons if item.verdict == "off")
 
     @property
-    def worst(self) -> Comparison:
+    def worst(self) -> TheoryCheck:
         return max(self.comparisons, key=lambda item: abs(item.deviation or 0.0))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from eldata.noise.diagnostics import CHANNELS, SIGNALS_E, read_fit
+from eldata.noise.findings import CHANNELS, SIGNALS_E
 from eldata.reports.figures import (
     MARKERS,
     Plot,
@@ -20,7 +20,9 @@ from eldata.reports.figures import (
     fit_band,
     log_log,
     log_ticks,
+    one_axes,
     plain_ticks,
+    quantile_plot,
     thinned,
 )
 
@@ -32,7 +34,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from eldata.noise.findings import Comparison, Diagnostics
+    from eldata.noise.findings import Diagnostics, TheoryCheck
     from eldata.noise.profile import LogLogFit
 
 
@@ -128,14 +130,14 @@ def plots(diagnostics: Diagnostics) -> tuple[Plot, ...]:
     )
 
 
-def _over_signal_alt(what: str, comparisons: Sequence[Comparison]) -> str:
+def _over_signal_alt(what: str, comparisons: Sequence[TheoryCheck]) -> str:
     return (
         f"{what} against the signal from {SIGNALS_E[0]:g} to {SIGNALS_E[-1]:g} electrons, simulated and by the closed "
         f"form. {_worst(comparisons)}"
     )
 
 
-def _worst(comparisons: Sequence[Comparison]) -> str:
+def _worst(comparisons: Sequence[TheoryCheck]) -> str:
     deviations = [abs(item.deviation) for item in comparisons if item.deviation is not None]
     if not deviations:
         return "No standard errors."
@@ -149,7 +151,9 @@ def _letters(name: str) -> str:
 # --- figures ------------------------------------------------------------------------------------------------------
 
 
-def _with_deviations(comparisons: Sequence[Comparison], at: Sequence[float], theme: Theme) -> tuple[Figure, Axes, Axes]:
+def _with_deviations(
+    comparisons: Sequence[TheoryCheck], at: Sequence[float], theme: Theme
+) -> tuple[Figure, Axes, Axes]:
     """Return a figure whose lower axes show deviations in standard errors; the upper ones are to be filled."""
     drawing = figure()
     main, below = drawing.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [2.6, 1]})
@@ -165,7 +169,7 @@ def _with_deviations(comparisons: Sequence[Comparison], at: Sequence[float], the
 
 
 def _over_signal(
-    comparisons: Sequence[Comparison], theory: Callable[[float], float], label: str, theme: Theme
+    comparisons: Sequence[TheoryCheck], theory: Callable[[float], float], label: str, theme: Theme
 ) -> Figure:
     """Draw something against the signal; both axes are logarithmic, but for the neighbourhood of 0."""
     drawing, main, below = _with_deviations(comparisons, SIGNALS_E, theme)
@@ -196,22 +200,11 @@ def _over_signal(
 
 
 def _mean(diagnostics: Diagnostics, theme: Theme) -> Figure:
-    model, parameters = diagnostics.model, diagnostics.parameters
-
-    def theory(signal: float) -> float:
-        return sum(model.expected_mean_dn(signal, parameters, channel) for channel in range(4)) / 4
-
-    return _over_signal(diagnostics.mean, theory, "mean of D [DN]", theme)
+    return _over_signal(diagnostics.mean, diagnostics.expected_mean_dn, "mean of D [DN]", theme)
 
 
 def _variance(diagnostics: Diagnostics, theme: Theme) -> Figure:
-    model, parameters = diagnostics.model, diagnostics.parameters
-    return _over_signal(
-        diagnostics.variance,
-        lambda signal: model.expected_variance_dn2(signal, parameters),
-        "variance of D [DN²]",
-        theme,
-    )
+    return _over_signal(diagnostics.variance, diagnostics.expected_variance_dn2, "variance of D [DN²]", theme)
 
 
 def _colour_bias(diagnostics: Diagnostics, theme: Theme) -> Figure:
@@ -233,22 +226,16 @@ def _colour_bias(diagnostics: Diagnostics, theme: Theme) -> Figure:
 
 
 def _row_means(diagnostics: Diagnostics, theme: Theme) -> Figure:
-    from scipy.special import ndtri
-
-    drawing = figure()
-    axes = drawing.subplots()
     means = diagnostics.row_means_dn
-    levels = (np.arange(means.size) + 0.5) / means.size
     shown = thinned(means.size)
-    z = ndtri(levels)
-    expected = diagnostics.rows[0].expected
-    ends = np.array([z[0], z[-1]])
-    axes.plot(ends, ends * expected, color=theme.theory, label="closed form")
-    axes.plot(z[shown], means[shown], "o", markersize=3, color=theme.found, label="simulated")
-    axes.set_xlabel("normal quantile")
-    axes.set_ylabel("row mean [DN]")
-    axes.legend(loc="upper left")
-    return drawing
+    return quantile_plot(
+        diagnostics.normal_quantiles[shown],
+        means[shown],
+        (diagnostics.rows[0].expected, 0.0),
+        theme,
+        names=("closed form", "simulated"),
+        labels=("normal quantile", "row mean [DN]"),
+    )
 
 
 def _read_noise(diagnostics: Diagnostics, theme: Theme) -> Figure:
@@ -271,7 +258,7 @@ def _read_fit(diagnostics: Diagnostics, theme: Theme) -> Figure:
     name = "sigma_gauss_dn" if gaussian else "sigma_tl_dn"
     return _fit(
         diagnostics,
-        read_fit(diagnostics.profile, diagnostics.model.components),
+        diagnostics.read_fit,
         diagnostics.draws.sigma_read_dn,
         name,
         r"$\sigma_\mathrm{G}$ [DN]" if gaussian else r"$\sigma_\mathrm{TL}$ [DN]",
@@ -288,8 +275,7 @@ def _fit(
     diagnostics: Diagnostics, fit: LogLogFit, scales: NDArray[np.float64], field: str, label: str, theme: Theme
 ) -> Figure:
     """Draw a log-log fit with its bands, the draws, the measured rows and the draw that is examined."""
-    drawing = figure()
-    axes = drawing.subplots()
+    drawing, axes = one_axes()
     low, high = diagnostics.profile.gain_range_dn_per_e
     gains = np.geomspace(low / 1.15, high * 1.15, 50)
     fit_band(axes, fit, gains, theme)
@@ -336,8 +322,7 @@ def _by_iso(diagnostics: Diagnostics, axes: Axes) -> list[float]:
 
 
 def _lambda_rows(diagnostics: Diagnostics, theme: Theme) -> Figure:
-    drawing = figure()
-    axes = drawing.subplots()
+    drawing, axes = one_axes()
     places = _by_iso(diagnostics, axes)
     axes.axhline(0, color=theme.theory, linewidth=1)
     axes.plot(places, [row.tukey_lambda for row in diagnostics.profile.rows], "o", color=theme.found)
@@ -346,8 +331,7 @@ def _lambda_rows(diagnostics: Diagnostics, theme: Theme) -> Figure:
 
 
 def _bias_rows(diagnostics: Diagnostics, theme: Theme) -> Figure:
-    drawing = figure()
-    axes = drawing.subplots()
+    drawing, axes = one_axes()
     places = _by_iso(diagnostics, axes)
     step = 0.07 if axes.get_xscale() == "log" else 0.0  # side by side, where the channels' values are alike
     for channel, name in enumerate(CHANNELS):

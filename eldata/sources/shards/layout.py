@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eldata.base.fields import TextFile, fraction_of
 from eldata.errors import FileError
 from eldata.records import Exposure, PairRecord, Sensor
 
@@ -38,7 +39,6 @@ INDEX = "index.json"
 KEY_DIGITS = 9
 
 _SHARD_NAME = re.compile(r"shard-\d{6}\.tar", re.ASCII)
-_FRACTION = re.compile(r"\d{1,40}(/\d{1,40})?", re.ASCII)
 
 
 class ShardError(FileError):
@@ -141,11 +141,8 @@ def parse_index(place: str, content: bytes) -> ShardIndex:
     ShardError
         If it is not one of shards that :func:`index_text` made, or of a newer version.
     """
-    try:
-        data = json.loads(content)
-    except ValueError as error:
-        raise ShardError(place, f"is not JSON ({error}); is it whole?") from error
-    if not isinstance(data, dict) or data.get("format") != FORMAT:
+    data = TextFile(place, ShardError, "expected a whole index, as eldata shard writes it", content).json().data
+    if data.get("format") != FORMAT:
         raise ShardError(place, "is not an index of eldata's shards; eldata shard writes them")
     version = data.get("version")
     if not isinstance(version, int) or version > VERSION:
@@ -224,11 +221,7 @@ def _side(data: Mapping[str, Any]) -> Side:
 
 
 def _fraction(text: str | None) -> Fraction | None:
-    if text is None:
-        return None
-    if not _FRACTION.fullmatch(text):  # or 1e999999999 would take for ever
-        raise ValueError(f"{text!r} is no fraction")
-    return Fraction(text)
+    return None if text is None else fraction_of(text, digits=40)
 
 
 def _plain(value: Any) -> Any:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from tqdm import tqdm
 
+from eldata.base.fields import TextFile
 from eldata.base.files import atomic_write, write_text
 from eldata.datasets.packed_store import PackedStore
 from eldata.datasets.stored_clean import stored_mosaic
@@ -167,11 +168,9 @@ def _begin(folder: Path, options: dict[str, Any]) -> None:
             if _LEFT_OVER.fullmatch(name):
                 (folder / name).unlink()
         there = [name for name in there if not _LEFT_OVER.fullmatch(name)]
-        begun = json.loads((folder / BEGUN).read_text(encoding="utf-8")) if BEGUN in there else None
     except OSError as error:
         raise EldataError(f"cannot write into {folder}: {error.strerror or error}") from error
-    except ValueError as error:
-        raise EldataError(f"{folder / BEGUN}: is damaged ({error}); remove the folder to start anew") from error
+    begun = TextFile(folder / BEGUN, EldataError, "remove the folder to start anew").json() if BEGUN in there else None
     if INDEX in there:
         raise EldataError(f"{folder}: holds finished shards already; remove it, or name another folder")
     if begun is None:
@@ -180,8 +179,8 @@ def _begin(folder: Path, options: dict[str, Any]) -> None:
         write_text(folder / BEGUN, json.dumps(wanted, indent=1) + "\n")
         return
     for name, value in wanted.items():
-        if not isinstance(begun, dict) or begun.get(name) != value:
-            found = begun.get(name) if isinstance(begun, dict) else begun
+        if begun.data.get(name) != value:
+            found = begun.data.get(name)
             raise ArgumentError(
                 f"{folder}: was begun with another {name.replace('_', ' ')}: expected {value}, found {found}; give the "
                 "same store and options as then, or remove the folder to start anew"

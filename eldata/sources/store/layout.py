@@ -21,9 +21,9 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass
-from fractions import Fraction
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
+from eldata.base.fields import fraction_of
 from eldata.errors import ArgumentError, FileError, check_choice
 from eldata.manifest.clip_checks import is_png
 from eldata.records import Exposure, RawHeader, Sensor
@@ -183,13 +183,16 @@ def stored_frame(key: str, attributes: Mapping[str, Any]) -> StoredFrame:
         If they are not what :func:`frame_attributes` makes.
     """
     sensor = json.loads(attributes["sensor"])
-    exposure = json.loads(attributes["exposure"])
+    exposure = {
+        name: None if text is None else fraction_of(text, digits=40)
+        for name, text in json.loads(attributes["exposure"]).items()
+    }
     return StoredFrame(
         key=key,
         path=str(attributes["path"]),
         role=attributes["role"],
         sensor=Sensor(**{name: _tuples(value) for name, value in sensor.items()}),
-        exposure=Exposure(**{name: None if text is None else Fraction(text) for name, text in exposure.items()}),
+        exposure=Exposure(**exposure),
         sha256=str(attributes["sha256"]),
     )
 

@@ -208,17 +208,19 @@ def test_no_address(address: str, capsys: pytest.CaptureFixture[str], monkeypatc
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (None, "No such file or directory"),
-        ("{}", "no scheduler file"),
-        ("tcp://127.0.0.1:8786", "no scheduler file"),
-        ("[1]", "no scheduler file"),
+        (None, ": cannot be read: No such file or directory; "),
+        ("{}", ", field address: expected a text, found nothing; "),
+        ("tcp://127.0.0.1:8786", ": is not JSON"),
+        ("[1]", ": expected an object, found [1]; "),
     ],
 )
 def test_no_scheduler_file(content: str | None, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "scheduler.json"
     if content is not None:
         path.write_text(content, encoding="utf-8")
-    assert f"{path}: {words}" in failing(capsys, *VERIFY, str(path))
+    said = failing(capsys, *VERIFY, str(path))
+    assert f"{path}{words}" in said
+    assert "expected a scheduler file with an address, as dask scheduler --scheduler-file writes it" in said
 
 
 def test_without_the_extra(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -228,7 +228,7 @@ def test_other_work_is_not_mixed_in(eld: Path, tiles: Path, tmp_path: Path, monk
             write_shards(eld, folder, **options)
     assert bytes_of(folder) == before
     (folder / BEGUN).write_text("{")
-    with pytest.raises(EldataError, match=r"is damaged .* remove the folder to start anew"):
+    with pytest.raises(EldataError, match=r"is not JSON, or not whole .* remove the folder to start anew"):
         write_shards(eld, folder, tile=16)
     with pytest.raises(EldataError, match="holds finished shards already; remove it, or name another folder"):
         write_shards(eld, tiles, tile=16, samples_per_shard=50)
@@ -247,8 +247,8 @@ def test_other_work_is_not_mixed_in(eld: Path, tiles: Path, tmp_path: Path, monk
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda _: b"{", "is not JSON"),
-        (lambda _: b"[]", "is not an index of eldata's shards"),
+        (lambda _: b"{", "is not JSON, or not whole .*; expected a whole index, as eldata shard writes it"),
+        (lambda _: b"[]", r"expected an object, found \[\]; expected a whole index, as eldata shard writes it"),
         (lambda data: data | {"format": "mds"}, "is not an index of eldata's shards"),
         (lambda data: data | {"version": 2}, "is of version 2, written by eldata .*: install a newer one"),
         (lambda data: data | {"samples": 143}, "is damaged: expected 143 samples, found 144"),

@@ -7,7 +7,7 @@ import pytest
 
 from eldata.errors import ArgumentError
 from eldata.noise import NoiseParameters
-from eldata.noise.layout import channel_bias_dn, row_layout
+from eldata.noise.packed_rows import channel_bias_dn, packed_rows
 from eldata.raw.cfa import XTRANS_CFA, pack, packed_area
 from tests.cases import in_one_test
 from tests.raw.helpers import BAYER, XTRANS, XTRANS_COLOURS, Cfa
@@ -15,7 +15,7 @@ from tests.raw.helpers import BAYER, XTRANS, XTRANS_COLOURS, Cfa
 
 def rows_by_layout(channels: int, height: int, width: int) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
     """The mosaic row of each packed entry, as the layout's text says."""
-    layout = row_layout(channels)
+    layout = packed_rows(channels)
     rows = np.empty((channels, height, width), dtype=np.int64)
     for c, y, x in np.ndindex(rows.shape):
         rows[c, y, x] = (y // layout.sub) * layout.period + layout.table[c, y % layout.sub, x % layout.sub]
@@ -52,7 +52,7 @@ def test_xtrans_rows_at_the_patterns_own_phase() -> None:
 
 @pytest.mark.parametrize(("channels", "sub", "period"), [(4, 1, 2), (9, 2, 6)])
 def test_the_size_of_the_tables(channels: int, sub: int, period: int) -> None:
-    layout = row_layout(channels)
+    layout = packed_rows(channels)
     assert (layout.sub, layout.period) == (sub, period)
     assert layout.table.shape == (channels, sub, sub)
     assert layout.table.dtype == np.int64
@@ -62,7 +62,7 @@ def test_the_size_of_the_tables(channels: int, sub: int, period: int) -> None:
 @pytest.mark.parametrize("channels", [0, 1, 3, 5, 8, 10])
 def test_another_number_of_channels(channels: int) -> None:
     with pytest.raises(ArgumentError, match=rf"4 \(Bayer\) or 9 \(X-Trans\) channels; found {channels}"):
-        row_layout(channels)
+        packed_rows(channels)
 
 
 def test_the_bias_of_each_channel() -> None:

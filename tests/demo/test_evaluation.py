@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import eldata.demo.run
+import eldata.demo.evaluation
 from eldata.demo.contact_sheet import write_contact_sheet
-from eldata.demo.run import run_demo
+from eldata.demo.evaluation import run_demo
 from eldata.demo.tree import make_tree
 from eldata.errors import EldataError
 
@@ -26,7 +26,7 @@ MARGIN, CAPTION = 16, 26
 
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(eldata.demo.run, "make_tree", partial(make_tree, size=SIZE))
+    monkeypatch.setattr(eldata.demo.evaluation, "make_tree", partial(make_tree, size=SIZE))
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +124,7 @@ def test_running_again_after_an_interruption(tmp_path: Path, monkeypatch: pytest
         def interrupt(*_: object) -> None:
             raise KeyboardInterrupt
 
-        patch.setattr("eldata.demo.tree.save_records", interrupt)
+        patch.setattr("eldata.demo.tree.save_manifest", interrupt)
         with pytest.raises(KeyboardInterrupt):
             run_demo(tmp_path / "x", scenes=1)
     assert (tmp_path / "x").exists()

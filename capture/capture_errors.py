@@ -1,8 +1,27 @@
-"""The errors of tethered capture: what stops a session, and what to do before it goes on."""
+"""The errors of ``capture``, in the manner of :mod:`eldata.errors`: what, expected, found, what to do.
+
+Those of a tethered session stop it, and the same command goes on.
+"""
 
 from __future__ import annotations
 
 from eldata.errors import EldataError
+
+
+class CameraError(EldataError):
+    """A camera description is malformed, or asked for what the camera does not have."""
+
+
+class PlanError(EldataError):
+    """A capture plan is malformed, or cannot be changed as asked."""
+
+
+class ImpossibleShotError(PlanError):
+    """A shot needs an exposure time that the camera does not have; the message says what to change, computed."""
+
+
+class MappingError(EldataError):
+    """Files cannot be matched to a plan, or a mapping of them is malformed."""
 
 
 class TetherError(EldataError):

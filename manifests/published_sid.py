@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from eldata.manifest.card import CameraCard, Card, Download
-from eldata.manifest.sid import SID_CAMERAS, SidScene, sid_records
 from eldata.manifest.subsets import Subset
+from manifests.sid_scenes import SID_CAMERAS, SidScene, sid_records
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
+from eldata.base.fields import TextFile
 from eldata.base.files import write_text
 from eldata.errors import ManifestError
 from eldata.manifest.pairs import UNCERTAIN_ISO
@@ -167,14 +168,13 @@ def load_scenes(path: Path) -> tuple[SidScene, ...]:
     Raises
     ------
     ManifestError
-        If its columns are others.
+        If it cannot be read, its columns are others, or a number is none.
     """
-    reader = csv.DictReader(io.StringIO(path.read_text(encoding="utf-8"), newline=""))
-    if tuple(reader.fieldnames or ()) != _COLUMNS:
-        raise ManifestError(f"{path}: expected the columns {','.join(_COLUMNS)}")
     return tuple(
-        SidScene(row["scene"], int(row["iso"]), row["long"], {name: int(row[name]) for name in SHORT_EXPOSURES})
-        for row in reader
+        SidScene(
+            row.text("scene"), row.whole("iso"), row.text("long"), {key: row.whole(key) for key in SHORT_EXPOSURES}
+        )
+        for row in TextFile(path, ManifestError).rows(_COLUMNS)
     )
 
 
@@ -206,7 +206,7 @@ def scenes_from_lists(camera: SidCamera, lists: Iterable[Path]) -> tuple[SidScen
     longs: dict[str, set[str]] = {}
     isos: dict[str, dict[str, int]] = {}
     for path in lists:
-        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+        for number, line in enumerate(TextFile(path, ManifestError).text().splitlines(), 1):
             match = line_form.fullmatch(line.strip())
             if match is None or (match[1], 0) != (match[4], int(match[5])):
                 raise ManifestError(f"{path} line {number}: not a line of a SID list: {line!r}")

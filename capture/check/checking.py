@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, TypeAlias
 
-from capture.check.bias import BiasUnit, check_bias
-from capture.check.flat import FlatUnit, check_flats
+from capture.check.bias import check_bias
+from capture.check.flat import check_flats
+from capture.check.frames import Unit
 from capture.check.result import CheckedGroup, CheckReport
-from capture.check.scene import SceneUnit, check_scene
+from capture.check.scene import check_scene
 from eldata.base.workers import AnyWorkers, Workers
 from eldata.errors import ArgumentError, ManifestError
 from eldata.manifest.catalogue import Manifest, load_manifest
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Sequence
+    from collections.abc import Collection, Sequence
     from pathlib import Path
 
     from eldata.records import FrameRecord
-
-Unit: TypeAlias = SceneUnit | BiasUnit | FlatUnit
 
 
 def check(
@@ -66,11 +65,12 @@ def check(
     return CheckReport(loaded.name, tuple(found))
 
 
+_CHECKS = {"bias": check_bias, "flat": check_flats}
+
+
 def check_unit(unit: Unit) -> CheckedGroup:
     """Check one unit of work."""
-    if isinstance(unit, SceneUnit):
-        return check_scene(unit)
-    return check_bias(unit) if isinstance(unit, BiasUnit) else check_flats(unit)
+    return _CHECKS.get(unit.records[0].role, check_scene)(unit)
 
 
 Key: TypeAlias = tuple[str, str, str]
@@ -91,13 +91,8 @@ def _groups(records: Sequence[FrameRecord]) -> dict[Key, list[FrameRecord]]:
 
 def _unit(key: Key, folder: Path, records: tuple[FrameRecord, ...], within: Workers) -> Unit:
     camera, role, which = key
-    kinds: dict[str, Callable[[str, str, Path, tuple[FrameRecord, ...], Workers], Unit]] = {
-        "": SceneUnit,
-        "bias": BiasUnit,
-        "flat": FlatUnit,
-    }
     name = f"{camera} {role} ISO {which}" if role else f"{camera} {which}".rstrip()
-    return kinds[role](str(folder / records[0].path), name, folder, records, within)
+    return Unit(str(folder / records[0].path), name, folder, records, within)
 
 
 def _of_cameras(records: Sequence[FrameRecord], cameras: Collection[str]) -> list[FrameRecord]:

@@ -11,9 +11,11 @@ import io
 from collections import Counter
 from typing import TYPE_CHECKING
 
+from eldata.base.fields import TextFile
 from eldata.base.files import write_text
 from eldata.errors import ManifestError
 from eldata.manifest.card import CameraCard, Card, Download
+from eldata.manifest.drv import DYNAMIC
 from eldata.manifest.subsets import Subset
 from eldata.records import FrameRecord
 
@@ -22,7 +24,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 CAMERA = "SonyRX100M6"
-DYNAMIC = "dynamic"
 DYNAMIC_CLIPS = tuple(f"M{number:04d}" for number in range(23))
 
 _COLUMNS = ("scene", "split")
@@ -50,7 +51,7 @@ def splits_from_lists(lists: Mapping[str, Path]) -> dict[str, str]:
     """
     split_of: dict[str, str] = {}
     for split, path in lists.items():
-        for clip in path.read_text(encoding="utf-8").split():
+        for clip in TextFile(path, ManifestError).text().split():
             if clip in split_of:
                 raise ManifestError(f"{path}: clip {clip} is in split {split_of[clip]} already")
             split_of[clip] = split
@@ -67,8 +68,7 @@ def save_splits(path: Path, split_of: Mapping[str, str]) -> None:
 
 def load_splits(path: Path) -> dict[str, str]:
     """Read the table of clips."""
-    with path.open(newline="", encoding="utf-8") as file:
-        return {row["scene"]: row["split"] for row in csv.DictReader(file)}
+    return {row.text("scene"): row.text("split") for row in TextFile(path, ManifestError).rows(_COLUMNS)}
 
 
 _HOST = "https://storage.googleapis.com/isl-datasets/DRV"

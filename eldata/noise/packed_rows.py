@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class RowLayout:
+class PackedRows:
     """Rows of the mosaic under packed data.
 
     Attributes
@@ -38,8 +38,8 @@ class RowLayout:
 
 
 @cache
-def row_layout(channels: int) -> RowLayout:
-    """Return the row layout of packed data with 4 (Bayer) or 9 (X-Trans) channels.
+def packed_rows(channels: int) -> PackedRows:
+    """Return which mosaic rows lie under packed data with 4 (Bayer) or 9 (X-Trans) channels.
 
     Bayer: R and G1 share a row, B and G2 the other; which of the two comes first depends on the phase and changes no
     statistic.
@@ -50,14 +50,14 @@ def row_layout(channels: int) -> RowLayout:
         For any other number of channels.
     """
     if channels == 4:
-        return RowLayout(np.array([[[0]], [[0]], [[1]], [[1]]], dtype=np.int64), 2)
+        return PackedRows(np.array([[[0]], [[0]], [[1]], [[1]]], dtype=np.int64), 2)
     if channels == 9:
         from eldata.raw.cfa import XTRANS_CFA, packing_sites
 
         table = np.empty((9, 2, 2), dtype=np.int64)
         for row, _, channel, y, x in packing_sites(XTRANS_CFA).table:
             table[channel, y, x] = row
-        return RowLayout(table, 6)
+        return PackedRows(table, 6)
     raise ArgumentError(f"packed data has 4 (Bayer) or 9 (X-Trans) channels; found {channels}")
 
 

@@ -1,0 +1,555 @@
+"""The one reader of text files: JSON, TOML and CSV to checked values, numbers in text bounded before they are parsed.
+
+::
+
+    top = TextFile(path, ProfileError).json()
+    top.only(names_of(CameraProfile))
+    camera = top.text("camera")
+    rows = [ProfileRow(row.number("iso", above=0), row.optional("note", row.text)) for row in top.objects("rows")]
+
+Whatever a file holds, what comes out is a value or the caller's own error: file, field, expected, found, what to do.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import os
+import re
+import reprlib
+import sys
+import tomllib
+from collections import Counter
+from dataclasses import dataclass, fields
+from fractions import Fraction
+from functools import cache, lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeVar, overload
+
+from eldata.errors import ArgumentError, EldataError, FileError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+
+Value = TypeVar("Value")
+
+LARGEST_WHOLE: Final = 2**63 - 1
+LARGEST_FILE_BYTES: Final = 256 << 20
+# Of a whole number in a file, and of either part of a fraction. Longer ones cost time that grows with their square.
+_MOST_DIGITS: Final = 40
+_LARGEST_FLOAT: Final = sys.float_info.max
+_LONGEST_SHOWN: Final = 80
+_DECIMAL: Final = re.compile(r"[+-]?(?:[0-9]{1,40}(?:\.[0-9]{0,40})?|\.[0-9]{1,40})(?:[eE][+-]?[0-9]{1,4})?")
+
+
+# --- numbers in text ----------------------------------------------------------------------------------------------
+
+
+def fraction_of(text: object, *, above: int | None = None, digits: int = 18) -> Fraction:
+    """Return the exact number that a text such as ``800``, ``0.005`` or ``1/30`` names.
+
+    Parameters
+    ----------
+    text
+        Without sign, exponent or spaces.
+    above
+        What the number must be above.
+    digits
+        How many digits each part may have: ``Fraction("1e16000000")`` would compute for minutes.
+
+    Raises
+    ------
+    ArgumentError
+        If it is anything else; the message says what was expected and found.
+    """
+    value = _fraction(text, digits) if isinstance(text, str) and len(text) <= 4 * digits + 3 else None
+    if value is None or (above is not None and value <= above):
+        raise _expected(_ranged("a number", above=above) + " as text, such as 800, 0.005 or 1/30", text)
+    return value
+
+
+@lru_cache(maxsize=4096)  # the rows of a table share most of their numbers
+def _fraction(text: str, digits: int) -> Fraction | None:
+    found = _fraction_form(digits).fullmatch(text)
+    if found is None:
+        return None
+    whole, tenths, divisor = found["whole"], found["tenths"] or "", int(found["divisor"] or 1)
+    return Fraction(int(whole + tenths), 10 ** len(tenths) * divisor) if divisor else None
+
+
+@cache
+def _fraction_form(digits: int) -> re.Pattern[str]:
+    some = f"[0-9]{{1,{digits}}}"
+    return re.compile(rf"(?P<whole>{some})(?:\.(?P<tenths>{some}))?(?:/(?P<divisor>{some}))?")
+
+
+def whole_of(text: object, *, at_least: int = 0, at_most: int = LARGEST_WHOLE) -> int:
+    """Return the whole number that a text of decimal digits names.
+
+    Raises
+    ------
+    ArgumentError
+        If it is anything else or out of range; the message says what was expected and found.
+    """
+    if isinstance(text, str) and len(text) <= _MOST_DIGITS and text.isascii() and text.isdecimal():
+        value = int(text)
+        if at_least <= value <= at_most:
+            return value
+    raise _expected(_ranged("a whole number", at_least=at_least, at_most=at_most), text)
+
+
+def number_of(
+    text: object, *, at_least: float | None = None, above: float | None = None, at_most: float | None = None
+) -> float:
+    """Return the finite number that a text such as ``0.5`` or ``1e-05`` names.
+
+    Raises
+    ------
+    ArgumentError
+        If it is anything else or out of range; the message says what was expected and found.
+    """
+    if isinstance(text, str) and _DECIMAL.fullmatch(text) is not None:
+        value = float(text)
+        if math.isfinite(value) and _within(value, at_least, above, at_most):
+            return value
+    raise _expected(_ranged("a finite number", at_least, above, at_most), text)
+
+
+def _within(value: float, at_least: float | None, above: float | None, at_most: float | None) -> bool:
+    return (
+        (at_least is None or value >= at_least)
+        and (above is None or value > above)
+        and (at_most is None or value <= at_most)
+    )
+
+
+def _ranged(kind: str, at_least: float | None = None, above: float | None = None, at_most: float | None = None) -> str:
+    """Return a kind of number with its range, in words."""
+    if above is not None:
+        return f"{kind} above {above}" + ("" if at_most is None else f", at most {at_most}")
+    if at_least is not None and at_most not in (None, LARGEST_WHOLE):
+        return f"{kind} from {at_least} to {at_most}"
+    if at_least is not None:
+        return f"{kind} of {at_least} or more"
+    return kind if at_most is None else f"{kind} of at most {at_most}"
+
+
+def _expected(expected: str, found: object) -> ArgumentError:
+    return ArgumentError(f"expected {expected}, found {shown(found)}")
+
+
+# --- what messages show -------------------------------------------------------------------------------------------
+
+
+class _Missing:
+    """Stands for a field that is not there."""
+
+    def __repr__(self) -> str:
+        return "nothing"
+
+
+_MISSING: Final = _Missing()
+_REPR: Final = reprlib.Repr()
+_REPR.maxlevel, _REPR.maxlist, _REPR.maxdict = 2, 6, 4
+
+
+def shown(found: object, longest: int = _LONGEST_SHOWN) -> str:
+    """Return a value as a message shows it: on one line, and short."""
+    if found is None or isinstance(found, bool):
+        return json.dumps(found)
+    try:
+        text = repr(found[:longest]) if isinstance(found, str) else _REPR.repr(found)
+    except ValueError:  # Python refuses to write out the largest whole numbers
+        return "a number of thousands of digits"
+    return text if len(text) <= longest else f"{text[: longest - 3]}..."
+
+
+def _named(name: str) -> str:
+    return name if name.isprintable() and len(name) <= _LONGEST_SHOWN else shown(name)
+
+
+def names_of(record: type) -> tuple[str, ...]:
+    """Return the names of a dataclass's fields, for :meth:`Fields.only`."""
+    return tuple(item.name for item in fields(record))
+
+
+# --- whole files --------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class TextFile:
+    """A text file, and how its problems are told.
+
+    Attributes
+    ----------
+    name
+        Its path; or what messages call it, if ``content`` is given.
+    error
+        The error to raise: a :class:`~eldata.errors.FileError`, or another that takes one message.
+    advice
+        What to do about it; every message ends in it.
+    content
+        What it holds, if that is at hand already.
+    largest_bytes
+        Larger files are refused before they are read.
+    """
+
+    name: Path | str
+    error: type[EldataError]
+    advice: str = ""
+    content: str | bytes | None = None
+    largest_bytes: int = LARGEST_FILE_BYTES
+
+    def problem(self, reason: str, place: str = "") -> EldataError:
+        """Return the error that something is wrong in a place such as ``field rows[0].iso``, to be raised."""
+        reason = f"{reason}; {self.advice}" if self.advice else reason
+        if issubclass(self.error, FileError):
+            return self.error(self.name, f"{place}: {reason}" if place else reason)
+        return self.error(f"{self.name}, {place}: {reason}" if place else f"{self.name}: {reason}")
+
+    def text(self, kind: str = "text") -> str:
+        """Return the file's text, without a byte order mark; ``kind`` is what it should be, for messages.
+
+        Raises
+        ------
+        EldataError
+            The file's, if it cannot be read, is too large, or is not UTF-8.
+        """
+        content = self._read() if self.content is None else self.content
+        if isinstance(content, str):
+            return content
+        try:
+            return content.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            raise self.problem(f"is not {kind}: its byte {error.start} is not UTF-8") from error
+
+    def _read(self) -> bytes:
+        try:
+            with Path(self.name).open("rb") as file:
+                size = os.fstat(file.fileno()).st_size or self.largest_bytes  # pipes and devices state none
+                content = file.read(min(size, self.largest_bytes) + 1)
+        except OSError as error:
+            raise self.problem(f"cannot be read: {error.strerror or error}") from error
+        except ValueError as error:
+            raise self.problem(f"cannot be read: {error}") from error  # NUL in its name
+        if len(content) > self.largest_bytes:
+            raise self.problem(f"expected at most {self.largest_bytes >> 20} MiB, found more; is it the right file?")
+        return content
+
+    def json(self) -> Fields:
+        """Return the JSON object that the file is.
+
+        Raises
+        ------
+        EldataError
+            The file's, as :meth:`text` raises it; or if it is not whole JSON, uses names twice or constants that JSON
+            does not have, is nested too deeply, or is not an object.
+        """
+        text = self.text("JSON")
+        constants: list[str] = []
+
+        def constant(name: str) -> float:
+            constants.append(name)
+            return float(name)
+
+        try:
+            data = json.loads(text, object_pairs_hook=_once, parse_int=_short_whole, parse_constant=constant)
+        except json.JSONDecodeError as error:
+            raise self.problem(f"is not JSON, or not whole ({error.msg} in line {error.lineno})") from error
+        except RecursionError:
+            raise self.problem("is not JSON that can be read: it is nested too deeply") from None
+        except _JsonError as error:
+            raise self.problem(f"is not JSON that can be read: {error}") from error
+        if constants:
+            reason = f"expected a finite number, found {constants[0]}, which JSON does not have"
+            raise self.problem(reason, _place_of_constant(data))
+        return self.fields(data)
+
+    def toml(self) -> Fields:
+        """Return the TOML file's content.
+
+        Raises
+        ------
+        EldataError
+            The file's, as :meth:`text` raises it; or if it is not TOML, or is nested too deeply.
+        """
+        text = self.text("TOML")
+        try:
+            data = tomllib.loads(text)
+        except RecursionError:
+            raise self.problem("is not TOML that can be read: it is nested too deeply") from None
+        except ValueError as error:  # also of a number of too many digits
+            raise self.problem(f"is not TOML ({error})") from error
+        return self.fields(data)
+
+    def fields(self, data: object) -> Fields:
+        """Return what was parsed already as fields; it must be an object."""
+        if not isinstance(data, dict):
+            raise self.problem(f"expected an object, found {shown(data)}")
+        return Fields(self, data)
+
+    def rows(self, columns: Sequence[str]) -> Iterator[TextRow]:
+        """Yield the rows of a CSV file whose first line names these columns.
+
+        Raises
+        ------
+        EldataError
+            The file's, as :meth:`text` raises it; or if it is not CSV, has other columns, or a row more or fewer.
+        """
+        reader = csv.reader(io.StringIO(self.text("CSV"), newline=""), strict=True)
+        try:
+            header = next(reader, [])
+            if header != list(columns):
+                found = shown(",".join(header), longest=400)
+                raise self.problem(f"expected the columns {','.join(columns)}; found {found}", "line 1")
+            for cells in reader:
+                if len(cells) != len(header):
+                    reason = f"expected {len(header)} fields, found {len(cells)}"
+                    raise self.problem(reason, f"line {reader.line_num}")
+                yield TextRow(self, dict(zip(header, cells, strict=True)), f"line {reader.line_num}")
+        except csv.Error as error:
+            raise self.problem(f"is not CSV ({error})", f"line {reader.line_num}") from error
+
+
+class _JsonError(ValueError):
+    """What JSON's grammar allows and this reader does not."""
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    data = dict(pairs)
+    if len(data) < len(pairs):
+        twice = Counter(name for name, _ in pairs).most_common(1)[0][0]
+        raise _JsonError(f"an object has the field {_named(twice)} twice")
+    return data
+
+
+def _short_whole(text: str) -> float:
+    """Return a whole number; as a float if it is too long for any field but a number, infinite if for that as well."""
+    return int(text) if len(text) <= _MOST_DIGITS else float(text)
+
+
+def _place_of_constant(data: Any) -> str:
+    """Return a field that is not a finite number, as messages call it."""
+    waiting: list[tuple[str, Any]] = [("", data)]
+    while waiting:
+        name, value = waiting.pop()
+        if isinstance(value, float) and not math.isfinite(value):
+            return f"field {name}" if name else ""
+        if isinstance(value, dict):
+            waiting += [(f"{name}.{_named(key)}" if name else _named(key), inner) for key, inner in value.items()]
+        elif isinstance(value, list):
+            waiting += [(f"{name}[{index}]", inner) for index, inner in enumerate(value)]
+    return ""
+
+
+# --- fields -------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Fields:
+    """An object of a file. Every method raises the file's error, which names the field.
+
+    Attributes
+    ----------
+    file
+        The file.
+    data
+        The object's content.
+    place
+        Where in the file it stands, such as ``scenes[0]``; empty at the top.
+    """
+
+    file: TextFile
+    data: Mapping[str, Any]
+    place: str = ""
+
+    _absent: ClassVar[tuple[object, ...]] = (None,)
+
+    def problem(self, name: str, reason: str) -> EldataError:
+        """Return the error that something is wrong with a field, to be raised."""
+        return self.file.problem(reason, self._where(name))
+
+    def wrong(self, name: str, expected: str, found: object) -> EldataError:
+        """Return the error that a field is not what was expected, to be raised."""
+        return self.problem(name, f"expected {expected}, found {shown(found)}")
+
+    def _where(self, name: str) -> str:
+        return f"field {self._full(name)}"
+
+    def _full(self, name: str) -> str:
+        return f"{self.place}.{_named(name)}" if self.place else _named(name)
+
+    # --- which fields there are ---------------------------------------------------------------------------------------
+
+    def only(self, known: Collection[str]) -> None:
+        """Refuse fields of other names, which would be ignored where they are a misspelling."""
+        for name in self.data:
+            if name not in known:
+                raise self.problem(name, f"is unknown{_did_you_mean(name, known)}; known are {', '.join(known)}")
+
+    def value(self, name: str) -> Any:
+        """Return a field that must be there, whatever it holds."""
+        if name not in self.data:
+            raise self.problem(name, "is missing")
+        return self.data[name]
+
+    @overload
+    def optional(self, name: str, read: Callable[..., Value], default: Value, **options: Any) -> Value: ...
+    @overload
+    def optional(self, name: str, read: Callable[..., Value], **options: Any) -> Value | None: ...
+    def optional(
+        self, name: str, read: Callable[..., Value], default: Value | None = None, **options: Any
+    ) -> Value | None:
+        """Return ``read(name, **options)``; the default where the field is not there, null, or an empty cell."""
+        return default if self.data.get(name) in self._absent else read(name, **options)
+
+    def schema(self, number: int, program: str = "eldata") -> None:
+        """Refuse a file of another schema number."""
+        found = self.data.get("schema", _MISSING)
+        if type(found) is not int or found != number:
+            raise self.wrong("schema", f"{number} (a newer file needs a newer {program})", found)
+
+    # --- objects and lists --------------------------------------------------------------------------------------------
+
+    def inside(self, name: str) -> Fields:
+        """Return an object."""
+        found = self.data.get(name, _MISSING)
+        if not isinstance(found, dict):
+            raise self.wrong(name, "an object", found)
+        return Fields(self.file, found, self._full(name))
+
+    def each(
+        self,
+        name: str,
+        read: Callable[..., Value],
+        *,
+        expected: str = "a list",
+        count: int | None = None,
+        fewest: int = 0,
+        once: bool = False,
+        missing_ok: bool = False,
+        **options: Any,
+    ) -> tuple[Value, ...]:
+        """Return ``read(fields, element, **options)`` of each element of a list; ``read`` is a method of this class.
+
+        Parameters
+        ----------
+        name, read
+            The list's name; such as ``Fields.text``.
+        expected
+            What the list should be, in words.
+        count, fewest
+            How many elements it has; how many it has at least.
+        once
+            Whether each value may stand in it only once.
+        missing_ok
+            Whether a list that is not there is an empty one.
+        """
+        found = self.data.get(name, [] if missing_ok else _MISSING)
+        if not isinstance(found, list) or len(found) < fewest or (count is not None and len(found) != count):
+            raise self.wrong(name, expected, found)
+        inner = Fields(self.file, {f"{name}[{index}]": item for index, item in enumerate(found)}, self.place)
+        values = tuple(read(inner, element, **options) for element in inner.data)
+        if once:
+            first = {value: at for at, value in reversed(list(enumerate(values)))}
+            for at, value in enumerate(values):
+                if first[value] != at:
+                    raise self.wrong(f"{name}[{at}]", "each value once", value)
+        return values
+
+    def objects(self, name: str, **options: Any) -> tuple[Fields, ...]:
+        """Return a list of objects; options as in :meth:`each`."""
+        return self.each(name, Fields.inside, **{"expected": "a list of objects"} | options)
+
+    def texts(self, name: str, **options: Any) -> tuple[str, ...]:
+        """Return a list of texts; options as in :meth:`each` and :meth:`text`."""
+        return self.each(name, Fields.text, **{"expected": "a list of texts"} | options)
+
+    # --- values -------------------------------------------------------------------------------------------------------
+
+    def text(self, name: str, *, empty: bool = False, longest: int | None = None) -> str:
+        """Return a text; one that is blank only if ``empty``."""
+        found = self.data.get(name, _MISSING)
+        if not isinstance(found, str) or not (empty or found.strip()):
+            raise self.wrong(name, "a text", found)
+        if longest is not None and len(found) > longest:
+            raise self.wrong(name, f"a text of at most {longest} characters", found)
+        if not found.isascii() and any("\ud800" <= character <= "\udfff" for character in found):
+            raise self.wrong(name, "a text of whole Unicode characters", found)  # it could not be written or printed
+        return found
+
+    def choice(self, name: str, known: Collection[Value]) -> Value:
+        """Return a value that is one of those known."""
+        found = self.data.get(name, _MISSING)
+        for value in known:
+            if found == value and type(found) is type(value):
+                return value
+        listed = ", ".join(map(shown, known))
+        raise self.wrong(name, listed if len(known) == 1 else f"one of {listed}", found)
+
+    def flag(self, name: str) -> bool:
+        """Return true or false."""
+        found = self.data.get(name, _MISSING)
+        if not isinstance(found, bool):
+            raise self.wrong(name, "true or false", found)
+        return found
+
+    def whole(self, name: str, *, at_least: int = 0, at_most: int = LARGEST_WHOLE) -> int:
+        """Return a whole number."""
+        found = self.data.get(name, _MISSING)
+        if type(found) is not int or not at_least <= found <= at_most:
+            raise self.wrong(name, _ranged("a whole number", at_least=at_least, at_most=at_most), found)
+        return found
+
+    def number(
+        self, name: str, *, at_least: float | None = None, above: float | None = None, at_most: float | None = None
+    ) -> float:
+        """Return a finite number."""
+        found = self.data.get(name, _MISSING)
+        if (
+            type(found) not in (int, float)
+            or not -_LARGEST_FLOAT <= found <= _LARGEST_FLOAT
+            or not _within(found, at_least, above, at_most)
+        ):
+            raise self.wrong(name, _ranged("a finite number", at_least, above, at_most), found)
+        return float(found)
+
+    def fraction(self, name: str, *, above: int | None = None, digits: int = 18) -> Fraction:
+        """Return an exact number, which stands as text."""
+        return self.parsed(name, fraction_of, above=above, digits=digits)
+
+    def parsed(self, name: str, parse: Callable[..., Value], **options: Any) -> Value:
+        """Return ``parse(value, **options)``, whose :class:`~eldata.errors.ArgumentError` says what is wrong."""
+        try:
+            return parse(self.data.get(name, _MISSING), **options)
+        except ArgumentError as error:
+            raise self.problem(name, str(error)) from None
+
+
+def _did_you_mean(name: str, known: Collection[str]) -> str:
+    from difflib import get_close_matches
+
+    near = get_close_matches(name[:_LONGEST_SHOWN], known, n=1, cutoff=0.75)
+    return f" (did you mean {near[0]}?)" if near else ""
+
+
+@dataclass(frozen=True, slots=True)
+class TextRow(Fields):
+    """A row of a CSV file; numbers are parsed from the cells' text, and an empty cell is one that is not there."""
+
+    _absent: ClassVar[tuple[object, ...]] = ("",)
+
+    def _where(self, name: str) -> str:
+        return f"{self.place}, column {name}"
+
+    def whole(self, name: str, *, at_least: int = 0, at_most: int = LARGEST_WHOLE) -> int:
+        """Return a whole number."""
+        return self.parsed(name, whole_of, at_least=at_least, at_most=at_most)
+
+    def number(
+        self, name: str, *, at_least: float | None = None, above: float | None = None, at_most: float | None = None
+    ) -> float:
+        """Return a finite number."""
+        return self.parsed(name, number_of, at_least=at_least, above=above, at_most=at_most)

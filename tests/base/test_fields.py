@@ -1,0 +1,384 @@
+"""The one reader of text files: every text becomes a checked value or the caller's own error, and none takes long."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from contextlib import suppress
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from eldata.base.fields import (
+    LARGEST_WHOLE,
+    Fields,
+    TextFile,
+    fraction_of,
+    names_of,
+    number_of,
+    shown,
+    whole_of,
+)
+from eldata.errors import ArgumentError, EldataError, FileError, ManifestError, ProfileError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+# The parsers of the standard library would compute on these for minutes, or refuse them with errors of their own.
+ENDLESS = ("1e16000000", "1e-16000000", "9" * 10_000, "1/" + "9" * 10_000, "0." + "1" * 10_000, "1" * 5000 + "/3")
+NO_NUMBERS = (
+    "",
+    " ",
+    "a",
+    "1/0",
+    "1e3",
+    "-1",
+    "+1",
+    "1_000",
+    "1 2",
+    " 1",
+    "1\n",
+    "/3",
+    "1/",
+    ".",
+    ".5",
+    "5.",
+    "inf",
+    "nan",
+    "٣",
+)
+
+
+def fields(data: Any) -> Fields:
+    return TextFile("a.json", ManifestError).fields(data)
+
+
+def parsed(text: str | bytes, error: type[EldataError] = ManifestError) -> Fields:
+    return TextFile("a.json", error, content=text).json()
+
+
+# --- numbers in text ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.timeout(20)
+def test_numbers_in_text_are_bounded_before_they_are_parsed() -> None:
+    for text in (*ENDLESS, *NO_NUMBERS):
+        for parse in (fraction_of, whole_of):
+            with pytest.raises(ArgumentError, match=r"expected a .*number.*, found ") as caught:
+                parse(text)
+            assert len(str(caught.value)) < 200
+    for text in ("1e16000000", "9" * 10_000, "0." + "1" * 10_000, "1e999", "inf", "nan", "", "1_0", "1/2", " 1", "0x1"):
+        with pytest.raises(ArgumentError, match="expected a finite number, found"):
+            number_of(text)
+    odd: tuple[object, ...] = (5, 0.5, None, True, ["1"], {})
+    for found in odd:
+        with pytest.raises(ArgumentError, match="as text, such as 800"):
+            fraction_of(found)
+
+
+def test_numbers_in_text_are_exact() -> None:
+    values = {"800": Fraction(800), "0.005": Fraction(1, 200), "1/30": Fraction(1, 30), "9.50/19": Fraction(1, 2)}
+    assert {text: fraction_of(text) for text in values} == values
+    assert fraction_of("0.5/3") == Fraction(1, 6)
+    assert fraction_of("9" * 18) == 10**18 - 1
+    assert fraction_of("0") == 0
+    assert whole_of("007") == 7
+    assert (number_of("-1.5e-05"), number_of("5."), number_of(".5")) == (-1.5e-05, 5.0, 0.5)
+
+
+def test_ranges_of_numbers_in_text() -> None:
+    with pytest.raises(ArgumentError, match=r"expected a number above 0 as text, such as .*, found '0'"):
+        fraction_of("0", above=0)
+    with pytest.raises(ArgumentError, match="found '1111'"):
+        fraction_of("1111", digits=3)
+    assert fraction_of("1" * 40, digits=40) == int("1" * 40)
+    with pytest.raises(ArgumentError, match="expected a whole number from 1 to 9, found '10'"):
+        whole_of("10", at_least=1, at_most=9)
+    with pytest.raises(ArgumentError, match="expected a whole number of 0 or more, found"):
+        whole_of(str(LARGEST_WHOLE + 1))
+    with pytest.raises(ArgumentError, match="expected a finite number of 0 or more, found '-1'"):
+        number_of("-1", at_least=0)
+
+
+@given(st.fractions(min_value=0, max_value=10**18, max_denominator=10**17))
+def test_a_fractions_own_text_gives_it_back(value: Fraction) -> None:
+    assert fraction_of(str(value), digits=40) == value
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False))
+def test_a_floats_own_text_gives_it_back(value: float) -> None:
+    assert number_of(repr(value)) == value
+
+
+@pytest.mark.timeout(120)
+@given(st.text(alphabet="0123456789./eE+-_ \n٣²x") | st.text() | st.from_regex(r"[0-9]{0,50}e[0-9]{1,9}"))
+def test_any_text_is_a_number_or_our_error(text: str) -> None:
+    for parse, kind in ((fraction_of, Fraction), (whole_of, int), (number_of, float)):
+        try:
+            value = parse(text)
+        except ArgumentError:
+            continue
+        assert type(value) is kind
+        assert math.isfinite(value)
+
+
+# --- whole files --------------------------------------------------------------------------------------------------
+
+
+def test_problems_of_the_whole_file_name_it_and_say_what_to_do(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    for content, reason in (
+        (b'{"a": "\xff"}', "is not JSON: its byte 7 is not UTF-8"),
+        (b'{"a": 1,\n "b', "is not JSON, or not whole (Unterminated string starting at in line 2)"),
+        (b"", "is not JSON, or not whole (Expecting value in line 1)"),
+        (b'{"a": 1, "b": {"c": 1, "c": 2}}', "is not JSON that can be read: an object has the field c twice"),
+        (b'{"a": ' + b"[" * 100_000, "is not JSON that can be read: it is nested too deeply"),
+        (b"[1, 2]", "expected an object, found [1, 2]"),
+        (b"null", "expected an object, found null"),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(ProfileError) as caught:
+            TextFile(path, ProfileError, "export it again").json()
+        assert str(caught.value).startswith(f"{path}: {reason}")
+        assert str(caught.value).endswith("; export it again")
+    for content, message in (
+        (
+            b'{"a": {"b": [1, NaN]}}',
+            f"{path}, field a.b[1]: expected a finite number, found NaN, which JSON does not have",
+        ),
+        (b'{"a": 1.0, "b": -Infinity}', f"{path}, field b: expected a finite number, found -Infinity, which JSON doe"),
+        (b"NaN", f"{path}: expected a finite number, found NaN"),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(ProfileError) as caught:
+            TextFile(path, ProfileError).json()
+        assert str(caught.value).startswith(message)
+    with pytest.raises(FileError) as told:
+        TextFile(tmp_path / "b.json", FileError, "look again").json()
+    assert (told.value.path, told.value.reason) == (
+        tmp_path / "b.json",
+        "cannot be read: No such file or directory; look again",
+    )
+    for odd in (tmp_path, tmp_path / "a\0b"):
+        with pytest.raises(ProfileError, match="cannot be read: "):
+            TextFile(odd, ProfileError).text()
+
+
+def test_a_byte_order_mark_is_no_content(tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_bytes(b'\xef\xbb\xbf{"a": 1}')
+    assert TextFile(tmp_path / "a.json", FileError).json().whole("a") == 1
+
+
+@pytest.mark.timeout(20)
+def test_files_that_are_too_large_are_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    with path.open("wb") as file:
+        os.truncate(file.fileno(), 1 << 40)  # sparse: a tebibyte of nothing
+    for large in (path, "/dev/zero"):
+        with pytest.raises(FileError, match=r"expected at most 1 MiB, found more; is it the right file\?"):
+            TextFile(large, FileError, largest_bytes=1 << 20).text()
+
+
+def test_toml(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    path.write_text("a = 5\nb = 0.5\n[c]\nd = 'x'\n", encoding="utf-8")
+    top = TextFile(path, ManifestError).toml()
+    assert (top.whole("a"), top.number("b"), top.inside("c").text("d")) == (5, 0.5, "x")
+    for content, reason in (
+        ("a = ", "is not TOML (Invalid value"),
+        ("a = 1\na = 2", "is not TOML (Cannot overwrite a value"),
+        ("a = " + "9" * 5000, "is not TOML (Exceeds the limit"),
+        ("a = " + "[" * 100_000, "is not TOML that can be read: it is nested too deeply"),
+    ):
+        with pytest.raises(ArgumentError) as caught:
+            TextFile("a.toml", ArgumentError, content=content).toml()
+        assert str(caught.value).startswith(f"a.toml: {reason}")
+    top = TextFile("a.toml", ManifestError, content="a = nan\nb = -inf\nc = 1979-05-27\nd = 0x" + "f" * 5000).toml()
+    for name in "abcd":
+        with pytest.raises(ManifestError, match=rf"field {name}: expected a finite number, found "):
+            top.number(name)
+
+
+@given(st.binary() | st.text().map(str.encode))
+def test_any_bytes_are_read_or_our_error(content: bytes) -> None:
+    file = TextFile("a", FileError, content=content)
+    reads: tuple[Callable[[], object], ...] = (file.json, file.toml, lambda: list(file.rows(("a", "b"))))
+    for read in reads:
+        with suppress(FileError):
+            read()
+
+
+# --- fields -------------------------------------------------------------------------------------------------------
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+    lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
+)
+READERS: tuple[Callable[[Fields], object], ...] = (
+    lambda top: top.text("a"),
+    lambda top: top.texts("a"),
+    lambda top: top.flag("a"),
+    lambda top: top.whole("a"),
+    lambda top: top.number("a", above=0),
+    lambda top: top.fraction("a"),
+    lambda top: top.choice("a", ("x", 1)),
+    lambda top: top.inside("a"),
+    lambda top: top.objects("a"),
+    lambda top: top.each("a", Fields.whole, once=True),
+    lambda top: top.optional("a", top.number),
+    lambda top: top.schema(1),
+    lambda top: top.only(("a", "b")),
+)
+
+
+@given(st.dictionaries(st.text() | st.just("a"), JSON) | JSON)
+def test_any_data_gives_values_or_our_error(data: Any) -> None:
+    for read in READERS:
+        with suppress(FileError):
+            read(TextFile("a.json", FileError).fields(data))
+
+
+def test_every_error_names_the_field_what_was_expected_and_found() -> None:
+    top = fields(
+        {
+            "text": " ",
+            "flag": 1,
+            "whole": True,
+            "decimal": 1.0,
+            "number": "1",
+            "infinite": math.inf,
+            "huge": 10**400,
+            "exact": "1e16000000",
+            "list": ["a", 5],
+            "rows": [{"iso": 0}, 3],
+            "none": None,
+            "half": "\ud800",
+            "long": "x" * 200,
+        }
+    )
+    rows = top.each("rows", lambda top, name: (top, name))
+    assert rows[0][0].inside("rows[0]").place == "rows[0]"
+    cases: list[tuple[Callable[[], object], str]] = [
+        (lambda: top.text("text"), "field text: expected a text, found ' '"),
+        (lambda: top.text("none"), "field none: expected a text, found null"),
+        (lambda: top.text("absent"), "field absent: expected a text, found nothing"),
+        (lambda: top.text("half"), "field half: expected a text of whole Unicode characters, found '\\ud800'"),
+        (lambda: top.text("long", longest=99), "field long: expected a text of at most 99 characters, found 'xxx"),
+        (lambda: top.texts("list"), "field list[1]: expected a text, found 5"),
+        (lambda: top.texts("text"), "field text: expected a list of texts, found ' '"),
+        (lambda: top.flag("flag"), "field flag: expected true or false, found 1"),
+        (lambda: top.whole("whole"), "field whole: expected a whole number of 0 or more, found true"),
+        (lambda: top.whole("decimal", at_least=1), "field decimal: expected a whole number of 1 or more, found 1.0"),
+        (lambda: top.whole("flag", at_least=2, at_most=9), "field flag: expected a whole number from 2 to 9, found 1"),
+        (lambda: top.number("number"), "field number: expected a finite number, found '1'"),
+        (lambda: top.number("whole"), "field whole: expected a finite number, found true"),
+        (lambda: top.number("infinite"), "field infinite: expected a finite number, found inf"),
+        (lambda: top.number("huge"), "field huge: expected a finite number, found 1000"),
+        (lambda: top.number("decimal", above=1), "field decimal: expected a finite number above 1, found 1.0"),
+        (lambda: top.value("absent"), "field absent: is missing"),
+        (lambda: top.number("absent"), "field absent: expected a finite number, found nothing"),
+        (lambda: top.fraction("absent"), "field absent: expected a number as text, such as 800, 0.005 or 1/30, fo"),
+        (lambda: top.texts("absent"), "field absent: expected a list of texts, found nothing"),
+        (lambda: top.fraction("exact"), "field exact: expected a number as text, such as 800, 0.005 or 1/30, found"),
+        (lambda: top.choice("number", ("a", "b")), "field number: expected one of 'a', 'b', found '1'"),
+        (lambda: top.choice("flag", (True, False)), "field flag: expected one of true, false, found 1"),
+        (lambda: top.inside("list"), "field list: expected an object, found ['a', 5]"),
+        (lambda: top.objects("rows"), "field rows[1]: expected an object, found 3"),
+        (lambda: top.each("list", Fields.text, count=4, expected="four texts"), "field list: expected four texts, fo"),
+        (lambda: top.each("rows", Fields.inside)[0].whole("iso", at_least=1), "field rows[1]: expected an object"),
+        (lambda: rows[0][0].inside("rows[0]").whole("iso", at_least=1), "field rows[0].iso: expected a whole number"),
+        (lambda: top.schema(1), "field schema: expected 1 (a newer file needs a newer eldata), found nothing"),
+        (lambda: fields({"schema": True}).schema(1), "field schema: expected 1 (a newer file needs a newer eldata)"),
+    ]
+    for read, message in cases:
+        with pytest.raises(ManifestError) as caught:
+            read()
+        assert str(caught.value).startswith(f"a.json, {message}")
+    with pytest.raises(ManifestError, match=r"field a\[2\]: expected each value once, found 1"):
+        fields({"a": [1, 2, 1]}).each("a", Fields.whole, once=True)
+
+
+def test_values_come_as_they_are() -> None:
+    top = parsed('{"a": 1, "b": "1/30", "c": ["x", ""], "d": null, "e": true, "f": {"g": [1, 2.5]}, "h": "y", "i": ""}')
+    assert top.number("a") == 1.0
+    assert type(top.number("a")) is float
+    assert top.fraction("b") == Fraction(1, 30)
+    assert top.texts("c", empty=True) == ("x", "")
+    assert (top.optional("d", top.whole), top.optional("z", top.whole), top.optional("a", top.whole)) == (None, None, 1)
+    assert top.flag("e") is True
+    assert top.texts("z", missing_ok=True) == ()
+    assert top.inside("f").each("g", Fields.number, fewest=1, at_least=1) == (1.0, 2.5)
+    assert top.choice("h", ("x", "y")) == "y"
+    assert top.text("i", empty=True) == ""
+
+
+def test_long_whole_numbers_are_numbers_at_most() -> None:
+    top = parsed(f'{{"long": {"1" * 41}, "longer": {"1" * 5000}}}')
+    assert top.number("long") == float("1" * 41)
+    for name, read in (("long", top.whole), ("longer", top.whole), ("longer", top.number)):
+        with pytest.raises(ManifestError, match=f"field {name}: expected a .*number.*, found "):
+            read(name)
+
+
+def test_unknown_fields_are_refused_with_the_nearest_name() -> None:
+    @dataclass
+    class Record:
+        gain: float
+        notes: str
+
+    assert names_of(Record) == ("gain", "notes")
+    fields({"gain": 1}).only(names_of(Record))
+    with pytest.raises(ManifestError) as caught:
+        fields({"gian": 1}).only(names_of(Record))
+    assert str(caught.value) == "a.json, field gian: is unknown (did you mean gain?); known are gain, notes"
+    with pytest.raises(ManifestError, match=r"field 'a\\x1b\[2J\\n': is unknown; known are gain, notes"):
+        fields({"a\x1b[2J\n": 1}).only(names_of(Record))
+
+
+def test_messages_stay_short() -> None:
+    for found in ("x" * 10**6, [list(range(1000))] * 1000, {str(i): i for i in range(1000)}, 10**5000, [1 << 10**6]):
+        assert len(shown(found)) <= 80
+    assert shown("a\nb") == "'a\\nb'"
+
+
+# --- tables -------------------------------------------------------------------------------------------------------
+
+
+def table(text: str) -> TextFile:
+    return TextFile("a.csv", ManifestError, content=text)
+
+
+def test_cells_are_parsed_from_text() -> None:
+    (row,) = table("name,iso,ratio,score\nx,100,1/3,\n").rows(("name", "iso", "ratio", "score"))
+    assert (row.text("name"), row.whole("iso"), row.fraction("ratio")) == ("x", 100, Fraction(1, 3))
+    assert row.number("iso") == 100.0
+    assert row.optional("score", row.number) is None
+    for name in ("iso", "ratio"):
+        (odd,) = table(f"name,{name}\nx,1e16000000\n").rows(("name", name))
+        for read in (odd.whole, odd.fraction):
+            with pytest.raises(ManifestError, match=rf"a\.csv, line 2, column {name}: expected a .*found '1e16000000'"):
+                read(name)
+
+
+def test_tables_that_are_not_as_declared() -> None:
+    for text, message in (
+        ("", "a.csv, line 1: expected the columns a,b; found ''"),
+        ("a\n", "a.csv, line 1: expected the columns a,b; found 'a'"),
+        ("a,b\n1\n", "a.csv, line 2: expected 2 fields, found 1"),
+        ('a,b\n"1,2\n', "a.csv, line 2: is not CSV (unexpected end of data)"),
+        ("a,b\n" + "x" * 200_000 + ",1\n", "a.csv, line 2: is not CSV (field larger than field limit (131072))"),
+    ):
+        with pytest.raises(ManifestError) as caught:
+            list(table(text).rows(("a", "b")))
+        assert str(caught.value) == message
+
+
+def test_reading_writes_nothing_back() -> None:
+    content = {"a": [1, {"b": "c"}]}
+    assert parsed(json.dumps(content)).data == content

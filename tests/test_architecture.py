@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from tests.trees import build_tree
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -479,7 +480,7 @@ for code in json.loads(sys.argv[1]):
 def loaded_after(*codes: str, cwd: Path | None = None) -> list[list[str]]:
     """Which heavy packages a fresh interpreter has loaded after each piece of code, the earlier ones included."""
     command = [sys.executable, "-c", PROBE, json.dumps(codes)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=cwd)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, cwd=cwd)
     assert done.returncode == 0, done.stderr
     answers = [json.loads(line) for line in done.stdout.splitlines()]
     assert [code for code, _, _ in answers] == list(codes)
@@ -531,7 +532,7 @@ def test_verify_loads_what_its_level_needs(tmp_path: Path) -> None:
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
     command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 0, done.stderr
     (built,) = folder.glob("eldata-*.whl")
     return built

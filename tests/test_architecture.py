@@ -41,7 +41,11 @@ def module_name(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-TREES = {module_name(path): ast.parse(path.read_text(encoding="utf-8")) for path in PATHS}
+@cache  # and not at the top: every worker process collects this file, and parsing takes seconds
+def trees() -> dict[str, ast.Module]:
+    return {module_name(path): ast.parse(path.read_text(encoding="utf-8")) for path in PATHS}
+
+
 PACKAGES = {module_name(path) for path in PATHS if path.name == "__init__.py"}
 
 
@@ -75,11 +79,13 @@ def imports_of(tree: ast.AST, package: str) -> Iterator[tuple[str, bool]]:
         yield from ((name, id(node) not in typing) for name in found if name.split(".")[0] in ("eldata", "capture"))
 
 
-IMPORTS = [
-    Import(module, name, runtime)
-    for module, tree in TREES.items()
-    for name, runtime in imports_of(tree, package_of(module))
-]
+@cache
+def imports() -> list[Import]:
+    return [
+        Import(module, name, runtime)
+        for module, tree in trees().items()
+        for name, runtime in imports_of(tree, package_of(module))
+    ]
 
 
 @cache
@@ -100,7 +106,7 @@ def exports(package: str) -> dict[str, str]:
 def defining(name: str) -> str:
     """The module that an imported name comes from: through the stubs, which load it lazily, to where it is defined."""
     parent, _, last = name.rpartition(".")
-    if name in TREES or not parent:
+    if name in trees() or not parent:
         return name
     if last in exports(parent):
         return defining(f"{exports(parent)[last]}.{last}")
@@ -113,11 +119,11 @@ def below(name: str, *places: str) -> bool:
 
 def test_the_modules_are_found() -> None:
     """Or every test below would pass on nothing."""
-    assert len(TREES) > 200
-    assert "capture.protocol" in TREES
+    assert len(trees()) > 200
+    assert "capture.protocol" in trees()
     assert defining("eldata.metrics.psnr") == "eldata.metrics.signal_to_noise"
     assert defining("eldata.verify") == "eldata.manifest.verify"
-    assert Import("eldata.manifest.lock", "eldata.manifest.verify.verify", runtime=True) in IMPORTS
+    assert Import("eldata.manifest.lock", "eldata.manifest.verify.verify", runtime=True) in imports()
 
 
 def test_the_scan_sees_every_kind_of_import() -> None:
@@ -228,16 +234,19 @@ def room_of(module: str) -> str:
     return "capture" if parts[0] == "capture" else ".".join(parts[:2])
 
 
-EDGES = {(i.importer, defining(i.name)) for i in IMPORTS if i.name != "eldata"} - TO_COME.imports
+@cache
+def edges() -> set[tuple[str, str]]:
+    """Importing module and defining module of every import, debts aside."""
+    return {(i.importer, defining(i.name)) for i in imports() if i.name != "eldata"} - TO_COME.imports
 
 
 def crossings() -> set[tuple[str, str]]:
     """Importing and imported module of every import that leaves its room; anybody may state the version."""
-    return {(a, b) for a, b in EDGES if room_of(a) != room_of(b) and a != "eldata"}
+    return {(a, b) for a, b in edges() if room_of(a) != room_of(b) and a != "eldata"}
 
 
 def test_every_room_has_its_layer() -> None:
-    assert {room_of(module) for module in TREES} == {*LEVEL, "capture", "eldata"}
+    assert {room_of(module) for module in trees()} == {*LEVEL, "capture", "eldata"}
 
 
 def test_nothing_is_imported_upwards() -> None:
@@ -261,7 +270,9 @@ def test_some_rooms_need_less() -> None:
 
 def test_nobody_imports_through_the_public_front() -> None:
     """``from eldata import verify`` inside of the package would load half of it."""
-    through = {(i.importer, i.name) for i in IMPORTS if i.name.rpartition(".")[0] == "eldata" and i.name not in TREES}
+    through = {
+        (i.importer, i.name) for i in imports() if i.name.rpartition(".")[0] == "eldata" and i.name not in trees()
+    }
     assert through == set()
 
 
@@ -285,14 +296,14 @@ def test_the_search_finds_a_circle() -> None:
 
 def test_there_is_no_circle_between_modules() -> None:
     """Imports for types and inside of functions count; a package's stub, which loads nothing by itself, does not."""
-    assert circle(EDGES) == []
+    assert circle(edges()) == []
 
 
 def test_there_is_no_circle_between_packages() -> None:
     def place(module: str) -> str:
         return module if package_of(module) == "eldata" else package_of(module)
 
-    assert circle((place(a), place(b)) for a, b in EDGES) == []
+    assert circle((place(a), place(b)) for a, b in edges()) == []
 
 
 # --- reports show -------------------------------------------------------------------------------------------------
@@ -324,10 +335,10 @@ def statistics_of(tree: ast.AST) -> set[str]:
 def test_reports_compute_nothing() -> None:
     assert statistics_of(ast.parse("limit = np.quantile(values, 0.9) + values.mean()")) == {"quantile", "mean"}
     wrong = []
-    for module, tree in TREES.items():
+    for module, tree in trees().items():
         if not below(module, "eldata.reports") or below(module, *TO_COME.reports):
             continue
-        imported = {defining(item.name) for item in IMPORTS if item.importer == module and item.runtime}
+        imported = {defining(item.name) for item in imports() if item.importer == module and item.runtime}
         wrong += [(module, name) for name in imported if name != "eldata" and not below(name, *SHOWN)]
         wrong += [(module, name) for name in libraries_of(tree) - LIBRARIES]
         wrong += [(module, name) for name in statistics_of(tree) if module != MAKES_PIXELS]
@@ -361,7 +372,7 @@ def dotted(node: ast.expr) -> str:
 def callers(names: set[str]) -> set[str]:
     return {
         module
-        for module, tree in TREES.items()
+        for module, tree in trees().items()
         for node in ast.walk(tree)
         if isinstance(node, ast.Call) and dotted(node.func) in names
     }
@@ -383,7 +394,7 @@ SAYS_LITTLE = {"errors", "layout", "run", "scoring", "utils", "helpers", "common
 def test_a_public_name_means_one_thing() -> None:
     """Of classes and functions, whatever package they are in; a stub exports them under no other name."""
     places: dict[str, set[str]] = defaultdict(set)
-    for module, tree in TREES.items():
+    for module, tree in trees().items():
         for node in ast.iter_child_nodes(tree):
             if isinstance(node, (ast.ClassDef, ast.FunctionDef)) and not node.name.startswith("_"):
                 places[node.name].add(module)
@@ -392,7 +403,7 @@ def test_a_public_name_means_one_thing() -> None:
 
 
 def test_a_modules_name_says_what_it_holds() -> None:
-    found = [module for module in TREES if module.rpartition(".")[2] in SAYS_LITTLE and module not in TO_COME.modules]
+    found = [module for module in trees() if module.rpartition(".")[2] in SAYS_LITTLE and module not in TO_COME.modules]
     assert sorted(found) == ["capture.cli.run", "eldata.errors"]
 
 
@@ -404,7 +415,7 @@ def test_no_keyword_list_is_typed_twice() -> None:
     """Five keywords of the same names and types in two signatures are a record, or a TypedDict to unpack."""
     lists = [
         (f"{module}.{node.name}", {ast.unparse(argument) for argument in node.args.kwonlyargs})
-        for module, tree in TREES.items()
+        for module, tree in trees().items()
         for node in ast.walk(tree)
         if isinstance(node, ast.FunctionDef) and len(node.args.kwonlyargs) >= 5
     ]
@@ -461,7 +472,7 @@ def test_banned_constructs_do_not_occur() -> None:
         "subprocess.run(text, shell=True)",
     ):
         assert len(banned_in(ast.parse(source))) == 1, source
-    assert {module: banned_in(tree) for module, tree in TREES.items() if banned_in(tree)} == {}
+    assert {module: banned_in(tree) for module, tree in trees().items() if banned_in(tree)} == {}
 
 
 # --- light commands -----------------------------------------------------------------------------------------------

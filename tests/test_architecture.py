@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from tests.trees import build_tree
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -40,7 +41,11 @@ def module_name(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-TREES = {module_name(path): ast.parse(path.read_text(encoding="utf-8")) for path in PATHS}
+@cache  # and not at the top: every worker process collects this file, and parsing takes seconds
+def trees() -> dict[str, ast.Module]:
+    return {module_name(path): ast.parse(path.read_text(encoding="utf-8")) for path in PATHS}
+
+
 PACKAGES = {module_name(path) for path in PATHS if path.name == "__init__.py"}
 
 
@@ -74,11 +79,13 @@ def imports_of(tree: ast.AST, package: str) -> Iterator[tuple[str, bool]]:
         yield from ((name, id(node) not in typing) for name in found if name.split(".")[0] in ("eldata", "capture"))
 
 
-IMPORTS = [
-    Import(module, name, runtime)
-    for module, tree in TREES.items()
-    for name, runtime in imports_of(tree, package_of(module))
-]
+@cache
+def imports() -> list[Import]:
+    return [
+        Import(module, name, runtime)
+        for module, tree in trees().items()
+        for name, runtime in imports_of(tree, package_of(module))
+    ]
 
 
 @cache
@@ -99,7 +106,7 @@ def exports(package: str) -> dict[str, str]:
 def defining(name: str) -> str:
     """The module that an imported name comes from: through the stubs, which load it lazily, to where it is defined."""
     parent, _, last = name.rpartition(".")
-    if name in TREES or not parent:
+    if name in trees() or not parent:
         return name
     if last in exports(parent):
         return defining(f"{exports(parent)[last]}.{last}")
@@ -112,11 +119,11 @@ def below(name: str, *places: str) -> bool:
 
 def test_the_modules_are_found() -> None:
     """Or every test below would pass on nothing."""
-    assert len(TREES) > 200
-    assert "capture.protocol" in TREES
+    assert len(trees()) > 200
+    assert "capture.protocol" in trees()
     assert defining("eldata.metrics.psnr") == "eldata.metrics.signal_to_noise"
     assert defining("eldata.verify") == "eldata.manifest.verify"
-    assert Import("eldata.manifest.lock", "eldata.manifest.verify.verify", runtime=True) in IMPORTS
+    assert Import("eldata.manifest.lock", "eldata.manifest.verify.verify", runtime=True) in imports()
 
 
 def test_the_scan_sees_every_kind_of_import() -> None:
@@ -180,16 +187,19 @@ def room_of(module: str) -> str:
     return "capture" if parts[0] == "capture" else ".".join(parts[:2])
 
 
-EDGES = {(i.importer, defining(i.name)) for i in IMPORTS if i.name != "eldata"}
+@cache
+def edges() -> set[tuple[str, str]]:
+    """Importing module and defining module of every import."""
+    return {(i.importer, defining(i.name)) for i in imports() if i.name != "eldata"}
 
 
 def crossings() -> set[tuple[str, str]]:
     """Importing and imported module of every import that leaves its room; anybody may state the version."""
-    return {(a, b) for a, b in EDGES if room_of(a) != room_of(b) and a != "eldata"}
+    return {(a, b) for a, b in edges() if room_of(a) != room_of(b) and a != "eldata"}
 
 
 def test_every_room_has_its_layer() -> None:
-    assert {room_of(module) for module in TREES} == {*LEVEL, *MOVED, "capture", "eldata"}
+    assert {room_of(module) for module in trees()} == {*LEVEL, *MOVED, "capture", "eldata"}
 
 
 def test_nothing_is_imported_upwards() -> None:
@@ -213,7 +223,9 @@ def test_some_rooms_need_less() -> None:
 
 def test_nobody_imports_through_the_public_front() -> None:
     """``from eldata import verify`` inside of the package would load half of it."""
-    through = {(i.importer, i.name) for i in IMPORTS if i.name.rpartition(".")[0] == "eldata" and i.name not in TREES}
+    through = {
+        (i.importer, i.name) for i in imports() if i.name.rpartition(".")[0] == "eldata" and i.name not in trees()
+    }
     assert through == set()
 
 
@@ -237,14 +249,14 @@ def test_the_search_finds_a_circle() -> None:
 
 def test_there_is_no_circle_between_modules() -> None:
     """Imports for types and inside of functions count; a package's stub, which loads nothing by itself, does not."""
-    assert circle(EDGES) == []
+    assert circle(edges()) == []
 
 
 def test_there_is_no_circle_between_packages() -> None:
     def place(module: str) -> str:
         return module if package_of(module) == "eldata" else package_of(module)
 
-    assert circle((place(a), place(b)) for a, b in EDGES) == []
+    assert circle((place(a), place(b)) for a, b in edges()) == []
 
 
 # --- reports show -------------------------------------------------------------------------------------------------
@@ -281,10 +293,10 @@ def statistics_of(tree: ast.AST) -> set[str]:
 def test_reports_compute_nothing() -> None:
     assert statistics_of(ast.parse("limit = np.quantile(values, 0.9) + values.mean()")) == {"quantile", "mean"}
     wrong = []
-    for module, tree in TREES.items():
+    for module, tree in trees().items():
         if not below(module, "eldata.reports"):
             continue
-        imported = {defining(item.name) for item in IMPORTS if item.importer == module and item.runtime}
+        imported = {defining(item.name) for item in imports() if item.importer == module and item.runtime}
         wrong += [(module, name) for name in imported if name != "eldata" and not below(name, *SHOWN)]
         wrong += [(module, name) for name in libraries_of(tree) - LIBRARIES]
         wrong += [(module, name) for name in statistics_of(tree) if module not in MAKES_PIXELS]
@@ -318,7 +330,7 @@ def dotted(node: ast.expr) -> str:
 def callers(names: set[str]) -> set[str]:
     return {
         module
-        for module, tree in TREES.items()
+        for module, tree in trees().items()
         for node in ast.walk(tree)
         if isinstance(node, ast.Call) and dotted(node.func) in names
     }
@@ -340,7 +352,7 @@ SAYS_LITTLE = {"errors", "layout", "run", "scoring", "utils", "helpers", "common
 def test_a_public_name_means_one_thing() -> None:
     """Of classes and functions, whatever package they are in; a stub exports them under no other name."""
     places: dict[str, set[str]] = defaultdict(set)
-    for module, tree in TREES.items():
+    for module, tree in trees().items():
         for node in ast.iter_child_nodes(tree):
             if isinstance(node, (ast.ClassDef, ast.FunctionDef)) and not node.name.startswith("_"):
                 places[node.name].add(module)
@@ -349,7 +361,7 @@ def test_a_public_name_means_one_thing() -> None:
 
 
 def test_a_modules_name_says_what_it_holds() -> None:
-    found = [module for module in TREES if module.rpartition(".")[2] in SAYS_LITTLE]
+    found = [module for module in trees() if module.rpartition(".")[2] in SAYS_LITTLE]
     assert sorted(found) == ["capture.cli.run", "eldata.errors"]
 
 
@@ -361,7 +373,7 @@ def test_no_keyword_list_is_typed_twice() -> None:
     """Five keywords of the same names and types in two signatures are a record, or a TypedDict to unpack."""
     lists = [
         (f"{module}.{node.name}", {ast.unparse(argument) for argument in node.args.kwonlyargs})
-        for module, tree in TREES.items()
+        for module, tree in trees().items()
         for node in ast.walk(tree)
         if isinstance(node, ast.FunctionDef) and len(node.args.kwonlyargs) >= 5
     ]
@@ -418,7 +430,7 @@ def test_banned_constructs_do_not_occur() -> None:
         "subprocess.run(text, shell=True)",
     ):
         assert len(banned_in(ast.parse(source))) == 1, source
-    assert {module: banned_in(tree) for module, tree in TREES.items() if banned_in(tree)} == {}
+    assert {module: banned_in(tree) for module, tree in trees().items() if banned_in(tree)} == {}
 
 
 # --- light commands -----------------------------------------------------------------------------------------------
@@ -437,7 +449,7 @@ for code in json.loads(sys.argv[1]):
 def loaded_after(*codes: str, cwd: Path | None = None) -> list[list[str]]:
     """Which heavy packages a fresh interpreter has loaded after each piece of code, the earlier ones included."""
     command = [sys.executable, "-c", PROBE, json.dumps(codes)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=cwd)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, cwd=cwd)
     assert done.returncode == 0, done.stderr
     answers = [json.loads(line) for line in done.stdout.splitlines()]
     assert [code for code, _, _ in answers] == list(codes)
@@ -489,7 +501,7 @@ def test_verify_loads_what_its_level_needs(tmp_path: Path) -> None:
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
     command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 0, done.stderr
     (built,) = folder.glob("eldata-*.whl")
     return built

@@ -20,6 +20,7 @@ from eldata.datasets.drv import DRVDataset, DRVDynamicDataset, DRVRawDataset, DR
 from eldata.errors import ArgumentError, DatasetError, FileError, RawFileError
 from eldata.manifest.drv import scan_raw
 from eldata.manifest.lock import lock
+from tests.datasets.methods import METHODS
 from tests.drv_tree import (
     NOISY,
     REFERENCE,
@@ -45,10 +46,6 @@ if TYPE_CHECKING:
 # Python 3.12 and later warn of any fork in a process that has threads.
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
 
-METHODS = [
-    pytest.param("fork", marks=pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")),
-    "spawn",
-]
 FRAMES = 13
 HEIGHT, WIDTH = RGB_SIZE
 

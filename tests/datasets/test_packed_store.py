@@ -25,6 +25,7 @@ from eldata.manifest.subsets import Subset
 from eldata.raw import read_raw, write_dng
 from eldata.raw.cfa import pack_normalised
 from eldata.raw.levels import with_levels
+from tests.datasets.methods import METHODS
 from tests.raw.helpers import BAYER, EXPOSURE, make_sensor, random_mosaic
 from tests.sid_tree import SmallTree, build_small_tree
 from tests.sources.store.helpers import pack_folder, pack_tree, write_clean
@@ -37,11 +38,6 @@ if TYPE_CHECKING:
 
 # Python 3.12 and later warn of any fork in a process that has threads.
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
-
-METHODS = [
-    pytest.param("fork", marks=pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")),
-    "spawn",
-]
 
 
 @pytest.fixture(scope="session")
@@ -246,7 +242,7 @@ def test_batches_hold_the_items(which: str, workers: int, eld: Path, fuji: Path)
     """Which DataLoaders ask for at once, in this process by threads; in DN too; the last batch is smaller."""
     dataset = some({"eld": eld, "fuji": fuji}[which], crops_per_frame=3)
     dataset.set_epoch(2)
-    options: dict[str, Any] = {"batch_size": 5, "num_workers": workers, "timeout": 60 if workers else 0}
+    options: dict[str, Any] = {"batch_size": 5, "num_workers": workers, "timeout": PATIENCE_S if workers else 0}
     wanted = [default_collate([dataset[index] for index in indices]) for indices in batched(len(dataset), 5)]
     for batch, other in zip(DataLoader(dataset, **options), wanted, strict=True):
         assert list(batch) == list(other)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import pickle
 from collections import Counter
 from dataclasses import fields
@@ -19,6 +18,7 @@ from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.catalogue import Manifest, shipped_manifest, shipped_names
 from eldata.manifest.pairs import select_pairs
 from eldata.manifest.verify import verify
+from tests.datasets.methods import FORK
 from tests.drv_tree import build_drv_tree
 from tests.sid_tree import build_sid_tree
 from tests.trees import build_published_tree
@@ -58,10 +58,6 @@ NAMES = tuple(registry._ENTRIES)  # not those of packages that happen to be inst
 EVERY = pytest.mark.parametrize("name", NAMES)
 OF_PAIRS = [name for name in NAMES if issubclass(dataset_class(name), PairDataset)]
 OF_CLIPS = [name for name in NAMES if name not in OF_PAIRS]
-METHODS = [
-    pytest.param("fork", marks=pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")),
-    "spawn",
-]
 
 # Python 3.12 and later warn of any fork in a process that has threads.
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
@@ -256,7 +252,7 @@ def test_samples_collate(name: str, few: Callable[[str], Any]) -> None:
             assert len(batch[key]) == 2
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", [FORK, "spawn"])
 def test_workers_give_the_same_samples(method: str, few: Callable[[str], Any]) -> None:
     """All datasets in one loader: a spawned worker takes seconds to start."""
     parts = [Some(dataset, range(min(2, len(dataset)))) for dataset in map(few, NAMES)]

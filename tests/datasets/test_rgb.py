@@ -29,6 +29,7 @@ from eldata.isp.rendering import Gamma, Rendering
 from eldata.isp.response import ResponseCurve
 from eldata.isp.srgb_pairs import render_pair_for_scoring
 from eldata.raw import read_raw, write_dng
+from tests.datasets.methods import METHODS
 from tests.raw.helpers import make_sensor
 from tests.sources.store.helpers import pack_folder, pack_tree
 from tests.trees import BETA, Tree, copy_tree, frame
@@ -184,7 +185,7 @@ def test_arrays_need_a_sensor_from_the_caller() -> None:
 # --- workers ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", ["fork", "spawn"])
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
 def test_workers_change_nothing(method: str, balanced: Tree) -> None:
     staged = rgb2rgb(pairs_of(balanced))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import math
-import os
 import pickle
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +18,7 @@ from eldata.errors import ArgumentError, DatasetError, ProfileError
 from eldata.noise import CameraProfile, NoiseModel, NoiseParameters
 from eldata.raw import write_dng
 from eldata.raw.cfa import XTRANS_CFA, pack, pack_normalised, unpack
+from tests.datasets.methods import METHODS
 from tests.noise.helpers import Law
 from tests.raw.helpers import BAYER, BAYER_COLOURS, EXPOSURE, XTRANS, XTRANS_COLOURS, Cfa, make_sensor, random_mosaic
 from tests.waiting import PATIENCE_S
@@ -32,10 +32,6 @@ if TYPE_CHECKING:
 # Python 3.12 and later warn of any fork in a process that has threads.
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
 
-METHODS = [
-    pytest.param("fork", marks=pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")),
-    "spawn",
-]
 NUMBERS = ("gain_dn_per_e", "tukey_lambda", "sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn")
 
 

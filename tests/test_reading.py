@@ -26,8 +26,8 @@ from eldata.manifest.table import COLUMNS, load_records
 from eldata.noise.profile import CameraProfile
 from eldata.protocols.custom import load_protocol
 from eldata.records import Exposure, PairRecord, Sensor
-from eldata.sources.shards.layout import Facts, Side, facts_text, parse_facts, parse_index
-from eldata.sources.store.layout import stored_frame
+from eldata.sources.shards.index import Facts, Side, facts_text, parse_facts, parse_index
+from eldata.sources.store.format import stored_frame
 from manifests.sid_scenes import SHORT_EXPOSURES, load_scenes
 
 if TYPE_CHECKING:

@@ -1,37 +1,43 @@
-"""Names of an earlier version that are found where they are now, with a warning."""
+"""Names that have moved: the old module forwards them, with a warning, until 0.3."""
 
 from __future__ import annotations
 
-import importlib
 import warnings
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
 
-def with_moved(find: Callable[[str], Any], module: str, moved: Mapping[str, str]) -> Callable[[str], Any]:
-    """Return a module's ``__getattr__`` that knows names which moved, until version 0.3.
+def forwarded(
+    module: str, target: str | Mapping[str, str], find: Callable[[str], Any] | None = None
+) -> Callable[[str], Any]:
+    """Return the ``__getattr__`` of a module whose names have moved; nothing is imported before a name is asked for.
 
     Parameters
     ----------
-    find
-        The module's own ``__getattr__``.
     module
-        The module's name.
-    moved
-        Old name -> ``<module>:<name>`` of what took its place.
+        The old module's name, ``__name__``.
+    target
+        The module that has all of the names now, or for each old name its place, such as ``"eldata.new:name"``.
+    find
+        The module's own ``__getattr__``, for the names that have not moved.
     """
 
-    def find_or_forward(name: str) -> Any:
-        if name not in moved:
-            return find(name)
-        place, _, new = moved[name].partition(":")
+    def forward(name: str) -> Any:
+        place = f"{target}:{name}" if isinstance(target, str) else target.get(name, "")
+        new_module, _, new_name = place.partition(":")
+        if name.startswith("__") or not new_module:
+            if find is not None:
+                return find(name)
+            raise AttributeError(f"module {module!r} has no attribute {name!r}")
+        found = getattr(import_module(new_module), new_name)
         warnings.warn(
-            f"{module}.{name} is {place}.{new} now; the old name goes with version 0.3",
+            f"{module}.{name} is {new_module}.{new_name} now; the old name goes with version 0.3",
             DeprecationWarning,
             stacklevel=2,
         )
-        return getattr(importlib.import_module(place), new)
+        return found
 
-    return find_or_forward
+    return forward

@@ -102,10 +102,10 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
     from eldata.evaluation.evaluate import perform
-    from eldata.evaluation.request import Options, make_request
+    from eldata.evaluation.request import EvaluationOptions, make_request
 
     with chosen_workers(arguments) as workers:
-        options: Options = {
+        options: EvaluationOptions = {
             "root": arguments.root,
             "manifest": arguments.manifest,
             "cameras": arguments.cameras,

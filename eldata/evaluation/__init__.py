@@ -2,15 +2,15 @@
 
 import lazy_loader
 
-from eldata.base.moved import with_moved
+from eldata.base.moved import forwarded
 
 _find, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
-__getattr__ = with_moved(
-    _find,
+__getattr__ = forwarded(
     __name__,
     {
         "ImageScore": "eldata.evaluation.scores:UnitScore",
         "VideoScore": "eldata.evaluation.scores:UnitScore",
         "VideoResult": "eldata.evaluation.results:EvaluationResult",
     },
+    find=_find,
 )

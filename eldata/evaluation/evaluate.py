@@ -15,7 +15,7 @@ from eldata.evaluation.combined import CombinedResult, NotScored
 from eldata.evaluation.pairs import frames_of, place_of
 from eldata.evaluation.planning import known_places, plan_scoring, require_pairs
 from eldata.evaluation.predictions import find_predictions, prediction_space
-from eldata.evaluation.request import ALL, Options, Request, make_request
+from eldata.evaluation.request import ALL, EvaluationOptions, Request, make_request
 from eldata.evaluation.results import EvaluationResult
 from eldata.evaluation.units import score_plans
 from eldata.protocols.kinds import IMAGES
@@ -39,7 +39,7 @@ def evaluate(
     dataset: str = "eld",
     *,
     protocol: str | Path | Protocol | None = None,
-    **options: Unpack[Options],
+    **options: Unpack[EvaluationOptions],
 ) -> EvaluationResult:
     """Score a folder of predictions, of images or of clips, under a named protocol.
 
@@ -60,7 +60,7 @@ def evaluate(
         protocol. Default: the dataset's own, such as ``eld``, ``sid`` or ``drv-rgb``.
     **options
         ``root``, ``manifest``, ``cameras``, ``subset``, ``ids``, ``exclude_flags``, ``allow_missing``, ``baseline`` and
-        ``workers``: :class:`~eldata.evaluation.request.Options`.
+        ``workers``: :class:`~eldata.evaluation.request.EvaluationOptions`.
 
     Returns
     -------
@@ -82,7 +82,9 @@ def evaluate(
 
 
 @accepts_jobs
-def evaluate_all(predictions: Path | str | None, dataset: str = "eld", **options: Unpack[Options]) -> CombinedResult:
+def evaluate_all(
+    predictions: Path | str | None, dataset: str = "eld", **options: Unpack[EvaluationOptions]
+) -> CombinedResult:
     """Score a folder of predictions under every protocol for the dataset, in one pass over the files.
 
     Each protocol scores its own pairs, and each result equals that of :func:`evaluate`. Protocols of sRGB are scored if

@@ -22,7 +22,7 @@ ALL = "all"
 """In place of a protocol's name: every one that is for the dataset."""
 
 
-class Options(TypedDict, total=False):
+class EvaluationOptions(TypedDict, total=False):
     """Keyword arguments of :func:`eldata.evaluate` and :func:`eldata.evaluate_all`.
 
     Attributes
@@ -64,7 +64,7 @@ class Options(TypedDict, total=False):
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What is to be evaluated, with names resolved: :class:`Options` says what each field means.
+    """What is to be evaluated, with names resolved: :class:`EvaluationOptions` says what each field means.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ class Request:
 
 
 def make_request(
-    predictions: Path | str | None, dataset: str, protocol: str | Path | Protocol | None, options: Options
+    predictions: Path | str | None, dataset: str, protocol: str | Path | Protocol | None, options: EvaluationOptions
 ) -> Request:
     """Return a request; everything that can be told without the dataset's files is checked.
 
@@ -112,8 +112,10 @@ def make_request(
         If the manifest is malformed, a name or an option is unknown, or options do not go together.
     """
     for name in options:
-        if name not in Options.__annotations__:
-            raise TypeError(f"an evaluation has no option {name!r}; known are {', '.join(Options.__annotations__)}")
+        if name not in EvaluationOptions.__annotations__:
+            raise TypeError(
+                f"an evaluation has no option {name!r}; known are {', '.join(EvaluationOptions.__annotations__)}"
+            )
     path, baseline = options.get("manifest"), options.get("baseline")
     manifest = shipped_manifest(dataset) if path is None else load_manifest(path)
     request = Request(

@@ -15,15 +15,15 @@ import pytest
 import torch
 from torch.utils.data import DataLoader
 
-from eldata.datasets import RawClips, SyntheticClips
+from eldata.datasets import RawClips, StoredClips, SyntheticClips
 from eldata.datasets.augmentation import ORIENTATIONS
 from eldata.datasets.clips import ClipSample, UnpairedClipSample
-from eldata.datasets.draws import CleanCrop, RgbCrop
+from eldata.datasets.crops import Crop
 from eldata.datasets.drv import DRVDataset, DRVDynamicDataset, DRVRawDataset, DRVRawDynamicDataset
 from eldata.datasets.packed_clips import PackedClips, PackedUnpairedClips
-from eldata.datasets.stored_clean import StoredClips
 from eldata.errors import ArgumentError, DatasetError
 from eldata.raw.dng import write_dng
+from eldata.sources.frames import Frame
 from eldata.sources.store import build_store, source_of_dataset
 from tests.drv_tree import NOISY, REFERENCE, RGB_SIZE, SENSOR, SmallDrv, mosaic_of, small_drv, write_raw, write_raw_clip
 from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, make_sensor, random_mosaic
@@ -87,7 +87,7 @@ def same(first: Mapping[str, Any], second: Mapping[str, Any]) -> None:
 
 @pytest.mark.parametrize("options", [{}, {"window": 3, "stride": 2}, {"frames": "evaluation"}, {"ids": ["0013"]}])
 def test_whole_rgb_windows_are_those_of_the_files(options: dict[str, Any], rgb: Path, drv: SmallDrv) -> None:
-    ours = PackedClips(rgb, crop=None, augment=False, splits=["test"], **options)
+    ours = PackedClips(rgb, crop=None, augment=False, split=["test"], **options)
     theirs = DRVDataset(drv.data, manifest=drv.csv, split="test", **options)
     assert ours.records == theirs.records
     assert ours.frame.equals(theirs.frame)
@@ -123,10 +123,11 @@ def test_crops_of_rgb_windows_are_parts_of_the_files_turned_alike(rgb: Path, drv
     ours.set_epoch(2)
     theirs = DRVDataset(drv.data, manifest=drv.csv)
     assert len(ours) == 12 * len(theirs)
+    like = Frame.of_rgb(np.zeros((3, *RGB_SIZE), np.uint16), "")
     places, turns = set(), set()
     for index, sample in enumerate(ours):
         other = theirs[index % len(theirs)]
-        drawn = RgbCrop.draw("", RGB_SIZE, np.random.default_rng([4, 2, index]), crop=21, augment=True)
+        drawn = Crop.draw(like, np.random.default_rng([4, 2, index]), crop=21, augment=True)
         for name in ("input", "target"):
             part = other[name][..., drawn.slices[0], drawn.slices[1]].numpy()
             part = np.swapaxes(part, -1, -2) if drawn.orientation.transpose else part
@@ -143,15 +144,15 @@ def test_crops_of_rgb_windows_are_parts_of_the_files_turned_alike(rgb: Path, drv
 
 @pytest.mark.parametrize("clip", ["0007", "0013"])
 def test_crops_of_raw_windows_are_parts_of_the_files(clip: str, raw: Path, raw_files: Path) -> None:
-    """Not turned, a crop is a region of the packed frame; turned ones are CleanCrop's, whose tests look at the CFA."""
+    """Not turned, a crop is a region of the packed frame; turned ones are Crop's, whose tests look at the CFA."""
     options: dict[str, Any] = {"ids": [clip], "clip": "none", "window": 3}
     ours = PackedClips(raw, crop=6, augment=False, crops_per_window=8, seed=1, **options)
     starts = set()
     for index, sample in enumerate(ours):
-        drawn = ours._item(index).crop
+        drawn = ours.item(index).crop
         area = DRVRawDataset(raw_files / "DRV", **options)
         scale = 2 if clip == "0007" else 3
-        whole = CleanCrop.draw(  # where the packed area begins: the crop of all of it
+        whole = Crop.draw(  # where the packed area begins: the crop of all of it
             ours_clean(ours, index), np.random.default_rng(0), crop=None, augment=False
         )
         top, left = ((part.start - all_.start) // scale for part, all_ in zip(drawn.slices, whole.slices, strict=True))
@@ -164,10 +165,7 @@ def test_crops_of_raw_windows_are_parts_of_the_files(clip: str, raw: Path, raw_f
 
 
 def ours_clean(dataset: PackedClips, index: int) -> Any:
-    from eldata.datasets.stored_clean import stored_clean_frame
-
-    first: Any = dataset._item(index).frames[0].stored
-    return stored_clean_frame(dataset._reader, first, 16383.0)
+    return dataset.item(index).reference
 
 
 def test_turned_raw_windows_keep_their_colours(raw: Path) -> None:
@@ -246,7 +244,7 @@ def test_choices_and_refusals(rgb: Path, raw: Path, tmp_path: Path) -> None:
         assert part in repr(dataset)
     for options, word in (
         ({"ids": ["0008"]}, "known are 0007, 0013"),
-        ({"splits": ["train"]}, "no clip has split train; known are test"),
+        ({"split": ["train"]}, "no clip has split train; known are test"),
         ({"levels": "camera"}, "levels must be one of"),
         ({"clip": "lower"}, "clip must be one of"),
         ({"seed": -1}, "seed must be 0 or more"),

@@ -15,10 +15,10 @@ import torch
 from torch.utils.data import DataLoader, default_collate
 
 from eldata import PackedStore, SyntheticPairs
-from eldata.datasets import PairDataset, RawFiles, StoredFrames, normalise_batch, packed_store
+from eldata.datasets import PairDataset, RawFiles, StoredFrames, dn_batches, normalise_batch
 from eldata.datasets.base import Sample
 from eldata.datasets.clean import CleanFrame
-from eldata.datasets.draws import CleanCrop
+from eldata.datasets.crops import Crop
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.card import save_card
 from eldata.manifest.subsets import Subset
@@ -127,7 +127,7 @@ def test_a_crop_is_a_part_of_the_raw_routes_frame(
 def test_a_turned_crop_is_that_of_the_raw_mosaics(
     which: str, eld: Path, fuji: Path, pristine: Tree, fuji_tree: SmallTree
 ) -> None:
-    """CleanCrop's own tests show that all eight orientations occur and keep the CFA."""
+    """Crop's own tests show that all eight orientations occur and keep the CFA."""
     store, tree = (eld, pristine) if which == "eld" else (fuji, fuji_tree)
     stored = PackedStore(store, crop=4, crops_per_frame=2, seed=5, clip="upper")
     stored.set_epoch(3)
@@ -135,7 +135,7 @@ def test_a_turned_crop_is_that_of_the_raw_mosaics(
         record = stored.records[index % len(stored.records)]
         noisy, reference = (read_raw(tree.data / path) for path in (record.path, record.reference))
         like = CleanFrame(noisy.mosaic, noisy.sensor.cfa, noisy.sensor.black_level_dn, 16383.0, "")
-        crop = CleanCrop.draw(like, np.random.default_rng([5, 3, index]), crop=4, augment=True)
+        crop = Crop.draw(like, np.random.default_rng([5, 3, index]), crop=4, augment=True)
         for key, frame, gain in (("input", noisy, ours["ratio"]), ("target", reference, 1.0)):
             sensor = with_levels(frame.sensor, "published")
             expected = pack_normalised(
@@ -187,14 +187,14 @@ def test_a_batch_in_dn_becomes_the_raw_routes(which: str, clip: Any, eld: Path, 
     levels: Any
     for levels in ("published", "metadata"):
         pairs = PackedStore({"eld": eld, "fuji": fuji}[which], crop=6, levels=levels, clip=clip)
-        dn_batches = DataLoader(pairs.in_dn(), batch_size=5)
-        for batch, wanted in zip(dn_batches, DataLoader(pairs, batch_size=5), strict=True):
+        in_dn = DataLoader(pairs.in_dn(), batch_size=5)
+        for batch, wanted in zip(in_dn, DataLoader(pairs, batch_size=5), strict=True):
             assert batch["input_dn"].dtype == batch["target_dn"].dtype == torch.uint16
             same_batch(normalise_batch(batch, clip=clip), wanted)
             # What runs on a device, here on the CPU.
             for side in ("input", "target"):
-                images = list(packed_store._images(batch, side))
-                assert torch.equal(packed_store._by_torch(images, clip), wanted[side])
+                images = list(dn_batches._images(batch, side))
+                assert torch.equal(dn_batches._by_torch(images, clip), wanted[side])
         same(normalise_batch(pairs.in_dn()[1], clip=clip), pairs[1])
 
 

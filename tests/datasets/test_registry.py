@@ -1,7 +1,4 @@
-"""What every dataset of the registry must do. A new dataset is tested by being registered.
-
-A class that takes no such argument, or has nothing to choose, says why in ``NOT_TAKEN``.
-"""
+"""What every dataset of the registry must do. A new dataset is tested by being registered."""
 
 from __future__ import annotations
 
@@ -42,34 +39,15 @@ TREES: dict[str, Callable[[Manifest, Path], None]] = {
 ARGUMENTS = {
     "camera": "cameras",
     "scene": "scenes",
-    "split": "splits",
+    "split": "split",
     "iso": "isos",
     "ratio": "ratios",
     "subset": "subset",
 }
-# ... unless a class calls it otherwise, or takes one value.
-OWN_ARGUMENTS = {
-    ("sid-sony", "camera"): "camera",
-    ("sid-fuji", "camera"): "camera",
-    ("sid-sony", "split"): "split",
-    ("sid-fuji", "split"): "split",
-    ("drv", "scene"): "ids",
-    ("drv", "split"): "split",
-}
-TAKE_ONE_VALUE = ("camera", "split", "subset")
-NOT_TAKEN = {
-    ("eld", "split"): "all of it is one split, test",
-    ("eld", "subset"): "its card names none: the protocol chooses by ratio",
-    ("drv", "camera"): "there is one",
-    ("drv", "iso"): "the preprocessed files state none, and it is not published",
-    ("drv", "ratio"): "as for ISO",
-    ("drv", "subset"): "its subsets are its splits; they are for evaluate, which has one choice for images and clips",
-}
-# Values that the message lists where they are not those of the manifest: SID's cameras choose the manifest, and its
-# split eval is val and test; clips of drv without a reference are another class's, with a split of their own.
+TAKE_ONE_VALUE = ("subset",)
+# Values that the message lists where they are not those of the manifest: SID's split eval is val and test; clips of drv
+# without a reference are another class's, with a split of their own.
 OWN_VALUES = {
-    ("sid-sony", "camera"): {"sony", "fuji"},
-    ("sid-fuji", "camera"): {"sony", "fuji"},
     ("sid-sony", "split"): {"train", "val", "test", "eval"},
     ("sid-fuji", "split"): {"train", "val", "test", "eval"},
     ("drv", "scene"): {f"{number:04d}" for number in range(1, 203)},
@@ -126,7 +104,7 @@ def few(opened: Callable[..., Any]) -> Callable[[str], Any]:
 
 def chosen(name: str, kind: str, value: object) -> dict[str, object]:
     """The keyword argument with which a dataset's class chooses a value."""
-    argument = OWN_ARGUMENTS.get((name, kind), ARGUMENTS[kind])
+    argument = ARGUMENTS[kind]
     return {argument: value if argument in TAKE_ONE_VALUE else [value]}
 
 
@@ -348,10 +326,6 @@ def test_the_class_says_what_it_is(name: str, few: Callable[[str], Any]) -> None
 @EVERY
 def test_unknown_values_list_the_known(name: str, kind: str, opened: Callable[..., Any]) -> None:
     wrong = 7 if kind in ("iso", "ratio") else "nowhere"
-    if (name, kind) in NOT_TAKEN:
-        with pytest.raises(TypeError, match="unexpected keyword"):
-            opened(name, **chosen(name, kind, wrong))
-        return
     known = known_values(name, kind)
     with pytest.raises(ArgumentError) as raised:
         opened(name, **chosen(name, kind, wrong))
@@ -359,6 +333,22 @@ def test_unknown_values_list_the_known(name: str, kind: str, opened: Callable[..
     assert str(wrong) in message
     named = [value for value in known or {"none"} if str(value) in message]
     assert len(named) == len(known or {"none"}) or (len(named) >= 10 and f"known are {len(known)}, " in message)
+
+
+@EVERY
+def test_an_unknown_argument_lists_the_known(name: str, opened: Callable[..., Any]) -> None:
+    with pytest.raises(TypeError, match="got an unexpected keyword argument 'colour'; known are cameras, scenes, isos"):
+        opened(name, colour="red")
+
+
+@EVERY
+def test_the_names_of_0_1_are_understood(name: str, opened: Callable[..., Any]) -> None:
+    split = next(record.split for record in shipped_manifest(name).records if record.role == "noisy")
+    with pytest.warns(DeprecationWarning, match="splits is called split now; the old name goes with 0.3"):
+        old = opened(name, splits=[split])
+    assert old.records == opened(name, split=split).records == opened(name, split=[split]).records
+    with pytest.raises(TypeError, match="split was called splits; give it once"):
+        opened(name, split=split, splits=[split])
 
 
 @EVERY

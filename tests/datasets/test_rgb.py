@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import torch
-from torch.utils.data import DataLoader
+from torch.utils.data import DataLoader, Dataset
 
 from eldata.datasets.base import PairDataset
-from eldata.datasets.clean import Arrays, RawFiles
+from eldata.datasets.clean import Arrays, RawFiles, StoredFrames
 from eldata.datasets.packed_store import PackedStore
 from eldata.datasets.rgb import (
     OneSensor,
@@ -23,7 +23,6 @@ from eldata.datasets.rgb import (
     raw2rgb,
     rgb2rgb,
 )
-from eldata.datasets.stored_clean import StoredFrames
 from eldata.datasets.synthetic import SyntheticPairs
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.isp.rendering import Gamma, Rendering
@@ -224,8 +223,11 @@ def test_a_frame_that_the_store_lacks_is_named(balanced: Tree, tmp_path: Path) -
 
 
 def test_a_dataset_without_epochs_says_so(balanced: Tree) -> None:
-    with pytest.raises(ArgumentError, match="PairDataset has no epochs"):
-        raw2rgb(pairs_of(balanced)).set_epoch(1)
+    class Plain(Dataset[Any]):
+        pass
+
+    with pytest.raises(ArgumentError, match="Plain has no epochs"):
+        raw2rgb(Plain(), sensors=OneSensor(make_sensor())).set_epoch(1)
 
 
 def test_drvs_packed_frames_take_their_references_sensor(pristine: Tree) -> None:

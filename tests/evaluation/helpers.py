@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.evaluation.request import Options
+    from eldata.evaluation.request import EvaluationOptions
     from eldata.protocols import Protocol
 
 SIZE = (64, 96)
@@ -56,7 +56,7 @@ class Tree:
         return Tree(folder)
 
 
-def scored_pairs(dataset: str, protocol: str | Protocol, **options: Unpack[Options]) -> list[PairRecord]:
+def scored_pairs(dataset: str, protocol: str | Protocol, **options: Unpack[EvaluationOptions]) -> list[PairRecord]:
     """The pairs that a protocol scores of a shipped set."""
     request = make_request("predictions", dataset, protocol, options)
     return [pair for pair in plan_scoring(request, request.protocols[0]).pairs if isinstance(pair, PairRecord)]

@@ -4,27 +4,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import groupby
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
-    from fractions import Fraction
 
     from capture.plan import Plan
     from capture.shots import Shot
-    from eldata.records import Role
 
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """Something to see to before the first shot.
+    """Something to do before the first shot.
 
     Attributes
     ----------
     name
         Short, for files: what is ticked stays ticked when the words change.
     text, why
-        What to do, and in one line what goes wrong otherwise.
+        What to do, and in one line why.
     """
 
     name: str
@@ -34,28 +32,23 @@ class Item:
 
 @dataclass(frozen=True, slots=True)
 class ChecklistRow:
-    """What has one box to tick: a shot, or calibration shots that follow each other with the same settings.
+    """A row with one box to tick: a shot, or successive calibration shots with the same settings.
 
     Attributes
     ----------
-    number, count
-        Number of the (first) shot, and how many shots these are.
-    role, iso, dial
-        As the shots have them; ``dial`` is the exposure time as the camera marks it.
-    factor, reference
-        Of a noisy frame.
-    level
-        Of flats: wanted mean, as a share of the range over black.
+    shot
+        The (first) shot.
+    count
+        How many shots the row stands for.
     """
 
-    number: int
+    shot: Shot
     count: int
-    role: Role
-    iso: int
-    dial: str
-    factor: int | None = None
-    reference: int | None = None
-    level: Fraction | None = None
+
+    @property
+    def number(self) -> int:
+        """Number of the (first) shot."""
+        return self.shot.number
 
     @property
     def numbers(self) -> str:
@@ -63,35 +56,35 @@ class ChecklistRow:
         return str(self.number) if self.count == 1 else f"{self.number}-{self.number + self.count - 1}"
 
     @property
+    def dial(self) -> str:
+        """The exposure time as the camera marks it."""
+        return self.shot.setting.dial
+
+    @property
     def what(self) -> str:
         """The role in words, with what belongs to it."""
-        words: str = self.role
-        if self.factor is not None:
-            words = f"noisy x{self.factor}"
-        if self.level is not None:
-            words = f"flat {float(100 * self.level):.0f} %"
+        words: str = self.shot.role
+        if self.shot.factor is not None:
+            words = f"noisy x{self.shot.factor}"
+        if self.shot.level is not None:
+            words = f"flat {float(100 * self.shot.level):.0f} %"
         return words if self.count == 1 else f"{words}, {self.count} frames"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what the page and its exported progress say of a row."""
+        return {
+            "number": self.number,
+            "count": self.count,
+            "role": self.shot.role,
+            "iso": self.shot.iso,
+            "dial": self.dial,
+        }
 
 
 def rows(shots: Iterable[Shot]) -> tuple[ChecklistRow, ...]:
-    """Return the rows of shots: one a shot, but calibration shots with equal settings together."""
-    found = []
-    for _, group in groupby(shots, key=_together):
-        same = list(group)
-        shot = same[0]
-        found.append(
-            ChecklistRow(
-                shot.number,
-                len(same),
-                shot.role,
-                shot.iso,
-                shot.setting.dial,
-                shot.factor,
-                shot.reference,
-                shot.level,
-            )
-        )
-    return tuple(found)
+    """Return the rows of shots: one per shot, but calibration shots with equal settings together."""
+    groups = [list(group) for _, group in groupby(shots, key=_together)]
+    return tuple(ChecklistRow(group[0], len(group)) for group in groups)
 
 
 def _together(shot: Shot) -> tuple[object, ...]:
@@ -100,7 +93,7 @@ def _together(shot: Shot) -> tuple[object, ...]:
 
 
 def preparation(plan: Plan) -> tuple[Item, ...]:
-    """Return what to see to before the first shot, and why."""
+    """Return what to do before the first shot, and why."""
     camera = plan.camera
     return (
         Item("tripod", "Tripod on firm ground, everything locked", "Half a pixel of movement spoils a pair."),
@@ -110,7 +103,7 @@ def preparation(plan: Plan) -> tuple[Item, ...]:
         Item(
             "aperture",
             "One aperture for the whole scene",
-            "The ratio of two frames is reckoned from ISO and time alone.",
+            "The ratio of two frames is computed from ISO and time alone.",
         ),
         Item("focus", "Manual focus, ring taped", "Autofocus moves the lens between two frames."),
         Item(
@@ -168,14 +161,15 @@ BEFORE_FLATS: Final = (
 
 
 def bias_and_flats(plan: Plan) -> tuple[tuple[ChecklistRow, ...], tuple[ChecklistRow, ...]]:
-    """Return the rows of the calibration frames; both are empty in a plan without."""
+    """Return the rows of the calibration frames; both are empty in a plan without them."""
     shots = () if plan.calibration is None else plan.calibration.shots
     found = rows(shots)
-    return tuple(row for row in found if row.role == "bias"), tuple(row for row in found if row.role == "flat")
+    bias, flats = (tuple(row for row in found if row.shot.role == role) for role in ("bias", "flat"))
+    return bias, flats
 
 
 def at_each_scene(plan: Plan) -> tuple[str, ...]:
-    """Return how a scene goes, in steps."""
+    """Return the steps at each scene."""
     return tuple(text.format(base_iso=plan.protocol.base_iso) for text in AT_EACH_SCENE)
 
 

@@ -136,11 +136,12 @@ class Shutter:
             )
         if not self.dials:
             raise CameraError("shutter times: expected at least one, found none")
-        for before, time in pairwise(self.times):
-            if time.nominal_s == before.nominal_s:
-                raise CameraError(f"shutter times: expected each time once, found {time.dial} twice")
-            if time.nominal_s < before.nominal_s:
-                raise CameraError(f"shutter times: expected the fastest first, found {time.dial} after {before.dial}")
+        named = [(dial, time.nominal_s) for dial, time in zip(self.dials, self.times, strict=True)]
+        for (dial_before, before_s), (dial, time_s) in pairwise(named):
+            if time_s == before_s:
+                raise CameraError(f"shutter times: expected each time once, found {dial} twice")
+            if time_s < before_s:
+                raise CameraError(f"shutter times: expected the fastest first, found {dial} after {dial_before}")
 
     @classmethod
     def between(cls, fastest: str, slowest: str, step: Fraction, true_times: TrueTimes = "powers-of-two") -> Shutter:

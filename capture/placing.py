@@ -78,7 +78,9 @@ def copy(placement: Placement) -> None:
         if f"sha256:{digest.hexdigest()}" != placement.sha256:
             raise MappingError(f"{source} changed while it was being copied; run this again")
         os.utime(temporary, ns=(seen.st_atime_ns, seen.st_mtime_ns))
-        _rename_to_new(temporary, target)
+        rename_to_new(temporary, target)
+    except FileExistsError:
+        raise _occupied(target) from None
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
@@ -114,16 +116,25 @@ def _holds(placement: Placement) -> bool:
     return target.stat().st_size == source.stat().st_size and sha256_of(target) == placement.sha256
 
 
-def _rename_to_new(temporary: Path, target: Path) -> None:
-    """Rename, but fail if the target exists: a plain rename would replace it without a word."""
+def rename_to_new(source: Path, target: Path) -> None:
+    """Rename a file, but never over another one: a plain rename would replace it without a word.
+
+    Raises
+    ------
+    FileExistsError
+        If the target exists.
+    OSError
+        If the disk refuses.
+    """
     try:
-        target.hardlink_to(temporary)
+        target.hardlink_to(source)
+        source.unlink()
     except FileExistsError:
-        raise _occupied(target) from None
+        raise
     except OSError:  # a file system without hard links, such as a memory card's
         if os.path.lexists(target):
-            raise _occupied(target) from None
-        temporary.rename(target)
+            raise FileExistsError from None
+        source.rename(target)
 
 
 def _occupied(target: Path) -> MappingError:

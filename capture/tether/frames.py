@@ -26,7 +26,7 @@ def frame_name(slot: Slot, camera: CameraDescription) -> str:
 
 
 def aside_path(folder: Path, slot: Slot, observed: ObservedFrame | None, suffix: str) -> Path:
-    """Return a free name for a frame that is none of the plan's: it says why, and is no raw file's name.
+    """Return a free name for a frame that is not the plan's: it says why, and is not a raw file's name.
 
     Such as ``scene-1_0004.wrong-ISO800-1_60s.1.ARW.aside``.
     """
@@ -39,8 +39,9 @@ def aside_path(folder: Path, slot: Slot, observed: ObservedFrame | None, suffix:
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What became of looking at a file: ``problem`` is ``None`` if it is the frame; ``observed`` if it is readable."""
+    """What a file turned out to be: ``problem`` is ``None`` if it is the frame; ``observed`` is set if it is readable."""
 
+    path: Path
     observed: ObservedFrame | None
     problem: str | None
 
@@ -62,37 +63,30 @@ def look(path: Path, shot: Shot, camera: CameraDescription) -> Look:
     """Decode a downloaded file, and compare its EXIF with a shot.
 
     Decoded, since gphoto2 ends well after a download that the disk had no room for, and not every format's header
-    tells how long the file should be.
+    states how long the file should be.
     """
     from eldata.raw.reading import read_header, read_raw
 
     if path.suffix.lower() != camera.raw_extension.lower():
-        return Look(
-            None,
-            f"the camera sent a {path.suffix or 'nameless'} file, not {camera.raw_extension}: set its image format to "
-            "raw alone",
-        )
+        sent = f"the camera sent a {path.suffix or 'nameless'} file, not {camera.raw_extension}"
+        return Look(path, None, f"{sent}: set its image format to raw alone")
     try:
         read_raw(path)
         header = read_header(path)
     except RawFileError as error:
-        return Look(None, f"the file that came is not whole: {error.reason}")
+        return Look(path, None, f"the file that came is not whole: {error.reason}")
     iso, exposure_s = header.exposure.iso, header.exposure.exposure_s
     if iso is None or exposure_s is None:
-        return Look(None, f"the file that came states no {'ISO' if iso is None else 'exposure time'}")
+        return Look(path, None, f"the file that came states no {'ISO' if iso is None else 'exposure time'}")
+    problem = None
     observed = ObservedFrame(path, iso, exposure_s, header.taken, header.model)
     if header.model.casefold() not in {model.casefold() for model in camera.models}:
-        return Look(
-            observed,
-            f"the frame was taken by {header.model or 'a camera that it does not name'}; the plan is for "
-            f"{' or '.join(camera.models)}",
-        )
-    if not can_be(shot, observed):
-        return Look(
-            observed,
-            f"the frame was taken at {observed.settings}, and the plan asks for ISO {shot.iso}, {shot.setting.dial} s",
-        )
-    return Look(observed, None)
+        taker = header.model or "a camera that it does not name"
+        problem = f"the frame was taken by {taker}; the plan is for {' or '.join(camera.models)}"
+    elif not can_be(shot, observed):
+        wanted = f"ISO {shot.iso}, {shot.setting.dial} s"
+        problem = f"the frame was taken at {observed.settings}, and the plan asks for {wanted}"
+    return Look(path, observed, problem)
 
 
 def taken_of(exif: dict[str, Any]) -> datetime | None:

@@ -13,16 +13,14 @@ import hashlib
 import json
 from dataclasses import asdict
 from fractions import Fraction
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from capture.checklist_content import (
-    BEFORE_BIAS,
-    BEFORE_FLATS,
+    TEMPLATES,
     at_each_scene,
     bias_and_flats,
     every_item,
-    preparation,
+    items,
     rows,
 )
 from capture.checklist_progress import (
@@ -57,8 +55,6 @@ __all__ = [
     "text_checklist",
 ]
 
-_TEMPLATES: Final = Path(__file__).parent / "templates"
-
 
 def plan_digest(plan: Plan) -> str:
     """Return ``sha256:<hex>`` of what a plan decides; notes may change without losing what was ticked."""
@@ -74,13 +70,11 @@ def html_checklist(plan: Plan) -> str:
     from eldata.reports.html import rendered
 
     # With the line end that stands before them in the page, since the policy's hashes are of elements' whole content.
-    style, script = (
-        "\n" + (_TEMPLATES / f"checklist.{suffix}").read_text(encoding="utf-8") for suffix in ("css", "js")
-    )
+    style, script = ("\n" + (TEMPLATES / f"checklist.{suffix}").read_text(encoding="utf-8") for suffix in ("css", "js"))
     bias, flats = bias_and_flats(plan)
     return rendered(
         "checklist.html",
-        _TEMPLATES,
+        TEMPLATES,
         plan=plan,
         protocol=plan.protocol,
         calibration=plan.calibration,
@@ -88,9 +82,9 @@ def html_checklist(plan: Plan) -> str:
         scene_rows=[(scene, rows(scene.shots)) for scene in plan.scenes],
         bias=bias,
         flats=flats,
-        preparation=preparation(plan),
-        before_bias=BEFORE_BIAS,
-        before_flats=BEFORE_FLATS,
+        preparation=items("preparation", plan),
+        before_bias=items("bias", plan),
+        before_flats=items("flats", plan),
         at_each_scene=at_each_scene(plan),
         longest_text=LONGEST_TEXT,
         data=_embedded(_page_data(plan)),

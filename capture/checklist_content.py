@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from itertools import groupby
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from capture.capture_errors import PlanError
+from eldata.base.fields import TextFile
+
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from capture.plan import Plan
     from capture.shots import Shot
+
+TEMPLATES: Final = Path(__file__).parent / "templates"
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,72 +99,37 @@ def _together(shot: Shot) -> tuple[object, ...]:
     return (alone, shot.role, shot.iso, shot.setting.dial, shot.level)
 
 
-def preparation(plan: Plan) -> tuple[Item, ...]:
-    """Return what to do before the first shot, and why."""
-    camera = plan.camera
-    return (
-        Item("tripod", "Tripod on firm ground, everything locked", "Half a pixel of movement spoils a pair."),
-        Item("release", "Remote release, app or self-timer", "A finger on the camera moves it."),
-        Item("manual", "Mode M, automatic ISO off", "Every setting below is dialled by hand."),
-        Item("steps", f"Exposure steps of {camera.shutter.step} stop", "The times below are those of this setting."),
-        Item(
-            "aperture",
-            "One aperture for the whole scene",
-            "The ratio of two frames is computed from ISO and time alone.",
-        ),
-        Item("focus", "Manual focus, ring taped", "Autofocus moves the lens between two frames."),
-        Item(
-            "raw",
-            f"Raw ({camera.raw_extension}) in full size, uncompressed or losslessly compressed",
-            "Lossy compression changes the noise itself.",
-        ),
-        Item(
-            "long-exposure-nr",
-            "Long-exposure noise reduction off",
-            "It subtracts a hidden second frame, and doubles the wait.",
-        ),
-        Item("high-iso-nr", "High-ISO noise reduction off", "Some cameras smooth their raw files too."),
-        Item("corrections", "Lens corrections and dual-pixel raw off", "They change the raw values of some cameras."),
-        Item("stabiliser", "Image stabilisation off, camera and lens", "On a tripod it lets the picture drift."),
-        Item(
-            "shutter",
-            "Mechanical or electronic shutter: one of them, for scenes and calibration alike",
-            "They read the sensor in different ways, with different noise.",
-        ),
-        Item(
-            "lamp",
-            "Light that does not flicker (daylight, DC lamp, battery), lamps on for half an hour",
-            "Flicker shows as bands at short times; a lamp that warms up changes its brightness.",
-        ),
-        Item("stray-light", "No screens, status lights or people that move", "Frames of one scene must see one light."),
-        Item("white-balance", "White balance fixed, such as daylight", "Previews stay comparable from frame to frame."),
-        Item(
-            "battery", f"Battery full, a spare at hand, room for {len(plan.shots)} files", "A change moves the camera."
-        ),
-        Item("clock", "Date and time set", "Files are matched to this list by the order in which they were taken."),
+def items(kind: str, plan: Plan) -> tuple[Item, ...]:
+    """Return what to do before the first shot (``"preparation"``), before the bias frames or before the ``"flats"``."""
+    return tuple(
+        Item(item["name"], _filled(item["text"], plan), item["why"])
+        for item in _words()[kind]
+        if kind == "preparation" or plan.calibration is not None
     )
 
 
-AT_EACH_SCENE: Final = (
-    "Compose, lock the head, focus, tape the ring. From here on the camera is not touched.",
-    "Meter at ISO {base_iso}: the longest time at which nothing that matters clips. Not the time planned? Enter it.",
-    "Take the shots in order, up to the last reference. Change ISO and shutter alone.",
-    "If the camera moved or the light changed, take the scene again from its first reference.",
-)
+def at_each_scene(plan: Plan) -> tuple[str, ...]:
+    """Return the steps at each scene."""
+    return tuple(_filled(text, plan) for text in _words()["at_each_scene"])
 
-BEFORE_BIAS: Final = (
-    Item("bias-cap", "Lens cap on, viewfinder covered, dark room", "Light that leaks in lifts the black level."),
-    Item("bias-rest", "Camera rested, a pause after each ISO", "Black drifts as the sensor warms up."),
-)
-BEFORE_FLATS: Final = (
-    Item(
-        "flat-surface",
-        "White paper, wall or screen that fills the frame, evenly lit, without flicker",
-        "Flat frames must differ in their noise alone.",
-    ),
-    Item("flat-focus", "Lens at infinity, surface out of focus", "Paper has a grain, screens have pixels."),
-    Item("flat-pairs", "Both frames of a pair one after the other", "The gain is measured from their difference."),
-)
+
+def every_item(plan: Plan) -> tuple[Item, ...]:
+    """Return everything that can be ticked besides shots."""
+    return tuple(item for kind in ("preparation", "bias", "flats") for item in items(kind, plan))
+
+
+@cache
+def _words() -> Mapping[str, Any]:
+    return TextFile(TEMPLATES / "checklist.toml", PlanError).toml().data
+
+
+def _filled(text: str, plan: Plan) -> str:
+    return text.format(
+        base_iso=plan.protocol.base_iso,
+        files=len(plan.shots),
+        raw_extension=plan.camera.raw_extension,
+        step=plan.camera.shutter.step,
+    )
 
 
 def bias_and_flats(plan: Plan) -> tuple[tuple[ChecklistRow, ...], tuple[ChecklistRow, ...]]:
@@ -166,13 +138,3 @@ def bias_and_flats(plan: Plan) -> tuple[tuple[ChecklistRow, ...], tuple[Checklis
     found = rows(shots)
     bias, flats = (tuple(row for row in found if row.shot.role == role) for role in ("bias", "flat"))
     return bias, flats
-
-
-def at_each_scene(plan: Plan) -> tuple[str, ...]:
-    """Return the steps at each scene."""
-    return tuple(text.format(base_iso=plan.protocol.base_iso) for text in AT_EACH_SCENE)
-
-
-def every_item(plan: Plan) -> tuple[Item, ...]:
-    """Return all that can be ticked besides shots."""
-    return (*preparation(plan), *(() if plan.calibration is None else (*BEFORE_BIAS, *BEFORE_FLATS)))

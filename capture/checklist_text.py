@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from capture.checklist_content import BEFORE_BIAS, BEFORE_FLATS, at_each_scene, bias_and_flats, preparation, rows
+from capture.checklist_content import at_each_scene, bias_and_flats, items, rows
 from eldata.base.tables import aligned_markdown, markdown_text, one_line, text_table
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def _checklist(
         heading(1, f"Capture checklist: {plain(plan.camera.name)}"),
         f"{len(plan.scenes)} scenes, {len(plan.shots)} frames; base ISO {protocol.base_iso}.",
         heading(2, "Preparation"),
-        _items(preparation(plan)),
+        _items(items("preparation", plan)),
     ]
     if plan.scenes:
         steps = (f"{number}. {text}" for number, text in enumerate(at_each_scene(plan), 1))
@@ -62,17 +62,17 @@ def _checklist(
     if plan.calibration is not None:
         bias, flats = bias_and_flats(plan)
         remarks = [f"- {plain(remark)}" for remark in plan.calibration.remarks]
-        parts += [heading(2, "Bias frames"), _items(BEFORE_BIAS), _rows(bias, table)]
+        parts += [heading(2, "Bias frames"), _items(items("bias", plan)), _rows(bias, table)]
         parts += [
             heading(2, "Flat-field frames"),
-            "\n".join([_items(BEFORE_FLATS), *remarks]),
+            "\n".join([_items(items("flats", plan)), *remarks]),
             _rows(flats, table),
         ]
     return "\n\n".join(parts) + "\n"
 
 
-def _items(items: Sequence[Item]) -> str:
-    return "\n".join(f"- [ ] {item.text}. {item.why}" for item in items)
+def _items(found: Sequence[Item]) -> str:
+    return "\n".join(f"- [ ] {item.text}. {item.why}" for item in found)
 
 
 def _rows(found: Sequence[ChecklistRow], table: Callable[[Rows], str]) -> str:

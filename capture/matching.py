@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal, get_args
 
 from capture.alignment import Stretch, align
@@ -19,7 +20,6 @@ from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
     from capture.observed import Observed, ObservedFrame
     from capture.plan import Plan
@@ -119,7 +119,8 @@ def match(plan: Plan, observed: Observed, *, repeated: Repeated = "last") -> Mat
         raise ArgumentError(f"repeated must be 'last' or 'first'; found {repeated!r}")
     matcher = _Matcher(plan, observed.frames, repeated)
     remarks = [
-        MatchRemark("unusable", f"{file.path.name}: {file.reason}", path=file.path) for file in observed.unusable
+        MatchRemark("unusable", f"{Path(file.path).name}: {file.reason}", path=Path(file.path))
+        for file in observed.unusable
     ]
     if not observed.by_time:
         remarks.append(

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import base64
-from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
+from capture.checklist_content import TEMPLATES
 from eldata.base.files import write_text
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from capture.check.result import CheckReport, SheetPicture
+    from pathlib import Path
 
-TEMPLATES: Final = Path(__file__).parents[1] / "templates"
+    from capture.check.result import CheckReport, SheetPicture
 
 
 def write_sheet(path: Path | str, report: CheckReport) -> None:

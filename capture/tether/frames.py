@@ -7,7 +7,7 @@ from itertools import count
 from typing import TYPE_CHECKING, Any
 
 from capture.matching import can_be
-from capture.observed import ObservedFrame
+from capture.observed import observe_one
 from eldata.errors import RawFileError
 
 if TYPE_CHECKING:
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from capture.camera import CameraDescription
     from capture.matching import Slot
+    from capture.observed import ObservedFrame
     from capture.shots import Shot
 
 
@@ -39,7 +40,7 @@ def aside_path(folder: Path, slot: Slot, observed: ObservedFrame | None, suffix:
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What a file turned out to be: ``problem`` is ``None`` if it is the frame; ``observed`` is set if it is readable."""
+    """What a file turned out to be: ``problem`` is ``None`` if it is the frame, ``observed`` if it is unreadable."""
 
     path: Path
     observed: ObservedFrame | None
@@ -65,23 +66,19 @@ def look(path: Path, shot: Shot, camera: CameraDescription) -> Look:
     Decoded, since gphoto2 ends well after a download that the disk had no room for, and not every format's header
     states how long the file should be.
     """
-    from eldata.raw.reading import read_header, read_raw
+    from eldata.raw.reading import read_raw
 
     if path.suffix.lower() != camera.raw_extension.lower():
         sent = f"the camera sent a {path.suffix or 'nameless'} file, not {camera.raw_extension}"
         return Look(path, None, f"{sent}: set its image format to raw alone")
     try:
         read_raw(path)
-        header = read_header(path)
+        observed = observe_one(path)
     except RawFileError as error:
-        return Look(path, None, f"the file that came is not whole: {error.reason}")
-    iso, exposure_s = header.exposure.iso, header.exposure.exposure_s
-    if iso is None or exposure_s is None:
-        return Look(path, None, f"the file that came states no {'ISO' if iso is None else 'exposure time'}")
+        return Look(path, None, f"the file that came cannot be used: {error.reason}")
     problem = None
-    observed = ObservedFrame(path, iso, exposure_s, header.taken, header.model)
-    if header.model.casefold() not in {model.casefold() for model in camera.models}:
-        taker = header.model or "a camera that it does not name"
+    if observed.model.casefold() not in {model.casefold() for model in camera.models}:
+        taker = observed.model or "a camera that it does not name"
         problem = f"the frame was taken by {taker}; the plan is for {' or '.join(camera.models)}"
     elif not can_be(shot, observed):
         wanted = f"ISO {shot.iso}, {shot.setting.dial} s"

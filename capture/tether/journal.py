@@ -1,4 +1,4 @@
-"""The journal of a session: what was about to be done, and what was done, each as a line of JSON that is synced to disk.
+"""The journal of a session: what was about to be done and what was done, each as a line of JSON synced to disk.
 
 ``intent`` comes before the release, ``done`` after the frame has its final name; so after a crash at any moment an
 intent without an end says which frame to look for. Lines are only ever appended. A last line without its line end was

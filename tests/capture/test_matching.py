@@ -157,7 +157,7 @@ def test_test_shots_are_named_and_left_out(places: list[int]) -> None:
     found = match(plan, observed)
     assert names(found) == truth
     assert [remark.kind for remark in found.remarks] == ["extra"] * len(places)
-    assert "ISO 200, 1/30 s: no shot of the plan" in found.remarks[0].text
+    assert "ISO 200, 1/30 s: not a shot of the plan" in found.remarks[0].text
 
 
 @settings(deadline=None, max_examples=20)

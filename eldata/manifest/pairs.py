@@ -6,6 +6,7 @@ from bisect import bisect
 from operator import attrgetter
 from typing import TYPE_CHECKING, TypedDict, TypeVar, Unpack
 
+from eldata.base.fields import names_of
 from eldata.errors import ArgumentError
 from eldata.manifest.subsets import find_subset
 from eldata.records import PairRecord
@@ -21,6 +22,8 @@ Item = TypeVar("Item", "PairRecord", "FrameRecord")
 
 # Flag of a frame whose ISO the publisher states in two ways: its exposure ratio cannot be checked.
 UNCERTAIN_ISO = "uncertain-iso"
+
+_OF_PAIRS = names_of(PairRecord)
 
 # Known values in a message: all of up to so many, or so many on each side.
 _SHOWN, _NEAR = 30, 5
@@ -115,17 +118,7 @@ def select_pairs(
         If the subset has not as many pairs as its card says.
     """
     pairs = [
-        PairRecord(
-            path=record.path,
-            reference=record.reference,
-            camera=record.camera,
-            scene=record.scene,
-            split=record.split,
-            iso=record.iso,
-            exposure_s=record.exposure_s,
-            ratio=record.ratio,
-            flags=record.flags,
-        )
+        PairRecord(**{name: getattr(record, name) for name in _OF_PAIRS})
         for record in records
         if record.role == "noisy" and record.reference is not None and record.ratio is not None
     ]

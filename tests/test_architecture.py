@@ -176,7 +176,10 @@ ONLY = {
     "eldata.protocols": ("eldata.errors", "eldata.base", "eldata.metrics"),
     "eldata.isp": ("eldata.errors", "eldata.records", "eldata.base", "eldata.raw"),
     "eldata.download": ("eldata.errors", "eldata.records", "eldata.base", "eldata.manifest"),
-    "capture": ("eldata.errors", "eldata.records", "eldata.base", "eldata.raw", "eldata.manifest"),
+    "capture": (
+        *("eldata.errors", "eldata.records", "eldata.base", "eldata.raw", "eldata.manifest"),
+        *("eldata.isp.preview", "eldata.reports.html"),  # the pictures and the page of its own sheets
+    ),
 }
 # Rooms that only these import.
 ONLY_FOR = {"eldata.cli": (), "eldata.demo": ("eldata.cli",), "eldata.download": ("eldata.cli",), "capture": ()}

@@ -179,18 +179,15 @@ def _shots(fields: Fields, name: str, expected: Sequence[ChecklistRow]) -> tuple
         raise fields.problem(name, f"expected the plan's {len(expected)} rows, found {len(items)} rows")
     found = []
     for shot, row in zip(items, expected, strict=True):
-        shot.only(("number", "count", "role", "iso", "dial", "taken_at", "repeats", "file", "remark"))
-        for key in ("number", "count", "role", "iso", "dial"):
-            value, there = getattr(row, key), shot.value(key)
+        planned = row.as_dict()
+        shot.only((*planned, "taken_at", "repeats", "file", "remark"))
+        for key, value in planned.items():
+            there = shot.value(key)
             if there != value or not isinstance(there, type(value)):
                 raise shot.wrong(key, f"{shown(value)}, as in the plan", there)
         found.append(
             ShotProgress(
-                row.number,
-                row.count,
-                row.role,
-                row.iso,
-                row.dial,
+                **planned,
                 taken_at=None if shot.value("taken_at") is None else shot.text("taken_at"),
                 repeats=shot.whole("repeats", at_most=MOST_REPEATS),
                 file=_words(shot, "file"),

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 class CopiedRow:
     """A row of the manifest, and the file that it is made from."""
 
-    source: Path
+    path: Path
     record: FrameRecord
 
 
@@ -134,16 +134,11 @@ def _record(plan: Plan, scene: str, shot: Shot, frame: ObservedFrame, path: str,
 
 def with_hashes(dataset: Dataset, workers: Workers = IN_THIS_PROCESS) -> Dataset:
     """Return the dataset with size and SHA-256 of each original filled in: copies are checked against them."""
-    found = workers.run(_size_and_hash, [row.source for row in dataset.rows], label="hashing")
-    rows = [
-        replace(row, record=replace(row.record, size_bytes=size, sha256=digest))
-        for row, (size, digest) in zip(dataset.rows, found, strict=True)
-    ]
-    return replace(dataset, rows=tuple(rows))
+    return replace(dataset, rows=tuple(workers.run(_with_hash, dataset.rows, label="hashing")))
 
 
-def _size_and_hash(path: Path) -> tuple[int, str]:
-    return path.stat().st_size, sha256_of(path)
+def _with_hash(row: CopiedRow) -> CopiedRow:
+    return replace(row, record=replace(row.record, size_bytes=row.path.stat().st_size, sha256=sha256_of(row.path)))
 
 
 def card_of(plan: Plan, name: str, folder: str, records: Sequence[FrameRecord]) -> Card:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import re
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -16,16 +15,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 from capture.calibration import CalibrationPlan, plan_calibration
 from capture.camera import CameraDescription, camera_as_dict, camera_from, wholes
-from capture.capture_errors import PlanError
+from capture.capture_errors import PlanError, naming
 from capture.exact import parse_seconds
 from capture.protocol import CaptureProtocol
 from capture.shots import Shot, check_isos, scene_shots
 from eldata.base.fields import Fields, TextFile, shown
 from eldata.base.files import write_json
-from eldata.errors import EldataError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
 SCHEMA: Final = 1
 CALIBRATION: Final = "calibration"
@@ -311,7 +309,7 @@ def _load(path: Path) -> Plan:
     top = TextFile(path, PlanError).json()
     top.only(("schema", "camera", "protocol", "scenes", "calibration"))
     top.schema(SCHEMA, "capture")
-    with _naming(path):
+    with naming(path, PlanError):
         camera = camera_from(top.inside("camera"))
         fields = top.inside("protocol")
         fields.only(("base_iso", "noisy_isos", "low_light_factors"))
@@ -323,17 +321,6 @@ def _load(path: Path) -> Plan:
         if top.value("calibration") is not None:
             calibration = _calibration(top.inside("calibration"), camera, protocol)
         return Plan(camera, protocol, scenes, calibration)
-
-
-@contextmanager
-def _naming(path: Path) -> Iterator[None]:
-    """Let errors from inside be a plan's, and name the file."""
-    try:
-        yield
-    except EldataError as error:
-        if isinstance(error, PlanError) and str(error).startswith(f"{path}"):
-            raise
-        raise PlanError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
 
 
 def _scene(fields: Fields, camera: CameraDescription, protocol: CaptureProtocol) -> ScenePlan:

@@ -17,10 +17,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from capture.check.measures import Estimate, Measure, MeasureKind
+from capture.check.ratio import residuals_between
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
+    from capture.check.cells import Cells
     from capture.check.ratio import StripResiduals
 
     Array = NDArray[np.float64]
@@ -72,6 +76,16 @@ def flicker_of_level(residuals: StripResiduals) -> Flicker | None:
     """Measure the modulation of the rows' whole signal: right for bright frames, and for flats without contrast."""
     weight = residuals.sigma_dn**-2.0
     return _strongest(*_modulation(weight, residuals.expected_dn, residuals.residual_dn))
+
+
+def flicker_between(first: Cells, second: Cells, ratios: Sequence[Estimate | None]) -> Flicker | None:
+    """Measure the modulation between two bright frames, given the ratio of brightness of each channel.
+
+    ``None`` if a channel has no ratio, or too little is well exposed.
+    """
+    known = [ratio.value for ratio in ratios if ratio is not None]
+    residuals = residuals_between(first, second, known) if len(known) == len(ratios) else None
+    return None if residuals is None else flicker_of_level(residuals)
 
 
 def _modulation(weight: Array, expected: Array, residual: Array) -> tuple[Array, Array]:

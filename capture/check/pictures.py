@@ -9,6 +9,7 @@ import numpy as np
 
 from capture.check.frames import file_name
 from capture.check.result import SheetPicture
+from eldata.isp.preview import srgb_encode
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -32,7 +33,7 @@ def scene_picture(frame: ReducedFrame, gain: float) -> SheetPicture:
     balance = frame.sensor.white_balance
     if balance is not None:
         light *= np.array(balance[:3], dtype=np.float32)
-    return SheetPicture(caption, frame.record.path, _jpeg(_srgb(light)))
+    return SheetPicture(caption, frame.record.path, _jpeg(255 * srgb_encode(np.clip(light, 0, 1))))
 
 
 def change_picture(first: ReducedFrame, last: ReducedFrame) -> SheetPicture:
@@ -63,26 +64,20 @@ def _three_colours(cells: Cells) -> NDArray[np.float32]:
     return np.stack([mean[colours == colour].mean(axis=0) for colour in "RGB"], axis=-1)
 
 
-def _srgb(light: NDArray[np.float32]) -> NDArray[np.uint8]:
-    light = np.clip(light, 0, 1)
-    curve = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
-    picture: NDArray[np.uint8] = np.rint(255 * curve).astype(np.uint8)
-    return picture
-
-
-def _diverging(values: NDArray[np.floating]) -> NDArray[np.uint8]:
-    """Return -1 as blue, 0 as light grey and 1 as red."""
+def _diverging(values: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return -1 as blue, 0 as light grey and 1 as red, 0 to 255."""
     strength = np.clip(values, -1, 1)[..., None]
     grey, red, blue = (np.array(colour) for colour in ((235, 235, 235), (190, 20, 30), (20, 70, 190)))
-    colour = np.where(strength >= 0, grey + strength * (red - grey), grey - strength * (blue - grey))
-    picture: NDArray[np.uint8] = np.rint(colour).astype(np.uint8)
-    return picture
+    colours: NDArray[np.floating] = np.where(
+        strength >= 0, grey + strength * (red - grey), grey - strength * (blue - grey)
+    )
+    return colours
 
 
-def _jpeg(picture: NDArray[np.uint8]) -> bytes:
+def _jpeg(colours: NDArray[np.floating]) -> bytes:
     from PIL import Image
 
-    image = Image.fromarray(picture)
+    image = Image.fromarray(np.rint(colours).astype(np.uint8))
     if image.width < _WIDEST:
         image = image.resize((_WIDEST, max(1, round(image.height * _WIDEST / image.width))))
     file = io.BytesIO()

@@ -146,7 +146,7 @@ def _write(plan: Plan, found: Match, output: Path, arguments: argparse.Namespace
     records = [row.record for row in dataset.rows]
     if place is not None:
         placements = [
-            Placement(row.source, dataset.folder / row.record.path, row.record.sha256 or "") for row in dataset.rows
+            Placement(row.path, dataset.folder / row.record.path, row.record.sha256 or "") for row in dataset.rows
         ]
         check_free(placements)
         work = copy if arguments.copy_to else link

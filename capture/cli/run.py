@@ -116,7 +116,7 @@ def _show_commands(plan: Plan, folder: Path, arguments: argparse.Namespace) -> N
     from capture.tether import Gphoto, Journal, commands
     from capture.tether.journal import NAME
 
-    journal = Journal.seen(folder / NAME)
+    journal = Journal(folder / NAME, writable=False)
     done = {slot for slot, entry in journal.done().items() if (folder / str(entry.details.get("file"))).is_file()}
     before = ""
     for title, command in commands(plan, Gphoto(arguments.gphoto2, arguments.port), frozenset(done)):

@@ -305,7 +305,7 @@ def _text(log: IO[bytes], begun: int) -> str:
 
 def explained(what: str, output: str) -> GphotoError:
     """Return the error that a failed command stands for, to be raised."""
-    said = " ".join(line for line in map(str.strip, output.splitlines()) if line and not _is_advice(line))
+    said = " ".join(line for line in map(str.strip, output.splitlines()) if not line.startswith(_ADVICE))
     said = re.sub(r"\*\*\* Error[ *]*\*\*\*", " ", said).replace("*** Error", "").replace("***", "")
     said = " ".join(said.split())[:300] or "nothing"
     for meaning in _MEANINGS:
@@ -324,10 +324,6 @@ _ADVICE: Final = (
     "env LANG=C",
     "Please make sure",
 )
-
-
-def _is_advice(line: str) -> bool:
-    return line.startswith(_ADVICE)
 
 
 # --- what it prints ---------------------------------------------------------------------------------------------------

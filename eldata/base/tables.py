@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final, Literal
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
+
+Format = Literal["text", "markdown", "latex"]
+FORMATS: Final[tuple[Format, ...]] = ("text", "markdown", "latex")
 
 
 class Strong(str):
@@ -36,7 +39,7 @@ _MARKDOWN_SPECIAL = re.compile(r"([\\`*_{}\[\]<>|~&$])")
 
 def markdown_text(text: str) -> str:
     """Return text that Markdown shows as it is, in one line: its special characters are escaped."""
-    return _MARKDOWN_SPECIAL.sub(r"\\\1", _one_line(text))
+    return _MARKDOWN_SPECIAL.sub(r"\\\1", one_line(text))
 
 
 def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]], left: Collection[int] = (0,)) -> str:
@@ -44,7 +47,11 @@ def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]], left: C
 
     Texts are escaped; a :class:`Strong` cell is bold.
     """
-    cells = [[_markdown_cell(cell) for cell in row] for row in (header, *rows)]
+    return aligned_markdown([[_markdown_cell(cell) for cell in row] for row in (header, *rows)], left)
+
+
+def aligned_markdown(cells: Sequence[Sequence[str]], left: Collection[int] = (0,)) -> str:
+    """Return a table like :func:`markdown_table`, of cells that are Markdown already; the first row is the header."""
     widths = [max(3, *(len(cell) for cell in column)) for column in zip(*cells, strict=True)]
     ruler = ["-" * width if index in left else "-" * (width - 1) + ":" for index, width in enumerate(widths)]
     padded = [
@@ -92,7 +99,7 @@ _LATEX = {
 
 def latex_text(text: str) -> str:
     """Return text that LaTeX prints as it is, in one line: its special characters are escaped."""
-    return "".join(_LATEX.get(character, character) for character in _one_line(text))
+    return "".join(_LATEX.get(character, character) for character in one_line(text))
 
 
 def latex_table(
@@ -162,7 +169,7 @@ def _latex_spans(spans: Sequence[tuple[str, int]]) -> list[str]:
     return [f"{' & '.join(cells)} \\\\", " ".join(rules)]
 
 
-def _one_line(text: str) -> str:
+def one_line(text: str) -> str:
     """Return text without line ends and other control characters."""
     return " ".join("".join(character if character.isprintable() else " " for character in text).split())
 

@@ -19,15 +19,15 @@ from eldata.base.tables import with_error
 _TEMPLATES = Path(__file__).parent / "templates"
 
 
-def rendered(template: str, **values: object) -> str:
-    """Return a page; every text that is put in is escaped."""
-    return _environment().get_template(template).render(version=__version__, **values)
+def rendered(template: str, templates: Path = _TEMPLATES, /, **values: object) -> str:
+    """Return a page from a template in the folder ``templates``; every text that is put in is escaped."""
+    return _environment(templates).get_template(template).render(version=__version__, **values)
 
 
 @cache
-def _environment() -> jinja2.Environment:
+def _environment(templates: Path) -> jinja2.Environment:
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_TEMPLATES),
+        loader=jinja2.FileSystemLoader(templates),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,

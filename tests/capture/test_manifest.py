@@ -177,7 +177,7 @@ def test_everything_that_goes_wrong(tmp_path: Path, capsys: pytest.CaptureFixtur
         "scene-1 frame 4 (noisy, ISO 800, 1/200 s): no file",
         "scene-2 frame 6 was taken more than once; the last one is used",
         "scene-3 frame 2, taken out of order (before all others)",
-        "ISO 200, 1/30 s: no shot of the plan; not used",
+        "ISO 200, 1/30 s: not a shot of the plan; not used",
         "was taken by Toy; the plan's is Nocturne 1",
         "broken.dng: truncated",
         "47 of 48 shots have a file; 51 files were given",

@@ -114,7 +114,7 @@ def read_plan(path: Path, text: str) -> None:
 def read_journal(path: Path, text: str) -> None:
     line = {"event": "done", "scene": "scene-1", "number": text, "shot": "x", "token": "x"}
     path.write_text(as_number(line, text) + "\n")
-    Journal.seen(path)
+    Journal(path, writable=False)
 
 
 def read_seconds(path: Path, text: str) -> None:  # of the command line

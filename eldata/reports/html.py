@@ -10,13 +10,19 @@ import math
 import re
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import jinja2
 
 from eldata import __version__
+from eldata.base.fields import TextFile
 from eldata.base.tables import with_error
+from eldata.errors import EldataError
 
-_TEMPLATES = Path(__file__).parent / "templates"
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+TEMPLATES = Path(__file__).parent / "templates"
 
 
 def rendered(template: str, **values: object) -> str:
@@ -25,20 +31,23 @@ def rendered(template: str, **values: object) -> str:
 
 
 @cache
+def words(report: str) -> Mapping[str, Any]:
+    """Return the title and the caption of each kind of plot and picture of a report, from its file of words."""
+    return TextFile(TEMPLATES / f"{report}.toml", EldataError).toml().data
+
+
+@cache
 def _environment() -> jinja2.Environment:
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_TEMPLATES),
+        loader=jinja2.FileSystemLoader(TEMPLATES),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters["svg_uri"] = svg_uri
-    environment.filters["png_uri"] = png_uri
-    environment.filters["typeset"] = typeset
-    environment.filters["signed"] = signed
-    environment.filters["prose"] = prose
+    filters = (svg_uri, png_uri, typeset, signed, prose)
+    environment.filters |= {function.__name__: function for function in filters}
     return environment
 
 

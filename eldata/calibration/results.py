@@ -1,4 +1,4 @@
-"""What a calibration found: one record an ISO, the fits over all of them, the profile, and what to be wary of."""
+"""What a calibration found: one record per ISO, the fits over all of them, the profile, and what to be wary of."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class IsoCalibration:
     transfer
         Photon transfer from pairs of flats; ``None`` without flats of this ISO.
     spatial
-        The published single-frame method on the same flats, for comparison; ``None`` where it cannot be had.
+        The published single-frame method on the same flats, for comparison; ``None`` where it is not available.
     bias, rows, read
         Colour bias, row (and column) noise, read noise.
     plot
@@ -101,7 +101,7 @@ class IsoCalibration:
 
     @property
     def spectrum_lines(self) -> SpectrumLines:
-        """What the rows' and the columns' line in the spectrum stand out of."""
+        """The rows' and the columns' line in the spectrum, and the ground that they stand out from."""
         return SpectrumLines.of(self.spectrum_dn2)
 
     @property
@@ -145,7 +145,7 @@ class Calibration:
     camera
         The camera's name.
     isos
-        One record an ISO, ascending.
+        One record per ISO, ascending.
     profile
         For :class:`~eldata.noise.model.NoiseModel`.
     tukey_lambda_fit, gauss_fit, row_fit
@@ -270,7 +270,7 @@ class Calibration:
         return header, rows
 
     def as_dict(self) -> dict[str, Any]:
-        """Return every figure with its standard error as plain JSON types; what is not a number is ``None``."""
+        """Return every figure with its standard error as plain JSON types; numbers that are not finite are ``None``."""
         from dataclasses import asdict
 
         fits = {
@@ -289,6 +289,11 @@ class Calibration:
 
 def _iso_dict(one: IsoCalibration) -> dict[str, Any]:
     read, rows, columns = one.read, one.rows.rows, one.rows.columns
+    of_read = (
+        *("tukey_lambda", "tukey_lambda_error", "sigma_tl_dn", "sigma_tl_error_dn"),
+        *("sigma_gauss_dn", "sigma_gauss_error_dn", "ppcc_lambda", "ppcc_sigma_tl_dn", "r_squared_tl"),
+        "r_squared_gauss",
+    )
     found = {
         "iso": one.iso,
         "black_level_dn": one.sensor.black_level_dn,
@@ -299,16 +304,7 @@ def _iso_dict(one: IsoCalibration) -> dict[str, Any]:
         "gain_error": None if one.transfer is None else one.transfer.gain_error,
         "gain_by_channel": None if one.transfer is None else [line.gain_dn_per_e for line in one.transfer.channels],
         "gain_spatial_dn_per_e": None if one.spatial is None else one.spatial.gain_dn_per_e,
-        "tukey_lambda": read.tukey_lambda,
-        "tukey_lambda_error": read.tukey_lambda_error,
-        "sigma_tl_dn": read.sigma_tl_dn,
-        "sigma_tl_error_dn": read.sigma_tl_error_dn,
-        "sigma_gauss_dn": read.sigma_gauss_dn,
-        "sigma_gauss_error_dn": read.sigma_gauss_error_dn,
-        "ppcc_lambda": read.ppcc_lambda,
-        "ppcc_sigma_tl_dn": read.ppcc_sigma_tl_dn,
-        "r_squared_tl": read.r_squared_tl,
-        "r_squared_gauss": read.r_squared_gauss,
+        **{name: getattr(read, name) for name in of_read},
         "read_chi2_per_dof": read.chi2_per_dof,
         "read_is_reliable": read.is_reliable,
         "sigma_row_dn": rows.sigma_dn,

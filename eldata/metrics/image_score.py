@@ -68,7 +68,7 @@ class ScoringRules:
     ssim_covariance: Covariance = "sample"
 
     def check(self) -> None:
-        """Raise :class:`ArgumentError` if a field has a value that it cannot have."""
+        """Raise :class:`ArgumentError` if a field has an invalid value."""
         for name, value, known in (
             ("rescaling", self.rescaling, RESCALINGS),
             ("rescaling_mask", self.rescaling_mask, RESCALING_MASKS),

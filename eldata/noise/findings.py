@@ -109,7 +109,7 @@ def read_fit(profile: CameraProfile, components: Components) -> LogLogFit:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Draws:
-    """Parameters as sampled from the profile, one entry a draw; scales in DN."""
+    """Parameters as sampled from the profile, one entry per draw; scales in DN."""
 
     gain_dn_per_e: NDArray[np.float64]
     sigma_read_dn: NDArray[np.float64]

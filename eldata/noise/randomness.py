@@ -32,22 +32,22 @@ def uniforms(generator: Generator, count: int) -> list[float]:
     """Return ``count`` draws from [0, 1), float64."""
     _checked(generator)
     if isinstance(generator, np.random.Generator):
-        return [float(value) for value in generator.random(count)]
+        return generator.random(count).tolist()
     import torch
 
-    drawn = torch.rand(count, generator=generator, dtype=torch.float64, device=generator.device)
-    return [float(value) for value in drawn.tolist()]
+    drawn: list[float] = torch.rand(count, generator=generator, dtype=torch.float64, device=generator.device).tolist()
+    return drawn
 
 
 def standard_normals(generator: Generator, count: int) -> list[float]:
     """Return ``count`` standard normal draws, float64."""
     _checked(generator)
     if isinstance(generator, np.random.Generator):
-        return [float(value) for value in generator.standard_normal(count)]
+        return generator.standard_normal(count).tolist()
     import torch
 
-    drawn = torch.randn(count, generator=generator, dtype=torch.float64, device=generator.device)
-    return [float(value) for value in drawn.tolist()]
+    drawn: list[float] = torch.randn(count, generator=generator, dtype=torch.float64, device=generator.device).tolist()
+    return drawn
 
 
 def key_from(generator: Generator) -> int:

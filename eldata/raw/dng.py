@@ -100,7 +100,7 @@ def _check_sensor(sensor: Sensor) -> None:
         )
     if min(sensor.height, sensor.width) < _LEAST_SIDE:
         raise ArgumentError(
-            f"{sensor.height} x {sensor.width} pixels: LibRaw takes no raw image under {_LEAST_SIDE} pixels a side"
+            f"{sensor.height} x {sensor.width} pixels: LibRaw reads no raw image under {_LEAST_SIDE} pixels per side"
         )
     if sensor.white_balance is not None and not all(0 < value < np.inf for value in sensor.white_balance):
         raise ArgumentError(f"white_balance {sensor.white_balance}: expected positive multipliers")

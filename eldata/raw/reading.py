@@ -29,8 +29,8 @@ ISO, exposure time, aperture
 What LibRaw does not notice
 ---------------------------
 LibRaw opens some truncated files as whole frames. So the extents that a TIFF-based or RAF file declares must lie
-inside of it, the file must hold at least one bit a pixel (no lossless code is shorter), and the last row must not
-be empty. Damage inside of compressed data shows in no field: only a recorded hash finds it (``eldata lock``).
+inside it, the file must hold at least one bit per pixel (no lossless code is shorter), and the last row must not
+be empty. Damage inside compressed data shows in no field: only a recorded hash finds it (``eldata lock``).
 
 Fork and threads
 ----------------
@@ -85,7 +85,7 @@ def read_header(path: Path | str) -> RawHeader:
     """
     path = _existing(path)
     read_directories(path)  # refuses a file that does not hold what it declares
-    with _opened(path) as raw:
+    with opened(path) as raw:
         return _header(path, raw, _exif_tags(path))
 
 
@@ -108,7 +108,7 @@ def read_raw(path: Path | str) -> RawFrame:
 
     path = _existing(path)
     directories = read_directories(path)
-    with _opened(path) as raw:
+    with opened(path) as raw:
         tags = _exif_tags(path)
         raw.unpack()
         header = _header(path, raw, tags)
@@ -183,7 +183,14 @@ def _existing(path: Path | str) -> Path:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[rawpy.RawPy]:
+def opened(path: Path, what: str = "decode") -> Iterator[rawpy.RawPy]:
+    """Open a raw file with LibRaw, whose errors say that it cannot do ``what``.
+
+    Raises
+    ------
+    RawFileError
+        If LibRaw does not know the file or refuses it, then or inside the block.
+    """
     import rawpy
 
     _check_raf(path)
@@ -199,7 +206,7 @@ def _opened(path: Path) -> Iterator[rawpy.RawPy]:
     except rawpy.LibRawError as error:
         reason = error.args[0] if error.args else error
         text = reason.decode(errors="replace") if isinstance(reason, bytes) else str(reason)
-        raise RawFileError(path, f"LibRaw cannot decode it ({text}); is the file whole?") from error
+        raise RawFileError(path, f"LibRaw cannot {what} it ({text}); is the file whole?") from error
     finally:
         raw.close()
 

@@ -25,7 +25,7 @@ CFA_PHOTOMETRIC = 32803
 
 _SUB_IFDS, _EXIF_IFD = 330, 34665
 _DATA = ((273, 279), (324, 325))  # strips, tiles: offsets and byte counts
-# Tags whose values must lie inside of the file: those above, and what reading.py takes from EXIF and DNG tags.
+# Tags whose values must lie inside the file: those above, and what reading.py takes from EXIF and DNG tags.
 _EXIF = {33434, 33437, 34855, 34864, 34865, 34866, 34867}
 _READ = _EXIF | {
     *(WIDTH, HEIGHT, COMPRESSION, PHOTOMETRIC),
@@ -104,7 +104,7 @@ def read_directories(path: Path) -> tuple[Directory, ...]:
     _require(path, size, max((sum(extent) for directory in images for extent in directory.extents), default=0))
     for directory in found:
         held = sum(count for _, count in directory.extents)
-        # No lossless code takes less than one bit a pixel.
+        # No lossless code takes less than one bit per pixel.
         if directory.is_mosaic and held * 8 < directory.pixels:
             raise RawFileError(path, f"truncated: its image data, {held} bytes, cannot hold {directory.pixels} pixels")
     return tuple(found)

@@ -33,7 +33,7 @@ SIZE_INCHES = (4.4, 3.6)
 """About a phone's width at the page's own letter size."""
 
 MARKERS = ("o", "s", "^", "D")
-"""One a channel, so that colour alone never tells."""
+"""One per channel, so that colour is never the only sign."""
 
 _POINTS_SHOWN = 161
 _TAIL_SHOWN = 15
@@ -86,7 +86,7 @@ def _slimmed(svg: str) -> str:
     """Return the same picture in about half the characters: a page holds a hundred of them."""
     svg = re.sub(r"<!--.*?-->|<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r"\s+", " ", svg).replace("> <", "><")
-    # A hundredth of a point is not to be seen. Scales of letters stay as they are.
+    # A hundredth of a point cannot be seen. Scales of letters stay as they are.
     svg = re.sub(r' (?:d|x|y)="[^"]*"', lambda match: re.sub(r"(\.\d\d)\d+", r"\1", match[0]), svg)
     svg = re.sub(r' d="[^"]*"', lambda match: re.sub(r"(?<=\S) ?([MLQCz]) ?", r"\1", match[0]), svg)
     svg = re.sub(r'<g id="[^"]*"', "<g", svg)
@@ -233,7 +233,7 @@ def legend_above(axes: Axes) -> None:
 
 
 def evenly(size: int, most: int) -> NDArray[np.int64]:
-    """Return which of many values to draw: evenly spread, and at most so many."""
+    """Return which of ``size`` values to draw: ``most`` of them at most, evenly spread."""
     return np.linspace(0, size - 1, min(size, most)).round().astype(np.int64)
 
 

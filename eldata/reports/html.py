@@ -89,7 +89,7 @@ def prose(text: str) -> str:
 
 
 def digits(value: float, count: int = 3) -> str:
-    """Return a number with so many significant digits; "not known" for what is not a number."""
+    """Return a number with ``count`` significant digits; "not known" for what is not a number."""
     return signed(f"{value:.{count}g}") if math.isfinite(value) else "not known"
 
 

@@ -212,7 +212,7 @@ def _read_noise(one: IsoCalibration) -> _Group:
     )
     note = ""
     if not read.is_reliable:
-        note = "Rounding to whole DN hides the shape: λ and σ TL are no more than rough."
+        note = "Rounding to whole DN hides the shape: λ and σ TL are only rough."
     elif read.chi2_per_dof > _HIGH_CHI2:
         note = (
             "χ² is far above 1: the noise is not of this family, or the fixed pattern is so faint that rounding to "

@@ -30,6 +30,32 @@ _CLIPPED_SHARE = 0.01  # of pixels that reach 0
 _BLOCK = 16  # periods of the CFA a side, for the local level
 
 
+@dataclass(frozen=True, slots=True)
+class PatternSummary:
+    """What stays from bias frame to bias frame, in numbers.
+
+    Attributes
+    ----------
+    defects, off_level, stuck
+        Pixels that were left out; those off their neighbourhood's level; those that never change (a pixel may be both).
+    pixels
+        Of a frame.
+    dsnu_dn, dsnu_error_dn
+        Dark-signal non-uniformity, per channel: the standard deviation of the sound pixels' fixed levels around their
+        local level, and its standard error; 0 where the frames' own noise explains all of it.
+    shading_dn
+        (channels, rows, columns): level of blocks of 16 x 16 CFA periods over the channel's mean.
+    """
+
+    defects: int
+    off_level: int
+    stuck: int
+    pixels: int
+    dsnu_dn: tuple[float, ...]
+    dsnu_error_dn: tuple[float, ...]
+    shading_dn: NDArray[np.float64] = field(repr=False)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FixedPattern:
     """What the mean of the bias frames shows.
@@ -44,37 +70,27 @@ class FixedPattern:
         (H, W) exact sum of the frames.
     defects
         (H, W) True where a pixel is hot, cold or stuck.
-    off_level, stuck
-        How many defects lie off their neighbourhood's level, and how many never change (a pixel may be both).
     threshold_dn
         Distance from the local level that makes a defect, per channel.
     level_dn
         Mean of the sound pixels, per channel.
     temporal_variance_dn2
         Mean variance over time of the sound pixels, per channel; with row noise and quantisation.
-    dsnu_dn, dsnu_error_dn
-        Standard deviation of the sound pixels' fixed levels around their local level, per channel, and its standard
-        error; 0 where the frames' own noise explains all of it.
-    shading_dn
-        (channels, rows, columns): level of blocks of 16 x 16 CFA periods over the channel's mean. The noise of an
-        entry is ``shading_error_dn``.
     shading_error_dn
-        Per channel.
+        Noise of an entry of the summary's shading, per channel.
+    summary
+        Defects, non-uniformity and shading.
     """
 
     pattern: NDArray[np.int64] = field(repr=False)
     frames: int
     total_dn: NDArray[np.uint32] = field(repr=False)
     defects: NDArray[np.bool_] = field(repr=False)
-    off_level: int
-    stuck: int
     threshold_dn: tuple[float, ...]
     level_dn: tuple[float, ...]
     temporal_variance_dn2: tuple[float, ...]
-    dsnu_dn: tuple[float, ...]
-    dsnu_error_dn: tuple[float, ...]
-    shading_dn: NDArray[np.float64] = field(repr=False)
     shading_error_dn: tuple[float, ...]
+    summary: PatternSummary
 
     @property
     def mean_dn(self) -> NDArray[np.float32]:
@@ -180,15 +196,19 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
         frames=frames,
         total_dn=total,
         defects=defects,
-        off_level=int(off_level.sum()),
-        stuck=int(stuck.sum()),
         threshold_dn=tuple(limits),
         level_dn=tuple(one.level for one in measured),
         temporal_variance_dn2=tuple(one.variance for one in measured),
-        dsnu_dn=tuple(one.dsnu for one in measured),
-        dsnu_error_dn=tuple(one.dsnu_error for one in measured),
-        shading_dn=np.stack([one.shading for one in measured]),
         shading_error_dn=tuple(math.sqrt((one.variance / frames + one.dsnu**2) / one.block_pixels) for one in measured),
+        summary=PatternSummary(
+            defects=int(defects.sum()),
+            off_level=int(off_level.sum()),
+            stuck=int(stuck.sum()),
+            pixels=defects.size,
+            dsnu_dn=tuple(one.dsnu for one in measured),
+            dsnu_error_dn=tuple(one.dsnu_error for one in measured),
+            shading_dn=np.stack([one.shading for one in measured]),
+        ),
     )
 
 

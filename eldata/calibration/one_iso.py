@@ -35,7 +35,7 @@ from eldata.calibration.photon_transfer import (
 from eldata.calibration.read_noise import Residuals, probability_plot, read_noise
 from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs
 from eldata.calibration.reproduction import reproduction
-from eldata.calibration.results import IsoCalibration, PatternSummary
+from eldata.calibration.results import IsoCalibration
 from eldata.calibration.row_noise import LineMeans, row_noise
 from eldata.calibration.spectrum import power_spectrum
 from eldata.errors import DatasetError, RawFileError
@@ -178,15 +178,7 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
             rows=row_noise(lines),
             read=read_noise(histogram),
             plot=probability_plot(histogram),
-            pattern=PatternSummary(
-                defects=int(np.count_nonzero(fixed.defects)),
-                off_level=fixed.off_level,
-                stuck=fixed.stuck,
-                pixels=fixed.defects.size,
-                dsnu_dn=fixed.dsnu_dn,
-                dsnu_error_dn=fixed.dsnu_error_dn,
-                shading_dn=fixed.shading_dn,
-            ),
+            pattern=fixed.summary,
             spectrum_dn2=first_spectrum,
             reproduction=None,
             remarks=(),

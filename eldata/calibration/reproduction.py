@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 _SIDE = 1024  # of the piece that is compared: a million pixels
 _SHOWN = (128, 192)
-_SHADING_BLOCK = 16  # CFA periods per side, of FixedPattern.shading_dn
+_SHADING_BLOCK = 16  # CFA periods per side, of PatternSummary.shading_dn
 _LEVELS = np.unique(
     np.concatenate([np.geomspace(1e-5, 0.05, 40), np.linspace(0.05, 0.95, 91), 1 - np.geomspace(1e-5, 0.05, 40)])
 )
@@ -120,8 +120,8 @@ def reproduction(
     channel = _channels(fixed.pattern, real.shape)
     block = _SHADING_BLOCK * len(fixed.pattern)
     rows_of, columns_of = (np.arange(part.start, part.stop) // block for part in place)
-    level = fixed.shading_dn[channel, rows_of[:, None], columns_of]
-    spread = np.asarray(fixed.dsnu_dn)[channel]
+    level = fixed.summary.shading_dn[channel, rows_of[:, None], columns_of]
+    spread = np.asarray(fixed.summary.dsnu_dn)[channel]
     first, simulated = _simulated(level, spread, fixed.frames, sensor, parameters, generator)
     _, again = _simulated(level, spread, fixed.frames, sensor, parameters, generator)
     for residual in (real, simulated, again):

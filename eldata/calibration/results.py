@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.calibration.colour_bias import ColourBias
+    from eldata.calibration.defects import PatternSummary
     from eldata.calibration.joint import LogLogEstimate
     from eldata.calibration.photon_transfer import PhotonTransfer
     from eldata.calibration.read_noise import ProbabilityPlot, ReadNoise
@@ -25,31 +26,6 @@ if TYPE_CHECKING:
     from eldata.noise.parameters import NoiseParameters
     from eldata.noise.profile import CameraProfile
     from eldata.records import Sensor
-
-
-@dataclass(frozen=True, slots=True)
-class PatternSummary:
-    """What stays from bias frame to bias frame, in numbers (see :class:`~eldata.calibration.defects.FixedPattern`).
-
-    Attributes
-    ----------
-    defects, off_level, stuck
-        Pixels that were left out; those off their neighbourhood's level; those that never change.
-    pixels
-        Of a frame.
-    dsnu_dn, dsnu_error_dn
-        Dark-signal non-uniformity and its standard error, per channel.
-    shading_dn
-        (channels, rows, columns): level of blocks over the channel's mean.
-    """
-
-    defects: int
-    off_level: int
-    stuck: int
-    pixels: int
-    dsnu_dn: tuple[float, ...]
-    dsnu_error_dn: tuple[float, ...]
-    shading_dn: NDArray[np.float64] = field(repr=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

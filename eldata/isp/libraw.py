@@ -76,9 +76,7 @@ def render_libraw(path: Path | str, *, bits: Bits = 8) -> NDArray[np.uint8] | ND
         rendered: NDArray[Any] = raw.postprocess(
             use_camera_wb=True, half_size=False, no_auto_bright=True, output_bps=16
         )
-    if bits == 16:
-        return rendered
-    return sixteen_to_eight_bits(rendered)
+    return rendered if bits == 16 else sixteen_to_eight_bits(rendered)
 
 
 def sixteen_to_eight_bits(values: NDArray[np.uint16]) -> NDArray[np.uint8]:

@@ -31,8 +31,6 @@ from eldata.isp.radiometric import CurveModel
 from eldata.isp.response import ResponseCurve
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
 _SEPARATORS = re.compile(r"[\s,;]+")
@@ -198,13 +196,8 @@ def _numbers(path: Path, number: int, line: str) -> list[float]:
     return values
 
 
-def _curve(
-    path: Path,
-    irradiance: NDArray[np.float64] | Sequence[float],
-    brightness: NDArray[np.float64] | Sequence[float],
-    name: str,
-) -> ResponseCurve:
+def _curve(path: Path, irradiance: NDArray[np.float64], brightness: NDArray[np.float64], name: str) -> ResponseCurve:
     try:
-        return ResponseCurve(np.asarray(irradiance), np.asarray(brightness), name)
+        return ResponseCurve(irradiance, brightness, name)
     except ArgumentError as error:
         raise ResponseFileError(path, str(error)) from error

@@ -57,9 +57,9 @@ def ssim(
     window
         ``"uniform-7"``: uniform, 7 x 7, averaged over the windows that lie inside the image and over the channels.
         ``"gaussian-11"``: 11 x 11 with standard deviation 1.5, otherwise the same, as in the paper and its code
-        (BasicSR, LED). ``"gaussian-11-volume"``: MATLAB's ``ssim(A, ref)`` with default arguments on a colour image, which takes
-        it for a volume: 11 x 11 x 11 with standard deviation 1.5, one window for each value, the image continued
-        beyond its edges and its first and last channel by their own values.
+        (BasicSR, LED). ``"gaussian-11-volume"``: MATLAB's ``ssim(A, ref)`` with default arguments on a colour image,
+        which takes it for a volume: 11 x 11 x 11 with standard deviation 1.5, one window for each value, the image
+        continued beyond its edges and its first and last channel by their own values.
     covariance
         ``"sample"``: unbiased by N / (N - 1) with N the window's entries, scikit-image's default; ``"population"``: as
         in the paper and in MATLAB.
@@ -86,8 +86,8 @@ def ssim(
 
 def check_windowing(window: str, covariance: str) -> None:
     """Raise :class:`ArgumentError` if the window or the covariance is unknown."""
-    for name, value, known in (("window", window, SSIM_WINDOWS), ("covariance", covariance, COVARIANCES)):
-        check_choice(name, value, known)
+    check_choice("window", window, SSIM_WINDOWS)
+    check_choice("covariance", covariance, COVARIANCES)
 
 
 def side_of(window: SsimWindow) -> int:

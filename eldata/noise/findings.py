@@ -172,11 +172,6 @@ class Diagnostics:
         return NoiseModel(self.spec)
 
     @property
-    def read_fit(self) -> LogLogFit:
-        """The profile's fit of the read noise that the model uses."""
-        return read_fit(self.profile, self.model.components)
-
-    @property
     def normal_quantiles(self) -> NDArray[np.float64]:
         """The standard normal quantile at each of ``row_means_dn``, for their probability plot."""
         from scipy.special import ndtri

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from eldata.base.files import atomic_write
-from eldata.errors import ArgumentError
+from eldata.errors import ArgumentError, check_choice
 from eldata.raw.cfa import packed_black_level_dn
 
 if TYPE_CHECKING:
@@ -185,8 +185,7 @@ def write_dng(
     import imagecodecs
     import tifffile
 
-    if compression not in get_args(Compression):
-        raise ArgumentError(f"compression must be one of {', '.join(get_args(Compression))}; found {compression!r}")
+    check_choice("compression", compression, get_args(Compression))
     _check_sensor(sensor)
     if mosaic.dtype != np.uint16 or mosaic.shape != (sensor.height, sensor.width):
         raise ArgumentError(

@@ -56,7 +56,7 @@ import numpy as np
 
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw.cfa import packed_channels
-from eldata.raw.tiff import ACTIVE_AREA, BLACK_DELTAS, BLACK_LEVEL, BLACK_REPEAT, MAGIC, read_directories
+from eldata.raw.tiff import ACTIVE_AREA, BLACK_DELTAS, BLACK_LEVEL, BLACK_REPEAT, MAGIC, read_directories, require
 from eldata.records import Exposure, RawFrame, RawHeader, Sensor
 
 if TYPE_CHECKING:
@@ -194,8 +194,8 @@ def opened(path: Path, what: str = "decode") -> Iterator[rawpy.RawPy]:
     import rawpy
 
     _check_raf(path)
-    _one_thread()
-    # Not rawpy.imread: it warns in every forked process, and _one_thread removes what it warns of.
+    _set_openmp_threads()(1)  # a setting of the calling thread, so it is made for each read
+    # Not rawpy.imread: it warns in every forked process, of what the line above removes.
     raw = rawpy.RawPy()
     try:
         raw.open_file(str(path))
@@ -212,20 +212,14 @@ def opened(path: Path, what: str = "decode") -> Iterator[rawpy.RawPy]:
 
 
 @cache
-def _set_openmp_threads() -> Callable[[int], None] | None:
-    """Return omp_set_num_threads of the runtime that rawpy's wheel brings, or None if it brings none."""
+def _set_openmp_threads() -> Callable[[int], object]:
+    """Return omp_set_num_threads of the runtime that rawpy's wheel brings; or a function that does nothing."""
     import rawpy
 
     package = Path(rawpy.__file__).parent
     for library in sorted((package.parent / "rawpy.libs").glob("libgomp*")):
         return ctypes.CDLL(str(library)).omp_set_num_threads
-    return None
-
-
-def _one_thread() -> None:
-    set_threads = _set_openmp_threads()
-    if set_threads is not None:
-        set_threads(1)  # a setting of the calling thread, so it is made for each read
+    return lambda _: None
 
 
 # --- what the file declares -----------------------------------------------------------------------------------
@@ -237,11 +231,7 @@ def _check_raf(path: Path) -> None:
     if head.startswith(_RAF_MAGIC) and len(head) == 108:
         # Offset and length of the JPEG, the CFA header and the CFA data, big-endian.
         end = max(sum(struct.unpack_from(">II", head, at)) for at in (84, 92, 100))
-        size = path.stat().st_size
-        if end > size:
-            raise RawFileError(
-                path, f"truncated: it declares data up to byte {end} but has {size} bytes; copy or download it again"
-            )
+        require(path, path.stat().st_size, end)
 
 
 # --- EXIF -----------------------------------------------------------------------------------------------------

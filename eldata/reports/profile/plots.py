@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from eldata.noise.findings import CHANNELS, SIGNALS_E
+from eldata.noise.findings import CHANNELS, SIGNALS_E, read_fit
 from eldata.reports.figures import (
     MARKERS,
     Plot,
@@ -189,7 +189,8 @@ def _read_noise(quantiles: Quantiles, diagnostics: Diagnostics, theme: Theme) ->
 def _read_fit(diagnostics: Diagnostics, theme: Theme) -> Figure:
     name = _read_letters(diagnostics)
     field = {"G": "sigma_gauss_dn", "TL": "sigma_tl_dn"}[name]
-    return _fit(diagnostics, diagnostics.read_fit, diagnostics.draws.sigma_read_dn, field, name, theme)
+    fit = read_fit(diagnostics.profile, diagnostics.model.components)
+    return _fit(diagnostics, fit, diagnostics.draws.sigma_read_dn, field, name, theme)
 
 
 def _row_fit(diagnostics: Diagnostics, theme: Theme) -> Figure:

@@ -44,6 +44,11 @@ class ColourBias:
     frame_bias_dn: NDArray[np.float64] = field(repr=False)
     frames: int
 
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the CFA's channels."""
+        return ("R", "G1", "B", "G2") if len(self.bias_dn) == 4 else ("R", "G", "B")
+
 
 class ChannelMeans(FrameSums):
     """Accumulates the channel and row means of bias frames for :func:`colour_bias`.
@@ -66,15 +71,16 @@ class ChannelMeans(FrameSums):
     def add(self, mosaic: NDArray[np.uint16]) -> None:
         """Add a bias frame."""
         sound = ~self._check(mosaic)
-        by_row = sums_by_row(sound, self.pattern)
+        if self.frames == 1:
+            self._pixels = sums_by_row(sound, self.pattern)
         sums = sums_by_row(mosaic * sound, self.pattern)
-        pixels = by_row.sum(axis=0)
+        pixels = self._pixels.sum(axis=0)
         if not np.all(pixels > 0):
             raise DatasetError("a channel has no sound pixel: the mask of defects covers it; raise its threshold")
         mean = sums.sum(axis=0) / pixels
         # Cluster-robust variance of a ratio: rows are the clusters.
-        deviations = sums - by_row * mean
-        rows = np.count_nonzero(by_row, axis=0)
+        deviations = sums - self._pixels * mean
+        rows = np.count_nonzero(self._pixels, axis=0)
         variance = (deviations**2).sum(axis=0) / pixels**2 * rows / np.maximum(rows - 1, 1)
         self.means_dn.append(mean)
         self.row_variances_dn2.append(variance)

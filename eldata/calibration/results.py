@@ -197,7 +197,6 @@ class Calibration:
 
     def bias_table(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         """Return header and rows of the colour bias by ISO and CFA channel."""
-        channels = ("R", "G1", "B", "G2") if len(self.isos[0].bias.bias_dn) == 4 else ("R", "G", "B")
         rows = [
             (
                 f"{one.iso:g}",
@@ -206,7 +205,7 @@ class Calibration:
             )
             for one in self.isos
         ]
-        return ("ISO", *channels, "DSNU"), rows
+        return ("ISO", *self.isos[0].bias.channels, "DSNU"), rows
 
     def fit_table(self) -> list[tuple[str, ...]]:
         """Return the rows of the joint fits that could be made."""

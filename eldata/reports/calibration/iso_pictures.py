@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.reports.calibration.iso_plots import channel_names
 from eldata.reports.html import digits, words
 from eldata.reports.pictures import Picture, Pictures, grey, limits, pooled
 
@@ -78,6 +77,6 @@ def shading_pictures(one: IsoCalibration) -> Pictures:
             -limit,
             limit,
         )
-        for name, plane in zip(channel_names(len(planes)), planes, strict=True)
+        for name, plane in zip(one.bias.channels, planes, strict=True)
     ]
     return _pictures("shading", one, shown, (-limit, limit), "DN")

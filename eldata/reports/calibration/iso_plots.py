@@ -45,11 +45,6 @@ _AROUND_MAXIMUM = 0.27  # of lambda
 _FRAMES_SHOWN = 32
 
 
-def channel_names(channels: int) -> tuple[str, ...]:
-    """Return the names of the CFA's channels: of Bayer's four, or of X-Trans' three."""
-    return ("R", "G1", "B", "G2") if channels == 4 else ("R", "G", "B")
-
-
 def _plot(kind: str, one: IsoCalibration, alt: str, draw: Callable[[Theme], Figure], more: str = "") -> Plot:
     """Return a plot of one ISO, with the words of its kind."""
     said = words("calibration")[kind]
@@ -75,9 +70,10 @@ def transfer_plot(one: IsoCalibration, transfer: PhotonTransfer) -> Plot:
 
     def draw(theme: Theme) -> Figure:
         drawing, main, below = two_axes(2.6)
-        names = channel_names(len(transfer.channels))
         furthest = 0.0
-        for line, marker, colour, name in zip(transfer.channels, MARKERS, theme.channels, names, strict=False):
+        for name, line, marker, colour in zip(
+            one.bias.channels, transfer.channels, MARKERS, theme.channels, strict=False
+        ):
             signal, variance, error = line.pooled(_LEVELS_SHOWN)
             deviation = (variance - line.variance_at(signal)) / error
             furthest = max(furthest, float(np.abs(deviation).max()))
@@ -120,11 +116,10 @@ def _single_frames(axes: Axes, spatial: PhotonTransfer, theme: Theme) -> None:
 def bias_plot(one: IsoCalibration) -> Plot:
     """Draw the colour bias, and below how much the frames' own means scatter around it."""
     bias = one.bias
-    channels = len(bias.bias_dn)
-    names = channel_names(channels)
+    channels = len(bias.channels)
     found = ", ".join(
         f"{name} {measured(value, error, 'DN')}"
-        for name, value, error in zip(names, bias.bias_dn, bias.standard_error_dn, strict=True)
+        for name, value, error in zip(bias.channels, bias.bias_dn, bias.standard_error_dn, strict=True)
     )
     alt = (
         f"Mean of the bias frames over the recorded black level at ISO {one.iso:g}: {found}; and the means of "
@@ -152,7 +147,7 @@ def bias_plot(one: IsoCalibration) -> Plot:
         main.margins(y=0.25)
         main.set_ylabel("mean [DN]")
         below.set_ylabel("frame − mean [DN]")
-        below.set_xticks(range(channels), names)
+        below.set_xticks(range(channels), bias.channels)
         below.set_xlim(-0.5, channels - 0.5)
         return drawing
 

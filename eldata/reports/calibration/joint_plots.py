@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.reports.calibration.iso_plots import GAUSSIAN_LAMBDA, channel_names
+from eldata.reports.calibration.iso_plots import GAUSSIAN_LAMBDA
 from eldata.reports.figures import (
     MARKERS,
     Plot,
@@ -163,7 +163,7 @@ def _bias_plot(calibration: Calibration) -> Plot:
     def draw(theme: Theme) -> tuple[Figure, Axes]:
         drawing, axes = one_axes()
         axes.axhline(0, color=theme.theory, linewidth=1)
-        names = channel_names(len(calibration.isos[0].bias.bias_dn))
+        names = calibration.isos[0].bias.channels
         for channel, name in enumerate(names):
             aside = math.exp((channel - (len(names) - 1) / 2) * _CHANNEL_STEP)
             axes.errorbar(

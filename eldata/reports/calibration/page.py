@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 from eldata.reports.calibration.iso_pictures import reproduced_pictures, shading_pictures, spectrum_picture
 from eldata.reports.calibration.iso_plots import (
     bias_plot,
-    channel_names,
     gaussian_plot,
     line_spectrum_plot,
     ppcc_plot,
@@ -143,13 +142,12 @@ def _groups(one: IsoCalibration) -> tuple[_Group, ...]:
 
 
 def _by_channel(
-    template: str, values: Sequence[float], errors: Sequence[float], unit: str = ""
+    template: str, one: IsoCalibration, values: Sequence[float], errors: Sequence[float], unit: str = ""
 ) -> list[tuple[str, str]]:
     """Return a number for each CFA channel, with its error and the template's name for it."""
-    names = channel_names(len(values))
     return [
         (template.format(name), measured(value, error, unit))
-        for name, value, error in zip(names, values, errors, strict=True)
+        for name, value, error in zip(one.bias.channels, values, errors, strict=True)
     ]
 
 
@@ -162,7 +160,7 @@ def _gain(one: IsoCalibration) -> _Group:
     lines = transfer.channels
     numbers = [
         ("K [DN/e⁻]", measured(transfer.gain_dn_per_e, transfer.gain_error)),
-        *_by_channel("K of {}", [line.gain_dn_per_e for line in lines], [line.gain_error for line in lines]),
+        *_by_channel("K of {}", one, [line.gain_dn_per_e for line in lines], [line.gain_error for line in lines]),
     ]
     if one.spatial is not None:
         numbers.append(("K as published", measured(one.spatial.gain_dn_per_e, one.spatial.gain_error)))
@@ -178,7 +176,7 @@ def _colour_bias(one: IsoCalibration) -> _Group:
     bias = one.bias
     blacks = sorted(set(one.sensor.black_level_dn))
     numbers = [
-        *_by_channel("{}", bias.bias_dn, bias.standard_error_dn, "DN"),
+        *_by_channel("{}", one, bias.bias_dn, bias.standard_error_dn, "DN"),
         ("Recorded black", f"{_and([f'{level:g}' for level in blacks])} DN"),
         ("Bias frames", str(bias.frames)),
     ]
@@ -251,6 +249,6 @@ def _pattern(one: IsoCalibration) -> _Group:
         ("Defects", f"{grouped(pattern.defects)}, {digits(100 * pattern.defects / pattern.pixels, 2)} %"),
         ("Off their level", grouped(pattern.off_level)),
         ("Never changing", grouped(pattern.stuck)),
-        *_by_channel("DSNU of {}", pattern.dsnu_dn, pattern.dsnu_error_dn, "DN"),
+        *_by_channel("DSNU of {}", one, pattern.dsnu_dn, pattern.dsnu_error_dn, "DN"),
     )
     return _Group("What stays from frame to frame", numbers, pictures=(shading_pictures(one),))

@@ -210,7 +210,7 @@ def _fit(
     measured = [
         (row.gain_dn_per_e, scale)
         for row in diagnostics.profile.rows
-        if row.gain_dn_per_e is not None and (scale := getattr(row, field))
+        if row.gain_dn_per_e is not None and (scale := getattr(row, field) or 0.0) > 0
     ]
     if measured:
         axes.plot(*zip(*measured, strict=True), "D", color=theme.ink, markersize=5, label="measured")

@@ -51,7 +51,7 @@ def render_libraw(path: Path | str, *, bits: Bits = 8) -> NDArray[np.uint8] | ND
     ArgumentError
         If ``bits`` is neither 8 nor 16.
     """
-    from eldata.raw.reading import opened, read_raw
+    from eldata.raw.reading import opened_raw, read_raw
 
     if bits not in get_args(Bits):
         raise ArgumentError(f"bits must be 8 or 16; found {bits!r}")
@@ -72,7 +72,7 @@ def render_libraw(path: Path | str, *, bits: Bits = 8) -> NDArray[np.uint8] | ND
             f"side under {_LEAST_XTRANS_SIDE}",
         )
     del frame  # its pixels
-    with opened(path, "render") as raw:
+    with opened_raw(path, "render") as raw:
         rendered: NDArray[Any] = raw.postprocess(
             use_camera_wb=True, half_size=False, no_auto_bright=True, output_bps=16
         )

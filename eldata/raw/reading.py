@@ -85,7 +85,7 @@ def read_header(path: Path | str) -> RawHeader:
     """
     path = _existing(path)
     read_directories(path)  # refuses a file that does not hold what it declares
-    with opened(path) as raw:
+    with opened_raw(path) as raw:
         return _header(path, raw, _exif_tags(path))
 
 
@@ -108,7 +108,7 @@ def read_raw(path: Path | str) -> RawFrame:
 
     path = _existing(path)
     directories = read_directories(path)
-    with opened(path) as raw:
+    with opened_raw(path) as raw:
         tags = _exif_tags(path)
         raw.unpack()
         header = _header(path, raw, tags)
@@ -183,7 +183,7 @@ def _existing(path: Path | str) -> Path:
 
 
 @contextmanager
-def opened(path: Path, what: str = "decode") -> Iterator[rawpy.RawPy]:
+def opened_raw(path: Path, what: str = "decode") -> Iterator[rawpy.RawPy]:
     """Open a raw file with LibRaw, whose errors say that it cannot do ``what``.
 
     Raises

@@ -31,7 +31,7 @@ def rendered(template: str, **values: object) -> str:
 
 
 @cache
-def words(report: str) -> Mapping[str, Any]:
+def plot_words(report: str) -> Mapping[str, Any]:
     """Return the title and the caption of each kind of plot and picture of a report, from its file of words."""
     return TextFile(TEMPLATES / f"{report}.toml", EldataError).toml().data
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.reports.html import digits, words
+from eldata.reports.html import digits, plot_words
 from eldata.reports.pictures import Picture, Pictures, grey, limits, pooled
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ def _pictures(
     kind: str, one: IsoCalibration, pictures: Iterable[Picture], limits_dn: tuple[float, float], unit: str, **said: str
 ) -> Pictures:
     """Return pictures of one ISO on one scale, with the words of their kind."""
-    of_kind = words("calibration")[kind]
+    of_kind = plot_words("calibration")[kind]
     black, white = (f"{digits(limit)} {unit}" for limit in limits_dn)
     caption = of_kind["caption"].format(**said)
     return Pictures(

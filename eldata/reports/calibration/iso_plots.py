@@ -22,7 +22,7 @@ from eldata.reports.figures import (
     thinned,
     two_axes,
 )
-from eldata.reports.html import digits, measured, words
+from eldata.reports.html import digits, measured, plot_words
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -47,7 +47,7 @@ _FRAMES_SHOWN = 32
 
 def _plot(kind: str, one: IsoCalibration, alt: str, draw: Callable[[Theme], Figure], more: str = "") -> Plot:
     """Return a plot of one ISO, with the words of its kind."""
-    said = words("calibration")[kind]
+    said = plot_words("calibration")[kind]
     return drawn(f"{kind}-{one.iso:g}", said["title"], alt, said["caption"] + more, draw)
 
 
@@ -66,7 +66,7 @@ def transfer_plot(one: IsoCalibration, transfer: PhotonTransfer) -> Plot:
     more = ""
     if spatial is not None:
         alt += f" The published single-frame method gives {digits(spatial.gain_dn_per_e, 4)} DN/e⁻."
-        more = words("calibration")["transfer"]["single_frames"]
+        more = plot_words("calibration")["transfer"]["single_frames"]
 
     def draw(theme: Theme) -> Figure:
         drawing, main, below = two_axes(2.6)

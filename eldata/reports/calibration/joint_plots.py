@@ -22,7 +22,7 @@ from eldata.reports.figures import (
     plain_ticks,
     two_axes,
 )
-from eldata.reports.html import digits, words
+from eldata.reports.html import digits, plot_words
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -61,7 +61,7 @@ def joint_plots(calibration: Calibration) -> tuple[Plot, ...]:
 
 
 def _scale_plot(name: str, estimate: LogLogEstimate | None, points: Sequence[Point]) -> Plot:
-    said = words("calibration")["scale"]
+    said = plot_words("calibration")["scale"]
     title = said["title"].format(name=name)
     scales = [scale for _, scale, _ in points]
     alt = f"{title} K at {len(points)} ISO(s), from {digits(min(scales))} to {digits(max(scales))} DN"
@@ -105,7 +105,7 @@ def _by_iso(name: str, isos: Sequence[float], alt: str, draw: Callable[[Theme], 
         axes.set_xlim(isos[0] / 1.4, isos[-1] * 1.4)
         return drawing
 
-    said = words("calibration")[name]
+    said = plot_words("calibration")[name]
     return drawn(name, said["title"], alt, said["caption"], with_isos)
 
 

@@ -125,7 +125,7 @@ def _made_from(calibration: Calibration) -> str:
     bias, flat = sum(one.bias_frames for one in isos), sum(one.flat_frames for one in isos)
     kept = sum(one.reproduction is not None for one in isos)
     frames = f"{bias} bias and {flat} flat frames of {shapes} pixels"
-    return f"{frames}, and held against {kept} more bias {'frame' if kept == 1 else 'frames'}" if kept else frames
+    return f"{frames}, and compared with {kept} more bias {'frame' if kept == 1 else 'frames'}" if kept else frames
 
 
 # --- one ISO ------------------------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ from eldata.reports.figures import (
     thinned,
     two_axes,
 )
-from eldata.reports.html import words
+from eldata.reports.html import plot_words
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -60,7 +60,7 @@ def plots(diagnostics: Diagnostics) -> tuple[Plot, ...]:
     if diagnostics.quantiles is not None:
         alt = "Probability plot of the read noise alone against its model. " + _worst(diagnostics.read)
         wanted.insert(4, ("read-noise", alt, partial(_read_noise, diagnostics.quantiles)))
-    said = words("profile")
+    said = plot_words("profile")
     return tuple(
         drawn(name, said[name]["title"].format(read=read), alt, said[name]["caption"], partial(draw, diagnostics))
         for name, alt, draw in wanted

@@ -72,6 +72,17 @@ def drawn(name: str, title: str, alt: str, caption: str, draw: Callable[[Theme],
     return Plot(name, title, alt, caption, light, _recoloured(light))
 
 
+def drawn_axes(name: str, title: str, alt: str, caption: str, draw: Callable[[Axes, Theme], None]) -> Plot:
+    """Return the plot that a function draws into axes that fill the figure."""
+
+    def whole(theme: Theme) -> Figure:
+        drawing, axes = one_axes()
+        draw(axes, theme)
+        return drawing
+
+    return drawn(name, title, alt, caption, whole)
+
+
 def _svg(draw: Callable[[Theme], Figure], theme: Theme, name: str) -> bytes:
     inked = ("axes.edgecolor", "axes.labelcolor", "legend.labelcolor", "text.color", "xtick.color", "ytick.color")
     style = {"grid.color": theme.grid, "svg.hashsalt": name} | dict.fromkeys(inked, theme.ink)

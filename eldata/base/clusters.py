@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from eldata import __version__
 from eldata.base.fields import TextFile
+from eldata.base.logs import quiet
 from eldata.errors import EldataError
 
 if TYPE_CHECKING:
@@ -54,7 +55,8 @@ def dask_executor(address: str) -> Iterator[Executor]:
         raise ClusterError(
             "--dask needs Dask's distributed, which is not installed: pip install 'eldata[dask]'"
         ) from error
-    with _without_its_log():
+    # Dask reports a lost connection in tracebacks, we in one line.
+    with quiet(logging.CRITICAL + 1, "distributed", "distributed.client"):
         client = _connected(_scheduler(address))
         try:
             check_cluster(client)
@@ -85,21 +87,6 @@ def _connected(scheduler: str) -> Client:
             f"the Dask scheduler at {scheduler} has no worker; start some with dask worker {scheduler}"
         ) from error
     return client
-
-
-@contextmanager
-def _without_its_log() -> Iterator[None]:
-    """Silence what Dask writes to stderr: it tells of a lost connection in tracebacks, we in a line."""
-    loggers = (logging.getLogger(name) for name in ("distributed", "distributed.client"))
-    handlers = [handler for logger in loggers for handler in logger.handlers]
-    levels = [handler.level for handler in handlers]
-    for handler in handlers:
-        handler.setLevel(logging.CRITICAL + 1)
-    try:
-        yield
-    finally:
-        for handler, level in zip(handlers, levels, strict=True):
-            handler.setLevel(level)
 
 
 def check_cluster(client: Client) -> None:

@@ -29,7 +29,7 @@ from concurrent.futures import (
     wait,
 )
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial, wraps
 from typing import TYPE_CHECKING, Any, Generic, ParamSpec, Protocol, TypeVar
@@ -39,7 +39,7 @@ from tqdm import tqdm
 from eldata.errors import ArgumentError, EldataError, FileError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
     from pathlib import Path
 
 Unit = TypeVar("Unit")
@@ -136,14 +136,11 @@ class Workers:
             If a unit's worker is lost, and lost again as the unit runs alone; or if the executor cannot run units at
             all. Errors that ``work`` raises come through as they are.
         """
-        for outcome in self.attempt(work, units, label=label, unit=unit):
-            if isinstance(outcome, Failed):
-                raise outcome.error
-            yield outcome
+        return _results(self.attempt(work, units, label=label, unit=unit))
 
     def attempt(
         self, work: Callable[[Unit], Result], units: Sequence[Unit], *, label: str = "", unit: str = "file"
-    ) -> Iterator[Result | Failed[Unit]]:
+    ) -> Generator[Result | Failed[Unit], None, None]:
         """Yield ``work(unit)`` or, where that failed, :class:`Failed`, for each unit, in the units' order.
 
         Parameters and errors are those of :meth:`run`, except that a unit that fails, or that ends its worker twice,
@@ -168,26 +165,15 @@ class Workers:
             turn.
         """
         if self.executor is not None:
-            for outcome in _in_order(work, units, _Lent(self.executor, per_worker=2, most=_MOST_LARGE)):
-                if isinstance(outcome, Failed):
-                    raise outcome.error
-                yield outcome
-                del outcome
-            return
-        if self.jobs == 1:
+            yield from _results(_in_order(work, units, _Lent(self.executor, per_worker=2, most=_MOST_LARGE)))
+        elif self.jobs == 1:
             yield from map(work, units)
-            return
-        pool = ThreadPoolExecutor(self.jobs)
-        waiting: deque[Future[Result]] = deque()
-        try:
-            for unit in units:
-                waiting.append(pool.submit(work, unit))
-                if len(waiting) > self.jobs:
-                    yield waiting.popleft().result()
-            while waiting:
-                yield waiting.popleft().result()
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+        else:
+            pool = ThreadPoolExecutor(self.jobs)
+            try:
+                yield from _results(_in_order(work, units, _Lent(pool, per_worker=1)))
+            finally:
+                pool.shutdown(wait=True, cancel_futures=True)
 
 
 IN_THIS_PROCESS = Workers()
@@ -255,29 +241,25 @@ def _dask_client(executor: Executor) -> Any:
 # --- one unit, where it runs ------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class _Raised:
-    """An error on its way back as a value: what an executor itself raises is then told from it."""
-
-    error: Exception
-
-
-def _call(work: Callable[[Unit], Result], unit: Unit) -> Callable[[], Result | _Raised]:
+def _call(work: Callable[[Unit], Result], unit: Unit) -> Callable[[], Result | Failed[Unit]]:
     """Return a unit's work for another worker."""
     # Dask takes equal calls for one, and answers with the result that it has.
     return partial(_run_unit, work, unit, _here(), uuid.uuid4().hex)
 
 
-def _run_unit(work: Callable[[Unit], Result], unit: Unit, caller: tuple[str, int], _: str = "") -> Result | _Raised:
+def _run_unit(
+    work: Callable[[Unit], Result], unit: Unit, caller: tuple[str, int], _: str = ""
+) -> Result | Failed[Unit]:
+    """Return a unit's result, or its error as a value: what an executor itself raises can then be told from it."""
     try:
         return work(unit)
     except Exception as error:  # noqa: BLE001 # whatever it is, it is the unit's
         host, process = _here()
         if (host, process) == caller:
-            return _Raised(error)
+            return Failed(unit, error)
         # A traceback does not travel.
         error.add_note(f"on {host}, process {process}:\n{traceback.format_exc()}")
-        return _Raised(_transportable(error))
+        return Failed(unit, _transportable(error))
 
 
 def _here() -> tuple[str, int]:
@@ -291,6 +273,16 @@ def _transportable(error: Exception) -> Exception:
     except Exception:  # noqa: BLE001 # its class may do anything
         return EldataError(f"unexpected {type(error).__name__}: {error}")
     return error
+
+
+def _results(outcomes: Generator[Result | Failed[Any], None, None]) -> Iterator[Result]:
+    """Yield results; the first failure is raised and ends the others."""
+    with closing(outcomes):
+        for outcome in outcomes:
+            if isinstance(outcome, Failed):
+                raise outcome.error
+            yield outcome
+            del outcome  # it may be large
 
 
 # --- all units --------------------------------------------------------------------------------------------------------
@@ -328,10 +320,12 @@ def _outcomes(
             own.end()
     else:
         for unit in units:
-            yield _settled(unit, _run_unit(work, unit, _here()))
+            yield _run_unit(work, unit, _here())
 
 
-def _in_order(work: Callable[[Unit], Result], units: Iterable[Unit], pool: _Pool) -> Iterator[Result | Failed[Unit]]:
+def _in_order(
+    work: Callable[[Unit], Result], units: Iterable[Unit], pool: _Pool
+) -> Generator[Result | Failed[Unit], None, None]:
     left = iter(units)
     waiting: deque[tuple[Unit, Future[Any]]] = deque()
     more = True
@@ -359,7 +353,7 @@ def _in_order(work: Callable[[Unit], Result], units: Iterable[Unit], pool: _Pool
                 raise _unrunnable(unit, error) from error
             waiting.popleft()
             del future  # and with it the result, which may be large
-            yield _settled(unit, found)
+            yield found
             del found
     finally:
         for _, future in waiting:
@@ -379,7 +373,7 @@ def _alone(unit: Unit, call: Callable[[], Any], pool: _Pool) -> Any:
     if not pool.is_loss(error):
         raise _unrunnable(unit, error) from error
     pool.renew()
-    return _Raised(EldataError(pool.loss(unit_name(unit))))
+    return Failed(unit, EldataError(pool.loss(_unit_name(unit))))
 
 
 def _error_of(future: Future[Any]) -> BaseException | None:
@@ -389,18 +383,14 @@ def _error_of(future: Future[Any]) -> BaseException | None:
         return error
 
 
-def _settled(unit: Unit, found: Result | _Raised) -> Result | Failed[Unit]:
-    return Failed(unit, found.error) if isinstance(found, _Raised) else found
-
-
-def unit_name(unit: object) -> str:
+def _unit_name(unit: object) -> str:
     """Return what messages call a unit: its path, if it has one."""
     return str(getattr(unit, "path", unit))
 
 
 def _unrunnable(unit: object, error: BaseException) -> EldataError:
     """Return what is wrong if it is not the unit's work that failed, but the running of it."""
-    name = unit_name(unit)
+    name = _unit_name(unit)
     if isinstance(error, CancelledError):
         return EldataError(f"the work on {name} was cancelled: was the executor shut down, or its scheduler restarted?")
     if isinstance(error, BrokenExecutor):

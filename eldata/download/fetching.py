@@ -13,7 +13,7 @@ from __future__ import annotations
 import logging
 import re
 import time
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass
 from http import HTTPStatus
 from pathlib import Path
@@ -22,13 +22,14 @@ from urllib.parse import urljoin, urlsplit
 
 from eldata import __version__
 from eldata.base.files import sha256_of
+from eldata.base.logs import quiet
 from eldata.download.partial import Partial, Version, discard, opened_partial
 from eldata.download.readers import HEAD_BYTES, archive_format, looks_like
 from eldata.download.sizes import check_room, progress_bar, size_text
 from eldata.errors import DownloadError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator
+    from collections.abc import Callable, Collection
 
     import requests
     from pooch import Pooch
@@ -39,15 +40,7 @@ _Result = TypeVar("_Result")
 _PIECE_BYTES = 2**14  # what a broken connection loses at most
 _MOST_REDIRECTS = 5
 _MOVE_AWAY = "move it away to fetch it again"
-_PASSING = (
-    HTTPStatus.REQUEST_TIMEOUT,
-    HTTPStatus.TOO_EARLY,
-    HTTPStatus.TOO_MANY_REQUESTS,
-    HTTPStatus.INTERNAL_SERVER_ERROR,
-    HTTPStatus.BAD_GATEWAY,
-    HTTPStatus.SERVICE_UNAVAILABLE,
-    HTTPStatus.GATEWAY_TIMEOUT,
-)
+_PASSING = (408, 425, 429, 500, 502, 503, 504)  # time-outs, too many requests, a server in trouble
 _CONTENT_RANGE = re.compile(r"bytes (\d+)-(\d+)/(\d+)")
 
 
@@ -108,14 +101,12 @@ class Fetcher:
             If it cannot be fetched: the server says no, sends something else, or stays unreachable; the disk is full;
             or the file is not the expected one. The message says what is kept and how to go on.
         """
-        import pooch
-
         target = Path(archives.path, name)
         there = target.exists()
         if there and size_bytes is not None and (found_bytes := target.stat().st_size) != size_bytes:
             raise DownloadError(f"{target}: expected {size_bytes} bytes, found {found_bytes}; {_MOVE_AWAY}")
         fetched = passed = False
-        with ExitStack() as held, _without_news(pooch.get_logger()):
+        with ExitStack() as held, quiet(logging.WARNING, "pooch"):  # which says on stderr what it fetches
 
             def downloader(address: str, temporary: str, _: Pooch) -> None:
                 nonlocal fetched
@@ -314,17 +305,6 @@ def _check_kind(address: str, answer: requests.Response) -> None:
             f"{address}: answered with a web page in place of an archive; open it in a browser, save the archive "
             "and use --from"
         )
-
-
-@contextmanager
-def _without_news(logger: logging.Logger) -> Iterator[None]:
-    """Keep pooch from telling on stderr what it fetches."""
-    level = logger.level
-    logger.setLevel(max(level, logging.WARNING))
-    try:
-        yield
-    finally:
-        logger.setLevel(level)
 
 
 def _reason(error: Exception) -> str:

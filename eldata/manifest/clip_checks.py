@@ -24,6 +24,15 @@ def is_png(path: str) -> bool:
     return path.lower().endswith(".png")
 
 
+def size_findings(record: FrameRecord, width: int, height: int, advice: str) -> list[Finding]:
+    """Compare a file's size in pixels with the row's, if that has one."""
+    return [
+        Finding(record.path, name, str(size), str(found), advice)
+        for name, size, found in (("width", record.width, width), ("height", record.height, height))
+        if size is not None and size != found
+    ]
+
+
 def png_findings(folder: Path, record: FrameRecord) -> list[Finding]:
     """Check one PNG frame's header and end: that it is whole, 16-bit RGB, of the recorded size."""
     try:
@@ -33,14 +42,7 @@ def png_findings(folder: Path, record: FrameRecord) -> list[Finding]:
     if (header.bit_depth, header.colour) != (16, "RGB"):
         advice = "this file was converted: take the original"
         return [Finding(record.path, "content", "a 16-bit RGB PNG", str(header), advice)]
-    return [
-        Finding(record.path, name, str(size), str(found), "this file is of another clip or was scaled")
-        for name, size, found in (
-            ("width", record.width, header.width),
-            ("height", record.height, header.height),
-        )
-        if size is not None and size != found
-    ]
+    return size_findings(record, header.width, header.height, "this file is of another clip or was scaled")
 
 
 def png_decode_findings(folder: Path, record: FrameRecord) -> list[Finding]:

@@ -162,14 +162,9 @@ def sequence_findings(paths: Sequence[str]) -> list[Finding]:
         Finding(f"{parent}", "number", f"each frame once, and so one frame {number}", "two", "move one away")
         for number in sequence.doubles
     ]
-    findings += [
-        Finding(
-            f"{parent}",
-            "number",
-            f"frames {(sequence.numbers or (0,))[0]} to {(sequence.numbers or (0,))[-1]} without a gap",
-            f"none of {first}" if first == last else f"none of {first} to {last}",
-            advice,
-        )
-        for first, last in sequence.gaps
-    ]
+    for first, last in sequence.gaps:
+        numbers = sequence.numbers or (first, last)
+        expected = f"frames {numbers[0]} to {numbers[-1]} without a gap"
+        found = f"no frame {first}" if first == last else f"no frames {first} to {last}"
+        findings.append(Finding(f"{parent}", "number", expected, found, advice))
     return findings

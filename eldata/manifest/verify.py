@@ -30,6 +30,7 @@ from eldata.manifest.clip_checks import (
     png_decode_findings,
     png_findings,
     png_size_findings,
+    size_findings,
 )
 from eldata.manifest.pairs import UNCERTAIN_ISO
 from eldata.manifest.patterns import Finding, expand, pattern_findings
@@ -410,11 +411,7 @@ def _decode_findings(path: Path, record: FrameRecord) -> list[Finding]:
     except RawFileError as error:
         return [Finding(record.path, "content", "a raw file that decodes", error.reason, _AGAIN)]
     advice = "this file was taken in another mode or by another camera"
-    return [
-        Finding(record.path, field, str(size), str(found), advice)
-        for field, size, found in (("width", record.width, sensor.width), ("height", record.height, sensor.height))
-        if size is not None and size != found
-    ]
+    return size_findings(record, sensor.width, sensor.height, advice)
 
 
 def _packed_findings(path: Path, record: FrameRecord) -> list[Finding]:

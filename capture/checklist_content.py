@@ -78,7 +78,7 @@ class ChecklistRow:
         return words if self.count == 1 else f"{words}, {self.count} frames"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return what the page and its exported progress say of a row."""
+        """Return what the page and its exported progress say about a row."""
         return {
             "number": self.number,
             "count": self.count,

@@ -1,4 +1,4 @@
-"""The checklist as plain text and as Markdown: the same content as the page, to print or to fold into notes."""
+"""The checklist as plain text and as Markdown: the same content as the page, to print or to paste into notes."""
 
 from __future__ import annotations
 

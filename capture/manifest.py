@@ -44,7 +44,7 @@ class Dataset:
     rows
         By scene and number.
     remarks
-        What gaps led to: other references, noisy frames left out.
+        The effects of gaps: other references, noisy frames left out.
     """
 
     folder: Path
@@ -69,12 +69,12 @@ def into_layout(plan: Plan, match: Match, folder: Path) -> Dataset:
 
 
 def in_place(plan: Plan, match: Match) -> Dataset:
-    """Return the dataset with its files where they are, below the folder that their folders have in common.
+    """Return the dataset with its files where they are, below the folder that they share.
 
     Raises
     ------
     MappingError
-        If they have none but the root of the file system.
+        If they share only the root of the file system.
     """
     files = {slot: Path(os.path.abspath(frame.path)) for slot, frame in match.frames.items()}  # noqa: PTH100 # links stay
     if not files:
@@ -142,7 +142,7 @@ def _with_hash(row: CopiedRow) -> CopiedRow:
 
 
 def card_of(plan: Plan, name: str, folder: str, records: Sequence[FrameRecord]) -> Card:
-    """Return the dataset's card; what only the photographer knows, such as the licence, is left to be filled in."""
+    """Return the dataset's card; what only the photographer knows, such as the licence, is left to fill in."""
     roles = Counter(record.role for record in records)
     scenes = len({record.scene for record in records} - {""})
     what = [f"{scenes} scene{'' if scenes == 1 else 's'}"] if scenes else []

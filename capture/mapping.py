@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Final
 from capture.capture_errors import MappingError
 from capture.matching import Match, MatchRemark, checked
 from eldata.base.fields import TextFile
-from eldata.base.files import json_text
 
 if TYPE_CHECKING:
     from capture.matching import Slot
@@ -40,11 +39,6 @@ def mapping_as_dict(plan: Plan, observed: Observed, match: Match) -> dict[str, A
         ],
         "remarks": [f"{remark.kind}: {remark.text}" for remark in match.remarks],
     }
-
-
-def mapping_text(plan: Plan, observed: Observed, match: Match) -> str:
-    """Return the mapping as the text of its file."""
-    return json_text(mapping_as_dict(plan, observed, match), indent=1)
 
 
 def load_mapping(path: Path | str, plan: Plan, observed: Observed) -> Match:

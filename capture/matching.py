@@ -1,7 +1,7 @@
 """Which file is which shot of the plan, and everything that did not go as planned.
 
 Frames are matched by their settings and by the order in which they were taken (:mod:`capture.alignment`). What that
-leaves over is explained: a repeated shot is usually a retake, a shot that is missing here and stands there was taken
+leaves over is explained: a repeated shot is usually a retake, a shot that is missing here and found there was taken
 out of order, the rest are test shots or wrong settings. Nothing is dropped without a word.
 """
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from capture.shots import Shot
 
 # EXIF states the name of a setting or what it gives, rounded in either case; neighbouring settings are a third of a
-# stop apart, of which names take up to a tenth.
+# stop apart, and names account for up to a tenth.
 STOPS_TOLERANCE: Final = 0.125
 _NEAR_STOPS: Final = 1.05  # a wrong setting that was meant for a shot: up to a stop off
 
@@ -34,14 +34,14 @@ Repeated = Literal["last", "first"]
 Kind = Literal[
     "missing", "repeated", "out-of-order", "extra", "wrong-setting", "unusable", "ambiguous", "scene-order", "no-times"
 ]
-# What only informs: the mapping does not depend on it.
+# For information only: the mapping does not depend on it.
 _HARMLESS: Final = ("scene-order", "no-times")
 Slot = tuple[str, int]
 
 
 @dataclass(frozen=True, slots=True)
 class MatchRemark:
-    """One thing that did not go as planned: what kind, which shot or file, and what was made of it."""
+    """One thing that did not go as planned: what kind, which shot or file, and how it was resolved."""
 
     kind: Kind
     text: str
@@ -108,7 +108,7 @@ def match(plan: Plan, observed: Observed, *, repeated: Repeated = "last") -> Mat
     observed
         The files, in the order in which they were taken.
     repeated
-        Which frame of a shot that was taken several times in a row.
+        Which frame to use of a shot that was taken several times in a row.
 
     Raises
     ------
@@ -213,7 +213,7 @@ class _Matcher:
         return [_Place(*pair, range(*window)) for pair, *window in zip(found, starts, stops, strict=False)]
 
     def most_whole(self, places: list[Stretch], blocks: Sequence[_Block]) -> list[Stretch]:
-        """Return as many stretches as there are blocks: those with the most shots, the later of two equal ones."""
+        """Return as many stretches as there are blocks: those with the most shots; of two equal ones, the later."""
         spare = len(places) - len(blocks)
         if spare <= 0:
             return places
@@ -236,7 +236,7 @@ class _Matcher:
     # --- what is left over --------------------------------------------------------------------------------------------
 
     def settle_repeats(self) -> None:
-        """Of frames with equal settings in a row, take the last (or first) ones for the shots among them."""
+        """Where successive frames have equal settings, take the last (or first) ones for the shots among them."""
         same_as_before = [
             index > 0 and self._settings(index) == self._settings(index - 1) for index in range(len(self.frames))
         ]
@@ -260,7 +260,7 @@ class _Matcher:
         """Split a run of equal settings where one scene ends and another begins: at its longest pause there.
 
         The reference at a scene's end and the one at the next scene's beginning may be equal, and so may be the first
-        one of an attempt that was given up.
+        one of an abandoned attempt.
         """
         cuts = set()
         used = [index for index in run if index in self.used]
@@ -372,7 +372,7 @@ class _Matcher:
             self.note(kind, text, frame=index)
 
     def note(self, kind: Kind, text: str, of: tuple[_Block, Shot] | None = None, frame: int | None = None) -> None:
-        """Remark on something, of which shot and which frame."""
+        """Remark on something, with the shot and the frame that it concerns."""
         path = None if frame is None else self.frames[frame].path
         scene, number = ("", None) if of is None else (of[0].scene, of[1].number)
         self.remarks.append(MatchRemark(kind, text, scene, number, path))

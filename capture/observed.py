@@ -69,17 +69,17 @@ def raw_files(given: Iterable[Path | str], extension: str, outside: Path | None 
     Parameters
     ----------
     given
-        Files and folders. Of folders, hidden files are left alone.
+        Files and folders. In folders, hidden files are ignored.
     extension
-        The camera's, with the dot; upper and lower case are the same. A file that is given by itself may have any raw
-        extension, so that a wrong one shows.
+        The camera's, with the dot; upper and lower case are the same. A file given by name may have any raw
+        extension, so that a wrong one is noticed.
     outside
         A folder whose files are not taken: where copies go.
 
     Raises
     ------
     MappingError
-        If a name is neither a file nor a folder, or there is no raw file among them.
+        If a name is neither a file nor a folder, or none of the files is raw.
     """
     found: dict[Path, Path] = {}
     away = None if outside is None else outside.resolve()
@@ -95,7 +95,7 @@ def raw_files(given: Iterable[Path | str], extension: str, outside: Path | None 
         elif name.is_file():
             paths = [name] if name.suffix.lower() in RAW_EXTENSIONS else []
         else:
-            raise MappingError(f"{name}: there is no such file or folder")
+            raise MappingError(f"{name}: no such file or folder")
         for path in paths:
             resolved = path.resolve()
             if away is None or not resolved.is_relative_to(away):
@@ -111,7 +111,7 @@ def observe(paths: Sequence[Path], models: Sequence[str], workers: Workers = IN_
     """Read what EXIF says of each file, and put the files into the order in which they were taken.
 
     The order is that of DateTimeOriginal with its fraction of a second; frames of the same second that have no fraction
-    stand in the order of their names. If a file has no time, all are ordered by folder and name, as cameras number
+    are in the order of their names. If a file has no time, all are ordered by folder and name, as cameras number
     them.
 
     Parameters

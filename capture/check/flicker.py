@@ -1,7 +1,7 @@
 """Is the light modulated from row to row? A rolling shutter turns a lamp's flicker into bands.
 
 Each row of cells gives a relative modulation m, its weighted regression on what the reference leads to expect, in one
-of two ways. Then every frequency f from one cycle a frame up is tried: ``m = a + b row + A cos(2 pi f row + phase)``
+of two ways. Then every frequency f from one cycle per frame up is tried: ``m = a + b row + A cos(2 pi f row + phase)``
 by weighted least squares. With g what the wave takes off the weighted squares and s what is left of them, v degrees of
 freedom over, chance alone exceeds ``g v / s = (A / standard error)^2 = c`` with the probability
 ``(1 + c / v)^(-v / 2)`` (the F distribution with 2 and v), at n frequencies with n times that at most. What is left
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _FALSE_ALARM: Final = 1e-6  # of one frame
-_STEP: Final = 0.25  # cycles a frame
+_STEP: Final = 0.25  # cycles per frame
 _LEAST_ROWS: Final = 16
 _FITTED: Final = 4  # a, b, A and the phase
 
@@ -44,9 +44,9 @@ class Flicker:
     amplitude
         As a share of the signal, with its standard error.
     cycles
-        A frame's height.
+        Number of them in the frame's height.
     sigmas
-        Standard errors that the strongest of so many frequencies exceeds by chance once in a million frames.
+        Standard errors that the strongest of these frequencies exceeds by chance once in a million frames.
     """
 
     amplitude: Estimate

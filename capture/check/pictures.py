@@ -9,6 +9,7 @@ import numpy as np
 
 from capture.check.frames import file_name
 from capture.check.result import SheetPicture
+from capture.observed import exposure_text
 from eldata.isp.preview import srgb_encode
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ def scene_picture(frame: ReducedFrame, gain: float) -> SheetPicture:
     """Return a frame as a picture, amplified."""
     iso, time = frame.header.exposure.iso, frame.header.exposure.exposure_s
     settings = f"ISO {float(iso):g}" if iso is not None else "ISO ?"
-    settings += f", {_seconds(float(time))}" if time is not None else ""
+    settings += f", {exposure_text(time)}" if time is not None else ""
     amplified = f", x{gain:g}" if gain != 1 else ""
     caption = f"{file_name(frame.record.path)}: {settings}{amplified}"
     light = _three_colours(frame.cells) * gain / frame.cells.range_dn
@@ -50,10 +51,6 @@ def map_picture(caption: str, path: str, values: NDArray[np.floating], full: flo
     scale = max(1, _WIDEST // (2 * values.shape[1]))
     larger = np.kron(values, np.ones((scale, scale)))
     return SheetPicture(caption, path, _jpeg(_diverging(larger / full)))
-
-
-def _seconds(time: float) -> str:
-    return f"1/{1 / time:.0f} s" if time < 0.3 else f"{time:g} s"
 
 
 def _three_colours(cells: Cells) -> NDArray[np.float32]:

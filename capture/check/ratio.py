@@ -85,9 +85,7 @@ class RatioFit:
 
 def fit_ratio(reference: Cells, noisy: Cells) -> RatioFit | None:
     """Fit the line; ``None`` if too little is well exposed, or the noisy frame's black is clipped."""
-    x32, unclipped_x = reference.pooled(*STRIP)
-    y32, unclipped_y = noisy.pooled(*STRIP)
-    x, y, usable = x32.astype(np.float64), y32.astype(np.float64), unclipped_x & unclipped_y
+    x, y, usable = _strips(reference, noisy)
     if int(usable.sum()) < _LEAST_STRIPS or noisy.zero_share > _ZERO_SHARE:
         return None
     level = _levels(x, usable)
@@ -118,15 +116,21 @@ def residuals_between(first: Cells, second: Cells, ratios: Sequence[float]) -> S
     For frames of equal exposure, whose noise is alike: a fitted line would be too flat by the noise of the first.
     ``None`` if too little is well exposed.
     """
-    x32, unclipped_x = first.pooled(*STRIP)
-    y32, unclipped_y = second.pooled(*STRIP)
-    usable = unclipped_x & unclipped_y
+    x, y, usable = _strips(first, second)
     if int(usable.sum()) < _LEAST_STRIPS:
         return None
-    expected = x32 * np.asarray(ratios, dtype=np.float64)[:, None, None]
-    residual = y32 - expected
-    sigma = _scatter(residual, _levels(expected, usable), usable)[_levels(expected, usable)]
+    expected = x * np.asarray(ratios)[:, None, None]
+    residual = y - expected
+    level = _levels(expected, usable)
+    sigma = _scatter(residual, level, usable)[level]
     return _limited(expected, residual, sigma, usable)
+
+
+def _strips(first: Cells, second: Cells) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return the strips' means in two frames, and which strips are unclipped in both."""
+    x, unclipped_x = first.pooled(*STRIP)
+    y, unclipped_y = second.pooled(*STRIP)
+    return x.astype(np.float64), y.astype(np.float64), unclipped_x & unclipped_y
 
 
 def _limited(expected: Array, residual: Array, sigma: Array, usable: NDArray[np.bool_]) -> StripResiduals:

@@ -134,7 +134,7 @@ def check_scene(unit: Unit) -> CheckedGroup:
             group.pictures.append(scene_picture(frame, 1.0))
         else:
             if last is not None and not _well(group, last):
-                changes.append(change_picture(first, last))  # of the last one, there is always one
+                changes.append(change_picture(first, last))  # the last one always has one
             _compare(first, tiles, frame, group)
             last = frame
     if last is not None and first is not None:
@@ -234,7 +234,7 @@ def _check_noisy(
     text = f"how much of the scene in {against} it shows"
     match = group.measure(MATCH, path, text, 100 * fit.match.value, 100 * fit.match.standard_error)
     if match.verdict == "shoot again":
-        return  # of another scene there is no ratio
+        return  # with another scene there is no ratio
     nominal = record.ratio
     if fit.ratio is None:
         expected = nominal or exif_ratio

@@ -1,4 +1,4 @@
-"""`capture camera`: look at a camera description, or get one to start from."""
+"""`capture camera`: check a camera description, or get one to start from."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         description=(
             "Check the pixels of each scene: do the references agree (light, position, focus), is each noisy frame "
             "exposed as its name says, is there flicker; light leaks in bias frames, saturated or uneven flats. Gives "
-            "a verdict a scene: keep, look, shoot again, with the reasons. Nothing is changed."
+            "one verdict per scene: keep, look or shoot again, with the reasons. Nothing is changed."
         ),
     )
     parser.add_argument("manifest", metavar="MANIFEST", help="the manifest's CSV file, its card beside it")

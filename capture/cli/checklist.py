@@ -22,12 +22,14 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="turn a plan into a checklist for the phone, or for paper",
         description=(
             "Turn a plan into a checklist: preparation, then each shot in order with what to dial. The page (html) is "
-            "one file for a phone or tablet in the dark. It needs no network, plans a scene anew from another metered "
+            "one file for a phone or tablet in the dark. It needs no network, plans a scene again from another metered "
             "time, keeps ticks, file names and remarks in the browser, and exports them."
         ),
     )
     parser.add_argument("plan", metavar="PLAN", help="a plan (capture plan)")
-    parser.add_argument("-o", "--output", metavar="FILE", help="write it there; without, md and txt go to the terminal")
+    parser.add_argument(
+        "-o", "--output", metavar="FILE", help="write it to FILE; without, md and txt go to the terminal"
+    )
     parser.add_argument("--format", choices=_FORMATS, help="default: by the suffix of FILE; without FILE txt")
     add_shared(parser, run, "json")
 

@@ -155,9 +155,8 @@ def _metered(arguments: argparse.Namespace) -> dict[str, Fraction]:
         raise ArgumentError(f"--scenes: expected a number of scenes from 1 to 1000, found {arguments.scenes or 'none'}")
     names = [f"scene-{number}" for number in range(1, arguments.scenes + 1)]
     times: dict[str, Fraction] = {}
-    for name, time in sorted(
-        arguments.metered or (), key=lambda given: given[0] is not None
-    ):  # that of all scenes first
+    # First the time of every scene, whatever the order in which they are given.
+    for name, time in sorted(arguments.metered or (), key=lambda given: given[0] is not None):
         if name is None:
             times = dict.fromkeys(names, time)
         elif name in names:

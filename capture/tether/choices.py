@@ -1,7 +1,7 @@
 """Which of the camera's own choices each setting of a plan is.
 
 Makers write one time in several ways: 1/60, 0.0166s (cut to four decimals), 10/600, 0.3, 1/3, 3s for what others call
-3.2. So a choice that names the very time of the dial comes first; else the one choice within an eighth of a stop.
+3.2. So a choice that names exactly the time of the dial comes first; next, the one choice within an eighth of a stop.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _COARSE_BELOW_S: Final = Fraction(1, 100)
 _ISO: Final = re.compile(r"(?:ISO ?)?(?P<iso>[0-9]{1,9})", re.ASCII)
 _RAW: Final = re.compile(r"(?<![a-z])(?:c|m|s)?raw|nef|nrw|\barw|cr[23w]\b|raf|orf|rw2|pef|dng", re.IGNORECASE)
 _COMPRESSED: Final = re.compile(r"jpe?g|\+|fine|normal|basic|standard|light|heif", re.IGNORECASE)
-_LONGEST_OF_LADDER_S: Final = 30  # beyond it cameras go on in steps of their own
+_LONGEST_OF_LADDER_S: Final = 30  # beyond it cameras use their own steps
 _SHORTEST_OF_CUT_S: Final = Fraction(1, 1000)
 
 
@@ -98,7 +98,7 @@ def time_choice(setting: ShutterTime, choices: Sequence[str], others: Sequence[S
     Raises
     ------
     TetherError
-        If there is none, or it could be another setting as well.
+        If none fits, or the one that fits could be another setting too.
     """
     fitting = list(dict.fromkeys(text for text in choices if is_time(text, setting)))
     if not fitting:
@@ -118,7 +118,7 @@ def _stops(text: str, setting: ShutterTime) -> float:
 
 
 def iso_choice(iso: int, choices: Sequence[str]) -> str:
-    """Return the choice that is an ISO: not one with an addition, such as ``100 Multi Frame Noise Reduction``.
+    """Return the choice that is an ISO; not one with an addition, such as ``100 Multi Frame Noise Reduction``.
 
     Raises
     ------
@@ -207,7 +207,7 @@ def _check_steps(camera: CameraDescription, dial: str, text: str, choices: Seque
 
 
 def format_problem(setting: Setting) -> str | None:
-    """Return why an image format will not do, or ``None``: raw alone, or a text that says neither."""
+    """Return why an image format will not do; ``None`` for raw alone, or a text that says neither raw nor JPEG."""
     text = setting.current
     if _COMPRESSED.search(text) is None:
         return None  # of "Unknown value 000d" the first frame shows what it is

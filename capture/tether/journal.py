@@ -104,7 +104,7 @@ class Journal:
     # --- reading ------------------------------------------------------------------------------------------------------
 
     def _read(self) -> int:
-        """Take in the whole lines; return the number of bytes that they have."""
+        """Take in the whole lines; return their number of bytes."""
         try:
             data = self.path.read_bytes()
         except FileNotFoundError:
@@ -138,7 +138,7 @@ class Journal:
     # --- writing ------------------------------------------------------------------------------------------------------
 
     def write_plan(self, plan: Plan) -> None:
-        """Note the plan that is followed from here on, if it is not the one that was."""
+        """Note the plan that is followed from here on, if it has changed."""
         digest = digest_of(plan)
         if self.plans[-1:] != [digest]:
             self._append({"event": "plan", "schema": SCHEMA, "digest": digest, "camera": plan.camera.name})
@@ -177,10 +177,10 @@ class Journal:
     # --- the plan that it belongs to ----------------------------------------------------------------------------------
 
     def check(self, plan: Plan, path: Path | str) -> None:
-        """Refuse a plan in which a shot that was taken here is another one now, or is gone.
+        """Refuse a plan in which a shot that was taken here has changed or is gone.
 
-        A plan that was changed only where nothing is taken yet, as by metering a later scene again, goes on; so does
-        one where the frames of the changed scene were deleted.
+        A plan that was changed only where nothing is taken yet, such as by metering a later scene again, is accepted;
+        so is one where the frames of the changed scene were deleted.
 
         Raises
         ------
@@ -208,7 +208,7 @@ _COMMON: Final = frozenset(("event", "scene", "number", "shot", "token", "time")
 
 
 def _sync_folder(folder: Path) -> None:
-    """Bring renamed and new files' names to the disk."""
+    """Sync the names of renamed and new files to the disk."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

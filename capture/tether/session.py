@@ -1,9 +1,9 @@
-"""A tethered session: the camera set, released and checked, shot by shot, so that it can be cut off at any moment.
+"""A tethered session: the camera set, released and checked, shot by shot, and safe to cut off at any moment.
 
-The order of steps is what makes that so. For each shot: intent into the journal; release and download into a folder of
-that attempt alone; decode and compare with the plan; final name; done into the journal. Whoever comes after a crash
-finds an intent without an end, and looks: at the final name, into the attempt's folder, on the camera's card. Only if
-the frame is nowhere, it is taken again.
+The order of steps makes it so. For each shot: intent into the journal; release and download into a folder of
+that attempt alone; decode and compare with the plan; final name; done into the journal. After a crash, the next
+session finds an intent without an end, and looks: at the final name, in the attempt's folder, on the camera's card.
+Only if the frame is nowhere is it taken again.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def run_session(
     plan
         What to take: a plan, or a part of it.
     folder
-        Where frames and journal go; made if it is not there.
+        Where frames and journal go; created if it does not exist.
     gphoto
         The program; with a port if several cameras are connected.
     whole
@@ -84,7 +84,7 @@ def run_session(
     Raises
     ------
     TetherError
-        If the session cannot start or go on. Frames that were taken are kept; the same call goes on where this ended.
+        If the session cannot start or go on. Frames already taken are kept; the same call resumes the session.
     """
     begun = time.monotonic()
     whole = plan if whole is None else whole
@@ -158,7 +158,7 @@ class _Session:
     # --- before the first shot ----------------------------------------------------------------------------------------
 
     def check_done(self) -> None:
-        """See that the frames of the journal are there; those that were deleted are taken again."""
+        """Check that the frames of the journal exist; those that were deleted are taken again."""
         self.gone: set[Slot] = set()
         begun_again = {intent.slot for intent in self.journal.open_intents()}
         for slot, entry in self.journal.done().items():
@@ -312,7 +312,7 @@ class _Session:
         except GphotoError:
             return None  # many bodies do not show their card in remote mode
         extension = self.plan.camera.raw_extension.lower()
-        raws = [file.path for file in card if file.path.suffix.lower() == extension]
+        raws = [path for path in card if path.suffix.lower() == extension]
         named = [path for path in raws if path in said]
         for path in named or raws[-1:]:
             inside = folder / "card"
@@ -340,11 +340,11 @@ class _Session:
     # --- after a crash ------------------------------------------------------------------------------------------------
 
     def settle(self, intent: Entry) -> None:
-        """Find out what became of a shot that was begun and not ended."""
+        """Find out what became of a shot that was begun but not ended."""
         slot = intent.slot
         shot = self.shots.get(slot)
         if shot is None or fingerprint(self.whole, shot) != intent.shot:
-            self.journal.end(intent, "failed", reason="the plan asks for another shot by now")
+            self.journal.end(intent, "failed", reason="the plan now asks for another shot")
             return
         target = self.folder / frame_name(slot, self.plan.camera)
         before = self.journal.done().get(slot)
@@ -371,7 +371,7 @@ class _Session:
         shutil.rmtree(self.folder / INCOMING, ignore_errors=True)
 
     def check_room(self) -> None:
-        """Refuse to release where the frame would not fit: gphoto2 would cut it short without a word."""
+        """Refuse to release if the frame would not fit: gphoto2 would cut it short without a word."""
         sizes = [int(entry.details["size_bytes"]) for entry in self.journal.done().values()]
         needed = 2 * max(sizes) if sizes else _LEAST_FREE_BYTES
         free = shutil.disk_usage(self.folder).free

@@ -11,10 +11,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING
 
-from eldata.errors import EldataError, ManifestError
+from eldata.errors import ArgumentError, EldataError, ManifestError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
 
 def sha256_of(path: Path) -> str:
@@ -66,6 +66,16 @@ def write_json(path: Path | str, data: object, *, indent: int = 2) -> None:
 def json_text(data: object, *, indent: int = 2) -> str:
     """Return plain types as the text of a JSON file; only finite numbers are allowed."""
     return json.dumps(data, indent=indent, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def check_same_work(place: Path, begun: Mapping[str, object], wanted: Mapping[str, object]) -> None:
+    """Raise :class:`ArgumentError` if unfinished work was begun with another dataset or other options than now."""
+    for name, value in wanted.items():
+        if begun.get(name) != value:
+            raise ArgumentError(
+                f"{place}: was begun with another {name.replace('_', ' ')}: expected {value}, found {begun.get(name)}; "
+                "give the same data and options as then, or remove it to start again"
+            )
 
 
 def check_posix(what: str) -> None:

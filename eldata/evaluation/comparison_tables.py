@@ -1,4 +1,4 @@
-"""A comparison of methods in text, Markdown and LaTeX, and the words that its page shares."""
+"""A comparison of methods in text, Markdown and LaTeX, and the tables and words that its page shares."""
 
 from __future__ import annotations
 
@@ -7,17 +7,44 @@ from typing import TYPE_CHECKING
 
 from eldata.base.tables import Strong, latex_table, markdown_table, markdown_text, text_table
 from eldata.evaluation.statistics import LEVEL, RESAMPLES, SEED
-from eldata.evaluation.table import camera_text, factor_text, short_digest
+from eldata.evaluation.table import grouped_table, short_digest
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from eldata.base.tables import Format
     from eldata.evaluation.comparison import Comparison, Group
     from eldata.evaluation.statistics import Difference
+    from eldata.evaluation.table import PaperTable
     from eldata.protocols.kinds import Kind
 
+LABELS = 3
+"""How many cells at the beginning of each row say what it is of: camera, factor, how many images."""
 
-def mean_texts(group: Group, kind: Kind) -> list[str]:
-    """Return the means of each method as printed; what prints like the best of its row is :class:`Strong`."""
+
+def means_table(comparison: Comparison, times: str = "x") -> PaperTable:
+    """Return the means of each method by group; what prints like the best of its row is :class:`Strong`."""
+    kind = comparison.kind
+    heads = [f"{method.name} {metric.unit or metric.label}" for method in comparison.methods for metric in kind.metrics]
+    return _by_group(comparison, heads, [_mean_texts(group, kind) for group in comparison.groups], times)
+
+
+def gains_table(comparison: Comparison, index: int, times: str = "x") -> PaperTable:
+    """Return differences to the first method by group, of the method of this index among the others."""
+    kind = comparison.kind
+    heads = ["scenes", *(head for metric in kind.metrics for head in (metric.head, f"{LEVEL:.0%} interval", "p"))]
+    texts = [[str(group.scenes), *_gain_texts(group.gains[index], kind)] for group in comparison.groups]
+    return _by_group(comparison, heads, texts, times)
+
+
+def _by_group(comparison: Comparison, heads: Sequence[str], texts: Sequence[Sequence[str]], times: str) -> PaperTable:
+    counted = [(str(group.images), *cells) for group, cells in zip(comparison.groups, texts, strict=True)]
+    groups = [(group.camera, group.ratio) for group in comparison.groups]
+    return grouped_table(groups, (comparison.kind.units, *heads), counted, times)
+
+
+def _mean_texts(group: Group, kind: Kind) -> list[str]:
+    """Return the means of each method as printed."""
     columns = []
     for metric in kind.metrics:
         values = [means[metric.name] for means in group.means]
@@ -28,7 +55,7 @@ def mean_texts(group: Group, kind: Kind) -> list[str]:
     return [text for each in zip(*columns, strict=True) for text in each]
 
 
-def gain_texts(gain: dict[str, Difference], kind: Kind) -> list[str]:
+def _gain_texts(gain: dict[str, Difference], kind: Kind) -> list[str]:
     """Return difference, interval and p-value of each metric as printed."""
     cells = []
     for metric in kind.metrics:
@@ -38,7 +65,7 @@ def gain_texts(gain: dict[str, Difference], kind: Kind) -> list[str]:
         cells += [
             signed_text(interval.mean, places),
             reach if interval.is_known else "-",
-            p_text(difference.p_value),
+            _p_text(difference.p_value),
         ]
     return cells
 
@@ -48,46 +75,59 @@ def signed_text(value: float, decimals: int) -> str:
     return f"{value:+.{decimals}f}" if not math.isnan(value) else "-"
 
 
-def p_text(p_value: float) -> str:
+def _p_text(p_value: float) -> str:
     """Return a p-value as printed: three decimals, ``<0.001`` below."""
     if math.isnan(p_value):
         return "-"
     return f"{p_value:.3f}" if p_value >= 0.0005 else "<0.001"
 
 
-def gain_header(kind: Kind) -> tuple[str, ...]:
-    """Return the heads of :func:`gain_texts`."""
-    return tuple(head for metric in kind.metrics for head in (metric.head, f"{LEVEL:.0%} interval", "p"))
-
-
-def means_header(comparison: Comparison) -> tuple[str, ...]:
-    """Return the heads of :func:`mean_texts`."""
-    return tuple(
-        f"{method.name} {metric.unit or metric.label}"
-        for method in comparison.methods
-        for metric in comparison.kind.metrics
-    )
-
-
-def labels(comparison: Comparison) -> list[tuple[str, str, str]]:
-    """Return camera and factor of each group, a camera's name once, and how many images it has."""
-    names = [camera_text(group.camera) for group in comparison.groups]
-    return [
-        ("" if index and name == names[index - 1] else name, factor_text(group.ratio), str(group.images))
-        for index, (name, group) in enumerate(zip(names, comparison.groups, strict=True))
-    ]
-
-
-def label_header(kind: Kind) -> tuple[str, str, str]:
-    """Return the heads of :func:`labels`."""
-    return "camera", "factor", kind.units
-
-
 def format_comparison(comparison: Comparison, form: Format) -> str:
     """Return the tables: means of every method, then each method's differences to the first."""
+    first, *others = comparison.methods
+    means = means_table(comparison)
+    gains = {other.name: gains_table(comparison, index) for index, other in enumerate(others)}
+    titles = {name: f"{name} minus {first.name}" for name in gains}
+    summary, note = summary_of(comparison), statistics_note()
+    if form == "markdown":
+        blocks = [markdown_text(summary), markdown_table(means.header, means.rows)]
+        for name, table in gains.items():
+            blocks += [markdown_text(f"{titles[name]}:"), markdown_table(table.header, table.rows)]
+        remarks = [note, *(f"Warning: {text}" for text in comparison.warnings)]
+        return "\n\n".join([*blocks, *map(markdown_text, remarks)])
     if form == "latex":
-        return _latex(comparison)
-    return _markdown(comparison) if form == "markdown" else _text(comparison)
+        label = f"tab:{first.result.dataset}-{first.result.protocol.name}"
+        metrics = [metric.label for metric in comparison.kind.metrics]
+        spans = [("", LABELS), *((method.name, len(metrics)) for method in comparison.methods)]
+        tables = [
+            latex_table(
+                (*means.header[:LABELS], *metrics * len(comparison.methods)),
+                means.rows,
+                caption=f"{summary}. PSNR in dB.",
+                label=f"{label}-methods",
+                spans=spans,
+                rules=means.rules,
+            )
+        ]
+        for name, table in gains.items():
+            caption = f"{titles[name]}: {summary}. {note}"
+            tables.append(
+                latex_table(table.header, table.rows, caption=caption, label=f"{label}-{name}", rules=table.rules)
+            )
+        return "\n\n".join(tables)
+    lines = [summary, "", text_table(*_marked(means)), "* best of its row", ""]
+    for name, table in gains.items():
+        lines += [titles[name], "", text_table(table.header, table.rows), ""]
+    return "\n".join([*lines, note])
+
+
+def _marked(means: PaperTable) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Return header and rows of plain text, the best of each row with a star, the others with a space in its place."""
+    header, *rows = (
+        (*row[:LABELS], *(f"{cell}*" if isinstance(cell, Strong) else f"{cell} " for cell in row[LABELS:]))
+        for row in (means.header, *means.rows)
+    )
+    return header, rows
 
 
 def summary_of(comparison: Comparison) -> str:
@@ -107,83 +147,3 @@ def statistics_note() -> str:
         f"Interval: {LEVEL:.0%}, bootstrap over scenes ({RESAMPLES} resamples, seed {SEED}); p: signs of whole scenes "
         "flipped, two-sided. Of fewer than 6 scenes there is no interval."
     )
-
-
-def _means_rows(comparison: Comparison) -> list[tuple[str, ...]]:
-    return [
-        (*label, *mean_texts(group, comparison.kind))
-        for label, group in zip(labels(comparison), comparison.groups, strict=True)
-    ]
-
-
-def _gains_rows(comparison: Comparison, index: int) -> list[tuple[str, ...]]:
-    return [
-        (*label, str(group.scenes), *gain_texts(group.gains[index], comparison.kind))
-        for label, group in zip(labels(comparison), comparison.groups, strict=True)
-    ]
-
-
-def _means_header(comparison: Comparison) -> tuple[str, ...]:
-    return (*label_header(comparison.kind), *means_header(comparison))
-
-
-def _gains_header(comparison: Comparison) -> tuple[str, ...]:
-    return (*label_header(comparison.kind), "scenes", *gain_header(comparison.kind))
-
-
-def _text(comparison: Comparison) -> str:
-    rows = [
-        tuple(
-            f"{cell}*" if isinstance(cell, Strong) else f"{cell} " if index > 2 else cell
-            for index, cell in enumerate(row)
-        )
-        for row in _means_rows(comparison)
-    ]
-    header = tuple(f"{name} " if index > 2 else name for index, name in enumerate(_means_header(comparison)))
-    lines = [summary_of(comparison), "", text_table(header, rows), "* best of its row", ""]
-    for index, method in enumerate(comparison.methods[1:]):
-        lines += [f"{method.name} minus {comparison.methods[0].name}", ""]
-        lines += [text_table(_gains_header(comparison), _gains_rows(comparison, index)), ""]
-    return "\n".join([*lines, statistics_note()])
-
-
-def _markdown(comparison: Comparison) -> str:
-    blocks = [
-        markdown_text(summary_of(comparison)),
-        markdown_table(_means_header(comparison), _means_rows(comparison)),
-    ]
-    for index, method in enumerate(comparison.methods[1:]):
-        blocks += [
-            markdown_text(f"{method.name} minus {comparison.methods[0].name}:"),
-            markdown_table(_gains_header(comparison), _gains_rows(comparison, index)),
-        ]
-    blocks += [markdown_text(statistics_note()), *(markdown_text(f"Warning: {text}") for text in comparison.warnings)]
-    return "\n\n".join(blocks)
-
-
-def _latex(comparison: Comparison) -> str:
-    summary = summary_of(comparison)
-    label = f"tab:{comparison.methods[0].result.dataset}-{comparison.methods[0].result.protocol.name}"
-    rules = [index for index, (camera, *_) in enumerate(labels(comparison)) if index and camera]
-    names = [metric.label for _ in comparison.methods for metric in comparison.kind.metrics]
-    tables = [
-        latex_table(
-            (*label_header(comparison.kind), *names),
-            _means_rows(comparison),
-            caption=f"{summary}. PSNR in dB.",
-            label=f"{label}-methods",
-            spans=[("", 3), *((method.name, len(comparison.kind.metrics)) for method in comparison.methods)],
-            rules=rules,
-        )
-    ]
-    tables += [
-        latex_table(
-            _gains_header(comparison),
-            _gains_rows(comparison, index),
-            caption=f"{method.name} minus {comparison.methods[0].name}: {summary}. {statistics_note()}",
-            label=f"{label}-{method.name}",
-            rules=rules,
-        )
-        for index, method in enumerate(comparison.methods[1:])
-    ]
-    return "\n\n".join(tables)

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import zipfile
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from eldata.raw.cfa import pack, packed_shape
 from eldata.raw.levels import with_levels
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
     from numpy.typing import NDArray
 
@@ -122,11 +123,6 @@ def _stem(path: str) -> str:
     return Path(path).with_suffix("").as_posix()
 
 
-def prediction_path(folder: Path, noisy_path: str, extension: str = ".npy") -> Path:
-    """Return where the prediction of a noisy frame lies."""
-    return folder / f"{_stem(noisy_path)}{extension}"
-
-
 def save_prediction(folder: Path | str, noisy_path: str, prediction: NDArray[Any]) -> Path:
     """Write a prediction as ``.npy`` where :func:`eldata.evaluate` looks for it, whole or not at all.
 
@@ -139,7 +135,7 @@ def save_prediction(folder: Path | str, noisy_path: str, prediction: NDArray[Any
     prediction
         Packed (C, h, w) or mosaic (H, W); float in [0, 1], or uint16 where 65535 = 1.0.
     """
-    path = prediction_path(Path(folder), noisy_path)
+    path = Path(folder) / f"{_stem(noisy_path)}.npy"
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as file:
         np.save(file, np.asarray(prediction), allow_pickle=False)
@@ -198,57 +194,27 @@ def load_prediction(path: Path, sensor: Sensor, levels: Levels) -> NDArray[np.fl
     """
     if path.suffix.lower() == ".dng":
         return _from_dng(path, sensor, levels)
-    values = _packed(path, _read_values(path), sensor)
+    values = _packed(path, _values(path, _read_array(path)), sensor)
     leveled = with_levels(sensor, "metadata" if levels == "metadata-per-channel" else levels)
     span = leveled.white_level_dn - max(leveled.black_level_dn)
     _check_values(path, values, f"divide by {span:g} (white - black) or 255")
     return values
 
 
-def load_rgb_prediction(path: Path, shape: tuple[int, int, int]) -> NDArray[np.float32 | np.float64]:
-    """Load a prediction of an RGB frame, such as DRV's preprocessed ones.
+def load_colours(
+    path: Path, shape: tuple[int, int, int], pixels: Literal["srgb", "rgb"]
+) -> NDArray[np.float32 | np.float64]:
+    """Load a prediction that is a rendering in sRGB, or an RGB frame such as DRV's preprocessed ones.
 
     Parameters
     ----------
     path
-        A file of one of :data:`EXTENSIONS` but dng. A PNG is 16-bit RGB, the others are channels first.
-    shape
-        (3, h, w), the reference's.
-
-    Returns
-    -------
-    ndarray
-        (3, h, w) in the order R, G, B, float32 or float64, finite; not clamped.
-
-    Raises
-    ------
-    PredictionError
-        Like :func:`load_prediction`.
-    """
-    if path.suffix.lower() == ".dng":
-        raise PredictionError(path, "expected an RGB frame, found a DNG; save npy (3, h, w) or a 16-bit RGB PNG")
-    values = _read_values(path)
-    if path.suffix.lower() == ".png" and values.ndim == 3:
-        values = np.ascontiguousarray(values.transpose(2, 0, 1))
-    if values.shape != shape:
-        hint = "predict the whole frame, in the reference's orientation"
-        if values.shape == (*shape[1:], shape[0]):
-            hint = "it is channels-last: transpose(2, 0, 1) it"
-        raise PredictionError(path, f"expected shape {shape} (R, G, B), found {values.shape}; {hint}")
-    _check_values(path, values, "divide by 65535 or 255")
-    return values
-
-
-def load_srgb_prediction(path: Path, shape: tuple[int, int, int]) -> NDArray[np.float32 | np.float64]:
-    """Load a prediction that is a rendering in sRGB.
-
-    Parameters
-    ----------
-    path
-        A file of one of :data:`EXTENSIONS` but dng: an RGB PNG or TIFF of 8 or 16 bits, or an array (H, W, 3) or
-        (3, H, W), uint8, uint16 or float in [0, 1].
+        A file of one of :data:`EXTENSIONS` but dng. A rendering: an RGB PNG or TIFF of 8 or 16 bits, or an array
+        (H, W, 3) or (3, H, W), uint8, uint16 or float in [0, 1]. A frame: a 16-bit RGB PNG, the others channels first.
     shape
         (3, H, W), the reference's.
+    pixels
+        What it should be (:attr:`eldata.protocols.Protocol.pixels`).
 
     Returns
     -------
@@ -260,20 +226,29 @@ def load_srgb_prediction(path: Path, shape: tuple[int, int, int]) -> NDArray[np.
     PredictionError
         Like :func:`load_prediction`.
     """
+    rendering, height, width = pixels == "srgb", *shape[1:]
     if path.suffix.lower() == ".dng":
-        raise PredictionError(path, "expected a rendering in sRGB, found a DNG; save an RGB PNG of 8 or 16 bits")
-    array = _native(_read_array(path))
-    values = array.astype(np.float32) / np.float32(255) if array.dtype == np.uint8 else _as_values(path, array)
-    height, width = shape[1:]
-    if values.shape == (height, width, 3):
+        advice = "a rendering in sRGB, found a DNG; save an RGB PNG of 8 or 16 bits"
+        if not rendering:
+            advice = "an RGB frame, found a DNG; save npy (3, h, w) or a 16-bit RGB PNG"
+        raise PredictionError(path, f"expected {advice}")
+    array = _read_array(path)
+    values = (
+        array.astype(np.float32) / np.float32(255) if rendering and array.dtype == np.uint8 else _values(path, array)
+    )
+    channels_last = values.shape == (height, width, 3)
+    if channels_last and (rendering or path.suffix.lower() == ".png"):
         values = np.ascontiguousarray(values.transpose(2, 0, 1))
     if values.shape != shape:
-        hint = "render the whole frame, in the reference's orientation"
-        if values.ndim == 3 and 4 in (values.shape[0], values.shape[-1]):
+        expected = f"({height}, {width}, 3) or {shape}" if rendering else f"shape {shape} (R, G, B)"
+        hint = f"{'render' if rendering else 'predict'} the whole frame, in the reference's orientation"
+        if channels_last:
+            hint = "it is channels-last: transpose(2, 0, 1) it"
+        elif rendering and values.ndim == 3 and 4 in (values.shape[0], values.shape[-1]):
             hint = "packed raw, or with alpha? this protocol takes renderings in sRGB"
-        elif values.ndim == 2:
+        elif rendering and values.ndim == 2:
             hint = "one grey channel? this protocol takes renderings in sRGB"
-        raise PredictionError(path, f"expected ({height}, {width}, 3) or {shape}, found {array.shape}; {hint}")
+        raise PredictionError(path, f"expected {expected}, found {values.shape}; {hint}")
     _check_values(path, values, "divide by 65535 or 255")
     return values
 
@@ -292,17 +267,8 @@ def prediction_space(path: Path) -> Space:
     return "srgb" if len(shape) == 3 and 3 in (shape[0], shape[-1]) else "raw"
 
 
-def _read_values(path: Path) -> NDArray[Any]:
+def _values(path: Path, array: NDArray[Any]) -> NDArray[Any]:
     """Return a file's array as float32 or float64, uint16 as [0, 1]."""
-    return _as_values(path, _native(_read_array(path)))
-
-
-def _native(array: NDArray[Any]) -> NDArray[Any]:
-    """Return an array in this machine's byte order."""
-    return array.astype(array.dtype.newbyteorder("="), copy=False)
-
-
-def _as_values(path: Path, array: NDArray[Any]) -> NDArray[Any]:
     if array.dtype == np.uint16:
         values: NDArray[Any] = array.astype(np.float32) / np.float32(65535)
     elif array.dtype in (np.float16, np.float32, np.float64):
@@ -374,21 +340,21 @@ def _from_dng(path: Path, sensor: Sensor, levels: Levels) -> NDArray[np.float32]
 
 
 def _read_array(path: Path) -> NDArray[Any]:
-    reader = {".npy": _read_npy, ".npz": _read_npz, ".h5": _read_h5, ".png": _read_png}.get(
-        path.suffix.lower(), _read_tiff
-    )
+    """Return a file's array, in this machine's byte order."""
+    readers: dict[str, Callable[[Path], NDArray[Any]]] = {
+        ".npy": partial(np.lib.format.open_memmap, mode="r"),  # never unpickles
+        ".npz": _read_npz,
+        ".h5": _read_h5,
+        ".png": lambda path: decode_png(path.read_bytes()),
+    }
     try:
-        return np.asarray(reader(path))
+        array = np.asarray(readers.get(path.suffix.lower(), _read_tiff)(path))
+        return array.astype(array.dtype.newbyteorder("="), copy=False)
     except PredictionError:
         raise
     except Exception as error:  # five libraries, each with its own kinds
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise PredictionError(path, f"cannot be read as {path.suffix[1:]} ({reason}); write it again") from error
-
-
-def _read_npy(path: Path) -> NDArray[Any]:
-    array: NDArray[Any] = np.lib.format.open_memmap(path, mode="r")  # never unpickles
-    return array
 
 
 def _read_npz(path: Path) -> NDArray[Any]:
@@ -417,10 +383,6 @@ def _only(path: Path, names: list[str]) -> str:
     raise PredictionError(
         path, f"expected one array, or one called 'prediction'; found {', '.join(names) if names else 'none'}"
     )
-
-
-def _read_png(path: Path) -> NDArray[Any]:
-    return decode_png(path.read_bytes())
 
 
 def _read_tiff(path: Path) -> NDArray[Any]:

@@ -207,8 +207,13 @@ class EvaluationResult:
 
     @property
     def paper_table(self) -> PaperTable:
-        """The table as papers lay it out."""
-        return paper_table(self.table, self.kind, one_camera=self.provenance.get("cameras", "all") == "all")
+        """The table as papers lay it out: each metric with the decimals that they print."""
+        return self.laid_out(self.kind.heads, [row.texts(self.kind) for row in self.table])
+
+    def laid_out(self, names: Sequence[str], texts: Sequence[Sequence[str]], times: str = "x") -> PaperTable:
+        """Return texts for each row of the table laid out by :func:`~eldata.evaluation.table.paper_table`."""
+        one_camera = self.provenance.get("cameras", "all") == "all"
+        return paper_table(self.table, names, texts, one_camera=one_camera, times=times)
 
     def format(self, form: Format) -> str:
         """Return the result as plain text, or its table in Markdown or LaTeX, ready to be pasted into a document."""

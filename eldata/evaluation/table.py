@@ -97,47 +97,58 @@ class PaperTable:
     transposed: bool = False
 
 
-def paper_table(rows: Sequence[TableRow], kind: Kind, *, one_camera: bool) -> PaperTable:
-    """Return the cells: each metric with the decimals that papers print.
+def paper_table(
+    rows: Sequence[TableRow],
+    names: Sequence[str],
+    texts: Sequence[Sequence[str]],
+    *,
+    one_camera: bool,
+    times: str = "x",
+) -> PaperTable:
+    """Return the cells of a table of means.
 
     A set of several cameras has a row for each camera and factor, as in the ELD paper's table; a set of one camera has
     a column for each factor, as in those on SID; without factors it is one row, as in those on DRV.
 
     Parameters
     ----------
-    rows, kind
+    rows
         Of the result.
+    names, texts
+        What each row states, and its texts.
     one_camera
         Whether the set has one camera, and all of it was chosen.
+    times
+        As for :func:`factor_text`.
     """
-    names = (kind.counted, *(metric.head for metric in kind.metrics))
     if len(rows) == 1 and rows[0].ratio is None:
-        return PaperTable(names, (rows[0].texts(kind),), (0,))
+        return PaperTable(tuple(names), (tuple(texts[0]),), (0,))
     if one_camera and len({row.camera for row in rows if row.camera is not None}) == 1:
-        header = (rows[0].camera or "", *(factor_text(row.ratio) for row in rows))
-        values = zip(*(row.texts(kind) for row in rows), strict=True)
-        cells = tuple((name, *texts) for name, texts in zip(names, values, strict=True))
+        header = (rows[0].camera or "", *(factor_text(row.ratio, times) for row in rows))
+        cells = tuple((name, *values) for name, values in zip(names, zip(*texts, strict=True), strict=True))
         return PaperTable(header, cells, (0,), transposed=True)
-    starts = tuple(index for index, row in enumerate(rows) if index and row.camera != rows[index - 1].camera)
+    return grouped_table([(row.camera, row.ratio) for row in rows], names, texts, times)
+
+
+def grouped_table(
+    groups: Sequence[tuple[str | None, float | None]],
+    names: Sequence[str],
+    texts: Sequence[Sequence[str]],
+    times: str = "x",
+) -> PaperTable:
+    """Return a row of texts for each group of camera and factor, with the camera's name once."""
+    cameras = ["all" if camera is None else camera for camera, _ in groups]
+    starts = [index for index, camera in enumerate(cameras) if not index or camera != cameras[index - 1]]
     cells = tuple(
-        (
-            "" if index and index not in starts else camera_text(row.camera),
-            factor_text(row.ratio),
-            *row.texts(kind),
-        )
-        for index, row in enumerate(rows)
+        (cameras[index] if index in starts else "", factor_text(ratio, times), *texts[index])
+        for index, (_, ratio) in enumerate(groups)
     )
-    return PaperTable(("camera", "factor", *names), cells, (0,), starts)
+    return PaperTable(("camera", "factor", *names), cells, (0,), tuple(starts[1:]))
 
 
-def camera_text(camera: str | None) -> str:
-    """Return a camera's name, or ``all``."""
-    return "all" if camera is None else camera
-
-
-def factor_text(ratio: float | None) -> str:
-    """Return a factor as printed: ``x100``, or ``all``."""
-    return "all" if ratio is None else f"x{ratio:g}"
+def factor_text(ratio: float | None, times: str = "x") -> str:
+    """Return a factor as printed, ``x100``, or ``all``; ``times`` is the sign of multiplication."""
+    return "all" if ratio is None else f"{times}{ratio:g}"
 
 
 def short_digest(digest: str) -> str:

@@ -19,7 +19,7 @@ from eldata.base.png import rgb_frame
 from eldata.base.workers import Failed, require_files
 from eldata.errors import ArgumentError, EldataError, FileError, PredictionError, RawFileError
 from eldata.evaluation.pairs import Pair, frames_of, place_of, ratio_of
-from eldata.evaluation.predictions import load_prediction, load_rgb_prediction, load_srgb_prediction
+from eldata.evaluation.predictions import load_colours, load_prediction
 from eldata.evaluation.references import normalised_frame, rendered_reference
 from eldata.evaluation.scores import EvaluationProblem, FrameScore, UnitScore, mean
 from eldata.manifest.clips import ClipRecord
@@ -248,9 +248,8 @@ class _Frame:
         if protocol.pixels == "packed":
             key = ("raw", levels if file.suffix.lower() == ".dng" else "")
             return key, self._shared.get(key, lambda: load_prediction(file, self.reference.frame.sensor, levels))
-        channels, height, width = self.reference.target(protocol).shape
-        load = load_srgb_prediction if protocol.pixels == "srgb" else load_rgb_prediction
-        return protocol.pixels, self._shared.get(protocol.pixels, lambda: load(file, (channels, height, width)))
+        pixels, (channels, height, width) = protocol.pixels, self.reference.target(protocol).shape
+        return pixels, self._shared.get(pixels, lambda: load_colours(file, (channels, height, width), pixels))
 
     def input(self, protocol: Protocol) -> tuple[Hashable, NDArray[Any]]:
         """Return the amplified noisy input as a protocol has it, and what decides it."""

@@ -67,6 +67,11 @@ class Kind:
         """Several of its units, which is also the scores' name in the JSON."""
         return f"{self.unit}s"
 
+    @property
+    def heads(self) -> tuple[str, ...]:
+        """Columns of a table of means."""
+        return self.counted, *(metric.head for metric in self.metrics)
+
 
 _PSNR = Metric("psnr_db", "PSNR", "dB", 2, 2, 2)
 _SSIM = Metric("ssim", "SSIM", "", 3, 4, 4)  # differences of SSIM are small

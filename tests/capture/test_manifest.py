@@ -309,7 +309,7 @@ def test_copies_inside_of_what_is_searched_are_no_new_files(tmp_path: Path) -> N
         (["manifest", "PLAN", "CARD", "-o", "mine.json"], "expected a name that ends in .csv"),
         (["manifest", "PLAN", "CARD", "-o", "plan.csv"], "its card would be"),
         (["manifest", "nowhere.json", "CARD", "-o", "mine.csv"], "nowhere.json: cannot be read"),
-        (["manifest", "PLAN", "nowhere", "-o", "mine.csv"], "nowhere: there is no such file or folder"),
+        (["manifest", "PLAN", "nowhere", "-o", "mine.csv"], "nowhere: no such file or folder"),
         (["manifest", "PLAN", "PLAN", "-o", "mine.csv"], "no raw file (.dng) was given"),
         (["manifest", "PLAN", "CARD", "-o", "mine.csv", "--copy-to", "a", "--link-to", "b"], "not allowed with"),
         (["manifest", "PLAN", "CARD", "-o", "mine.csv", "--only", "scene-7"], "no scene called 'scene-7'"),

@@ -318,7 +318,7 @@ def test_refused_before_the_first_shot(
 
 def test_no_program(rig: Rig, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", str(rig.file), "-o", str(rig.shots), "--yes", "--gphoto2", "gphoto-not-there"]) == 2
-    assert "there is no such program; install it with: apt install gphoto2" in capsys.readouterr().err
+    assert "program not found; install it with: apt install gphoto2" in capsys.readouterr().err
 
 
 def test_no_camera_several_and_one_that_is_held(rig: Rig, capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,7 +6,7 @@ import csv
 import json
 import shutil
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import pytest
@@ -131,15 +131,15 @@ def test_each_prediction_is_read_once_for_all_protocols(
     drv: SmallDrv, predictions: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from eldata.evaluation import units
-    from eldata.evaluation.predictions import load_rgb_prediction as genuine
+    from eldata.evaluation.predictions import load_colours as genuine
 
     loaded = []
 
-    def load(path: Path, shape: tuple[int, int, int]) -> object:
+    def load(path: Path, shape: tuple[int, int, int], pixels: Literal["rgb", "srgb"]) -> object:
         loaded.append(path)
-        return genuine(path, shape)
+        return genuine(path, shape, pixels)
 
-    monkeypatch.setattr(units, "load_rgb_prediction", load)
+    monkeypatch.setattr(units, "load_colours", load)
     evaluate_all(predictions, manifest=drv.csv, root=drv.root, ids=["0007", "0013"])
     assert len(loaded) == len(set(loaded)) == 10
 

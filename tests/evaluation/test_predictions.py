@@ -13,7 +13,7 @@ import tifffile
 
 from eldata.errors import EldataError, PredictionError
 from eldata.evaluation import evaluate, load_prediction, save_prediction
-from eldata.evaluation.predictions import load_srgb_prediction, prediction_space
+from eldata.evaluation.predictions import load_colours, prediction_space
 from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
 from eldata.records import Exposure
@@ -586,7 +586,7 @@ def test_integer_renderings(bits: int, extension: str, tmp_path: Path) -> None:
         tifffile.imwrite(path, codes, photometric="rgb")
     else:
         np.save(path, codes)
-    found = load_srgb_prediction(path, RGB_SHAPE)
+    found = load_colours(path, RGB_SHAPE, "srgb")
     assert found.shape == RGB_SHAPE
     np.testing.assert_allclose(found, codes.transpose(2, 0, 1) / full, rtol=1e-7)
     assert prediction_space(path) == "srgb"
@@ -596,7 +596,7 @@ def test_integer_renderings(bits: int, extension: str, tmp_path: Path) -> None:
 def test_rendered_arrays_have_their_channels_first_or_last(tmp_path: Path, *, first: bool) -> None:
     values = rgb_values()
     np.save(tmp_path / "x.npy", values.transpose(2, 0, 1) if first else values)
-    np.testing.assert_array_equal(load_srgb_prediction(tmp_path / "x.npy", RGB_SHAPE), values.transpose(2, 0, 1))
+    np.testing.assert_array_equal(load_colours(tmp_path / "x.npy", RGB_SHAPE, "srgb"), values.transpose(2, 0, 1))
 
 
 @pytest.mark.parametrize(
@@ -615,13 +615,13 @@ def test_rendered_arrays_have_their_channels_first_or_last(tmp_path: Path, *, fi
 def test_bad_renderings(array: NDArray[Any], said: str, tmp_path: Path) -> None:
     np.save(tmp_path / "x.npy", array)
     with pytest.raises(PredictionError, match=said):
-        load_srgb_prediction(tmp_path / "x.npy", RGB_SHAPE)
+        load_colours(tmp_path / "x.npy", RGB_SHAPE, "srgb")
 
 
 def test_a_dng_is_no_rendering(tmp_path: Path) -> None:
     (tmp_path / "x.dng").write_bytes(b"")
     with pytest.raises(PredictionError, match="expected a rendering in sRGB, found a DNG"):
-        load_srgb_prediction(tmp_path / "x.dng", RGB_SHAPE)
+        load_colours(tmp_path / "x.dng", RGB_SHAPE, "srgb")
     assert prediction_space(tmp_path / "x.dng") == "raw"
 
 

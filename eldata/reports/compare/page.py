@@ -8,20 +8,16 @@ from typing import TYPE_CHECKING, Any
 from eldata.base.files import write_text
 from eldata.base.tables import Strong
 from eldata.evaluation.comparison_tables import (
-    gain_header,
-    gain_texts,
-    label_header,
-    labels,
-    mean_texts,
-    means_header,
+    LABELS,
+    gains_table,
+    means_table,
     signed_text,
     statistics_note,
     summary_of,
 )
-from eldata.evaluation.table import factor_text
 from eldata.protocols.kinds import IMAGES
 from eldata.reports.compare.plots import gain_plots
-from eldata.reports.evaluation.page import Cell, Table, field_text, number_cell, times
+from eldata.reports.evaluation.page import FACTS, Cell, Table, fact_cells, field_text, number_cell
 from eldata.reports.evaluation.script import rendered_with_script
 from eldata.reports.html import signed
 
@@ -29,8 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from eldata.evaluation.comparison import Comparison, Group, Method, Pairing
-    from eldata.evaluation.scores import UnitScore
+    from eldata.evaluation.comparison import Comparison, Method, Pairing
     from eldata.evaluation.statistics import Difference
     from eldata.protocols.kinds import Kind
 
@@ -60,7 +55,7 @@ def comparison_page(comparison: Comparison) -> str:
         sections=[_section(comparison, index) for index in range(len(others))],
         rows=_rows(comparison),
         methods=[
-            {"name": method.name, "id": f"method-{index}", "fields": _facts(method)}
+            {"name": method.name, "id": f"method-{index}", "fields": _fields(method)}
             for index, method in enumerate(comparison.methods, start=1)
         ],
     )
@@ -71,7 +66,7 @@ def _names(methods: Sequence[Method]) -> list[str]:
     return names if len(names) < 3 else [", ".join(names[:-1]), names[-1]]
 
 
-def _facts(method: Method) -> list[tuple[str, str]]:
+def _fields(method: Method) -> list[tuple[str, str]]:
     result = method.result
     return [
         ("file", result.source),
@@ -84,58 +79,50 @@ def _facts(method: Method) -> list[tuple[str, str]]:
 # --- tables -------------------------------------------------------------------------------------------------------
 
 
-def _labels(comparison: Comparison) -> list[tuple[Cell, Cell, Cell]]:
-    return [(Cell(camera), Cell(times(factor)), Cell(images)) for camera, factor, images in labels(comparison)]
-
-
-def _rules(comparison: Comparison) -> tuple[int, ...]:
-    return tuple(index for index, label in enumerate(_labels(comparison)) if index and label[0].text)
-
-
 def _means_table(comparison: Comparison) -> Table:
+    means = means_table(comparison, "×")
     rows = [
         (
-            *label,
-            *(
-                Cell(signed(text), "best" if isinstance(text, Strong) else "")
-                for text in mean_texts(group, comparison.kind)
-            ),
+            *map(Cell, row[:LABELS]),
+            *(Cell(signed(text), "best" if isinstance(text, Strong) else "") for text in row[LABELS:]),
         )
-        for label, group in zip(_labels(comparison), comparison.groups, strict=True)
+        for row in means.rows
     ]
-    header = (*label_header(comparison.kind), *means_header(comparison))
-    return Table(header, tuple(rows), rules=_rules(comparison))
+    return Table(means.header, tuple(rows), rules=means.rules)
 
 
 def _section(comparison: Comparison, index: int) -> dict[str, Any]:
     first, other, kind = comparison.methods[0], comparison.methods[index + 1], comparison.kind
-    rows = [
-        (*label, Cell(str(group.scenes)), *_gain_cells(group, index, kind))
-        for label, group in zip(_labels(comparison), comparison.groups, strict=True)
-    ]
     wins, losses = comparison.extremes(index)
-    header = (*label_header(kind), "scenes", *gain_header(kind))
     return {
         "title": f"{other.name} against {first.name}",
         "id": f"gain-{index + 1}",
         "verdict": _verdict(comparison.whole.gains[index]["psnr_db"], first.name, other.name),
-        "table": Table(header, tuple(rows), rules=_rules(comparison)),
+        "table": _gains_table(comparison, index),
         "plots": gain_plots(comparison, index),
         "wins": _extremes_table(wins, kind),
         "losses": _extremes_table(losses, kind),
     }
 
 
-def _gain_cells(group: Group, index: int, kind: Kind) -> list[Cell]:
-    gain = group.gains[index]
-    looks = []
-    for metric in kind.metrics:
-        sign = gain[metric.name].interval.sign * (1 if metric.higher_is_better else -1)
-        looks += [_look(sign), "", ""]
-    return [
-        Cell("–" if text == "-" else signed(text), look)
-        for text, look in zip(gain_texts(gain, kind), looks, strict=True)
-    ]
+def _gains_table(comparison: Comparison, index: int) -> Table:
+    gains = gains_table(comparison, index, "×")
+    rows = []
+    for group, texts in zip(comparison.groups, gains.rows, strict=True):
+        looks = [""] * (LABELS + 1)  # and scenes
+        for metric in comparison.kind.metrics:
+            sign = group.gains[index][metric.name].interval.sign
+            looks += [_look(sign if metric.higher_is_better else -sign), "", ""]
+        rows.append(
+            (
+                *map(Cell, texts[:LABELS]),
+                *(
+                    Cell("–" if text == "-" else signed(text), look)
+                    for text, look in zip(texts[LABELS:], looks[LABELS:], strict=True)
+                ),
+            )
+        )
+    return Table(gains.header, tuple(rows), rules=gains.rules)
 
 
 def _look(sign: float) -> str:
@@ -164,31 +151,19 @@ def _extremes_table(pairings: Sequence[Pairing], kind: Kind) -> Table | None:
     rows = [
         (
             Cell(one.first.name),
-            *_facts_of(one.first, kind),
+            *fact_cells(one.first, kind),
             Cell(signed(signed_text(one.gain_db, 2))),
             Cell(signed(signed_text(one.gain_ssim, 3))),
         )
         for one in pairings
     ]
-    return Table((kind.unit, *_fact_heads(kind), "PSNR [dB]", "SSIM"), tuple(rows))
-
-
-def _fact_heads(kind: Kind) -> tuple[str, ...]:
-    return ("ISO", "factor") if kind is IMAGES else ()
-
-
-def _facts_of(score: UnitScore, kind: Kind) -> tuple[Cell, ...]:
-    """Return ISO and factor of an image; clips state none."""
-    if kind is not IMAGES:
-        return ()
-    iso = number_cell(score.iso, f"{score.iso:g}" if score.iso else "–")
-    return iso, number_cell(score.ratio or 0.0, times(factor_text(score.ratio)))
+    return Table((kind.unit, *(FACTS if kind is IMAGES else ()), "PSNR [dB]", "SSIM"), tuple(rows))
 
 
 def _rows(comparison: Comparison) -> Table:
     kind = comparison.kind
     first, *others = comparison.methods
-    header = [kind.unit, "camera", "scene", *_fact_heads(kind), f"{first.name} dB"]
+    header = [kind.unit, "camera", "scene", *(FACTS if kind is IMAGES else ()), f"{first.name} dB"]
     for method in others:
         header += [f"{method.name} dB", "difference"]
     rows = []
@@ -196,7 +171,7 @@ def _rows(comparison: Comparison) -> Table:
         base = of_image[0].first
         row = [
             *(Cell(text) for text in (base.name, base.camera, base.scene)),
-            *_facts_of(base, kind),
+            *fact_cells(base, kind),
             number_cell(base.psnr_db, f"{base.psnr_db:.2f}"),
         ]
         for one in of_image:

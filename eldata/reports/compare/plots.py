@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 from matplotlib.ticker import FixedLocator
 
 from eldata.reports.evaluation.plots import draw_points, drawable
-from eldata.reports.figures import drawn, figure
+from eldata.reports.figures import drawn_axes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from matplotlib.figure import Figure
+    from matplotlib.axes import Axes
 
     from eldata.evaluation.comparison import Comparison, Pairing
     from eldata.protocols.kinds import Kind
@@ -31,7 +31,7 @@ def gain_plots(comparison: Comparison, index: int) -> tuple[Plot, ...]:
     return (
         _groups_plot(comparison, index, names),
         _scatter(finite, names, index, kind),
-        _by_level(finite, names, index),
+        _by_level(finite, names, index, kind),
     )
 
 
@@ -42,9 +42,7 @@ def _short(name: str) -> str:
 def _groups_plot(comparison: Comparison, index: int, names: tuple[str, str]) -> Plot:
     groups = [group for group in comparison.groups if math.isfinite(group.gains[index]["psnr_db"].interval.mean)]
 
-    def draw(theme: Theme) -> Figure:
-        made = figure()
-        axes = made.subplots()
+    def draw(axes: Axes, theme: Theme) -> None:
         axes.axvline(0, color=theme.theory, linewidth=1)
         for place, group in enumerate(groups):
             interval = group.gains[index]["psnr_db"].interval
@@ -56,9 +54,8 @@ def _groups_plot(comparison: Comparison, index: int, names: tuple[str, str]) -> 
         axes.set_ylim(len(groups) - 0.5, -0.5)
         axes.grid(visible=False, axis="y")
         axes.set_xlabel("difference of PSNR [dB]")
-        return made
 
-    return drawn(
+    return drawn_axes(
         f"gain-groups-{index}",
         "Mean difference by group",
         f"Mean difference of PSNR, {names[1]} minus {names[0]}, of {len(groups)} groups.",
@@ -74,18 +71,15 @@ def _scatter(pairings: Sequence[Pairing], names: tuple[str, str], index: int, ki
     limits = min(values) - margin, max(values) + margin
     better = sum(one.gain_db > 0 for one in pairings)
 
-    def draw(theme: Theme) -> Figure:
-        made = figure()
-        axes = made.subplots()
+    def draw(axes: Axes, theme: Theme) -> None:
         axes.plot(limits, limits, color=theme.theory, linewidth=1)
         draw_points(axes, points, theme, alpha=0.6)
         axes.set_xlim(*limits)
         axes.set_ylim(*limits)
         axes.set_xlabel(f"{_short(names[0])} [dB]", parse_math=False)
         axes.set_ylabel(f"{_short(names[1])} [dB]", parse_math=False)
-        return made
 
-    return drawn(
+    return drawn_axes(
         f"gain-scatter-{index}",
         f"{kind.unit.capitalize()} by {kind.unit}",
         f"PSNR of {names[1]} against that of {names[0]} on {len(points)} {kind.units}; it is higher on {better}.",
@@ -94,23 +88,23 @@ def _scatter(pairings: Sequence[Pairing], names: tuple[str, str], index: int, ki
     )
 
 
-def _by_level(pairings: Sequence[Pairing], names: tuple[str, str], index: int) -> Plot:
+def _by_level(pairings: Sequence[Pairing], names: tuple[str, str], index: int, kind: Kind) -> Plot:
     points = [(one.first.ratio, one.first.psnr_db, one.gain_db) for one in pairings]
     gains = [gain for _, _, gain in points]
 
-    def draw(theme: Theme) -> Figure:
-        made = figure()
-        axes = made.subplots()
+    def draw(axes: Axes, theme: Theme) -> None:
         axes.axhline(0, color=theme.theory, linewidth=1)
         draw_points(axes, points, theme, alpha=0.6)
         axes.set_xlabel(f"{_short(names[0])} [dB]", parse_math=False)
         axes.set_ylabel("difference [dB]")
-        return made
 
-    return drawn(
+    return drawn_axes(
         f"gain-level-{index}",
         "Difference by difficulty",
         f"Difference of PSNR, from {min(gains):.2f} to {max(gains):.2f} dB, against the PSNR of {names[0]}.",
-        f"What {names[0]} finds hard is to the left. A slope says that one method wins where it is dark.",
+        (
+            f"{kind.units.capitalize()} that {names[0]} finds hard are to the left. A slope says that one method wins "
+            "where it is dark."
+        ),
         draw,
     )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
@@ -24,8 +23,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from eldata.evaluation.results import EvaluationResult
+    from eldata.evaluation.scores import UnitScore
     from eldata.evaluation.statistics import Interval
-    from eldata.protocols.kinds import Metric
+    from eldata.protocols.kinds import Kind, Metric
 
 
 def write_evaluation_page(
@@ -68,6 +68,7 @@ def evaluation_page(results: Sequence[EvaluationResult], shown: ShownImages) -> 
     return rendered_with_script(
         "evaluation.html",
         kind=kind,
+        result=result,
         title=f"{_method(result)} on {result.dataset}",
         subtitle=f"Protocol {result.protocol.name} ({short_digest(result.digest)}): {result.protocol.title}",
         outcome=_outcome(result),
@@ -75,42 +76,22 @@ def evaluation_page(results: Sequence[EvaluationResult], shown: ShownImages) -> 
         tiles=_tiles(result),
         sections=[*sections, ("provenance", "Provenance")],
         table=table_with_intervals(result),
-        table_caption=result.caption,
         interval_note=interval_note(kind),
         protocols=_protocols(results) if len(results) > 1 else None,
-        others=[
-            {
-                "name": other.protocol.name,
-                "id": f"means-{index}",
-                "table": table_with_intervals(other),
-                "caption": other.caption,
-            }
-            for index, other in enumerate(results[1:], start=2)
-        ],
+        others=[(other, table_with_intervals(other)) for other in results[1:]],
         plots=plots,
-        rescaled=result.rescales,
         shown=shown,
         pictures_note=_pictures_note(result, shown),
         error_limit=digits(shown.error_limit, 2),
         gradient=heat_gradient(),
-        groups=[
-            {
-                "title": f"{rank} by PSNR",
-                "images": [
-                    {"image": image, "id": ids[image.score.path], "facts": _facts(image, result)}
-                    for image in shown.images
-                    if image.rank == rank
-                ],
-            }
+        groups={
+            rank: [
+                (ids[image.score.path], image, _facts(image, result)) for image in shown.images if image.rank == rank
+            ]
             for rank in dict.fromkeys(image.rank for image in shown.images)
-        ],
+        },
         jpeg_uri=jpeg_uri,
         rows=_rows(result, ids),
-        rows_caption=f"Scores of {result.scored} {kind.units}",
-        problems=result.problems,
-        missing=result.missing,
-        pairs=result.expected,
-        protocol_name=result.protocol.name,
         protocol_fields=[(name, _protocol_text(name, value)) for name, value in result.protocol.as_dict().items()],
         provenance_fields=[(name, field_text(value)) for name, value in result.provenance.items()],
     )
@@ -131,13 +112,12 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Cells of a table; which columns stand to the left, which rows have a line above, which column is sorted."""
+    """Cells of a table; which columns stand to the left, which rows have a line above."""
 
     header: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
     left: tuple[int, ...] = (0,)
     rules: tuple[int, ...] = ()
-    sorted_by: int | None = None
 
 
 def number_cell(value: float, text: str, look: str = "") -> Cell:
@@ -146,6 +126,18 @@ def number_cell(value: float, text: str, look: str = "") -> Cell:
         "NaN" if math.isnan(value) else ("-Infinity" if value < 0 else "Infinity") if math.isinf(value) else repr(value)
     )
     return Cell(signed(text) if not math.isnan(value) else "–", look, known)
+
+
+FACTS = ("ISO", "factor")
+"""What :func:`fact_cells` states."""
+
+
+def fact_cells(score: UnitScore, kind: Kind) -> tuple[Cell, ...]:
+    """Return ISO and factor of an image; clips state none."""
+    if kind is not IMAGES:
+        return ()
+    iso = number_cell(score.iso, f"{score.iso:g}" if score.iso else "–")
+    return iso, number_cell(score.ratio or 0.0, factor_text(score.ratio, "×"))
 
 
 def field_text(value: Any) -> str:
@@ -169,37 +161,23 @@ def _protocol_text(name: str, value: Any) -> str:
 
 def table_with_intervals(result: EvaluationResult) -> Table:
     """Return the paper's table with the number of scenes, and the interval after each mean."""
-    paper, metrics = result.paper_table, result.kind.metrics
-    found = [{metric.name: result.interval(row, metric.name) for metric in metrics} for row in result.table]
-    scenes = tuple(str(intervals[metrics[0].name].scenes) for intervals in found)
-    reaches = [tuple(_interval_text(intervals[metric.name], metric) for intervals in found) for metric in metrics]
-    if paper.transposed:
-        counted, *means = paper.rows
-        lines = [counted, ("scenes", *scenes)]
-        for mean, reach in zip(means, reaches, strict=True):
-            lines += [mean, (INTERVAL, *reach)]
-        return Table(tuple(map(times, paper.header)), _cells(lines), rules=tuple(range(2, len(lines), 2)))
-    names = len(paper.header) - len(metrics)
-    header = [*paper.header[:names], "scenes"]
-    for name in paper.header[names:]:
-        header += [name, INTERVAL]
-    rows = []
-    for index, texts in enumerate(paper.rows):
-        labels = (times(text) if head == "factor" else text for head, text in zip(header, texts[:names], strict=False))
-        row = [*labels, scenes[index]]
-        for mean_text, reach in zip(texts[names:], reaches, strict=True):
-            row += [mean_text, reach[index]]
-        rows.append(tuple(row))
-    return Table(tuple(header), _cells(rows), rules=paper.rules)
+    metrics, (counted, *heads) = result.kind.metrics, result.kind.heads
+    texts = []
+    for row in result.table:
+        coverage, *means = row.texts(result.kind)
+        found = [result.interval(row, metric.name) for metric in metrics]
+        cells = [coverage, str(found[0].scenes)]
+        for mean, interval, metric in zip(means, found, metrics, strict=True):
+            cells += [mean, _interval_text(interval, metric)]
+        texts.append(cells)
+    names = [counted, "scenes", *(name for head in heads for name in (head, INTERVAL))]
+    paper = result.laid_out(names, texts, "×")
+    rules = tuple(range(2, len(names), 2)) if paper.transposed else paper.rules
+    return Table(paper.header, _cells(paper.rows), rules=rules)
 
 
 def _cells(rows: Iterable[tuple[str, ...]]) -> tuple[tuple[Cell, ...], ...]:
     return tuple(tuple(Cell("–" if text == "-" else text) for text in row) for row in rows)
-
-
-def times(factor: str) -> str:
-    """Return a factor with the sign that a page has: ×100."""
-    return re.sub(r"^x(?=\d)", "×", factor)
 
 
 def _interval_text(interval: Interval, metric: Metric) -> str:
@@ -208,45 +186,30 @@ def _interval_text(interval: Interval, metric: Metric) -> str:
 
 def _protocols(results: Sequence[EvaluationResult]) -> Table:
     kind = results[0].kind
-    header = ("protocol", "digest", kind.counted, *(metric.head for metric in kind.metrics))
     rows = [
         (result.protocol.name, short_digest(result.digest), *result.whole.texts(kind))
         for result in results
         if result.table
     ]
-    return Table(header, _cells(rows))
+    return Table(("protocol", "digest", *kind.heads), _cells(rows))
 
 
 def _rows(result: EvaluationResult, ids: dict[str, str]) -> Table:
-    metrics, of_images = result.kind.metrics, result.kind is IMAGES
-    header = (result.kind.unit, "camera", "scene", *(("ISO", "factor") if of_images else ()))
+    kind = result.kind
     rows = []
     for score in result.scores:
         cells = [Cell(score.name, link=ids.get(score.path, "")), Cell(score.camera), Cell(score.scene)]
-        if of_images:
-            cells.append(number_cell(score.iso, f"{score.iso:g}" if score.iso else "–"))
-            cells.append(number_cell(score.ratio or 0.0, times(factor_text(score.ratio))))
-        for metric in metrics:
+        cells += fact_cells(score, kind)
+        for metric in kind.metrics:
             value = score.values[metric.name]
             cells.append(number_cell(value, f"{value:.{metric.row_places}f}"))
         rows.append((*cells, number_cell(score.rescale, f"{score.rescale:.3f}")))
-    return Table((*header, *(metric.head for metric in metrics), "rescaled by"), tuple(rows), left=(0, 1, 2))
+    facts = FACTS if kind is IMAGES else ()
+    header = (kind.unit, "camera", "scene", *facts, *kind.heads[1:], "rescaled by")
+    return Table(header, tuple(rows), left=(0, 1, 2))
 
 
 # --- words --------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class _Outcome:
-    look: str
-    text: str
-
-
-@dataclass(frozen=True, slots=True)
-class _Tile:
-    name: str
-    value: str
-    note: str
 
 
 def _method(result: EvaluationResult) -> str:
@@ -257,47 +220,48 @@ def _method(result: EvaluationResult) -> str:
     return PurePath(predictions).name or "Predictions"
 
 
-def _outcome(result: EvaluationResult) -> _Outcome:
+def _outcome(result: EvaluationResult) -> dict[str, str]:
+    """Return a sentence on how much was scored, and how it looks."""
     problems = f"{len(result.problems)} problems, listed below."
     if not result.scores:
-        return _Outcome("off", f"Nothing was scored: {problems}")
+        return {"look": "off", "text": f"Nothing was scored: {problems}"}
     if result.scored < result.expected:
-        return _Outcome("off", f"Incomplete: {result.coverage}. These means do not compare with others.")
+        return {"look": "off", "text": f"Incomplete: {result.coverage}. These means do not compare with others."}
     if result.problems:
-        return _Outcome("off", f"{result.coverage}; {problems}")
-    return _Outcome("ok", f"Complete: {result.coverage}.")
+        return {"look": "off", "text": f"{result.coverage}; {problems}"}
+    return {"look": "ok", "text": f"Complete: {result.coverage}."}
 
 
-def _tiles(result: EvaluationResult) -> tuple[_Tile, ...]:
+def _tiles(result: EvaluationResult) -> list[tuple[str, str, str]]:
+    """Return names, values and notes of what the page shows large."""
     if not result.scores:
-        return ()
-    whole, tiles, scenes = result.whole, [], 0
+        return []
+    tiles = []
     for metric in result.kind.metrics:
-        interval = result.interval(whole, metric.name)
-        reach, scenes = _interval_text(interval, metric), interval.scenes
-        note = f"{INTERVAL.split()[0]}: {reach}" if interval.is_known else TOO_FEW
-        tiles.append(_Tile(metric.label, f"{metric.text(whole.values[metric.name])} {metric.unit}".rstrip(), note))
+        interval = result.interval(result.whole, metric.name)
+        note = f"{INTERVAL.split()[0]}: {_interval_text(interval, metric)}" if interval.is_known else TOO_FEW
+        tiles.append((metric.label, f"{metric.text(interval.mean)} {metric.unit}".rstrip(), note))
+    scenes = len({score.place for score in result.scores})
     cameras = len({score.camera for score in result.scores})
-    return (
+    return [
         *tiles,
-        _Tile(result.kind.units.capitalize(), str(result.scored), f"of {result.expected} {result.kind.counted}"),
-        _Tile("Scenes", str(scenes), f"of {cameras} camera{'' if cameras == 1 else 's'}"),
-    )
+        (result.kind.units.capitalize(), str(result.scored), f"of {result.expected} {result.kind.counted}"),
+        ("Scenes", str(scenes), f"of {cameras} camera{'' if cameras == 1 else 's'}"),
+    ]
 
 
 def _facts(image: ShownImage, result: EvaluationResult) -> str:
     score = image.score
     parts = [
         *(
-            f"{metric.text(score.values[metric.name])} dB"
-            if metric.unit
-            else f"{metric.label} {metric.text(score.values[metric.name])}"
+            f"{text} {metric.unit}" if metric.unit else f"{metric.label} {text}"
             for metric in result.kind.metrics
+            for text in [metric.text(score.values[metric.name])]
         ),
         *([f"rescaled by {score.rescale:.3f}"] if result.rescales else []),
         f"{score.camera}, {score.scene}",
         *([f"ISO {score.iso:g}"] if score.iso else []),
-        *([times(factor_text(score.ratio))] if score.ratio is not None else ["the frame with the lowest PSNR"]),
+        *([factor_text(score.ratio, "×")] if score.ratio is not None else ["the frame with the lowest PSNR"]),
         *([f"shown {image.brighter:g} times brighter"] if image.brighter != 1 else []),
     ]
     return ", ".join(parts)

@@ -10,13 +10,12 @@ from matplotlib.font_manager import findfont, get_font
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from eldata.evaluation.looking import columns_of, factors_of, finite_scores
-from eldata.reports.figures import MARKERS, drawn, figure, number
+from eldata.reports.figures import MARKERS, drawn_axes, number
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
     from eldata.evaluation.looking import Column, Grouping
     from eldata.evaluation.scores import UnitScore
@@ -36,10 +35,8 @@ def score_plots(scores: Sequence[UnitScore], kind: Kind, *, rescaled: bool) -> t
         return ()
     left_out = len(scores) - len(finite)
     note = f" Not drawn: {left_out} without a finite score." if left_out else ""
-    groupings: list[tuple[Grouping, str]] = [("camera", "camera")]
-    if any(score.iso for score in finite):
-        groupings.append(("iso", "ISO"))
-    plots = [_strips(metric, by, words, finite, kind, note) for by, words in groupings for metric in kind.metrics]
+    groupings: tuple[Grouping, ...] = ("camera", "iso") if any(score.iso for score in finite) else ("camera",)
+    plots = [_strips(metric, by, finite, kind, note) for by in groupings for metric in kind.metrics]
     positive = [score for score in finite if math.isfinite(score.rescale) and score.rescale > 0]
     if rescaled and positive:
         plots += [_rescaling_plot(positive, kind), _rescaling_scores_plot(positive, kind)]
@@ -49,21 +46,18 @@ def score_plots(scores: Sequence[UnitScore], kind: Kind, *, rescaled: bool) -> t
 # --- one column per group -----------------------------------------------------------------------------------------
 
 
-def _strips(metric: Metric, by: Grouping, words: str, scores: Sequence[UnitScore], kind: Kind, note: str) -> Plot:
+def _strips(metric: Metric, by: Grouping, scores: Sequence[UnitScore], kind: Kind, note: str) -> Plot:
     columns = columns_of(scores, by)
     groups = list(dict.fromkeys(column.group for column in columns))
     values = [score.values[metric.name] for score in scores]
 
-    def draw(theme: Theme) -> Figure:
-        made = figure()
-        axes = made.subplots()
+    def draw(axes: Axes, theme: Theme) -> None:
         _columns(axes, columns, metric.name, theme, means=True)
         axes.set_ylabel(metric.head)
-        return made
 
-    return drawn(
+    return drawn_axes(
         f"{metric.label.lower()}-{by}",
-        f"{metric.label} by {words}{_and_factor(scores)}",
+        f"{metric.label} by {'ISO' if by == 'iso' else by}{'' if factors_of(scores) == [None] else ' and factor'}",
         (
             f"{metric.head} of {len(scores)} {kind.units} in {len(groups)} groups ({', '.join(groups)}), from "
             f"{min(values):.4g} to {max(values):.4g}."
@@ -76,23 +70,16 @@ def _strips(metric: Metric, by: Grouping, words: str, scores: Sequence[UnitScore
     )
 
 
-def _and_factor(scores: Sequence[UnitScore]) -> str:
-    return "" if factors_of(scores) == [None] else " and factor"
-
-
 def _rescaling_plot(scores: Sequence[UnitScore], kind: Kind) -> Plot:
     factors = [score.rescale for score in scores]
 
-    def draw(theme: Theme) -> Figure:
-        made = figure()
-        axes = made.subplots()
+    def draw(axes: Axes, theme: Theme) -> None:
         _exposure_band(axes, theme, horizontal=True)
         _columns(axes, columns_of(scores, "camera"), "rescale", theme, means=False)
         _factor_axis(axes, factors)
         axes.set_ylabel("rescaled by")
-        return made
 
-    return drawn(
+    return drawn_axes(
         "rescaling",
         "Rescaling that was found",
         f"Factor of each of {len(scores)} predictions by camera, from {min(factors):.3g} to {max(factors):.3g}.",
@@ -109,21 +96,21 @@ def _rescaling_scores_plot(scores: Sequence[UnitScore], kind: Kind) -> Plot:
     factors = [score.rescale for score in scores]
     points = [(score.ratio, score.rescale, score.psnr_db) for score in scores]
 
-    def draw(theme: Theme) -> Figure:
-        made = figure()
-        axes = made.subplots()
+    def draw(axes: Axes, theme: Theme) -> None:
         _exposure_band(axes, theme, horizontal=False)
         draw_points(axes, points, theme, alpha=0.7)
         _factor_axis(axes, factors, horizontal=True)
         axes.set_xlabel("rescaled by")
         axes.set_ylabel("PSNR [dB]")
-        return made
 
-    return drawn(
+    return drawn_axes(
         "rescaling-psnr",
         "PSNR against rescaling",
         f"PSNR of {len(scores)} {kind.units} against the factor that each prediction was multiplied by.",
-        "Good: a narrow cloud at 1. Bad ones far from 1 were exposed wrongly, bad ones at 1 were denoised badly.",
+        (
+            f"Good: a narrow cloud at 1. Bad {kind.units} far from 1 were exposed wrongly, bad ones at 1 were denoised "
+            "badly."
+        ),
         draw,
     )
 
@@ -145,7 +132,7 @@ def draw_points(axes: Axes, points: Sequence[tuple[float | None, float, float]],
 
 def _columns(axes: Axes, columns: Sequence[Column], field: str, theme: Theme, *, means: bool) -> None:
     """Draw the points of each group and factor in a column of their own, beside each other by factor."""
-    groups = list(dict.fromkeys(column.group for column in sorted(columns, key=lambda column: column.place)))
+    groups = list(dict.fromkeys(column.group for column in columns))
     ratios = factors_of(score for column in columns for score in column.scores)
     width = 0.8 / len(ratios)
     for index, ratio in enumerate(ratios):

@@ -6,7 +6,6 @@ import hashlib
 import re
 import zlib
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
@@ -14,7 +13,7 @@ import numpy as np
 from tqdm import tqdm
 
 from eldata.base.fields import TextFile
-from eldata.base.files import atomic_write, write_json, write_text
+from eldata.base.files import atomic_write, check_same_work, sha256_of, write_json, write_text
 from eldata.base.keywords import keywords
 from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.manifest.pairs import RENAMED, Choice
@@ -25,7 +24,7 @@ from eldata.sources.shards.tiles import grid, whole
 from eldata.sources.store.read import StoreFrames
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
     from fractions import Fraction
 
     from eldata.records import PairRecord, Sensor
@@ -126,10 +125,10 @@ def write_shards(
     with tqdm(total=len(planned), desc="writing shards", unit="sample", disable=None, leave=False) as bar:
         for number, part in enumerate(parts):
             path = folder / f"shard-{number:06d}.tar"
-            samples = partial(_contents, [planned[place] for place in part])
-            shard = _found(path, samples()) if path.exists() else None
+            samples = [planned[place] for place in part]
+            shard = _found(path, map(_content, samples)) if path.exists() else None
             resumed += shard is not None
-            shards.append(shard or _written(path, samples()))
+            shards.append(shard or _written(path, map(_content, samples)))
             bar.update(len(part))
     index = ShardIndex(source.store.dataset, tile, overlap, seed, tuple(shards))
     write_text(folder / INDEX, index_text(index, _version()))
@@ -185,17 +184,7 @@ def _begin(folder: Path, options: dict[str, Any]) -> None:
             raise EldataError(f"{folder}: holds other files, such as {there[0]}; name a new folder")
         write_json(folder / BEGUN, wanted, indent=1)
         return
-    for name, value in wanted.items():
-        if begun.data.get(name) != value:
-            found = begun.data.get(name)
-            raise ArgumentError(
-                f"{folder}: was begun with another {name.replace('_', ' ')}: expected {value}, found {found}; give the "
-                "same store and options as then, or remove the folder to start anew"
-            )
-
-
-def _contents(samples: Sequence[_Planned]) -> Iterator[bytes]:
-    return map(_content, samples)
+    check_same_work(folder, begun.data, wanted)
 
 
 def _content(sample: _Planned) -> bytes:
@@ -208,46 +197,30 @@ def _content(sample: _Planned) -> bytes:
     return to_bytes(key_of(sample.number), facts, noisy, reference)
 
 
-class _Tally:
-    """Sizes and checksums of the samples of a shard as they pass by."""
-
-    def __init__(self) -> None:
-        self._sizes: list[int] = []
-        self._crc32: list[int] = []
-        self._sha256 = hashlib.sha256()
-
-    def add(self, content: bytes) -> None:
-        self._sizes.append(len(content))
-        self._crc32.append(zlib.crc32(content))
-        self._sha256.update(content)
-
-    def shard(self, name: str) -> Shard:
-        self._sha256.update(END)
-        sizes, sums = np.array(self._sizes, dtype=np.int64), np.array(self._crc32, dtype=np.uint32)
-        return Shard(name, sum(self._sizes) + len(END), f"sha256:{self._sha256.hexdigest()}", sizes, sums)
+def _tallied(name: str, samples: Iterable[bytes], write: Callable[[bytes], object]) -> Shard:
+    """Write the samples of a shard, one in memory at a time; return their sizes and checksums."""
+    sizes, sums, digest = [], [], hashlib.sha256()
+    for content in samples:
+        write(content)
+        sizes.append(len(content))
+        sums.append(zlib.crc32(content))
+        digest.update(content)
+    write(END)
+    digest.update(END)
+    sha256 = f"sha256:{digest.hexdigest()}"
+    return Shard(name, sum(sizes) + len(END), sha256, np.array(sizes, np.int64), np.array(sums, np.uint32))
 
 
-def _written(path: Path, samples: Iterator[bytes]) -> Shard:
-    """Write a shard, one sample in memory at a time."""
-    tally = _Tally()
+def _written(path: Path, samples: Iterable[bytes]) -> Shard:
     with atomic_write(path) as file:
-        for content in samples:
-            file.write(content)
-            tally.add(content)
-        file.write(END)
-    return tally.shard(path.name)
+        return _tallied(path.name, samples, file.write)
 
 
-def _found(path: Path, samples: Iterator[bytes]) -> Shard | None:
-    """Return a shard that was written before, if it holds these samples, byte by byte."""
-    tally = _Tally()
+def _found(path: Path, samples: Iterable[bytes]) -> Shard | None:
+    """Return a shard that was written before, if it holds these samples."""
+    shard = _tallied(path.name, samples, len)
     try:
-        with path.open("rb") as file:
-            for content in samples:
-                if file.read(len(content)) != content:
-                    return None
-                tally.add(content)
-            return tally.shard(path.name) if file.read() == END else None
+        return shard if sha256_of(path) == shard.sha256 else None
     except OSError as error:
         raise EldataError(f"cannot read {path}: {error.strerror or error}") from error
 

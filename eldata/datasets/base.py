@@ -15,7 +15,7 @@ from eldata.datasets.crops import Crop
 from eldata.datasets.items import CroppedItems, Cropping, Part
 from eldata.errors import DatasetError
 from eldata.manifest.catalogue import Manifest, data_root, load_manifest, shipped_manifest, shipped_names
-from eldata.manifest.pairs import Choice, choose_pairs
+from eldata.manifest.pairs import Choice, select_pairs
 from eldata.raw.cfa import packed_area, packed_shape, unpack
 from eldata.records import Exposure
 from eldata.sources.frames import Files, Frame
@@ -280,7 +280,7 @@ class PairDataset(SourcePairs):
         choice, representation, cropping = understood(self, options, Choice, Representation, PairCropping)
         loaded = _manifest(manifest)
         self.root = data_root() / loaded.card.folder if root is None else Path(root)
-        records = choose_pairs(loaded.records, loaded.card.subsets, **choice)
+        records = select_pairs(loaded.records, loaded.card.subsets, **choice)
         super().__init__(
             Files(self.root, loaded.records),
             records,

@@ -148,7 +148,13 @@ def _image_plan(
     chosen = find_subset(subsets, subset) if subset is not None else subsets[0] if subsets else None
     candidates, pairs = (
         select_pairs(
-            request.manifest.records, cameras=cameras, scenes=scenes, ratios=ratios, subset=chosen, exclude_flags=flags
+            request.manifest.records,
+            subsets,
+            cameras=cameras,
+            scenes=scenes,
+            ratios=ratios,
+            subset=None if chosen is None else chosen.name,
+            exclude_flags=flags,
         )
         for flags in ((), request.exclude_flags)
     )

@@ -12,7 +12,7 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Literal, Unpack, get_args
 
 from eldata.errors import ArgumentError, DatasetError, ManifestError, check_choice
-from eldata.manifest.pairs import Choice, narrowed, splits_of
+from eldata.manifest.pairs import Choice, narrowed, wanted_values
 from eldata.manifest.patterns import is_pattern, sequence_of
 from eldata.manifest.subsets import find_subset
 
@@ -134,7 +134,7 @@ def choose_clips(
     ArgumentError
         If a value does not occur; the message lists those that do. If no clip has all of them.
     ManifestError
-        If the subset has not as many clips as its card says.
+        If the subset has another number of clips than its card says.
     """
     rows = tuple(records)
     chosen = noisy = [row for row in rows if row.role == "noisy"]
@@ -147,15 +147,8 @@ def choose_clips(
             raise ManifestError(
                 f"subset {name!r}: the card expects {subset.pairs} clips, the manifest has {len(clips)}"
             )
-    wanted: dict[str, Collection[object] | None] = {
-        "camera": choice.get("cameras"),
-        "split": splits_of(choice.get("split")),
-        "ISO": choice.get("isos"),
-        "ratio": choice.get("ratios"),
-        "flag": choice.get("exclude_flags", ()),
-    }
-    for scenes in (choice.get("scenes"), ids):
-        chosen = narrowed(chosen, noisy, "clip", wanted | {"scene": scenes})
+    wanted = wanted_values(choice)
+    chosen = narrowed(narrowed(chosen, noisy, "clip", wanted), noisy, "clip", {"scene": ids})
     kept = {row.scene for row in chosen}
     return tuple(row for row in rows if row.scene in kept)
 

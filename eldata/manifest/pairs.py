@@ -7,6 +7,7 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, TypedDict, TypeVar, Unpack
 
 from eldata.base.fields import names_of
+from eldata.base.keywords import keywords
 from eldata.errors import ArgumentError
 from eldata.manifest.subsets import find_subset
 from eldata.records import PairRecord
@@ -39,7 +40,8 @@ class Choice(TypedDict, total=False):
     Attributes
     ----------
     cameras, scenes, isos, ratios
-        Wanted values, as :func:`select_pairs` takes them.
+        Wanted values. A scene is its name or its number: 3 for ``scene-3``, 34 for ``00034``. A ratio is the nominal
+        one.
     split
         Name of a split, or several.
     subset
@@ -57,63 +59,39 @@ class Choice(TypedDict, total=False):
     exclude_flags: Collection[str]
 
 
-def choose_pairs(
-    records: Iterable[FrameRecord], subsets: Sequence[Subset], **choice: Unpack[Choice]
-) -> tuple[PairRecord, ...]:
-    """Return the chosen pairs of a manifest's rows; ``subsets`` are those of its card. Errors as :func:`select_pairs`.
-
-    Raises
-    ------
-    ArgumentError
-        If the subset is unknown; the message lists the known ones.
-    """
-    name = choice.get("subset")
-    return select_pairs(
-        records,
-        cameras=choice.get("cameras"),
-        scenes=choice.get("scenes"),
-        isos=choice.get("isos"),
-        ratios=choice.get("ratios"),
-        splits=splits_of(choice.get("split")),
-        subset=None if name is None else find_subset(subsets, name),
-        exclude_flags=choice.get("exclude_flags", ()),
-    )
-
-
 def splits_of(split: str | Collection[str] | None) -> Collection[str] | None:
     """Return one split, or several, as several."""
     return (split,) if isinstance(split, str) else split
 
 
+def wanted_values(choice: Choice) -> dict[str, Collection[object] | None]:
+    """Return the wanted values of a choice by kind, for :func:`narrowed`."""
+    return {
+        "camera": choice.get("cameras"),
+        "scene": choice.get("scenes"),
+        "ISO": choice.get("isos"),
+        "ratio": choice.get("ratios"),
+        "split": splits_of(choice.get("split")),
+        "flag": choice.get("exclude_flags", ()),
+    }
+
+
 def select_pairs(
-    records: Iterable[FrameRecord],
-    *,
-    cameras: Collection[str] | None = None,
-    scenes: Collection[str | int] | None = None,
-    isos: Collection[int] | None = None,
-    ratios: Collection[float | Fraction] | None = None,
-    splits: Collection[str] | None = None,
-    subset: Subset | None = None,
-    exclude_flags: Collection[str] = (),
+    records: Iterable[FrameRecord], subsets: Sequence[Subset] = (), **choice: Unpack[Choice]
 ) -> tuple[PairRecord, ...]:
-    """Return the manifest's pairs, in its order, that have one of the given values; ``None`` means any.
+    """Return the chosen pairs of a manifest's rows, in their order.
 
     Parameters
     ----------
-    records
-        Rows of a manifest.
-    cameras, scenes, isos, ratios, splits
-        Wanted values. A scene is its name or its number: 3 for ``scene-3``, 34 for ``00034``. A ratio is the nominal
-        one.
-    subset
-        A named choice from the manifest's card; the other values choose among its pairs.
-    exclude_flags
-        Pairs with one of these flags are left out.
+    records, subsets
+        Rows of a manifest, and the subsets of its card.
+    choice
+        See :class:`Choice`.
 
     Raises
     ------
     ArgumentError
-        If a value does not occur; the message lists those that do. If no pair has all of them.
+        If a value does not occur or the subset is unknown; the message lists the known ones. If no pair has all values.
     ManifestError
         If the subset has another number of pairs than its card says.
     """
@@ -122,15 +100,10 @@ def select_pairs(
         for record in records
         if record.role == "noisy" and record.reference is not None and record.ratio is not None
     ]
-    wanted = {
-        "camera": cameras,
-        "scene": scenes,
-        "ISO": isos,
-        "ratio": ratios,
-        "split": splits,
-        "flag": exclude_flags,
-    }
-    return tuple(narrowed(pairs if subset is None else subset.choose(pairs), pairs, "pair", wanted))
+    (choice,) = keywords("select_pairs", choice, Choice, renamed=RENAMED)
+    subset = choice.get("subset")
+    chosen = pairs if subset is None else find_subset(subsets, subset).choose(pairs)
+    return tuple(narrowed(chosen, pairs, "pair", wanted_values(choice)))
 
 
 def narrowed(

@@ -188,7 +188,7 @@ def test_the_counts_are_the_manifests(name: str) -> None:
     assert manifest.card.counts == Counter(record.role for record in manifest.records)
     for subset in manifest.card.subsets:
         if name in OF_PAIRS:
-            assert len(select_pairs(manifest.records, subset=subset)) == subset.pairs
+            assert len(select_pairs(manifest.records, manifest.card.subsets, subset=subset.name)) == subset.pairs
         else:  # a row stands for a clip: it has no ratio, which a pair has
             noisy = [record for record in manifest.records if record.role == "noisy" and record.split in subset.splits]
             assert len({record.scene for record in noisy}) == subset.pairs

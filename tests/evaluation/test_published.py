@@ -19,7 +19,6 @@ from eldata.evaluation.scores import UnitScore
 from eldata.evaluation.table import TableRow
 from eldata.manifest.catalogue import shipped_manifest
 from eldata.manifest.pairs import select_pairs
-from eldata.manifest.subsets import find_subset
 from eldata.protocols import PROTOCOLS
 from eldata.protocols.protocol import StatedProtocol
 
@@ -231,7 +230,7 @@ def scored(dataset: str, protocol: str, subset: str, psnr_db: float) -> Evaluati
     """A result over the shipped manifest's pairs, without the images."""
     manifest = shipped_manifest(dataset)
     rules = PROTOCOLS[protocol]
-    pairs = select_pairs(manifest.records, ratios=rules.ratios, subset=find_subset(manifest.card.subsets, subset))
+    pairs = select_pairs(manifest.records, manifest.card.subsets, ratios=rules.ratios, subset=subset)
     values = {"psnr_db": psnr_db, "ssim": 0.9, "rescale": 1.0}
     scores = {
         pair.path: UnitScore(pair.path, pair.camera, pair.scene, float(pair.iso or 0), float(pair.ratio), dict(values))

@@ -15,7 +15,6 @@ from eldata.errors import ArgumentError
 from eldata.evaluation import EvaluationResult, evaluate, save_prediction
 from eldata.manifest.catalogue import shipped_manifest
 from eldata.manifest.pairs import select_pairs
-from eldata.manifest.subsets import find_subset
 from eldata.protocols import PROTOCOLS, default_protocol
 from tests.evaluation import oracle
 from tests.raw.helpers import sid_pack
@@ -37,7 +36,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("data")
     for name, subset in SUBSETS.items():
         manifest = shipped_manifest(name)
-        pairs = select_pairs(manifest.records, subset=find_subset(manifest.card.subsets, subset))
+        pairs = select_pairs(manifest.records, manifest.card.subsets, subset=subset)
         write_frames(name, folder / "SID", frames_of(manifest, {pair.path for pair in pairs}))
     return folder
 
@@ -68,7 +67,7 @@ def predictions(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("predictions")
     for name, subset in SUBSETS.items():
         manifest = shipped_manifest(name)
-        for pair in select_pairs(manifest.records, subset=find_subset(manifest.card.subsets, subset)):
+        for pair in select_pairs(manifest.records, manifest.card.subsets, subset=subset):
             target = reference(root / "SID" / pair.reference)
             save_prediction(folder / name, pair.path, prediction_of(target, pair.path))
     return folder

@@ -17,7 +17,6 @@ from eldata.evaluation.published import (
 )
 from eldata.manifest.catalogue import Manifest, shipped_folder, shipped_manifest, shipped_names
 from eldata.manifest.pairs import select_pairs
-from eldata.manifest.subsets import find_subset
 from eldata.protocols import PROTOCOLS
 from tests.cases import in_one_test
 
@@ -130,10 +129,12 @@ def test_pairs_are_as_many_as_the_protocol_and_the_subset_give(row: PublishedRow
     for name in row.protocols:
         protocol = PROTOCOLS[name]
         assert protocol.subset in (None, row.subset), "or no result of this protocol would ever match"
-        subset = None if row.subset is None else find_subset(manifest.card.subsets, row.subset)
+        chosen = select_pairs(
+            manifest.records, manifest.card.subsets, subset=row.subset, cameras=[row.camera], ratios=protocol.ratios
+        )
         pairs = [
             pair
-            for pair in select_pairs(manifest.records, subset=subset, cameras=[row.camera], ratios=protocol.ratios)
+            for pair in chosen
             if (row.ratio is None or pair.ratio == row.ratio) and pair.scene in (protocol.scenes or (pair.scene,))
         ]
         assert len(pairs) == row.pairs

@@ -53,7 +53,7 @@ def per_ratio(pairs: tuple[PairRecord, ...]) -> tuple[int, ...]:
 
 
 def subset_of(manifest: Manifest, name: str, **options: object) -> tuple[PairRecord, ...]:
-    return select_pairs(manifest.records, subset=find_subset(manifest.card.subsets, name), **options)  # type: ignore[arg-type]
+    return select_pairs(manifest.records, manifest.card.subsets, subset=name, **options)  # type: ignore[arg-type]
 
 
 def first_shot(path: str) -> bool:
@@ -69,7 +69,7 @@ def test_counts_per_split_and_ratio(name: str, split: str) -> None:
     short, long, ratios, first = COUNTS[name, split]
     roles = Counter(record.role for record in manifest.records if record.split == split)
     assert roles == {"noisy": short, "reference": long}
-    pairs = select_pairs(manifest.records, splits=[split])
+    pairs = select_pairs(manifest.records, split=[split])
     assert per_ratio(pairs) == ratios
     assert per_ratio(tuple(pair for pair in pairs if first_shot(pair.path))) == first
 
@@ -202,7 +202,7 @@ def test_every_subset_says_where_it_comes_from(name: str) -> None:
 def test_a_subset_and_other_choices_together() -> None:
     manifest = shipped_manifest("sid-sony")
     assert len(subset_of(manifest, "eval-first", exclude_flags=["misaligned"])) == 124
-    assert len(subset_of(manifest, "eval-first", ratios=[300], splits=["val"])) == 14
+    assert len(subset_of(manifest, "eval-first", ratios=[300], split=["val"])) == 14
     assert {pair.scene for pair in subset_of(manifest, "indoor-15", scenes=[10185])} == {"10185"}
 
 
@@ -218,14 +218,13 @@ def test_a_subset_that_lost_pairs_is_refused() -> None:
     manifest = shipped_manifest("sid-sony")
     records = [record for record in manifest.records if record.path != "Sony/short/10185_00_0.1s.ARW"]
     with pytest.raises(ManifestError, match="'indoor-15': the card expects 45 pairs, the manifest has 44"):
-        select_pairs(records, subset=find_subset(manifest.card.subsets, "indoor-15"))
+        select_pairs(records, manifest.card.subsets, subset="indoor-15")
 
 
 @pytest.mark.parametrize(
     ("filters", "said"),
     [
-        ({"splits": ["dev"]}, "no pair has split dev; known are test, train, val"),
-        ({"splits": "test"}, "as a list"),
+        ({"split": ["dev"]}, "no pair has split dev; known are test, train, val"),
         ({"scenes": [7]}, "no pair has scene 7; known are 231, next to it .*20211$"),
         ({"scenes": ["10002"]}, "no pair has scene 10002; known are 231, next to it .*10003, "),
         ({"isos": [12]}, "no pair has ISO 12; known are 50, 64, 80, 100, .*25600$"),

@@ -18,7 +18,7 @@ import numpy as np
 
 from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.manifest.catalogue import load_manifest
-from eldata.manifest.pairs import choose_pairs
+from eldata.manifest.pairs import select_pairs
 from eldata.records import FrameRecord
 from eldata.sources.frames import Frame
 from eldata.sources.store.chunks import chunk_table, read_part, scratch
@@ -313,7 +313,7 @@ class StoreFrames:
             raise DatasetError(f"{self.path}: holds clean frames, not pairs; read it with StoredFrames")
         subset = choice.get("subset")
         if subset is not None:  # counted on the whole manifest: a store of a part may lack some
-            wanted = {pair.path for pair in choose_pairs(manifest.records, manifest.card.subsets, subset=subset)}
+            wanted = {pair.path for pair in select_pairs(manifest.records, manifest.card.subsets, subset=subset)}
             lacking = sorted(wanted - set(self._held))
             if lacking:
                 raise DatasetError(
@@ -325,4 +325,4 @@ class StoreFrames:
             held = list(self.records)
         rest = choice.copy()
         rest["subset"] = None  # it is chosen
-        return choose_pairs(held, (), **rest)
+        return select_pairs(held, (), **rest)

@@ -15,7 +15,7 @@ from eldata.manifest.catalogue import Manifest, load_manifest, shipped_manifest
 from eldata.manifest.clip_checks import is_png
 from eldata.manifest.clips import choose_clips, clips_of
 from eldata.manifest.drv import Scan, scan_raw
-from eldata.manifest.pairs import RENAMED, Choice, choose_pairs
+from eldata.manifest.pairs import RENAMED, Choice, select_pairs
 from eldata.manifest.patterns import expand, is_pattern
 from eldata.raw.extensions import RAW_EXTENSIONS
 
@@ -117,7 +117,7 @@ def source_of_dataset(
         return _source_of_clips(loaded.card, loaded.records, folder, chosen, ids)
     if ids is not None:
         raise ArgumentError(f"{name}: holds pairs, not clips; choose them by cameras, splits or a subset")
-    pairs = choose_pairs(loaded.records, loaded.card.subsets, **chosen)
+    pairs = select_pairs(loaded.records, loaded.card.subsets, **chosen)
     files: dict[str, Role] = {}
     for pair in pairs:
         files.setdefault(pair.reference, "reference")

@@ -14,7 +14,8 @@ from torch.utils.data import Dataset
 from benchmarks import plain_noise
 from benchmarks.store_routes import CROP
 from eldata.datasets.batches import Field, new_batch
-from eldata.datasets.draws import CleanCrop, NoiseChoice
+from eldata.datasets.crops import Crop
+from eldata.datasets.draws import NoiseChoice
 from eldata.noise import CameraProfile, NoiseModel
 
 if TYPE_CHECKING:
@@ -64,8 +65,8 @@ class CleanCrops(Dataset[dict[str, Any]]):
             raise RuntimeError("too many batches are held")
         for number, index in enumerate(indices):
             frame = self.source.frame(index % len(self.source))
-            crop = CleanCrop.draw(frame, np.random.default_rng([0, index]), crop=CROP, augment=False)
-            crop.packed(frame, out=batch.arrays["target"][number])
+            crop = Crop.draw(frame, np.random.default_rng([0, index]), crop=CROP, augment=False)
+            crop.fill(frame, batch.arrays["target"][number])
         return batch.parts([{"target": None, "index": index} for index in indices])
 
     def noisy(self, batch: Mapping[str, Any]) -> NDArray[np.float32]:

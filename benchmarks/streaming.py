@@ -18,7 +18,7 @@ from eldata.datasets.loading import training_loader
 from eldata.datasets.ranks import Rank
 from eldata.raw.cfa import pack_normalised
 from eldata.sources.shards import verify_shards, write_shards
-from eldata.sources.shards.layout import parse_facts
+from eldata.sources.shards.index import parse_facts
 from eldata.sources.store import build_store, source_of_dataset
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from torch.utils.data import DataLoader
 
     from benchmarks.data import Files
-    from eldata.sources.shards.layout import Side
+    from eldata.sources.shards.index import Side
 
 _TILE, _BATCH, _BUFFER = 512, 4, 16
 

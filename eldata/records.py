@@ -111,7 +111,10 @@ class RawFrame:
 
 @dataclass(frozen=True, slots=True)
 class FrameRecord:
-    """One row of a manifest: one file of a dataset. ``path`` and ``reference`` are relative POSIX paths."""
+    """One row of a manifest: one file of a dataset. ``path`` and ``reference`` are relative POSIX paths.
+
+    The fields, in this order, are the columns of a manifest's file: others read them, so none changes.
+    """
 
     path: str
     role: Role

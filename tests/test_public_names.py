@@ -11,6 +11,7 @@ from importlib import import_module
 from pathlib import Path
 
 import eldata
+from tests.waiting import PATIENCE_S
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = sorted(".".join(stub.parent.relative_to(ROOT).parts) for stub in (ROOT / "eldata").rglob("__init__.pyi"))
@@ -60,7 +61,7 @@ def test_a_function_is_not_hidden_by_its_module() -> None:
     imports = [f"import {package}.{name}, {package}" for package, name in NAMESAKES]
     checks = [f"assert callable({package}.{name}), {package}.{name}" for package, name in NAMESAKES]
     code = "\n".join([*imports, "import eldata; eldata.ELDDataset", *checks, "assert callable(eldata.verify)"])
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 0, done.stderr
 
 

@@ -26,8 +26,8 @@ from eldata.manifest.table import COLUMNS, load_records
 from eldata.noise.profile import CameraProfile
 from eldata.protocols.custom import load_protocol
 from eldata.records import Exposure, PairRecord, Sensor
-from eldata.sources.shards.layout import Facts, Side, facts_text, parse_facts, parse_index
-from eldata.sources.store.layout import stored_frame
+from eldata.sources.shards.index import Facts, Side, facts_text, parse_facts, parse_index
+from eldata.sources.store.format import stored_frame
 from manifests.sid_scenes import SHORT_EXPOSURES, load_scenes
 
 if TYPE_CHECKING:
@@ -143,7 +143,6 @@ READERS: tuple[Callable[[Path, str], None], ...] = (
 )
 
 
-@pytest.mark.timeout(60)
 @pytest.mark.parametrize("read", READERS, ids=lambda read: read.__name__)
 def test_numbers_without_an_end_are_refused(read: Callable[[Path, str], None], tmp_path: Path) -> None:
     for number, text in enumerate(ENDLESS):
@@ -154,14 +153,12 @@ def test_numbers_without_an_end_are_refused(read: Callable[[Path, str], None], t
         assert len(str(caught.value)) < 1000
 
 
-@pytest.mark.timeout(60)
 @pytest.mark.parametrize("read", READERS, ids=lambda read: read.__name__)
 def test_the_same_files_are_read_with_another_number(read: Callable[[Path, str], None], tmp_path: Path) -> None:
     """Or the test above would pass on files that are wrong elsewhere."""
     read(tmp_path / "file", "1" if read is not read_camera else "1/3")
 
 
-@pytest.mark.timeout(60)
 def test_other_readers_of_text(tmp_path: Path) -> None:
     path = tmp_path / "scheduler.json"
     for content in ("", "[]", '{"address": 1e16000000}', "[" * 100_000, '{"address": NaN}'):

@@ -284,9 +284,6 @@ def test_formats_of_a_comparison(tmp_path: Path) -> None:
     assert "better" in (tmp_path / "page.html").read_text(encoding="utf-8")
 
 
-@pytest.mark.xfail(
-    raises=AssertionError, reason="eldata compare refuses results of clips; once it takes them, take this mark away"
-)
 def test_results_of_clips_are_compared(tmp_path: Path) -> None:
     results = FILES / "results"
     run("eldata compare {0} {1} --json {2}", results / "drv.json", results / "drv-some.json", tmp_path / "out.json")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_cameras, add_debug, add_jobs, add_json, add_root
+from eldata.base.console import OK, PROBLEMS, add_cameras, add_jobs, add_root, add_shared
 from eldata.base.files import write_json
 
 if TYPE_CHECKING:
@@ -35,9 +35,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     add_cameras(parser)
     add_jobs(parser)
     parser.add_argument("--sheet", metavar="FILE", help="write a contact sheet, an HTML page that needs no network")
-    add_json(parser)
-    add_debug(parser)
-    parser.set_defaults(run=run, command="check")
+    add_shared(parser, run, "json")
 
 
 def run(arguments: argparse.Namespace) -> int:

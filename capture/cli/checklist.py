@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_debug, add_json
+from eldata.base.console import OK, add_shared
 from eldata.base.files import write_json, write_text
 from eldata.errors import ArgumentError
 
@@ -31,9 +31,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "-o", "--output", metavar="FILE", help="write it to FILE; without, md and txt go to the terminal"
     )
     parser.add_argument("--format", choices=_FORMATS, help="default: by the suffix of FILE; without FILE txt")
-    add_json(parser)
-    add_debug(parser)
-    parser.set_defaults(run=run, command="checklist")
+    add_shared(parser, run, "json")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_debug, add_jobs, add_json
+from eldata.base.console import OK, PROBLEMS, add_shared
 from eldata.base.files import write_json
 from eldata.base.workers import Workers
 from eldata.errors import ArgumentError
@@ -57,10 +57,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("--allow-gaps", action="store_true", help="write the manifest even if shots are missing")
     parser.add_argument("--yes", action="store_true", help="accept what was decided, without asking")
     parser.add_argument("--replace", action="store_true", help="replace an older manifest of this name")
-    add_jobs(parser)
-    add_json(parser)
-    add_debug(parser)
-    parser.set_defaults(run=run, command="manifest")
+    add_shared(parser, run, "jobs", "json")
 
 
 def run(arguments: argparse.Namespace) -> int:

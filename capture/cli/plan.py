@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from capture.cli.values import metered, nine_digits, or_dash, scene_time, seconds, spaced
 from capture.protocol import PROTOCOLS, CaptureProtocol
-from eldata.base.console import OK, add_debug, add_json
+from eldata.base.console import OK, add_shared
 from eldata.base.files import write_json
 from eldata.errors import ArgumentError
 
@@ -102,9 +102,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "-o", "--output", metavar="FILE", help="the new plan's file; with PLAN: write the changes there"
     )
-    add_json(parser)
-    add_debug(parser)
-    parser.set_defaults(run=run, command="plan")
+    add_shared(parser, run, "json")
 
 
 def run(arguments: argparse.Namespace) -> int:

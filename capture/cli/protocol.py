@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from capture.cli.values import nine_digits, or_dash, seconds, spaced
 from capture.protocol import RELEASED, CaptureProtocol
-from eldata.base.console import OK, add_debug, add_json
+from eldata.base.console import OK, add_shared
 from eldata.base.files import write_json
 from eldata.base.tables import text_table
 
@@ -56,9 +56,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="FACTOR",
         help=f"low-light factors (default: {spaced(RELEASED.low_light_factors)})",
     )
-    add_json(parser)
-    add_debug(parser)
-    parser.set_defaults(run=run, command="protocol")
+    add_shared(parser, run, "json")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_debug, add_json
+from eldata.base.console import OK, add_shared
 from eldata.base.files import write_json
 from eldata.errors import ArgumentError
 
@@ -52,9 +52,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument("--yes", action="store_true", help="go on from scene to scene without waiting for Enter")
     parser.add_argument("--dry-run", action="store_true", help="only list the commands that are left to run")
-    add_json(parser)
-    add_debug(parser)
-    parser.set_defaults(run=run, command="run")
+    add_shared(parser, run, "json")
 
 
 def _patience(text: str) -> float:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final, Literal
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
+
+Format = Literal["text", "markdown", "latex"]
+FORMATS: Final[tuple[Format, ...]] = ("text", "markdown", "latex")
 
 
 class Strong(str):

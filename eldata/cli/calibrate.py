@@ -4,16 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import (
-    OK,
-    PROBLEMS,
-    add_debug,
-    add_json,
-    add_root,
-    add_workers,
-    chosen_workers,
-    whole_number,
-)
+from eldata.base.console import OK, PROBLEMS, add_shared, chosen_workers, whole_number
 from eldata.base.files import write_json
 
 if TYPE_CHECKING:
@@ -48,11 +39,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="ISO",
         help="only this ISO; may be repeated",
     )
-    add_root(parser)
-    add_workers(parser)
-    add_json(parser)
-    add_debug(parser)
-    parser.set_defaults(run=run, command="calibrate")
+    add_shared(parser, run, "root", "workers", "json")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 from eldata.base.console import OK, add_debug, add_json
 from eldata.base.files import write_json
+from eldata.base.tables import FORMATS
 from eldata.errors import ArgumentError
-from eldata.reports.evaluation.tables import FORMATS
 
 if TYPE_CHECKING:
     import argparse
 
-    from eldata.evaluation.saved import SavedResult
+    from eldata.evaluation.results import EvaluationResult
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -37,7 +37,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         default=[],
         dest="names",
         metavar="NAME",
-        help="what to call a method; once a file, in their order (default: the file's name)",
+        help="what to call a method; once per file, in their order (default: the file's name)",
     )
     parser.add_argument("--protocol", metavar="P", help="which protocol's results, of files that hold several")
     parser.add_argument("--format", choices=FORMATS, default="text", help="how to print the tables (default: text)")
@@ -49,14 +49,15 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
-    from eldata.evaluation.comparison import Method, compare, format_comparison
+    from eldata.evaluation.comparison import Method, compare
+    from eldata.evaluation.comparison_tables import format_comparison
 
     paths = [Path(name) for name in arguments.results]
     if len(paths) < 2:
         raise ArgumentError("a comparison needs two results or more; found 1")
     names = arguments.names or [path.stem for path in paths]
     if len(names) != len(paths):
-        raise ArgumentError(f"expected one --name a file, or none; found {len(names)} for {len(paths)} files")
+        raise ArgumentError(f"expected one --name per file, or none; found {len(names)} for {len(paths)} files")
     comparison = compare(
         [Method(name, _result(path, arguments.protocol)) for name, path in zip(names, paths, strict=True)]
     )
@@ -72,15 +73,15 @@ def run(arguments: argparse.Namespace) -> int:
     return OK
 
 
-def _result(path: Path, protocol: str | None) -> SavedResult:
+def _result(path: Path, protocol: str | None) -> EvaluationResult:
     from eldata.errors import FileError
     from eldata.evaluation.saved import load_results
 
     results = load_results(path)
-    names = [result.protocol_name for result in results]
+    names = [result.protocol.name for result in results]
     if protocol is None and len(results) > 1:
         raise FileError(path, f"holds results of several protocols ({', '.join(names)}); choose one with --protocol")
-    chosen = [result for result in results if protocol in (None, result.protocol_name)]
+    chosen = [result for result in results if protocol in (None, result.protocol.name)]
     if not chosen:
-        raise FileError(path, f"holds no result of protocol {protocol!r}, only of {', '.join(names)}")
+        raise FileError(path, f"has no result of protocol {protocol!r}, only of {', '.join(names)}")
     return chosen[0]

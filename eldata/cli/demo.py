@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_debug, add_jobs
+from eldata.base.console import OK, add_shared
 from eldata.base.workers import Workers
 from eldata.errors import ArgumentError
 
@@ -44,9 +44,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="FEATURE",
         help=f"with --calibration: a camera without this ({', '.join(_FEATURES)}); may be repeated",
     )
-    add_jobs(parser)
-    add_debug(parser)
-    parser.set_defaults(run=run, command="demo")
+    add_shared(parser, run, "jobs")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eldata.base.console import (
@@ -16,23 +15,20 @@ from eldata.base.console import (
     add_workers,
     chosen_workers,
 )
-from eldata.errors import ArgumentError
-from eldata.reports.evaluation.tables import FORMATS
+from eldata.base.tables import FORMATS
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Sequence
 
-    from eldata.base.workers import Workers
+    from eldata.base.tables import Format
     from eldata.evaluation.combined import CombinedResult
+    from eldata.evaluation.request import Request
     from eldata.evaluation.results import EvaluationResult
-    from eldata.evaluation.video_results import VideoResult
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add this command."""
     from eldata.protocols.named import FAMILIES, PROTOCOLS
-    from eldata.protocols.video import VIDEO_PROTOCOLS
 
     parser = commands.add_parser(
         "evaluate",
@@ -59,7 +55,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--protocol",
         metavar="P",
         help=(
-            f"how to score: {', '.join((*PROTOCOLS, *FAMILIES, *VIDEO_PROTOCOLS))}; a TOML file of your own; or all, "
+            f"how to score: {', '.join((*PROTOCOLS, *FAMILIES))}; a TOML file of your own; or all, "
             "those for the dataset in one pass (default: the dataset's own, such as eld or sid). eldata protocols "
             "shows what each fixes"
         ),
@@ -105,120 +101,54 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
-    of_clips = _is_of_clips(arguments)
-    if of_clips and (arguments.html or arguments.format != "text"):
-        raise ArgumentError("--html and --format are for datasets of images")
+    from eldata.evaluation.evaluate import perform
+    from eldata.evaluation.request import EvaluationOptions, make_request
+
     with chosen_workers(arguments) as workers:
-        result = _of_clips(arguments, workers) if of_clips else _of_images(arguments, workers)
+        options: EvaluationOptions = {
+            "root": arguments.root,
+            "manifest": arguments.manifest,
+            "cameras": arguments.cameras,
+            "subset": arguments.subset,
+            "ids": arguments.clips,
+            "exclude_flags": arguments.exclude_flags,
+            "allow_missing": arguments.allow_missing,
+            "baseline": arguments.baseline,
+            "workers": workers,
+        }
+        request = make_request(arguments.predictions, arguments.dataset or "", arguments.protocol, options)
+        combined = perform(request)
+    result = combined if request.every else combined.results[0]
     try:
-        _write(result, arguments)
+        _write(result, combined, request, arguments)
     finally:  # after hours of work the table is shown even if a file cannot be written
-        _show(result, arguments)
+        _show(result, combined, arguments)
     return OK if result.scored and not result.problems else PROBLEMS
 
 
-def _write(result: EvaluationResult | CombinedResult | VideoResult, arguments: argparse.Namespace) -> None:
-    from eldata.evaluation.video_results import VideoResult
-
+def _write(
+    result: EvaluationResult | CombinedResult, combined: CombinedResult, request: Request, arguments: argparse.Namespace
+) -> None:
     if arguments.json:
         result.write_json(arguments.json)
     if arguments.csv:
         result.write_csv(arguments.csv)
-    if arguments.html and not isinstance(result, VideoResult):
-        _write_page(_each(result), arguments)
+    if arguments.html:
+        from eldata.reports.evaluation.page import write_evaluation_page
+
+        write_evaluation_page(
+            combined.results, arguments.html, dataset_folder=request.folder, predictions=request.predictions
+        )
 
 
-def _show(result: EvaluationResult | CombinedResult | VideoResult, arguments: argparse.Namespace) -> None:
-    from eldata.evaluation.video_results import VideoResult
-
-    if isinstance(result, VideoResult) or arguments.format == "text" or not result.scored:
-        print(result.format_text())
-    else:
-        from eldata.reports.evaluation.tables import format_evaluations
-
+def _show(result: EvaluationResult | CombinedResult, combined: CombinedResult, arguments: argparse.Namespace) -> None:
+    form: Format = arguments.format if result.scored else "text"
+    if form != "text":
         for problem in result.problems:
             print(f"eldata evaluate: {problem}", file=sys.stderr)
-        print(format_evaluations(_each(result), arguments.format))
+    print(result.format(form))
     if arguments.compare and result.scored:
         from eldata.evaluation.published_comparison import comparison_table
 
-        for one in (result,) if isinstance(result, VideoResult) else _each(result):
+        for one in combined.results:
             print(f"\n{comparison_table(one)}")
-
-
-def _each(result: EvaluationResult | CombinedResult) -> tuple[EvaluationResult, ...]:
-    from eldata.evaluation.combined import CombinedResult
-
-    return result.results if isinstance(result, CombinedResult) else (result,)
-
-
-def _write_page(results: Sequence[EvaluationResult], arguments: argparse.Namespace) -> None:
-    from eldata.manifest.catalogue import load_manifest, shipped_manifest
-    from eldata.reports.evaluation.page import write_evaluation_page
-
-    manifest = load_manifest(arguments.manifest) if arguments.manifest else shipped_manifest(arguments.dataset)
-    predictions = Path(arguments.predictions) if arguments.predictions else None
-    folder = manifest.folder(arguments.root)
-    write_evaluation_page(results, arguments.html, dataset_folder=folder, predictions=predictions)
-
-
-def _is_of_clips(arguments: argparse.Namespace) -> bool:
-    from eldata.manifest.catalogue import load_manifest
-    from eldata.protocols.video import default_video_protocol
-
-    name = arguments.dataset if arguments.manifest is None else load_manifest(arguments.manifest).name
-    return default_video_protocol(name) is not None
-
-
-def _of_images(arguments: argparse.Namespace, workers: Workers) -> EvaluationResult | CombinedResult:
-    from eldata.evaluation.evaluate import ALL, evaluate, evaluate_all
-
-    if arguments.clips:
-        raise ArgumentError("--clip is for datasets of clips, such as drv")
-    if arguments.protocol == ALL:
-        if arguments.subset is not None:
-            raise ArgumentError("--protocol all scores each protocol's own pairs; leave --subset out")
-        return evaluate_all(
-            arguments.predictions,
-            arguments.dataset or "",
-            root=arguments.root,
-            manifest=arguments.manifest,
-            cameras=arguments.cameras,
-            exclude_flags=arguments.exclude_flags,
-            allow_missing=arguments.allow_missing,
-            baseline=arguments.baseline,
-            workers=workers,
-        )
-    return evaluate(
-        arguments.predictions,
-        arguments.dataset or "",
-        protocol=arguments.protocol,
-        root=arguments.root,
-        manifest=arguments.manifest,
-        cameras=arguments.cameras,
-        subset=arguments.subset,
-        exclude_flags=arguments.exclude_flags,
-        allow_missing=arguments.allow_missing,
-        baseline=arguments.baseline,
-        workers=workers,
-    )
-
-
-def _of_clips(arguments: argparse.Namespace, workers: Workers) -> VideoResult:
-    from eldata.evaluation.video import evaluate_video
-
-    if arguments.cameras or arguments.exclude_flags:
-        raise ArgumentError("--camera and --exclude are for datasets of images; choose clips with --subset or --clip")
-    if arguments.baseline:
-        raise ArgumentError("--baseline is for datasets of images")
-    return evaluate_video(
-        arguments.predictions,
-        arguments.dataset or "",
-        protocol=arguments.protocol,
-        root=arguments.root,
-        manifest=arguments.manifest,
-        subset=arguments.subset,
-        ids=arguments.clips,
-        allow_missing=arguments.allow_missing,
-        workers=workers,
-    )

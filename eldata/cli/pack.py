@@ -85,7 +85,7 @@ def _source(arguments: argparse.Namespace) -> Source:
             root=arguments.root,
             manifest=arguments.manifest,
             cameras=arguments.cameras,
-            splits=arguments.splits,
+            split=arguments.splits,
             subset=arguments.subset,
             ids=arguments.ids,
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_debug, add_json, whole_number
+from eldata.base.console import OK, PROBLEMS, add_shared, whole_number
 from eldata.base.files import write_json
 
 if TYPE_CHECKING:
@@ -39,13 +39,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--seed", type=whole_number(0), default=0, metavar="S", help="seed of everything (default: %(default)s)"
     )
     show.add_argument("--html", metavar="FILE", help="write a page with plots to FILE")
-    add_json(show)
-    add_debug(show)
-    show.set_defaults(run=run_show, command="profile show")
+    add_shared(show, run_show, "json")
     listing = subcommands.add_parser("list", help="list the profiles that ship", description="List shipped profiles.")
-    add_json(listing)
-    add_debug(listing)
-    listing.set_defaults(run=run_list, command="profile list")
+    add_shared(listing, run_list, "json")
 
 
 def run_show(arguments: argparse.Namespace) -> int:

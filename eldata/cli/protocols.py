@@ -1,4 +1,4 @@
-"""`eldata protocols`: the evaluation protocols there are, and all that one of them fixes."""
+"""`eldata protocols`: the evaluation protocols that are known, and all that one of them fixes."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "protocols",
         help="evaluation protocols: what each fixes, and its source",
         description=(
-            "List the protocols under which single images are scored, or show all that one of them fixes: pairs, "
+            "List the protocols under which images and clips are scored, or show all that one of them fixes: pairs, "
             "region, levels, clips, rescaling, metrics, source and digest. A protocol of your own is a TOML file: see "
-            "docs/evaluation.md. Those for clips are drv-rgb, drv-raw and their -uncorrected variants."
+            "docs/evaluation.md."
         ),
     )
     parser.add_argument(

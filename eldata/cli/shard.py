@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
             samples_per_shard=arguments.samples_per_shard,
             seed=arguments.seed,
             cameras=arguments.cameras,
-            splits=arguments.splits,
+            split=arguments.splits,
             subset=arguments.subset,
         )
     except KeyboardInterrupt:

@@ -4,16 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import (
-    OK,
-    PROBLEMS,
-    add_cameras,
-    add_debug,
-    add_json,
-    add_root,
-    add_workers,
-    chosen_workers,
-)
+from eldata.base.console import OK, PROBLEMS, add_cameras, add_root, add_shared, chosen_workers
 from eldata.base.files import write_json
 from eldata.errors import ArgumentError
 from eldata.manifest.verify import LEVELS, verify
@@ -48,10 +39,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("--dataset", metavar="N", help="only the dataset of this name, which must be there")
     add_cameras(parser)
     parser.add_argument("--level", choices=LEVELS, default="quick", help="how deep to look (default: %(default)s)")
-    add_workers(parser)
-    add_json(parser)
-    add_debug(parser)
-    parser.set_defaults(run=run, command="verify")
+    add_shared(parser, run, "workers", "json")
 
 
 def run(arguments: argparse.Namespace) -> int:

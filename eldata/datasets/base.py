@@ -1,37 +1,38 @@
-"""What every dataset of pairs shares: records from the manifest, pixels decoded on demand."""
+"""What every dataset of pairs shares: crops of both frames, from any source, normalised alike."""
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypedDict, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, Unpack, get_args
 
 import numpy as np
-import torch
-from torch.utils.data import Dataset
 
-from eldata.errors import DatasetError, check_choice
+from eldata.base.files import inside
+from eldata.datasets.choices import Options, Representation, understood
+from eldata.datasets.crops import Crop
+from eldata.datasets.items import CroppedItems, Cropping, Part
+from eldata.errors import DatasetError
 from eldata.manifest.catalogue import Manifest, data_root, load_manifest, shipped_manifest, shipped_names
-from eldata.manifest.pairs import UNCERTAIN_ISO, select_pairs
-from eldata.manifest.subsets import find_subset
-from eldata.manifest.verify import RATIO_TOLERANCE
-from eldata.raw.cfa import CLIP_RANGES
-from eldata.raw.levels import FRAME_LEVELS, FrameLevels, packed_frame
-from eldata.records import RawHeader
+from eldata.manifest.pairs import Choice, choose_pairs
+from eldata.raw.cfa import packed_area, packed_shape, unpack
+from eldata.records import Exposure
+from eldata.sources.frames import Files, Frame
+from eldata.sources.pairs import checked_ratio
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
     import pandas as pd
-    from numpy.typing import NDArray
+    import torch
 
     from eldata.manifest.card import Card
-    from eldata.raw.cfa import Clip
-    from eldata.records import Exposure, PairRecord, RawFrame
+    from eldata.records import PairRecord
+    from eldata.sources.frames import FrameSource
 
-Amplification = Literal["metadata", "nominal"]
-AMPLIFICATIONS: tuple[Amplification, ...] = get_args(Amplification)
+Side = Literal["input", "target"]
+SIDES: tuple[Side, ...] = get_args(Side)
 
 
 class Sample(TypedDict):
@@ -56,8 +57,196 @@ class Sample(TypedDict):
     flags: str
 
 
-class PairDataset(Dataset[Sample]):
-    """Pairs of a manifest: ``dataset[i]`` is a :class:`Sample`.
+class PairCropping(Cropping, total=False):
+    """Which parts of pairs are items.
+
+    Attributes
+    ----------
+    crops_per_frame
+        Items per pair: the length is this times the number of pairs, and item i is of pair i modulo that number.
+    """
+
+    crops_per_frame: int
+
+
+class PairOptions(Options, PairCropping, total=False):
+    """All of the keyword arguments that a dataset of pairs has."""
+
+
+@dataclass(slots=True)
+class OpenedPair:
+    """Two frames; those of a source that decodes whole frames are here only until they are read.
+
+    ``ratio`` is what the input is multiplied by, ``exposure`` the noisy file's.
+    """
+
+    record: PairRecord
+    target: Frame
+    input: Frame | None = None
+    ratio: Fraction = Fraction(1)
+    exposure: Exposure = Exposure()  # noqa: RUF009 # frozen
+
+
+class PairItem(NamedTuple):
+    """One item: a pair, and the part of both of its frames."""
+
+    pair: OpenedPair
+    crop: Crop
+
+
+def pair_facts(pair: OpenedPair) -> dict[str, Any]:
+    """Return the fields of a :class:`Sample` that are not tensors."""
+    record = pair.record
+    return {
+        "ratio": float(pair.ratio),
+        "nominal_ratio": float(record.ratio),
+        "iso": float(pair.exposure.iso or 0),
+        "exposure_s": float(pair.exposure.exposure_s or 0),
+        "camera": record.camera,
+        "scene": record.scene,
+        "split": record.split,
+        "path": record.path,
+        "reference": record.reference,
+        "flags": ";".join(record.flags),
+    }
+
+
+class SourcePairs(CroppedItems[PairItem, Sample]):
+    """Pairs of frames of any source: ``dataset[i]`` is a :class:`Sample`.
+
+    Parameters
+    ----------
+    source
+        Where the frames come from; their paths are those of the records.
+    records
+        The pairs.
+    name
+        Of the dataset.
+    representation
+        Levels, clipping and amplification.
+    cropping
+        Crop, orientations, items per pair, seed; by default whole frames as they are.
+    """
+
+    def __init__(
+        self,
+        source: FrameSource,
+        records: Collection[PairRecord],
+        *,
+        name: str = "",
+        representation: Representation | None = None,
+        cropping: PairCropping | None = None,
+    ) -> None:
+        chosen, cut = representation or {}, cropping or {}
+        self.source = source
+        self.records: tuple[PairRecord, ...] = tuple(records)
+        self.name = name
+        self.levels = chosen.get("levels", "published")
+        self.clip = chosen.get("clip", "both")
+        self.amplification = chosen.get("amplification", "metadata")
+        self.crops_per_frame = cut.get("crops_per_frame", 1)
+        super().__init__(cut, ("crops_per_frame", self.crops_per_frame))
+        # A source that reads parts knows all but the pixels: what is not a pair is refused here.
+        self._pairs = tuple(map(self._opened, self.records)) if self.reads_parts else ()
+
+    @property
+    def reads_parts(self) -> bool:
+        """Whether the source reads parts of frames."""
+        return self.source.reads_parts
+
+    @property
+    def frame(self) -> pd.DataFrame:
+        """The records as a pandas DataFrame, one row per pair, numbers as floats."""
+        import pandas as pd
+
+        rows = [
+            {key: float(value) if isinstance(value, Fraction) else value for key, value in asdict(record).items()}
+            for record in self.records
+        ]
+        return pd.DataFrame(rows)
+
+    def __len__(self) -> int:
+        return len(self.records) * self.crops_per_frame
+
+    def drawn(self, index: int, generator: np.random.Generator) -> PairItem:
+        """Draw a crop of pair ``index`` modulo their number."""
+        place = index % len(self.records)
+        pair = self._pairs[place] if self.reads_parts else self._begun(self.records[place])
+        return PairItem(pair, Crop.draw(pair.target, generator, crop=self.crop, augment=self.augment))
+
+    def shapes(self, item: PairItem) -> dict[str, tuple[int, ...]]:
+        """Return the shapes of input and target."""
+        return dict.fromkeys(SIDES, item.crop.packed_shape)
+
+    def parts(self, item: PairItem) -> Iterator[Part]:
+        """Yield the target, then the input."""
+        pair = item.pair
+        target = pair.target
+        if not self.reads_parts:
+            pair.target = target.without_pixels()  # a worker holds one mosaic at a time
+        yield Part("target", target)
+        del target
+        if pair.input is None:
+            self._open_input(pair)
+        if pair.input is not None:
+            # What no raw file states is amplified already.
+            yield Part("input", pair.input, gain=float(pair.ratio) if pair.input.sensor else 1.0)
+        if not self.reads_parts:
+            pair.input = None
+
+    def facts(self, item: PairItem) -> dict[str, Any]:
+        """Return the fields of a :class:`Sample` that are not tensors."""
+        return pair_facts(item.pair)
+
+    def _begun(self, record: PairRecord) -> OpenedPair:
+        return OpenedPair(record, self.source.frame(record.reference).with_levels(self.levels))
+
+    def _opened(self, record: PairRecord) -> OpenedPair:
+        pair = self._begun(record)
+        self._open_input(pair)
+        return pair
+
+    def _open_input(self, pair: OpenedPair) -> None:
+        record, target = pair.record, pair.target
+        noisy = self._noisy(record, target)
+        ratio = checked_ratio(record, target, noisy)
+        pair.ratio = ratio if self.amplification == "metadata" else record.ratio
+        pair.exposure = noisy.exposure
+        pair.input = noisy
+
+    def _noisy(self, record: PairRecord, target: Frame) -> Frame:
+        """Open the noisy frame of a pair; ``target`` is its reference."""
+        del target
+        return self.source.frame(record.path).with_levels(self.levels)
+
+    def __repr__(self) -> str:
+        def counted(values: Collection[object]) -> str:
+            distinct = list(dict.fromkeys(values))
+            texts = [f"{float(value):g}" if isinstance(value, Fraction) else str(value) for value in distinct]
+            return ", ".join(texts) if len(texts) <= 6 else f"{len(texts)} values"
+
+        cropped = self.crop is not None or self.augment or self.crops_per_frame > 1
+        return (
+            f"{type(self).__name__}({self._place()!r}, {len(self.records)} pairs, "
+            f"cameras: {counted([r.camera for r in self.records])}; "
+            f"{len({(r.camera, r.scene) for r in self.records})} scenes; "
+            f"splits {counted([r.split for r in self.records])}; "
+            f"ISO {counted([r.iso for r in self.records])}; ratios {counted([r.ratio for r in self.records])}; "
+            f"levels={self.levels!r}, clip={self.clip!r}, amplification={self.amplification!r}"
+            + (
+                f", crop={self.crop}, augment={self.augment}, crops_per_frame={self.crops_per_frame}, seed={self.seed}"
+                if cropped
+                else ""
+            )
+            + ")"
+        )
+
+    def _place(self) -> str:
+        return self.name
+
+
+class PairDataset(SourcePairs):
+    """Pairs of a manifest, decoded from their files: ``dataset[i]`` is a :class:`Sample`.
 
     Parameters
     ----------
@@ -65,75 +254,44 @@ class PairDataset(Dataset[Sample]):
         The dataset's own folder, such as ``data/ELD``. Default: the card's folder below ``$ELDATA_ROOT`` or ``./data``.
     manifest
         A manifest's CSV file, or the name of a shipped one.
-    cameras, scenes, isos, ratios, splits, exclude_flags
-        Which pairs; ``None`` means all. See :func:`eldata.manifest.pairs.select_pairs`.
-    subset
-        Name of a subset on the manifest's card (:mod:`eldata.manifest.subsets`).
-    levels
-        ``"published"``: white level 16383 for every camera; ``"metadata"``: the file's own. Black is the file's either
-        way. Or the constants of the SID code by name: :func:`eldata.raw.levels.with_levels`.
-    clip
-        ``"both"``: the normalised frame is clipped to [0, 1] before and after the input is multiplied by the ratio,
-        as published; ``"upper"``: at 1 only, so that negative read noise is kept; ``"none"``.
-    amplification
-        What the input is multiplied by: ``"metadata"``, the ratio of ISO times exposure time that the files state, or
-        ``"nominal"``, the manifest's ratio. The files' ratio is checked either way.
+    options
+        Which pairs (:class:`~eldata.manifest.pairs.Choice`): ``cameras``, ``scenes``, ``isos``, ``ratios``, ``split``,
+        ``subset``, ``exclude_flags``. What becomes of their DN (:class:`~eldata.datasets.choices.Representation`):
+        ``levels`` (default ``"published"``), ``clip`` (``"both"``), ``amplification`` (``"metadata"``). Which part of
+        them (:class:`PairCropping`): ``crop``, ``augment``, ``crops_per_frame``, ``seed``; by default whole frames.
 
     Raises
     ------
     DatasetError
         If the folder, or that of a chosen camera, is not there.
     ArgumentError
-        If a value that chooses pairs, a subset, ``levels``, ``clip`` or ``amplification`` is unknown; the message lists
-        the known ones.
+        If a value is unknown (the message lists the known ones) or out of its range.
     ManifestError
         If the manifest is malformed.
 
     Notes
     -----
-    Frames of different cameras differ in size: with more than one camera use ``batch_size=1``. The files are decoded
-    anew on each access, in DataLoader workers under fork as under spawn.
+    Frames of different cameras differ in size: with more than one camera use ``batch_size=1``, or crops. The files are
+    decoded anew on each access, in DataLoader workers under fork as under spawn: random crops are read far faster from
+    a store (:class:`~eldata.datasets.packed_store.PackedStore`).
     """
 
-    def __init__(
-        self,
-        root: Path | str | None,
-        manifest: Path | str,
-        *,
-        cameras: Collection[str] | None = None,
-        scenes: Collection[str | int] | None = None,
-        isos: Collection[int] | None = None,
-        ratios: Collection[float | Fraction] | None = None,
-        splits: Collection[str] | None = None,
-        subset: str | None = None,
-        exclude_flags: Collection[str] = (),
-        levels: FrameLevels = "published",
-        clip: Clip = "both",
-        amplification: Amplification = "metadata",
-    ) -> None:
-        for name, value, known in (
-            ("levels", levels, FRAME_LEVELS),
-            ("clip", clip, tuple(CLIP_RANGES)),
-            ("amplification", amplification, AMPLIFICATIONS),
-        ):
-            check_choice(name, value, known)
+    def __init__(self, root: Path | str | None, manifest: Path | str, **options: Unpack[PairOptions]) -> None:
+        choice, representation, cropping = understood(self, options, Choice, Representation, PairCropping)
         loaded = _manifest(manifest)
-        self.name = loaded.name
         self.root = data_root() / loaded.card.folder if root is None else Path(root)
-        self.levels: FrameLevels = levels
-        self.clip: Clip = clip
-        self.amplification: Amplification = amplification
-        self.records: tuple[PairRecord, ...] = select_pairs(
-            loaded.records,
-            cameras=cameras,
-            scenes=scenes,
-            isos=isos,
-            ratios=ratios,
-            splits=splits,
-            subset=None if subset is None else find_subset(loaded.card.subsets, subset),
-            exclude_flags=exclude_flags,
+        records = choose_pairs(loaded.records, loaded.card.subsets, **choice)
+        super().__init__(
+            Files(self.root, loaded.records),
+            records,
+            name=loaded.name,
+            representation=representation,
+            cropping=cropping,
         )
         self._check_folders(loaded)
+
+    def _place(self) -> str:
+        return str(self.root)
 
     def _check_folders(self, manifest: Manifest) -> None:
         if not self.root.is_dir():
@@ -146,117 +304,10 @@ class PairDataset(Dataset[Sample]):
                 hint = f"choose those you have with cameras={present!r}" if present else "is this the right folder?"
                 raise DatasetError(f"{self.root}: has no folder {top!r} for camera {camera}; {hint}")
 
-    @property
-    def frame(self) -> pd.DataFrame:
-        """The records as a pandas DataFrame, one row a pair, numbers as floats."""
-        import pandas as pd
-
-        rows = [
-            {key: float(value) if isinstance(value, Fraction) else value for key, value in asdict(record).items()}
-            for record in self.records
-        ]
-        return pd.DataFrame(rows)
-
-    def __len__(self) -> int:
-        return len(self.records)
-
-    def __iter__(self) -> Iterator[Sample]:
-        return (self[index] for index in range(len(self)))
-
-    def __getitem__(self, index: int) -> Sample:
-        """Decode one pair.
-
-        Raises
-        ------
-        RawFileError
-            If a file is missing, damaged or without exposure data.
-        DatasetError
-            If the files' exposure ratio is more than a tenth off the manifest's, or their sizes differ.
-        """
-        from eldata.base.files import inside
-        from eldata.raw.reading import read_raw
-
-        record = self.records[index]
-        reference = read_raw(inside(self.root, record.reference))
-        target = packed_frame(reference, levels=self.levels, clip=self.clip)
-        sensor = reference.sensor
-        header = RawHeader(reference.path, sensor.make, sensor.model, reference.exposure)
-        del reference  # its pixels: a worker holds one mosaic at a time
-        noisy_path = inside(self.root, record.path)
-        if noisy_path.suffix == ".npy":
-            return self._sample(record, _packed_noisy(noisy_path, target.shape, self.clip), target, record.ratio, None)
-        noisy = read_raw(noisy_path)
-        ratio = checked_ratio(record, header, noisy)
-        shape = (sensor.height, sensor.width)
-        if noisy.mosaic.shape != shape or noisy.sensor.cfa != sensor.cfa:
-            raise DatasetError(
-                f"{noisy.path}: {noisy.mosaic.shape} pixels, CFA {noisy.sensor.cfa}, but its reference "
-                f"{record.reference} has {shape}, {sensor.cfa}"
-            )
-        applied = ratio if self.amplification == "metadata" else record.ratio
-        amplified = packed_frame(noisy, levels=self.levels, clip=self.clip, gain=float(applied))
-        return self._sample(record, amplified, target, applied, noisy.exposure)
-
-    def _sample(
-        self,
-        record: PairRecord,
-        amplified: NDArray[np.float32],
-        target: NDArray[np.float32],
-        ratio: Fraction,
-        exposure: Exposure | None,
-    ) -> Sample:
-        """Return the sample; ISO and exposure time are the file's, or the manifest's where the file has none."""
-        iso = record.iso if exposure is None else exposure.iso
-        exposure_s = record.exposure_s if exposure is None else exposure.exposure_s
-        return Sample(
-            input=torch.from_numpy(amplified),
-            target=torch.from_numpy(target),
-            ratio=float(ratio),
-            nominal_ratio=float(record.ratio),
-            iso=float(iso or 0),
-            exposure_s=float(exposure_s or 0),
-            camera=record.camera,
-            scene=record.scene,
-            split=record.split,
-            path=record.path,
-            reference=record.reference,
-            flags=";".join(record.flags),
-        )
-
-    def __repr__(self) -> str:
-        def counted(values: Collection[object]) -> str:
-            distinct = list(dict.fromkeys(values))
-            texts = [f"{float(value):g}" if isinstance(value, Fraction) else str(value) for value in distinct]
-            return ", ".join(texts) if len(texts) <= 6 else f"{len(texts)} values"
-
-        return (
-            f"{type(self).__name__}({str(self.root)!r}, {len(self)} pairs, "
-            f"cameras: {counted([r.camera for r in self.records])}; "
-            f"{len({(r.camera, r.scene) for r in self.records})} scenes; "
-            f"splits {counted([r.split for r in self.records])}; "
-            f"ISO {counted([r.iso for r in self.records])}; ratios {counted([r.ratio for r in self.records])}; "
-            f"levels={self.levels!r}, clip={self.clip!r}, amplification={self.amplification!r})"
-        )
-
-
-def checked_ratio(record: PairRecord, reference: RawFrame | RawHeader, noisy: RawFrame | RawHeader) -> Fraction:
-    """Return the exposure ratio that a pair's files state.
-
-    Raises
-    ------
-    DatasetError
-        If it is more than a tenth off the manifest's.
-    """
-    from eldata.raw.reading import exposure_ratio
-
-    ratio = exposure_ratio(reference, noisy)
-    differs = abs(ratio - record.ratio) > RATIO_TOLERANCE * record.ratio
-    if differs and UNCERTAIN_ISO not in record.flags:
-        raise DatasetError(
-            f"{noisy.path}: expected an exposure ratio of {float(record.ratio):g} to {record.reference}, found "
-            f"{float(ratio):g}; are both the frames that their names say? (eldata verify finds all such files)"
-        )
-    return ratio
+    def _noisy(self, record: PairRecord, target: Frame) -> Frame:
+        if record.path.endswith(".npy"):
+            return _packed_noisy(inside(self.root, record.path), record, target)
+        return super()._noisy(record, target)
 
 
 def no_folder(folder: Path, card: Card, holds: str) -> DatasetError:
@@ -275,13 +326,16 @@ def _manifest(manifest: Path | str) -> Manifest:
     return load_manifest(manifest)
 
 
-def _packed_noisy(path: Path, shape: tuple[int, ...], clip: Clip) -> NDArray[np.float32]:
-    """Read a packed, amplified noisy frame and clip it as raw ones are after amplification."""
+def _packed_noisy(path: Path, record: PairRecord, target: Frame) -> Frame:
+    """Read a packed, amplified noisy frame, as a mosaic like its reference's."""
     try:
         packed = np.load(path, allow_pickle=False)
     except (OSError, ValueError) as error:
         raise DatasetError(f"{path}: cannot be read as a packed array ({error})") from error
+    shape = packed_shape(target.shape, target.cfa)
     if packed.shape != shape or packed.dtype != np.float32:
         raise DatasetError(f"{path}: expected float32 {shape} like its reference, found {packed.dtype} {packed.shape}")
-    clipped: NDArray[np.float32] = np.clip(packed, *CLIP_RANGES[clip])
-    return clipped
+    mosaic = np.zeros(target.shape, np.float32)
+    mosaic[packed_area(target.shape, target.cfa).slices] = unpack(packed, target.cfa)
+    levels = (0.0,) * len(target.black_level_dn)
+    return Frame(mosaic, target.cfa, levels, 1.0, str(path), exposure=Exposure(record.iso, record.exposure_s))

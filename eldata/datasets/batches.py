@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.sources.store.layout import Compression
-
 # Free pieces of memory that a process keeps for its next batches: those that come back while it reads ahead.
 _MOST_FREE = 4
 # Pieces that may be held at once, two descriptors each: who keeps more batches than that gets torch's own memory.
@@ -62,13 +60,13 @@ def threads_here() -> int | None:
     return None if get_worker_info() is None else 1
 
 
-def reading_threads(compression: Compression, samples: int) -> int | None:
+def reading_threads(samples: int, *, decodes_long: bool = False) -> int | None:
     """Return how many threads read some samples of a store, as :func:`eldata.base.compiled.in_threads` takes them.
 
     zstd decodes for long without Python's lock. The rest is read so soon that more threads wait for that lock: measured
     on four cores, one is the fastest for a sample and two for a batch of eight.
     """
-    if compression == "zstd":
+    if decodes_long:
         return threads_here()
     return 1 if samples == 1 or get_worker_info() is not None else 2
 

@@ -1,18 +1,20 @@
-"""Clean frames for synthetic pairs: from raw files or from arrays."""
+"""Clean frames and clips for synthetic noise: of raw files, arrays and stores, by their number."""
 
 from __future__ import annotations
 
 from collections import OrderedDict
-from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from eldata.errors import ArgumentError, DatasetError
+from eldata.errors import ArgumentError, DatasetError, check_choice
+from eldata.manifest.patterns import sequence_of
 from eldata.raw.cfa import XTRANS_CFA, unpack
 from eldata.raw.extensions import RAW_EXTENSIONS
-from eldata.raw.levels import Levels, white_level_dn
+from eldata.raw.levels import LEVELS, Levels
+from eldata.sources.frames import Files, Frame
+from eldata.sources.store.read import StoreFrames
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -20,40 +22,19 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.raw.cfa import CfaRows
+    from eldata.sources.frames import FrameSource
 
 _BAYER: CfaRows = ((0, 1), (3, 2))
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CleanFrame:
-    """A clean mosaic in DN with its levels.
-
-    Attributes
-    ----------
-    mosaic
-        (H, W), uint16 or floating, DN.
-    cfa, black_level_dn
-        As in :class:`eldata.records.Sensor`.
-    white_level_dn
-        The level that is 1 after normalisation.
-    name
-        Where it comes from.
-    """
-
-    mosaic: NDArray[Any] = field(repr=False)
-    cfa: CfaRows
-    black_level_dn: tuple[float, ...]
-    white_level_dn: float
-    name: str
-
-    @property
-    def range_dn(self) -> float:
-        """White level minus the channels' mean black level."""
-        return self.white_level_dn - sum(self.black_level_dn) / len(self.black_level_dn)
+CleanFrame = Frame
 
 
 class CleanSource(Protocol):
-    """What :class:`~eldata.datasets.synthetic.SyntheticPairs` draws its clean crops from."""
+    """What :class:`~eldata.datasets.synthetic.SyntheticPairs` draws its clean crops from.
+
+    If it has an attribute ``reads_parts``, that says whether its frames read only the parts that are asked for
+    (:class:`eldata.sources.frames.FrameSource`).
+    """
 
     def __len__(self) -> int:
         """Return the number of frames."""
@@ -62,7 +43,51 @@ class CleanSource(Protocol):
         """Return one frame."""
 
 
-class RawFiles:
+class ClipSource(Protocol):
+    """What :class:`~eldata.datasets.synthetic_clips.SyntheticClips` draws from: for each clip, its frames in order."""
+
+    def __len__(self) -> int:
+        """Return the number of clips."""
+
+    def clip(self, index: int) -> CleanSource:
+        """Return the frames of one clip; they are decoded one by one."""
+
+
+# --- frames -----------------------------------------------------------------------------------------------------------
+
+
+class SomeFrames:
+    """Frames of a source in an order, by their number: a clip, for one.
+
+    Raises
+    ------
+    ArgumentError
+        If ``levels`` is unknown.
+    """
+
+    def __init__(self, origin: FrameSource, names: Iterable[str], levels: Levels) -> None:
+        check_choice("levels", levels, LEVELS)
+        self.origin = origin
+        self.names = tuple(names)
+        self.levels: Levels = levels
+
+    @property
+    def reads_parts(self) -> bool:
+        """Whether the source reads parts of frames."""
+        return self.origin.reads_parts
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def frame(self, index: int) -> CleanFrame:
+        """Open one frame."""
+        return self.origin.frame(self.names[index]).with_levels(self.levels)
+
+    def __repr__(self) -> str:
+        return f"clip of {self.names[0]}"
+
+
+class RawFiles(SomeFrames):
     """Clean frames decoded from raw files, such as the long exposures of SID.
 
     Parameters
@@ -77,7 +102,7 @@ class RawFiles:
     Raises
     ------
     DatasetError
-        If there is no raw file.
+        If there is not a raw file.
     """
 
     def __init__(self, files: Path | str | Iterable[Path | str], *, levels: Levels = "metadata", keep: int = 0) -> None:
@@ -92,24 +117,21 @@ class RawFiles:
                 raise DatasetError("no raw file was given")
         if keep < 0:
             raise ArgumentError(f"keep must be 0 or more; found {keep}")
-        self.paths: tuple[Path, ...] = tuple(found)
-        self.levels: Levels = levels
+        super().__init__(Files(), map(str, found), levels)
         self.keep = keep
         self._kept: OrderedDict[int, CleanFrame] = OrderedDict()
 
-    def __len__(self) -> int:
-        return len(self.paths)
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """The files."""
+        return tuple(map(Path, self.names))
 
     def frame(self, index: int) -> CleanFrame:
         """Decode one file."""
-        from eldata.raw.reading import read_raw
-
         if index in self._kept:
             self._kept.move_to_end(index)
             return self._kept[index]
-        raw = read_raw(self.paths[index])
-        white = white_level_dn(raw.sensor, self.levels)
-        frame = CleanFrame(raw.mosaic, raw.sensor.cfa, raw.sensor.black_level_dn, white, str(self.paths[index]))
+        frame = super().frame(index)
         if self.keep:
             self._kept[index] = frame
             while len(self._kept) > self.keep:
@@ -126,7 +148,7 @@ class Arrays:
     Parameters
     ----------
     arrays
-        One array a frame, or one array (N, C, h, w).
+        One array per frame, or one array (N, C, h, w).
     range_dn
         White minus black level of the camera that is simulated, DN.
     cfa
@@ -157,3 +179,180 @@ class Arrays:
 
     def __repr__(self) -> str:
         return f"Arrays({len(self)} frames of shape {self.arrays[0].shape}, range_dn={self.range_dn:g})"
+
+
+class StoredFrames(SomeFrames):
+    """Clean frames of a store, for :class:`~eldata.datasets.synthetic.SyntheticPairs`: only the crops are read.
+
+    The frames are those of a packed folder, or the references of packed pairs. Items are the same as from
+    :class:`RawFiles` over the same files in the same order.
+
+    Parameters
+    ----------
+    path
+        The store.
+    levels
+        White level: the file's (``"metadata"``) or 16383 (``"published"``).
+
+    Raises
+    ------
+    StoreError
+        If the file is not a store, truncated, not complete, or of a newer version.
+    ArgumentError
+        If ``levels`` is unknown.
+    """
+
+    def __init__(self, path: Path | str, *, levels: Levels = "metadata") -> None:
+        source = StoreFrames(path)
+        self.path = source.path
+        self.frames = tuple(
+            sorted((frame for frame in source.store.frames if frame.role == "reference"), key=lambda frame: frame.path)
+        )
+        super().__init__(source, (frame.path for frame in self.frames), levels)
+
+    def __repr__(self) -> str:
+        return f"StoredFrames({str(self.path)!r}, {len(self)} frames, levels={self.levels!r})"
+
+
+# --- clips ------------------------------------------------------------------------------------------------------------
+
+
+class RawClips:
+    """Clean clips of raw files: folders, one per clip, whose files are in the order of the numbers in their names.
+
+    Parameters
+    ----------
+    folders
+        A folder: each folder at any depth below it that holds camera raws is a clip. Or these folders themselves.
+    levels
+        As in :class:`RawFiles`.
+
+    Raises
+    ------
+    DatasetError
+        If there is no clip, or the names of a clip do not follow one numbering.
+    """
+
+    def __init__(self, folders: Path | str | Iterable[Path | str], *, levels: Levels = "metadata") -> None:
+        if isinstance(folders, (str, Path)):
+            top = Path(folders)
+            found = sorted({path.parent for path in top.rglob("*") if path.suffix.lower() in RAW_EXTENSIONS})
+            if not found:
+                raise DatasetError(f"{top}: holds no folder with camera raws")
+        else:
+            found = [Path(folder) for folder in folders]
+            if not found:
+                raise DatasetError("no folder was given")
+        self.folders: tuple[Path, ...] = tuple(found)
+        self.levels: Levels = levels
+        self._clips = tuple(RawFiles(_frames_of(folder), levels=levels) for folder in found)
+
+    def __len__(self) -> int:
+        return len(self._clips)
+
+    def clip(self, index: int) -> RawFiles:
+        """Return the frames of one clip."""
+        return self._clips[index]
+
+    def __repr__(self) -> str:
+        return f"RawClips({len(self)} clips, first {self.folders[0]}, levels={self.levels!r})"
+
+
+def _frames_of(folder: Path) -> list[Path]:
+    names = [path.name for path in folder.iterdir()] if folder.is_dir() else []
+    raws = [name for name in names if Path(name).suffix.lower() in RAW_EXTENSIONS and not name.startswith(".")]
+    if not raws:
+        raise DatasetError(f"{folder}: holds no camera raw file")
+    return [folder / name for name in _in_order(folder, raws)]
+
+
+def _in_order(folder: PurePosixPath | Path, names: Iterable[str]) -> tuple[str, ...]:
+    """Return the names of a clip's frames in the order of their numbers."""
+    sequence = sequence_of(names)
+    if sequence.odd or sequence.doubles or sequence.gaps:
+        what = ", ".join(sequence.odd) or f"two of {sequence.doubles}"
+        if sequence.gaps:
+            what = f"nothing from {sequence.gaps[0][0]} to {sequence.gaps[0][1]}"
+        raise DatasetError(f"{folder}: expected the frames of one clip, numbered without a gap; found {what}")
+    return sequence.names
+
+
+class ArrayClips:
+    """Clean clips from packed, normalised arrays (T, C, h, w) in memory (or memory-mapped).
+
+    Parameters
+    ----------
+    arrays
+        One array per clip; their lengths and sizes may differ.
+    range_dn, cfa
+        As in :class:`Arrays`.
+
+    Raises
+    ------
+    ArgumentError
+        If there is no array or ``range_dn`` is not positive.
+    """
+
+    def __init__(self, arrays: Sequence[NDArray[Any]], *, range_dn: float, cfa: CfaRows = ((0, 1), (3, 2))) -> None:
+        if len(arrays) == 0:
+            raise ArgumentError("no array was given")
+        self._clips = tuple(Arrays(array, range_dn=range_dn, cfa=cfa) for array in arrays)
+
+    def __len__(self) -> int:
+        return len(self._clips)
+
+    def clip(self, index: int) -> Arrays:
+        """Return the frames of one clip."""
+        return self._clips[index]
+
+    def __repr__(self) -> str:
+        return f"ArrayClips({len(self)} clips, first {self._clips[0]!r})"
+
+
+class StoredClips:
+    """Clean clips of a store, for :class:`~eldata.datasets.synthetic_clips.SyntheticClips`: only the crops are read.
+
+    The store is of a folder of clean raws (``eldata pack FOLDER``); each folder in it that holds raws is a clip, as in
+    :class:`RawClips`, and items are the same.
+
+    Parameters
+    ----------
+    path
+        The store.
+    levels
+        White level: the file's (``"metadata"``) or 16383 (``"published"``).
+
+    Raises
+    ------
+    StoreError
+        If the file is not a store, truncated, not complete, or of a newer version.
+    DatasetError
+        If it holds a dataset's pairs or clips, or the names of a clip do not follow one numbering.
+    ArgumentError
+        If ``levels`` is unknown.
+    """
+
+    def __init__(self, path: Path | str, *, levels: Levels = "metadata") -> None:
+        source = StoreFrames(path)
+        if source.store.manifest is not None:
+            raise DatasetError(f"{path}: holds a dataset, not clean clips; pack a folder of folders of clean raws")
+        self.path = source.path
+        self.levels: Levels = levels
+        folders: dict[PurePosixPath, list[str]] = {}
+        for frame in source.store.frames:
+            place = PurePosixPath(frame.path)
+            folders.setdefault(place.parent, []).append(place.name)
+        self._clips = tuple(
+            SomeFrames(source, (str(folder / name) for name in _in_order(source.path / folder, names)), levels)
+            for folder, names in sorted(folders.items())
+        )
+
+    def __len__(self) -> int:
+        return len(self._clips)
+
+    def clip(self, index: int) -> SomeFrames:
+        """Return the frames of one clip; they are read part by part."""
+        return self._clips[index]
+
+    def __repr__(self) -> str:
+        return f"StoredClips({str(self.path)!r}, {len(self)} clips, levels={self.levels!r})"

@@ -1,39 +1,39 @@
-"""What datasets of clips share: windows of consecutive frames, decoded on demand."""
+"""Windows of consecutive frames of clips, from any source."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Protocol, TypedDict, TypeVar
+from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, Unpack
 
-import numpy as np
-import torch
-from torch.utils.data import Dataset
-
-from eldata.base.files import inside
-from eldata.base.png import rgb_frame
-from eldata.errors import ArgumentError, DatasetError, check_choice
-from eldata.manifest.clips import clips_of, select_rows, windows
+from eldata.datasets.choices import Options, Representation, understood
+from eldata.datasets.crops import Crop, Region
+from eldata.datasets.items import CroppedItems, Cropping, Part
+from eldata.errors import ArgumentError, DatasetError
+from eldata.manifest.clips import choose_clips, clips_of, windows
 from eldata.manifest.drv import Layout
+from eldata.manifest.pairs import Choice
 from eldata.manifest.patterns import expand
-from eldata.raw.cfa import CLIP_RANGES
-from eldata.raw.levels import LEVELS, packed_frame
-from eldata.records import Exposure, RawHeader
+from eldata.records import Exposure
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator
+    from collections.abc import Collection, Iterator, Sequence
+    from fractions import Fraction
     from pathlib import Path
 
+    import numpy as np
     import pandas as pd
-    from numpy.typing import NDArray
+    import torch
 
-    from eldata.manifest.clips import ClipRecord, FrameRange
-    from eldata.raw.cfa import CfaRows, Clip
-    from eldata.raw.levels import Levels
-    from eldata.records import FrameRecord, RawFrame
+    from eldata.manifest.clips import Clip, ClipRecord, FrameRange
+    from eldata.manifest.subsets import Subset
+    from eldata.records import FrameRecord
+    from eldata.sources.frames import Frame, FrameSource
 
 Sample = TypeVar("Sample")
-Region = tuple[int, int, int, int]
+
+# A source, the rows of its clips, the subsets of their card, and the place for messages.
+ListedClips = tuple["FrameSource", "Sequence[FrameRecord]", "Sequence[Subset]", "Path"]
 
 
 class _Facts(TypedDict):
@@ -71,118 +71,13 @@ class ClipSample(_Facts):
     reference: str
 
 
-# --- reading ----------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Still:
-    """One decoded frame.
-
-    Attributes
-    ----------
-    pixels
-        (C, h, w) float32, normalised, multiplied by ``ratio``.
-    cfa
-        That of the mosaic it was packed from; empty for RGB.
-    header
-        What a raw file states of itself.
-    ratio
-        nan if no file states it.
-    """
-
-    path: Path
-    pixels: NDArray[np.float32]
-    cfa: CfaRows
-    header: RawHeader | None
-    ratio: float
-
-
-class FrameReader(Protocol):
-    """Files of one kind to stills."""
-
-    def plain(self, path: Path) -> Still:
-        """Decode a frame as it is."""
-
-    def amplified(self, path: Path, reference: Still) -> Still:
-        """Decode a noisy frame, brought to the brightness of its reference."""
-
-
-class RgbReader:
-    """Preprocessed frames: 16-bit RGB PNG, divided by 65535; amplified already, by a ratio that no file states."""
-
-    def plain(self, path: Path) -> Still:
-        """Decode a frame: (3, h, w) in the order R, G, B."""
-        return Still(path, rgb_frame(path), (), None, math.nan)
-
-    def amplified(self, path: Path, reference: Still) -> Still:
-        """Decode a noisy frame, which is as bright as its reference already."""
-        del reference
-        return self.plain(path)
-
-    def __repr__(self) -> str:
-        return "16-bit RGB"
-
-
-class RawReader:
-    """Camera raws: packed and normalised, amplified by the exposure ratio that the files state.
-
-    Parameters
-    ----------
-    levels, clip
-        As in :class:`eldata.datasets.base.PairDataset`.
-
-    Raises
-    ------
-    ArgumentError
-        If one is unknown.
-    """
-
-    def __init__(self, *, levels: Levels, clip: Clip) -> None:
-        for name, value, known in (("levels", levels, LEVELS), ("clip", clip, tuple(CLIP_RANGES))):
-            check_choice(name, value, known)
-        self.levels: Levels = levels
-        self.clip: Clip = clip
-
-    def plain(self, path: Path) -> Still:
-        """Decode a frame, not amplified."""
-        from eldata.raw.reading import read_raw
-
-        return self._still(read_raw(path), 1.0)
-
-    def amplified(self, path: Path, reference: Still) -> Still:
-        """Decode a noisy frame and multiply it by the ratio of (ISO * t) of its reference to its own."""
-        from eldata.raw.reading import exposure_ratio, read_raw
-
-        if reference.header is None:
-            raise DatasetError(f"{reference.path}: is no raw file, but the reference of one: {path}")
-        frame = read_raw(path)
-        ratio = exposure_ratio(reference.header, frame)
-        if ratio < 1:
-            raise DatasetError(
-                f"{path}: is exposed {float(1 / ratio):g} times as much as its reference {reference.path}; are they "
-                "swapped?"
-            )
-        return self._still(frame, float(ratio))
-
-    def _still(self, frame: RawFrame, ratio: float) -> Still:
-        pixels = packed_frame(frame, levels=self.levels, clip=self.clip, gain=ratio)
-        header = RawHeader(frame.path, frame.sensor.make, frame.sensor.model, frame.exposure)
-        return Still(frame.path, pixels, frame.sensor.cfa, header, ratio)
-
-    def __repr__(self) -> str:
-        return f"levels={self.levels!r}, clip={self.clip!r}"
-
-
-# --- datasets ---------------------------------------------------------------------------------------------------------
-
-
-class WindowOptions(TypedDict, total=False):
-    """Which windows of which clips, and which part of them: keyword arguments of every dataset of clips.
+class Windowing(TypedDict, total=False):
+    """Which windows of which clips, and which part of them.
 
     Attributes
     ----------
     ids
-        Which clips, such as ``["0007", "0013"]``; ``None`` (default) is all.
+        Which clips, such as ``["0007", "0013"]``: their scenes. ``None`` (default) is all.
     window
         Number of frames of a sample; default 5.
     stride
@@ -193,7 +88,10 @@ class WindowOptions(TypedDict, total=False):
         continuous ones as in the ELD paper, the fifth to the ninth (the paper does not say which).
     region
         (top, left, height, width) in pixels of the packed frame: the part that is kept of each frame. ``None``
-        (default) is all of it: for DRV 15 MB a frame preprocessed and 80 MB raw.
+        (default) is all of it: for DRV 15 MB a frame preprocessed and 80 MB raw. Or a random ``crop``
+        (:class:`~eldata.datasets.items.Cropping`): every frame and the reference are cut and turned alike.
+    crops_per_window
+        Items per window: the length is this times the number of windows, and item i is of window i modulo that number.
     """
 
     ids: Collection[str] | None
@@ -201,211 +99,237 @@ class WindowOptions(TypedDict, total=False):
     stride: int | None
     frames: FrameRange
     region: Region | None
+    crops_per_window: int
 
 
-class Windows:
-    """Windows of clips of a folder: which there are, and how one is read. Datasets hold one.
+class WindowOptions(Options, Cropping, Windowing, total=False):
+    """All of the keyword arguments that a dataset of clips has."""
+
+
+@dataclass(slots=True)
+class _Item:
+    """One window before its pixels; ``reference`` and ``first`` keep theirs only until they are read."""
+
+    record: ClipRecord
+    crop: Crop
+    reference: Frame | None
+    first: Frame | None
+    ratio: float = math.nan
+    exposure: Exposure = Exposure()  # noqa: RUF009 # frozen
+
+
+class ClipWindows(CroppedItems[_Item, Sample]):
+    """Windows of clips of any source: what :class:`PairedClips` and :class:`UnpairedClips` share.
 
     Parameters
     ----------
-    root
-        The dataset's own folder.
+    source
+        Where the frames come from.
     rows
-        Rows of a manifest; patterns are expanded here.
-    reader
-        How the files are decoded.
-    splits
-        Which clips.
-    ids, window, stride, frames, region
-        See :class:`WindowOptions`.
+        Rows of a manifest, of the clips of this kind; patterns are expanded here.
+    subsets
+        Those of the manifest's card.
+    place
+        Where the source is, for messages.
+    options
+        See :class:`Windowing`, :class:`~eldata.datasets.items.Cropping`, :class:`~eldata.manifest.pairs.Choice` and
+        :class:`~eldata.datasets.choices.Representation`.
 
     Raises
     ------
     ArgumentError
-        If a split, a clip or a range is unknown, or a number makes no sense.
+        If a value is unknown (the message lists the known ones) or out of its range.
     DatasetError
-        If the files of a chosen clip are not there or not in order.
+        If the files of a chosen clip are not there or not in order. If the source knows its files' sizes and exposures:
+        if those of a clip differ.
     """
+
+    _is_paired: bool
 
     def __init__(
         self,
-        root: Path,
-        rows: Iterable[FrameRecord],
-        reader: FrameReader,
-        *,
-        splits: Collection[str],
-        ids: Collection[str] | None = None,
-        window: int = 5,
-        stride: int | None = None,
-        frames: FrameRange = "all",
-        region: Region | None = None,
+        source: FrameSource,
+        rows: Sequence[FrameRecord],
+        subsets: Sequence[Subset],
+        place: Path,
+        **options: Unpack[WindowOptions],
     ) -> None:
-        if region is not None and (min(region[:2]) < 0 or min(region[2:]) < 1):
-            raise ArgumentError(f"region must be (top, left, height, width), the sizes above 0; found {region}")
-        chosen = expand(select_rows(rows, splits=splits, ids=ids), root)
-        self.root = root
-        self.reader = reader
-        self.region = region
+        choice, representation, cropping, windowing = understood(
+            self, options, Choice, Representation, Cropping, Windowing
+        )
+        self.region: Region | None = windowing.get("region")
+        if self.region is not None and (min(self.region[:2]) < 0 or min(self.region[2:]) < 1):
+            raise ArgumentError(f"region must be (top, left, height, width), the sizes above 0; found {self.region}")
+        if self.region is not None and cropping.get("crop") is not None:
+            raise ArgumentError("give a region or a crop, not both")
+        self.crops_per_window: int = windowing.get("crops_per_window", 1)
+        super().__init__(cropping, ("crops_per_window", self.crops_per_window))
+        self.source = source
+        self.root = place
+        self.levels = representation.get("levels", "metadata")
+        self.clip = representation.get("clip", "both")
+        self.amplification = representation.get("amplification", "metadata")
+        chosen = expand(choose_clips(rows, subsets, ids=windowing.get("ids"), **choice), place)
         self.layout = Layout.of(chosen)
         self.clips = clips_of(chosen)
-        step = window if stride is None else stride
+        lone = [clip.scene for clip in self.clips if clip.reference is None]
+        if self._is_paired and lone:
+            raise DatasetError(f"{place}: no reference of {len(lone)} clips: {', '.join(lone)}")
+        self._nominal = {row.path: row.ratio for row in chosen}
+        length = windowing.get("window", 5)
+        stride = windowing.get("stride")
+        frames = windowing.get("frames", "all")
         self.records: tuple[ClipRecord, ...] = tuple(
-            record for clip in self.clips for record in windows(clip, length=window, stride=step, frames=frames)
+            record
+            for clip in self.clips
+            for record in windows(clip, length=length, stride=length if stride is None else stride, frames=frames)
         )
-        self.text = f"{len(self.clips)} clips, {len(self.records)} windows of {window} frames (frames={frames!r})"
+        self._text = f"{len(self.clips)} clips, {len(self.records)} windows of {length} frames (frames={frames!r})"
+        if self.reads_parts:
+            for clip in self.clips:
+                self._check(clip)
 
-    def reference(self, record: ClipRecord) -> Still:
-        """Decode the whole reference of a window.
-
-        Raises
-        ------
-        DatasetError
-            If the clip has none.
-        """
-        if record.reference is None:
-            raise DatasetError(f"clip {record.scene}: has no reference")
-        return self.reader.plain(inside(self.root, record.reference))
-
-    def paired(self, record: ClipRecord) -> ClipSample:
-        """Decode a window, amplified to its reference, and the reference."""
-        reference = self.reference(record)
-        frames, first = self._stack(record, lambda path: self.reader.amplified(path, reference))
-        _check_alike(first, reference)
-        return ClipSample(
-            input=torch.from_numpy(frames),
-            target=torch.from_numpy(self._cut(reference)),
-            **_facts(record, first),
-            reference=record.reference or "",
-        )
-
-    def unpaired(self, record: ClipRecord) -> UnpairedClipSample:
-        """Decode a window as it is."""
-        frames, first = self._stack(record, self.reader.plain)
-        return UnpairedClipSample(input=torch.from_numpy(frames), **_facts(record, first))
-
-    def _cut(self, still: Still) -> NDArray[np.float32]:
-        if self.region is None:
-            return still.pixels
-        top, left, height, width = self.region
-        if top + height > still.pixels.shape[1] or left + width > still.pixels.shape[2]:
-            raise DatasetError(f"{still.path}: region {self.region} is not inside of {still.pixels.shape[1:]} pixels")
-        return still.pixels[:, top : top + height, left : left + width].copy()  # or the whole frame stays in memory
-
-    def _stack(self, record: ClipRecord, read: Callable[[Path], Still]) -> tuple[NDArray[np.float32], Still]:
-        """Put frames into one array (T, C, h, w), decoded one after the other; return the first as a still too."""
-        first = read(inside(self.root, record.paths[0]))
-        part = self._cut(first)
-        frames = np.empty((len(record.paths), *part.shape), np.float32)
-        frames[0] = part
-        for place, path in enumerate(record.paths[1:], 1):
-            still = read(inside(self.root, path))
-            _check_alike(still, first)
-            if still.ratio != first.ratio and not math.isnan(first.ratio):
-                raise DatasetError(
-                    f"{still.path}: its exposure ratio is {still.ratio:g}, that of {first.path.name} {first.ratio:g}; "
-                    "are both frames of one clip? (eldata verify finds all such files)"
-                )
-            frames[place] = self._cut(still)
-        return frames, first
-
-
-def _check_alike(still: Still, other: Still) -> None:
-    if still.pixels.shape != other.pixels.shape or still.cfa != other.cfa:
-        raise DatasetError(
-            f"{still.path}: {still.pixels.shape}, CFA {still.cfa or 'none'}, but {other.path} has "
-            f"{other.pixels.shape}, {other.cfa or 'none'}"
-        )
-
-
-def _facts(record: ClipRecord, first: Still) -> _Facts:
-    exposure = Exposure() if first.header is None else first.header.exposure
-    return _Facts(
-        ratio=first.ratio,
-        iso=float(exposure.iso or math.nan),
-        exposure_s=float(exposure.exposure_s or math.nan),
-        camera=record.camera,
-        scene=record.scene,
-        split=record.split,
-        path=record.path,
-        start=record.start,
-    )
-
-
-class ClipWindows(Dataset[Sample]):
-    """Windows of clips as a dataset: what :class:`PairedClips` and :class:`UnpairedClips` share."""
-
-    def __init__(self, windows: Windows) -> None:
-        self._windows = windows
+    def _check(self, clip: Clip) -> None:
+        """Make sure that the frames of a clip belong together."""
+        reference = None if clip.reference is None else self._frame(clip.reference)
+        first = self._frame(clip.frames[0])
+        ratio = self._ratio(first, reference, clip.frames[0])
+        for path in clip.frames:
+            self._check_frame(self._frame(path), path, reference or first, reference, first.name, ratio)
 
     @property
-    def root(self) -> Path:
-        """The dataset's own folder."""
-        return self._windows.root
+    def reads_parts(self) -> bool:
+        """Whether the source reads parts of frames."""
+        return self.source.reads_parts
 
     @property
-    def records(self) -> tuple[ClipRecord, ...]:
-        """The windows, by clip and position."""
-        return self._windows.records
-
-    @property
-    def layout(self) -> Layout:
-        """How the files of the chosen clips lie, as found."""
-        return self._windows.layout
+    def may_differ(self) -> bool:
+        """Whether frames are decoded whole, which takes so much memory that windows are read one by one."""
+        return not self.reads_parts
 
     @property
     def frame(self) -> pd.DataFrame:
-        """The records as a pandas DataFrame, one row a window."""
+        """The records as a pandas DataFrame, one row per window."""
         import pandas as pd
 
         return pd.DataFrame([asdict(record) | {"paths": list(record.paths)} for record in self.records])
 
     def __len__(self) -> int:
-        return len(self.records)
+        return len(self.records) * self.crops_per_window
 
-    def __iter__(self) -> Iterator[Sample]:
-        return (self[index] for index in range(len(self)))
+    def drawn(self, index: int, generator: np.random.Generator) -> _Item:
+        """Draw a crop of window ``index`` modulo their number."""
+        record = self.records[index % len(self.records)]
+        reference = None if record.reference is None else self._frame(record.reference)
+        first = self._frame(record.path) if reference is None or self.reads_parts else None
+        like = reference or first
+        if like is None:
+            raise DatasetError(f"clip {record.scene}: has no frame")
+        if self.region is not None:
+            crop = Crop.region(like, self.region)
+        else:
+            crop = Crop.draw(like, generator, crop=self.crop, augment=self.augment)
+        return _Item(record, crop, reference, first)
+
+    def shapes(self, item: _Item) -> dict[str, tuple[int, ...]]:
+        """Return the shapes of input (T, C, h, w) and, if there is a reference, target (C, h, w)."""
+        shape = item.crop.packed_shape
+        shapes: dict[str, tuple[int, ...]] = {"input": (len(item.record.paths), *shape)}
+        return shapes | {"target": shape} if self._is_paired else shapes
+
+    def parts(self, item: _Item) -> Iterator[Part]:
+        """Yield the reference, then the frames in order; what is of another clip is refused on the way."""
+        reference, item.reference = item.reference, None
+        known = reference and reference.without_pixels()
+        if reference is not None:
+            yield Part("target", reference)
+            del reference
+        frame, item.first = item.first or self._frame(item.record.path), None
+        item.exposure = frame.exposure
+        ratio = self._ratio(frame, known, item.record.path)
+        item.ratio = math.nan if ratio is None else float(ratio)
+        like, name = known or frame.without_pixels(), frame.name
+        for place, path in enumerate(item.record.paths):
+            if place:
+                frame = self._frame(path)
+            if not self.reads_parts:  # else it was checked before
+                self._check_frame(frame, path, like, known, name, ratio)
+            yield Part("input", frame, place, 1.0 if ratio is None else item.ratio)
+            del frame
+
+    def _frame(self, path: str) -> Frame:
+        return self.source.frame(path).with_levels(self.levels)
+
+    def _check_frame(
+        self, frame: Frame, path: str, like: Frame, reference: Frame | None, first: str, expected: Fraction | None
+    ) -> None:
+        """Raise DatasetError unless a frame is of the clip of another one, and exposed as its first."""
+        if (frame.shape, frame.cfa) != (like.shape, like.cfa):
+            raise DatasetError(f"{frame.name}: {frame.kind}, but {like.name} has {like.kind}; are they of one clip?")
+        ratio = self._ratio(frame, reference, path)
+        if ratio != expected:
+            found, wanted = (math.nan if value is None else float(value) for value in (ratio, expected))
+            raise DatasetError(
+                f"{frame.name}: its exposure ratio is {found:g}, that of {first.rpartition('/')[2]} {wanted:g}; are "
+                "both frames of one clip? (eldata verify finds all such files)"
+            )
+
+    def _ratio(self, frame: Frame, reference: Frame | None, path: str) -> Fraction | None:
+        """Return what a frame is multiplied by: 1 without a reference; ``None`` for RGB, of which no file states it."""
+        from fractions import Fraction
+
+        from eldata.raw.reading import exposure_ratio
+
+        if not frame.cfa or (reference is not None and not reference.cfa):
+            return None
+        if reference is None:
+            return Fraction(1)
+        ratio = exposure_ratio(reference.header, frame.header)
+        if ratio < 1:
+            raise DatasetError(
+                f"{frame.name}: is exposed {float(1 / ratio):g} times as much as its reference {reference.name}; are "
+                "they swapped?"
+            )
+        if self.amplification == "metadata":
+            return ratio
+        nominal = self._nominal[path]
+        if nominal is None:
+            raise ArgumentError(f"{path}: the manifest states no ratio, so amplification must be 'metadata'")
+        return nominal
+
+    def facts(self, item: _Item) -> dict[str, Any]:
+        """Return the fields of a sample that are not tensors."""
+        record = item.record
+        facts: dict[str, Any] = {
+            "ratio": item.ratio,
+            "iso": float(item.exposure.iso or math.nan),
+            "exposure_s": float(item.exposure.exposure_s or math.nan),
+            "camera": record.camera,
+            "scene": record.scene,
+            "split": record.split,
+            "path": record.path,
+            "start": record.start,
+        }
+        return facts | {"reference": record.reference} if self._is_paired else facts
 
     def __repr__(self) -> str:
-        windows = self._windows
-        region = "" if windows.region is None else f", region={windows.region}"
+        part = f"region={self.region}"
+        if self.region is None:
+            part = f"crop={self.crop}, augment={self.augment}"
         return (
-            f"{type(self).__name__}({str(self.root)!r}, {windows.text}; {windows.reader!r}{region}; found: "
-            f"{self.layout})"
+            f"{type(self).__name__}({str(self.root)!r}, {self._text}; {part}, "
+            f"crops_per_window={self.crops_per_window}, seed={self.seed}, levels={self.levels!r}, "
+            f"clip={self.clip!r}, amplification={self.amplification!r}; found: {self.layout})"
         )
 
 
 class PairedClips(ClipWindows[ClipSample]):
-    """Windows of clips that have a reference: ``dataset[i]`` is a :class:`ClipSample`.
+    """Windows of clips that have a reference: ``dataset[i]`` is a :class:`ClipSample`."""
 
-    Raises
-    ------
-    DatasetError
-        If a clip has no reference.
-    """
-
-    def __init__(self, windows: Windows) -> None:
-        super().__init__(windows)
-        lone = [clip.scene for clip in windows.clips if clip.reference is None]
-        if lone:
-            raise DatasetError(f"{windows.root}: no reference of {len(lone)} clips: {', '.join(lone)}")
-
-    def __getitem__(self, index: int) -> ClipSample:
-        """Decode one window.
-
-        Raises
-        ------
-        FileError
-            If a file is missing or damaged; for raws also if it states no exposure.
-        DatasetError
-            If the files differ in size or CFA, frames in exposure, a frame is exposed more than its reference, or the
-            region is outside.
-        """
-        return self._windows.paired(self.records[index])
+    _is_paired = True
 
 
 class UnpairedClips(ClipWindows[UnpairedClipSample]):
     """Windows of clips without a reference: ``dataset[i]`` is an :class:`UnpairedClipSample`, not amplified."""
 
-    def __getitem__(self, index: int) -> UnpairedClipSample:
-        """Decode one window; errors as of :class:`PairedClips`."""
-        return self._windows.unpaired(self.records[index])
+    _is_paired = False

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Unpack, get_args
+from typing import TYPE_CHECKING, Unpack
 
 from eldata.datasets.base import no_folder
-from eldata.datasets.clips import PairedClips, RawReader, RgbReader, UnpairedClips, WindowOptions, Windows
-from eldata.errors import check_choice
+from eldata.datasets.clips import PairedClips, UnpairedClips
 from eldata.manifest.catalogue import data_root, load_manifest, shipped_manifest
 from eldata.manifest.drv import DYNAMIC, scan_raw
+from eldata.sources.frames import Files
 
 if TYPE_CHECKING:
-    from eldata.raw.cfa import Clip
-    from eldata.raw.levels import Levels
-    from eldata.records import FrameRecord
+    from collections.abc import Sequence
 
-DrvSplit = Literal["train", "val", "test"]
-_STATIC: tuple[DrvSplit, ...] = get_args(DrvSplit)
+    from eldata.datasets.clips import ListedClips, WindowOptions
+    from eldata.manifest.card import Card
+    from eldata.records import FrameRecord
 
 
 class DRVDataset(PairedClips):
@@ -31,18 +30,16 @@ class DRVDataset(PairedClips):
     ----------
     root
         The folder that holds ``VBM4D_rawRGB`` and ``long``. Default: ``DRV`` below ``$ELDATA_ROOT`` or ``./data``.
-    split
-        ``"train"``, ``"val"`` or ``"test"``; ``None`` is all three.
     manifest
         A manifest's CSV file in place of the shipped one, such as one that ``eldata lock`` has filled in.
     options
-        Which windows of which clips: ``ids``, ``window``, ``stride``, ``frames``, ``region``
-        (:class:`~eldata.datasets.clips.WindowOptions`).
+        Which windows of which clips: ``window``, ``stride``, ``frames``, ``region``, ``split`` (``"train"``, ``"val"``
+        or ``"test"``), ``ids`` and all else of :class:`~eldata.datasets.clips.Windowing`.
 
     Raises
     ------
     ArgumentError
-        If a split, a clip or a range is unknown (the message lists the known ones), or a number makes no sense.
+        If a value is unknown (the message lists the known ones) or out of its range.
     DatasetError
         If the folder or files of a chosen clip are not there, or their names are not in order.
 
@@ -60,16 +57,9 @@ class DRVDataset(PairedClips):
     """
 
     def __init__(
-        self,
-        root: Path | str | None = None,
-        *,
-        split: DrvSplit | None = None,
-        manifest: Path | str = "drv",
-        **options: Unpack[WindowOptions],
+        self, root: Path | str | None = None, *, manifest: Path | str = "drv", **options: Unpack[WindowOptions]
     ) -> None:
-        folder = _folder(root)
-        rows = _listed(manifest)
-        super().__init__(Windows(folder, rows, RgbReader(), splits=_splits(split), **options))
+        super().__init__(*_listed(root, manifest, is_dynamic=False), **options)
 
 
 class DRVDynamicDataset(UnpairedClips):
@@ -81,15 +71,9 @@ class DRVDynamicDataset(UnpairedClips):
     """
 
     def __init__(
-        self,
-        root: Path | str | None = None,
-        *,
-        manifest: Path | str = "drv",
-        **options: Unpack[WindowOptions],
+        self, root: Path | str | None = None, *, manifest: Path | str = "drv", **options: Unpack[WindowOptions]
     ) -> None:
-        folder = _folder(root)
-        rows = _listed(manifest)
-        super().__init__(Windows(folder, rows, RgbReader(), splits=(DYNAMIC,), **options))
+        super().__init__(*_listed(root, manifest, is_dynamic=True), **options)
 
 
 class DRVRawDataset(PairedClips):
@@ -99,20 +83,16 @@ class DRVRawDataset(PairedClips):
     (:func:`eldata.manifest.drv.scan_raw`); ``dataset.layout`` and ``repr`` say what was found, and what cannot be told
     is an error. A 20-megapixel frame takes 80 MB: choose a ``region`` (in packed pixels) for training.
 
-    ``split`` and the other ``options`` are as in :class:`DRVDataset`.
-
     Parameters
     ----------
     root
         The folder below which the archives were unpacked, such as ``data/DRV``.
     reference
         Pattern of the references' file names, for copies with several raws in a folder below ``long``.
-    levels
-        White level: the file's (``"metadata"``) or 16383 (``"published"``). Black is the file's.
-    clip
-        As in :class:`~eldata.datasets.base.PairDataset`.
     manifest
         A manifest's CSV file, as :func:`~eldata.manifest.drv.scan_raw` saves it; then nothing is looked for.
+    options
+        As of :class:`DRVDataset`; ``levels`` is ``"metadata"`` by default.
 
     Raises
     ------
@@ -124,17 +104,11 @@ class DRVRawDataset(PairedClips):
         self,
         root: Path | str | None = None,
         *,
-        split: DrvSplit | None = None,
         reference: str = "*",
-        levels: Levels = "metadata",
-        clip: Clip = "both",
         manifest: Path | str | None = None,
         **options: Unpack[WindowOptions],
     ) -> None:
-        reader = RawReader(levels=levels, clip=clip)
-        folder = _folder(root)
-        rows = scan_raw(folder, reference=reference).records if manifest is None else _listed(manifest)
-        super().__init__(Windows(folder, rows, reader, splits=_splits(split), **options))
+        super().__init__(*_raws(root, manifest, reference, is_dynamic=False), **options)
 
 
 class DRVRawDynamicDataset(UnpairedClips):
@@ -149,22 +123,31 @@ class DRVRawDynamicDataset(UnpairedClips):
         root: Path | str | None = None,
         *,
         reference: str = "*",
-        levels: Levels = "metadata",
-        clip: Clip = "both",
         manifest: Path | str | None = None,
         **options: Unpack[WindowOptions],
     ) -> None:
-        reader = RawReader(levels=levels, clip=clip)
-        folder = _folder(root)
-        rows = scan_raw(folder, reference=reference).records if manifest is None else _listed(manifest)
-        super().__init__(Windows(folder, rows, reader, splits=(DYNAMIC,), **options))
+        super().__init__(*_raws(root, manifest, reference, is_dynamic=True), **options)
 
 
-def _splits(split: DrvSplit | None) -> tuple[DrvSplit, ...]:
-    if split is None:
-        return _STATIC
-    check_choice("split", split, _STATIC)
-    return (split,)
+def _listed(root: Path | str | None, manifest: Path | str, *, is_dynamic: bool) -> ListedClips:
+    """Return the static or the dynamic clips below a folder, as a manifest lists them."""
+    folder = _folder(root)
+    loaded = shipped_manifest("drv") if manifest == "drv" else load_manifest(manifest)
+    return _clips(folder, loaded.card, loaded.records, is_dynamic=is_dynamic)
+
+
+def _raws(root: Path | str | None, manifest: Path | str | None, reference: str, *, is_dynamic: bool) -> ListedClips:
+    """Return the clips of camera raws below a folder, as found, or as a manifest lists them."""
+    if manifest is not None:
+        return _listed(root, manifest, is_dynamic=is_dynamic)
+    folder = _folder(root)
+    scan = scan_raw(folder, reference=reference)
+    return _clips(folder, scan.card, scan.records, is_dynamic=is_dynamic)
+
+
+def _clips(folder: Path, card: Card, records: Sequence[FrameRecord], *, is_dynamic: bool) -> ListedClips:
+    rows = [row for row in records if (row.split == DYNAMIC) == is_dynamic]
+    return Files(folder, rows), rows, card.subsets, folder
 
 
 def _folder(root: Path | str | None) -> Path:
@@ -173,7 +156,3 @@ def _folder(root: Path | str | None) -> Path:
     if not folder.is_dir():
         raise no_folder(folder, card, "VBM4D_rawRGB and long, or short and long")
     return folder
-
-
-def _listed(manifest: Path | str) -> tuple[FrameRecord, ...]:
-    return (shipped_manifest("drv") if manifest == "drv" else load_manifest(manifest)).records

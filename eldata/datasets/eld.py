@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
-from eldata.datasets.base import PairDataset
+from eldata.datasets.base import PairDataset, PairOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
-    from fractions import Fraction
     from pathlib import Path
-
-    from eldata.raw.cfa import Clip
-    from eldata.raw.levels import Levels
 
 
 class ELDDataset(PairDataset):
@@ -39,17 +34,7 @@ class ELDDataset(PairDataset):
     """
 
     def __init__(
-        self,
-        root: Path | str | None = None,
-        *,
-        cameras: Collection[str] | None = None,
-        scenes: Collection[str | int] | None = None,
-        isos: Collection[int] | None = None,
-        ratios: Collection[float | Fraction] | None = (100, 200),
-        levels: Levels = "published",
-        clip: Clip = "both",
-        manifest: Path | str = "eld",
+        self, root: Path | str | None = None, *, manifest: Path | str = "eld", **options: Unpack[PairOptions]
     ) -> None:
-        super().__init__(
-            root, manifest, cameras=cameras, scenes=scenes, isos=isos, ratios=ratios, levels=levels, clip=clip
-        )
+        options.setdefault("ratios", (100, 200))
+        super().__init__(root, manifest, **options)

@@ -12,15 +12,16 @@ import multiprocessing
 import pickle
 import sys
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypedDict, Unpack, runtime_checkable
 from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
 from torch.utils.data import DataLoader, IterableDataset, Sampler
 
+from eldata.base.keywords import keywords
 from eldata.datasets.ranks import ExactSampler, Rank, ShuffledSampler, current_rank
-from eldata.datasets.worker_count import START_METHODS, chosen_workers
+from eldata.datasets.worker_count import START_METHODS, loader_workers
 from eldata.errors import ArgumentError, check_choice
 
 if TYPE_CHECKING:
@@ -67,29 +68,11 @@ class _Known:
 _KNOWN: WeakKeyDictionary[DataLoader[Any], _Known] = WeakKeyDictionary()
 
 
-def training_loader(
-    dataset: Dataset[Any],
-    batch_size: int,
-    *,
-    workers: int | None = None,
-    seed: int = 0,
-    device: torch.device | str | None = None,
-    prefetch: int = 2,
-    start_method: StartMethod = "forkserver",
-    collate: Callable[[list[Any]], Any] | None = None,
-    rank: Rank | None = None,
-) -> DataLoader[Any]:
-    """Return a DataLoader for training: shuffled anew each epoch, as many whole batches on every rank.
+class LoaderOptions(TypedDict, total=False):
+    """Keyword arguments of both loaders.
 
-    Call :func:`set_epoch` before each epoch. :func:`describe` says what was chosen, and why.
-
-    Parameters
+    Attributes
     ----------
-    dataset
-        One with ``len`` and indices, or an iterable one that splits itself (eldata.sources.shards.StreamedPairs). Items
-        are to depend on (seed, epoch, index) alone, as those of this package do.
-    batch_size
-        Items a batch; the last batch is dropped if it is smaller.
     workers
         Number of worker processes; 0 reads in this process; ``None`` chooses by CPUs and memory, for which one item is
         read.
@@ -107,6 +90,35 @@ def training_loader(
         In place of torch's default collate.
     rank
         Which process of how many this is; ``None`` asks torch.distributed.
+    """
+
+    workers: int | None
+    seed: int
+    device: torch.device | str | None
+    prefetch: int
+    start_method: StartMethod
+    collate: Callable[[list[Any]], Any] | None
+    rank: Rank | None
+
+
+def training_loader(
+    dataset: Dataset[Any],
+    batch_size: int,
+    **options: Unpack[LoaderOptions],
+) -> DataLoader[Any]:
+    """Return a DataLoader for training: shuffled anew each epoch, as many whole batches on every rank.
+
+    Call :func:`set_epoch` before each epoch. :func:`describe` says what was chosen, and why.
+
+    Parameters
+    ----------
+    dataset
+        One with ``len`` and indices, or an iterable one that splits itself (eldata.sources.shards.StreamedPairs). Items
+        are to depend on (seed, epoch, index) alone, as those of this package do.
+    batch_size
+        Items per batch; the last batch is dropped if it is smaller.
+    options
+        See :class:`LoaderOptions`.
 
     Raises
     ------
@@ -114,13 +126,13 @@ def training_loader(
         If an argument is out of its range, the dataset cannot be sent to workers or be split, or no whole batch is
         there; or if ``WORLD_SIZE`` is above 1 without torch.distributed.
     """
-    rank = current_rank() if rank is None else rank
-    _check(batch_size, seed, prefetch, start_method)
+    chosen = _chosen("training_loader", batch_size, options)
+    rank = chosen.rank
     if isinstance(dataset, IterableDataset):
         dataset = _self_splitting(dataset).for_training(batch_size, rank)
         sampler, items = None, len(dataset)  # type: ignore[arg-type] # it has a length, by its protocol
     else:
-        sampler = ShuffledSampler(_length(dataset), seed=seed, rank=rank)
+        sampler = ShuffledSampler(_length(dataset), seed=chosen.seed, rank=rank)
         items = len(sampler)
     if items < batch_size:
         raise ArgumentError(
@@ -135,24 +147,19 @@ def training_loader(
         else f"ranks: number {rank.number} of {rank.of}; as many items on each, none twice; at most {rank.of - 1} "
         "items left out, others each epoch",
     ]
-    settings = _settings(dataset, batch_size, workers, device, prefetch, start_method, rank, told)
+    settings = _settings(dataset, batch_size, chosen, told)
     if settings["num_workers"] > 0:
         told.append("workers stay for the next epochs (persistent_workers)")
         settings["persistent_workers"] = True
-    return _loader(dataset, batch_size, sampler, settings, collate, _Known(seed, rank, tuple(told)), drop_last=True)
+    return _loader(
+        dataset, batch_size, sampler, settings, chosen.collate, _Known(chosen.seed, rank, tuple(told)), drop_last=True
+    )
 
 
 def evaluation_loader(
     dataset: Dataset[Any],
     batch_size: int = 1,
-    *,
-    workers: int | None = None,
-    seed: int = 0,
-    device: torch.device | str | None = None,
-    prefetch: int = 2,
-    start_method: StartMethod = "forkserver",
-    collate: Callable[[list[Any]], Any] | None = None,
-    rank: Rank | None = None,
+    **options: Unpack[LoaderOptions],
 ) -> DataLoader[Any]:
     """Return a DataLoader for validation and evaluation: each item exactly once over all ranks, in order.
 
@@ -160,8 +167,8 @@ def evaluation_loader(
     gather their results afterwards, and do not synchronise batch by batch. Parameters and errors are those of
     :func:`training_loader`; but the last batch may be smaller, and a rank may have none.
     """
-    rank = current_rank() if rank is None else rank
-    _check(batch_size, seed, prefetch, start_method)
+    chosen = _chosen("evaluation_loader", batch_size, options)
+    rank = chosen.rank
     order = "in order"
     if isinstance(dataset, IterableDataset):
         dataset = _self_splitting(dataset).for_evaluation(batch_size, rank)
@@ -177,14 +184,16 @@ def evaluation_loader(
         else f"ranks: number {rank.number} of {rank.of}; every item exactly once over all of them, so they may differ "
         "by one batch",
     ]
-    settings = _settings(dataset, batch_size, workers, device, prefetch, start_method, rank, told)
+    settings = _settings(dataset, batch_size, chosen, told)
     if settings["num_workers"] > 0:
         told.append("workers end with each pass, which gives their memory back")
-    return _loader(dataset, batch_size, sampler, settings, collate, _Known(seed, rank, tuple(told)), drop_last=False)
+    return _loader(
+        dataset, batch_size, sampler, settings, chosen.collate, _Known(chosen.seed, rank, tuple(told)), drop_last=False
+    )
 
 
 def describe(loader: DataLoader[Any]) -> str:
-    """Return what was chosen for a loader, and why, one setting a line.
+    """Return what was chosen for a loader, and why, one setting per line.
 
     Raises
     ------
@@ -234,7 +243,23 @@ def _known(loader: DataLoader[Any]) -> _Known:
 # --- building -----------------------------------------------------------------------------------------------------
 
 
-def _check(batch_size: int, seed: int, prefetch: int, start_method: StartMethod) -> None:
+class _Chosen(NamedTuple):
+    """The options of a loader, those that were not given by their defaults."""
+
+    rank: Rank
+    workers: int | None = None
+    seed: int = 0
+    device: Any = None
+    prefetch: int = 2
+    start_method: StartMethod = "forkserver"
+    collate: Callable[[list[Any]], Any] | None = None
+
+
+def _chosen(name: str, batch_size: int, options: LoaderOptions) -> _Chosen:
+    (given,) = keywords(name, options, LoaderOptions, renamed={})
+    given["rank"] = current_rank() if given.get("rank") is None else given["rank"]
+    chosen = _Chosen(**given)
+    prefetch, seed, start_method = chosen.prefetch, chosen.seed, chosen.start_method
     if batch_size < 1 or prefetch < 1:
         raise ArgumentError(f"batch_size and prefetch must be 1 or more; found {batch_size}, {prefetch}")
     if seed < 0:
@@ -242,6 +267,7 @@ def _check(batch_size: int, seed: int, prefetch: int, start_method: StartMethod)
     check_choice("start_method", start_method, START_METHODS)
     if start_method not in multiprocessing.get_all_start_methods():
         raise ArgumentError(f"this system has no start method {start_method!r}; take 'spawn'")
+    return chosen
 
 
 def _self_splitting(dataset: IterableDataset[Any]) -> SelfSplitting:
@@ -265,17 +291,14 @@ def _length(dataset: Any) -> int:
 def _settings(
     dataset: Any,
     batch_size: int,
-    workers: int | None,
-    device: torch.device | str | None,
-    prefetch: int,
-    start_method: StartMethod,
-    rank: Rank,
+    chosen: _Chosen,
     told: list[str],
 ) -> dict[str, Any]:
     """Return the DataLoader's settings of workers and memory; the reasons are added to ``told``."""
+    rank, workers, start_method, prefetch = chosen.rank, chosen.workers, chosen.start_method, chosen.prefetch
     if workers is None:
         held = dataset.buffer_bytes if isinstance(dataset, SelfSplitting) else 0
-        count, why = chosen_workers(_sample_bytes(dataset) * batch_size, prefetch, start_method, rank, held_bytes=held)
+        count, why = loader_workers(_sample_bytes(dataset) * batch_size, prefetch, start_method, rank, held_bytes=held)
         told.append(f"workers: {count} ({why})")
     elif workers < 0:
         raise ArgumentError(f"workers must be 0 or more; found {workers}")
@@ -288,7 +311,7 @@ def _settings(
         settings |= {"multiprocessing_context": _context(start_method), "prefetch_factor": prefetch}
         told.append(f"start method: {start_method} ({_WHY[start_method]})")
         told.append(f"read ahead: {prefetch} batches a worker")
-    settings["pin_memory"], why = _pinned(device)
+    settings["pin_memory"], why = _pinned(chosen.device)
     told.append(f"pinned memory: {why}")
     return settings
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from torch.utils.data import Dataset
@@ -16,6 +15,7 @@ from torch.utils.data import Dataset
 from eldata.errors import ArgumentError, DatasetError
 from eldata.isp.rendering import PAPER_GAMMA, Rendering
 from eldata.isp.steps import truncate_to_8_bits
+from eldata.sources.frames import FrameSource
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -92,22 +92,22 @@ class Rendered:
 # --- where sensors come from --------------------------------------------------------------------------------------
 
 
-class FileSensors:
-    """Sensors from the raw files that a sample names, each file read once and remembered.
+class SourceSensors:
+    """Sensors of the frames that a sample names, each frame opened once and remembered.
 
     Parameters
     ----------
-    root
-        The folder that a sample's ``path`` and ``reference`` are relative to; ``None``: they are paths by themselves.
+    source
+        Where the frames come from.
 
     Notes
     -----
-    A sample without ``reference`` is synthetic: both sensors are those of ``path``. A ``path`` that is no raw file (the
-    packed arrays of DRV) takes its reference's. The first sample of a file decodes that file once more.
+    A sample without ``reference`` is synthetic: both sensors are those of ``path``. A ``path`` that is not a raw file
+    (a packed array) takes its reference's. The first sample of a raw file decodes that file once more.
     """
 
-    def __init__(self, root: Path | None = None) -> None:
-        self.root = root
+    def __init__(self, source: FrameSource) -> None:
+        self.source = source
         self._known: dict[str, Sensor] = {}
 
     def __call__(self, sample: Mapping[str, Any]) -> PairSensors:
@@ -115,59 +115,22 @@ class FileSensors:
 
         Raises
         ------
-        RawFileError
+        FileError
             If a file cannot be read.
+        DatasetError
+            If the source does not hold a frame, or no file states its sensor.
         """
         path, reference = sample["path"], sample.get("reference", sample["path"])
         noisy = reference if path.endswith(".npy") else path
         return PairSensors(self._sensor(noisy), self._sensor(reference))
 
     def _sensor(self, path: str) -> Sensor:
-        from eldata.base.files import inside
-        from eldata.raw.reading import read_raw
-
         if path not in self._known:
-            self._known[path] = read_raw(Path(path) if self.root is None else inside(self.root, path)).sensor
+            sensor = self.source.frame(path).sensor
+            if sensor is None:
+                raise DatasetError(f"{path}: is not a raw file, whose sensor a stage needs")
+            self._known[path] = sensor
         return self._known[path]
-
-
-class StoreSensors:
-    """Sensors that a store keeps beside its pixels.
-
-    Parameters
-    ----------
-    store
-        The file; a sample's paths may stand inside of it (``store.h5/name``), as those of synthetic samples do.
-
-    Raises
-    ------
-    StoreError
-        If the file is no store, or damaged.
-    """
-
-    def __init__(self, store: Path | str) -> None:
-        from eldata.sources.store.read import open_store
-
-        opened = open_store(store)
-        self.store = opened.path
-        self._sensors = {frame.path: frame.sensor for frame in opened.frames}
-
-    def __call__(self, sample: Mapping[str, Any]) -> PairSensors:
-        """Return the sensors of a sample.
-
-        Raises
-        ------
-        DatasetError
-            If the store does not hold its files.
-        """
-        path = sample["path"]
-        return PairSensors(self._sensor(path), self._sensor(sample.get("reference", path)))
-
-    def _sensor(self, path: str) -> Sensor:
-        inner = path.removeprefix(f"{self.store.as_posix()}/")
-        if inner not in self._sensors:
-            raise DatasetError(f"{self.store}: holds no frame {inner!r}, whose sensor a stage needs")
-        return self._sensors[inner]
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,27 +145,17 @@ class OneSensor:
 
 
 def sensors_of(pairs: object) -> SensorsOf:
-    """Return where the sensors of a dataset's samples are found: its store, or its raw files.
+    """Return where the sensors of a dataset's samples are found: its source, a store or raw files for example.
 
     Raises
     ------
     ArgumentError
-        If the dataset has neither: give ``sensors`` yourself.
+        If the dataset has none: give ``sensors`` yourself.
     """
-    from eldata.datasets.base import PairDataset
-    from eldata.datasets.clean import RawFiles
-    from eldata.datasets.packed_store import PackedStore
-    from eldata.datasets.stored_clean import StoredFrames
-    from eldata.datasets.synthetic import SyntheticPairs
-
-    if isinstance(pairs, PackedStore):
-        return StoreSensors(pairs.root)
-    if isinstance(pairs, PairDataset):
-        return FileSensors(pairs.root)
-    if isinstance(pairs, SyntheticPairs) and isinstance(pairs.source, RawFiles):
-        return FileSensors()
-    if isinstance(pairs, SyntheticPairs) and isinstance(pairs.source, StoredFrames):
-        return StoreSensors(pairs.source.path)
+    source = getattr(pairs, "source", None)
+    origin = getattr(source, "origin", source)
+    if isinstance(origin, FrameSource):
+        return SourceSensors(origin)
     raise ArgumentError(
         f"the sensors of {type(pairs).__name__} are not known; give sensors=, such as OneSensor(sensor) or a function "
         "of the sample that returns PairSensors"
@@ -252,7 +205,7 @@ class StagedPairs(Dataset[dict[str, Any]]):
         return (self[index] for index in range(len(self)))
 
     def __getitem__(self, index: int) -> dict[str, Any]:
-        """Take one pair and apply the stages; errors as of the wrapped dataset and its stages.
+        """Take one pair and apply the stages; raises like the wrapped dataset and its stages.
 
         Raises
         ------

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Unpack
 
-from eldata.datasets.base import PairDataset
+from eldata.datasets.base import PairDataset, PairOptions
 from eldata.errors import ArgumentError, check_choice
+from eldata.manifest.pairs import splits_of
 from eldata.raw.levels import SID_LEVELS_DN
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
-    from fractions import Fraction
     from pathlib import Path
 
-    from eldata.datasets.base import Amplification
-    from eldata.raw.cfa import Clip
-    from eldata.raw.levels import FrameLevels
-
 SidCameraName = Literal["sony", "fuji"]
-SidSplit = Literal["train", "val", "test", "eval"]
 
 _MANIFESTS: dict[str, str] = {"sony": "sid-sony", "fuji": "sid-fuji"}
 _SPLITS: dict[str, tuple[str, ...]] = {
@@ -83,33 +77,18 @@ class SIDDataset(PairDataset):
         root: Path | str | None = None,
         *,
         camera: SidCameraName = "sony",
-        split: SidSplit | None = None,
-        subset: str | None = None,
-        scenes: Collection[str | int] | None = None,
-        isos: Collection[int] | None = None,
-        ratios: Collection[float | Fraction] | None = None,
-        exclude_flags: Collection[str] = (),
-        levels: FrameLevels = "published",
-        clip: Clip = "both",
-        amplification: Amplification = "nominal",
         manifest: Path | str | None = None,
+        **options: Unpack[PairOptions],
     ) -> None:
         check_choice("camera", camera, _MANIFESTS)
-        if split is not None:
-            check_choice("split", split, _SPLITS)
         shipped = _MANIFESTS[camera]
+        levels, split = options.get("levels"), options.get("split")
         if levels in SID_LEVELS_DN and levels != shipped:
             raise ArgumentError(f"levels {levels!r} are of the other camera; those of {camera!r} are {shipped!r}")
-        super().__init__(
-            root,
-            shipped if manifest is None else manifest,
-            scenes=scenes,
-            isos=isos,
-            ratios=ratios,
-            splits=None if split is None else _SPLITS[split],
-            subset=subset,
-            exclude_flags=exclude_flags,
-            levels=levels,
-            clip=clip,
-            amplification=amplification,
-        )
+        names = splits_of(split)
+        if names is not None:
+            for name in names:
+                check_choice("split", name, _SPLITS)
+            options["split"] = [part for name in names for part in _SPLITS[name]]
+        options.setdefault("amplification", "nominal")
+        super().__init__(root, shipped if manifest is None else manifest, **options)

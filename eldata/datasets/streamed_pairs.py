@@ -5,24 +5,23 @@ from __future__ import annotations
 import copy
 import math
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import cached_property
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Literal, cast, get_args
+from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 import numpy as np
-import torch
 from torch.utils.data import IterableDataset, get_worker_info
 
-from eldata.base.compiled import in_threads
-from eldata.datasets.base import AMPLIFICATIONS, Sample
-from eldata.datasets.batches import Field, new_arrays, new_batch, threads_here
-from eldata.datasets.clean import CleanFrame
-from eldata.datasets.draws import CleanCrop, SharedEpoch
+from eldata.datasets.augmentation import Orientation
+from eldata.datasets.base import SIDES, OpenedPair, PairItem, Sample, pair_facts
+from eldata.datasets.choices import Representation, understood
+from eldata.datasets.crops import Crop
+from eldata.datasets.items import Part, ReadItems, SharedEpoch
 from eldata.datasets.ranks import Rank, current_rank
-from eldata.errors import ArgumentError, check_choice
-from eldata.raw.cfa import CLIP_RANGES, pack_normalised, packed_shape
-from eldata.raw.levels import FRAME_LEVELS, with_levels
+from eldata.errors import ArgumentError
+from eldata.raw.cfa import packed_shape
+from eldata.sources.frames import Frame
 from eldata.sources.shards import splitting
 from eldata.sources.shards.remote import Folder
 from eldata.sources.shards.samples import read_run, read_sample
@@ -31,30 +30,47 @@ from eldata.sources.shards.shuffling import shuffled_through
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
-    from eldata.datasets.base import Amplification
+    from eldata.datasets.choices import Amplification
     from eldata.raw.cfa import Clip
     from eldata.raw.levels import FrameLevels
-    from eldata.sources.shards.layout import Facts
-    from eldata.sources.shards.members import Sample as StoredSample
+    from eldata.sources.shards.members import StoredSample
 
 # Keep these random numbers apart from those of the items, which are seeded by (seed, epoch, index).
 _SHARDS, _BUFFER = 1, 2
 
-Side = Literal["input", "target"]
-SIDES: tuple[Side, ...] = get_args(Side)
-_NO_PIXELS = torch.empty((0, 0, 0))
+
+class StreamOptions(Representation, total=False):
+    """Keyword arguments of :class:`StreamedPairs` beside those that are its own."""
+
+    crops_per_frame: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Item:
-    """One item that waits in the buffer: what is known of it, and both crops in DN, turned, in memory of their own."""
+class _Crops(ReadItems[PairItem, Sample]):
+    """Crops in DN, turned, in memory of their own, that become samples."""
 
-    facts: Facts
-    crop: CleanCrop
-    input_dn: NDArray[np.uint16]
-    target_dn: NDArray[np.uint16]
+    reads_parts = True
+    may_differ = False
+
+    def __init__(self, items: Sequence[PairItem], clip: Clip) -> None:
+        self.items = items
+        self.clip = clip
+
+    def __len__(self) -> int:
+        return len(self.items)
+
+    def item(self, index: int) -> PairItem:
+        return self.items[index]
+
+    def shapes(self, item: PairItem) -> dict[str, tuple[int, ...]]:
+        return dict.fromkeys(SIDES, item.crop.packed_shape)
+
+    def parts(self, item: PairItem) -> Iterator[Part]:
+        if item.pair.input is not None:
+            yield Part("input", item.pair.input, gain=float(item.pair.ratio))
+        yield Part("target", item.pair.target)
+
+    def facts(self, item: PairItem) -> dict[str, Any]:
+        return pair_facts(item.pair)
 
 
 class StreamedPairs(IterableDataset[Sample]):
@@ -75,14 +91,14 @@ class StreamedPairs(IterableDataset[Sample]):
         where whole frames were written.
     augment
         Draw one of the eight orientations of the mosaic; the CFA stays in order.
-    crops_per_tile
+    crops_per_frame
         Items per sample of the shards: it is read once for all of them.
     shuffle_buffer
         Crops among which the next one is drawn; so many are in memory, in DN, in each worker.
     seed
         First part of each item's seed, and of the order's.
     levels, clip, amplification
-        As in :class:`~eldata.datasets.base.PairDataset`.
+        See :class:`~eldata.datasets.choices.Representation`. Which pairs there are was chosen as shards were written.
     rank
         Which process of how many this is; ``None`` asks torch.distributed at each iteration.
     storage_options
@@ -107,30 +123,23 @@ class StreamedPairs(IterableDataset[Sample]):
         *,
         crop: int | None = None,
         augment: bool = True,
-        crops_per_tile: int = 1,
         shuffle_buffer: int = 64,
         seed: int = 0,
-        levels: FrameLevels = "published",
-        clip: Clip = "both",
-        amplification: Amplification = "metadata",
         rank: Rank | None = None,
         storage_options: Mapping[str, Any] | None = None,
         attempts: int = 5,
         retry_wait_s: float = 0.5,
+        **options: Unpack[StreamOptions],
     ) -> None:
         super().__init__()
-        for name, value, known in (
-            ("levels", levels, FRAME_LEVELS),
-            ("clip", clip, tuple(CLIP_RANGES)),
-            ("amplification", amplification, AMPLIFICATIONS),
-        ):
-            check_choice(name, value, known)
+        (given,) = understood(self, options, StreamOptions)
+        crops_per_frame: int = given.get("crops_per_frame", 1)
         if seed < 0:
             raise ArgumentError(f"seed must be 0 or more; found {seed}")
-        if crops_per_tile < 1 or shuffle_buffer < 1 or (crop is not None and crop < 2):
+        if crops_per_frame < 1 or shuffle_buffer < 1 or (crop is not None and crop < 2):
             raise ArgumentError(
-                "crops_per_tile and shuffle_buffer must be 1 or more and crop 2 or more; found "
-                f"{crops_per_tile}, {shuffle_buffer}, {crop}"
+                "crops_per_frame and shuffle_buffer must be 1 or more and crop 2 or more; found "
+                f"{crops_per_frame}, {shuffle_buffer}, {crop}"
             )
         self.folder = Folder(str(address), storage_options or {}, attempts, retry_wait_s)
         self.index = self.folder.read_index()
@@ -138,12 +147,12 @@ class StreamedPairs(IterableDataset[Sample]):
             raise ArgumentError(f"crop must be at most the tiles' side, {self.index.tile}; found {crop}")
         self.crop = self.index.tile if crop is None else crop
         self.augment = augment
-        self.crops_per_tile = crops_per_tile
+        self.crops_per_frame = crops_per_frame
         self.shuffle_buffer = shuffle_buffer
         self.seed = seed
-        self.levels: FrameLevels = levels
-        self.clip: Clip = clip
-        self.amplification: Amplification = amplification
+        self.levels: FrameLevels = given.get("levels", "published")
+        self.clip: Clip = given.get("clip", "both")
+        self.amplification: Amplification = given.get("amplification", "metadata")
         self.rank = rank
         self._epoch = SharedEpoch()
         self._order: Literal["shuffled", "stored"] = "shuffled"
@@ -200,7 +209,7 @@ class StreamedPairs(IterableDataset[Sample]):
 
     def _part(self) -> range:
         """Return the places of this rank's items in the epoch's sequence."""
-        total = len(self.index) * self.crops_per_tile
+        total = len(self.index) * self.crops_per_frame
         rank = self._rank()
         split = splitting.even_part if self._parts == "even" else splitting.exact_part
         return split(total, rank.number, rank.of)
@@ -216,21 +225,19 @@ class StreamedPairs(IterableDataset[Sample]):
         epoch = self.epoch
         places = splitting.worker_part(self._part(), worker, workers, self._batch_size or 1)
         with closing(self._items(places, epoch)) as read:
-            items: Iterator[_Item] = read
+            items: Iterator[PairItem] = read
             if self._order == "shuffled":
                 rank = self._rank()
                 generator = self._generator(epoch, _BUFFER, rank.number, rank.of, worker, workers)
                 items = shuffled_through(read, self.shuffle_buffer, generator)
-            if self._batch_size is None:
-                yield from map(self._sample, items)
-            else:
-                while batch := list(islice(items, self._batch_size)):
-                    yield from self._batch(batch)
+            while batch := list(islice(items, self._batch_size or 1)):
+                crops = _Crops(batch, self.clip)
+                yield from crops if self._batch_size is None else crops.__getitems__(range(len(batch)))
 
     def _generator(self, epoch: int, *what: int) -> np.random.Generator:
         return np.random.default_rng(np.random.SeedSequence((self.seed, epoch), spawn_key=what))
 
-    def _items(self, places: range, epoch: int) -> Generator[_Item]:
+    def _items(self, places: range, epoch: int) -> Generator[PairItem]:
         """Yield the items at some places of the epoch's sequence."""
         if not places:
             return
@@ -239,7 +246,7 @@ class StreamedPairs(IterableDataset[Sample]):
             runs = splitting.shuffled(lengths, self._generator(epoch, _SHARDS))
         else:
             runs = splitting.in_order(lengths)
-        each = self.crops_per_tile
+        each = self.crops_per_frame
         samples = range(places.start // each, (places.stop - 1) // each + 1)
         place = samples.start * each
         for run in splitting.cut(runs, samples):
@@ -250,79 +257,35 @@ class StreamedPairs(IterableDataset[Sample]):
                             yield self._item(sample, crop, epoch)
                         place += 1
 
-    def _item(self, sample: StoredSample, crop: int, epoch: int) -> _Item:
+    def _item(self, sample: StoredSample, crop: int, epoch: int) -> PairItem:
         # The same as PackedStore's, where whole frames were written: its items are numbered in this way.
         generator = np.random.default_rng([self.seed, epoch, sample.number + crop * len(self.index)])
-        sensor = sample.facts.input.sensor
-        name = f"{self.folder.address}: {sample.facts.record.path}"
-        like = CleanFrame(sample.input_dn, sensor.cfa, sensor.black_level_dn, sensor.white_level_dn, name)
-        drawn = CleanCrop.draw(like, generator, crop=self.crop, augment=self.augment)
-        cuts = (drawn.turned(mosaic[drawn.slices]).copy() for mosaic in (sample.input_dn, sample.target_dn))
-        return _Item(sample.facts, drawn, *cuts)
+        pair = self._pair(sample)
+        drawn = Crop.draw(pair.target, generator, crop=self.crop, augment=self.augment)
+        cuts = [
+            replace(frame, mosaic=drawn.cut(frame).copy(), cfa=drawn.cfa)
+            for frame in (pair.input, pair.target)
+            if frame
+        ]
+        whole = Crop((slice(None), slice(None)), drawn.cfa, Orientation(), drawn.height, drawn.width)
+        return PairItem(replace(pair, input=cuts[0], target=cuts[1]), whole)
 
-    def _batch(self, items: Sequence[_Item]) -> Iterator[Sample]:
-        """Yield the samples of a batch in memory that is used again (:mod:`eldata.datasets.batches`)."""
-        shapes = {packed_shape(item.input_dn.shape, item.crop.cfa) for item in items}
-        shape = len(items), *min(shapes)
-        batch = None if len(shapes) > 1 else new_batch([Field(side, shape, "<f4") for side in SIDES])
-        if batch is None:
-            yield from map(self._sample, items)
-            return
-
-        def work(place: tuple[int, Side]) -> None:
-            number, side = place
-            self._fill(items[number], side, batch.arrays[side][number])
-
-        in_threads(work, [(number, side) for number in range(len(items)) for side in SIDES], threads_here())
-        parts: Any = batch.parts([self._facts(item) for item in items])
-        yield from parts
-
-    def _sample(self, item: _Item) -> Sample:
-        shape = packed_shape(item.input_dn.shape, item.crop.cfa)
-        arrays = new_arrays([Field(side, shape, "<f4") for side in SIDES])
-        for side in SIDES:
-            self._fill(item, side, arrays[side])
-        pixels = {side: torch.from_numpy(array) for side, array in arrays.items()}
-        return cast("Sample", {**self._facts(item), **pixels})
-
-    def _facts(self, item: _Item) -> Sample:
-        """Return an item's sample without pixels."""
-        record = item.facts.record
-        exposure = item.facts.input.exposure
-        return Sample(
-            input=_NO_PIXELS,
-            target=_NO_PIXELS,
-            ratio=self._ratio(item),
-            nominal_ratio=float(record.ratio),
-            iso=float(exposure.iso or 0),
-            exposure_s=float(exposure.exposure_s or 0),
-            camera=record.camera,
-            scene=record.scene,
-            split=record.split,
-            path=record.path,
-            reference=record.reference,
-            flags=";".join(record.flags),
+    def _pair(self, sample: StoredSample) -> OpenedPair:
+        """Return a sample's frames."""
+        facts = sample.facts
+        name = f"{self.folder.address}: {facts.record.path}"
+        target, noisy = (
+            Frame.of_raw(mosaic, side.sensor, name, side.exposure).with_levels(self.levels)
+            for mosaic, side in ((sample.target_dn, facts.target), (sample.input_dn, facts.input))
         )
-
-    def _ratio(self, item: _Item) -> float:
-        """Return what the input is multiplied by."""
-        return float(item.facts.ratio if self.amplification == "metadata" else item.facts.record.ratio)
-
-    def _fill(self, item: _Item, side: Side, out: NDArray[np.float32]) -> None:
-        """Write one side of an item, packed and normalised."""
-        if side == "input":
-            pixels, frame, gain = item.input_dn, item.facts.input, self._ratio(item)
-        else:
-            pixels, frame, gain = item.target_dn, item.facts.target, 1.0
-        sensor = with_levels(frame.sensor, self.levels)
-        black, white = sensor.black_level_dn, sensor.white_level_dn
-        pack_normalised(pixels, item.crop.cfa, black, white, clip=self.clip, gain=gain, out=out)
+        ratio = facts.ratio if self.amplification == "metadata" else facts.record.ratio
+        return OpenedPair(facts.record, target, noisy, ratio, noisy.exposure)
 
     def __repr__(self) -> str:
         tile = "whole frames" if self.index.tile is None else f"tiles of {self.index.tile}"
         return (
             f"StreamedPairs({self.folder.address!r}, {self.index.dataset}: {len(self.index)} {tile} in "
             f"{len(self.index.shards)} shards, crop={self.crop}, augment={self.augment}, "
-            f"crops_per_tile={self.crops_per_tile}, shuffle_buffer={self.shuffle_buffer}, seed={self.seed}, "
+            f"crops_per_frame={self.crops_per_frame}, shuffle_buffer={self.shuffle_buffer}, seed={self.seed}, "
             f"levels={self.levels!r}, clip={self.clip!r}, amplification={self.amplification!r})"
         )

@@ -6,7 +6,6 @@ its card, and ``OUT/parameters.json`` with all that the noise was made with. ``<
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
@@ -16,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from eldata.base.files import atomic_write, write_text
+from eldata.base.files import atomic_write, write_json
 from eldata.base.workers import AnyWorkers, Workers, accepts_jobs, require_files
 from eldata.datasets.clean import RawFiles
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError
@@ -25,7 +24,7 @@ from eldata.manifest.catalogue import Manifest, load_manifest
 from eldata.manifest.table import save_records
 from eldata.noise.components import parse_components
 from eldata.noise.model import NoiseModel
-from eldata.raw.cfa import pack_normalised, packed_area, packed_black_level_dn, unpack
+from eldata.raw.cfa import cfa_from, pack_normalised, packed_area, packed_black_level_dn, unpack
 from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
 from eldata.records import Exposure, FrameRecord, RawFrame
@@ -152,7 +151,7 @@ def synthesize(clean: Path, out: Path, recipe: Recipe, *, workers: AnyWorkers = 
         "format": recipe.format,
         "frames": [frame for item in made for frame in item.parameters],
     }
-    write_text(out / "parameters.json", json.dumps(parameters, indent=1) + "\n")
+    write_json(out / "parameters.json", parameters, indent=1)
     save_card(out / "manifests" / f"{name}.json", card)
     save_records(out / "manifests" / f"{name}.csv", records)
     return load_manifest(out / "manifests" / f"{name}.csv")
@@ -221,11 +220,7 @@ def _cropped(frame: RawFrame) -> RawFrame:
     """Return the part of a frame that packs, so that every pixel of the noisy one has its noise."""
     cfa = frame.sensor.cfa
     area = packed_area((frame.mosaic.shape[0], frame.mosaic.shape[1]), cfa)
-    period = len(cfa)
-    shifted = tuple(
-        tuple(cfa[(y + area.top) % period][(x + area.left) % period] for x in range(period)) for y in range(period)
-    )
-    sensor = replace(frame.sensor, cfa=shifted, height=area.height, width=area.width)
+    sensor = replace(frame.sensor, cfa=cfa_from(cfa, area.top, area.left), height=area.height, width=area.width)
     return replace(frame, mosaic=np.ascontiguousarray(frame.mosaic[area.slices]), sensor=sensor)
 
 

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
 
-import torch
-
-from eldata.datasets.draws import CleanCrop, NoiseChoice, NoiseFacts
-from eldata.datasets.noisy_items import NoisyItems
-from eldata.errors import ArgumentError
+from eldata.datasets.base import SIDES
+from eldata.datasets.crops import Crop
+from eldata.datasets.draws import NoiseFacts
+from eldata.datasets.items import Part
+from eldata.datasets.noisy_items import NoiseOptions, NoisyItems
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     import numpy as np
-    from numpy.typing import NDArray
+    import torch
 
-    from eldata.datasets.clean import CleanFrame, CleanSource
+    from eldata.datasets.clean import CleanSource
     from eldata.datasets.draws import NoiseDraw
-    from eldata.noise.model import NoiseModel
-    from eldata.noise.profile import CameraProfile, RowChoice
+    from eldata.noise.profile import CameraProfile
+    from eldata.sources.frames import Frame
 
 
 class SyntheticSample(NoiseFacts):
@@ -35,14 +35,10 @@ class SyntheticSample(NoiseFacts):
 
 
 class _Item(NamedTuple):
-    frame: CleanFrame
-    crop: CleanCrop
+    frame: Frame
+    crop: Crop
     draw: NoiseDraw
     generator: np.random.Generator
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return self.crop.packed_shape
 
     @property
     def range_dn(self) -> float:
@@ -62,20 +58,12 @@ class SyntheticPairs(NoisyItems[_Item, SyntheticSample]):
         their two methods.
     profiles
         One camera profile or several (one is drawn for each item), by name, path or object.
-    model
-        The noise model; by default the full one, clipped to [0, 1] as the published loaders' input is.
-    ratio
-        Low-light factors: (lowest, highest), drawn uniformly; the paper's by default. Or one fixed number.
-    crop
-        Side of the square crop in packed pixels, even for X-Trans; ``None`` takes whole frames.
-    augment
-        Draw one of the eight orientations of the mosaic; the CFA stays in order.
     crops_per_frame
         Items per clean frame: the length is this times the number of frames.
-    seed
-        First part of each item's seed.
-    iso, row
-        As in :meth:`eldata.noise.CameraProfile.sample`.
+    options
+        What noise is made (:class:`~eldata.datasets.noisy_items.Noise`): ``model``, ``ratio``, ``iso``, ``row``; and
+        from which crops (:class:`~eldata.datasets.items.Cropping`): ``crop`` (default 512), ``augment`` (``True``),
+        ``seed``.
 
     Raises
     ------
@@ -88,40 +76,38 @@ class SyntheticPairs(NoisyItems[_Item, SyntheticSample]):
         source: CleanSource,
         profiles: CameraProfile | str | Sequence[CameraProfile | str],
         *,
-        model: NoiseModel | None = None,
-        ratio: float | tuple[float, float] = (100.0, 300.0),
-        crop: int | None = 512,
-        augment: bool = True,
         crops_per_frame: int = 1,
-        seed: int = 0,
-        iso: float | None = None,
-        row: RowChoice = "any",
+        **options: Unpack[NoiseOptions],
     ) -> None:
-        if crops_per_frame < 1:
-            raise ArgumentError(f"crops_per_frame must be 1 or more; found {crops_per_frame}")
-        super().__init__(NoiseChoice.of(profiles, ratio, iso, row), model, crop=crop, augment=augment, seed=seed)
+        super().__init__(profiles, ("crops_per_frame", crops_per_frame), options)
         self.source = source
         self.crops_per_frame = crops_per_frame
 
     def __len__(self) -> int:
         return len(self.source) * self.crops_per_frame
 
-    def _drawn(self, index: int, generator: np.random.Generator) -> _Item:
+    @property
+    def reads_parts(self) -> bool:
+        """Whether the source says that its frames read parts."""
+        return getattr(self.source, "reads_parts", False)
+
+    def drawn(self, index: int, generator: np.random.Generator) -> _Item:
+        """Draw a crop of frame ``index`` modulo their number, and its noise."""
         frame = self.source.frame(index % len(self.source))
-        crop = CleanCrop.draw(frame, generator, crop=self.crop, augment=self.augment)
+        crop = Crop.draw(frame, generator, crop=self.crop, augment=self.augment)
         return _Item(frame, crop, self.noise.draw(generator), generator)
 
-    def _fill(self, item: _Item, target: NDArray[np.float32]) -> None:
-        item.crop.packed(item.frame, out=target)
+    def shapes(self, item: _Item) -> dict[str, tuple[int, ...]]:
+        """Return the shapes of input and target."""
+        return dict.fromkeys(SIDES, item.crop.packed_shape)
 
-    def _sample(self, item: _Item, noisy: NDArray[np.float32], target: NDArray[np.float32]) -> SyntheticSample:
-        return SyntheticSample(
-            **item.draw.facts(), input=torch.from_numpy(noisy), target=torch.from_numpy(target), path=item.frame.name
-        )
+    def parts(self, item: _Item) -> Iterator[Part]:
+        """Yield the clean crop."""
+        yield Part("target", item.frame)
+
+    def facts(self, item: _Item) -> dict[str, Any]:
+        """Return what the noise was made with, and where the frame comes from."""
+        return {**item.draw.facts(), "path": item.frame.name}
 
     def __repr__(self) -> str:
-        cameras = ", ".join(profile.camera for profile in self.noise.profiles)
-        return (
-            f"SyntheticPairs({self.source!r}, {len(self)} items, cameras: {cameras}; {self.model!r}, "
-            f"ratio={self.noise.ratio}, crop={self.crop}, augment={self.augment}, seed={self.seed})"
-        )
+        return self._text(self.source, f"{len(self)} items")

@@ -21,7 +21,7 @@ _MEMORY_SHARE = 0.5
 _MOST_WORKERS = 16
 
 
-def chosen_workers(
+def loader_workers(
     batch_bytes: int, prefetch: int, start_method: StartMethod, rank: Rank, *, held_bytes: int = 0
 ) -> tuple[int, str]:
     """Return a number of workers and the reasons: CPUs, memory and shared memory, shared by the ranks of this machine.

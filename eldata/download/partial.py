@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import tempfile
 from contextlib import contextmanager
@@ -10,7 +9,7 @@ from dataclasses import asdict, dataclass
 from typing import IO, TYPE_CHECKING
 
 from eldata.base.fields import TextFile
-from eldata.base.files import check_posix, try_lock, write_text
+from eldata.base.files import check_posix, try_lock, write_json
 from eldata.download.sizes import size_text
 from eldata.errors import DownloadError
 
@@ -50,7 +49,7 @@ class Partial:
 
     def note(self, version: Version) -> None:
         """Write down which file the bytes belong to, before the first of them."""
-        write_text(self._note, json.dumps(asdict(version)) + "\n")
+        write_json(self._note, asdict(version))
 
     def restart(self) -> None:
         """Forget what has come."""

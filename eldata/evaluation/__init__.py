@@ -2,4 +2,15 @@
 
 import lazy_loader
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+from eldata.base.moved import forwarded
+
+_find, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__ = forwarded(
+    __name__,
+    {
+        "ImageScore": "eldata.evaluation.scores:UnitScore",
+        "VideoScore": "eldata.evaluation.scores:UnitScore",
+        "VideoResult": "eldata.evaluation.results:EvaluationResult",
+    },
+    find=_find,
+)

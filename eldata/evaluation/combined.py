@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 import textwrap
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from eldata.base.files import write_text
+from eldata.base.files import write_json
 from eldata.base.tables import text_table
-from eldata.evaluation.common import csv_number, json_safe, mean
-from eldata.evaluation.results import CSV_COLUMNS, choice_text, problem_lines
+from eldata.evaluation.results import nothing_scored, problem_lines, write_scores
+from eldata.evaluation.scores import json_safe, mean
 from eldata.protocols.comparability import comparability
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from eldata.evaluation.common import EvaluationProblem
-    from eldata.evaluation.results import EvaluationResult, TableRow
+    from eldata.base.tables import Format
+    from eldata.evaluation.results import EvaluationResult
+    from eldata.evaluation.scores import EvaluationProblem
+    from eldata.evaluation.table import TableRow
+    from eldata.protocols.kinds import Metric
 
 # What of a protocol's differences from the first chooses pairs or concerns the input: the table shows the pairs.
 _NOT_SCORING = ("dataset:", "subset:", "factors:", "cameras:", "scenes:", "input's clip:", "input amplified:")
@@ -35,15 +35,15 @@ class NotScored:
 
 @dataclass(frozen=True, slots=True)
 class CombinedResult:
-    """The results of :func:`eldata.evaluation.evaluate_all`: one a protocol, the dataset's default first."""
+    """The results of :func:`eldata.evaluation.evaluate_all`: one per protocol, the dataset's default first."""
 
     results: tuple[EvaluationResult, ...]
-    not_scored: tuple[NotScored, ...]
+    not_scored: tuple[NotScored, ...] = ()
 
     @property
     def scored(self) -> int:
-        """How many images were scored, under any protocol."""
-        return len({image.path for result in self.results for image in result.images})
+        """How many images or clips were scored, under any protocol."""
+        return len({score.path for result in self.results for score in result.scores})
 
     @property
     def problems(self) -> tuple[EvaluationProblem, ...]:
@@ -53,56 +53,49 @@ class CombinedResult:
     def shift(self, result: EvaluationResult, name: str) -> tuple[float, int]:
         """Return by how much a result's mean lies above the first result's, over the pairs that both scored.
 
-        So the rules of scoring are compared, not the choice of pairs. ``name`` is ``psnr_db`` or ``ssim``. The second
-        number is that of the pairs; two infinite values differ by 0.
+        So the rules of scoring are compared, not the choice of pairs. ``name`` is the value's, such as ``psnr_db``. The
+        second number is that of the pairs; two infinite values differ by 0.
         """
-        first = {image.path: float(getattr(image, name)) for image in self.results[0].images}
-        shared = [(float(getattr(image, name)), first[image.path]) for image in result.images if image.path in first]
+        first = {score.path: score.values[name] for score in self.results[0].scores}
+        shared = [(score.values[name], first[score.path]) for score in result.scores if score.path in first]
         return mean([0.0 if one == other else one - other for one, other in shared]), len(shared)
 
     def spans(self) -> dict[str, float]:
-        """Return how far apart the protocols' PSNR (``psnr_db``) and SSIM lie, over the pairs that each shares."""
+        """Return how far apart the protocols' means of each metric lie, over the pairs that each shares."""
         found = {}
-        for name in ("psnr_db", "ssim"):
-            shifts = [shift for shift, shared in (self.shift(result, name) for result in self.results) if shared]
-            found[name] = max(shifts) - min(shifts) if shifts else 0.0
+        for metric in self.results[0].kind.metrics:
+            shifts = [shift for shift, shared in (self.shift(one, metric.name) for one in self.results) if shared]
+            found[metric.name] = max(shifts) - min(shifts) if shifts else 0.0
         return found
 
     def format_table(self) -> str:
-        """Return two tables, PSNR and SSIM: a row a protocol, a column a factor, over all cameras."""
+        """Return a table for each metric: a row per protocol, a column per factor, over all cameras."""
+        first = self.results[0]
         ratios = sorted({row.ratio for result in self.results for row in result.table if row.ratio is not None})
+        factors = (*(f"x{ratio:g}" for ratio in ratios), "all")
         parts = []
-        for title, name, places in (("PSNR [dB]", "psnr_db", 2), ("SSIM", "ssim", 3)):
-            header = (
-                title,
-                "pairs",
-                *(f"x{ratio:g}" for ratio in ratios),
-                "all",
-                f"against {self.results[0].protocol.name}",
-            )
-            rows = [self._row(result, ratios, name, places) for result in self.results]
-            parts.append(text_table(header, rows))
+        for metric in first.kind.metrics:
+            header = (metric.head, first.kind.counted, *factors, f"against {first.protocol.name}")
+            parts.append(text_table(header, [self._row(result, ratios, metric) for result in self.results]))
         return "\n\n".join(parts)
 
-    def _row(self, result: EvaluationResult, ratios: list[float], name: str, places: int) -> tuple[str, ...]:
+    def _row(self, result: EvaluationResult, ratios: list[float], metric: Metric) -> tuple[str, ...]:
         rows = {row.ratio: row for row in overall(result)}
         cells = [
-            f"{getattr(rows[ratio], name):.{places}f}" if ratio in rows and rows[ratio].scored else "-"
+            metric.text(rows[ratio].values[metric.name]) if ratio in rows and rows[ratio].scored else "-"
             for ratio in (*ratios, None)
         ]
-        total = rows[None]
-        pairs = str(total.pairs) if total.scored == total.pairs else f"{total.scored} of {total.pairs}"
-        if result is self.results[0]:
-            against = ""
-        else:
-            difference, shared = self.shift(result, name)
+        against = ""
+        if result is not self.results[0]:
+            difference, shared = self.shift(result, metric.name)
+            places = metric.places
             against = f"{round(difference, places) + 0.0:+.{places}f}" if shared else "-"
-            if 0 < shared < len(result.images):
-                against += f" ({shared} pairs)"
-        return (result.protocol.name, pairs, *cells, against)
+            if 0 < shared < result.scored:
+                against += f" ({shared} {result.kind.counted})"
+        return (result.protocol.name, result.whole.coverage, *cells, against)
 
     def _differences(self) -> list[str]:
-        """Return in words in what each protocol scores otherwise than the first."""
+        """Return in words in what each protocol scores differently from the first."""
         first = self.results[0].protocol
         lines = []
         for result in self.results[1:]:
@@ -112,46 +105,54 @@ class CombinedResult:
             lines += textwrap.wrap(f"{result.protocol.name}: {text}", 112, subsequent_indent="    ")
         return lines
 
+    def _apart(self) -> str:
+        """Return how far apart the protocols' means lie, in words."""
+        spans = self.spans()
+        sizes = [
+            f"{metric.text(spans[metric.name])} {metric.unit or f'in {metric.label}'}"
+            for metric in self.results[0].kind.metrics
+        ]
+        return f"the same predictions lie up to {', '.join(sizes[:-1])} and {sizes[-1]} apart"
+
+    def format(self, form: Format) -> str:
+        """Return the results as plain text, or their tables in Markdown or LaTeX, one after the other."""
+        return self.format_text() if form == "text" else "\n\n".join(result.format(form) for result in self.results)
+
     def format_text(self) -> str:
         """Return problems, the tables with what distinguishes the protocols, and notes as text."""
         lines = problem_lines(self.problems)
         if self.problems and not self.scored:
-            lines.append(f"nothing was scored: {len(self.problems)} problem{'s' if len(self.problems) > 1 else ''}")
-            return "\n".join(lines)
+            return "\n".join([*lines, nothing_scored(self.problems)])
         if lines:
             lines.append("")
-        first = self.results[0]
-        count = len(self.results)
+        first, count = self.results[0], len(self.results)
         cameras = first.provenance["cameras"]
         excluded = "".join(f", without {flag}" for flag in first.provenance["excluded_flags"])
         only = "" if cameras == "all" else f", only {', '.join(cameras)}"
-        lines += [f"{first.provenance['dataset']}, {count} protocol{'s' if count > 1 else ''}{only}{excluded}", ""]
+        lines += [f"{first.dataset}, {count} protocol{'s' if count > 1 else ''}{only}{excluded}", ""]
         lines += [self.format_table(), ""]
-        for result in self.results:
-            if result.missing:
-                lines.append(
-                    f"INCOMPLETE: {len(result.missing)} pairs are not in the means of {result.protocol.name}, so they "
-                    "do not compare with others"
-                )
+        lines += [
+            f"INCOMPLETE: {len(result.missing)} {result.kind.counted} are not in the means of {result.protocol.name}, "
+            "so they do not compare with others"
+            for result in self.results
+            if result.missing
+        ]
         differences = self._differences()
         if differences:
-            spans = self.spans()
-            apart = f"{spans['psnr_db']:.2f} dB and {spans['ssim']:.3f} in SSIM"
             lines += [
-                f"By the protocol alone, on shared pairs, the same predictions lie up to {apart} apart.",
+                f"By the protocol alone, on shared {first.kind.counted}, {self._apart()}.",
                 "",
-                f"Scored otherwise than under {first.protocol.name}:",
+                f"Scored differently from {first.protocol.name}:",
                 *(f"  {text}" for text in differences),
                 "",
             ]
         choices: dict[str, list[str]] = {}
-        for result in self.results:
-            choices.setdefault(choice_text(result), []).append(result.protocol.name)
-        lines += [f"{text}: {', '.join(names)}" for text, names in choices.items()]
         notes: dict[str, list[str]] = {}
         for result in self.results:
+            choices.setdefault(result.coverage, []).append(result.protocol.name)
             for note in result.notes:
                 notes.setdefault(note, []).append(result.protocol.name)
+        lines += [f"{text}: {', '.join(names)}" for text, names in choices.items()]
         lines += [
             f"note: {note}" + ("" if len(names) == count else f" ({', '.join(names)})") for note, names in notes.items()
         ]
@@ -168,21 +169,14 @@ class CombinedResult:
 
     def write_json(self, path: Path | str) -> None:
         """Write :meth:`as_dict` as JSON, whole or not at all."""
-        write_text(path, json.dumps(self.as_dict(), indent=2, allow_nan=False) + "\n")
+        write_json(path, self.as_dict())
 
     def write_csv(self, path: Path | str) -> None:
         """Write the scores as CSV, ``protocol`` before the columns of a single one, whole or not at all."""
-        text = io.StringIO(newline="")
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(("protocol", *CSV_COLUMNS))
-        for result in self.results:
-            for image in result.images:
-                values = [csv_number(getattr(image, column)) for column in CSV_COLUMNS]
-                writer.writerow((result.protocol.name, *values))
-        write_text(path, text.getvalue())
+        write_scores(self.results, path, named=True)
 
 
 def overall(result: EvaluationResult) -> list[TableRow]:
-    """Return the rows of a table that span all cameras: one a factor, and all."""
+    """Return the rows of a table that span all cameras: one per factor, and all."""
     cameras = {row.camera for row in result.table if row.camera is not None}
     return [row for row in result.table if row.ratio is None or row.camera is None or len(cameras) == 1]

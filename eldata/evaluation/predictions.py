@@ -10,14 +10,16 @@ from __future__ import annotations
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from eldata.base.files import atomic_write
 from eldata.base.png import decode_png
-from eldata.errors import EldataError, PredictionError, RawFileError
+from eldata.errors import ArgumentError, EldataError, PredictionError, RawFileError
+from eldata.evaluation.pairs import place_of
 from eldata.evaluation.references import normalised_frame
+from eldata.evaluation.scores import EvaluationProblem
 from eldata.raw.cfa import pack, packed_shape
 from eldata.raw.levels import with_levels
 
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from eldata.manifest.clips import ClipRecord
     from eldata.protocols.protocol import Levels, Space
     from eldata.records import Sensor
 
@@ -38,12 +41,12 @@ _SCALE_SHARE = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class FoundPredictions:
-    """What lies in a folder of predictions, against the pairs that are to be scored.
+    """What lies in a folder of predictions, against those that are to be scored.
 
     Attributes
     ----------
     files
-        Prediction of each pair, by the noisy frame's path.
+        Prediction of each noisy frame, by its place.
     missing
         Noisy frames without a prediction.
     ambiguous
@@ -60,17 +63,32 @@ class FoundPredictions:
     extra: tuple[str, ...]
     unscored: int
 
+    def problems(self, *, allow_missing: bool) -> list[EvaluationProblem]:
+        """Return what is wrong with the files."""
+        found = [
+            EvaluationProblem(path, f"expected one prediction, found {len(names)}: {', '.join(names)}; keep one")
+            for path, names in self.ambiguous.items()
+        ]
+        reason = "is the prediction of no noisy frame in the manifest; rename it or move it away"
+        found += [EvaluationProblem(name, reason) for name in self.extra]
+        if not allow_missing:
+            reason = "has no prediction; add it, or score the rest with --allow-missing"
+            found += [EvaluationProblem(path, reason) for path in self.missing]
+        return found
 
-class NoisyFrame(Protocol):
-    """What has the path of a noisy frame, as a :class:`~eldata.records.PairRecord` has."""
 
-    @property
-    def path(self) -> str:
-        """POSIX path; the prediction lies at the same one, but for its extension."""
+def find_predictions(folder: Path, places: Iterable[str], known: Iterable[str]) -> FoundPredictions:
+    """Match the files of a folder with where predictions may lie, but for their extension.
 
-
-def find_predictions(folder: Path, pairs: Iterable[NoisyFrame], known: Iterable[str]) -> FoundPredictions:
-    """Match the files of a folder with noisy frames. ``known`` are the paths of all that the manifest has.
+    Parameters
+    ----------
+    folder
+        The folder of predictions.
+    places
+        Where those that are to be scored may lie, relative to it: the paths of noisy frames, whose extension does not
+        matter.
+    known
+        The same of all noisy frames of the manifest.
 
     Raises
     ------
@@ -86,14 +104,14 @@ def find_predictions(folder: Path, pairs: Iterable[NoisyFrame], known: Iterable[
             by_stem.setdefault(relative.with_suffix("").as_posix(), []).append(relative.as_posix())
     files: dict[str, Path] = {}
     missing, ambiguous = [], {}
-    for pair in pairs:
-        found = by_stem.pop(_stem(pair.path), [])
+    for place in places:
+        found = by_stem.pop(_stem(place), [])
         if len(found) == 1:
-            files[pair.path] = folder / found[0]
+            files[place] = folder / found[0]
         elif found:
-            ambiguous[pair.path] = tuple(found)
+            ambiguous[place] = tuple(found)
         else:
-            missing.append(pair.path)
+            missing.append(place)
     known_stems = {_stem(path) for path in known}
     extra = [name for stem, names in by_stem.items() if stem not in known_stems for name in names]
     unscored = sum(len(names) for stem, names in by_stem.items() if stem in known_stems)
@@ -126,6 +144,33 @@ def save_prediction(folder: Path | str, noisy_path: str, prediction: NDArray[Any
     with atomic_write(path) as file:
         np.save(file, np.asarray(prediction), allow_pickle=False)
     return path
+
+
+def save_clip_prediction(folder: Path | str, record: ClipRecord, prediction: NDArray[Any]) -> list[Path]:
+    """Write the frames of a predicted window as ``.npy`` where :func:`eldata.evaluate` looks for them.
+
+    Parameters
+    ----------
+    folder
+        The folder of predictions; folders below it are made.
+    record
+        The window, ``dataset.records[i]``.
+    prediction
+        (T, C, h, w), floating in [0, 1].
+
+    Raises
+    ------
+    ArgumentError
+        If it has not as many frames as the window.
+    EldataError
+        If a file cannot be written.
+    """
+    if len(prediction) != len(record.paths):
+        raise ArgumentError(f"expected {len(record.paths)} predicted frames, found {len(prediction)}")
+    return [
+        save_prediction(folder, place_of(record, path), frame)
+        for path, frame in zip(record.paths, prediction, strict=True)
+    ]
 
 
 def load_prediction(path: Path, sensor: Sensor, levels: Levels) -> NDArray[np.float32 | np.float64]:
@@ -178,7 +223,7 @@ def load_rgb_prediction(path: Path, shape: tuple[int, int, int]) -> NDArray[np.f
     Raises
     ------
     PredictionError
-        As :func:`load_prediction`.
+        Like :func:`load_prediction`.
     """
     if path.suffix.lower() == ".dng":
         raise PredictionError(path, "expected an RGB frame, found a DNG; save npy (3, h, w) or a 16-bit RGB PNG")
@@ -213,7 +258,7 @@ def load_srgb_prediction(path: Path, shape: tuple[int, int, int]) -> NDArray[np.
     Raises
     ------
     PredictionError
-        As :func:`load_prediction`.
+        Like :func:`load_prediction`.
     """
     if path.suffix.lower() == ".dng":
         raise PredictionError(path, "expected a rendering in sRGB, found a DNG; save an RGB PNG of 8 or 16 bits")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from eldata.base.fields import Fields, TextFile, TextRow, names_of, shown
 from eldata.errors import ManifestError
+from eldata.evaluation.table import factor_text
 from eldata.manifest.catalogue import shipped_folder
 
 if TYPE_CHECKING:
@@ -214,9 +215,9 @@ def published_rows(
 
 def place_text(camera: str, ratio: float | None) -> str:
     """Return camera and factor as text."""
-    return f"{camera} {factor_text(ratio)}"
+    return f"{camera} {factors_text(ratio)}"
 
 
-def factor_text(ratio: float | None) -> str:
-    """Return a factor as text."""
-    return "all factors" if ratio is None else f"x{ratio:g}"
+def factors_text(ratio: float | None) -> str:
+    """Return a factor as text; all of them, if it is ``None``."""
+    return "all factors" if ratio is None else factor_text(ratio)

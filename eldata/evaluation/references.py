@@ -47,7 +47,7 @@ def normalised_frame(
     Raises
     ------
     ArgumentError
-        If the levels or the gain make no sense.
+        If the levels or the gain are invalid.
     """
     if levels != "metadata-per-channel":
         return packed_frame(frame, levels=levels, clip=clip, gain=gain)

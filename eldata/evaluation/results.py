@@ -1,73 +1,37 @@
-"""What an evaluation found: scores per image, means per group, and everything that they depend on."""
+"""What an evaluation found: scores, means per group, and everything that they depend on.
+
+One record for images and for clips, computed or read back (:func:`eldata.evaluation.saved.load_results`), which is
+printed, saved, compared and shown as a page.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
-import json
-from collections import Counter
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from eldata.base.files import write_text
-from eldata.base.tables import text_table
-from eldata.evaluation.common import csv_number, json_safe, mean
+from eldata.base.files import write_json, write_text
+from eldata.base.tables import latex_table, markdown_table, markdown_text, text_table
+from eldata.evaluation.pairs import name_of
+from eldata.evaluation.scores import EvaluationProblem, UnitScore, csv_number, json_safe
+from eldata.evaluation.table import PaperTable, TableRow, paper_table, short_digest, table_of
+from eldata.manifest.clips import ClipRecord
+from eldata.records import PairRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     import pandas as pd
 
-    from eldata.evaluation.common import EvaluationProblem
-    from eldata.protocols import Protocol
-    from eldata.records import PairRecord
-
-CSV_COLUMNS = ("path", "camera", "scene", "iso", "ratio", "psnr_db", "ssim", "rescale")
-VALUE_NAMES = ("pairs", "PSNR [dB]", "SSIM")
+    from eldata.base.tables import Format
+    from eldata.evaluation.pairs import Pair
+    from eldata.evaluation.statistics import Interval
+    from eldata.protocols.kinds import Kind
+    from eldata.protocols.protocol import Protocol, StatedProtocol
 
 _PROBLEMS_SHOWN = 20
-
-
-@dataclass(frozen=True, slots=True)
-class ImageScore:
-    """Scores of one prediction.
-
-    ``ratio`` is the nominal low-light factor, ``psnr_db`` infinite where the prediction equals the reference,
-    ``rescale`` the factor that the protocol multiplied the prediction by (1 if it does not rescale).
-    """
-
-    path: str
-    camera: str
-    scene: str
-    iso: float
-    ratio: float
-    psnr_db: float
-    ssim: float
-    rescale: float
-
-
-@dataclass(frozen=True, slots=True)
-class TableRow:
-    """Means over one group of images. ``camera`` or ``ratio`` is ``None`` where the group spans all of them."""
-
-    camera: str | None
-    ratio: float | None
-    pairs: int
-    scored: int
-    psnr_db: float
-    ssim: float
-
-    @property
-    def factor_text(self) -> str:
-        """The factor as printed: ``x100``, or ``all``."""
-        return "all" if self.ratio is None else f"x{self.ratio:g}"
-
-    @property
-    def value_texts(self) -> tuple[str, str, str]:
-        """Pairs, PSNR and SSIM as printed (:data:`VALUE_NAMES`); ``-`` where nothing was scored."""
-        pairs = str(self.pairs) if self.scored == self.pairs else f"{self.scored} of {self.pairs}"
-        return (pairs, f"{self.psnr_db:.2f}", f"{self.ssim:.3f}") if self.scored else (pairs, "-", "-")
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,115 +43,218 @@ class EvaluationResult:
     protocol
         The protocol of every score.
     provenance
-        What the numbers depend on: versions, manifest and its digest, the protocol's digest; cameras, subset, and
+        What the numbers depend on: versions, manifest and its digest, the protocol's digest; cameras, subset, ids, and
         excluded flags with their numbers of pairs.
-    pairs
-        The pairs that the protocol and the subset name, scored or not.
-    images
-        Scores, in the order of the pairs.
+    scores
+        One per image or clip, in the order of the pairs.
+    table
+        Means: camera by factor, each factor over all cameras, and all.
+    expected
+        How many pairs (or videos) the protocol and the subset name, scored or not.
     missing
-        Noisy frames without a usable prediction.
+        Noisy frames (or clips) without a usable prediction.
     problems
         What is wrong. With problems and without ``allow_missing`` nothing was scored.
     notes
         What a reader of the table should know.
+    units
+        The pairs, or windows of clips, that were to be scored; none in a result that was read back.
+    source
+        Where it was read from, for messages.
     """
 
-    protocol: Protocol
+    protocol: Protocol | StatedProtocol
     provenance: dict[str, Any]
-    pairs: tuple[PairRecord, ...]
-    images: tuple[ImageScore, ...]
+    scores: tuple[UnitScore, ...]
+    table: tuple[TableRow, ...]
+    expected: int
     missing: tuple[str, ...]
     problems: tuple[EvaluationProblem, ...]
     notes: tuple[str, ...]
+    units: tuple[Pair, ...] = ()
+    source: str = "this evaluation"
+
+    @classmethod
+    def of(
+        cls,
+        protocol: Protocol,
+        provenance: dict[str, Any],
+        units: Sequence[Pair],
+        scores: Mapping[str, UnitScore],
+        problems: Iterable[EvaluationProblem] = (),
+        notes: Iterable[str] = (),
+    ) -> EvaluationResult:
+        """Return the result of scoring these pairs or windows; ``scores`` are by their paths."""
+        found = tuple(scores[unit.path] for unit in units if unit.path in scores)
+        return cls(
+            protocol=protocol,
+            provenance=provenance,
+            scores=found,
+            table=table_of(units, found, protocol.kind),
+            expected=len(units),
+            missing=tuple(name_of(unit) for unit in units if unit.path not in scores),
+            problems=tuple(problems),
+            notes=tuple(notes),
+            units=tuple(units),
+        )
+
+    # --- what is in it ------------------------------------------------------------------------------------------------
+
+    @property
+    def kind(self) -> Kind:
+        """What was scored: images or clips."""
+        return self.protocol.kind
+
+    @property
+    def dataset(self) -> str:
+        """The dataset's name."""
+        return str(self.provenance["dataset"])
+
+    @property
+    def digest(self) -> str:
+        """``sha256:<hex>`` of what of the protocol decides a score."""
+        return str(self.provenance["protocol_digest"])
+
+    @property
+    def pairs(self) -> tuple[PairRecord, ...]:
+        """The pairs that were to be scored, of a set of images."""
+        return tuple(unit for unit in self.units if isinstance(unit, PairRecord))
+
+    @property
+    def windows(self) -> tuple[ClipRecord, ...]:
+        """The windows that were to be scored, of a set of clips."""
+        return tuple(unit for unit in self.units if isinstance(unit, ClipRecord))
+
+    @property
+    def images(self) -> tuple[UnitScore, ...]:
+        """The scores, of a set of images."""
+        return self.scores
+
+    @property
+    def videos(self) -> tuple[UnitScore, ...]:
+        """The scores, of a set of clips."""
+        return self.scores
 
     @property
     def scored(self) -> int:
-        """How many images were scored."""
-        return len(self.images)
+        """How many were scored."""
+        return len(self.scores)
+
+    @property
+    def whole(self) -> TableRow:
+        """The means over all."""
+        return self.table[-1]
+
+    @property
+    def psnr_db(self) -> float:
+        """PSNR in dB, mean over all."""
+        return self.whole.psnr_db
+
+    @property
+    def ssim(self) -> float:
+        """SSIM, mean over all."""
+        return self.whole.ssim
+
+    @property
+    def st_rred(self) -> float:
+        """ST-RRED of clips, mean over all; lower is better."""
+        return self.whole.st_rred
+
+    @property
+    def rescales(self) -> bool:
+        """Whether the protocol multiplies a prediction by a factor before it is scored."""
+        return bool(self.protocol.as_dict().get("rescaling", "none") != "none")
 
     @property
     def frame(self) -> pd.DataFrame:
-        """The scores as a pandas DataFrame, one row an image."""
+        """The scores as a pandas DataFrame, one row per image or clip."""
         import pandas as pd
 
-        return pd.DataFrame([asdict(image) for image in self.images], columns=list(CSV_COLUMNS))
+        return pd.DataFrame([score.row(self.kind) for score in self.scores], columns=list(self.kind.columns))
+
+    def scores_of(self, row: TableRow) -> tuple[UnitScore, ...]:
+        """Return the scores that a row of the table is the mean of."""
+        return tuple(score for score in self.scores if row.holds(score))
+
+    def interval(self, row: TableRow, name: str) -> Interval:
+        """Return a mean of the table with its interval over scenes; ``name`` is the value's, such as ``psnr_db``."""
+        from eldata.evaluation.statistics import interval_of_scores
+
+        return interval_of_scores(self.scores_of(row), name)
+
+    # --- in words -----------------------------------------------------------------------------------------------------
 
     @property
-    def table(self) -> tuple[TableRow, ...]:
-        """Means: camera by factor, each factor over all cameras, and all."""
-        cameras = list(dict.fromkeys(pair.camera for pair in self.pairs))
-        ratios = sorted({float(pair.ratio) for pair in self.pairs})
-        groups: list[tuple[str | None, float | None]] = [(camera, ratio) for camera in cameras for ratio in ratios]
-        if len(cameras) > 1:
-            groups += [(None, ratio) for ratio in ratios]
-        groups.append((None, None))
-        return tuple(row for row in (self._row(*group) for group in groups) if row.pairs)
+    def coverage(self) -> str:
+        """Return how many of the dataset's pairs were scored, and which were chosen."""
+        cameras, subset, ids = (self.provenance.get(name) for name in ("cameras", "subset", "ids"))
+        parts = [f"{self.scored} of {self.expected} {self.kind.counted}"]
+        parts += [f"only {', '.join(map(str, chosen))}" for chosen in (cameras, ids) if isinstance(chosen, list)]
+        if subset is not None:
+            parts.append(f"subset {subset}")
+        for name, words in (("excluded_flags", "without {}"), ("included_flags", "{} included")):
+            flags = self.provenance.get(name)
+            if isinstance(flags, dict):
+                parts += [f"{words.format(flag)} ({count})" for flag, count in flags.items()]
+        return ", ".join(parts)
 
-    def _row(self, camera: str | None, ratio: float | None) -> TableRow:
-        def belongs(item: PairRecord | ImageScore) -> bool:
-            return (camera is None or item.camera == camera) and (ratio is None or float(item.ratio) == ratio)
+    @property
+    def caption(self) -> str:
+        """What a table is of: dataset, protocol with its digest, coverage and choice of pairs."""
+        incomplete = "; INCOMPLETE: does not compare with others" if self.scored < self.expected else ""
+        dataset = f"{self.dataset} {self.provenance.get('manifest_version', '')}".rstrip()
+        return f"{dataset}, protocol {self.protocol.name} ({short_digest(self.digest)}): {self.coverage}{incomplete}."
 
-        images = [image for image in self.images if belongs(image)]
-        return TableRow(
-            camera,
-            ratio,
-            sum(belongs(pair) for pair in self.pairs),
-            len(images),
-            mean([image.psnr_db for image in images]),
-            mean([image.ssim for image in images]),
-        )
+    @property
+    def paper_table(self) -> PaperTable:
+        """The table as papers lay it out."""
+        return paper_table(self.table, self.kind, one_camera=self.provenance.get("cameras", "all") == "all")
+
+    def format(self, form: Format) -> str:
+        """Return the result as plain text, or its table in Markdown or LaTeX, ready to be pasted into a document."""
+        if form == "text":
+            return self.format_text()
+        table = self.paper_table
+        if form == "latex":
+            label = f"tab:{self.dataset}-{self.protocol.name}"
+            return latex_table(
+                table.header, table.rows, table.left, caption=self.caption, label=label, rules=table.rules
+            )
+        lines = [markdown_table(table.header, table.rows, table.left), "", markdown_text(self.caption)]
+        return "\n".join([*lines, *(f"\nNote: {markdown_text(note)}" for note in self.notes)])
 
     def format_table(self) -> str:
-        """Return the table as aligned text: PSNR in dB to two decimals, SSIM to three, as the papers print them.
-
-        A set of several cameras has a row for each camera and factor, as in the ELD paper's table; a set of one camera
-        has a column for each factor, as in those on SID.
-        """
-        one_camera = self.provenance["cameras"] == "all" and len({pair.camera for pair in self.pairs}) == 1
-        return self._factors_as_columns() if one_camera else self._factors_as_rows()
-
-    def _factors_as_rows(self) -> str:
-        rows = []
-        previous: str | None = ""
-        for row in self.table:
-            name = "all" if row.camera is None else row.camera
-            rows.append(("" if name == previous else name, row.factor_text, *row.value_texts))
-            previous = name
-        return text_table(("camera", "factor", *VALUE_NAMES), rows)
-
-    def _factors_as_columns(self) -> str:
-        rows = self.table
-        header = (rows[0].camera or "", *(row.factor_text for row in rows))
-        values = zip(*(row.value_texts for row in rows), strict=True)
-        return text_table(header, [(name, *texts) for name, texts in zip(VALUE_NAMES, values, strict=True)])
+        """Return the table as aligned text, as the papers print it."""
+        table = self.paper_table
+        return text_table(table.header, table.rows, table.left)
 
     def format_text(self) -> str:
         """Return problems, the table with its protocol and coverage, and notes as text."""
+        if self.problems and not self.scores:
+            return "\n".join([*problem_lines(self.problems), nothing_scored(self.problems)])
         lines = problem_lines(self.problems)
-        if self.problems and not self.images:
-            lines.append(f"nothing was scored: {len(self.problems)} problem{'s' if len(self.problems) > 1 else ''}")
-            return "\n".join(lines)
         if lines:
             lines.append("")
-        lines += [f"{self.provenance['dataset']}, protocol {self.protocol.name}: {choice_text(self)}", ""]
-        lines += [self.format_table(), ""]
+        lines += [f"{self.dataset}, protocol {self.protocol.name}: {self.coverage}", "", self.format_table(), ""]
         if self.missing:
             lines.append(
-                f"INCOMPLETE: {len(self.missing)} pairs are not in these means, so they do not compare with others"
+                f"INCOMPLETE: {len(self.missing)} {self.kind.counted} are not in these means, so they do not compare "
+                "with others"
             )
         lines += [f"note: {note}" for note in self.notes]
-        lines.append(f"{self.protocol.title} ({self.protocol.digest[:15]})")
+        lines.append(f"{self.protocol.title} ({short_digest(self.digest)})")
         return "\n".join(lines)
+
+    # --- files --------------------------------------------------------------------------------------------------------
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain JSON types; an infinite PSNR is the text ``inf``."""
         result = {
             "protocol": self.protocol.as_dict(),
             "provenance": self.provenance,
-            "coverage": {"pairs": len(self.pairs), "scored": len(self.images), "missing": list(self.missing)},
-            "images": [asdict(image) for image in self.images],
-            "table": [asdict(row) for row in self.table],
+            "coverage": {self.kind.counted: self.expected, "scored": self.scored, "missing": list(self.missing)},
+            self.kind.units: [score.as_dict(self.kind) for score in self.scores],
+            "table": [row.as_dict(self.kind) for row in self.table],
             "problems": [asdict(problem) for problem in self.problems],
             "notes": list(self.notes),
         }
@@ -195,31 +262,25 @@ class EvaluationResult:
 
     def write_json(self, path: Path | str) -> None:
         """Write :meth:`as_dict` as JSON, whole or not at all."""
-        write_text(path, json.dumps(self.as_dict(), indent=2, allow_nan=False) + "\n")
+        write_json(path, self.as_dict())
 
     def write_csv(self, path: Path | str) -> None:
-        """Write the scores as CSV with the columns :data:`CSV_COLUMNS`, every digit, whole or not at all."""
-        text = io.StringIO(newline="")
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(CSV_COLUMNS)
-        for image in self.images:
-            values = [getattr(image, column) for column in CSV_COLUMNS]
-            writer.writerow([csv_number(value) for value in values])
-        write_text(path, text.getvalue())
+        """Write the scores as CSV with the columns of their kind, every digit, whole or not at all."""
+        write_scores([self], path)
 
 
-def choice_text(result: EvaluationResult) -> str:
-    """Return which pairs of the dataset are scored, as text for a table's first line."""
-    cameras, subset = result.provenance["cameras"], result.provenance["subset"]
-    parts = [f"{len(result.images)} of {len(result.pairs)} pairs"]
-    if cameras != "all":
-        parts.append(f"only {', '.join(cameras)}")
-    if subset is not None:
-        parts.append(f"subset {subset}")
-    parts += [f"without {flag} ({count})" for flag, count in result.provenance["excluded_flags"].items()]
-    included = Counter(flag for pair in result.pairs for flag in pair.flags)
-    parts += [f"{flag} included ({count})" for flag, count in sorted(included.items())]
-    return ", ".join(parts)
+def write_scores(results: Sequence[EvaluationResult], path: Path | str, *, named: bool = False) -> None:
+    """Write the scores of results of one kind as CSV, whole or not at all; ``named``: the protocol comes first."""
+    columns = results[0].kind.columns
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow((*(("protocol",) if named else ()), *columns))
+    for result in results:
+        first = (result.protocol.name,) if named else ()
+        for score in result.scores:
+            row = score.row(result.kind)
+            writer.writerow((*first, *(csv_number(row[name]) for name in columns)))
+    write_text(path, text.getvalue())
 
 
 def problem_lines(problems: Sequence[EvaluationProblem]) -> list[str]:
@@ -228,3 +289,8 @@ def problem_lines(problems: Sequence[EvaluationProblem]) -> list[str]:
     if len(problems) > _PROBLEMS_SHOWN:
         lines.append(f"... and {len(problems) - _PROBLEMS_SHOWN} more (--json FILE lists all)")
     return lines
+
+
+def nothing_scored(problems: Sequence[EvaluationProblem]) -> str:
+    """Return that nothing was scored, in a line."""
+    return f"nothing was scored: {len(problems)} problem{'s' if len(problems) > 1 else ''}"

@@ -1,329 +1,131 @@
-"""Results read back from the JSON that ``eldata evaluate --json`` wrote, checked field by field."""
+"""Results read back from the JSON that ``eldata evaluate --json`` wrote, version 0.1 included, field by field."""
 
 from __future__ import annotations
 
-import json
 import math
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Final, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, Final
 
 from eldata import __version__
-from eldata.errors import FileError
+from eldata.base.fields import TextFile, shown
+from eldata.errors import ArgumentError, FileError
+from eldata.evaluation.results import EvaluationResult
+from eldata.evaluation.scores import EvaluationProblem, FrameScore, UnitScore
+from eldata.evaluation.table import TableRow
+from eldata.protocols.kinds import CLIPS, IMAGES, Kind
+from eldata.protocols.protocol import StatedProtocol
 
-Value = TypeVar("Value")
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from eldata.base.fields import Fields
 
 _AGAIN: Final = "write it again with eldata evaluate --json"
 
 
-@dataclass(frozen=True, slots=True)
-class SavedScore:
-    """Scores of one prediction, as :class:`eldata.evaluation.results.ImageScore`.
-
-    ``psnr_db`` is infinite where the prediction equals its reference; a score that is not known is nan; ``iso`` is 0
-    where it is not known.
-    """
-
-    path: str
-    camera: str
-    scene: str
-    iso: float
-    ratio: float
-    psnr_db: float
-    ssim: float
-    rescale: float
-
-    @property
-    def place(self) -> tuple[str, str]:
-        """Camera and scene: images that share them are not independent."""
-        return self.camera, self.scene
-
-
-@dataclass(frozen=True, slots=True)
-class SavedRow:
-    """A row of the table: means over a group. ``camera`` or ``ratio`` is ``None`` where it spans all of them."""
-
-    camera: str | None
-    ratio: float | None
-    pairs: int
-    scored: int
-    psnr_db: float
-    ssim: float
-
-    def holds(self, image: SavedScore) -> bool:
-        """Return whether an image is of this group."""
-        return self.camera in (None, image.camera) and self.ratio in (None, image.ratio)
-
-
-@dataclass(frozen=True, slots=True)
-class SavedProblem:
-    """What kept a prediction from being scored."""
-
-    path: str
-    reason: str
-
-
-@dataclass(frozen=True, slots=True)
-class SavedResult:
-    """One result of :func:`eldata.evaluate`, under one protocol.
-
-    Attributes
-    ----------
-    source
-        Where it was read from, for messages.
-    protocol, provenance
-        As plain types, with whatever fields the writing version had.
-    pairs
-        How many pairs the protocol and the subset name, scored or not.
-    missing
-        Noisy frames without a usable prediction.
-    images, table
-        Scores, and their means.
-    problems, notes
-        What was wrong, and what a reader of the table should know.
-    """
-
-    source: str
-    protocol: dict[str, Any]
-    provenance: dict[str, Any]
-    pairs: int
-    missing: tuple[str, ...]
-    images: tuple[SavedScore, ...]
-    table: tuple[SavedRow, ...]
-    problems: tuple[SavedProblem, ...]
-    notes: tuple[str, ...]
-
-    @property
-    def protocol_name(self) -> str:
-        """The protocol's name."""
-        return str(self.protocol["name"])
-
-    @property
-    def protocol_digest(self) -> str:
-        """``sha256:<hex>`` of what of the protocol decides a score."""
-        return str(self.provenance["protocol_digest"])
-
-    @property
-    def dataset(self) -> str:
-        """The dataset's name."""
-        return str(self.provenance["dataset"])
-
-    def images_of(self, row: SavedRow) -> tuple[SavedScore, ...]:
-        """Return the images that a row of the table is the mean of."""
-        return tuple(image for image in self.images if row.holds(image))
-
-
-def load_results(path: Path | str) -> tuple[SavedResult, ...]:
-    """Read what ``eldata evaluate --json`` wrote: one result a protocol.
+def load_results(path: Path | str) -> tuple[EvaluationResult, ...]:
+    """Read what ``eldata evaluate --json`` wrote: one result per protocol.
 
     Raises
     ------
     FileError
-        If the file cannot be read, is not whole, is something else, holds scores of clips, or was written by a newer
-        version; the message names the field.
+        If the file cannot be read, is not whole, is something else, or was written by a newer version; the message
+        names the field.
     """
-    path = Path(path)
-    data = _parsed(path)
-    if not isinstance(data, dict):
-        raise FileError(path, f"is not a result of eldata evaluate: expected an object, found {_found(data)}; {_AGAIN}")
-    if "results" not in data:
-        return (saved_result(data, path),)
-    many = data["results"]
-    if not isinstance(many, list) or not many:
-        raise FileError(path, f"field results must be a list of results; found {_found(many)}; {_AGAIN}")
-    return tuple(saved_result(one, path, f"results[{index}].") for index, one in enumerate(many))
+    top = TextFile(path, FileError, advice=_AGAIN).json()
+    if "results" not in top.data:
+        return (_result(top),)
+    return tuple(_result(one) for one in top.objects("results", fewest=1, expected="a list of results"))
 
 
-def saved_result(data: object, source: Path | str, prefix: str = "") -> SavedResult:
-    """Return the checked records of one result.
-
-    Parameters
-    ----------
-    data
-        What :meth:`eldata.evaluation.results.EvaluationResult.as_dict` gives.
-    source
-        What messages call it.
-    prefix
-        What its fields' names begin with in messages.
+def saved_result(data: object, source: Path | str) -> EvaluationResult:
+    """Return what :meth:`~eldata.evaluation.results.EvaluationResult.as_dict` gave as a result; ``source`` is its name.
 
     Raises
     ------
     FileError
-        As :func:`load_results`.
+        Like :func:`load_results`.
     """
-    top = _Fields(source, prefix, data)
-    if "videos" in top.values:
-        raise FileError(source, "holds scores of clips; this works on results of images (eld, sid, your own pairs)")
-    provenance = top.fields("provenance")
-    _require_known_version(provenance)
-    for name in ("dataset", "protocol_digest", "manifest_sha256"):
-        provenance.text(name)
-    protocol = top.fields("protocol")
-    protocol.text("name")
-    coverage = top.fields("coverage")
-    images = tuple(_score(one) for one in top.each("images"))
-    pairs, scored = coverage.count("pairs"), coverage.count("scored")
-    if scored != len(images):
-        coverage.refuse("scored", f"must be the number of images, {len(images)}", scored)
-    missing = coverage.texts("missing")
-    if pairs < len(images):
-        coverage.refuse("pairs", f"must be {len(images)} or more, for so many images were scored", pairs)
-    seen: set[str] = set()
-    for index, image in enumerate(images):
-        if image.path in seen:
-            top.refuse(f"images[{index}].path", "must be of an image that is not there yet", image.path)
-        seen.add(image.path)
-    return SavedResult(
-        source=str(source),
-        protocol=dict(protocol.values),
-        provenance=dict(provenance.values),
-        pairs=pairs,
-        missing=missing,
-        images=images,
-        table=tuple(_row(one) for one in top.each("table")),
-        problems=tuple(SavedProblem(one.text("path"), one.text("reason")) for one in top.each("problems")),
-        notes=top.texts("notes"),
-    )
+    return _result(TextFile(source, FileError, advice=_AGAIN).fields(data))
 
 
-def _score(one: _Fields) -> SavedScore:
-    return SavedScore(
-        path=one.text("path"),
-        camera=one.text("camera"),
-        scene=one.text("scene"),
-        iso=one.number("iso", at_least=0),
-        ratio=one.number("ratio", at_least=0),
-        psnr_db=one.number_or_nothing("psnr_db"),
-        ssim=one.number_or_nothing("ssim"),
-        rescale=one.number_or_nothing("rescale"),
-    )
-
-
-def _row(one: _Fields) -> SavedRow:
-    return SavedRow(
-        camera=None if one.get("camera") is None else one.text("camera"),
-        ratio=None if one.get("ratio") is None else one.number("ratio", at_least=0),
-        pairs=one.count("pairs"),
-        scored=one.count("scored"),
-        psnr_db=one.number_or_nothing("psnr_db"),
-        ssim=one.number_or_nothing("ssim"),
-    )
-
-
-def _require_known_version(provenance: _Fields) -> None:
+def _result(top: Fields) -> EvaluationResult:
+    if "provenance" not in top.data:
+        raise top.problem("provenance", "is missing: this is not a result of eldata evaluate, or not a whole one")
+    kind = CLIPS if CLIPS.units in top.data else IMAGES
+    provenance, protocol, coverage = (top.inside(name) for name in ("provenance", "protocol", "coverage"))
     written = provenance.text("eldata")
     if _release(written) > _release(__version__):
-        provenance.refuse("eldata", f"must be {__version__} or older, or this version may misread it; update", written)
+        raise provenance.wrong("eldata", f"{__version__} or older (update eldata, or it may be misread)", written)
+    for name in ("dataset", "manifest_sha256"):
+        provenance.text(name)
+    protocol.text("name")
+    provenance.optional("subset", provenance.text)
+    provenance.optional("excluded_flags", provenance.inside)
+    scores = tuple(_score(one, kind) for one in top.objects(kind.units))
+    seen: set[str] = set()
+    for index, score in enumerate(scores):
+        if score.path in seen:
+            raise top.wrong(f"{kind.units}[{index}].path", f"another {kind.unit} than those before it", score.path)
+        seen.add(score.path)
+    if coverage.whole("scored") != len(scores):
+        raise coverage.wrong("scored", f"the number of {kind.units}, {len(scores)}", coverage.data["scored"])
+    expected = coverage.whole(kind.counted, at_least=len(scores))
+    return EvaluationResult(
+        protocol=StatedProtocol(kind, dict(protocol.data), provenance.text("protocol_digest")),
+        provenance=dict(provenance.data),
+        scores=scores,
+        table=_table(top, kind, scores, expected),
+        expected=expected,
+        missing=coverage.texts("missing"),
+        problems=tuple(EvaluationProblem(one.text("path"), one.text("reason")) for one in top.objects("problems")),
+        notes=top.texts("notes"),
+        source=str(top.file.name),
+    )
+
+
+def _score(one: Fields, kind: Kind) -> UnitScore:
+    camera, scene = one.text("camera"), one.text("scene")
+    values = {name: one.parsed(name, _value) for name in kind.values}
+    if kind is IMAGES:
+        iso, ratio = one.number("iso", at_least=0), one.number("ratio", at_least=0)
+        return UnitScore(one.text("path"), camera, scene, iso, ratio, values)
+    frames = tuple(
+        FrameScore(frame.text("path"), *(frame.parsed(name, _value) for name in ("psnr_db", "ssim", "rescale")))
+        for frame in one.objects("frame_scores", fewest=1)
+    )
+    split, start = one.text("split"), one.whole("start")
+    return UnitScore(frames[0].path, camera, scene, 0.0, None, values, split=split, start=start, frames=frames)
+
+
+def _table(top: Fields, kind: Kind, scores: tuple[UnitScore, ...], expected: int) -> tuple[TableRow, ...]:
+    names = [metric.name for metric in kind.metrics]
+    if kind is CLIPS and isinstance(top.value("table"), dict):  # 0.1 stated the means over all alone
+        means = top.inside("table")
+        return (TableRow(None, None, expected, len(scores), {name: means.parsed(name, _value) for name in names}),)
+    return tuple(
+        TableRow(
+            camera=row.optional("camera", row.text),
+            ratio=row.optional("ratio", row.number, at_least=0),
+            pairs=row.whole(kind.counted),
+            scored=row.whole("scored"),
+            values={name: row.parsed(name, _value) for name in names},
+        )
+        for row in top.objects("table", fewest=1)
+    )
+
+
+def _value(found: Any) -> float:
+    """Return a number, an infinity that is written as text, or nan for null."""
+    if found is None:
+        return math.nan
+    if found in ("inf", "-inf"):
+        return float(found)
+    if type(found) in (int, float) and abs(found) <= 1e300:
+        return float(found)
+    raise ArgumentError(f'expected a finite number, the text "inf" or null, found {shown(found)}')
 
 
 def _release(version: str) -> tuple[int, ...]:
     """Return major and minor version; (0,) for what is not a version."""
     parts = version.split(".")[:2]
     return tuple(int(part) for part in parts) if all(part.isdecimal() for part in parts) else (0,)
-
-
-# --- reading ------------------------------------------------------------------------------------------------------
-
-
-def _parsed(path: Path) -> object:
-    try:
-        return json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
-    except OSError as error:
-        raise FileError(path, f"cannot be read: {error.strerror or error}") from error
-    except json.JSONDecodeError as error:
-        reason = f"is not whole JSON ({error.msg} in line {error.lineno}); {_AGAIN}"
-        raise FileError(path, reason) from error
-    except UnicodeDecodeError as error:
-        raise FileError(path, f"is not text in UTF-8, so not JSON; {_AGAIN}") from error
-    except (ValueError, RecursionError) as error:
-        reason = str(error) if isinstance(error, ValueError) else "it is nested too deeply"
-        raise FileError(path, f"is not JSON of eldata evaluate: {reason}; {_AGAIN}") from error
-
-
-def _refuse_constant(name: str) -> NoReturn:
-    raise ValueError(f"found {name}, which JSON does not have")
-
-
-def _found(value: object) -> str:
-    """Return a value as a message shows it."""
-    kinds = {dict: "an object", list: "a list", type(None): "null"}
-    text = kinds.get(type(value), repr(value))
-    return text if len(text) <= 60 else f"{text[:57]}..."
-
-
-class _Fields:
-    """An object of the JSON whose fields are read with checks; errors name the file and the field."""
-
-    def __init__(self, source: Path | str, prefix: str, values: object) -> None:
-        self._source = source
-        self._prefix = prefix
-        if not isinstance(values, dict):
-            name = prefix.rstrip(".") or "the result"
-            raise FileError(source, f"field {name} must be an object; found {_found(values)}; {_AGAIN}")
-        self.values: dict[str, Any] = values
-
-    def refuse(self, name: str, expected: str, found: object) -> NoReturn:
-        raise FileError(self._source, f"field {self._prefix}{name} {expected}; found {_found(found)}")
-
-    def get(self, name: str) -> Any:
-        if name not in self.values:
-            reason = f"is not a result of eldata evaluate, or not a whole one: field {self._prefix}{name} is missing"
-            raise FileError(self._source, f"{reason}; {_AGAIN}")
-        return self.values[name]
-
-    def text(self, name: str) -> str:
-        return self._of(name, str, "must be a text")
-
-    def texts(self, name: str) -> tuple[str, ...]:
-        values = self._of(name, list, "must be a list of texts")
-        for index, value in enumerate(values):
-            if not isinstance(value, str):
-                self.refuse(f"{name}[{index}]", "must be a text", value)
-        return tuple(values)
-
-    def fields(self, name: str) -> _Fields:
-        return _Fields(self._source, f"{self._prefix}{name}.", self.get(name))
-
-    def each(self, name: str) -> list[_Fields]:
-        values = self._of(name, list, "must be a list")
-        return [_Fields(self._source, f"{self._prefix}{name}[{index}].", value) for index, value in enumerate(values)]
-
-    def count(self, name: str) -> int:
-        value = self.get(name)
-        if type(value) is not int or value < 0:
-            self.refuse(name, "must be a whole number of 0 or more", value)
-        return int(value)
-
-    def number(self, name: str, *, at_least: float) -> float:
-        value = self.get(name)
-        number = _number(value)
-        if number is None or not math.isfinite(number) or number < at_least:
-            self.refuse(name, f"must be a number of {at_least:g} or more", value)
-        return number
-
-    def number_or_nothing(self, name: str) -> float:
-        """Return a number, an infinity that is written as text, or nan for null."""
-        value = self.get(name)
-        if value is None:
-            return math.nan
-        number = float(value) if value in ("inf", "-inf") else _number(value)
-        if number is None:
-            self.refuse(name, 'must be a number, the text "inf" or null', value)
-        return number
-
-    def _of(self, name: str, kind: type[Value], expected: str) -> Value:
-        value = self.get(name)
-        if not isinstance(value, kind):
-            self.refuse(name, expected, value)
-        return value
-
-
-def _number(value: object) -> float | None:
-    """Return a JSON number as float; ``None`` for anything else, and for what no float holds."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        return None
-    try:
-        number = float(value)
-    except OverflowError:
-        return None
-    return number if math.isfinite(number) else None  # 1e999 is read as infinity

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from eldata.evaluation.scores import UnitScore
+
 LEVEL = 0.95
 RESAMPLES = 9999
 SEED = 0
@@ -64,6 +66,11 @@ class Interval:
         """Whether there is an interval."""
         return math.isfinite(self.low) and math.isfinite(self.high)
 
+    @property
+    def sign(self) -> int:
+        """1 or -1 if the whole interval lies above or below 0, else 0."""
+        return (self.low > 0) - (self.high < 0) if self.is_known else 0
+
 
 @dataclass(frozen=True, slots=True)
 class Difference:
@@ -97,7 +104,7 @@ def interval_of_mean(
     Parameters
     ----------
     values
-        One score an image.
+        One score per image.
     scenes
         What each image is of, such as (camera, scene); images of one are drawn together.
     level
@@ -116,7 +123,7 @@ def interval_of_mean(
     Raises
     ------
     ArgumentError
-        If there are not as many scenes as values, or level, resamples or seed make no sense.
+        If there are not as many scenes as values, or level, resamples or seed are invalid.
     """
     _check(level, resamples, seed)
     sums, counts = _by_scene(values, scenes)
@@ -128,6 +135,11 @@ def interval_of_mean(
     tail = (1 - expanded_level(level, number)) / 2
     low, high = np.quantile(means, [tail, 1 - tail])
     return Interval(mean, float(low), float(high), images, number)
+
+
+def interval_of_scores(scores: Sequence[UnitScore], name: str) -> Interval:
+    """Return the mean of a value, such as ``psnr_db``, over scores, with its interval over their scenes."""
+    return interval_of_mean([score.values[name] for score in scores], [score.place for score in scores])
 
 
 def paired_difference(
@@ -154,7 +166,7 @@ def paired_difference(
     Raises
     ------
     ArgumentError
-        As :func:`interval_of_mean`, and if there are not as many scores of one method as of the other.
+        Like :func:`interval_of_mean`, and if there are not as many scores of one method as of the other.
     """
     if len(first) != len(second):
         raise ArgumentError(f"paired scores are of the same images; found {len(first)} and {len(second)}")
@@ -187,7 +199,7 @@ def sign_flip_p_value(
     Raises
     ------
     ArgumentError
-        As :func:`interval_of_mean`.
+        Like :func:`interval_of_mean`.
     """
     _check(LEVEL, resamples, seed)
     sums, _ = _by_scene(differences, scenes)

@@ -17,6 +17,7 @@ from eldata.metrics._images import check_data_range, check_threads
 from eldata.metrics.image_score import score_by
 from eldata.metrics.signal_to_noise import psnr
 from eldata.metrics.similarity import ssim
+from eldata.protocols.kinds import IMAGES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -40,7 +41,7 @@ except ImportError as error:
 class _MeanOverImages(Metric):
     """What the modules share: the scores of each image are kept, and averaged as ``eldata evaluate`` does.
 
-    A score is 8 bytes an image and column. All of them are gathered over processes, however many each has, and summed
+    A score is 8 bytes per image and column. All of them are gathered over processes, however many each has, and summed
     exactly, so neither the order of images nor how they were split over batches and processes changes a bit.
     """
 
@@ -82,7 +83,7 @@ class _MeanOverImages(Metric):
 
     @abstractmethod
     def _scores(self, prediction: torch.Tensor, reference: torch.Tensor) -> tuple[float, ...]:
-        """Return the values of one image, one a column."""
+        """Return the values of one image, one per column."""
 
     def _mean(self, column: str) -> torch.Tensor:
         kept = getattr(self, column)  # one tensor once processes are joined, else a list
@@ -165,7 +166,7 @@ class ProtocolScore(_MeanOverImages):
     bit. The references have to be normalised and clipped as the protocol says (its ``levels`` and ``reference_clip``;
     those of :class:`eldata.ELDDataset` and :class:`eldata.SIDDataset` are so for ``eld`` and ``sid``). The region is
     cut out here, so images are whole frames. Which images a number is over is the caller's choice: a paper's table has
-    one a camera and factor.
+    one per camera and factor.
 
     Parameters
     ----------
@@ -179,7 +180,8 @@ class ProtocolScore(_MeanOverImages):
     Raises
     ------
     ArgumentError
-        If no protocol has this name, or it is one of rendered images, whose rendering a tensor does not carry.
+        If no protocol has this name, or it is one of clips, or of rendered images, whose rendering a tensor does not
+        carry.
     """
 
     higher_is_better = True
@@ -191,9 +193,10 @@ class ProtocolScore(_MeanOverImages):
         chosen = get_protocol(protocol) if isinstance(protocol, str) else protocol
         super().__init__(chosen.digest, threads=threads, **kwargs)
         self.protocol = chosen
-        if self.protocol.space != "raw":
+        if self.protocol.space != "raw" or self.protocol.kind is not IMAGES:
+            what = "renderings" if self.protocol.kind is IMAGES else "clips"
             raise ArgumentError(
-                f"protocol {self.protocol.name!r} is of renderings, which these tensors are not; use eldata evaluate"
+                f"protocol {self.protocol.name!r} is of {what}, which these tensors are not; use eldata evaluate"
             )
 
     def _scores(self, prediction: torch.Tensor, reference: torch.Tensor) -> tuple[float, ...]:

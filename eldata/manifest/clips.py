@@ -9,14 +9,17 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import PurePosixPath
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Literal, Unpack, get_args
 
-from eldata.errors import ArgumentError, DatasetError, check_choice
+from eldata.errors import ArgumentError, DatasetError, ManifestError, check_choice
+from eldata.manifest.pairs import Choice, narrowed, splits_of
 from eldata.manifest.patterns import is_pattern, sequence_of
+from eldata.manifest.subsets import find_subset
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
 
+    from eldata.manifest.subsets import Subset
     from eldata.records import FrameRecord
 
 FrameRange = Literal["all", "authors", "evaluation"]
@@ -106,6 +109,55 @@ def select_rows(
         if scene not in known:
             raise ArgumentError(f"no clip of {', '.join(splits)} is called {scene!r}; known are {', '.join(known)}")
     return tuple(row for row in rows if row.scene in ids)
+
+
+def choose_clips(
+    records: Iterable[FrameRecord],
+    subsets: Sequence[Subset],
+    *,
+    ids: Collection[str] | None = None,
+    **choice: Unpack[Choice],
+) -> tuple[FrameRecord, ...]:
+    """Return the rows of the chosen clips: those of whose noisy frames one is chosen.
+
+    Parameters
+    ----------
+    records, subsets
+        Rows of a manifest, and the subsets of its card.
+    ids
+        Scenes, by another name.
+    choice
+        See :class:`~eldata.manifest.pairs.Choice`.
+
+    Raises
+    ------
+    ArgumentError
+        If a value does not occur; the message lists those that do. If no clip has all of them.
+    ManifestError
+        If the subset has not as many clips as its card says.
+    """
+    rows = tuple(records)
+    chosen = noisy = [row for row in rows if row.role == "noisy"]
+    name = choice.get("subset")
+    if name is not None:
+        subset = find_subset(subsets, name)
+        chosen = [row for row in noisy if subset.holds(row)]
+        clips = {row.scene for row in chosen}
+        if len(clips) != subset.pairs:
+            raise ManifestError(
+                f"subset {name!r}: the card expects {subset.pairs} clips, the manifest has {len(clips)}"
+            )
+    wanted: dict[str, Collection[object] | None] = {
+        "camera": choice.get("cameras"),
+        "split": splits_of(choice.get("split")),
+        "ISO": choice.get("isos"),
+        "ratio": choice.get("ratios"),
+        "flag": choice.get("exclude_flags", ()),
+    }
+    for scenes in (choice.get("scenes"), ids):
+        chosen = narrowed(chosen, noisy, "clip", wanted | {"scene": scenes})
+    kept = {row.scene for row in chosen}
+    return tuple(row for row in rows if row.scene in kept)
 
 
 def clips_of(records: Iterable[FrameRecord]) -> tuple[Clip, ...]:

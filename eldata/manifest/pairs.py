@@ -3,25 +3,86 @@
 from __future__ import annotations
 
 from bisect import bisect
-from typing import TYPE_CHECKING, TypeVar
+from operator import attrgetter
+from typing import TYPE_CHECKING, TypedDict, TypeVar, Unpack
 
+from eldata.base.fields import names_of
 from eldata.errors import ArgumentError
+from eldata.manifest.subsets import find_subset
 from eldata.records import PairRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
     from fractions import Fraction
 
     from eldata.manifest.subsets import Subset
     from eldata.records import FrameRecord
 
-Value = TypeVar("Value")
+Item = TypeVar("Item", "PairRecord", "FrameRecord")
 
 # Flag of a frame whose ISO the publisher states in two ways: its exposure ratio cannot be checked.
 UNCERTAIN_ISO = "uncertain-iso"
 
+_OF_PAIRS = names_of(PairRecord)
+
 # Known values in a message: all of up to so many, or so many on each side.
 _SHOWN, _NEAR = 30, 5
+
+
+# Names of 0.1 for those of a Choice, understood until 0.3.
+RENAMED = {"splits": "split"}
+
+
+class Choice(TypedDict, total=False):
+    """Which pairs or clips: keyword arguments of every dataset; ``None`` (default) means all.
+
+    Attributes
+    ----------
+    cameras, scenes, isos, ratios
+        Wanted values, as :func:`select_pairs` takes them.
+    split
+        Name of a split, or several.
+    subset
+        Name of a subset on the dataset's card (:mod:`eldata.manifest.subsets`); the rest chooses within it.
+    exclude_flags
+        What has one of these flags is left out.
+    """
+
+    cameras: Collection[str] | None
+    scenes: Collection[str | int] | None
+    isos: Collection[int] | None
+    ratios: Collection[float | Fraction] | None
+    split: str | Collection[str] | None
+    subset: str | None
+    exclude_flags: Collection[str]
+
+
+def choose_pairs(
+    records: Iterable[FrameRecord], subsets: Sequence[Subset], **choice: Unpack[Choice]
+) -> tuple[PairRecord, ...]:
+    """Return the chosen pairs of a manifest's rows; ``subsets`` are those of its card. Errors as :func:`select_pairs`.
+
+    Raises
+    ------
+    ArgumentError
+        If the subset is unknown; the message lists the known ones.
+    """
+    name = choice.get("subset")
+    return select_pairs(
+        records,
+        cameras=choice.get("cameras"),
+        scenes=choice.get("scenes"),
+        isos=choice.get("isos"),
+        ratios=choice.get("ratios"),
+        splits=splits_of(choice.get("split")),
+        subset=None if name is None else find_subset(subsets, name),
+        exclude_flags=choice.get("exclude_flags", ()),
+    )
+
+
+def splits_of(split: str | Collection[str] | None) -> Collection[str] | None:
+    """Return one split, or several, as several."""
+    return (split,) if isinstance(split, str) else split
 
 
 def select_pairs(
@@ -57,68 +118,73 @@ def select_pairs(
         If the subset has not as many pairs as its card says.
     """
     pairs = [
-        PairRecord(
-            path=record.path,
-            reference=record.reference,
-            camera=record.camera,
-            scene=record.scene,
-            split=record.split,
-            iso=record.iso,
-            exposure_s=record.exposure_s,
-            ratio=record.ratio,
-            flags=record.flags,
-        )
+        PairRecord(**{name: getattr(record, name) for name in _OF_PAIRS})
         for record in records
         if record.role == "noisy" and record.reference is not None and record.ratio is not None
     ]
-    for name, wanted in (
-        *(("camera", cameras), ("scene", scenes), ("ISO", isos), ("ratio", ratios), ("split", splits)),
-        ("flag", exclude_flags),
-    ):
-        if isinstance(wanted, str):
-            raise ArgumentError(f"give {name} values as a list: [{wanted!r}]")
-    chosen = pairs if subset is None else subset.choose(pairs)
-    chosen = _having(chosen, pairs, "camera", cameras, lambda pair: pair.camera)
-    chosen = _having(chosen, pairs, "scene", _scene_names(pairs, scenes), lambda pair: pair.scene)
-    chosen = _having(chosen, pairs, "ISO", isos, lambda pair: pair.iso)
-    chosen = _having(chosen, pairs, "ratio", ratios, lambda pair: pair.ratio)
-    chosen = _having(chosen, pairs, "split", splits, lambda pair: pair.split)
-    _check_known("flag", exclude_flags, [flag for pair in pairs for flag in pair.flags])
-    chosen = [pair for pair in chosen if not set(exclude_flags) & set(pair.flags)]
-    if not chosen:
-        raise ArgumentError("no pair has all of the wanted cameras, scenes, ISOs, ratios, splits and flags together")
-    return tuple(chosen)
+    wanted = {
+        "camera": cameras,
+        "scene": scenes,
+        "ISO": isos,
+        "ratio": ratios,
+        "split": splits,
+        "flag": exclude_flags,
+    }
+    return tuple(narrowed(pairs if subset is None else subset.choose(pairs), pairs, "pair", wanted))
 
 
-def _scene_names(pairs: list[PairRecord], scenes: Collection[str | int] | None) -> list[str] | None:
+def narrowed(
+    chosen: Sequence[Item], every: Sequence[Item], what: str, wanted: Mapping[str, Collection[object] | None]
+) -> list[Item]:
+    """Return those of the chosen pairs (or rows of clips) that have a wanted value of each kind.
+
+    Parameters
+    ----------
+    chosen, every
+        What is narrowed, and what the known values are of.
+    what
+        ``"pair"`` or ``"clip"``, for messages.
+    wanted
+        Values by kind: camera, scene, ISO, ratio, split, and flag, which is one to leave out; ``None`` means any.
+
+    Raises
+    ------
+    ArgumentError
+        If a value does not occur; the message lists those that do. If nothing has all of them.
+    """
+    for kind, values in wanted.items():
+        if isinstance(values, str):
+            raise ArgumentError(f"give {kind} values as a list: [{values!r}]")
+    kept = list(chosen)
+    for kind, values in wanted.items():
+        if values is None or kind == "flag":
+            continue
+        of = attrgetter(kind.lower())
+        values = _scene_names(every, values) if kind == "scene" else values  # noqa: PLW2901 # the same, by name
+        _check_known(what, kind, values, map(of, every))
+        kept = [item for item in kept if of(item) in values]
+    flags = set(wanted.get("flag") or ())
+    _check_known(what, "flag", flags, (flag for item in every for flag in item.flags))
+    kept = [item for item in kept if not flags & set(item.flags)]
+    if not kept:
+        raise ArgumentError(f"no {what} has all of the wanted cameras, scenes, ISOs, ratios, splits and flags together")
+    return kept
+
+
+def _scene_names(every: Iterable[PairRecord | FrameRecord], scenes: Collection[object]) -> list[object]:
     """Return the wanted scenes by name: a number stands for the scene that has it after ``scene-``, or is it."""
-    if scenes is None:
-        return None
-    names = {pair.scene for pair in pairs}
+    names = {item.scene for item in every}
     prefix = "scene-" if any(name.startswith("scene-") for name in names) else ""
     digits_of = {name: name.removeprefix(prefix) for name in names}
     by_number = {int(digits): name for name, digits in digits_of.items() if digits.isdecimal()}
     return [by_number.get(scene, f"{prefix}{scene}") if isinstance(scene, int) else scene for scene in scenes]
 
 
-def _having(
-    chosen: list[PairRecord],
-    pairs: list[PairRecord],
-    name: str,
-    wanted: Collection[Value] | None,
-    value_of: Callable[[PairRecord], object],
-) -> list[PairRecord]:
-    if wanted is None:
-        return chosen
-    _check_known(name, wanted, [value_of(pair) for pair in pairs])
-    return [pair for pair in chosen if value_of(pair) in wanted]
-
-
-def _check_known(name: str, wanted: Collection[object], values: Iterable[object]) -> None:
+def _check_known(what: str, kind: str, wanted: Collection[object], values: Iterable[object]) -> None:
     known = sorted({value for value in values if value is not None})  # type: ignore[type-var] # of one kind each
     for value in wanted:
         if value not in known:
-            raise ArgumentError(f"no pair has {name} {value}; known are {_listed(known, value)}")
+            raise ArgumentError(f"no {what} has {kind} {value}; known are {_listed(known, value)}")
 
 
 def _listed(known: Sequence[object], wanted: object) -> str:

@@ -11,7 +11,7 @@ from eldata.errors import ArgumentError, ManifestError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from eldata.records import PairRecord
+    from eldata.records import FrameRecord, PairRecord
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +38,8 @@ class Subset:
     scenes: tuple[str, ...] = ()
     paths: str = "*"
 
-    def holds(self, pair: PairRecord) -> bool:
-        """Return whether a pair belongs to this subset."""
+    def holds(self, pair: PairRecord | FrameRecord) -> bool:
+        """Return whether a pair, or the row of a noisy frame, belongs to this subset."""
         return (
             (not self.splits or pair.split in self.splits)
             and (not self.scenes or pair.scene in self.scenes)

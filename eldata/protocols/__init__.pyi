@@ -1,6 +1,7 @@
 from .choosing import default_protocol as default_protocol
 from .choosing import get_protocol as get_protocol
 from .choosing import protocols_for as protocols_for
+from .clips import ClipProtocol as ClipProtocol
 from .comparability import comparability as comparability
 from .custom import load_protocol as load_protocol
 from .named import PROTOCOLS as PROTOCOLS
@@ -9,6 +10,7 @@ from .protocol import fields_digest as fields_digest
 
 __all__ = [
     "PROTOCOLS",
+    "ClipProtocol",
     "Protocol",
     "comparability",
     "default_protocol",

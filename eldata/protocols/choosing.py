@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from eldata.errors import ArgumentError
+from eldata.protocols.kinds import IMAGES
 from eldata.protocols.named import FAMILIES, PROTOCOLS
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ def get_protocol(name: str, dataset: str | None = None) -> Protocol:
     Raises
     ------
     ArgumentError
-        If there is none of that name, the message lists those that there are; if a family has none for the dataset; or
+        If the name is unknown, the message lists the known ones; if a family has none for the dataset; or
         as :func:`~eldata.protocols.load_protocol`.
     """
     if name.endswith(".toml"):
@@ -65,5 +66,6 @@ def protocols_for(dataset: str) -> tuple[Protocol, ...]:
         return covering
     ways: dict[str, Protocol] = {}
     for protocol in PROTOCOLS.values():
-        ways.setdefault(protocol.scoring_digest, protocol)
+        if protocol.kind is IMAGES:
+            ways.setdefault(protocol.scoring_digest, protocol)
     return tuple(ways.values())

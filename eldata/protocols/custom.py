@@ -8,6 +8,7 @@ from typing import Any
 
 from eldata.base.fields import Fields, TextFile, names_of, shown
 from eldata.errors import ArgumentError
+from eldata.protocols.kinds import IMAGES
 from eldata.protocols.named import FAMILIES, PROTOCOLS
 from eldata.protocols.protocol import CHOICES, Protocol
 
@@ -46,6 +47,8 @@ def load_protocol(path: Path | str) -> Protocol:
     if not name.isprintable() or name.endswith(".toml"):
         raise top.wrong("name", "printable text that does not end in .toml", name)
     start = PROTOCOLS[base]
+    if start.kind is not IMAGES:
+        raise ArgumentError(f"{path}: base: {base!r} scores clips; a protocol of your own starts from one of images")
     made = replace(start, **({"source": f"{path.name}, after {base}: {start.source}", "family": ""} | values))
     try:
         made.check()

@@ -6,9 +6,10 @@ import hashlib
 import json
 import re
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 from eldata.errors import ArgumentError
+from eldata.protocols.kinds import IMAGES, Kind
 
 if TYPE_CHECKING:
     from eldata.metrics.image_score import ScoringRules
@@ -17,6 +18,7 @@ Levels = Literal["metadata", "published", "metadata-per-channel", "sid-sony", "s
 Clip = Literal["both", "upper", "none"]
 Amplification = Literal["metadata", "nominal"]
 Space = Literal["raw", "srgb"]
+Pixels = Literal["packed", "srgb", "rgb"]
 Rendering = Literal["none", "libraw", "eld-isp"]
 Rescaling = Literal["none", "scalar"]
 RescalingMask = Literal["unsaturated", "all"]
@@ -45,7 +47,7 @@ def fields_digest(fields: dict[str, Any]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Protocol:
-    """Everything that a score depends on besides the pixels.
+    """Everything that a score of an image depends on besides the pixels.
 
     Attributes
     ----------
@@ -68,7 +70,7 @@ class Protocol:
     rescaling, rescaling_mask, prediction_clamp, rounding, data_range, mse_offset, ssim_window, ssim_covariance
         How the prediction is brought to the reference and compared with it: :class:`eldata.metrics.ScoringRules`.
     family
-        The name under which several are published, one a dataset: ``pmn`` names ``pmn-sid`` and ``pmn-eld``.
+        The name under which several are published, one per dataset: ``pmn`` names ``pmn-sid`` and ``pmn-eld``.
     subset
         Name of a subset on the dataset's card. ``None``: the one that the user names, else the card's first, if any.
     cameras, scenes
@@ -82,6 +84,9 @@ class Protocol:
         What renders an sRGB reference: ``libraw``, the predictions being renderings already, or ``eld-isp``, the ELD
         paper's pipeline (:mod:`eldata.isp.srgb_pairs`), which renders the packed raw prediction too, once rescaled.
     """
+
+    kind: ClassVar[Kind] = IMAGES
+    """What is scored: words, metrics, columns."""
 
     name: str
     title: str
@@ -147,9 +152,9 @@ class Protocol:
         )
 
     @property
-    def prediction_space(self) -> Space:
-        """What it takes predictions of: packed raw values, or renderings."""
-        return "srgb" if self.space == "srgb" and self.rendering == "libraw" else "raw"
+    def pixels(self) -> Pixels:
+        """What predictions and references are: packed raw values, renderings in sRGB, or (of clips) RGB frames."""
+        return "srgb" if self.rendering == "libraw" else "packed"
 
     @property
     def digest(self) -> str:
@@ -213,6 +218,39 @@ class Protocol:
             raise ArgumentError("rendering 'eld-isp' is scored on data range 1 with mse_offset 0")
         if any(ratio <= 0 for ratio in self.ratios):
             raise ArgumentError(f"ratios must be positive; found {list(self.ratios)}")
+
+
+@dataclass(frozen=True, slots=True)
+class StatedProtocol:
+    """A protocol as a saved result states it, in the fields that the version which wrote it had.
+
+    Attributes
+    ----------
+    kind
+        What was scored.
+    fields
+        As plain types.
+    digest
+        ``sha256:<hex>`` of what decides a score.
+    """
+
+    kind: Kind
+    fields: dict[str, Any]
+    digest: str
+
+    @property
+    def name(self) -> str:
+        """Its short name."""
+        return str(self.fields["name"])
+
+    @property
+    def title(self) -> str:
+        """What it is."""
+        return str(self.fields.get("title", ""))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return its fields."""
+        return self.fields
 
 
 CHOICES: dict[str, tuple[str, ...]] = {

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from eldata.protocols.kinds import IMAGES
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
@@ -27,6 +29,7 @@ _WINDOWS = {
     "gaussian-11-volume": "11x11x11 Gaussian, colours as a third axis",
 }
 _RENDERINGS = {"none": "none", "libraw": "LibRaw's", "eld-isp": "the ELD paper's pipeline"}
+_PIXELS = {"packed": "packed raw", "rgb": "preprocessed RGB"}
 _AMPLIFICATIONS = {"metadata": "by the files' exposure ratio", "nominal": "by the manifest's ratio"}
 
 
@@ -53,10 +56,14 @@ FIELDS: Mapping[str, tuple[str, Callable[[Any], str]]] = {
     "ratios": ("factors", _ratios),
     "cameras": ("cameras", _listed),
     "scenes": ("scenes", _listed),
+    "pixels": ("pixels", lambda value: _PIXELS[value]),
+    "frames": ("frames", lambda value: {"evaluation": "the fifth to the ninth"}[value]),
+    "frame_count": ("frames of a clip", str),
     "space": ("space", lambda value: {"raw": "packed raw", "srgb": "sRGB"}[value]),
     "rendering": ("rendering", lambda value: _RENDERINGS[value]),
     "levels": ("levels", lambda value: LEVELS[value]),
     "reference_clip": ("reference's clip", lambda value: CLIPS[value]),
+    "reference": ("reference", str),
     "region": ("region", region_words),
     "rescaling": ("rescaling", lambda value: _RESCALINGS[value]),
     "rescaling_mask": ("factor found", lambda value: _MASKS[value]),
@@ -70,6 +77,8 @@ FIELDS: Mapping[str, tuple[str, Callable[[Any], str]]] = {
     "amplification": ("input amplified", lambda value: _AMPLIFICATIONS[value]),
     "psnr": ("PSNR", str),
     "ssim": ("SSIM", str),
+    "st_rred": ("ST-RRED", str),
+    "st_rred_peak": ("ST-RRED's peak", lambda value: f"{value:g}"),
 }
 
 
@@ -91,9 +100,13 @@ def described(protocol: Protocol) -> list[tuple[str, str]]:
         skipped.add("rescaling_mask")
     if protocol.rendering == "none":
         skipped.add("rendering")
-    if protocol.rendering == "libraw":
+    if protocol.pixels != "packed":
         skipped |= {"levels", "reference_clip"}
-    rows = [(name, words(values[field])) for field, (name, words) in FIELDS.items() if field not in skipped]
+    rows = [
+        (name, words(values[field]))
+        for field, (name, words) in FIELDS.items()
+        if field in values and field not in skipped
+    ]
     return [("name", protocol.name), ("title", protocol.title), *rows]
 
 
@@ -103,6 +116,12 @@ HEADER = ("protocol", "dataset", "pairs", "region", "white", "scalar", "input cl
 
 def summary(protocol: Protocol) -> tuple[str, ...]:
     """Return a protocol's cells in such a list."""
+    if protocol.kind is not IMAGES:
+        space = {"packed": "raw", "rgb": "RGB"}[protocol.pixels]
+        chosen = f"{protocol.as_dict()['frame_count']} frames per clip"
+        white = "file" if protocol.pixels == "packed" else "none"
+        scalar = "yes" if protocol.rescaling == "scalar" else "no"
+        return protocol.name, protocol.dataset, chosen, "full", white, scalar, protocol.input_clip, "7x7", space
     pairs = [protocol.subset or "", _scenes(protocol.scenes), ", ".join(protocol.cameras)]
     if protocol.subset is None:
         pairs.insert(0, " ".join(f"x{ratio:g}" for ratio in protocol.ratios) or "all factors")

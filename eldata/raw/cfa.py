@@ -122,6 +122,12 @@ def _rows(cfa: Cfa) -> CfaRows:
     return tuple(tuple(int(value) for value in row) for row in cfa)
 
 
+def cfa_from(cfa: CfaRows, top: int, left: int) -> CfaRows:
+    """Return the CFA of a mosaic without its first rows and columns."""
+    period = len(cfa)
+    return tuple(tuple(cfa[(y + top) % period][(x + left) % period] for x in range(period)) for y in range(period))
+
+
 def _as_table(period: int, channel_of: CfaRows) -> NDArray[np.int64]:
     block = 2 if period == 2 else 3
     sites = [
@@ -139,8 +145,7 @@ def _sites(cfa: CfaRows) -> Sites:
         return Sites(2, 1, 0, 0, _as_table(2, cfa), (0, 1, 2, 3))
     if len(cfa) == 6 and all(len(row) == 6 for row in cfa):
         for top, left in sorted(np.ndindex(6, 6), key=sum):
-            shifted = tuple(tuple(cfa[(y + top) % 6][(x + left) % 6] for x in range(6)) for y in range(6))
-            if shifted == XTRANS_CFA:
+            if cfa_from(cfa, top, left) == XTRANS_CFA:
                 colours = tuple("RGB".index(name) for name in XTRANS_CHANNELS)
                 return Sites(6, 2, top, left, _as_table(6, _XTRANS_CHANNEL), colours)
     raise ArgumentError(

@@ -66,7 +66,6 @@ def parsed(text: str | bytes, error: type[EldataError] = ManifestError) -> Field
 # --- numbers in text ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.timeout(20)
 def test_numbers_in_text_are_bounded_before_they_are_parsed() -> None:
     for text in (*ENDLESS, *NO_NUMBERS):
         for parse in (fraction_of, whole_of):
@@ -116,7 +115,6 @@ def test_a_floats_own_text_gives_it_back(value: float) -> None:
     assert number_of(repr(value)) == value
 
 
-@pytest.mark.timeout(120)
 @given(st.text(alphabet="0123456789./eE+-_ \n٣²x") | st.text() | st.from_regex(r"[0-9]{0,50}e[0-9]{1,9}"))
 def test_any_text_is_a_number_or_our_error(text: str) -> None:
     for parse, kind in ((fraction_of, Fraction), (whole_of, int), (number_of, float)):
@@ -175,7 +173,6 @@ def test_a_byte_order_mark_is_no_content(tmp_path: Path) -> None:
     assert TextFile(tmp_path / "a.json", FileError).json().whole("a") == 1
 
 
-@pytest.mark.timeout(20)
 def test_files_that_are_too_large_are_not_read(tmp_path: Path) -> None:
     path = tmp_path / "a.json"
     with path.open("wb") as file:

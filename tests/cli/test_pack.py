@@ -172,10 +172,12 @@ def test_clips_are_packed_verified_and_read(eldata: Cli, tmp_path: Path) -> None
     assert len(PackedClips(store, crop=8)) == len(PackedUnpairedClips(store, crop=8)) == 1
     part = eldata(*packing, "-o", tmp_path / "m.h5", "--clip", "M0003")
     assert part.out.startswith("6 frames packed: ")
-    assert_one_line(eldata(*packing, "-o", tmp_path / "x.h5", "--clip", "0008"), "is called '0008'", "0007, M0003")
+    assert_one_line(
+        eldata(*packing, "-o", tmp_path / "x.h5", "--clip", "0008"), "no clip has scene 0008", "0007, M0003"
+    )
     assert_one_line(eldata(*packing, "-o", tmp_path / "x.h5", "--split", "x"), "no clip has split x", "dynamic")
     assert_one_line(eldata(*packing, "-o", tmp_path / "x.h5", "--camera", "X"), "no clip has camera X", "SonyRX100M6")
-    assert_one_line(eldata(*packing, "-o", tmp_path / "x.h5", "--subset", "x"), "a subset names pairs")
+    assert_one_line(eldata(*packing, "-o", tmp_path / "x.h5", "--subset", "x"), "no subset is called 'x'")
     assert_one_line(eldata("pack", tmp_path, "-o", tmp_path / "x.h5", "--clip", "1"), "--clip", "is a folder")
 
 

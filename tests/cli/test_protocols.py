@@ -124,7 +124,13 @@ def test_evaluate_under_a_file(eldata: Cli, tree: Tree, predictions: Path, tmp_p
         (["x", "--dataset", "eld", "--protocol", "elf"], "no protocol is called 'elf'"),
         (["x", "--dataset", "sid-fuji", "--protocol", "pmn"], "protocol 'pmn' is pmn-sid (for sid-sony) and pmn-eld"),
         (["x", "--dataset", "eld", "--protocol", "all", "--subset", "y"], "leave --subset out"),
-        (["--baseline", "input", "--dataset", "drv"], "--baseline is for datasets of images"),
+        (["x", "--dataset", "eld", "--clip", "0007"], "--clip (ids) is for datasets of clips, such as drv"),
+        (
+            ["x", "--dataset", "eld", "--protocol", "drv-rgb"],
+            "'drv-rgb' scores videos, and 'eld' is a dataset of images",
+        ),
+        (["x", "--dataset", "drv", "--protocol", "led"], "'led' is led-sid (for sid-sony) and led-eld (for eld)"),
+        (["x", "--dataset", "drv", "--subset", "test", "--clip", "0007"], "give a subset or ids, not both"),
     ],
 )
 def test_wrong_usage_of_evaluate(arguments: list[str], said: str, eldata: Cli) -> None:

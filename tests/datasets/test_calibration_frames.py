@@ -23,6 +23,7 @@ from eldata.errors import ArgumentError, DatasetError, ManifestError, RawFileErr
 from eldata.manifest.table import load_records, save_records
 from eldata.records import FrameRecord
 from tests.calibration.trees import CAMERA, FrameTree, made_tree, named
+from tests.datasets.methods import METHODS
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -296,7 +297,7 @@ def test_repr_says_what_is_in_it(pristine: FrameTree) -> None:
         assert part in text
 
 
-@pytest.mark.parametrize("method", ["fork", "spawn"])
+@pytest.mark.parametrize("method", METHODS)
 # Newer Pythons warn of any fork of a process with threads; that this one is safe is what the test is about.
 @pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")
 def test_workers_and_the_default_collate(pristine: FrameTree, method: str) -> None:

@@ -24,7 +24,7 @@ CFAS = [BAYER["RGGB"], BAYER["GBRG"], XTRANS["xtrans-00"], XTRANS["xtrans-42"]]
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four DNG files, one of them in a folder below, and what is no raw file."""
+    """Four DNG files, one of them in a folder below, and what is not a raw file."""
     top = tmp_path_factory.mktemp("clean")
     (top / "deep" / "deeper").mkdir(parents=True)
     names = ("a.dng", "b.DNG", "deep/c.dng", "deep/deeper/d.dng")

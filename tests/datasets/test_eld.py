@@ -19,6 +19,7 @@ from eldata.demo.camera import CAMERAS
 from eldata.errors import ArgumentError, DatasetError, ManifestError, RawFileError
 from eldata.manifest.catalogue import load_manifest
 from eldata.records import Exposure
+from tests.datasets.methods import METHODS
 from tests.trees import ALPHA, Tree, frame, retake, scale_exposure, swap
 from tests.waiting import PATIENCE_S
 
@@ -200,7 +201,7 @@ def same_samples(found: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
             assert found[name] == value, name
 
 
-@pytest.mark.parametrize("method", ["fork", "spawn"])
+@pytest.mark.parametrize("method", METHODS)
 # Newer Pythons warn of any fork of a process with threads; that this one is safe is what the test is about.
 @pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")
 def test_workers_give_what_indexing_gives(pristine: Tree, method: str) -> None:

@@ -22,7 +22,7 @@ from eldata import PackedStore
 from eldata.datasets import loading, worker_count
 from eldata.datasets.loading import describe, evaluation_loader, set_epoch, training_loader
 from eldata.datasets.ranks import ExactSampler, Rank, ShuffledSampler, current_rank
-from eldata.datasets.worker_count import chosen_workers
+from eldata.datasets.worker_count import loader_workers
 from eldata.errors import ArgumentError
 from tests.sources.store.helpers import pack_tree
 from tests.waiting import PATIENCE_S
@@ -222,33 +222,33 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 def test_workers_follow_the_cpus(machine: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     machine(cpus=8)
-    count, why = chosen_workers(10**6, 2, "forkserver", Rank())
+    count, why = loader_workers(10**6, 2, "forkserver", Rank())
     assert (count, why.startswith("8 CPUs usable, one left to training; memory for any number")) == (7, True)
-    assert chosen_workers(10**6, 2, "forkserver", Rank(0, 4))[0] == 1
+    assert loader_workers(10**6, 2, "forkserver", Rank(0, 4))[0] == 1
     machine(cpus=1)
-    assert chosen_workers(10**6, 2, "forkserver", Rank())[0] == 1
+    assert loader_workers(10**6, 2, "forkserver", Rank())[0] == 1
     machine(cpus=128)
-    count, why = chosen_workers(10**6, 2, "forkserver", Rank())
+    count, why = loader_workers(10**6, 2, "forkserver", Rank())
     assert count == 16
     assert "more than 16 bring little" in why
     monkeypatch.setenv("LOCAL_WORLD_SIZE", "8")  # of 64 ranks, 8 run here
-    assert chosen_workers(10**6, 2, "forkserver", Rank(0, 64))[0] == 15
+    assert loader_workers(10**6, 2, "forkserver", Rank(0, 64))[0] == 15
 
 
 def test_workers_fit_into_memory(machine: Any) -> None:
     """Half of 3 GB, each worker 100 MB and 2 batches of 200 MB; then shared memory of 1 GB, and a container's 64 MB."""
     machine(memory=3_000_000_000)
-    count, why = chosen_workers(200_000_000, 2, "forkserver", Rank())
+    count, why = loader_workers(200_000_000, 2, "forkserver", Rank())
     assert (count, "memory for 3; " in why, "200.0 MB a batch" in why) == (3, True, True)
-    assert chosen_workers(200_000_000, 2, "spawn", Rank())[0] == 2
-    assert chosen_workers(200_000_000, 2, "forkserver", Rank(), held_bytes=250_000_000)[0] == 2
+    assert loader_workers(200_000_000, 2, "spawn", Rank())[0] == 2
+    assert loader_workers(200_000_000, 2, "forkserver", Rank(), held_bytes=250_000_000)[0] == 2
     machine(shared=1_000_000_000)
-    assert chosen_workers(200_000_000, 2, "forkserver", Rank())[0] == 2
+    assert loader_workers(200_000_000, 2, "forkserver", Rank())[0] == 2
     machine(shared=64 << 20)
-    count, why = chosen_workers(200_000_000, 2, "forkserver", Rank())
+    count, why = loader_workers(200_000_000, 2, "forkserver", Rank())
     assert (count, "shared memory (/dev/shm) for 0" in why) == (0, True)
     machine(memory=None, shared=None)
-    count, why = chosen_workers(0, 2, "forkserver", Rank())
+    count, why = loader_workers(0, 2, "forkserver", Rank())
     assert (count, "memory not known" in why, "size of a batch not known" in why) == (7, True, True)
 
 

@@ -15,19 +15,21 @@ import pytest
 import torch
 from torch.utils.data import DataLoader
 
-from eldata.datasets import RawClips, SyntheticClips
+from eldata.datasets import RawClips, StoredClips, SyntheticClips
 from eldata.datasets.augmentation import ORIENTATIONS
 from eldata.datasets.clips import ClipSample, UnpairedClipSample
-from eldata.datasets.draws import CleanCrop, RgbCrop
+from eldata.datasets.crops import Crop
 from eldata.datasets.drv import DRVDataset, DRVDynamicDataset, DRVRawDataset, DRVRawDynamicDataset
 from eldata.datasets.packed_clips import PackedClips, PackedUnpairedClips
-from eldata.datasets.stored_clean import StoredClips
 from eldata.errors import ArgumentError, DatasetError
 from eldata.raw.dng import write_dng
+from eldata.sources.frames import Frame
 from eldata.sources.store import build_store, source_of_dataset
+from tests.datasets.methods import METHODS
 from tests.drv_tree import NOISY, REFERENCE, RGB_SIZE, SENSOR, SmallDrv, mosaic_of, small_drv, write_raw, write_raw_clip
 from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, make_sensor, random_mosaic
 from tests.sources.store.helpers import pack_folder, pack_tree
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -36,10 +38,6 @@ if TYPE_CHECKING:
 # Python 3.12 and later warn of any fork in a process that has threads.
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
 
-METHODS = [
-    pytest.param("fork", marks=pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")),
-    "spawn",
-]
 CLIPS = ("0007", "0013", "M0003")
 FRAMES = 13
 
@@ -87,7 +85,7 @@ def same(first: Mapping[str, Any], second: Mapping[str, Any]) -> None:
 
 @pytest.mark.parametrize("options", [{}, {"window": 3, "stride": 2}, {"frames": "evaluation"}, {"ids": ["0013"]}])
 def test_whole_rgb_windows_are_those_of_the_files(options: dict[str, Any], rgb: Path, drv: SmallDrv) -> None:
-    ours = PackedClips(rgb, crop=None, augment=False, splits=["test"], **options)
+    ours = PackedClips(rgb, crop=None, augment=False, split=["test"], **options)
     theirs = DRVDataset(drv.data, manifest=drv.csv, split="test", **options)
     assert ours.records == theirs.records
     assert ours.frame.equals(theirs.frame)
@@ -123,10 +121,11 @@ def test_crops_of_rgb_windows_are_parts_of_the_files_turned_alike(rgb: Path, drv
     ours.set_epoch(2)
     theirs = DRVDataset(drv.data, manifest=drv.csv)
     assert len(ours) == 12 * len(theirs)
+    like = Frame.of_rgb(np.zeros((3, *RGB_SIZE), np.uint16), "")
     places, turns = set(), set()
     for index, sample in enumerate(ours):
         other = theirs[index % len(theirs)]
-        drawn = RgbCrop.draw("", RGB_SIZE, np.random.default_rng([4, 2, index]), crop=21, augment=True)
+        drawn = Crop.draw(like, np.random.default_rng([4, 2, index]), crop=21, augment=True)
         for name in ("input", "target"):
             part = other[name][..., drawn.slices[0], drawn.slices[1]].numpy()
             part = np.swapaxes(part, -1, -2) if drawn.orientation.transpose else part
@@ -143,15 +142,15 @@ def test_crops_of_rgb_windows_are_parts_of_the_files_turned_alike(rgb: Path, drv
 
 @pytest.mark.parametrize("clip", ["0007", "0013"])
 def test_crops_of_raw_windows_are_parts_of_the_files(clip: str, raw: Path, raw_files: Path) -> None:
-    """Not turned, a crop is a region of the packed frame; turned ones are CleanCrop's, whose tests look at the CFA."""
+    """Not turned, a crop is a region of the packed frame; turned ones are Crop's, whose tests look at the CFA."""
     options: dict[str, Any] = {"ids": [clip], "clip": "none", "window": 3}
     ours = PackedClips(raw, crop=6, augment=False, crops_per_window=8, seed=1, **options)
     starts = set()
     for index, sample in enumerate(ours):
-        drawn = ours._item(index).crop
+        drawn = ours.item(index).crop
         area = DRVRawDataset(raw_files / "DRV", **options)
         scale = 2 if clip == "0007" else 3
-        whole = CleanCrop.draw(  # where the packed area begins: the crop of all of it
+        whole = Crop.draw(  # where the packed area begins: the crop of all of it
             ours_clean(ours, index), np.random.default_rng(0), crop=None, augment=False
         )
         top, left = ((part.start - all_.start) // scale for part, all_ in zip(drawn.slices, whole.slices, strict=True))
@@ -164,10 +163,7 @@ def test_crops_of_raw_windows_are_parts_of_the_files(clip: str, raw: Path, raw_f
 
 
 def ours_clean(dataset: PackedClips, index: int) -> Any:
-    from eldata.datasets.stored_clean import stored_clean_frame
-
-    first: Any = dataset._item(index).frames[0].stored
-    return stored_clean_frame(dataset._reader, first, 16383.0)
+    return dataset.item(index).reference
 
 
 def test_turned_raw_windows_keep_their_colours(raw: Path) -> None:
@@ -195,7 +191,7 @@ def test_workers_and_batches_change_nothing(method: str, which: str, rgb: Path, 
     dataset = PackedClips({"rgb": rgb, "raw": raw}[which], crop=8, crops_per_window=5, seed=6, ids=ids)
     dataset.set_epoch(3)
     reference = list(dataset)
-    options: dict[str, Any] = {"num_workers": 2, "multiprocessing_context": method, "timeout": 60}
+    options: dict[str, Any] = {"num_workers": 2, "multiprocessing_context": method, "timeout": PATIENCE_S}
     for item, wanted in zip(DataLoader(dataset, batch_size=None, **options), reference, strict=True):
         same(item, wanted)
     together = [item for batch in DataLoader(dataset, batch_size=3, **options) for item in items_of(batch)]
@@ -246,7 +242,7 @@ def test_choices_and_refusals(rgb: Path, raw: Path, tmp_path: Path) -> None:
         assert part in repr(dataset)
     for options, word in (
         ({"ids": ["0008"]}, "known are 0007, 0013"),
-        ({"splits": ["train"]}, "no clip has split train; known are test"),
+        ({"split": ["train"]}, "no clip has split train; known are test"),
         ({"levels": "camera"}, "levels must be one of"),
         ({"clip": "lower"}, "clip must be one of"),
         ({"seed": -1}, "seed must be 0 or more"),

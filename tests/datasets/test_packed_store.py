@@ -15,16 +15,17 @@ import torch
 from torch.utils.data import DataLoader, default_collate
 
 from eldata import PackedStore, SyntheticPairs
-from eldata.datasets import PairDataset, RawFiles, StoredFrames, normalise_batch, packed_store
+from eldata.datasets import PairDataset, RawFiles, StoredFrames, dn_batches, normalise_batch
 from eldata.datasets.base import Sample
 from eldata.datasets.clean import CleanFrame
-from eldata.datasets.draws import CleanCrop
+from eldata.datasets.crops import Crop
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.card import save_card
 from eldata.manifest.subsets import Subset
 from eldata.raw import read_raw, write_dng
 from eldata.raw.cfa import pack_normalised
 from eldata.raw.levels import with_levels
+from tests.datasets.methods import METHODS
 from tests.raw.helpers import BAYER, EXPOSURE, make_sensor, random_mosaic
 from tests.sid_tree import SmallTree, build_small_tree
 from tests.sources.store.helpers import pack_folder, pack_tree, write_clean
@@ -37,11 +38,6 @@ if TYPE_CHECKING:
 
 # Python 3.12 and later warn of any fork in a process that has threads.
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
-
-METHODS = [
-    pytest.param("fork", marks=pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")),
-    "spawn",
-]
 
 
 @pytest.fixture(scope="session")
@@ -127,7 +123,7 @@ def test_a_crop_is_a_part_of_the_raw_routes_frame(
 def test_a_turned_crop_is_that_of_the_raw_mosaics(
     which: str, eld: Path, fuji: Path, pristine: Tree, fuji_tree: SmallTree
 ) -> None:
-    """CleanCrop's own tests show that all eight orientations occur and keep the CFA."""
+    """Crop's own tests show that all eight orientations occur and keep the CFA."""
     store, tree = (eld, pristine) if which == "eld" else (fuji, fuji_tree)
     stored = PackedStore(store, crop=4, crops_per_frame=2, seed=5, clip="upper")
     stored.set_epoch(3)
@@ -135,7 +131,7 @@ def test_a_turned_crop_is_that_of_the_raw_mosaics(
         record = stored.records[index % len(stored.records)]
         noisy, reference = (read_raw(tree.data / path) for path in (record.path, record.reference))
         like = CleanFrame(noisy.mosaic, noisy.sensor.cfa, noisy.sensor.black_level_dn, 16383.0, "")
-        crop = CleanCrop.draw(like, np.random.default_rng([5, 3, index]), crop=4, augment=True)
+        crop = Crop.draw(like, np.random.default_rng([5, 3, index]), crop=4, augment=True)
         for key, frame, gain in (("input", noisy, ours["ratio"]), ("target", reference, 1.0)):
             sensor = with_levels(frame.sensor, "published")
             expected = pack_normalised(
@@ -187,14 +183,14 @@ def test_a_batch_in_dn_becomes_the_raw_routes(which: str, clip: Any, eld: Path, 
     levels: Any
     for levels in ("published", "metadata"):
         pairs = PackedStore({"eld": eld, "fuji": fuji}[which], crop=6, levels=levels, clip=clip)
-        dn_batches = DataLoader(pairs.in_dn(), batch_size=5)
-        for batch, wanted in zip(dn_batches, DataLoader(pairs, batch_size=5), strict=True):
+        in_dn = DataLoader(pairs.in_dn(), batch_size=5)
+        for batch, wanted in zip(in_dn, DataLoader(pairs, batch_size=5), strict=True):
             assert batch["input_dn"].dtype == batch["target_dn"].dtype == torch.uint16
             same_batch(normalise_batch(batch, clip=clip), wanted)
             # What runs on a device, here on the CPU.
             for side in ("input", "target"):
-                images = list(packed_store._images(batch, side))
-                assert torch.equal(packed_store._by_torch(images, clip), wanted[side])
+                images = list(dn_batches._images(batch, side))
+                assert torch.equal(dn_batches._by_torch(images, clip), wanted[side])
         same(normalise_batch(pairs.in_dn()[1], clip=clip), pairs[1])
 
 
@@ -246,7 +242,7 @@ def test_batches_hold_the_items(which: str, workers: int, eld: Path, fuji: Path)
     """Which DataLoaders ask for at once, in this process by threads; in DN too; the last batch is smaller."""
     dataset = some({"eld": eld, "fuji": fuji}[which], crops_per_frame=3)
     dataset.set_epoch(2)
-    options: dict[str, Any] = {"batch_size": 5, "num_workers": workers, "timeout": 60 if workers else 0}
+    options: dict[str, Any] = {"batch_size": 5, "num_workers": workers, "timeout": PATIENCE_S if workers else 0}
     wanted = [default_collate([dataset[index] for index in indices]) for indices in batched(len(dataset), 5)]
     for batch, other in zip(DataLoader(dataset, **options), wanted, strict=True):
         assert list(batch) == list(other)

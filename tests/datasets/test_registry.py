@@ -1,11 +1,7 @@
-"""What every dataset of the registry must do. A new dataset is tested by being registered.
-
-A class that takes no such argument, or has nothing to choose, says why in ``NOT_TAKEN``.
-"""
+"""What every dataset of the registry must do. A new dataset is tested by being registered."""
 
 from __future__ import annotations
 
-import os
 import pickle
 from collections import Counter
 from dataclasses import fields
@@ -22,6 +18,7 @@ from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.catalogue import Manifest, shipped_manifest, shipped_names
 from eldata.manifest.pairs import select_pairs
 from eldata.manifest.verify import verify
+from tests.datasets.methods import FORK
 from tests.drv_tree import build_drv_tree
 from tests.sid_tree import build_sid_tree
 from tests.trees import build_published_tree
@@ -42,34 +39,15 @@ TREES: dict[str, Callable[[Manifest, Path], None]] = {
 ARGUMENTS = {
     "camera": "cameras",
     "scene": "scenes",
-    "split": "splits",
+    "split": "split",
     "iso": "isos",
     "ratio": "ratios",
     "subset": "subset",
 }
-# ... unless a class calls it otherwise, or takes one value.
-OWN_ARGUMENTS = {
-    ("sid-sony", "camera"): "camera",
-    ("sid-fuji", "camera"): "camera",
-    ("sid-sony", "split"): "split",
-    ("sid-fuji", "split"): "split",
-    ("drv", "scene"): "ids",
-    ("drv", "split"): "split",
-}
-TAKE_ONE_VALUE = ("camera", "split", "subset")
-NOT_TAKEN = {
-    ("eld", "split"): "all of it is one split, test",
-    ("eld", "subset"): "its card names none: the protocol chooses by ratio",
-    ("drv", "camera"): "there is one",
-    ("drv", "iso"): "the preprocessed files state none, and it is not published",
-    ("drv", "ratio"): "as for ISO",
-    ("drv", "subset"): "its subsets are its splits; they are for evaluate, which has one choice for images and clips",
-}
-# Values that the message lists where they are not those of the manifest: SID's cameras choose the manifest, and its
-# split eval is val and test; clips of drv without a reference are another class's, with a split of their own.
+TAKE_ONE_VALUE = ("subset",)
+# Values that the message lists where they are not those of the manifest: SID's split eval is val and test; clips of drv
+# without a reference are another class's, with a split of their own.
 OWN_VALUES = {
-    ("sid-sony", "camera"): {"sony", "fuji"},
-    ("sid-fuji", "camera"): {"sony", "fuji"},
     ("sid-sony", "split"): {"train", "val", "test", "eval"},
     ("sid-fuji", "split"): {"train", "val", "test", "eval"},
     ("drv", "scene"): {f"{number:04d}" for number in range(1, 203)},
@@ -80,10 +58,6 @@ NAMES = tuple(registry._ENTRIES)  # not those of packages that happen to be inst
 EVERY = pytest.mark.parametrize("name", NAMES)
 OF_PAIRS = [name for name in NAMES if issubclass(dataset_class(name), PairDataset)]
 OF_CLIPS = [name for name in NAMES if name not in OF_PAIRS]
-METHODS = [
-    pytest.param("fork", marks=pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")),
-    "spawn",
-]
 
 # Python 3.12 and later warn of any fork in a process that has threads.
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
@@ -126,7 +100,7 @@ def few(opened: Callable[..., Any]) -> Callable[[str], Any]:
 
 def chosen(name: str, kind: str, value: object) -> dict[str, object]:
     """The keyword argument with which a dataset's class chooses a value."""
-    argument = OWN_ARGUMENTS.get((name, kind), ARGUMENTS[kind])
+    argument = ARGUMENTS[kind]
     return {argument: value if argument in TAKE_ONE_VALUE else [value]}
 
 
@@ -278,7 +252,7 @@ def test_samples_collate(name: str, few: Callable[[str], Any]) -> None:
             assert len(batch[key]) == 2
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", [FORK, "spawn"])
 def test_workers_give_the_same_samples(method: str, few: Callable[[str], Any]) -> None:
     """All datasets in one loader: a spawned worker takes seconds to start."""
     parts = [Some(dataset, range(min(2, len(dataset)))) for dataset in map(few, NAMES)]
@@ -348,10 +322,6 @@ def test_the_class_says_what_it_is(name: str, few: Callable[[str], Any]) -> None
 @EVERY
 def test_unknown_values_list_the_known(name: str, kind: str, opened: Callable[..., Any]) -> None:
     wrong = 7 if kind in ("iso", "ratio") else "nowhere"
-    if (name, kind) in NOT_TAKEN:
-        with pytest.raises(TypeError, match="unexpected keyword"):
-            opened(name, **chosen(name, kind, wrong))
-        return
     known = known_values(name, kind)
     with pytest.raises(ArgumentError) as raised:
         opened(name, **chosen(name, kind, wrong))
@@ -359,6 +329,22 @@ def test_unknown_values_list_the_known(name: str, kind: str, opened: Callable[..
     assert str(wrong) in message
     named = [value for value in known or {"none"} if str(value) in message]
     assert len(named) == len(known or {"none"}) or (len(named) >= 10 and f"known are {len(known)}, " in message)
+
+
+@EVERY
+def test_an_unknown_argument_lists_the_known(name: str, opened: Callable[..., Any]) -> None:
+    with pytest.raises(TypeError, match="got an unexpected keyword argument 'colour'; known are cameras, scenes, isos"):
+        opened(name, colour="red")
+
+
+@EVERY
+def test_the_names_of_0_1_are_understood(name: str, opened: Callable[..., Any]) -> None:
+    split = next(record.split for record in shipped_manifest(name).records if record.role == "noisy")
+    with pytest.warns(DeprecationWarning, match="splits is called split now; the old name goes with 0.3"):
+        old = opened(name, splits=[split])
+    assert old.records == opened(name, split=split).records == opened(name, split=[split]).records
+    with pytest.raises(TypeError, match="split was called splits; give it once"):
+        opened(name, split=split, splits=[split])
 
 
 @EVERY

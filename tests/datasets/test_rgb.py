@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import torch
-from torch.utils.data import DataLoader
+from torch.utils.data import DataLoader, Dataset
 
 from eldata.datasets.base import PairDataset
-from eldata.datasets.clean import Arrays, RawFiles
+from eldata.datasets.clean import Arrays, RawFiles, StoredFrames
 from eldata.datasets.packed_store import PackedStore
 from eldata.datasets.rgb import (
     OneSensor,
@@ -23,13 +23,13 @@ from eldata.datasets.rgb import (
     raw2rgb,
     rgb2rgb,
 )
-from eldata.datasets.stored_clean import StoredFrames
 from eldata.datasets.synthetic import SyntheticPairs
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.isp.rendering import Gamma, Rendering
 from eldata.isp.response import ResponseCurve
 from eldata.isp.srgb_pairs import render_pair_for_scoring
 from eldata.raw import read_raw, write_dng
+from tests.datasets.methods import METHODS
 from tests.raw.helpers import make_sensor
 from tests.sources.store.helpers import pack_folder, pack_tree
 from tests.trees import BETA, Tree, copy_tree, frame
@@ -185,7 +185,7 @@ def test_arrays_need_a_sensor_from_the_caller() -> None:
 # --- workers ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", ["fork", "spawn"])
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
 def test_workers_change_nothing(method: str, balanced: Tree) -> None:
     staged = rgb2rgb(pairs_of(balanced))
@@ -224,8 +224,11 @@ def test_a_frame_that_the_store_lacks_is_named(balanced: Tree, tmp_path: Path) -
 
 
 def test_a_dataset_without_epochs_says_so(balanced: Tree) -> None:
-    with pytest.raises(ArgumentError, match="PairDataset has no epochs"):
-        raw2rgb(pairs_of(balanced)).set_epoch(1)
+    class Plain(Dataset[Any]):
+        pass
+
+    with pytest.raises(ArgumentError, match="Plain has no epochs"):
+        raw2rgb(Plain(), sensors=OneSensor(make_sensor())).set_epoch(1)
 
 
 def test_drvs_packed_frames_take_their_references_sensor(pristine: Tree) -> None:

@@ -5,13 +5,16 @@ from __future__ import annotations
 import shutil
 import zlib
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
 from eldata.demo.tree import make_tree
+from eldata.evaluation.planning import plan_scoring
+from eldata.evaluation.request import make_request
 from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
+from eldata.records import PairRecord
 from tests.evaluation import oracle
 
 if TYPE_CHECKING:
@@ -19,6 +22,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
+
+    from eldata.evaluation.request import EvaluationOptions
+    from eldata.protocols import Protocol
 
 SIZE = (64, 96)
 
@@ -48,6 +54,12 @@ class Tree:
     def copy(self, folder: Path) -> Tree:
         shutil.copytree(self.folder, folder)
         return Tree(folder)
+
+
+def scored_pairs(dataset: str, protocol: str | Protocol, **options: Unpack[EvaluationOptions]) -> list[PairRecord]:
+    """The pairs that a protocol scores of a shipped set."""
+    request = make_request("predictions", dataset, protocol, options)
+    return [pair for pair in plan_scoring(request, request.protocols[0]).pairs if isinstance(pair, PairRecord)]
 
 
 def small_tree(folder: Path, scenes: int = 1) -> Tree:

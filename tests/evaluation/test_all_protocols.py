@@ -5,17 +5,22 @@ from __future__ import annotations
 import csv
 import json
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
+from eldata.base.workers import Workers
 from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation import evaluate, evaluate_all, load_prediction, save_prediction
-from eldata.evaluation.results import CSV_COLUMNS
+from eldata.evaluation.evaluate import perform
+from eldata.evaluation.request import make_request
 from eldata.protocols import PROTOCOLS
+from eldata.protocols.kinds import IMAGES
 from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
+from tests.drv_tree import small_drv
 from tests.evaluation import plain
 from tests.evaluation.own_set import OwnSet, build_own_set
 
@@ -52,7 +57,7 @@ def test_all_equals_single_runs(own: OwnSet, preds: Path) -> None:
     combined = evaluate_all(preds, manifest=own.manifest, root=own.root)
     assert [result.protocol.name for result in combined.results] == ["eld", "eld-uncorrected", "led-sid", "lrd-sid"]
     for result in combined.results:
-        assert result == evaluate(preds, manifest=own.manifest, root=own.root, protocol=result.protocol)
+        assert result == evaluate(preds, manifest=own.manifest, root=own.root, protocol=result.protocol.name)
     assert len({image.psnr_db for result in combined.results for image in result.images}) == 16
     assert combined.scored == 4
 
@@ -64,7 +69,7 @@ def test_all_does_not_depend_on_jobs(own: OwnSet, preds: Path) -> None:
 
 def test_each_file_is_decoded_once(own: OwnSet, preds: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """But for the white level per channel, for which rawpy decodes once more."""
-    from eldata.evaluation import scoring
+    from eldata.evaluation import units
     from eldata.raw import reading
 
     decoded, loaded = [], []
@@ -79,7 +84,7 @@ def test_each_file_is_decoded_once(own: OwnSet, preds: Path, monkeypatch: pytest
         return genuine_load(*arguments)  # type: ignore[arg-type]
 
     monkeypatch.setattr(reading, "read_raw", read)
-    monkeypatch.setattr(scoring, "load_prediction", load)
+    monkeypatch.setattr(units, "load_prediction", load)
     evaluate_all(preds, manifest=own.manifest, root=own.root)
     assert sorted(decoded) == ["s0/clean.dng", "s1/clean.dng"]
     assert len(loaded) == len(set(loaded)) == 4
@@ -119,12 +124,12 @@ def test_files_of_all(own: OwnSet, preds: Path, tmp_path: Path) -> None:
     assert {one["protocol"] for one in data["not_scored"]} == {"eld-cvpr20", "sid-srgb", "sid2018"}
     with (tmp_path / "all.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    assert tuple(rows[0]) == ("protocol", *CSV_COLUMNS)
+    assert tuple(rows[0]) == ("protocol", *IMAGES.columns)
     for result in combined.results:
         mine = [row for row in rows if row["protocol"] == result.protocol.name]
         assert [float(row["psnr_db"]) for row in mine] == [image.psnr_db for image in result.images]
         result.write_csv(tmp_path / "one.csv")
-        assert (tmp_path / "one.csv").read_text().splitlines()[0] == ",".join(CSV_COLUMNS)
+        assert (tmp_path / "one.csv").read_text().splitlines()[0] == ",".join(IMAGES.columns)
 
 
 def test_problems_are_told_once(own: OwnSet, tmp_path: Path) -> None:
@@ -170,7 +175,7 @@ def test_all_of_the_input(own: OwnSet) -> None:
 # --- sets of one's own ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", [name for name in PROTOCOLS if PROTOCOLS[name].space == "raw"])
+@pytest.mark.parametrize("name", [name for name, one in PROTOCOLS.items() if one.space == "raw" and one.kind is IMAGES])
 def test_any_protocol_scores_whatever_factors_a_set_has(name: str, own: OwnSet, preds: Path) -> None:
     result = evaluate(preds, manifest=own.manifest, root=own.root, protocol=name)
     assert result.provenance["ratios"] == [50, 100]
@@ -258,3 +263,23 @@ def test_an_executor_of_the_callers(own: OwnSet, preds: Path) -> None:
         combined = evaluate_all(preds, manifest=own.manifest, root=own.root, workers=executor)
         assert executor.submit(int, "7").result() == 7  # it was not shut down
     assert combined.results[0] == expected
+
+
+# --- errors of our own ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_an_error_of_our_own_is_raised_and_names_its_unit(own: OwnSet, preds: Path, jobs: int, tmp_path: Path) -> None:
+    """It is not a problem of the data, of images and clips alike, whatever is allowed to be missing."""
+    drv = small_drv(tmp_path / "drv", ("0007",), 12)
+    broken = replace(PROTOCOLS["eld"], name="broken"), replace(PROTOCOLS["drv-rgb"], name="broken")
+    for protocol in broken:
+        object.__setattr__(protocol, "data_range", "1")  # as a mistake of ours might, past all checks
+    images = make_request(preds, "", None, {"manifest": own.manifest, "root": own.root, "allow_missing": True})
+    clips = make_request(None, "", None, {"manifest": drv.csv, "root": drv.root, "ids": ["0007"], "baseline": "input"})
+    for request, protocol, unit in zip((images, clips), broken, ("s0/clean.dng", "long/0007/"), strict=True):
+        with pytest.raises(TypeError) as caught:
+            perform(replace(request, protocols=(protocol,), workers=Workers(jobs)))
+        assert any(
+            note.startswith(f"while the predictions for the reference {unit}") for note in caught.value.__notes__
+        )

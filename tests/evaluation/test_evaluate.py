@@ -4,7 +4,7 @@ import csv
 import json
 import math
 import shutil
-from dataclasses import asdict, replace
+from dataclasses import replace
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -14,8 +14,9 @@ import pytest
 from eldata import __version__
 from eldata.base.files import sha256_of
 from eldata.errors import ArgumentError, DatasetError, EldataError, ManifestError
-from eldata.evaluation import EvaluationResult, ImageScore, evaluate
+from eldata.evaluation import EvaluationResult, UnitScore, evaluate
 from eldata.protocols import PROTOCOLS
+from eldata.protocols.kinds import IMAGES
 from tests.evaluation import oracle
 from tests.evaluation.helpers import Tree, place, small_tree
 
@@ -371,8 +372,8 @@ def test_csv(result: EvaluationResult, tmp_path: Path) -> None:
 def test_csv_keeps_every_digit_of_unusual_numbers(
     iso: float, ratio: float, result: EvaluationResult, tmp_path: Path
 ) -> None:
-    image = ImageScore('odd, "name".dng', "C", "s", iso, ratio, 0.1 + 0.2, 1 / 3, 2 / 3)
-    replace(result, images=(image,)).write_csv(tmp_path / "scores.csv")
+    image = UnitScore('odd, "name".dng', "C", "s", iso, ratio, {"psnr_db": 0.1 + 0.2, "ssim": 1 / 3, "rescale": 2 / 3})
+    replace(result, scores=(image,)).write_csv(tmp_path / "scores.csv")
     with (tmp_path / "scores.csv").open(newline="", encoding="utf-8") as file:
         (row,) = csv.DictReader(file)
     assert row["path"] == image.path
@@ -383,9 +384,9 @@ def test_json(result: EvaluationResult, tmp_path: Path) -> None:
     result.write_json(tmp_path / "scores.json")
     data = strict((tmp_path / "scores.json").read_text(encoding="utf-8"))
     assert set(data) == {"protocol", "provenance", "coverage", "images", "table", "problems", "notes"}
-    assert data["images"] == [asdict(image) for image in result.images]
+    assert data["images"] == [image.as_dict(IMAGES) for image in result.images]
     assert all(list(image) == COLUMNS for image in data["images"])
-    assert data["table"] == [asdict(row) for row in result.table]
+    assert data["table"] == [row.as_dict(IMAGES) for row in result.table]
     assert data["provenance"] == result.provenance
     assert data["protocol"]["name"] == "eld"
     assert data["protocol"]["ratios"] == [100, 200]
@@ -426,7 +427,7 @@ def test_frame(result: EvaluationResult) -> None:
 
 
 def test_frame_without_scores_has_its_columns(result: EvaluationResult) -> None:
-    assert list(replace(result, images=()).frame.columns) == COLUMNS
+    assert list(replace(result, scores=()).frame.columns) == COLUMNS
 
 
 def test_text_names_dataset_protocol_and_digest(result: EvaluationResult) -> None:

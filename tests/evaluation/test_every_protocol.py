@@ -14,13 +14,14 @@ import rawpy
 from PIL import Image
 
 from eldata.evaluation import EvaluationResult, evaluate, evaluate_all, save_prediction
-from eldata.evaluation.planning import make_plan
 from eldata.manifest.catalogue import shipped_manifest
 from eldata.protocols import PROTOCOLS
+from eldata.protocols.kinds import IMAGES
 from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
 from eldata.records import Exposure
 from tests.evaluation import oracle, plain
+from tests.evaluation.helpers import scored_pairs
 from tests.evaluation.own_set import WHITE_BALANCE, OwnSet, build_own_set, mosaic_of, sensor_of
 from tests.sid_tree import frames_of, write_frames
 
@@ -74,8 +75,8 @@ def eld(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, dict[str,
     root = tmp_path_factory.mktemp("eld")
     files = root / "ELD"
     manifest = shipped_manifest("eld")
-    plan = make_plan(manifest, PROTOCOLS["eld"], cameras=ELD_CAMERAS, subset=None, exclude_flags=())
-    pairs = [(pair.path, pair.reference) for pair in plan.pairs]
+    scored = scored_pairs("eld", "eld", cameras=ELD_CAMERAS)
+    pairs = [(pair.path, pair.reference) for pair in scored]
     record_of = {record.path: record for record in manifest.records}
     size = (48, 64)
     exposure_of: dict[str, Exposure] = {}
@@ -149,9 +150,9 @@ def sid(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, dict[str,
     root = tmp_path_factory.mktemp("sid")
     files = root / "SID"
     manifest = shipped_manifest("sid-sony")
-    plan = make_plan(manifest, PROTOCOLS["sid"], cameras=None, subset=None, exclude_flags=())
-    write_frames("sid-sony", files, frames_of(manifest, {pair.path for pair in plan.pairs}))
-    return root, files, predict(files, root / "preds", [(pair.path, pair.reference) for pair in plan.pairs])
+    scored = scored_pairs("sid-sony", "sid")
+    write_frames("sid-sony", files, frames_of(manifest, {pair.path for pair in scored}))
+    return root, files, predict(files, root / "preds", [(pair.path, pair.reference) for pair in scored])
 
 
 @pytest.mark.parametrize("name", SID_COUNTS)
@@ -269,7 +270,7 @@ def test_finer_predictions_are_rounded_to_8_bits(
 
 def test_every_shipped_protocol_is_compared() -> None:
     compared = {*plain.WAYS, "sid2018", "sid-srgb"}
-    assert compared == set(PROTOCOLS)
+    assert compared == {name for name, protocol in PROTOCOLS.items() if protocol.kind is IMAGES}
 
 
 # --- the input itself -------------------------------------------------------------------------------------------------

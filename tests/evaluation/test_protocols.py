@@ -12,8 +12,6 @@ from typing import Any
 import pytest
 
 from eldata.errors import ArgumentError
-from eldata.evaluation.planning import make_plan
-from eldata.manifest.catalogue import shipped_manifest
 from eldata.protocols import (
     PROTOCOLS,
     comparability,
@@ -24,8 +22,8 @@ from eldata.protocols import (
     protocols_for,
 )
 from eldata.protocols.protocol import CHOICES, DESCRIPTIVE
-from eldata.protocols.video import VIDEO_PROTOCOLS
 from eldata.protocols.words import FIELDS, HEADER, described, summary
+from tests.evaluation.helpers import scored_pairs
 
 GOLDEN = Path(__file__).parent / "golden" / "protocols.json"
 
@@ -160,31 +158,30 @@ def test_protocols_for_a_dataset(dataset: str, names: list[str]) -> None:
     ],
 )
 def test_pairs_of_the_published_sets(name: str, dataset: str, counts: dict[int, int]) -> None:
-    plan = make_plan(shipped_manifest(dataset), PROTOCOLS[name], cameras=None, subset=None, exclude_flags=())
-    found = [int(pair.ratio) for pair in plan.pairs]
+    scored = scored_pairs(dataset, name)
+    found = [int(pair.ratio) for pair in scored]
     assert {ratio: found.count(ratio) for ratio in sorted(set(found))} == counts
     if name == "led-eld":
-        assert {pair.scene for pair in plan.pairs} == {f"scene-{number}" for number in range(3, 11)}
+        assert {pair.scene for pair in scored} == {f"scene-{number}" for number in range(3, 11)}
     if name in ("led-sid", "sid2018"):
-        assert {pair.split for pair in plan.pairs} == {"test"}
+        assert {pair.split for pair in scored} == {"test"}
 
 
 def test_a_protocol_that_fixes_its_pairs_takes_no_others() -> None:
-    manifest = shipped_manifest("sid-sony")
     with pytest.raises(ArgumentError, match="'led-sid' scores the subset 'test-first', not 'all'"):
-        make_plan(manifest, PROTOCOLS["led-sid"], cameras=None, subset="all", exclude_flags=())
+        scored_pairs("sid-sony", "led-sid", subset="all")
     with pytest.raises(ArgumentError, match="scores SonyA7S2, not NikonD850"):
-        make_plan(shipped_manifest("eld"), PROTOCOLS["pmn-eld"], cameras=["NikonD850"], subset=None, exclude_flags=())
+        scored_pairs("eld", "pmn-eld", cameras=["NikonD850"])
     with pytest.raises(ArgumentError, match="'eld' is for dataset 'eld', not 'sid-sony'"):
-        make_plan(manifest, PROTOCOLS["eld"], cameras=None, subset=None, exclude_flags=())
+        scored_pairs("sid-sony", "eld")
 
 
 # --- words ------------------------------------------------------------------------------------------------------------
 
 
 def test_every_field_has_words() -> None:
-    values = PROTOCOLS["eld"].as_dict()
-    assert set(FIELDS) == set(values) - {"name", "title", "source", "family"}
+    stated = {field for name in ("eld", "drv-rgb") for field in PROTOCOLS[name].as_dict()}
+    assert set(FIELDS) == stated - {"name", "title", "source", "family"}
     for field, choices in CHOICES.items():
         words = [FIELDS[field][1](choice) for choice in choices]
         assert len(set(words)) == len(words)
@@ -231,7 +228,7 @@ def test_a_field_that_an_older_version_did_not_state_is_said() -> None:
 
 
 def test_protocols_of_clips_compare_too() -> None:
-    raw, plain = (VIDEO_PROTOCOLS[name].as_dict() for name in ("drv-raw", "drv-raw-uncorrected"))
+    raw, plain = (PROTOCOLS[name].as_dict() for name in ("drv-raw", "drv-raw-uncorrected"))
     assert comparability(raw, raw) == []
     assert comparability(raw, plain) == ["rescaling: one factor per image against none"]
 
@@ -280,7 +277,7 @@ def test_the_example_in_the_docs(tmp_path: Path) -> None:
     for name in PROTOCOLS:
         assert f"`{name}`" in text
     for field in FIELDS:
-        assert f"`{field}`" in text or field in ("psnr", "ssim")
+        assert f"`{field}`" in text or field in ("psnr", "ssim") or field not in PROTOCOLS["eld"].as_dict()
     for choices in CHOICES.values():
         assert all(f"`{choice}`" in text for choice in choices)
 
@@ -289,8 +286,8 @@ def test_any_dataset_and_all_factors(tmp_path: Path) -> None:
     found = load_protocol(written(tmp_path, START + 'dataset = "any"\nratios = []\n'))
     assert found.covers("sid-sony")
     assert found.covers("mine")
-    plan = make_plan(shipped_manifest("eld"), found, cameras=None, subset=None, exclude_flags=())
-    assert len(plan.pairs) == 480
+    scored = scored_pairs("eld", found)
+    assert len(scored) == 480
 
 
 @pytest.mark.parametrize(
@@ -319,6 +316,7 @@ def test_any_dataset_and_all_factors(tmp_path: Path) -> None:
         ('base = "eld"\ntitle = "x"\n', r"field name: is missing; a protocol needs base, name and title"),
         ('name = "x"\ntitle = "x"\n', r"field base: is missing; a protocol needs base"),
         ('base = "ELD"\nname = "x"\ntitle = "x"\n', r"field base: expected one of 'eld', .*, found 'ELD'"),
+        ('base = "drv-rgb"\nname = "x"\ntitle = "x"\n', r"base: 'drv-rgb' scores clips; .* starts from one of images"),
         ('base = "eld"\nname = "sid"\ntitle = "x"\n', r"name: 'sid' is the name of a shipped protocol"),
         ('base = "eld"\nname = "all"\ntitle = "x"\n', r"name: 'all' is the name of a shipped"),
         ('base = "eld"\nname = "led"\ntitle = "x"\n', r"name: 'led' is the name of a shipped"),

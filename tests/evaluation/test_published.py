@@ -4,22 +4,24 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from eldata.errors import ArgumentError, ManifestError
-from eldata.evaluation.common import json_safe
+from eldata.errors import FileError, ManifestError
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.published import COLUMNS, load_published
 from eldata.evaluation.published_comparison import comparison_table
-from eldata.evaluation.results import EvaluationResult, ImageScore
+from eldata.evaluation.results import EvaluationResult
+from eldata.evaluation.scores import UnitScore
+from eldata.evaluation.table import TableRow
 from eldata.manifest.catalogue import shipped_manifest
 from eldata.manifest.pairs import select_pairs
 from eldata.manifest.subsets import find_subset
 from eldata.protocols import PROTOCOLS
-from eldata.protocols.video import VIDEO_PROTOCOLS
+from eldata.protocols.protocol import StatedProtocol
 
 if TYPE_CHECKING:
     from tests.evaluation.helpers import Tree
@@ -27,27 +29,26 @@ if TYPE_CHECKING:
 GOLDEN = Path(__file__).parent / "golden" / "published.txt"
 
 
-def row(camera: str | None, ratio: float | None, pairs: int, psnr_db: float, ssim: float) -> dict[str, Any]:
-    return {"camera": camera, "ratio": ratio, "pairs": pairs, "scored": pairs, "psnr_db": psnr_db, "ssim": ssim}
+def row(camera: str | None, ratio: float | None, pairs: int, psnr_db: float, ssim: float) -> TableRow:
+    return TableRow(camera, ratio, pairs, pairs, {"psnr_db": psnr_db, "ssim": ssim})
 
 
 def result_on(
-    dataset: str, protocol: str, table: list[dict[str, Any]], subset: str | None = None, **provenance: Any
-) -> dict[str, Any]:
-    """The JSON of a result, as ``eldata evaluate --json`` writes it."""
-    return {
-        "protocol": {"name": protocol},
-        "provenance": {
-            "dataset": dataset,
-            "cameras": "all",
-            "subset": subset,
-            "excluded_flags": {},
-            "protocol_digest": PROTOCOLS[protocol].digest,
-            **provenance,
-        },
-        "coverage": {"pairs": 0, "scored": 0, "missing": []},
-        "table": table,
+    dataset: str, protocol: str, table: list[TableRow], subset: str | None = None, **provenance: Any
+) -> EvaluationResult:
+    """A result that was read back, without its scores."""
+    stated = {
+        "dataset": dataset,
+        "cameras": "all",
+        "subset": subset,
+        "excluded_flags": {},
+        "protocol_digest": PROTOCOLS[protocol].digest,
+        "manifest_sha256": "sha256:" + "a" * 64,
+        "eldata": "0.1.0",
+        **provenance,
     }
+    rules = StatedProtocol(PROTOCOLS[protocol].kind, {"name": protocol}, stated["protocol_digest"])
+    return EvaluationResult(rules, stated, (), tuple(table), table[-1].pairs, (), (), ())
 
 
 SONY_ELD = [row("SonyA7S2", 100.0, 30, 46.0, 0.98), row("SonyA7S2", 200.0, 30, 43.0, 0.95)]
@@ -131,10 +132,10 @@ def test_a_mean_over_another_camera_is_not_taken_for_one() -> None:
 
 def test_infinity_and_nothing_are_read_as_the_json_has_them() -> None:
     perfect = result_on("eld", "eld", [row("SonyA7S2", 100.0, 30, math.inf, 1.0)])
-    text = comparison_table(json.loads(json.dumps(json_safe(perfect), allow_nan=False)))
+    text = comparison_table(json.loads(json.dumps(perfect.as_dict(), allow_nan=False)))
     assert order_in(text, "SonyA7S2 x100")[0] == "yours"
-    nothing = result_on("eld", "eld", [row("SonyA7S2", 100.0, 30, math.nan, math.nan) | {"scored": 0}])
-    assert "yours has scores of 0 of 30 pairs" in comparison_table(json.loads(json.dumps(json_safe(nothing))))
+    nothing = result_on("eld", "eld", [replace(row("SonyA7S2", 100.0, 30, math.nan, math.nan), scored=0)])
+    assert "yours has scores of 0 of 30 pairs" in comparison_table(json.loads(json.dumps(nothing.as_dict())))
 
 
 # --- where it does not --------------------------------------------------------------------------------------------
@@ -159,7 +160,7 @@ def test_another_protocol_of_the_same_name() -> None:
 
 
 def test_a_protocol_of_your_own_compares_with_nothing() -> None:
-    mine = result_on("eld", "eld", SONY_ELD) | {"protocol": {"name": "mine"}}
+    mine = replace(result_on("eld", "eld", SONY_ELD), protocol=replace(PROTOCOLS["eld"], name="mine"))
     assert "> yours" not in comparison_table(mine)
     assert "published for eld; yours is mine" in comparison_table(mine)
 
@@ -182,7 +183,7 @@ def test_pairs_that_a_flag_left_out() -> None:
 
 
 def test_a_group_with_a_missing_pair_alone_is_not_compared() -> None:
-    table = [SONY_ELD[0], SONY_ELD[1] | {"scored": 29}]
+    table = [SONY_ELD[0], replace(SONY_ELD[1], scored=29)]
     text = comparison_table(result_on("eld", "eld", table))
     assert text.count("> yours") == 1
     assert "SonyA7S2 x200 (34.06 to 43.42 dB): yours has scores of 29 of 30 pairs" in refused(text)
@@ -212,17 +213,8 @@ def test_numbers_of_an_uncertain_protocol_are_never_compared() -> None:
 
 def test_clips() -> None:
     """No published protocol of clips is certain, so nothing compares, and the text says why."""
-    result = {
-        "protocol": {"name": "drv-raw"},
-        "provenance": {
-            "dataset": "drv-raw",
-            "subset": "test",
-            "ids": None,
-            "protocol_digest": VIDEO_PROTOCOLS["drv-raw"].digest,
-        },
-        "coverage": {"videos": 49, "scored": 49, "missing": []},
-        "table": {"psnr_db": 36.0, "ssim": 0.9, "st_rred": 0.4},
-    }
+    means = TableRow(None, None, 49, 49, {"psnr_db": 36.0, "ssim": 0.9, "st_rred": 0.4})
+    result = result_on("drv-raw", "drv-raw", [means], "test", ids=None)
     text = comparison_table(result)
     assert "> yours" not in text
     assert "SonyRX100M6 all factors (32.73 to 37.24 dB): under no protocol" in refused(text)
@@ -240,18 +232,21 @@ def scored(dataset: str, protocol: str, subset: str, psnr_db: float) -> Evaluati
     manifest = shipped_manifest(dataset)
     rules = PROTOCOLS[protocol]
     pairs = select_pairs(manifest.records, ratios=rules.ratios, subset=find_subset(manifest.card.subsets, subset))
-    images = tuple(
-        ImageScore(pair.path, pair.camera, pair.scene, float(pair.iso or 0), float(pair.ratio), psnr_db, 0.9, 1.0)
+    values = {"psnr_db": psnr_db, "ssim": 0.9, "rescale": 1.0}
+    scores = {
+        pair.path: UnitScore(pair.path, pair.camera, pair.scene, float(pair.iso or 0), float(pair.ratio), dict(values))
         for pair in pairs
-    )
+    }
     provenance = {
         "dataset": dataset,
         "cameras": "all",
         "subset": subset,
         "excluded_flags": {},
         "protocol_digest": rules.digest,
+        "manifest_sha256": manifest.digest,
+        "eldata": "0.1.0",
     }
-    return EvaluationResult(rules, provenance, tuple(pairs), images, (), (), ())
+    return EvaluationResult.of(rules, provenance, pairs, scores)
 
 
 def test_a_result_and_its_json_give_the_same(tmp_path: Path) -> None:
@@ -321,27 +316,23 @@ def test_the_text(folder: Path) -> None:
 # --- bad input ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("result", "named"),
-    [
-        ({}, "provenance"),
-        (result_on("eld", "eld", SONY_ELD) | {"protocol": "eld"}, "protocol"),
-        (result_on("eld", "eld", SONY_ELD) | {"table": None}, "table"),
-        (result_on("eld", "eld", SONY_ELD, protocol_digest=None), "protocol_digest"),
-        (result_on("eld", "eld", [SONY_ELD[0] | {"pairs": "30"}]), "pairs"),
-        (result_on("eld", "eld", [SONY_ELD[0] | {"psnr_db": "high"}]), "psnr_db"),
-        (result_on("eld", "eld", SONY_ELD, excluded_flags=["misaligned"]), "excluded_flags"),
-    ],
-)
-def test_what_is_no_result_is_refused_by_field(result: dict[str, Any], named: str) -> None:
-    with pytest.raises(ArgumentError, match=rf"not the result of an evaluation: field '{named}'") as caught:
-        comparison_table(result)
-    assert "\n" not in str(caught.value)
-
-
-def test_rows_that_are_no_objects() -> None:
-    with pytest.raises(ArgumentError, match="rows that are objects; found list"):
-        comparison_table(result_on("eld", "eld", [["SonyA7S2"]]))  # type: ignore[list-item]
+def test_what_is_not_a_result_is_refused_by_field() -> None:
+    """The reader of saved results, whose tests have every field, names it."""
+    with pytest.raises(FileError, match=r"^the result: field provenance: is missing: this is not a result of eldata"):
+        comparison_table({})
+    data = result_on("eld", "eld", SONY_ELD).as_dict()
+    for change, named in (
+        ({"protocol": "eld"}, "field protocol: expected an object"),
+        ({"table": None}, "field table: expected a list"),
+        ({"table": [["SonyA7S2"]]}, r"field table\[0\]: expected an object"),
+        ({"table": [data["table"][0] | {"pairs": "30"}]}, r"field table\[0\].pairs: expected a whole number"),
+        ({"table": [data["table"][0] | {"psnr_db": "high"}]}, r"field table\[0\].psnr_db: expected a finite number"),
+        ({"provenance": data["provenance"] | {"protocol_digest": None}}, "field provenance.protocol_digest"),
+        ({"provenance": data["provenance"] | {"excluded_flags": ["a"]}}, "field provenance.excluded_flags"),
+    ):
+        with pytest.raises(FileError, match=named) as caught:
+            comparison_table(data | change)
+        assert "\n" not in str(caught.value)
 
 
 GOOD = LINES[0]

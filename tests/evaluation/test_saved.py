@@ -4,41 +4,78 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import FrozenInstanceError, asdict
+from dataclasses import FrozenInstanceError, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from eldata import __version__
+from eldata.base.tables import FORMATS
 from eldata.errors import FileError
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.saved import load_results, saved_result
+from eldata.protocols.kinds import CLIPS
+from eldata.protocols.protocol import StatedProtocol
 from tests.reports.evaluations import result_data, written
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
+    from eldata.evaluation.results import EvaluationResult
     from tests.evaluation.helpers import Tree
+
+
+WRITTEN_BY_0_1 = Path(__file__).parents[1] / "written_by_0_1" / "results"
+
+
+def as_read_back(result: EvaluationResult, path: Path) -> EvaluationResult:
+    """What a result is once it was saved: without its pairs, with its protocol as it states itself."""
+    protocol = result.protocol
+    stated = StatedProtocol(protocol.kind, protocol.as_dict(), protocol.digest)
+    return replace(result, protocol=stated, units=(), source=str(path))
 
 
 def test_what_evaluate_wrote_is_read_back(tree: Tree, predictions: Path, tmp_path: Path) -> None:
     result = evaluate(predictions, manifest=tree.manifest, root=tree.root)
     result.write_json(tmp_path / "a.json")
     (saved,) = load_results(tmp_path / "a.json")
-    assert [asdict(image) for image in saved.images] == [asdict(image) for image in result.images]
-    assert [asdict(row) for row in saved.table] == [asdict(row) for row in result.table]
-    assert (saved.dataset, saved.protocol_name) == ("eld-demo", "eld")
-    assert saved.protocol_digest == result.protocol.digest
-    assert saved.protocol == result.protocol.as_dict()
-    assert saved.pairs == len(result.pairs)
-    assert saved.source == str(tmp_path / "a.json")
-    assert saved.images[0].place == ("DemoAlpha", "scene-1")
+    assert saved == as_read_back(result, tmp_path / "a.json")
+    for form in FORMATS:
+        assert saved.format(form) == result.format(form)
+    assert saved.as_dict() == result.as_dict()
+    assert (saved.dataset, saved.protocol.name, saved.digest) == ("eld-demo", "eld", result.protocol.digest)
+    assert saved.scores[0].place == ("DemoAlpha", "scene-1")
+
+
+def test_what_version_0_1_wrote_of_images_is_the_same_once_read_back() -> None:
+    for name in ("eld", "incomplete", "hallway"):
+        (saved,) = load_results(WRITTEN_BY_0_1 / f"{name}.json")
+        assert saved.as_dict() == json.loads((WRITTEN_BY_0_1 / f"{name}.json").read_text(encoding="utf-8"))
+    several = load_results(WRITTEN_BY_0_1 / "all.json")
+    data = json.loads((WRITTEN_BY_0_1 / "all.json").read_text(encoding="utf-8"))
+    assert [one.as_dict() for one in several] == data["results"]
+
+
+def test_what_version_0_1_wrote_of_clips_is_read_back() -> None:
+    """The same but for the table, which is a list of rows now."""
+    for name in ("drv", "drv-some"):
+        (saved,) = load_results(WRITTEN_BY_0_1 / f"{name}.json")
+        data = json.loads((WRITTEN_BY_0_1 / f"{name}.json").read_text(encoding="utf-8"))
+        assert saved.kind is CLIPS
+        means = data.pop("table")
+        found = saved.as_dict()
+        assert found.pop("table") == [
+            {"camera": None, "ratio": None, "videos": saved.expected, "scored": saved.scored} | means
+        ]
+        assert found == data
+        assert [score.path for score in saved.scores] == [one["frame_scores"][0]["path"] for one in data["videos"]]
+        numbers = f"{saved.psnr_db:.2f}", f"{saved.ssim:.3f}", f"{saved.st_rred:.3f}"
+        assert tuple(saved.format_table().splitlines()[2].split()[-3:]) == numbers
 
 
 def test_rows_hold_their_images() -> None:
     saved = saved_result(result_data(), "test")
     for row in saved.table:
-        members = saved.images_of(row)
+        members = saved.scores_of(row)
         assert len(members) == row.scored
         assert math.fsum(image.psnr_db for image in members) / len(members) == pytest.approx(row.psnr_db, rel=1e-13)
 
@@ -50,14 +87,14 @@ def test_missing_and_problems_are_kept() -> None:
     data["notes"] = ["odd"]
     saved = saved_result(data, "test")
     assert saved.missing == ("a/b.ARW", "a/c.ARW")
-    assert saved.pairs == 98
+    assert saved.expected == 98
     assert (saved.problems[0].path, saved.problems[0].reason) == ("p.npy", "is not whole")
     assert saved.notes == ("odd",)
 
 
 def test_several_protocols(tmp_path: Path) -> None:
     path = written(tmp_path / "all.json", {"results": [result_data(), result_data(protocol="eld-uncorrected")]})
-    assert [saved.protocol_name for saved in load_results(path)] == ["eld", "eld-uncorrected"]
+    assert [saved.protocol.name for saved in load_results(path)] == ["eld", "eld-uncorrected"]
 
 
 def test_infinite_and_unknown_scores() -> None:
@@ -72,7 +109,7 @@ def test_infinite_and_unknown_scores() -> None:
 def test_records_are_frozen() -> None:
     saved = saved_result(result_data(), "test")
     with pytest.raises(FrozenInstanceError):
-        saved.images[0].ssim = 1.0  # type: ignore[misc] # which is the point
+        saved.images[0].iso = 1.0  # type: ignore[misc] # which is the point
 
 
 def test_fields_that_a_patch_adds_do_no_harm() -> None:
@@ -98,14 +135,14 @@ def changed(*keys: str | int, to: object) -> dict[str, Any]:
     ("data", "words"),
     [
         (changed("images", 3, "psnr_db", to="high"), ["images[3].psnr_db", '"inf"', "'high'"]),
-        (changed("images", 3, "psnr_db", to=True), ["images[3].psnr_db", "True"]),
-        (changed("images", 3, "psnr_db", to=10**400), ["images[3].psnr_db"]),
+        (changed("images", 3, "psnr_db", to=True), ["images[3].psnr_db", "true"]),
+        (changed("images", 3, "psnr_db", to=10**400), ["images[3].psnr_db", "finite"]),
         (changed("images", 2, "iso", to=None), ["images[2].iso", "0 or more", "null"]),
         (changed("images", 2, "ratio", to=-1), ["images[2].ratio", "-1"]),
         (changed("images", 0, "path", to=7), ["images[0].path", "text", "7"]),
-        (changed("images", 1, "path", to="SonyA7S2/scene-1/IMG_0002.ARW"), ["images[1].path", "not there yet"]),
-        (changed("images", 1, to=[]), ["images[1]", "object", "a list"]),
-        (changed("images", to={}), ["field images", "list", "an object"]),
+        (changed("images", 1, "path", to="SonyA7S2/scene-1/IMG_0002.ARW"), ["images[1].path", "another image"]),
+        (changed("images", 1, to=[]), ["images[1]", "an object", "[]"]),
+        (changed("images", to={}), ["field images", "a list of objects", "{}"]),
         (changed("coverage", "scored", to=11), ["coverage.scored", "12", "11"]),
         (changed("coverage", "pairs", to=3), ["coverage.pairs", "12 or more", "3"]),
         (changed("coverage", "pairs", to=12.0), ["coverage.pairs", "whole number", "12.0"]),
@@ -116,10 +153,10 @@ def changed(*keys: str | int, to: object) -> dict[str, Any]:
         (changed("protocol", "name", to=3), ["protocol.name", "text"]),
         (changed("table", 0, "scored", to=-1), ["table[0].scored", "-1"]),
         (changed("notes", to="odd"), ["field notes", "list of texts"]),
-        (changed("problems", to=[{"path": "a"}]), ["problems[0].reason", "missing"]),
+        (changed("problems", to=[{"path": "a"}]), ["problems[0].reason", "nothing"]),
         ({"problems": [], "ok": True}, ["not a result of eldata evaluate", "provenance", "missing"]),
-        ({"videos": []}, ["scores of clips", "images"]),
-        ([], ["expected an object", "a list"]),
+        ({"videos": []}, ["not a result of eldata evaluate", "provenance"]),
+        ([], ["expected an object", "[]"]),
         ({"results": []}, ["results", "list of results"]),
         ({"results": [result_data(scenes=1), {}]}, ["results[1].provenance", "missing"]),
         ({"results": [3]}, ["results[0]", "object", "3"]),
@@ -139,13 +176,13 @@ def test_a_bad_field_is_named(data: object, words: list[str], tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"", ["not whole JSON", "line 1", "--json"]),
-        (json.dumps(result_data(scenes=1)).encode()[:-40], ["not whole JSON"]),
+        (b"", ["not JSON, or not whole", "line 1", "--json"]),
+        (json.dumps(result_data(scenes=1)).encode()[:-40], ["not JSON, or not whole"]),
         (json.dumps(changed("images", 0, "ssim", to=math.nan)).encode(), ["NaN", "JSON does not have"]),
         (json.dumps(changed("images", 0, "ssim", to=-math.inf)).encode(), ["-Infinity", "JSON does not have"]),
         (json.dumps(result_data(scenes=1)).replace('"iso": 800.0', '"iso": 1e999', 1).encode(), ["images[0].iso"]),
         (b"\xff\xfe\x00", ["UTF-8"]),
-        (b"path,camera\na,b\n", ["not whole JSON"]),
+        (b"path,camera\na,b\n", ["not JSON, or not whole"]),
         (b"[" * 100_000, ["nested too deeply"]),
     ],
 )

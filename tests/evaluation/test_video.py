@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import shutil
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,18 +15,15 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from eldata.datasets.drv import DRVDataset, DRVRawDataset
 from eldata.errors import ArgumentError, DatasetError, EldataError, ManifestError
-from eldata.evaluation.video import evaluate_video, save_clip_prediction
-from eldata.evaluation.video_results import VIDEO_COLUMNS, VideoResult
+from eldata.evaluation import EvaluationResult, evaluate, save_clip_prediction
 from eldata.manifest.drv import scan_raw
 from eldata.metrics import PEAK_ELD, st_rred
-from eldata.protocols import PROTOCOLS
-from eldata.protocols.video import VIDEO_PROTOCOLS, default_video_protocol, get_video_protocol
+from eldata.protocols import PROTOCOLS, default_protocol, get_protocol, kinds
 from eldata.raw.cfa import unpack
 from tests.drv_tree import SENSOR, SmallDrv, generator_of, rgb_frame_of, small_drv, still_of, write_png, write_raw_clip
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -33,6 +31,7 @@ CLIPS = ("0007", "0013")
 IDS = list(CLIPS)
 SCORED = range(5, 10)  # frames numbered from 1
 SIZE = (48, 56)
+WRITTEN_BY_0_1 = Path(__file__).parents[1] / "written_by_0_1" / "results"
 
 
 @pytest.fixture(scope="module")
@@ -63,12 +62,12 @@ def predictions(drv: SmallDrv, tmp_path_factory: pytest.TempPathFactory) -> Path
     return folder
 
 
-def score(drv: SmallDrv, predictions: Path, **options: Any) -> VideoResult:
-    return evaluate_video(predictions, manifest=drv.csv, root=drv.root, **{"ids": IDS} | options)
+def score(drv: SmallDrv, predictions: Path, **options: Any) -> EvaluationResult:
+    return evaluate(predictions, manifest=drv.csv, root=drv.root, **{"ids": IDS} | options)
 
 
 @pytest.fixture(scope="module")
-def result(drv: SmallDrv, predictions: Path) -> VideoResult:
+def result(drv: SmallDrv, predictions: Path) -> EvaluationResult:
     return score(drv, predictions)
 
 
@@ -83,7 +82,7 @@ def corrected(frame: NDArray[np.float32], still: NDArray[Any], *, scalar: bool) 
 
 
 def check_against_the_plain_route(
-    result: VideoResult,
+    result: EvaluationResult,
     frames_of: Callable[[str], list[NDArray[np.float32]]],
     still_in: Callable[[str], NDArray[np.float32]],
     grey: Callable[[NDArray[Any]], NDArray[np.float64]],
@@ -141,7 +140,7 @@ def test_raw_scores_are_those_of_the_plain_route(tmp_path: Path) -> None:
         stills[record.scene] = still
         frames[record.scene] = (0.9 * still + noise).astype(np.float32)
         save_clip_prediction(tmp_path / "preds", record, frames[record.scene])
-    result = evaluate_video(tmp_path / "preds", manifest=manifest.path, root=tmp_path, ids=IDS)
+    result = evaluate(tmp_path / "preds", manifest=manifest.path, root=tmp_path, ids=IDS)
     assert result.protocol.name == "drv-raw"
     check_against_the_plain_route(
         result,
@@ -153,10 +152,10 @@ def test_raw_scores_are_those_of_the_plain_route(tmp_path: Path) -> None:
     # A mosaic scores as the packed prediction does.
     for path in sorted((tmp_path / "preds").rglob("*.npy")):
         np.save(path, unpack(np.load(path), SENSOR.cfa))
-    assert evaluate_video(tmp_path / "preds", manifest=manifest.path, root=tmp_path, ids=IDS).videos == result.videos
+    assert evaluate(tmp_path / "preds", manifest=manifest.path, root=tmp_path, ids=IDS).videos == result.videos
 
 
-def test_scores_do_not_depend_on_jobs(drv: SmallDrv, predictions: Path, result: VideoResult) -> None:
+def test_scores_do_not_depend_on_jobs(drv: SmallDrv, predictions: Path, result: EvaluationResult) -> None:
     assert score(drv, predictions, workers=2).videos == result.videos
 
 
@@ -180,7 +179,7 @@ def test_a_perfect_prediction(drv: SmallDrv, tmp_path: Path) -> None:
     found = score(drv, tmp_path, protocol="drv-rgb-uncorrected")
     assert (found.psnr_db, found.ssim, found.st_rred) == (math.inf, 1.0, 0.0)
     assert any("equals the reference exactly: 2 videos" in note for note in found.notes)
-    assert json.loads(json.dumps(found.as_dict(), allow_nan=False))["table"]["psnr_db"] == "inf"
+    assert json.loads(json.dumps(found.as_dict(), allow_nan=False))["table"][0]["psnr_db"] == "inf"
 
 
 # --- coverage and problems --------------------------------------------------------------------------------------------
@@ -192,7 +191,7 @@ def own(predictions: Path, tmp_path: Path) -> Path:
     return tmp_path / "preds"
 
 
-def test_a_video_needs_all_of_its_frames(drv: SmallDrv, own: Path, result: VideoResult) -> None:
+def test_a_video_needs_all_of_its_frames(drv: SmallDrv, own: Path, result: EvaluationResult) -> None:
     (own / "0007/0006.npy").unlink()
     found = score(drv, own)
     assert [problem.path for problem in found.problems] == ["0007/0006.png"]
@@ -257,17 +256,17 @@ def test_a_damaged_dataset_stops_the_evaluation(drv: SmallDrv, predictions: Path
 def test_the_default_is_the_papers_49_test_clips(drv: SmallDrv, predictions: Path, tmp_path: Path) -> None:
     (tmp_path / "DRV").mkdir()
     with pytest.raises(DatasetError, match="VBM4D_rawRGB/: folder: expected 49 files"):
-        evaluate_video(predictions, "drv", root=tmp_path)
+        evaluate(predictions, "drv", root=tmp_path)
     with pytest.raises(DatasetError, match="VBM4D_rawRGB/: folder: expected 24 files"):
-        evaluate_video(predictions, "drv", root=tmp_path, subset="val")
+        evaluate(predictions, "drv", root=tmp_path, subset="val")
 
 
 def test_unknown_names_list_the_known(drv: SmallDrv, predictions: Path) -> None:
-    with pytest.raises(ArgumentError, match="eld is no dataset of clips; those are drv and drv-raw"):
-        evaluate_video(predictions, "eld")
+    with pytest.raises(ArgumentError, match=r"'drv-rgb' scores videos, and 'eld' is a dataset of images; its protoc"):
+        evaluate(predictions, "eld", protocol="drv-rgb")
     with pytest.raises(ManifestError, match="known are drv"):
-        evaluate_video(predictions, "drw")
-    with pytest.raises(ArgumentError, match="known are drv-rgb, drv-rgb-uncorrected, drv-raw"):
+        evaluate(predictions, "drw")
+    with pytest.raises(ArgumentError, match=r"'eld' scores images, .*; its protocols are drv-rgb, drv-rgb-uncorrected"):
         score(drv, predictions, protocol="eld")
     with pytest.raises(ArgumentError, match="'drv-raw' is for dataset 'drv-raw', not 'drv'"):
         score(drv, predictions, protocol="drv-raw")
@@ -275,6 +274,10 @@ def test_unknown_names_list_the_known(drv: SmallDrv, predictions: Path) -> None:
         score(drv, predictions, ids=["0099"])
     with pytest.raises(ArgumentError, match="give a subset or ids"):
         score(drv, predictions, subset="test")
+    with pytest.raises(ArgumentError, match=r"give camera values as a list: \['SonyRX100M6'\]"):
+        score(drv, predictions, cameras="SonyRX100M6")
+    with pytest.raises(TypeError, match="has no option 'camera'; known are root, manifest, cameras"):
+        score(drv, predictions, camera=["SonyRX100M6"])
     with pytest.raises(ArgumentError, match="its card names no subset"):
         score(drv, predictions, ids=None)
     with pytest.raises(EldataError, match="no such folder of predictions"):
@@ -282,25 +285,32 @@ def test_unknown_names_list_the_known(drv: SmallDrv, predictions: Path) -> None:
 
 
 def test_protocols_for_clips() -> None:
-    assert not set(VIDEO_PROTOCOLS) & set(PROTOCOLS)
-    digests = {protocol.digest for protocol in VIDEO_PROTOCOLS.values()}
-    assert len(digests) == 4
-    for name, protocol in VIDEO_PROTOCOLS.items():
-        assert get_video_protocol(name) is protocol
-        assert protocol.st_rred_peak == PEAK_ELD
-        assert (protocol.frames, protocol.frame_count) == ("evaluation", 5)
-    own = [default_video_protocol(dataset) for dataset in ("drv", "drv-raw", "eld")]
-    assert [None if protocol is None else protocol.name for protocol in own] == ["drv-rgb", "drv-raw", None]
+    """One registry; what version 0.1 recorded of them is what they state and digest now."""
+    of_clips = {name: protocol for name, protocol in PROTOCOLS.items() if protocol.kind is kinds.CLIPS}
+    assert {name: protocol.digest for name, protocol in of_clips.items()} == {
+        "drv-rgb": "sha256:cb7bfb0e60acf83cab2c26010c2210a8d6fb57cdd392bc0eb63b0f187e47352a",
+        "drv-rgb-uncorrected": "sha256:023ba7d8b95d10f4d397f757d6b546ca581d69b1868440f3ae1d247ea5a39a80",
+        "drv-raw": "sha256:0efdfc76cf35114a14c8b9628317f911d628a8f2877a58db36daa9a998308d1a",
+        "drv-raw-uncorrected": "sha256:7daac255f80baed8d0ff5242b55d1dec9f5b10338c05e55e47ca11c61f9b6300",
+    }
+    saved = json.loads((WRITTEN_BY_0_1 / "drv.json").read_text(encoding="utf-8"))
+    assert PROTOCOLS["drv-rgb"].as_dict() == saved["protocol"]
+    for name, protocol in of_clips.items():
+        assert get_protocol(name) is protocol
+        stated = protocol.as_dict()
+        assert stated["st_rred_peak"] == PEAK_ELD
+        assert (stated["frames"], stated["frame_count"]) == ("evaluation", 5)
+    assert [default_protocol(dataset).name for dataset in ("drv", "drv-raw", "eld")] == ["drv-rgb", "drv-raw", "eld"]
 
 
 # --- what is written --------------------------------------------------------------------------------------------------
 
 
-def test_csv_and_json(result: VideoResult, tmp_path: Path) -> None:
+def test_csv_and_json(result: EvaluationResult, tmp_path: Path) -> None:
     result.write_csv(tmp_path / "r.csv")
     with (tmp_path / "r.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert list(rows[0]) == list(VIDEO_COLUMNS)
+    assert list(rows[0]) == list(kinds.CLIPS.columns)
     for row, video in zip(rows, result.videos, strict=True):
         assert (row["scene"], row["start"], row["frames"]) == (video.scene, "4", "5")
         for name in ("psnr_db", "ssim", "st_rred", "spatial_rred", "temporal_rred", "rescale"):
@@ -309,12 +319,12 @@ def test_csv_and_json(result: VideoResult, tmp_path: Path) -> None:
     data = json.loads((tmp_path / "r.json").read_text())
     assert data["coverage"] == {"videos": 2, "scored": 2, "missing": []}
     assert [len(video["frame_scores"]) for video in data["videos"]] == [5, 5]
-    assert data["table"]["st_rred"] == result.st_rred
+    assert data["table"][0]["st_rred"] == result.st_rred
     assert data["provenance"]["layout"].startswith("noisy VBM4D_rawRGB/<clip>/<n>.png: 2 clips, 24 files")
-    assert list(result.frame.columns) == list(VIDEO_COLUMNS)
+    assert list(result.frame.columns) == list(kinds.CLIPS.columns)
 
 
-def test_the_table_is_printed_as_in_the_paper(result: VideoResult) -> None:
+def test_the_table_is_printed_as_in_the_paper(result: EvaluationResult) -> None:
     header, _, values = result.format_table().splitlines()
     assert header.split() == ["videos", "PSNR", "[dB]", "SSIM", "ST-RRED"]
     assert values.split() == ["2", f"{result.psnr_db:.2f}", f"{result.ssim:.3f}", f"{result.st_rred:.3f}"]

@@ -21,6 +21,7 @@ from eldata import metrics
 from eldata.errors import ArgumentError
 from eldata.evaluation import evaluate
 from eldata.protocols import PROTOCOLS
+from eldata.protocols.kinds import IMAGES
 from tests.evaluation import oracle
 from tests.evaluation.helpers import Tree, place
 
@@ -162,7 +163,9 @@ def test_ssim_is_that_of_scikit_image_and_not_of_torchmetrics() -> None:
     assert abs(float(ours.compute()) - float(theirs)) > 1e-4
 
 
-@pytest.mark.parametrize("protocol", [name for name, protocol in PROTOCOLS.items() if protocol.space == "raw"])
+@pytest.mark.parametrize(
+    "protocol", [name for name, protocol in PROTOCOLS.items() if protocol.space == "raw" and protocol.kind is IMAGES]
+)
 def test_every_protocol_of_raw_images(protocol: str) -> None:
     """Region and rules are the protocol's: the score of the crop by the function that evaluate uses."""
     preds, target = images(1, size=(520, 530))

@@ -19,7 +19,6 @@ from eldata.manifest.catalogue import Manifest, shipped_folder, shipped_manifest
 from eldata.manifest.pairs import select_pairs
 from eldata.manifest.subsets import find_subset
 from eldata.protocols import PROTOCOLS
-from eldata.protocols.video import VIDEO_PROTOCOLS
 from tests.cases import in_one_test
 
 if TYPE_CHECKING:
@@ -116,7 +115,7 @@ def test_each_row_is_of_what_eldata_knows(row: PublishedRow) -> None:
     assert row.method == row.method.strip()
     assert "ours" not in row.method.lower()
     for name in row.protocols:
-        protocol = PROTOCOLS.get(name) or VIDEO_PROTOCOLS[name]
+        protocol = PROTOCOLS[name]
         assert row.dataset == protocol.dataset or row.dataset.startswith(f"{protocol.dataset}-")
     assert 10 < row.psnr_db < 50
     assert row.ssim is None or 0.2 < row.ssim < 1

@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.evaluation.saved import SavedResult, saved_result
+from eldata.evaluation.saved import saved_result
 from eldata.protocols import get_protocol
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
+
+    from eldata.evaluation.results import EvaluationResult
 
 DIGEST = "sha256:" + "a" * 64
 
@@ -100,7 +102,7 @@ def table_of(data: dict[str, Any], pairs: int | None = None) -> list[dict[str, A
     return rows
 
 
-def result(**options: Any) -> SavedResult:
+def result(**options: Any) -> EvaluationResult:
     """The same as records."""
     return saved_result(result_data(**options), "test")
 

@@ -15,9 +15,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from eldata.base.tables import FORMATS
 from eldata.errors import ArgumentError, EldataError, PredictionError
+from eldata.evaluation.combined import CombinedResult
 from eldata.evaluation.comparison import Method, compare
 from eldata.evaluation.evaluate import evaluate
+from eldata.evaluation.looking import seen_frames, worst_and_best
 from eldata.evaluation.saved import saved_result
 from eldata.isp.preview import preview
 from eldata.raw.levels import packed_frame
@@ -25,9 +28,8 @@ from eldata.raw.reading import read_raw
 from eldata.reports.compare.page import comparison_page
 from eldata.reports.evaluation import pictures
 from eldata.reports.evaluation.page import evaluation_page, write_evaluation_page
-from eldata.reports.evaluation.pictures import CROP, EACH, Layer, ShownImage, ShownImages, chosen_images, shown_images
+from eldata.reports.evaluation.pictures import CROP, EACH, Layer, ShownImage, ShownImages, shown_images
 from eldata.reports.evaluation.plots import drawable, score_plots
-from eldata.reports.evaluation.tables import format_results, paper_table
 from tests.evaluation.helpers import Tree, place, small_tree
 from tests.reports.evaluations import result, result_data, table_of
 from tests.reports.pages import HOSTILE, assert_well_formed, checked
@@ -178,14 +180,14 @@ def test_intervals_over_scenes_are_in_the_table() -> None:
     one = result()
     text = evaluation_page([one], NOTHING)
     for row in one.table:
-        images = one.images_of(row)
+        images = one.scores_of(row)
         interval = interval_of_mean([image.psnr_db for image in images], [image.place for image in images])
         assert f"<td>{interval.low:.2f} to {interval.high:.2f}</td>" in text
 
 
 def test_one_camera_has_a_column_for_each_factor() -> None:
     one = result(cameras=["Sony"], ratios=[100, 250, 300], protocol="sid", dataset="sid-sony")
-    assert paper_table(one).header == ("Sony", "x100", "x250", "x300", "all")
+    assert one.paper_table.header == ("Sony", "x100", "x250", "x300", "all")
     text = evaluation_page([one], NOTHING)
     assert text.count('<th scope="row">95% interval</th>') == 2
     assert '<th scope="col">×250</th>' in text
@@ -225,11 +227,11 @@ def test_the_same_page_each_time(
 
 def test_wrong_exposure_shows() -> None:
     one = result()
-    dark = tuple(replace(image, rescale=4.0) for image in one.images)
-    plots = {plot.name: plot for plot in score_plots(dark, rescaled=True)}
+    dark = tuple(replace(image, values=image.values | {"rescale": 4.0}) for image in one.images)
+    plots = {plot.name: plot for plot in score_plots(dark, one.kind, rescaled=True)}
     assert "from 4 to 4" in plots["rescaling"].alt
     assert plots["rescaling"].light != plots["rescaling"].dark
-    assert score_plots((), rescaled=True) == ()
+    assert score_plots((), one.kind, rescaled=True) == ()
 
 
 def test_names_that_the_font_lacks_are_boxes() -> None:
@@ -253,6 +255,22 @@ def test_errors(evaluated: EvaluationResult, tree: Tree, predictions: Path, tmp_
     assert not (tmp_path / "a.html").exists()
 
 
+def test_what_is_shown_is_not_saved_and_read_again(
+    evaluated: EvaluationResult, tree: Tree, predictions: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """JSON is written and parsed at the file alone."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("a result was serialised")
+
+    monkeypatch.setattr(type(evaluated), "as_dict", refuse)
+    write_evaluation_page([evaluated], tmp_path / "a.html", dataset_folder=tree.files, predictions=predictions)
+    for form in FORMATS:
+        assert evaluated.format(form)
+    methods = [Method(name, evaluated) for name in ("a", "b")]
+    assert comparison_page(compare(methods))
+
+
 # --- pictures -----------------------------------------------------------------------------------------------------
 
 
@@ -269,8 +287,7 @@ def finest(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("finest")
 def test_pictures_show_what_was_scored(evaluated: EvaluationResult, tree: Tree, predictions: Path) -> None:
     """Against the same steps written plainly."""
-    one = saved_result(evaluated.as_dict(), "test")
-    shown = shown_images(one, evaluated.pairs, dataset_folder=tree.files, predictions=predictions)
+    shown = shown_images(seen_frames(evaluated, EACH, dataset_folder=tree.files, predictions=predictions))
     assert [image.rank for image in shown.images] == ["Worst"] * EACH + ["Best"] * EACH
     pairs = {pair.path: pair for pair in evaluated.pairs}
     for image in shown.images:
@@ -308,7 +325,7 @@ def test_errors_are_bright_where_they_are(
 
     place(folder, tree, spoilt)
     one = evaluate(folder, manifest=tree.manifest, root=tree.root, protocol="eld-uncorrected")
-    shown = shown_images(saved_result(one.as_dict(), "t"), one.pairs, dataset_folder=tree.files, predictions=folder)
+    shown = shown_images(seen_frames(one, EACH, dataset_folder=tree.files, predictions=folder))
     for image in shown.images:
         error = pixels(image.layers[-1]).mean(axis=2)
         inside = np.zeros(error.shape, dtype=bool)
@@ -320,11 +337,11 @@ def test_errors_are_bright_where_they_are(
 def test_a_crop_comes_with_the_whole(
     evaluated: EvaluationResult, tree: Tree, predictions: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    one = saved_result(evaluated.as_dict(), "test")
-    entire = shown_images(one, evaluated.pairs, dataset_folder=tree.files, predictions=predictions)
+    one = evaluated
+    entire = shown_images(seen_frames(one, EACH, dataset_folder=tree.files, predictions=predictions))
     monkeypatch.setattr(pictures, "CROP", (16, 24))
     monkeypatch.setattr(pictures, "_WHOLE_WIDTH", 24)
-    shown = shown_images(one, evaluated.pairs, dataset_folder=tree.files, predictions=predictions)
+    shown = shown_images(seen_frames(one, EACH, dataset_folder=tree.files, predictions=predictions))
     for image, full in zip(shown.images, entire.images, strict=True):
         assert (image.size, image.full_size) == ((16, 24), (32, 48))
         assert image.crop_box == (25.0, 25.0, 50.0, 50.0)
@@ -340,7 +357,7 @@ def test_a_crop_comes_with_the_whole(
 
 def test_the_input_as_a_baseline(tree: Tree, tmp_path: Path) -> None:
     one = evaluate(None, manifest=tree.manifest, root=tree.root, baseline="input")
-    shown = shown_images(saved_result(one.as_dict(), "t"), one.pairs, dataset_folder=tree.files, predictions=None)
+    shown = shown_images(seen_frames(one, EACH, dataset_folder=tree.files, predictions=None))
     for image in shown.images:
         layers = {layer.key: layer for layer in image.layers}
         if abs(image.score.rescale - 1) < 0.02:
@@ -363,7 +380,7 @@ def test_renderings_are_shown_as_they_are(tree: Tree, tmp_path: Path) -> None:
     place(folder, tree, dark)
     one = evaluate(folder, manifest=tree.manifest, root=tree.root, protocol="sid2018", allow_missing=True)
     assert one.images
-    shown = shown_images(saved_result(one.as_dict(), "t"), one.pairs, dataset_folder=tree.files, predictions=folder)
+    shown = shown_images(seen_frames(one, EACH, dataset_folder=tree.files, predictions=folder))
     for image in shown.images:
         layers = {layer.key: layer for layer in image.layers}
         assert list(layers) == ["prediction", "reference", "error"]
@@ -375,16 +392,16 @@ def test_renderings_are_shown_as_they_are(tree: Tree, tmp_path: Path) -> None:
 
 def test_worst_and_best_are_of_different_scenes() -> None:
     images = result().images
-    chosen = chosen_images(images)
-    worst, best = ([image for rank, image in chosen if rank == name] for name in ("Worst", "Best"))
+    worst, best = worst_and_best(images, EACH)
     assert worst[0] == min(images, key=lambda image: image.psnr_db)
     assert best[0] == max(images, key=lambda image: image.psnr_db)
     for kind in (worst, best):
         assert len({image.place for image in kind}) == EACH
     for image in worst:
         assert image.psnr_db == min(other.psnr_db for other in images if other.place == image.place)
-    assert chosen_images(images[:1]) == [("Worst", images[0])]
-    assert chosen_images((replace(images[0], psnr_db=math.nan),)) == []
+    assert worst_and_best(images[:1], EACH) == ([images[0]], [])
+    unknown = replace(images[0], values=images[0].values | {"psnr_db": math.nan})
+    assert worst_and_best((unknown,), EACH) == ([], [])
 
 
 def test_a_page_of_240_pairs_stays_below_10_mb() -> None:
@@ -394,7 +411,9 @@ def test_a_page_of_240_pairs_stays_below_10_mb() -> None:
     noise = np.random.default_rng(0).bytes(pictures._MOST_BYTES // (2 * EACH) // 4)
     layers = tuple(Layer(key, key, f"{key} 1", noise) for key in ("input", "prediction", "reference", "error"))
     images = tuple(
-        ShownImage(rank, score, layers, CROP, (1424, 2128), (), 1.0) for rank, score in chosen_images(one.images)
+        ShownImage(rank, score, score.path, layers, CROP, (1424, 2128), (), 1.0)
+        for rank, scores in zip(("Worst", "Best"), worst_and_best(one.images, EACH), strict=True)
+        for score in scores
     )
     assert len(images) == 2 * EACH
     assert 8e6 < len(evaluation_page([one], ShownImages(images, 0.1))) < 10e6
@@ -404,8 +423,7 @@ def test_pictures_get_smaller_until_they_fit(
     evaluated: EvaluationResult, tree: Tree, predictions: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def size() -> int:
-        one = saved_result(evaluated.as_dict(), "test")
-        shown = shown_images(one, evaluated.pairs, dataset_folder=tree.files, predictions=predictions)
+        shown = shown_images(seen_frames(evaluated, EACH, dataset_folder=tree.files, predictions=predictions))
         return sum(len(layer.jpeg) for image in shown.images for layer in image.layers)
 
     best = size()
@@ -426,17 +444,17 @@ def test_a_dark_reference_is_shown_brighter_and_a_bright_one_is_not() -> None:
 
 def test_markdown_and_latex_have_the_same_numbers() -> None:
     one = result()
-    markdown, latex = format_results([one], "markdown"), format_results([one], "latex")
+    markdown, latex = one.format("markdown"), one.format("latex")
     for row in one.table:
         for text in (f"{row.psnr_db:.2f}", f"{row.ssim:.3f}", str(row.pairs)):
             assert f" {text} " in markdown
             assert f"& {text} " in latex
-    digest = one.protocol_digest[:15]
+    digest = one.digest[:15]
     assert rf"\caption{{eld 1.0, protocol eld ({digest}): 96 of 96 pairs.}}" in latex
     assert f"eld 1.0, protocol eld ({digest}): 96 of 96 pairs." in markdown
     assert r"\label{tab:eld-eld}" in latex
     assert latex.count(r"\midrule") == 3
-    assert format_results([one, one], "latex").count(r"\begin{table}") == 2
+    assert CombinedResult((one, one)).format("latex").count(r"\begin{table}") == 2
 
 
 def test_choices_and_gaps_are_in_the_caption() -> None:
@@ -444,6 +462,6 @@ def test_choices_and_gaps_are_in_the_caption() -> None:
     data["provenance"] |= {"cameras": ["SonyA7S2"], "subset": "indoor", "excluded_flags": {"misaligned": 5}}
     data["coverage"]["pairs"] = 100
     data["notes"] = ["odd_one"]
-    text = format_results([saved_result(data, "test")], "markdown")
+    text = saved_result(data, "test").format("markdown")
     assert "96 of 100 pairs, only SonyA7S2, subset indoor, without misaligned (5); INCOMPLETE" in text
     assert r"Note: odd\_one" in text

@@ -7,30 +7,32 @@ from typing import TYPE_CHECKING, Any
 
 from eldata.base.files import write_text
 from eldata.base.tables import Strong
-from eldata.evaluation.comparison import (
-    METRICS,
+from eldata.evaluation.comparison_tables import (
     gain_header,
     gain_texts,
+    label_header,
+    labels,
     mean_texts,
+    means_header,
     signed_text,
     statistics_note,
     summary_of,
 )
+from eldata.evaluation.table import factor_text
+from eldata.protocols.kinds import IMAGES
 from eldata.reports.compare.plots import gain_plots
 from eldata.reports.evaluation.page import Cell, Table, field_text, number_cell, times
 from eldata.reports.evaluation.script import rendered_with_script
-from eldata.reports.evaluation.tables import factor_text, group_text
 from eldata.reports.html import signed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from eldata.evaluation.comparison import Comparison, Group, Method
-    from eldata.evaluation.saved import SavedScore
+    from eldata.evaluation.comparison import Comparison, Group, Method, Pairing
+    from eldata.evaluation.scores import UnitScore
     from eldata.evaluation.statistics import Difference
-
-_SHOWN = 10  # biggest wins, and losses
+    from eldata.protocols.kinds import Kind
 
 
 def write_comparison_page(comparison: Comparison, out: Path | str) -> None:
@@ -49,6 +51,7 @@ def comparison_page(comparison: Comparison) -> str:
     first, *others = comparison.methods
     return rendered_with_script(
         "compare.html",
+        kind=comparison.kind,
         title=f"{' and '.join(_names(others))} against {first.name}",
         summary=f"{summary_of(comparison)}.",
         warnings=comparison.warnings,
@@ -72,8 +75,8 @@ def _facts(method: Method) -> list[tuple[str, str]]:
     result = method.result
     return [
         ("file", result.source),
-        ("scored", f"{len(result.images)} of {result.pairs} pairs"),
-        ("protocol", result.protocol_name),
+        ("scored", f"{result.scored} of {result.expected} {result.kind.counted}"),
+        ("protocol", result.protocol.name),
         *((name, field_text(value)) for name, value in result.provenance.items()),
     ]
 
@@ -82,14 +85,7 @@ def _facts(method: Method) -> list[tuple[str, str]]:
 
 
 def _labels(comparison: Comparison) -> list[tuple[Cell, Cell, Cell]]:
-    labels = []
-    previous = ""
-    for group in comparison.groups:
-        name = group_text(group.camera)
-        texts = ("" if name == previous else name, times(factor_text(group.ratio)), str(group.images))
-        labels.append((Cell(texts[0]), Cell(texts[1]), Cell(texts[2])))
-        previous = name
-    return labels
+    return [(Cell(camera), Cell(times(factor)), Cell(images)) for camera, factor, images in labels(comparison)]
 
 
 def _rules(comparison: Comparison) -> tuple[int, ...]:
@@ -97,46 +93,54 @@ def _rules(comparison: Comparison) -> tuple[int, ...]:
 
 
 def _means_table(comparison: Comparison) -> Table:
-    heads = [f"{method.name} {unit or name}" for method in comparison.methods for name, unit, _ in METRICS]
     rows = [
-        (*label, *(Cell(signed(text), "best" if isinstance(text, Strong) else "") for text in mean_texts(group)))
+        (
+            *label,
+            *(
+                Cell(signed(text), "best" if isinstance(text, Strong) else "")
+                for text in mean_texts(group, comparison.kind)
+            ),
+        )
         for label, group in zip(_labels(comparison), comparison.groups, strict=True)
     ]
-    return Table(("camera", "factor", "images", *heads), tuple(rows), rules=_rules(comparison))
+    header = (*label_header(comparison.kind), *means_header(comparison))
+    return Table(header, tuple(rows), rules=_rules(comparison))
 
 
 def _section(comparison: Comparison, index: int) -> dict[str, Any]:
-    first, other = comparison.methods[0], comparison.methods[index + 1]
+    first, other, kind = comparison.methods[0], comparison.methods[index + 1], comparison.kind
     rows = [
-        (*label, Cell(str(group.scenes)), *_gain_cells(group, index))
+        (*label, Cell(str(group.scenes)), *_gain_cells(group, index, kind))
         for label, group in zip(_labels(comparison), comparison.groups, strict=True)
     ]
-    wins, losses = _extremes(comparison, index + 1)
+    wins, losses = comparison.extremes(index)
+    header = (*label_header(kind), "scenes", *gain_header(kind))
     return {
         "title": f"{other.name} against {first.name}",
         "id": f"gain-{index + 1}",
-        "verdict": _verdict(comparison.whole.gains[index].psnr_db, first.name, other.name),
-        "table": Table(("camera", "factor", "images", "scenes", *gain_header()), tuple(rows), rules=_rules(comparison)),
+        "verdict": _verdict(comparison.whole.gains[index]["psnr_db"], first.name, other.name),
+        "table": Table(header, tuple(rows), rules=_rules(comparison)),
         "plots": gain_plots(comparison, index),
-        "wins": wins,
-        "losses": losses,
+        "wins": _extremes_table(wins, kind),
+        "losses": _extremes_table(losses, kind),
     }
 
 
-def _gain_cells(group: Group, index: int) -> list[Cell]:
+def _gain_cells(group: Group, index: int, kind: Kind) -> list[Cell]:
     gain = group.gains[index]
-    looks = [look for difference in (gain.psnr_db, gain.ssim) for look in (_look(difference), "", "")]
+    looks = []
+    for metric in kind.metrics:
+        sign = gain[metric.name].interval.sign * (1 if metric.higher_is_better else -1)
+        looks += [_look(sign), "", ""]
     return [
-        Cell("–" if text == "-" else signed(text), look) for text, look in zip(gain_texts(gain), looks, strict=True)
+        Cell("–" if text == "-" else signed(text), look)
+        for text, look in zip(gain_texts(gain, kind), looks, strict=True)
     ]
 
 
-def _look(difference: Difference) -> str:
-    """Return how a difference looks: better or worse only where its interval leaves 0 out."""
-    interval = difference.interval
-    if interval.is_known and interval.low > 0:
-        return "ok"
-    return "off" if interval.is_known and interval.high < 0 else ""
+def _look(sign: float) -> str:
+    """Return how a difference looks: better or worse, or neither."""
+    return "ok" if sign > 0 else "off" if sign < 0 else ""
 
 
 def _verdict(difference: Difference, first: str, other: str) -> str:
@@ -147,59 +151,56 @@ def _verdict(difference: Difference, first: str, other: str) -> str:
     if not interval.is_known:
         return f"{size}; {interval.scenes} scenes are too few for an interval."
     reach = signed(f"{signed_text(interval.low, 2)} to {signed_text(interval.high, 2)}")
-    if interval.low > 0 or interval.high < 0:
-        better = other if interval.low > 0 else first
+    if interval.sign:
+        better = other if interval.sign > 0 else first
         return f"{size} ({reach}): {better} is better by more than the choice of scenes explains."
     return f"{size} ({reach}): the choice of scenes may explain all of it."
 
 
-def _extremes(comparison: Comparison, which: int) -> tuple[Table | None, Table | None]:
-    """Return the images with the biggest gains and those with the biggest losses; ``None`` if there are none."""
-    gains = [
-        (scores[which].psnr_db - scores[0].psnr_db, scores)
-        for scores in comparison.images
-        if math.isfinite(scores[which].psnr_db) and math.isfinite(scores[0].psnr_db)
-    ]
-    gains.sort(key=lambda item: item[0])
-    losses = [item for item in gains[:_SHOWN] if item[0] < 0]
-    wins = [item for item in gains[::-1][:_SHOWN] if item[0] > 0]
-    return _extremes_table(wins, which), _extremes_table(losses, which)
-
-
-def _extremes_table(items: Sequence[tuple[float, tuple[SavedScore, ...]]], which: int) -> Table | None:
-    if not items:
+def _extremes_table(pairings: Sequence[Pairing], kind: Kind) -> Table | None:
+    """Return a table of wins or losses; ``None`` if there are none."""
+    if not pairings:
         return None
     rows = [
         (
-            Cell(scores[0].path),
-            Cell(f"{scores[0].iso:g}" if scores[0].iso else "–"),
-            Cell(f"×{scores[0].ratio:g}"),
-            Cell(signed(signed_text(gain, 2))),
-            Cell(signed(signed_text(scores[which].ssim - scores[0].ssim, 3))),
+            Cell(one.first.name),
+            *_facts_of(one.first, kind),
+            Cell(signed(signed_text(one.gain_db, 2))),
+            Cell(signed(signed_text(one.gain_ssim, 3))),
         )
-        for gain, scores in items
+        for one in pairings
     ]
-    return Table(("image", "ISO", "factor", "PSNR [dB]", "SSIM"), tuple(rows))
+    return Table((kind.unit, *_fact_heads(kind), "PSNR [dB]", "SSIM"), tuple(rows))
+
+
+def _fact_heads(kind: Kind) -> tuple[str, ...]:
+    return ("ISO", "factor") if kind is IMAGES else ()
+
+
+def _facts_of(score: UnitScore, kind: Kind) -> tuple[Cell, ...]:
+    """Return ISO and factor of an image; clips state none."""
+    if kind is not IMAGES:
+        return ()
+    iso = number_cell(score.iso, f"{score.iso:g}" if score.iso else "–")
+    return iso, number_cell(score.ratio or 0.0, times(factor_text(score.ratio)))
 
 
 def _rows(comparison: Comparison) -> Table:
+    kind = comparison.kind
     first, *others = comparison.methods
-    header = ["image", "camera", "scene", "ISO", "factor", f"{first.name} dB"]
+    header = [kind.unit, "camera", "scene", *_fact_heads(kind), f"{first.name} dB"]
     for method in others:
         header += [f"{method.name} dB", "difference"]
     rows = []
-    for scores in comparison.images:
-        base = scores[0]
+    for of_image in zip(*(comparison.pairings(index) for index in range(len(others))), strict=True):
+        base = of_image[0].first
         row = [
-            *(Cell(text) for text in (base.path, base.camera, base.scene)),
-            number_cell(base.iso, f"{base.iso:g}" if base.iso else "–"),
-            number_cell(base.ratio, f"×{base.ratio:g}"),
+            *(Cell(text) for text in (base.name, base.camera, base.scene)),
+            *_facts_of(base, kind),
             number_cell(base.psnr_db, f"{base.psnr_db:.2f}"),
         ]
-        for score in scores[1:]:
-            equal = math.isinf(score.psnr_db) and score.psnr_db == base.psnr_db
-            gain = math.nan if equal else score.psnr_db - base.psnr_db
-            look = "ok" if gain > 0 else "off" if gain < 0 else ""
-            row += [number_cell(score.psnr_db, f"{score.psnr_db:.2f}"), number_cell(gain, signed_text(gain, 2), look)]
+        for one in of_image:
+            psnr, gain = one.other.psnr_db, one.gain_db
+            row += [number_cell(psnr, f"{psnr:.2f}"), number_cell(gain, signed_text(gain, 2), _look(gain))]
         rows.append(tuple(row))
     return Table(tuple(header), tuple(rows), left=(0, 1, 2))

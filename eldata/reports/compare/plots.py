@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from matplotlib.ticker import FixedLocator
 
-from eldata.reports.evaluation.plots import drawable, legend_of_factors, look_of_factor
+from eldata.reports.evaluation.plots import draw_points, drawable
 from eldata.reports.figures import drawn, figure
 
 if TYPE_CHECKING:
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-    from eldata.evaluation.comparison import Comparison
-    from eldata.evaluation.saved import SavedScore
+    from eldata.evaluation.comparison import Comparison, Pairing
+    from eldata.protocols.kinds import Kind
     from eldata.reports.figures import Plot, Theme
 
 _LONGEST_NAME = 22
@@ -24,15 +24,15 @@ _LONGEST_NAME = 22
 
 def gain_plots(comparison: Comparison, index: int) -> tuple[Plot, ...]:
     """Return the plots of the method of this index among all but the first; none of no finite scores."""
-    pairs = [
-        (scores[0], scores[index + 1])
-        for scores in comparison.images
-        if math.isfinite(scores[0].psnr_db) and math.isfinite(scores[index + 1].psnr_db)
-    ]
-    if not pairs:
+    finite = [one for one in comparison.pairings(index) if one.is_finite]
+    if not finite:
         return ()
-    names = comparison.methods[0].name, comparison.methods[index + 1].name
-    return (_groups_plot(comparison, index, names), _scatter(pairs, names, index), _by_level(pairs, names, index))
+    names, kind = (comparison.methods[0].name, comparison.methods[index + 1].name), comparison.kind
+    return (
+        _groups_plot(comparison, index, names),
+        _scatter(finite, names, index, kind),
+        _by_level(finite, names, index),
+    )
 
 
 def _short(name: str) -> str:
@@ -40,14 +40,14 @@ def _short(name: str) -> str:
 
 
 def _groups_plot(comparison: Comparison, index: int, names: tuple[str, str]) -> Plot:
-    groups = [group for group in comparison.groups if math.isfinite(group.gains[index].psnr_db.interval.mean)]
+    groups = [group for group in comparison.groups if math.isfinite(group.gains[index]["psnr_db"].interval.mean)]
 
     def draw(theme: Theme) -> Figure:
         made = figure()
         axes = made.subplots()
         axes.axvline(0, color=theme.theory, linewidth=1)
         for place, group in enumerate(groups):
-            interval = group.gains[index].psnr_db.interval
+            interval = group.gains[index]["psnr_db"].interval
             if interval.is_known:
                 axes.plot([interval.low, interval.high], [place, place], color=theme.ink, linewidth=1.4)
             axes.plot([interval.mean], [place], color=theme.found, marker="o", linestyle="none")
@@ -67,68 +67,50 @@ def _groups_plot(comparison: Comparison, index: int, names: tuple[str, str]) -> 
     )
 
 
-def _scatter(pairs: Sequence[tuple[SavedScore, SavedScore]], names: tuple[str, str], index: int) -> Plot:
-    ratios = sorted({first.ratio for first, _ in pairs})
-    values = [score.psnr_db for both in pairs for score in both]
+def _scatter(pairings: Sequence[Pairing], names: tuple[str, str], index: int, kind: Kind) -> Plot:
+    points = [(one.first.ratio, one.first.psnr_db, one.other.psnr_db) for one in pairings]
+    values = [value for _, *both in points for value in both]
     margin = 0.04 * (max(values) - min(values)) + 0.1
     limits = min(values) - margin, max(values) + margin
-    better = sum(second.psnr_db > first.psnr_db for first, second in pairs)
+    better = sum(one.gain_db > 0 for one in pairings)
 
     def draw(theme: Theme) -> Figure:
         made = figure()
         axes = made.subplots()
         axes.plot(limits, limits, color=theme.theory, linewidth=1)
-        for number, ratio in enumerate(ratios):
-            members = [both for both in pairs if both[0].ratio == ratio]
-            axes.plot(
-                [first.psnr_db for first, _ in members],
-                [second.psnr_db for _, second in members],
-                linestyle="none",
-                alpha=0.6,
-                **look_of_factor(number, ratio, theme),
-            )
+        draw_points(axes, points, theme, alpha=0.6)
         axes.set_xlim(*limits)
         axes.set_ylim(*limits)
         axes.set_xlabel(f"{_short(names[0])} [dB]", parse_math=False)
         axes.set_ylabel(f"{_short(names[1])} [dB]", parse_math=False)
-        legend_of_factors(axes, len(ratios))
         return made
 
     return drawn(
         f"gain-scatter-{index}",
-        "Image by image",
-        f"PSNR of {names[1]} against that of {names[0]} on {len(pairs)} images; it is higher on {better}.",
-        f"A point an image. Above the line {names[1]} is better: on {better} of {len(pairs)} images.",
+        f"{kind.unit.capitalize()} by {kind.unit}",
+        f"PSNR of {names[1]} against that of {names[0]} on {len(points)} {kind.units}; it is higher on {better}.",
+        f"One point per {kind.unit}. Above the line {names[1]} is better: on {better} of {len(points)} {kind.units}.",
         draw,
     )
 
 
-def _by_level(pairs: Sequence[tuple[SavedScore, SavedScore]], names: tuple[str, str], index: int) -> Plot:
-    ratios = sorted({first.ratio for first, _ in pairs})
-    gains = [second.psnr_db - first.psnr_db for first, second in pairs]
+def _by_level(pairings: Sequence[Pairing], names: tuple[str, str], index: int) -> Plot:
+    points = [(one.first.ratio, one.first.psnr_db, one.gain_db) for one in pairings]
+    gains = [gain for _, _, gain in points]
 
     def draw(theme: Theme) -> Figure:
         made = figure()
         axes = made.subplots()
         axes.axhline(0, color=theme.theory, linewidth=1)
-        for number, ratio in enumerate(ratios):
-            members = [both for both in pairs if both[0].ratio == ratio]
-            axes.plot(
-                [first.psnr_db for first, _ in members],
-                [second.psnr_db - first.psnr_db for first, second in members],
-                linestyle="none",
-                alpha=0.6,
-                **look_of_factor(number, ratio, theme),
-            )
+        draw_points(axes, points, theme, alpha=0.6)
         axes.set_xlabel(f"{_short(names[0])} [dB]", parse_math=False)
         axes.set_ylabel("difference [dB]")
-        legend_of_factors(axes, len(ratios))
         return made
 
     return drawn(
         f"gain-level-{index}",
         "Difference by difficulty",
         f"Difference of PSNR, from {min(gains):.2f} to {max(gains):.2f} dB, against the PSNR of {names[0]}.",
-        f"Images that {names[0]} finds hard are to the left. A slope says that one method wins where it is dark.",
+        f"What {names[0]} finds hard is to the left. A slope says that one method wins where it is dark.",
         draw,
     )

@@ -7,32 +7,25 @@ import math
 import re
 from dataclasses import dataclass
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from eldata.base.files import write_text
 from eldata.errors import ArgumentError
-from eldata.evaluation.saved import saved_result
-from eldata.evaluation.statistics import FEWEST_SCENES, LEVEL, RESAMPLES, SEED, interval_of_mean
+from eldata.evaluation.looking import INTERVAL, TOO_FEW, interval_note, seen_frames
+from eldata.evaluation.table import factor_text, short_digest
+from eldata.protocols.kinds import IMAGES
 from eldata.protocols.words import FIELDS, in_words
 from eldata.reports.evaluation.pictures import EACH, ShownImage, ShownImages, heat_gradient, shown_images
 from eldata.reports.evaluation.plots import score_plots
 from eldata.reports.evaluation.script import jpeg_uri, rendered_with_script
-from eldata.reports.evaluation.tables import (
-    caption_of,
-    choice_text,
-    factor_text,
-    group_text,
-    paper_table,
-    short_digest,
-    value_texts,
-)
 from eldata.reports.html import digits, signed
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from eldata.evaluation.results import EvaluationResult
-    from eldata.evaluation.saved import SavedResult, SavedRow, SavedScore
+    from eldata.evaluation.statistics import Interval
+    from eldata.protocols.kinds import Metric
 
 
 def write_evaluation_page(
@@ -53,50 +46,49 @@ def write_evaluation_page(
     Raises
     ------
     ArgumentError
-        If there is no result.
+        If there is no result, or it was read back.
     RawFileError, PredictionError, EldataError
         If a file is no longer what was scored, or the page cannot be written.
     """
     if not results:
         raise ArgumentError("a page is of one result or more; found none")
-    saved = [saved_result(result.as_dict(), "this evaluation") for result in results]
-    shown = shown_images(saved[0], results[0].pairs, dataset_folder=dataset_folder, predictions=predictions)
-    write_text(out, evaluation_page(saved, shown))
+    seen = seen_frames(results[0], EACH, dataset_folder=dataset_folder, predictions=predictions)
+    write_text(out, evaluation_page(results, shown_images(seen)))
 
 
-def evaluation_page(results: Sequence[SavedResult], shown: ShownImages) -> str:
+def evaluation_page(results: Sequence[EvaluationResult], shown: ShownImages) -> str:
     """Return the page; the same results and pictures give the same text."""
-    result = results[0]
-    rescaled = result.protocol.get("rescaling", "none") != "none"
+    result, kind = results[0], results[0].kind
     ids = {image.score.path: f"picture-{index}" for index, image in enumerate(shown.images, start=1)}
-    plots = score_plots(result.images, rescaled=rescaled)
+    plots = score_plots(result.scores, kind, rescaled=result.rescales)
     sections = [("means", "Means")]
     sections += [("distributions", "Distributions")] if plots else []
     sections += [("pictures", "Worst and best")] if shown.images else []
-    sections += [("images", "Every image")] if result.images else []
+    sections += [("images", f"Every {kind.unit}")] if result.scores else []
     return rendered_with_script(
         "evaluation.html",
+        kind=kind,
         title=f"{_method(result)} on {result.dataset}",
-        subtitle=_subtitle(result),
+        subtitle=f"Protocol {result.protocol.name} ({short_digest(result.digest)}): {result.protocol.title}",
         outcome=_outcome(result),
-        remarks=_remarks(result),
+        remarks=[note[:1].upper() + note[1:] for note in result.notes],
         tiles=_tiles(result),
         sections=[*sections, ("provenance", "Provenance")],
         table=table_with_intervals(result),
-        table_caption=caption_of(result),
-        interval_note=interval_note(),
+        table_caption=result.caption,
+        interval_note=interval_note(kind),
         protocols=_protocols(results) if len(results) > 1 else None,
         others=[
             {
-                "name": other.protocol_name,
+                "name": other.protocol.name,
                 "id": f"means-{index}",
                 "table": table_with_intervals(other),
-                "caption": caption_of(other),
+                "caption": other.caption,
             }
             for index, other in enumerate(results[1:], start=2)
         ],
         plots=plots,
-        rescaled=rescaled,
+        rescaled=result.rescales,
         shown=shown,
         pictures_note=_pictures_note(result, shown),
         error_limit=digits(shown.error_limit, 2),
@@ -105,7 +97,7 @@ def evaluation_page(results: Sequence[SavedResult], shown: ShownImages) -> str:
             {
                 "title": f"{rank} by PSNR",
                 "images": [
-                    {"image": image, "id": ids[image.score.path], "facts": _facts(image, rescaled=rescaled)}
+                    {"image": image, "id": ids[image.score.path], "facts": _facts(image, result)}
                     for image in shown.images
                     if image.rank == rank
                 ],
@@ -113,13 +105,13 @@ def evaluation_page(results: Sequence[SavedResult], shown: ShownImages) -> str:
             for rank in dict.fromkeys(image.rank for image in shown.images)
         ],
         jpeg_uri=jpeg_uri,
-        rows=_rows(result.images, ids),
-        rows_caption=f"Scores of {len(result.images)} images",
+        rows=_rows(result, ids),
+        rows_caption=f"Scores of {result.scored} {kind.units}",
         problems=result.problems,
         missing=result.missing,
-        pairs=result.pairs,
-        protocol_name=result.protocol_name,
-        protocol_fields=[(name, _protocol_text(name, value)) for name, value in result.protocol.items()],
+        pairs=result.expected,
+        protocol_name=result.protocol.name,
+        protocol_fields=[(name, _protocol_text(name, value)) for name, value in result.protocol.as_dict().items()],
         provenance_fields=[(name, field_text(value)) for name, value in result.provenance.items()],
     )
 
@@ -172,52 +164,33 @@ def _protocol_text(name: str, value: Any) -> str:
     return in_words(name, value) if name in FIELDS else field_text(value)
 
 
-def interval_note() -> str:
-    """Return what the intervals are, in a sentence or two."""
-    return (
-        f"Intervals: {LEVEL:.0%}, bootstrap over scenes, because images of one scene err together ({RESAMPLES} "
-        f"resamples, seed {SEED}, percentiles at the level for few samples). There is none of fewer than "
-        f"{FEWEST_SCENES} scenes. They say how far the mean would move with other scenes like these, not how "
-        "exact a score is."
-    )
-
-
 # --- tables -------------------------------------------------------------------------------------------------------
 
 
-def table_with_intervals(result: SavedResult) -> Table:
-    """Return the paper's table with the number of scenes and the intervals of its means."""
-    paper = paper_table(result)
-    texts = [_interval_texts(result, row) for row in result.table]
-    if not paper.left:  # a column for each factor
-        pairs, psnr, ssim = paper.rows
-        columns = list(zip(*texts, strict=True))
-        rows = (
-            pairs,
-            ("scenes", *columns[0]),
-            psnr,
-            (f"{LEVEL:.0%} interval", *columns[1]),
-            ssim,
-            (f"{LEVEL:.0%} interval", *columns[2]),
-        )
-        return Table(tuple(map(times, paper.header)), _cells(rows), rules=(2, 4))
-    header = (
-        "camera",
-        "factor",
-        "pairs",
-        "scenes",
-        "PSNR [dB]",
-        f"{LEVEL:.0%} interval",
-        "SSIM",
-        f"{LEVEL:.0%} interval",
-    )
-    rows_with = [
-        (camera, times(factor), pairs, scenes, psnr, psnr_interval, ssim, ssim_interval)
-        for (camera, factor, pairs, psnr, ssim), (scenes, psnr_interval, ssim_interval) in zip(
-            paper.rows, texts, strict=True
-        )
-    ]
-    return Table(header, _cells(rows_with), rules=paper.rules)
+def table_with_intervals(result: EvaluationResult) -> Table:
+    """Return the paper's table with the number of scenes, and the interval after each mean."""
+    paper, metrics = result.paper_table, result.kind.metrics
+    found = [{metric.name: result.interval(row, metric.name) for metric in metrics} for row in result.table]
+    scenes = tuple(str(intervals[metrics[0].name].scenes) for intervals in found)
+    reaches = [tuple(_interval_text(intervals[metric.name], metric) for intervals in found) for metric in metrics]
+    if paper.transposed:
+        counted, *means = paper.rows
+        lines = [counted, ("scenes", *scenes)]
+        for mean, reach in zip(means, reaches, strict=True):
+            lines += [mean, (INTERVAL, *reach)]
+        return Table(tuple(map(times, paper.header)), _cells(lines), rules=tuple(range(2, len(lines), 2)))
+    names = len(paper.header) - len(metrics)
+    header = [*paper.header[:names], "scenes"]
+    for name in paper.header[names:]:
+        header += [name, INTERVAL]
+    rows = []
+    for index, texts in enumerate(paper.rows):
+        labels = (times(text) if head == "factor" else text for head, text in zip(header, texts[:names], strict=False))
+        row = [*labels, scenes[index]]
+        for mean_text, reach in zip(texts[names:], reaches, strict=True):
+            row += [mean_text, reach[index]]
+        rows.append(tuple(row))
+    return Table(tuple(header), _cells(rows), rules=paper.rules)
 
 
 def _cells(rows: Iterable[tuple[str, ...]]) -> tuple[tuple[Cell, ...], ...]:
@@ -229,52 +202,35 @@ def times(factor: str) -> str:
     return re.sub(r"^x(?=\d)", "×", factor)
 
 
-def _interval_texts(result: SavedResult, row: SavedRow) -> tuple[str, str, str]:
-    """Return the number of scenes and the intervals of PSNR and SSIM."""
-    images = result.images_of(row)
-    places = [image.place for image in images]
-    psnr, ssim = (
-        _interval_text([getattr(image, field) for image in images], places, count) for field, count in _SCORES
-    )
-    return str(len(set(places))), psnr, ssim
+def _interval_text(interval: Interval, metric: Metric) -> str:
+    return signed(f"{metric.text(interval.low)} to {metric.text(interval.high)}") if interval.is_known else "–"
 
 
-_SCORES: tuple[tuple[Literal["psnr_db", "ssim"], int], ...] = (("psnr_db", 2), ("ssim", 3))
-
-
-def _interval_text(values: Sequence[float], places: Sequence[tuple[str, str]], decimals: int) -> str:
-    interval = interval_of_mean(values, places)
-    if not interval.is_known:
-        return "–"
-    return signed(f"{interval.low:.{decimals}f} to {interval.high:.{decimals}f}")
-
-
-def _protocols(results: Sequence[SavedResult]) -> Table:
-    header = ("protocol", "digest", "pairs", "PSNR [dB]", "SSIM")
+def _protocols(results: Sequence[EvaluationResult]) -> Table:
+    kind = results[0].kind
+    header = ("protocol", "digest", kind.counted, *(metric.head for metric in kind.metrics))
     rows = [
-        (result.protocol_name, short_digest(result.protocol_digest), *value_texts(result.table[-1]))
+        (result.protocol.name, short_digest(result.digest), *result.whole.texts(kind))
         for result in results
         if result.table
     ]
     return Table(header, _cells(rows))
 
 
-def _rows(images: Sequence[SavedScore], ids: dict[str, str]) -> Table:
-    header = ("image", "camera", "scene", "ISO", "factor", "PSNR [dB]", "SSIM", "rescaled by")
-    rows = [
-        (
-            Cell(image.path, link=ids.get(image.path, "")),
-            Cell(image.camera),
-            Cell(image.scene),
-            number_cell(image.iso, f"{image.iso:g}" if image.iso else "–"),
-            number_cell(image.ratio, f"×{image.ratio:g}"),
-            number_cell(image.psnr_db, f"{image.psnr_db:.2f}"),
-            number_cell(image.ssim, f"{image.ssim:.4f}"),
-            number_cell(image.rescale, f"{image.rescale:.3f}"),
-        )
-        for image in images
-    ]
-    return Table(header, tuple(rows), left=(0, 1, 2))
+def _rows(result: EvaluationResult, ids: dict[str, str]) -> Table:
+    metrics, of_images = result.kind.metrics, result.kind is IMAGES
+    header = (result.kind.unit, "camera", "scene", *(("ISO", "factor") if of_images else ()))
+    rows = []
+    for score in result.scores:
+        cells = [Cell(score.name, link=ids.get(score.path, "")), Cell(score.camera), Cell(score.scene)]
+        if of_images:
+            cells.append(number_cell(score.iso, f"{score.iso:g}" if score.iso else "–"))
+            cells.append(number_cell(score.ratio or 0.0, times(factor_text(score.ratio))))
+        for metric in metrics:
+            value = score.values[metric.name]
+            cells.append(number_cell(value, f"{value:.{metric.row_places}f}"))
+        rows.append((*cells, number_cell(score.rescale, f"{score.rescale:.3f}")))
+    return Table((*header, *(metric.head for metric in metrics), "rescaled by"), tuple(rows), left=(0, 1, 2))
 
 
 # --- words --------------------------------------------------------------------------------------------------------
@@ -293,7 +249,7 @@ class _Tile:
     note: str
 
 
-def _method(result: SavedResult) -> str:
+def _method(result: EvaluationResult) -> str:
     """Return what to call the predictions: their folder's name, or the baseline."""
     predictions = str(result.provenance.get("predictions", ""))
     if predictions.startswith("none: "):
@@ -301,67 +257,58 @@ def _method(result: SavedResult) -> str:
     return PurePath(predictions).name or "Predictions"
 
 
-def _subtitle(result: SavedResult) -> str:
-    title = result.protocol.get("title", "")
-    return f"Protocol {result.protocol_name} ({short_digest(result.protocol_digest)}): {title}"
-
-
-def _outcome(result: SavedResult) -> _Outcome:
-    coverage = f"{len(result.images)} of {result.pairs} pairs{choice_text(result)}"
-    if not result.images:
-        return _Outcome("off", f"Nothing was scored: {len(result.problems)} problems, listed below.")
-    if len(result.images) < result.pairs:
-        return _Outcome("off", f"Incomplete: {coverage}. These means do not compare with others.")
+def _outcome(result: EvaluationResult) -> _Outcome:
+    problems = f"{len(result.problems)} problems, listed below."
+    if not result.scores:
+        return _Outcome("off", f"Nothing was scored: {problems}")
+    if result.scored < result.expected:
+        return _Outcome("off", f"Incomplete: {result.coverage}. These means do not compare with others.")
     if result.problems:
-        return _Outcome("off", f"{coverage}; {len(result.problems)} problems, listed below.")
-    return _Outcome("ok", f"Complete: {coverage}.")
+        return _Outcome("off", f"{result.coverage}; {problems}")
+    return _Outcome("ok", f"Complete: {result.coverage}.")
 
 
-def _remarks(result: SavedResult) -> tuple[str, ...]:
-    return tuple(note[:1].upper() + note[1:] for note in result.notes)
-
-
-def _tiles(result: SavedResult) -> tuple[_Tile, ...]:
-    if not result.images:
+def _tiles(result: EvaluationResult) -> tuple[_Tile, ...]:
+    if not result.scores:
         return ()
-    whole = result.table[-1]
-    places = [image.place for image in result.images]
-    psnr, ssim = (
-        _interval_text([getattr(image, field) for image in result.images], places, count) for field, count in _SCORES
-    )
-    missing = f"no interval of fewer than {FEWEST_SCENES} scenes"
+    whole, tiles, scenes = result.whole, [], 0
+    for metric in result.kind.metrics:
+        interval = result.interval(whole, metric.name)
+        reach, scenes = _interval_text(interval, metric), interval.scenes
+        note = f"{INTERVAL.split()[0]}: {reach}" if interval.is_known else TOO_FEW
+        tiles.append(_Tile(metric.label, f"{metric.text(whole.values[metric.name])} {metric.unit}".rstrip(), note))
+    cameras = len({score.camera for score in result.scores})
     return (
-        _Tile("PSNR", f"{whole.psnr_db:.2f} dB", missing if psnr == "–" else f"{LEVEL:.0%}: {psnr}"),
-        _Tile("SSIM", f"{whole.ssim:.3f}", missing if ssim == "–" else f"{LEVEL:.0%}: {ssim}"),
-        _Tile("Images", str(len(result.images)), f"of {result.pairs} pairs"),
-        _Tile("Scenes", str(len(set(places))), f"of {_cameras(result)}"),
+        *tiles,
+        _Tile(result.kind.units.capitalize(), str(result.scored), f"of {result.expected} {result.kind.counted}"),
+        _Tile("Scenes", str(scenes), f"of {cameras} camera{'' if cameras == 1 else 's'}"),
     )
 
 
-def _cameras(result: SavedResult) -> str:
-    count = len({image.camera for image in result.images})
-    return f"{count} camera{'' if count == 1 else 's'}"
-
-
-def _facts(image: ShownImage, *, rescaled: bool) -> str:
+def _facts(image: ShownImage, result: EvaluationResult) -> str:
     score = image.score
     parts = [
-        f"{score.psnr_db:.2f} dB",
-        f"SSIM {score.ssim:.3f}",
-        *([f"rescaled by {score.rescale:.3f}"] if rescaled else []),
-        f"{group_text(score.camera)}, {score.scene}",
+        *(
+            f"{metric.text(score.values[metric.name])} dB"
+            if metric.unit
+            else f"{metric.label} {metric.text(score.values[metric.name])}"
+            for metric in result.kind.metrics
+        ),
+        *([f"rescaled by {score.rescale:.3f}"] if result.rescales else []),
+        f"{score.camera}, {score.scene}",
         *([f"ISO {score.iso:g}"] if score.iso else []),
-        times(factor_text(score.ratio)),
+        *([times(factor_text(score.ratio))] if score.ratio is not None else ["the frame with the lowest PSNR"]),
         *([f"shown {image.brighter:g} times brighter"] if image.brighter != 1 else []),
     ]
     return ", ".join(parts)
 
 
-def _pictures_note(result: SavedResult, shown: ShownImages) -> str:
+def _pictures_note(result: EvaluationResult, shown: ShownImages) -> str:
     if not shown.images:
         return ""
-    srgb = result.protocol.get("rendering") == "libraw"
-    pixels = "pixels" if srgb else "packed pixels"
+    protocol = result.protocol.as_dict()
+    colours = "srgb" if protocol.get("rendering") == "libraw" else protocol.get("pixels", "packed")
+    pixels = "packed pixels" if colours == "packed" else "pixels"
     sizes = {image.size for image in shown.images}
     crops = any(image.whole for image in shown.images)
     size = " or ".join(f"{columns} × {rows}" for rows, columns in sorted(sizes))
@@ -370,15 +317,15 @@ def _pictures_note(result: SavedResult, shown: ShownImages) -> str:
         if crops
         else f"the whole image, {size} {pixels}, one to one"
     )
-    rescaled = ", rescaled and clipped" if result.protocol.get("rescaling", "none") != "none" else ", clipped"
-    rendering = (
-        "Reference and prediction are sRGB renderings. "
-        if srgb
-        else "Pictures are rendered with the camera's white balance and colour matrix to sRGB, one pixel a packed "
-        "pixel. The input is clipped, multiplied by its factor and clipped again. "
-    )
+    rescaled = ", rescaled and clipped" if result.rescales else ", clipped"
+    rendering = {
+        "srgb": "Reference and prediction are sRGB renderings. ",
+        "rgb": "Frames are shown as they are stored, as the authors preprocessed them. ",
+        "packed": "Pictures are rendered with the camera's white balance and colour matrix to sRGB, one pixel per "
+        "packed pixel. The input is clipped, multiplied by its factor and clipped again. ",
+    }[colours]
     return (
-        f"Up to {EACH} of the worst and of the best by PSNR, at most one a scene: {what}. {rendering}The prediction is "
-        f"as it was scored{rescaled}. The error is absolute, the mean over channels, on one scale for all, by its "
+        f"Up to {EACH} of the worst and of the best by PSNR, at most one per scene: {what}. {rendering}The prediction "
+        f"is as it was scored{rescaled}. The error is absolute, the mean over channels, on one scale for all, by its "
         "square root. JPEG: to look at, not to measure."
     )

@@ -3,29 +3,19 @@
 from __future__ import annotations
 
 import io
-import math
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any, Final, cast
 
 import numpy as np
 from PIL import Image
 
-from eldata.base.files import inside
-from eldata.errors import ArgumentError, PredictionError
-from eldata.evaluation.predictions import find_predictions, load_prediction, load_srgb_prediction
-from eldata.evaluation.references import normalised_frame, rendered_reference
-from eldata.isp.preview import preview
-
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from eldata.evaluation.saved import SavedResult, SavedScore
-    from eldata.protocols.protocol import Clip, Levels
-    from eldata.records import PairRecord, Sensor
+    from eldata.evaluation.looking import SeenFrame
+    from eldata.evaluation.scores import UnitScore
 
 EACH: Final = 4
 """How many of the worst and of the best are shown."""
@@ -53,14 +43,14 @@ class Layer:
 
 @dataclass(frozen=True, slots=True)
 class ShownImage:
-    """The pictures of one scored image.
+    """The pictures of one scored image, or of a clip's worst frame.
 
     Attributes
     ----------
     rank
         Such as ``Worst``.
-    score
-        Its scores.
+    score, frame
+        Its scores; the path of what is shown.
     layers
         Input (but for sRGB predictions), prediction, reference and error of the centre crop, one to one.
     size, full_size
@@ -72,7 +62,8 @@ class ShownImage:
     """
 
     rank: str
-    score: SavedScore
+    score: UnitScore
+    frame: str
     layers: tuple[Layer, ...]
     size: tuple[int, int]
     full_size: tuple[int, int]
@@ -95,157 +86,54 @@ class ShownImages:
     error_limit: float
 
 
-@dataclass(frozen=True, slots=True)
-class _Decoded:
-    """Arrays (C, h, w) of one image, prediction as scored and reference, and input unless predictions are sRGB."""
-
-    rank: str
-    score: SavedScore
-    amplified: NDArray[Any] | None
-    prediction: NDArray[Any]
-    reference: NDArray[Any]
-    sensor: Sensor
-
-    @property
-    def error(self) -> NDArray[Any]:
-        return cast("NDArray[Any]", np.abs(self.prediction - self.reference).mean(axis=0))
-
-    def drawn(self, values: NDArray[Any]) -> NDArray[np.uint8]:
-        """Return packed raw as a quick rendering, sRGB as it is."""
-        if self.amplified is not None:
-            return preview(values, self.sensor)
-        return cast("NDArray[np.uint8]", np.rint(np.clip(values, 0, 1) * 255).astype(np.uint8).transpose(1, 2, 0))
-
-
-def chosen_images(images: Sequence[SavedScore], each: int = EACH) -> list[tuple[str, SavedScore]]:
-    """Return the worst and the best images by PSNR, at most one a scene of each kind, worst and best first.
-
-    None is both: of few images the worst come first.
-    """
-    known = sorted((image for image in images if not math.isnan(image.psnr_db)), key=lambda image: image.psnr_db)
-    worst = _one_a_scene(known, each)
-    best = _one_a_scene([image for image in reversed(known) if image not in worst], each)
-    return [("Worst", image) for image in worst] + [("Best", image) for image in best]
-
-
-def _one_a_scene(images: Sequence[SavedScore], most: int) -> list[SavedScore]:
-    first: dict[tuple[str, str], SavedScore] = {}
-    for image in images:
-        first.setdefault(image.place, image)
-    return list(first.values())[:most]
-
-
-def shown_images(
-    result: SavedResult, pairs: Sequence[PairRecord], *, dataset_folder: Path, predictions: Path | None
-) -> ShownImages:
-    """Decode and draw the worst and the best images of a result.
-
-    Parameters
-    ----------
-    result
-        Scores and protocol.
-    pairs
-        The pairs that were scored, for their references.
-    dataset_folder, predictions
-        Where the raw files and the predictions lie; ``None`` if the noisy input itself was scored.
-
-    Raises
-    ------
-    RawFileError, PredictionError, ManifestError
-        If a file is no longer what was scored.
-    """
-    by_path = {pair.path: pair for pair in pairs}
-    chosen = chosen_images(result.images)
-    wanted = [by_path[score.path] for _, score in chosen]
-    files = {} if predictions is None else find_predictions(predictions, wanted, ()).files
-    protocol = result.protocol
-    decode = _decoded_srgb if protocol.get("rendering") == "libraw" else partial(_decoded_raw, protocol)
-    decoded = []
-    for (rank, score), pair in zip(chosen, wanted, strict=True):
-        if predictions is not None and pair.path not in files:
-            raise PredictionError(predictions, f"the prediction of {pair.path} is gone since it was scored")
-        decoded.append(decode(rank, score, pair, dataset_folder, files.get(pair.path)))
-    errors = [one.error[_centre(one.error.shape)].ravel() for one in decoded]
+def shown_images(seen: Sequence[SeenFrame]) -> ShownImages:
+    """Draw frames as they were scored, on one scale of errors."""
+    errors = [one.arrays.error[_centre(one.arrays.error.shape)].ravel() for one in seen]
     limit = float(np.quantile(np.concatenate(errors), 0.998)) if errors else 0.0
     limit = max(limit, 1e-6)
     images: tuple[ShownImage, ...] = ()
     for quality in _JPEG_QUALITIES:
-        images = tuple(_drawn(one, limit, quality) for one in decoded)
+        images = tuple(_drawn(one, limit, quality) for one in seen)
         if sum(len(layer.jpeg) for image in images for layer in (*image.layers, *image.whole)) <= _MOST_BYTES:
             break
     return ShownImages(images, limit)
 
 
-def _decoded_raw(
-    protocol: dict[str, Any], rank: str, score: SavedScore, pair: PairRecord, folder: Path, prediction: Path | None
-) -> _Decoded:
-    from eldata.raw.reading import exposure_ratio, read_raw
-
-    levels = cast("Levels", protocol["levels"])
-    reference = read_raw(inside(folder, pair.reference))
-    noisy = read_raw(inside(folder, pair.path))
-    ratio = exposure_ratio(reference, noisy) if protocol.get("amplification") == "metadata" else pair.ratio
-    # Clipped before and after it is multiplied, as the protocol gives it to a network.
-    clip = cast("Clip", protocol.get("input_clip", "both"))
-    amplified = normalised_frame(noisy, levels, clip=clip, gain=float(ratio))
-    clip = cast("Clip", protocol.get("reference_clip", "both"))
-    target = normalised_frame(reference, levels, clip=clip)
-    values = amplified if prediction is None else load_prediction(prediction, reference.sensor, levels)
-    found = _as_scored(values, score)
-    return _Decoded(rank, score, amplified, found, target, reference.sensor)
-
-
-def _decoded_srgb(rank: str, score: SavedScore, pair: PairRecord, folder: Path, prediction: Path | None) -> _Decoded:
-    from eldata.raw.reading import read_raw
-
-    if prediction is None:
-        raise ArgumentError("the raw input is no rendering, so a protocol of renderings has no such baseline")
-
-    path = inside(folder, pair.reference)
-    target = rendered_reference(path)
-    rows, columns = target.shape[1:]
-    found = _as_scored(load_srgb_prediction(prediction, (3, rows, columns)), score)
-    return _Decoded(rank, score, None, found, target, read_raw(path).sensor)
-
-
-def _as_scored(prediction: NDArray[Any], score: SavedScore) -> NDArray[np.float32]:
-    factor = 1.0 if math.isnan(score.rescale) else score.rescale
-    scored: NDArray[np.float32] = np.clip(np.clip(prediction, 0, 1) * factor, 0, 1).astype(np.float32)
-    return scored
-
-
 # --- drawing ------------------------------------------------------------------------------------------------------
 
 
-def _drawn(one: _Decoded, limit: float, quality: int) -> ShownImage:
-    _, height, width = one.reference.shape
+def _drawn(one: SeenFrame, limit: float, quality: int) -> ShownImage:
+    arrays, error = one.arrays, one.arrays.error
+    _, height, width = arrays.reference.shape
     crop = _centre((height, width))
     size = (crop[0].stop - crop[0].start, crop[1].stop - crop[1].start)
-    brighter = _brighter(one.reference) if one.amplified is not None else 1.0
-    what = f"{one.score.path}: {one.score.psnr_db:.2f} dB"
-    factor = f"{one.score.ratio:g}"
+    brighter = _brighter(arrays.reference) if arrays.amplified is not None else 1.0
+    what = f"{one.frame}: {one.score.psnr_db:.2f} dB"
 
     def layer(key: str, label: str, alt: str, array: NDArray[Any], place: str) -> Layer:
-        pixels = _heat(array[0], limit) if key == "error" else one.drawn(array * brighter)
+        pixels = _heat(array[0], limit) if key == "error" else one.rendered(array * brighter)
         return Layer(key, label, f"{alt} of {what}, {place}", _jpeg(pixels, quality))
 
     layers = []
-    if one.amplified is not None:
-        cut = one.amplified[(slice(None), *crop)]
-        layers.append(layer("input", f"Input ×{factor}", f"Noisy input times {factor}", cut, "centre crop"))
+    if arrays.amplified is not None:
+        ratio = one.score.ratio
+        label, alt = (
+            ("Input", "Noisy input") if ratio is None else (f"Input ×{ratio:g}", f"Noisy input times {ratio:g}")
+        )
+        layers.append(layer("input", label, alt, arrays.amplified[(slice(None), *crop)], "centre crop"))
     for key, label, alt, array in (
-        ("prediction", "Prediction", "Prediction", one.prediction),
-        ("reference", "Reference", "Reference", one.reference),
-        ("error", "Error", "Absolute error", one.error[None]),
+        ("prediction", "Prediction", "Prediction", arrays.prediction),
+        ("reference", "Reference", "Reference", arrays.reference),
+        ("error", "Error", "Absolute error", error[None]),
     ):
         layers.append(layer(key, label, alt, array[(slice(None), *crop)], "centre crop"))
     whole: tuple[Layer, ...] = ()
     if size != (height, width):
         whole = (
-            layer("prediction", "Prediction", "Prediction", _reduced(one.prediction, _WHOLE_WIDTH), "whole"),
-            layer("error", "Error", "Absolute error", _reduced(one.error[None], _WHOLE_WIDTH), "whole"),
+            layer("prediction", "Prediction", "Prediction", _reduced(arrays.prediction, _WHOLE_WIDTH), "whole"),
+            layer("error", "Error", "Absolute error", _reduced(error[None], _WHOLE_WIDTH), "whole"),
         )
-    return ShownImage(one.rank, one.score, tuple(layers), size, (height, width), whole, brighter)
+    return ShownImage(one.rank, one.score, one.frame, tuple(layers), size, (height, width), whole, brighter)
 
 
 def _centre(shape: tuple[int, ...]) -> tuple[slice, slice]:

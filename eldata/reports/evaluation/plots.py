@@ -1,4 +1,4 @@
-"""Plots of an evaluation's scores, image by image: by camera, ISO and factor, and the rescaling that was found."""
+"""Plots of an evaluation's scores, one by one: by camera, ISO and factor, and the rescaling that was found."""
 
 from __future__ import annotations
 
@@ -9,16 +9,19 @@ import numpy as np
 from matplotlib.font_manager import findfont, get_font
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from eldata.evaluation.statistics import interval_of_mean
+from eldata.evaluation.looking import columns_of, factors_of, finite_scores
 from eldata.reports.figures import MARKERS, drawn, figure, number
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from eldata.evaluation.saved import SavedScore
+    from eldata.evaluation.looking import Column, Grouping
+    from eldata.evaluation.scores import UnitScore
+    from eldata.evaluation.statistics import Interval
+    from eldata.protocols.kinds import Kind, Metric
     from eldata.reports.figures import Plot, Theme
 
 _LONGEST_LABEL = 14
@@ -26,82 +29,65 @@ _GOLDEN = (math.sqrt(5) - 1) / 2
 _USUAL = (0.8, 1.25)
 
 
-def score_plots(images: Sequence[SavedScore], *, rescaled: bool) -> tuple[Plot, ...]:
-    """Return the plots of a result; none of no images. Those of the rescaling only if the protocol rescales."""
-    finite = [image for image in images if math.isfinite(image.psnr_db) and math.isfinite(image.ssim)]
+def score_plots(scores: Sequence[UnitScore], kind: Kind, *, rescaled: bool) -> tuple[Plot, ...]:
+    """Return the plots of a result; none of no scores. Those of the rescaling only if the protocol rescales."""
+    finite = finite_scores(scores, kind)
     if not finite:
         return ()
-    left_out = len(images) - len(finite)
+    left_out = len(scores) - len(finite)
     note = f" Not drawn: {left_out} without a finite score." if left_out else ""
-    plots = [
-        _strips("psnr-camera", "PSNR by camera and factor", "PSNR [dB]", finite, _camera, "psnr_db", note),
-        _strips("ssim-camera", "SSIM by camera and factor", "SSIM", finite, _camera, "ssim", note),
-        _strips("psnr-iso", "PSNR by ISO and factor", "PSNR [dB]", finite, _iso, "psnr_db", note),
-        _strips("ssim-iso", "SSIM by ISO and factor", "SSIM", finite, _iso, "ssim", note),
-    ]
-    if rescaled:
-        positive = [image for image in finite if math.isfinite(image.rescale) and image.rescale > 0]
-        if positive:
-            plots += [_rescaling_plot(positive), _rescaling_scores_plot(positive)]
+    groupings: list[tuple[Grouping, str]] = [("camera", "camera")]
+    if any(score.iso for score in finite):
+        groupings.append(("iso", "ISO"))
+    plots = [_strips(metric, by, words, finite, kind, note) for by, words in groupings for metric in kind.metrics]
+    positive = [score for score in finite if math.isfinite(score.rescale) and score.rescale > 0]
+    if rescaled and positive:
+        plots += [_rescaling_plot(positive, kind), _rescaling_scores_plot(positive, kind)]
     return tuple(plots)
 
 
-def _camera(image: SavedScore) -> str:
-    return image.camera
+# --- one column per group -----------------------------------------------------------------------------------------
 
 
-def _iso(image: SavedScore) -> str:
-    return f"ISO {image.iso:g}" if image.iso else "not known"
-
-
-# --- one column a group -------------------------------------------------------------------------------------------
-
-
-def _strips(
-    name: str,
-    title: str,
-    label: str,
-    images: Sequence[SavedScore],
-    group_of: Callable[[SavedScore], str],
-    field: str,
-    note: str,
-) -> Plot:
-    groups = _groups(images, group_of)
-    ratios = sorted({image.ratio for image in images})
-    values = [getattr(image, field) for image in images]
+def _strips(metric: Metric, by: Grouping, words: str, scores: Sequence[UnitScore], kind: Kind, note: str) -> Plot:
+    columns = columns_of(scores, by)
+    groups = list(dict.fromkeys(column.group for column in columns))
+    values = [score.values[metric.name] for score in scores]
 
     def draw(theme: Theme) -> Figure:
         made = figure()
         axes = made.subplots()
-        _columns(axes, images, groups, ratios, group_of, field, theme, means=True)
-        axes.set_ylabel(label)
+        _columns(axes, columns, metric.name, theme, means=True)
+        axes.set_ylabel(metric.head)
         return made
 
     return drawn(
-        name,
-        title,
+        f"{metric.label.lower()}-{by}",
+        f"{metric.label} by {words}{_and_factor(scores)}",
         (
-            f"{label} of {len(images)} images in {len(groups)} groups ({', '.join(groups)}), from "
+            f"{metric.head} of {len(scores)} {kind.units} in {len(groups)} groups ({', '.join(groups)}), from "
             f"{min(values):.4g} to {max(values):.4g}."
         ),
         (
-            "A point an image. The bar is the mean of its column with the interval over scenes, where there are "
-            f"enough.{note}"
+            f"One point per {kind.unit}. The bar is the mean of its column with the interval over scenes, where there "
+            f"are enough.{note}"
         ),
         draw,
     )
 
 
-def _rescaling_plot(images: Sequence[SavedScore]) -> Plot:
-    groups = _groups(images, _camera)
-    ratios = sorted({image.ratio for image in images})
-    factors = [image.rescale for image in images]
+def _and_factor(scores: Sequence[UnitScore]) -> str:
+    return "" if factors_of(scores) == [None] else " and factor"
+
+
+def _rescaling_plot(scores: Sequence[UnitScore], kind: Kind) -> Plot:
+    factors = [score.rescale for score in scores]
 
     def draw(theme: Theme) -> Figure:
         made = figure()
         axes = made.subplots()
         _exposure_band(axes, theme, horizontal=True)
-        _columns(axes, images, groups, ratios, _camera, "rescale", theme, means=False)
+        _columns(axes, columns_of(scores, "camera"), "rescale", theme, means=False)
         _factor_axis(axes, factors)
         axes.set_ylabel("rescaled by")
         return made
@@ -109,83 +95,73 @@ def _rescaling_plot(images: Sequence[SavedScore]) -> Plot:
     return drawn(
         "rescaling",
         "Rescaling that was found",
-        f"Factor of each of {len(images)} predictions by camera, from {min(factors):.3g} to {max(factors):.3g}.",
+        f"Factor of each of {len(scores)} predictions by camera, from {min(factors):.3g} to {max(factors):.3g}.",
         (
             "What the protocol multiplied each prediction by. Good: near 1 (the band is 0.8 to 1.25). A column far "
-            "from 1 is a wrong exposure or scale of all of its images, which the score forgives and a viewer does not."
+            f"from 1 is a wrong exposure or scale of all of its {kind.units}, which the score forgives and a viewer "
+            "does not."
         ),
         draw,
     )
 
 
-def _rescaling_scores_plot(images: Sequence[SavedScore]) -> Plot:
-    ratios = sorted({image.ratio for image in images})
-    factors = [image.rescale for image in images]
+def _rescaling_scores_plot(scores: Sequence[UnitScore], kind: Kind) -> Plot:
+    factors = [score.rescale for score in scores]
+    points = [(score.ratio, score.rescale, score.psnr_db) for score in scores]
 
     def draw(theme: Theme) -> Figure:
         made = figure()
         axes = made.subplots()
         _exposure_band(axes, theme, horizontal=False)
-        for index, ratio in enumerate(ratios):
-            members = [image for image in images if image.ratio == ratio]
-            axes.plot(
-                [image.rescale for image in members],
-                [image.psnr_db for image in members],
-                linestyle="none",
-                alpha=0.7,
-                **look_of_factor(index, ratio, theme),
-            )
+        draw_points(axes, points, theme, alpha=0.7)
         _factor_axis(axes, factors, horizontal=True)
         axes.set_xlabel("rescaled by")
         axes.set_ylabel("PSNR [dB]")
-        legend_of_factors(axes, len(ratios))
         return made
 
     return drawn(
         "rescaling-psnr",
         "PSNR against rescaling",
-        f"PSNR of {len(images)} images against the factor that each prediction was multiplied by.",
-        "Good: a narrow cloud at 1. Bad images far from 1 were exposed wrongly, bad ones at 1 were denoised badly.",
+        f"PSNR of {len(scores)} {kind.units} against the factor that each prediction was multiplied by.",
+        "Good: a narrow cloud at 1. Bad ones far from 1 were exposed wrongly, bad ones at 1 were denoised badly.",
         draw,
     )
 
 
-def _groups(images: Sequence[SavedScore], group_of: Callable[[SavedScore], str]) -> list[str]:
-    """Return the names of the groups; ISOs in the order of their numbers."""
-    if group_of is _iso:
-        images = sorted(images, key=lambda image: image.iso)
-    return list(dict.fromkeys(group_of(image) for image in images))
+def draw_points(axes: Axes, points: Sequence[tuple[float | None, float, float]], theme: Theme, *, alpha: float) -> None:
+    """Draw points (factor, x, y), those of each factor alike, with a legend of the factors."""
+    ratios = sorted({ratio for ratio, _, _ in points}, key=lambda ratio: ratio or 0.0)
+    for index, ratio in enumerate(ratios):
+        members = [(x, y) for of, x, y in points if of == ratio]
+        axes.plot(
+            [x for x, _ in members],
+            [y for _, y in members],
+            linestyle="none",
+            alpha=alpha,
+            **look_of_factor(index, ratio, theme),
+        )
+    legend_of_factors(axes, ratios)
 
 
-def _columns(
-    axes: Axes,
-    images: Sequence[SavedScore],
-    groups: Sequence[str],
-    ratios: Sequence[float],
-    group_of: Callable[[SavedScore], str],
-    field: str,
-    theme: Theme,
-    *,
-    means: bool,
-) -> None:
+def _columns(axes: Axes, columns: Sequence[Column], field: str, theme: Theme, *, means: bool) -> None:
     """Draw the points of each group and factor in a column of their own, beside each other by factor."""
+    groups = list(dict.fromkeys(column.group for column in sorted(columns, key=lambda column: column.place)))
+    ratios = factors_of(score for column in columns for score in column.scores)
     width = 0.8 / len(ratios)
     for index, ratio in enumerate(ratios):
-        look = look_of_factor(index, ratio, theme)
         xs: list[float] = []
         ys: list[float] = []
-        for place, group in enumerate(groups):
-            members = [image for image in images if image.ratio == ratio and group_of(image) == group]
-            if not members:
+        for column in columns:
+            if column.ratio != ratio:
                 continue
-            values = sorted(float(getattr(image, field)) for image in members)
-            middle = place + (index - (len(ratios) - 1) / 2) * width
+            values = sorted(score.values[field] for score in column.scores)
+            middle = column.place + (index - (len(ratios) - 1) / 2) * width
             # Neighbours in value lie far apart, the same each time.
             xs += [middle + (((rank * _GOLDEN) % 1) - 0.5) * 0.6 * width for rank in range(len(values))]
             ys += values
             if means:
-                _mean_bar(axes, middle, 0.42 * width, members, field, theme)
-        axes.plot(xs, ys, linestyle="none", alpha=0.55, **look)
+                _mean_bar(axes, middle, 0.42 * width, column.interval(field), theme)
+        axes.plot(xs, ys, linestyle="none", alpha=0.55, **look_of_factor(index, ratio, theme))
     axes.set_xlim(-0.55, len(groups) - 0.45)
     axes.xaxis.set_major_locator(FixedLocator(list(range(len(groups)))))
     labels = [drawable(name, _LONGEST_LABEL) for name in groups]
@@ -198,17 +174,16 @@ def _columns(
         rotation_mode="anchor",
     )
     axes.grid(visible=False, axis="x")
-    legend_of_factors(axes, len(ratios))
+    legend_of_factors(axes, ratios)
 
 
-def _mean_bar(axes: Axes, x: float, half: float, members: Sequence[SavedScore], field: str, theme: Theme) -> None:
-    interval = interval_of_mean([float(getattr(image, field)) for image in members], [image.place for image in members])
+def _mean_bar(axes: Axes, x: float, half: float, interval: Interval, theme: Theme) -> None:
     axes.plot([x - half, x + half], [interval.mean] * 2, color=theme.ink, linewidth=2, zorder=4)
     if interval.is_known:
         axes.plot([x, x], [interval.low, interval.high], color=theme.ink, linewidth=1.2, zorder=4)
 
 
-def look_of_factor(index: int, ratio: float, theme: Theme) -> dict[str, Any]:
+def look_of_factor(index: int, ratio: float | None, theme: Theme) -> dict[str, Any]:
     """Return how the points of a factor look; ``index`` is its place among the factors."""
     colours = (theme.found, theme.theory, *theme.channels[1:])
     return {
@@ -216,7 +191,7 @@ def look_of_factor(index: int, ratio: float, theme: Theme) -> dict[str, Any]:
         "marker": MARKERS[index % len(MARKERS)],
         "markersize": 4.2,
         "markeredgewidth": 0,
-        "label": f"×{ratio:g}",
+        "label": "" if ratio is None else f"×{ratio:g}",
     }
 
 
@@ -227,12 +202,14 @@ def drawable(name: str, longest: int) -> str:
     return "".join(letter if font.get_char_index(ord(letter)) else "□" for letter in name)
 
 
-def legend_of_factors(axes: Axes, count: int) -> None:
-    """Put the legend above the axes, where no point can be."""
+def legend_of_factors(axes: Axes, ratios: Sequence[float | None]) -> None:
+    """Put the legend above the axes, where no point can be; none where no factor is stated."""
+    if list(ratios) == [None]:
+        return
     axes.legend(
         loc="lower center",
         bbox_to_anchor=(0.5, 1),
-        ncols=min(count, 5),
+        ncols=min(len(ratios), 5),
         columnspacing=1,
         handlelength=1,
         handletextpad=0.4,

@@ -1,5 +1,5 @@
 from .checks import verify_shards as verify_shards
-from .layout import ShardError as ShardError
-from .layout import ShardIndex as ShardIndex
+from .index import ShardError as ShardError
+from .index import ShardIndex as ShardIndex
 from .writing import ShardReport as ShardReport
 from .writing import write_shards as write_shards

@@ -7,7 +7,7 @@ from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 from eldata.errors import DatasetError
-from eldata.sources.shards.layout import ShardError
+from eldata.sources.shards.index import ShardError
 from eldata.sources.shards.members import END
 from eldata.sources.shards.remote import Folder, Forward
 from eldata.sources.shards.samples import checked_sample
@@ -15,11 +15,11 @@ from eldata.sources.shards.samples import checked_sample
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from eldata.sources.shards.layout import Shard
+    from eldata.sources.shards.index import Shard
 
 
 def verify_shards(address: str, *, storage_options: Mapping[str, Any] | None = None) -> list[str]:
-    """Read all shards and return what is wrong with them, one line a shard; nothing if all is well.
+    """Read all shards and return what is wrong with them, one line per shard; nothing if all is well.
 
     Raises
     ------

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.raw.cfa import packed_shape
-from eldata.sources.shards.layout import KEY_DIGITS, Facts, facts_text, member_names, parse_facts
+from eldata.sources.shards.index import KEY_DIGITS, Facts, facts_text, member_names, parse_facts
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -37,7 +37,7 @@ class MemberError(ValueError):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sample:
+class StoredSample:
     """One sample of a shard: its number, facts, and both mosaics (H, W) uint16 in DN, views of the bytes read."""
 
     number: int
@@ -56,7 +56,7 @@ def to_bytes(key: str, facts: Facts, input_dn: NDArray[np.uint16], target_dn: ND
     )
 
 
-def from_bytes(content: bytes) -> Sample:
+def from_bytes(content: bytes) -> StoredSample:
     """Return the sample that a part of a tar file is.
 
     Raises
@@ -71,7 +71,7 @@ def from_bytes(content: bytes) -> Sample:
     expected = member_names(found[1]) if found else member_names("KEY")
     for (name, _), wanted in zip(members, expected, strict=True):
         if name != wanted:
-            raise MemberError(f"member {name!r} is none of a shard's: expected {wanted}")
+            raise MemberError(f"member {name!r} does not belong in a shard: expected {wanted}")
     try:
         facts = parse_facts(bytes(members[0][1]))
         _check_sides(facts)
@@ -79,7 +79,7 @@ def from_bytes(content: bytes) -> Sample:
         raise MemberError(f"member {members[0][0]} does not hold a sample's facts ({error})") from error
     sensors = facts.input.sensor, facts.target.sensor
     mosaics = [_mosaic(name, body, sensor) for (name, body), sensor in zip(members[1:], sensors, strict=True)]
-    return Sample(int(members[0][0].partition(".")[0]), facts, mosaics[0], mosaics[1])
+    return StoredSample(int(members[0][0].partition(".")[0]), facts, mosaics[0], mosaics[1])
 
 
 def _header(name: str, size: int) -> bytes:
@@ -95,7 +95,7 @@ def _members(content: bytes) -> Iterator[tuple[str, memoryview]]:
         try:
             info = tarfile.TarInfo.frombuf(bytes(view[at : at + BLOCK]), "utf-8", "surrogateescape")
         except tarfile.HeaderError as error:
-            raise MemberError(f"byte {at} of the sample is no tar header ({error})") from error
+            raise MemberError(f"byte {at} of the sample is not a tar header ({error})") from error
         if info.type not in (tarfile.REGTYPE, tarfile.AREGTYPE):
             raise MemberError(f"member {info.name!r} is a link, folder or device; a shard holds plain files only")
         end = at + BLOCK + info.size

@@ -11,7 +11,7 @@ from typing import IO, TYPE_CHECKING, Any, Self
 from fsspec.core import url_to_fs  # type: ignore[import-untyped] # it has none
 
 from eldata.errors import ArgumentError
-from eldata.sources.shards.layout import INDEX, ShardError, ShardIndex, parse_index
+from eldata.sources.shards.index import INDEX, ShardError, ShardIndex, parse_index
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -66,7 +66,7 @@ class Folder:
         Raises
         ------
         ShardError
-            If the index is missing, cannot be read, or is none.
+            If the index is missing, cannot be read, or is not an index.
         ArgumentError
             As :meth:`file_system` does.
         """
@@ -122,7 +122,7 @@ class Forward:
         return b"".join(pieces)
 
     def read_all(self) -> bytes:
-        """Return all the rest; errors as of :meth:`read`."""
+        """Return all the rest; raises like :meth:`read`."""
         pieces = []
         while piece := self._piece(_BLOCK_BYTES):
             pieces.append(piece)
@@ -174,7 +174,7 @@ class Forward:
 
 
 def _is_final(error: BaseException) -> bool:
-    """Return whether another attempt would end the same: a file that is not there, or not to be had."""
+    """Return whether another attempt would end the same: a file that is not there, or not available."""
     if not isinstance(error, (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError)):
         return False
     # Of any failure to learn a file's size, fsspec makes a FileNotFoundError with its cause.

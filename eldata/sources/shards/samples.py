@@ -6,19 +6,19 @@ import zlib
 from contextlib import closing
 from typing import TYPE_CHECKING
 
-from eldata.sources.shards.layout import ShardError, key_of
-from eldata.sources.shards.members import MemberError, Sample, from_bytes
+from eldata.sources.shards.index import ShardError, key_of
+from eldata.sources.shards.members import MemberError, StoredSample, from_bytes
 from eldata.sources.shards.remote import Forward
 
 if TYPE_CHECKING:
     from collections.abc import Generator
 
-    from eldata.sources.shards.layout import ShardIndex
+    from eldata.sources.shards.index import ShardIndex
     from eldata.sources.shards.remote import Folder
     from eldata.sources.shards.splitting import Run
 
 
-def read_run(folder: Folder, index: ShardIndex, run: Run) -> Generator[Sample]:
+def read_run(folder: Folder, index: ShardIndex, run: Run) -> Generator[StoredSample]:
     """Yield neighbouring samples of a shard, one in memory at a time.
 
     Raises
@@ -37,13 +37,13 @@ def read_run(folder: Folder, index: ShardIndex, run: Run) -> Generator[Sample]:
             start += size
 
 
-def read_sample(folder: Folder, index: ShardIndex, run: Run) -> Sample:
-    """Return the first sample of a run; errors as of :func:`read_run`."""
+def read_sample(folder: Folder, index: ShardIndex, run: Run) -> StoredSample:
+    """Return the first sample of a run; raises like :func:`read_run`."""
     with closing(read_run(folder, index, run)) as samples:
         return next(samples)
 
 
-def checked_sample(place: str, where: str, content: bytes, crc32: int) -> Sample:
+def checked_sample(place: str, where: str, content: bytes, crc32: int) -> StoredSample:
     """Return the sample that bytes of a shard are, if their checksum is that of the index.
 
     Raises
@@ -62,4 +62,4 @@ def checked_sample(place: str, where: str, content: bytes, crc32: int) -> Sample
     try:
         return from_bytes(content)
     except MemberError as error:
-        raise ShardError(place, f"{where} is no sample: {error}") from error
+        raise ShardError(place, f"{where} is not a sample: {error}") from error

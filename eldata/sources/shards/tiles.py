@@ -7,7 +7,7 @@ from itertools import product
 from typing import TYPE_CHECKING
 
 from eldata.errors import ArgumentError, DatasetError
-from eldata.raw.cfa import packed_area
+from eldata.raw.cfa import cfa_from, packed_area
 
 if TYPE_CHECKING:
     from eldata.raw.cfa import CfaRows
@@ -75,10 +75,7 @@ def grid(name: str, sensor: Sensor, tile: int, overlap: int) -> list[Tile]:
             f"{name}: {area.height} x {area.width} pixels are too few for a tile of {side} x {side} (tile={tile}); "
             "take smaller tiles, or whole frames"
         )
-    cfa = tuple(
-        tuple(sensor.cfa[(y + area.top) % period][(x + area.left) % period] for x in range(period))
-        for y in range(period)
-    )
+    cfa = cfa_from(sensor.cfa, area.top, area.left)
     starts = [_starts(length - side, stride, period) for length in (area.height, area.width)]
     return [Tile(area.top + top, area.left + left, side, side, cfa) for top, left in product(*starts)]
 

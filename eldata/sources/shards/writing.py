@@ -3,34 +3,34 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 import zlib
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from tqdm import tqdm
 
 from eldata.base.fields import TextFile
-from eldata.base.files import atomic_write, write_text
-from eldata.datasets.packed_store import PackedStore
-from eldata.datasets.stored_clean import stored_mosaic
-from eldata.errors import ArgumentError, EldataError
-from eldata.raw.reading import exposure_ratio
-from eldata.sources.shards.layout import FORMAT, INDEX, VERSION, Facts, Shard, ShardIndex, Side, index_text, key_of
+from eldata.base.files import atomic_write, write_json, write_text
+from eldata.base.keywords import keywords
+from eldata.errors import ArgumentError, DatasetError, EldataError
+from eldata.manifest.pairs import RENAMED, Choice
+from eldata.sources.pairs import checked_ratio
+from eldata.sources.shards.index import FORMAT, INDEX, VERSION, Facts, Shard, ShardIndex, Side, index_text, key_of
 from eldata.sources.shards.members import END, to_bytes
 from eldata.sources.shards.tiles import grid, whole
-from eldata.sources.store.read import PixelReader, open_store
+from eldata.sources.store.read import StoreFrames
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
+    from fractions import Fraction
 
-    from eldata.records import PairRecord
+    from eldata.records import PairRecord, Sensor
+    from eldata.sources.frames import Frame
     from eldata.sources.shards.tiles import Tile
-    from eldata.sources.store.layout import StoredFrame
 
 # What was begun, so that only the same work goes on in the folder; gone when the index is there.
 BEGUN = ".begun.json"
@@ -55,9 +55,15 @@ class _Planned:
 
     number: int
     record: PairRecord
-    noisy: StoredFrame
-    reference: StoredFrame
+    ratio: Fraction
+    sides: tuple[Frame, Frame]
+    sha256: tuple[str, str]
     tile: Tile
+
+    @property
+    def sensors(self) -> list[Sensor]:
+        """Of the noisy frame and its reference."""
+        return [frame.sensor for frame in self.sides if frame.sensor is not None]
 
 
 def write_shards(
@@ -68,10 +74,7 @@ def write_shards(
     overlap: int = 0,
     samples_per_shard: int = 64,
     seed: int = 0,
-    cameras: Collection[str] | None = None,
-    splits: Collection[str] | None = None,
-    subset: str | None = None,
-    exclude_flags: Collection[str] = (),
+    **choice: Unpack[Choice],
 ) -> ShardReport:
     """Write a store's pairs as shards.
 
@@ -91,8 +94,8 @@ def write_shards(
         The last shard has the rest.
     seed
         Of the order.
-    cameras, splits, subset, exclude_flags
-        Which of the store's pairs, as in :class:`~eldata.datasets.packed_store.PackedStore`.
+    choice
+        Which of the store's pairs.
 
     Raises
     ------
@@ -110,41 +113,43 @@ def write_shards(
             f"samples_per_shard must be 1 or more and seed 0 or more; found {samples_per_shard}, {seed}"
         )
     folder = Path(folder)
-    pairs = PackedStore(
-        store, crop=None, augment=False, cameras=cameras, splits=splits, subset=subset, exclude_flags=exclude_flags
-    )
-    planned = list(_planned(pairs, tile, overlap))
+    (chosen,) = keywords("write_shards", choice, Choice, renamed=RENAMED)
+    source = StoreFrames(store)
+    planned = list(_planned(source, source.pairs(chosen), tile, overlap))
     order = np.random.default_rng(np.random.SeedSequence(seed)).permutation(len(planned)).tolist()
     parts = [order[start : start + samples_per_shard] for start in range(0, len(order), samples_per_shard)]
     if len(parts) > _MOST_SHARDS:
         raise ArgumentError(f"{len(parts)} shards are more than {_MOST_SHARDS}; take more samples per shard")
     options = {"tile": tile, "overlap": overlap, "samples_per_shard": samples_per_shard, "seed": seed}
     _begin(folder, options | {"samples": _digest(planned)})
-    reader = PixelReader(Path(store))
     shards, resumed = [], 0
     with tqdm(total=len(planned), desc="writing shards", unit="sample", disable=None, leave=False) as bar:
         for number, part in enumerate(parts):
             path = folder / f"shard-{number:06d}.tar"
-            samples = partial(_contents, reader, pairs.root, [planned[place] for place in part])
+            samples = partial(_contents, [planned[place] for place in part])
             shard = _found(path, samples()) if path.exists() else None
             resumed += shard is not None
             shards.append(shard or _written(path, samples()))
             bar.update(len(part))
-    index = ShardIndex(pairs.name, tile, overlap, seed, tuple(shards))
+    index = ShardIndex(source.store.dataset, tile, overlap, seed, tuple(shards))
     write_text(folder / INDEX, index_text(index, _version()))
     (folder / BEGUN).unlink()
     return ShardReport(folder, len(index), len(shards), resumed, sum(shard.bytes for shard in shards))
 
 
-def _planned(pairs: PackedStore, tile: int | None, overlap: int) -> Iterator[_Planned]:
+def _planned(source: StoreFrames, pairs: Sequence[PairRecord], tile: int | None, overlap: int) -> Iterator[_Planned]:
     """Yield the samples in the order of pairs and places, which numbers them."""
-    frames = {frame.path: frame for frame in open_store(pairs.root).frames}
+    digests = {frame.path: frame.sha256 for frame in source.store.frames}
     number = 0
-    for record in pairs.records:
-        noisy, reference = frames[record.path], frames[record.reference]
-        name = str(pairs.root / record.path)
-        for place in whole(noisy.sensor) if tile is None else grid(name, noisy.sensor, tile, overlap):
-            yield _Planned(number, record, noisy, reference, place)
+    for record in pairs:
+        noisy, reference = source.frame(record.path), source.frame(record.reference)
+        ratio = checked_ratio(record, reference, noisy)
+        sums = digests[record.path], digests[record.reference]
+        sensor = noisy.sensor
+        if sensor is None:
+            raise DatasetError(f"{noisy.name}: is not a raw file; shards hold mosaics in DN")
+        for place in whole(sensor) if tile is None else grid(noisy.name, sensor, tile, overlap):
+            yield _Planned(number, record, ratio, (noisy, reference), sums, place)
             number += 1
 
 
@@ -152,8 +157,10 @@ def _digest(planned: Sequence[_Planned]) -> str:
     """Return a digest of what decides the samples' bytes."""
     found = hashlib.sha256()
     for sample in planned:
-        noisy, reference = sample.noisy, sample.reference
-        sides = [(f.sha256, repr(f.sensor), repr(f.exposure)) for f in (noisy, reference)]
+        sides = [
+            (digest, repr(sensor), repr(frame.exposure))
+            for digest, sensor, frame in zip(sample.sha256, sample.sensors, sample.sides, strict=True)
+        ]
         found.update(repr((sample.number, sample.record, sample.tile, sides)).encode())
     return f"sha256:{found.hexdigest()}"
 
@@ -176,7 +183,7 @@ def _begin(folder: Path, options: dict[str, Any]) -> None:
     if begun is None:
         if there:
             raise EldataError(f"{folder}: holds other files, such as {there[0]}; name a new folder")
-        write_text(folder / BEGUN, json.dumps(wanted, indent=1) + "\n")
+        write_json(folder / BEGUN, wanted, indent=1)
         return
     for name, value in wanted.items():
         if begun.data.get(name) != value:
@@ -187,17 +194,18 @@ def _begin(folder: Path, options: dict[str, Any]) -> None:
             )
 
 
-def _contents(reader: PixelReader, root: Path, samples: Sequence[_Planned]) -> Iterator[bytes]:
-    return (_content(reader, root, sample) for sample in samples)
+def _contents(samples: Sequence[_Planned]) -> Iterator[bytes]:
+    return map(_content, samples)
 
 
-def _content(reader: PixelReader, root: Path, sample: _Planned) -> bytes:
-    headers = [frame.header(root) for frame in (sample.reference, sample.noisy)]
-    frames = sample.noisy, sample.reference
-    sides = [Side(sample.tile.sensor(frame.sensor), frame.exposure) for frame in frames]
-    facts = Facts(sample.record, exposure_ratio(*headers), sample.tile.top, sample.tile.left, *sides)
-    mosaics = [stored_mosaic(reader, frame)[sample.tile.slices] for frame in frames]
-    return to_bytes(key_of(sample.number), facts, mosaics[0], mosaics[1])
+def _content(sample: _Planned) -> bytes:
+    tile = sample.tile
+    sides = [
+        Side(tile.sensor(sensor), frame.exposure) for sensor, frame in zip(sample.sensors, sample.sides, strict=True)
+    ]
+    facts = Facts(sample.record, sample.ratio, tile.top, tile.left, *sides)
+    noisy, reference = (frame.mosaic[tile.slices] for frame in sample.sides)
+    return to_bytes(key_of(sample.number), facts, noisy, reference)
 
 
 class _Tally:

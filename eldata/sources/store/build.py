@@ -18,8 +18,8 @@ from eldata.base.png import read_rgb16
 from eldata.base.workers import AnyWorkers, Workers, accepts_jobs, require_files
 from eldata.errors import ArgumentError, EldataError
 from eldata.manifest.clip_checks import is_png
+from eldata.sources.store.format import FORMAT, chunk_shape, filters, frame_attributes, rgb_attributes, version_of
 from eldata.sources.store.journal import journaled
-from eldata.sources.store.layout import FORMAT, chunk_shape, filters, frame_attributes, rgb_attributes, version_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.records import Role
+    from eldata.sources.store.format import Compression
     from eldata.sources.store.journal import JournaledFile
-    from eldata.sources.store.layout import Compression
     from eldata.sources.store.sources import Source
 
 

@@ -11,7 +11,7 @@ from tqdm import tqdm
 from eldata.base.workers import AnyWorkers, Workers, accepts_jobs, require_files
 from eldata.manifest.verify import DatasetReport, Problem, VerifyReport
 from eldata.sources.store.build import pixels_digest
-from eldata.sources.store.layout import StoredRgb, StoreError, chunk_shape
+from eldata.sources.store.format import StoredRgb, StoreError, chunk_shape
 from eldata.sources.store.read import PixelReader, open_store, opened
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.manifest.verify import Level
-    from eldata.sources.store.layout import Store, StoredFrame
+    from eldata.sources.store.format import Store, StoredFrame
 
 _ADVICE = "copy or pack the store again"
 
@@ -44,7 +44,7 @@ def verify_store(path: Path | str, *, level: Level = "quick", workers: AnyWorker
     Raises
     ------
     StoreError
-        If it is no store, truncated, not complete, or of a newer version.
+        If it is not a store, truncated, not complete, or of a newer version.
     ArgumentError
         If it is compressed and hdf5plugin is not installed.
     """
@@ -102,5 +102,5 @@ def _pixels(dataset: str, reader: PixelReader, frame: StoredFrame | StoredRgb) -
 
 def _read(reader: PixelReader, frame: StoredFrame | StoredRgb) -> NDArray[np.uint16]:
     if isinstance(frame, StoredRgb):
-        return reader.read_planes(frame.key, range(frame.height), range(frame.width))
+        return reader.read(frame.key, range(frame.height), range(frame.width), 3)
     return reader.borrow(frame.key, range(frame.sensor.height), range(frame.sensor.width))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
 import threading
@@ -15,15 +16,20 @@ from typing import TYPE_CHECKING, Any
 import h5py
 import numpy as np
 
-from eldata.errors import ArgumentError, EldataError
+from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.manifest.catalogue import load_manifest
+from eldata.manifest.pairs import choose_pairs
+from eldata.records import FrameRecord
+from eldata.sources.frames import Frame
 from eldata.sources.store.chunks import chunk_table, read_part
-from eldata.sources.store.layout import (
+from eldata.sources.store.format import (
     COMPRESSIONS,
     FORMAT,
     RGB,
     VERSION,
     Store,
+    StoredFrame,
+    StoredRgb,
     StoreError,
     filters,
     stored_frame,
@@ -34,6 +40,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.manifest.catalogue import Manifest
+    from eldata.manifest.pairs import Choice
+    from eldata.records import PairRecord
     from eldata.sources.store.chunks import ChunkTable
 
 # Enough for the chunks of a few rows of a crop; a read visits each chunk once. HDF5 frees it with the frame.
@@ -73,7 +81,7 @@ def open_store(path: Path | str) -> Store:
 
 
 def opened(path: Path) -> h5py.File:
-    """Open a store's HDF5 file for reading; errors as of :func:`open_store`."""
+    """Open a store's HDF5 file for reading; raises like :func:`open_store`."""
     try:
         path.open("rb").close()
     except OSError as error:
@@ -139,34 +147,29 @@ class PixelReader:
         self._scratch = threading.local()
         _READERS.add(self)
 
-    def read(self, key: str, rows: range, columns: range) -> NDArray[np.uint16]:
-        """Return a part of a frame's mosaic, uint16 in DN.
+    def read(self, key: str, rows: range, columns: range, planes: int | None = None) -> NDArray[np.uint16]:
+        """Return a part of a frame, (rows, columns) uint16 in DN, or with ``planes`` (planes, rows, columns).
 
         Raises
         ------
         StoreError
             If the store cannot be read.
         """
-        pixels = np.empty((len(rows), len(columns)), np.uint16)
+        pixels = np.empty(_part_shape(rows, columns, planes), np.uint16)
         self._fill(pixels, key, rows, columns)
         return pixels
 
-    def read_planes(self, key: str, rows: range, columns: range) -> NDArray[np.uint16]:
-        """Return a part of an RGB frame, (3, rows, columns) uint16; errors as of :meth:`read`."""
-        pixels = np.empty((3, len(rows), len(columns)), np.uint16)
-        self._fill(pixels, key, rows, columns)
-        return pixels
-
-    def borrow(self, key: str, rows: range, columns: range) -> NDArray[np.uint16]:
+    def borrow(self, key: str, rows: range, columns: range, planes: int | None = None) -> NDArray[np.uint16]:
         """Return a part as :meth:`read` does, in memory that this thread's next call overwrites.
 
         The pages of new memory cost as much as the reading.
         """
-        size = len(rows) * len(columns)
+        shape = _part_shape(rows, columns, planes)
+        size = math.prod(shape)
         scratch = getattr(self._scratch, "pixels", None)
         if scratch is None or scratch.size < size:
             scratch = self._scratch.pixels = np.empty(size, np.uint16)
-        pixels: NDArray[np.uint16] = scratch[:size].reshape(len(rows), len(columns))
+        pixels: NDArray[np.uint16] = scratch[:size].reshape(shape)
         self._fill(pixels, key, rows, columns)
         return pixels
 
@@ -244,32 +247,111 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(before=_before_fork)
 
 
+def _part_shape(rows: range, columns: range, planes: int | None) -> tuple[int, ...]:
+    return (len(rows), len(columns)) if planes is None else (planes, len(rows), len(columns))
+
+
 class StoredMosaic:
-    """A frame's mosaic, (H, W) uint16 in DN; ``mosaic[rows, columns]`` reads just that part of it."""
+    """A frame's pixels, (H, W) uint16 in DN or (3, H, W); ``mosaic[rows, columns]`` reads just that part of them."""
 
     dtype = np.dtype(np.uint16)
 
-    def __init__(self, reader: PixelReader, key: str, shape: tuple[int, int]) -> None:
+    def __init__(self, reader: PixelReader, key: str, shape: tuple[int, ...]) -> None:
         self._reader = reader
         self._key = key
         self.shape = shape
 
-    def __getitem__(self, part: tuple[slice, slice]) -> NDArray[np.uint16]:
-        rows, columns = self._ranges(part)
-        return self._reader.read(self._key, rows, columns)
+    def __getitem__(self, part: tuple[Any, ...]) -> NDArray[np.uint16]:
+        return self._reader.read(self._key, *self._ranges(part), self._planes)
 
-    def borrow(self, part: tuple[slice, slice]) -> NDArray[np.uint16]:
+    def borrow(self, part: tuple[Any, ...]) -> NDArray[np.uint16]:
         """Read a part into memory that the next call of this thread overwrites."""
-        rows, columns = self._ranges(part)
-        return self._reader.borrow(self._key, rows, columns)
+        return self._reader.borrow(self._key, *self._ranges(part), self._planes)
 
-    def _ranges(self, part: tuple[slice, slice]) -> tuple[range, range]:
-        rows, columns = (range(*wanted.indices(side)) for wanted, side in zip(part, self.shape, strict=True))
+    @property
+    def _planes(self) -> int | None:
+        return None if len(self.shape) == 2 else self.shape[0]
+
+    def _ranges(self, part: tuple[Any, ...]) -> tuple[range, range]:
+        rows, columns = (range(*wanted.indices(side)) for wanted, side in zip(part[-2:], self.shape[-2:], strict=True))
         if rows.step != 1 or columns.step != 1:
             raise ArgumentError("a stored mosaic is read without steps")
         return rows, columns
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         if copy is False:
-            raise ValueError("a stored mosaic cannot be had without reading it into new memory")
+            raise ValueError("a stored mosaic cannot be read without new memory")
         return self[:, :].astype(dtype or self.dtype, copy=False)
+
+
+class StoreFrames:
+    """The frames of a store: a :class:`~eldata.sources.frames.FrameSource` that reads only the parts it is asked for.
+
+    Raises
+    ------
+    StoreError
+        If the file is not a store, truncated, not complete, or of a newer version.
+    """
+
+    reads_parts = True
+
+    def __init__(self, path: Path | str) -> None:
+        self.store = open_store(path)
+        self.path = self.store.path
+        self.decodes_long = self.store.compression == "zstd"
+        self._reader = PixelReader(self.path)
+        self._held: dict[str, StoredFrame | StoredRgb] = {frame.path: frame for frame in self.store.frames}
+        self._held |= {frame.path: frame for frame in self.store.rgb}
+
+    @property
+    def records(self) -> tuple[FrameRecord, ...]:
+        """The rows of the manifest whose files are held; of clean frames those that they would have."""
+        if self.store.manifest is None:
+            return tuple(FrameRecord(frame.path, frame.role, frame.sensor.model) for frame in self.store.frames)
+        return tuple(record for record in self.store.manifest.records if record.path in self._held)
+
+    def frame(self, path: str) -> Frame:
+        """Open a frame by its path, with or without the store's before it.
+
+        Raises
+        ------
+        DatasetError
+            If the store does not hold it.
+        """
+        held = self._held.get(path.removeprefix(f"{self.path.as_posix()}/"))
+        if held is None:
+            raise DatasetError(f"{self.path}: holds no frame {path!r}; pack the dataset again")
+        name = str(self.path / held.path)
+        if isinstance(held, StoredRgb):
+            return Frame.of_rgb(StoredMosaic(self._reader, held.key, (3, held.height, held.width)), name)
+        shape = held.sensor.height, held.sensor.width
+        return Frame.of_raw(StoredMosaic(self._reader, held.key, shape), held.sensor, name, held.exposure)
+
+    def pairs(self, choice: Choice) -> tuple[PairRecord, ...]:
+        """Return the pairs that are held and chosen.
+
+        Raises
+        ------
+        DatasetError
+            If the store holds clean frames or clips, or only a part of the chosen subset.
+        ArgumentError
+            If a value is unknown, or no pair is left.
+        """
+        manifest = self.store.manifest
+        if manifest is None:
+            raise DatasetError(f"{self.path}: holds clean frames, not pairs; read it with StoredFrames")
+        subset = choice.get("subset")
+        if subset is not None:  # counted on the whole manifest: a store of a part may lack some
+            wanted = {pair.path for pair in choose_pairs(manifest.records, manifest.card.subsets, subset=subset)}
+            lacking = sorted(wanted - set(self._held))
+            if lacking:
+                raise DatasetError(
+                    f"{self.path}: lacks {len(lacking)} of the {len(wanted)} pairs of the subset {subset!r}, such as "
+                    f"{lacking[0]}; pack the whole dataset, or that subset"
+                )
+            held = [record for record in self.records if record.role != "noisy" or record.path in wanted]
+        else:
+            held = list(self.records)
+        rest = choice.copy()
+        rest["subset"] = None  # it is chosen
+        return choose_pairs(held, (), **rest)

@@ -7,16 +7,16 @@ import tempfile
 from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
+from eldata.base.keywords import keywords
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.catalogue import Manifest, load_manifest, shipped_manifest
 from eldata.manifest.clip_checks import is_png
-from eldata.manifest.clips import clips_of, select_rows
+from eldata.manifest.clips import choose_clips, clips_of
 from eldata.manifest.drv import Scan, scan_raw
-from eldata.manifest.pairs import select_pairs
+from eldata.manifest.pairs import RENAMED, Choice, choose_pairs
 from eldata.manifest.patterns import expand, is_pattern
-from eldata.manifest.subsets import find_subset
 from eldata.raw.extensions import RAW_EXTENSIONS
 
 if TYPE_CHECKING:
@@ -75,10 +75,8 @@ def source_of_dataset(
     *,
     root: Path | str | None = None,
     manifest: Path | str | None = None,
-    cameras: Collection[str] | None = None,
-    splits: Collection[str] | None = None,
-    subset: str | None = None,
     ids: Collection[str] | None = None,
+    **choice: Unpack[Choice],
 ) -> Source:
     """Return the files of a dataset's pairs or clips: references first come, each once, then their noisy frames.
 
@@ -90,12 +88,10 @@ def source_of_dataset(
         The folder that holds the datasets; default ``$ELDATA_ROOT``, else ``./data``.
     manifest
         A manifest's CSV file in place of the shipped one.
-    cameras, splits
-        Which pairs or clips; ``None`` means all.
-    subset
-        Which pairs, by a name of the card.
     ids
-        Which clips, such as ``["0007", "M0003"]``.
+        Which clips, such as ``["0007", "M0003"]``: their scenes.
+    choice
+        Which pairs or clips.
 
     Raises
     ------
@@ -107,25 +103,21 @@ def source_of_dataset(
         If the folder or files of a clip are not there, a clip's frames do not follow one numbering, or the pairs are
         not raw files.
     """
+    (chosen,) = keywords("source_of_dataset", choice, Choice, renamed=RENAMED)
     if name == _RAW_CLIPS and manifest is None:
         published = shipped_manifest("drv")
         folder = _folder(published, root)
         scan = scan_raw(folder)
-        return _source_of_clips(scan.card, scan.records, folder, cameras, splits, subset, ids)
+        return _source_of_clips(scan.card, scan.records, folder, chosen, ids)
     loaded = shipped_manifest(name) if manifest is None else load_manifest(manifest)
     if loaded.name != name:
         raise ArgumentError(f"{manifest}: is the manifest of {loaded.name!r}, not of {name!r}")
     if _holds_clips(loaded.records):
         folder = _folder(loaded, root)
-        return _source_of_clips(loaded.card, loaded.records, folder, cameras, splits, subset, ids)
+        return _source_of_clips(loaded.card, loaded.records, folder, chosen, ids)
     if ids is not None:
         raise ArgumentError(f"{name}: holds pairs, not clips; choose them by cameras, splits or a subset")
-    pairs = select_pairs(
-        loaded.records,
-        cameras=cameras,
-        splits=splits,
-        subset=None if subset is None else find_subset(loaded.card.subsets, subset),
-    )
+    pairs = choose_pairs(loaded.records, loaded.card.subsets, **chosen)
     files: dict[str, Role] = {}
     for pair in pairs:
         files.setdefault(pair.reference, "reference")
@@ -162,23 +154,10 @@ def _source_of_clips(
     card: Card,
     records: Sequence[FrameRecord],
     folder: Path,
-    cameras: Collection[str] | None,
-    splits: Collection[str] | None,
-    subset: str | None,
+    choice: Choice,
     ids: Collection[str] | None,
 ) -> Source:
-    if subset is not None:
-        raise ArgumentError(f"{card.name}: a subset names pairs, and this holds clips; choose them by split and id")
-    known = sorted({record.camera for record in records})
-    for camera in cameras or ():
-        if camera not in known:
-            raise ArgumentError(f"no clip has camera {camera}; known are {', '.join(known)}")
-    wanted = [record for record in records if cameras is None or record.camera in cameras]
-    every = {record.split for record in wanted}
-    for split in splits or ():
-        if split not in every:
-            raise ArgumentError(f"no clip has split {split}; known are {', '.join(sorted(every))}")
-    rows = expand(select_rows(wanted, splits=every if splits is None else splits, ids=ids), folder)
+    rows = expand(choose_clips(records, card.subsets, ids=ids, **choice), folder)
     files: dict[str, Role] = {}
     for clip in clips_of(rows):
         if clip.reference is not None:

@@ -17,7 +17,7 @@ from eldata.calibration.frame_checks import FramesError
 from eldata.datasets.drv import DRVDataset
 from eldata.datasets.synthesis import Recipe, synthesize
 from eldata.evaluation.evaluate import evaluate
-from eldata.evaluation.video import evaluate_video, save_clip_prediction
+from eldata.evaluation.predictions import save_clip_prediction
 from eldata.manifest.lock import lock
 from eldata.manifest.verify import verify
 from eldata.noise.profile import CameraProfile
@@ -72,14 +72,14 @@ def test_evaluate(tree: Tree, executor: Executor, tmp_path: Path) -> None:
     assert there.table == alone.table
 
 
-def test_evaluate_video(executor: Executor, tmp_path: Path) -> None:
+def test_evaluate_clips(executor: Executor, tmp_path: Path) -> None:
     drv = small_drv(tmp_path / "drv", ("0007", "0013"), 12, size=(48, 56))
     for record in DRVDataset(drv.data, split="test", frames="evaluation", manifest=drv.csv).records:
         generator = np.random.default_rng(int(record.scene))
         save_clip_prediction(tmp_path / "preds", record, generator.random((5, 3, 48, 56), np.float32))
     options: dict[str, Any] = {"manifest": drv.csv, "root": drv.root, "ids": ["0007", "0013"]}
-    alone = evaluate_video(tmp_path / "preds", **options)
-    there = evaluate_video(tmp_path / "preds", **options, workers=executor)
+    alone = evaluate(tmp_path / "preds", **options)
+    there = evaluate(tmp_path / "preds", **options, workers=executor)
     assert len(there.videos) == 2
     assert there.videos == alone.videos
 

@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eldata.records import Exposure, PairRecord
-from eldata.sources.shards.layout import Facts, Side, facts_text, parse_facts
+from eldata.sources.shards.index import Facts, Side, facts_text, parse_facts
 from eldata.sources.shards.members import END, MemberError, from_bytes, to_bytes
 from tests.raw.helpers import BAYER, XTRANS, make_sensor, random_mosaic
 
@@ -149,7 +149,7 @@ def test_no_pickle_is_ever_loaded(tmp_path: Path) -> None:
     "name", ["../000000042.target.npy", "/etc/passwd", "a/000000042.target.npy", "..", "000000043.target.npy"]
 )
 def test_names_that_lead_elsewhere(name: str) -> None:
-    with pytest.raises(MemberError, match=r"is none of a shard's: expected 000000042\.target\.npy"):
+    with pytest.raises(MemberError, match=r"does not belong in a shard: expected 000000042\.target\.npy"):
         from_bytes(made(JSON, INPUT, (name, TARGET[1])))
 
 
@@ -170,13 +170,13 @@ def test_links_folders_devices_and_extensions(kind: bytes) -> None:
     ("content", "words"),
     [
         (b"", "a sample has 3 members; found 0"),
-        (b"\0" * 1024, "no tar header"),
-        (b"x" * 1024, "no tar header"),
+        (b"\0" * 1024, "is not a tar header"),
+        (b"x" * 1024, "is not a tar header"),
         (made(JSON, INPUT), "a sample has 3 members; found 2"),
         (made(JSON, INPUT, TARGET)[:-512], "'000000042.target.npy' says that it has 224 bytes, more than its sample"),
-        (made(JSON, INPUT, TARGET) + b"\1" * 100, "no tar header"),
-        (made(JSON, TARGET, INPUT), "member '000000042.target.npy' is none of a shard's"),
-        (made(("42.json", JSON[1]), INPUT, TARGET), "member '42.json' is none of a shard's"),
+        (made(JSON, INPUT, TARGET) + b"\1" * 100, "is not a tar header"),
+        (made(JSON, TARGET, INPUT), "member '000000042.target.npy' does not belong in a shard"),
+        (made(("42.json", JSON[1]), INPUT, TARGET), "member '42.json' does not belong in a shard"),
         (
             made(JSON, ("000000042.input.npy", npy(PIXELS[0].astype(np.int16))), TARGET),
             r"expected \(6, 8\) pixels of uint16",

@@ -50,7 +50,7 @@ def test_whole_frames_give_the_stores_items_bit_for_bit(
     """Two epochs, three crops a frame: every item of PackedStore, once."""
     store = {"eld": eld, "fuji": fuji}[which]
     write_shards(store, tmp_path / "shards", tile=None, samples_per_shard=5)
-    streamed = StreamedPairs(str(tmp_path / "shards"), crops_per_tile=3, **options)
+    streamed = StreamedPairs(str(tmp_path / "shards"), crops_per_frame=3, **options)
     stored = PackedStore(store, crops_per_frame=3, **options)
     assert len(streamed) == len(stored)
     for epoch in (0, 2):
@@ -71,7 +71,7 @@ def test_a_crop_of_a_tile_is_a_part_of_the_frame(which: str, eld: Path, fuji: Pa
     write_shards(store, tmp_path / "shards", tile=12, samples_per_shard=40)
     whole = {sample["path"]: sample for sample in PackedStore(store, crop=None, augment=False, clip="none")}
     places: dict[str, set[tuple[int, int]]] = {}
-    for ours in StreamedPairs(str(tmp_path / "shards"), crop=6, augment=False, crops_per_tile=2, clip="none"):
+    for ours in StreamedPairs(str(tmp_path / "shards"), crop=6, augment=False, crops_per_frame=2, clip="none"):
         frame = whole[ours["path"]]
         height, width = frame["target"].shape[1:]
         found = [
@@ -90,13 +90,13 @@ def test_a_crop_of_a_tile_is_a_part_of_the_frame(which: str, eld: Path, fuji: Pa
 
 
 def test_an_item_does_not_depend_on_who_reads_it(tiles: Path) -> None:
-    every = Counter(identities(StreamedPairs(str(tiles), crop=10, crops_per_tile=2, seed=1)))
+    every = Counter(identities(StreamedPairs(str(tiles), crop=10, crops_per_frame=2, seed=1)))
     for count in (2, 5):
         together: Counter[str] = Counter()
-        for dataset in ranks(tiles, count, crop=10, crops_per_tile=2, seed=1):
+        for dataset in ranks(tiles, count, crop=10, crops_per_frame=2, seed=1):
             together.update(identities(dataset))
         assert together == every
-    assert Counter(identities(StreamedPairs(str(tiles), crop=10, crops_per_tile=2, seed=2))) != every
+    assert Counter(identities(StreamedPairs(str(tiles), crop=10, crops_per_frame=2, seed=2))) != every
 
 
 # --- each exactly once --------------------------------------------------------------------------------------------
@@ -137,10 +137,10 @@ def test_more_readers_than_samples(frames: Path) -> None:
 @pytest.mark.parametrize("count", [2, 5, 7])
 def test_training_gives_every_rank_as_many_batches(count: int, frames: Path) -> None:
     """24 samples, 3 crops each: 72 items on 5 ranks are 14 each, 3 batches of 4, and 2 items dropped."""
-    whole = Counter(identities(StreamedPairs(str(frames), crop=8, crops_per_tile=3)))
+    whole = Counter(identities(StreamedPairs(str(frames), crop=8, crops_per_frame=3)))
     got: Counter[str] = Counter()
     for number in range(count):
-        dataset = StreamedPairs(str(frames), crop=8, crops_per_tile=3)
+        dataset = StreamedPairs(str(frames), crop=8, crops_per_frame=3)
         loader = training_loader(dataset, 4, workers=0, rank=Rank(number, count))
         part = unbatched(loader)
         assert len(part) == 72 // count // 4 * 4
@@ -230,7 +230,8 @@ def test_the_buffer_holds_crops_alone(frames: Path) -> None:
     items = list(dataset._items(range(24), 0))
     assert len(items) == 24
     for item in items:
-        for array in (item.input_dn, item.target_dn):
+        assert item.pair.input is not None
+        for array in (item.pair.input.mosaic, item.pair.target.mosaic):
             assert (array.shape, array.base, array.flags.owndata) == ((16, 16), None, True)
 
 
@@ -253,8 +254,8 @@ def test_the_size_of_an_item_is_known_before(frames: Path, tiles: Path, fuji: Pa
 def test_wrong_arguments(tiles: Path, tmp_path: Path) -> None:
     wrong: list[tuple[dict[str, Any], str]] = [
         ({"crop": 17}, "crop must be at most the tiles' side, 16; found 17"),
-        ({"crop": 1}, "crops_per_tile and shuffle_buffer must be 1 or more and crop 2 or more; found 1, 64, 1"),
-        ({"crops_per_tile": 0}, "found 0, 64, None"),
+        ({"crop": 1}, "crops_per_frame and shuffle_buffer must be 1 or more and crop 2 or more; found 1, 64, 1"),
+        ({"crops_per_frame": 0}, "found 0, 64, None"),
         ({"shuffle_buffer": 0}, "found 1, 0, None"),
         ({"seed": -1}, "seed must be 0 or more; found -1"),
         ({"levels": "mine"}, "levels must be one of 'metadata', 'published'"),

@@ -20,7 +20,7 @@ from eldata.datasets.loading import evaluation_loader
 from eldata.datasets.ranks import Rank
 from eldata.errors import ArgumentError
 from eldata.sources.shards import ShardError, remote, verify_shards
-from eldata.sources.shards.layout import INDEX, Shard, ShardIndex, index_text, parse_index
+from eldata.sources.shards.index import INDEX, Shard, ShardIndex, index_text, parse_index
 from eldata.sources.shards.members import END
 from eldata.sources.shards.remote import Folder, Forward
 from tests.sources.shards.helpers import identities, unbatched
@@ -212,11 +212,11 @@ def test_a_hostile_shard_is_refused_and_nothing_is_run(tmp_path: Path) -> None:
     for number, sample in enumerate(hostile):
         address = foreign(tmp_path / str(number), good, sample)
         with pytest.raises(
-            ShardError, match=r"shard-000000\.tar: sample 1 \(bytes \d+ to \d+\) is no sample: member '"
+            ShardError, match=r"shard-000000\.tar: sample 1 \(bytes \d+ to \d+\) is not a sample: member '"
         ):
             list(StreamedPairs(address))
         (problem,) = verify_shards(address)
-        assert "is no sample" in problem
+        assert "is not a sample" in problem
     assert not trace.exists()
 
 
@@ -227,7 +227,7 @@ def test_a_webdataset_of_other_things(tmp_path: Path) -> None:
     with pytest.raises(ShardError, match=r"photos/index\.json: cannot be read"):
         StreamedPairs(str(tmp_path / "photos"))
     address = foreign(tmp_path / "cats", made(("0.jpg", b"x"), ("0.cls", b"1"), ("0.txt", b"cat")))
-    with pytest.raises(ShardError, match=r"member '0\.jpg' is none of a shard's: expected KEY\.json"):
+    with pytest.raises(ShardError, match=r"member '0\.jpg' does not belong in a shard: expected KEY\.json"):
         list(StreamedPairs(address))
 
 

@@ -18,7 +18,7 @@ from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.raw import read_raw
 from eldata.raw.cfa import XTRANS_CFA, packed_area
 from eldata.sources.shards import ShardError, members, verify_shards, write_shards, writing
-from eldata.sources.shards.layout import INDEX, index_text, parse_index
+from eldata.sources.shards.index import INDEX, index_text, parse_index
 from eldata.sources.shards.tiles import grid
 from eldata.sources.shards.writing import BEGUN
 from tests.cases import in_one_test

@@ -98,10 +98,10 @@ def test_a_part_of_a_dataset(tree: Tree) -> None:
         return source_of_dataset("eld-demo", root=tree.root, manifest=tree.csv, **options)
 
     assert {path.partition("/")[0] for path, _ in source(cameras=["DemoBeta"]).files} == {"DemoBeta"}
-    files = source(splits=["test"]).files
+    files = source(split=["test"]).files
     assert len(files) == 32 == len(set(files))
     assert sum(role == "reference" for _, role in files) == 8
-    for options, word in (({"cameras": ["X"]}, "DemoBeta"), ({"splits": ["X"]}, "test"), ({"subset": "X"}, "known")):
+    for options, word in (({"cameras": ["X"]}, "DemoBeta"), ({"split": ["X"]}, "test"), ({"subset": "X"}, "known")):
         with pytest.raises(ArgumentError, match=word):
             source(**options)
 

@@ -18,7 +18,7 @@ from eldata.manifest.drv import scan_raw
 from eldata.raw import read_raw
 from eldata.sources.store import StoredRgb, build_store, open_store, source_of_dataset, verify_store
 from eldata.sources.store.build import pixels_digest
-from eldata.sources.store.layout import StoreError
+from eldata.sources.store.format import StoreError
 from eldata.sources.store.read import PixelReader
 from tests.drv_tree import SmallDrv, small_drv, write_raw_clip
 from tests.sources.store.helpers import contents, pack_tree, start_packing
@@ -57,9 +57,9 @@ def test_parts_of_rgb_frames(drv: SmallDrv, packed: Path) -> None:
     for frame in open_store(packed).rgb:
         pixels = read_rgb16(drv.data / frame.path).transpose(2, 0, 1)
         part = range(3, 290), range(200, 270)
-        np.testing.assert_array_equal(reader.read_planes(frame.key, *part), pixels[:, 3:290, 200:270])
+        np.testing.assert_array_equal(reader.read(frame.key, *part, 3), pixels[:, 3:290, 200:270])
         with pytest.raises(StoreError, match="is damaged"):
-            reader.read_planes(frame.key, range(3), range(SIZE[1] + 300))
+            reader.read(frame.key, range(3), range(SIZE[1] + 300), 3)
 
 
 def test_the_manifest_lists_the_files_in_the_place_of_patterns(packed: Path) -> None:
@@ -103,10 +103,10 @@ def test_raw_clips_are_mosaics_in_a_store_of_version_1(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_packed(drv: SmallDrv, tmp_path: Path) -> None:
-    with pytest.raises(ArgumentError, match="a subset names pairs"):
+    with pytest.raises(ArgumentError, match="no subset is called 'test'; known are none"):
         source_of_dataset("drv", root=drv.root, manifest=drv.csv, subset="test")
     with pytest.raises(ArgumentError, match="no clip has split x; known are dynamic, test"):
-        source_of_dataset("drv", root=drv.root, manifest=drv.csv, splits=["x"])
+        source_of_dataset("drv", root=drv.root, manifest=drv.csv, split=["x"])
     # The shipped list has 225 clips: what is not there is not left out in silence.
     with pytest.raises(DatasetError, match=r"no frames of 222 clips.*choose those that you have with ids"):
         source_of_dataset("drv", root=drv.root)

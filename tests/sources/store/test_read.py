@@ -16,7 +16,7 @@ import pytest
 from eldata.errors import ArgumentError
 from eldata.raw import read_raw
 from eldata.sources.store import open_store, verify_store
-from eldata.sources.store.layout import StoreError
+from eldata.sources.store.format import StoreError
 from eldata.sources.store.read import PixelReader, StoredMosaic
 from tests.sources.store.helpers import Packed, pack_folder, write_clean
 

@@ -23,17 +23,17 @@ import json
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from eldata.base.fields import fraction_of
 from eldata.errors import ArgumentError, FileError, check_choice
 from eldata.manifest.clip_checks import is_png
-from eldata.records import Exposure, RawHeader, Sensor
+from eldata.records import RawHeader
+from eldata.sources.file_facts import exposure_data, exposure_of, parsed, sensor_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from pathlib import Path
 
     from eldata.manifest.catalogue import Manifest
-    from eldata.records import RawFrame, Role
+    from eldata.records import Exposure, RawFrame, Role, Sensor
 
 FORMAT = "eldata-store"
 VERSION = 2
@@ -46,7 +46,7 @@ COMPRESSIONS: tuple[Compression, ...] = get_args(Compression)
 
 
 class StoreError(FileError):
-    """A file is no store, or one that cannot be used."""
+    """A file is not a store, or one that cannot be used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,13 +143,12 @@ def filters(compression: Compression) -> Mapping[str, Any]:
 
 def frame_attributes(path: str, role: Role, frame: RawFrame, sha256: str) -> dict[str, str]:
     """Return the attributes of a frame's HDF5 dataset."""
-    exposure = {name: None if value is None else str(value) for name, value in asdict(frame.exposure).items()}
     return {
         "path": path,
         "role": role,
         "sha256": sha256,
         "sensor": json.dumps(asdict(frame.sensor)),
-        "exposure": json.dumps(exposure),
+        "exposure": json.dumps(exposure_data(frame.exposure)),
     }
 
 
@@ -182,20 +181,11 @@ def stored_frame(key: str, attributes: Mapping[str, Any]) -> StoredFrame:
     ValueError, LookupError, TypeError
         If they are not what :func:`frame_attributes` makes.
     """
-    sensor = json.loads(attributes["sensor"])
-    exposure = {
-        name: None if text is None else fraction_of(text, digits=40)
-        for name, text in json.loads(attributes["exposure"]).items()
-    }
     return StoredFrame(
         key=key,
         path=str(attributes["path"]),
         role=attributes["role"],
-        sensor=Sensor(**{name: _tuples(value) for name, value in sensor.items()}),
-        exposure=Exposure(**exposure),
+        sensor=sensor_of(parsed("attribute sensor", attributes["sensor"])),
+        exposure=exposure_of(parsed("attribute exposure", attributes["exposure"])),
         sha256=str(attributes["sha256"]),
     )
-
-
-def _tuples(value: Any) -> Any:
-    return tuple(map(_tuples, value)) if isinstance(value, list) else value

@@ -24,14 +24,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.base.fields import TextFile, fraction_of
+from eldata.base.fields import TextFile
 from eldata.errors import FileError
-from eldata.records import Exposure, PairRecord, Sensor
+from eldata.records import PairRecord
+from eldata.sources.file_facts import exact, exposure_data, exposure_of, parsed, sensor_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
+
+    from eldata.records import Exposure, Sensor
 
 FORMAT = "eldata-shards"
 VERSION = 1
@@ -109,7 +112,7 @@ class Facts:
 
 
 def index_text(index: ShardIndex, written_by: str) -> str:
-    """Return the index as JSON, a line a shard."""
+    """Return the index as JSON, one line per shard."""
     head = {
         "format": FORMAT,
         "version": VERSION,
@@ -180,7 +183,10 @@ def _shard(data: Mapping[str, Any]) -> Shard:
 def facts_text(facts: Facts) -> str:
     """Return a sample's facts as JSON; fractions as text, so that they stay exact."""
     record = {name: _plain(value) for name, value in asdict(facts.record).items()}
-    sides = {name: _side_data(side) for name, side in (("input", facts.input), ("target", facts.target))}
+    sides = {
+        name: {"sensor": asdict(side.sensor), "exposure": exposure_data(side.exposure)}
+        for name, side in (("input", facts.input), ("target", facts.target))
+    }
     data = {"record": record, "ratio": str(facts.ratio), "top": facts.top, "left": facts.left, **sides}
     return json.dumps(data, ensure_ascii=False, sort_keys=True)
 
@@ -193,13 +199,13 @@ def parse_facts(content: bytes) -> Facts:
     ValueError, LookupError, TypeError, ArithmeticError
         If they are not what :func:`facts_text` makes.
     """
-    data = json.loads(content)
+    data = parsed("the facts", content)
     record = data["record"]
-    iso, exposure_s = (_fraction(record[name]) for name in ("iso", "exposure_s"))
+    iso, exposure_s = (exact(record[name]) for name in ("iso", "exposure_s"))
     texts = {name: record[name] for name in ("path", "reference", "camera", "scene", "split")}
     if not all(isinstance(text, str) for text in [*texts.values(), *record["flags"]]):
         raise TypeError("a text field of the record is not text")
-    nominal, ratio = _fraction(record["ratio"]), _fraction(data["ratio"])
+    nominal, ratio = exact(record["ratio"]), exact(data["ratio"])
     if not nominal or not ratio:
         raise ValueError("there is no ratio")
     pair = PairRecord(**texts, iso=iso, exposure_s=exposure_s, ratio=nominal, flags=tuple(record["flags"]))
@@ -207,29 +213,15 @@ def parse_facts(content: bytes) -> Facts:
     return Facts(pair, ratio, int(data["top"]), int(data["left"]), **sides)
 
 
-def _side_data(side: Side) -> dict[str, Any]:
-    exposure = {name: _plain(value) for name, value in asdict(side.exposure).items()}
-    return {"sensor": asdict(side.sensor), "exposure": exposure}
-
-
 def _side(data: Mapping[str, Any]) -> Side:
-    sensor = Sensor(**{name: _tuples(value) for name, value in data["sensor"].items()})
-    exposure = {name: _fraction(text) for name, text in data["exposure"].items()}
+    sensor = sensor_of(data["sensor"])
     if not np.isfinite(np.array([*sensor.black_level_dn, sensor.white_level_dn], dtype=np.float64)).all():
         raise ValueError("a level is not finite")
-    return Side(sensor, Exposure(**exposure))
-
-
-def _fraction(text: str | None) -> Fraction | None:
-    return None if text is None else fraction_of(text, digits=40)
+    return Side(sensor, exposure_of(data["exposure"]))
 
 
 def _plain(value: Any) -> Any:
     return str(value) if isinstance(value, Fraction) else value
-
-
-def _tuples(value: Any) -> Any:
-    return tuple(map(_tuples, value)) if isinstance(value, list) else value
 
 
 def key_of(number: int) -> str:

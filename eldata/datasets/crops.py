@@ -1,0 +1,161 @@
+"""The part of a frame that becomes an item: drawn or named, read, turned, normalised."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eldata.datasets.augmentation import ORIENTATIONS, Orientation, copy_oriented, oriented
+from eldata.datasets.batches import Field, new_arrays
+from eldata.errors import ArgumentError, DatasetError
+from eldata.raw.cfa import (
+    CLIP_RANGES,
+    PackedArea,
+    cfa_from,
+    normalise,
+    pack,
+    pack_normalised,
+    packed_area,
+    packed_shape,
+)
+from eldata.sources.frames import RGB_WHITE
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from eldata.raw.cfa import CfaRows, Clip
+    from eldata.sources.frames import Frame
+
+Region = tuple[int, int, int, int]
+
+_NO_CFA: CfaRows = ((0,),)
+
+
+@dataclass(frozen=True, slots=True)
+class Crop:
+    """A part of a frame and the way that it is turned; it fits every frame of the same size and CFA.
+
+    Attributes
+    ----------
+    slices
+        The part of the frame, with the margin that turning a mosaic costs.
+    cfa
+        Of that part; empty for RGB.
+    orientation
+        Applied to it.
+    height, width
+        Of the turned part, without the margin.
+    """
+
+    slices: tuple[slice, slice]
+    cfa: CfaRows
+    orientation: Orientation
+    height: int
+    width: int
+
+    @classmethod
+    def draw(cls, frame: Frame, generator: np.random.Generator, *, crop: int | None, augment: bool) -> Crop:
+        """Draw a place, and with ``augment`` one of the eight orientations.
+
+        Parameters
+        ----------
+        frame
+            The frame, or one like it.
+        generator
+            Decides orientation, top and left, in this order.
+        crop
+            Side in pixels of the packed or RGB frame; ``None`` takes all of it.
+
+        Raises
+        ------
+        ArgumentError
+            If ``crop`` is odd for X-Trans.
+        DatasetError
+            If the frame is too small.
+        """
+        orientation = ORIENTATIONS[int(generator.integers(len(ORIENTATIONS)))] if augment else Orientation()
+        area, period, scale = _grid(frame)
+        margin = period if augment and frame.cfa else 0
+        height = area.height - margin if crop is None else crop * scale
+        width = area.width - margin if crop is None else crop * scale
+        if orientation.transpose and crop is None:
+            height, width = width, height
+        if height % period or width % period:
+            raise ArgumentError(f"crop must be even for X-Trans; found {crop}")
+        rows, columns = (width, height) if orientation.transpose else (height, width)
+        if rows + margin > area.height or columns + margin > area.width or min(rows, columns) <= 0:
+            raise DatasetError(
+                f"{frame.name}: {area.height} x {area.width} pixels are too few for a crop of {rows + margin} x "
+                f"{columns + margin} (crop={crop}, augment={augment}); take a smaller crop"
+            )
+        top = area.top + period * int(generator.integers((area.height - rows - margin) // period + 1))
+        left = area.left + period * int(generator.integers((area.width - columns - margin) // period + 1))
+        place = slice(top, top + rows + margin), slice(left, left + columns + margin)
+        return cls(place, _cfa(frame, area), orientation, height, width)
+
+    @classmethod
+    def region(cls, frame: Frame, region: Region) -> Crop:
+        """Return the part (top, left, height, width), in pixels of the packed or RGB frame.
+
+        Raises
+        ------
+        ArgumentError
+            If a number is odd for X-Trans.
+        DatasetError
+            If it is not inside of the frame.
+        """
+        area, period, scale = _grid(frame)
+        top, left, height, width = (side * scale for side in region)
+        if any(side % period for side in (top, left, height, width)):
+            raise ArgumentError(f"region must be of even numbers for X-Trans; found {region}")
+        if top + height > area.height or left + width > area.width:
+            inside = area.height // scale, area.width // scale
+            raise DatasetError(f"{frame.name}: region {region} is not inside of {inside} pixels")
+        place = slice(area.top + top, area.top + top + height), slice(area.left + left, area.left + left + width)
+        return cls(place, _cfa(frame, area), Orientation(), height, width)
+
+    @property
+    def packed_shape(self) -> tuple[int, int, int]:
+        """That of the packed crop, (C, h, w)."""
+        return packed_shape((self.height, self.width), self.cfa) if self.cfa else (3, self.height, self.width)
+
+    def turned(self, part: NDArray[Any]) -> NDArray[Any]:
+        """Return the crop, turned, from the part of the mosaic (or of one plane) that :attr:`slices` name."""
+        cfa = self.cfa or _NO_CFA
+        if part.dtype != np.uint16 or self.orientation == Orientation():
+            return oriented(part, cfa, self.orientation)[: self.height, : self.width]
+        copy: NDArray[np.uint16] = new_arrays([Field("turned", (self.height, self.width), "<u2")])["turned"]
+        copy_oriented(part, cfa, self.orientation, copy)
+        return copy
+
+    def cut(self, frame: Frame) -> NDArray[Any]:
+        """Return the crop of a mosaic in DN, turned, to be used before the thread reads the next frame."""
+        return self.turned(frame.read(*self.slices))
+
+    def fill(self, frame: Frame, out: NDArray[np.float32], *, clip: Clip = "both", gain: float = 1.0) -> None:
+        """Write the crop of a frame into ``out`` (C, h, w): packed, normalised, amplified; RGB divided by 65535."""
+        if not self.cfa:
+            for plane, target in zip(frame.read(*self.slices), out, strict=True):
+                np.divide(self.turned(plane), np.float32(RGB_WHITE), out=target)
+            return
+        cut, black, white = self.cut(frame), frame.black_level_dn, frame.white_level_dn
+        if cut.dtype == np.uint16:
+            pack_normalised(cut, self.cfa, black, white, clip=clip, gain=gain, out=out)
+            return
+        out[...] = normalise(pack(cut, self.cfa), self.cfa, black, white, clip=clip)
+        if gain != 1:
+            np.clip(out * np.float32(gain), *CLIP_RANGES[clip], out=out)
+
+
+def _grid(frame: Frame) -> tuple[PackedArea, int, int]:
+    """Return the area that packing keeps, the period of the CFA, and mosaic pixels per packed one."""
+    if not frame.cfa:
+        return PackedArea(0, 0, *frame.shape), 1, 1
+    period = len(frame.cfa)
+    return packed_area(frame.shape, frame.cfa), period, 2 if period == 2 else 3
+
+
+def _cfa(frame: Frame, area: PackedArea) -> CfaRows:
+    return cfa_from(frame.cfa, area.top, area.left)  # from there the pattern starts as packing wants it

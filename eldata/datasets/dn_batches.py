@@ -1,0 +1,203 @@
+"""Batches in DN: half as much to send from a worker, normalised in the main process or on the device."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict
+
+import torch
+
+from eldata.base.compiled import in_threads
+from eldata.datasets.base import SIDES, PairItem
+from eldata.datasets.batches import Field, new_arrays
+from eldata.datasets.items import ReadItems
+from eldata.errors import ArgumentError, check_choice
+from eldata.raw.cfa import CLIP_RANGES, pack_normalised, packed_black_level_dn, packed_shape, packing_sites
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from eldata.datasets.base import SourcePairs
+    from eldata.datasets.items import Part
+    from eldata.raw.cfa import CfaRows, Clip
+
+
+class DnSample(TypedDict):
+    """One pair in DN: half as much to send from a worker as a :class:`~eldata.datasets.base.Sample`.
+
+    ``input_dn`` and ``target_dn`` are (H, W) uint16, mosaics in DN as the files have them, the input not multiplied by
+    ``ratio`` yet. ``cfa`` (their CFA, 2 x 2 or 6 x 6, uint8), ``input_black_dn``, ``target_black_dn`` (per CFA channel,
+    float64) and the white levels are for :func:`normalise_batch`. The rest is as in
+    :class:`~eldata.datasets.base.Sample`.
+    """
+
+    input_dn: torch.Tensor
+    target_dn: torch.Tensor
+    cfa: torch.Tensor
+    input_black_dn: torch.Tensor
+    target_black_dn: torch.Tensor
+    input_white_dn: float
+    target_white_dn: float
+    ratio: float
+    nominal_ratio: float
+    iso: float
+    exposure_s: float
+    camera: str
+    scene: str
+    split: str
+    path: str
+    reference: str
+    flags: str
+
+
+class DnPairs(ReadItems[PairItem, DnSample]):
+    """The items of a dataset of pairs in DN, for a DataLoader whose batches go through :func:`normalise_batch`.
+
+    Sending a batch from a worker takes longer than reading it; uint16 is half as much to send. The conversion then runs
+    in the main process, or on the device that the batch was moved to.
+    """
+
+    dtype = "<u2"
+
+    def __init__(self, pairs: SourcePairs) -> None:
+        self.pairs = pairs
+        self.source = pairs.source
+
+    def __len__(self) -> int:
+        return len(self.pairs)
+
+    @property
+    def reads_parts(self) -> bool:
+        """As that of the pairs."""
+        return self.pairs.reads_parts
+
+    @property
+    def may_differ(self) -> bool:
+        """As that of the pairs."""
+        return self.pairs.may_differ
+
+    def item(self, index: int) -> PairItem:
+        """Draw an item of the pairs."""
+        return self.pairs.item(index)
+
+    def shapes(self, item: PairItem) -> dict[str, tuple[int, ...]]:
+        """Return the shapes of both mosaics."""
+        return {f"{side}_dn": (item.crop.height, item.crop.width) for side in SIDES}
+
+    def parts(self, item: PairItem) -> Iterator[Part]:
+        """Yield both mosaics."""
+        return (part._replace(tensor=f"{part.tensor}_dn") for part in self.pairs.parts(item))
+
+    def fill(self, item: PairItem, part: Part, out: NDArray[Any]) -> None:
+        """Copy one crop in DN, turned."""
+        out[...] = item.crop.cut(part.frame)
+
+    def facts(self, item: PairItem) -> dict[str, Any]:
+        """Return the fields of a :class:`DnSample` that are not mosaics."""
+        facts = self.pairs.facts(item) | {"cfa": torch.tensor(item.crop.cfa, dtype=torch.uint8)}
+        for side, frame in (("input", item.pair.input), ("target", item.pair.target)):
+            if frame is not None:
+                facts[f"{side}_black_dn"] = torch.tensor(frame.black_level_dn, dtype=torch.float64)
+                facts[f"{side}_white_dn"] = frame.white_level_dn
+        return facts
+
+    def __repr__(self) -> str:
+        return f"DnPairs({self.pairs!r})"
+
+
+def normalise_batch(batch: Mapping[str, Any], *, clip: Clip = "both") -> dict[str, Any]:
+    """Pack, normalise and amplify a batch in DN, on the device that it lies on: the samples that the raw route gives.
+
+    Where division and multiplication of float32 are IEEE's, as on the CPU, the values are those of
+    the dataset's, bit for bit.
+
+    Parameters
+    ----------
+    batch
+        A :class:`DnSample`, or several collated.
+    clip
+        As in :class:`~eldata.datasets.base.PairDataset`.
+
+    Returns
+    -------
+    dict
+        The batch with ``input`` and ``target``, (C, h, w) or (B, C, h, w) float32, in place of the mosaics and levels.
+
+    Raises
+    ------
+    ArgumentError
+        If ``clip`` is unknown, or the batch is not in DN.
+    """
+    check_choice("clip", clip, CLIP_RANGES)
+    names = {"cfa", *(f"{side}_{what}" for side in SIDES for what in ("dn", "black_dn", "white_dn"))}
+    if not names <= set(batch) or batch["input_dn"].dtype != torch.uint16:
+        raise ArgumentError("expected a batch in DN, as PackedStore(...).in_dn() gives it: uint16 with its levels")
+    result = {name: value for name, value in batch.items() if name not in names}
+    images = [image for side in SIDES for image in _images(batch, side)]
+    on_cpu = batch["input_dn"].device.type == "cpu"
+    packed = _by_kernel(images, clip) if on_cpu else _by_torch(images, clip)
+    if batch["input_dn"].ndim == 2:
+        return result | dict(zip(SIDES, packed, strict=True))
+    return result | dict(zip(SIDES, packed.chunk(2), strict=True))
+
+
+class _Image(NamedTuple):
+    """One mosaic (H, W) of a batch in DN, and how it is normalised."""
+
+    mosaic: torch.Tensor
+    cfa: CfaRows
+    black_level_dn: tuple[float, ...]
+    white_level_dn: float
+    gain: float
+
+
+def _images(batch: Mapping[str, Any], side: str) -> Iterator[_Image]:
+    """Yield the images of one side of a batch; its numbers are fetched from the device at once."""
+    several = batch["input_dn"].ndim == 3
+
+    def each(value: Any) -> Any:
+        values = torch.as_tensor(value).tolist()
+        return values if several else [values]
+
+    mosaics = batch[f"{side}_dn"] if several else batch[f"{side}_dn"][None]
+    blacks, whites = each(batch[f"{side}_black_dn"]), each(batch[f"{side}_white_dn"])
+    gains = each(batch["ratio"]) if side == "input" else [1.0] * len(mosaics)
+    for mosaic, cfa, black, white, gain in zip(mosaics, each(batch["cfa"]), blacks, whites, gains, strict=True):
+        yield _Image(mosaic, tuple(map(tuple, cfa)), tuple(black), white, gain)
+
+
+def _by_kernel(images: Sequence[_Image], clip: Clip) -> torch.Tensor:
+    """Return images packed by the one packer, (N, C, h, w), on as many threads as torch takes.
+
+    Into memory that is used again: the pages of new memory would cost several times as much as the packing.
+    """
+    mosaics = [image.mosaic.numpy() for image in images]
+    shape = len(images), *packed_shape(mosaics[0].shape, images[0].cfa)
+    packed = new_arrays([Field("packed", shape, "<f4")])["packed"]
+
+    def work(number: int) -> None:
+        image = images[number]
+        black, white = image.black_level_dn, image.white_level_dn
+        pack_normalised(mosaics[number], image.cfa, black, white, clip=clip, gain=image.gain, out=packed[number])
+
+    in_threads(work, range(len(images)), torch.get_num_threads())
+    return torch.from_numpy(packed)
+
+
+def _by_torch(images: Sequence[_Image], clip: Clip) -> torch.Tensor:
+    """Return images packed by torch on their device, (N, C, h, w): the packer's operations, one by one."""
+    first = images[0].mosaic
+    shape = packed_shape((first.shape[0], first.shape[1]), images[0].cfa)
+    packed = torch.empty((len(images), *shape), dtype=torch.float32, device=first.device)
+    low, high = CLIP_RANGES[clip]
+    for image, values in zip(images, packed, strict=True):
+        sites = packing_sites(image.cfa)
+        for row, column, channel, y, x in sites.table:
+            site = image.mosaic[row :: sites.period, column :: sites.period]
+            values[channel, y :: sites.sub, x :: sites.sub] = site.to(torch.float32)
+        black = torch.from_numpy(packed_black_level_dn(image.cfa, image.black_level_dn)).to(first.device)[:, None, None]
+        white = torch.tensor(image.white_level_dn, dtype=torch.float32, device=first.device)
+        values.sub_(black).div_(white - black).clamp_(low, high)
+        values.mul_(torch.tensor(image.gain, dtype=torch.float32, device=first.device)).clamp_(max=high)
+    return packed

@@ -1,0 +1,263 @@
+"""The crop engine: items drawn from (seed, epoch, index), and read from frames of any source.
+
+A dataset says what an item is: which crop of which frames goes where, and the facts beside the pixels. Here they are
+read, by several threads where the source allows it, into memory that is used again, one by one or as whole batches.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypedDict, TypeVar
+
+import numpy as np
+import torch
+from torch.utils.data import Dataset
+
+from eldata.base.compiled import in_threads
+from eldata.datasets.batches import Batch, Field, new_arrays, new_batch, reading_threads
+from eldata.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from eldata.datasets.crops import Crop
+    from eldata.raw.cfa import Clip
+    from eldata.sources.frames import Frame
+
+
+class SharedEpoch:
+    """The current epoch, in shared memory so that persistent workers see the next one."""
+
+    def __init__(self) -> None:
+        self._value = torch.zeros((), dtype=torch.int64)
+        self._share()
+
+    def _share(self) -> None:
+        self._value.share_memory_()  # type: ignore[no-untyped-call]
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._share()  # a copy has an epoch of its own, which its workers share again
+
+    @property
+    def value(self) -> int:
+        """The current epoch."""
+        return int(self._value)
+
+    def set(self, epoch: int) -> None:
+        """Choose the epoch.
+
+        Raises
+        ------
+        ArgumentError
+            If it is negative.
+        """
+        if epoch < 0:
+            raise ArgumentError(f"epoch must be 0 or more; found {epoch}")
+        self._value.fill_(epoch)
+
+
+class Part(NamedTuple):
+    """What is read for an item: the crop of a frame, times ``gain``, into a tensor or one place of it."""
+
+    tensor: str
+    frame: Frame
+    place: int | None = None
+    gain: float = 1.0
+
+
+class DrawnItem(Protocol):
+    """One item before its pixels are read."""
+
+    @property
+    def crop(self) -> Crop:
+        """The part of each of its frames."""
+
+
+Item = TypeVar("Item", bound=DrawnItem)
+Sample = TypeVar("Sample")
+
+
+class ReadItems(Dataset[Sample], ABC, Generic[Item, Sample]):
+    """Items that are read part by part. Subclasses say what an item is, which parts it has, and what is beside them."""
+
+    dtype = "<f4"
+    clip: Clip = "both"
+
+    @abstractmethod
+    def __len__(self) -> int: ...
+
+    @property
+    @abstractmethod
+    def reads_parts(self) -> bool:
+        """As :attr:`eldata.sources.frames.FrameSource.reads_parts`."""
+
+    @property
+    @abstractmethod
+    def may_differ(self) -> bool:
+        """Whether the items of a batch may differ in size, which only reading them shows."""
+
+    @abstractmethod
+    def item(self, index: int) -> Item:
+        """Draw an item, before its pixels are read."""
+
+    @abstractmethod
+    def shapes(self, item: Item) -> dict[str, tuple[int, ...]]:
+        """Return the shapes of an item's tensors, by name."""
+
+    @abstractmethod
+    def parts(self, item: Item) -> Iterator[Part]:
+        """Yield what is read; a source that decodes whole frames is asked for one after the other."""
+
+    @abstractmethod
+    def facts(self, item: Item) -> dict[str, Any]:
+        """Return what a sample has beside its tensors, once they were read."""
+
+    def fill(self, item: Item, part: Part, out: NDArray[Any]) -> None:
+        """Read one part."""
+        item.crop.fill(part.frame, out, clip=self.clip, gain=part.gain)
+
+    def finish(self, item: Item, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Make what is not read."""
+
+    def __iter__(self) -> Iterator[Sample]:
+        return (self[index] for index in range(len(self)))
+
+    def __getitem__(self, index: int) -> Sample:
+        """Read one item.
+
+        Raises
+        ------
+        IndexError
+            If the index is outside.
+        FileError
+            If a file or store cannot be read.
+        DatasetError
+            If a frame is smaller than the crop (with ``augment`` a mosaic needs one period of the CFA more), or the
+            frames of an item do not belong together.
+        """
+        item = self.item(index)
+        arrays = new_arrays([Field(name, shape, self.dtype) for name, shape in self.shapes(item).items()])
+        self._read([(item, arrays)])
+        sample: Any = {name: torch.from_numpy(array) for name, array in arrays.items()} | self.facts(item)
+        return sample  # type: ignore[no-any-return] # a TypedDict of the subclass
+
+    def __getitems__(self, indices: Sequence[int]) -> list[Any]:
+        """Read the items of a batch into memory that is used again (:mod:`eldata.datasets.batches`).
+
+        torch's DataLoader calls this. The values are those of ``dataset[i]``; errors too.
+        """
+        if self.may_differ:
+            return [self[index] for index in indices]
+        batch: Batch | None = None
+        samples: list[dict[str, Any]] = []
+        for group in [indices] if self.reads_parts else [[index] for index in indices]:
+            items = [self.item(index) for index in group]
+            shapes = self.shapes(items[0])
+            if batch is None:
+                batch = new_batch([Field(name, (len(indices), *shape), self.dtype) for name, shape in shapes.items()])
+            if batch is None or any(
+                self.shapes(item) != {field.name: field.shape[1:] for field in batch.fields} for item in items
+            ):
+                return [self[index] for index in indices]
+            self._read(
+                [
+                    (item, {name: array[place] for name, array in batch.arrays.items()})
+                    for place, item in enumerate(items, len(samples))
+                ]
+            )
+            samples += [dict.fromkeys(shapes) | self.facts(item) for item in items]
+            del items  # their frames, before the next ones are decoded
+        return [] if batch is None else batch.parts(samples)
+
+    def _read(self, items: Sequence[tuple[Item, Mapping[str, NDArray[Any]]]]) -> None:
+        def fill(item: Item, arrays: Mapping[str, NDArray[Any]], part: Part) -> None:
+            array = arrays[part.tensor]
+            self.fill(item, part, array if part.place is None else array[part.place])
+
+        if self.reads_parts:
+            works = [(item, arrays, part) for item, arrays in items for part in self.parts(item)]
+            decodes_long = getattr(getattr(self, "source", None), "decodes_long", False)  # a store says so
+            in_threads(lambda work: fill(*work), works, reading_threads(len(items), decodes_long=decodes_long))
+        else:
+            for item, arrays in items:
+                for part in self.parts(item):
+                    fill(item, arrays, part)
+                    del part  # its frame, before the next one is decoded
+        for item, arrays in items:
+            self.finish(item, arrays)
+
+
+class Cropping(TypedDict, total=False):
+    """Which part of frames is an item: keyword arguments of every dataset of pairs or clips.
+
+    Item i of epoch e depends on (seed, e, i) alone: not on workers, their number, or what was read before.
+
+    Attributes
+    ----------
+    crop
+        Side of the square crop in pixels of the packed (or RGB) frame, even for X-Trans; ``None`` takes whole frames.
+    augment
+        Draw one of the eight orientations; a mosaic's CFA stays in order.
+    seed
+        First part of each item's seed.
+    """
+
+    crop: int | None
+    augment: bool
+    seed: int
+
+
+class CroppedItems(ReadItems[Item, Sample]):
+    """Items that are random crops, drawn from (seed, epoch, index).
+
+    Parameters
+    ----------
+    cropping
+        By default whole frames as they are.
+    crops
+        Items per record, and the name of this argument.
+
+    Raises
+    ------
+    ArgumentError
+        If one is out of its range.
+    """
+
+    def __init__(self, cropping: Cropping, crops: tuple[str, int]) -> None:
+        crop, seed = cropping.get("crop"), cropping.get("seed", 0)
+        if seed < 0:
+            raise ArgumentError(f"seed must be 0 or more; found {seed}")
+        if crops[1] < 1 or (crop is not None and crop < 2):
+            raise ArgumentError(f"{crops[0]} must be 1 or more and crop 2 or more; found {crops[1]}, {crop}")
+        self.crop = crop
+        self.augment = cropping.get("augment", False)
+        self.seed = seed
+        self._epoch = SharedEpoch()
+
+    @abstractmethod
+    def drawn(self, index: int, generator: np.random.Generator) -> Item:
+        """Draw an item; ``index`` is not negative."""
+
+    @property
+    def may_differ(self) -> bool:
+        """Whether whole frames are decoded, which may differ in size."""
+        return self.crop is None and not self.reads_parts
+
+    def item(self, index: int) -> Item:
+        """Draw an item from (seed, epoch, index)."""
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"index {index} is outside of {len(self)} items")
+        index %= len(self)
+        return self.drawn(index, np.random.default_rng([self.seed, self.epoch, index]))
+
+    @property
+    def epoch(self) -> int:
+        """The current epoch."""
+        return self._epoch.value
+
+    def set_epoch(self, epoch: int) -> None:
+        """Choose the epoch whose items are drawn from now on, in running workers too."""
+        self._epoch.set(epoch)

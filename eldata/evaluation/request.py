@@ -1,0 +1,185 @@
+"""What is to be evaluated: made once, by a public function or the command line, and passed on whole."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, TypedDict
+
+from eldata.base.workers import AnyWorkers, Workers
+from eldata.errors import ArgumentError
+from eldata.manifest.catalogue import Manifest, load_manifest, shipped_manifest, shipped_names
+from eldata.protocols.choosing import default_protocol, get_protocol, members_of, protocols_for
+from eldata.protocols.kinds import IMAGES, Kind
+from eldata.protocols.protocol import Protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+Baseline = Literal["input"]
+
+ALL = "all"
+"""In place of a protocol's name: every one that is for the dataset."""
+
+
+class EvaluationOptions(TypedDict, total=False):
+    """Keyword arguments of :func:`eldata.evaluate` and :func:`eldata.evaluate_all`.
+
+    Attributes
+    ----------
+    root
+        The folder that holds the datasets; default ``$ELDATA_ROOT``, else ``./data``.
+    manifest
+        A manifest's CSV file, in place of ``dataset``: your own set, or that of a copy's raw clips
+        (:func:`eldata.manifest.drv.scan_raw`). Any protocol of images may score your own set, on the set's own pairs:
+        those at the protocol's factors if it has every one of them, else all.
+    cameras
+        Score these cameras' pairs alone; the result says so.
+    subset
+        Name of a subset on the dataset's card (:mod:`eldata.manifest.subsets`). Default: the protocol's, else the first
+        on the card, if any.
+    ids
+        Score these clips instead of a subset; the result says so.
+    exclude_flags
+        Leave out pairs that the manifest flags so, such as ``["misaligned"]``; the result says how many.
+    allow_missing
+        Score what is there although predictions are missing or unusable; the table shows the coverage.
+    baseline
+        ``"input"``: score the noisy input itself, amplified and clipped as the protocol has it.
+    workers
+        Number of worker processes, or an executor that scores (:mod:`eldata.base.workers`); the files are checked from
+        here. Scores do not depend on it.
+    """
+
+    root: Path | str | None
+    manifest: Path | str | None
+    cameras: Collection[str] | None
+    subset: str | None
+    ids: Collection[str] | None
+    exclude_flags: Collection[str]
+    allow_missing: bool
+    baseline: Baseline | None
+    workers: AnyWorkers
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What is to be evaluated, with names resolved: :class:`EvaluationOptions` says what each field means.
+
+    Attributes
+    ----------
+    manifest, folder
+        The dataset's manifest, and its folder.
+    predictions
+        Their folder; ``None`` for the baseline.
+    protocols
+        How to score; several for ``all``.
+    every
+        Whether every protocol was asked for, and those that cannot score are left out and named.
+    """
+
+    manifest: Manifest
+    folder: Path
+    predictions: Path | None
+    protocols: tuple[Protocol, ...]
+    every: bool
+    cameras: Collection[str] | None
+    subset: str | None
+    ids: Collection[str] | None
+    exclude_flags: Collection[str]
+    allow_missing: bool
+    workers: Workers
+
+    @property
+    def kind(self) -> Kind:
+        """What is scored: images or clips."""
+        return self.protocols[0].kind
+
+    @property
+    def is_own(self) -> bool:
+        """Whether the set is the user's own, not one that comes with the package."""
+        return self.kind is IMAGES and self.manifest.name not in shipped_names()
+
+
+def make_request(
+    predictions: Path | str | None, dataset: str, protocol: str | Path | Protocol | None, options: EvaluationOptions
+) -> Request:
+    """Return a request; everything that can be told without the dataset's files is checked.
+
+    Raises
+    ------
+    ManifestError, ArgumentError
+        If the manifest is malformed, a name or an option is unknown, or options do not go together.
+    """
+    for name in options:
+        if name not in EvaluationOptions.__annotations__:
+            raise TypeError(
+                f"an evaluation has no option {name!r}; known are {', '.join(EvaluationOptions.__annotations__)}"
+            )
+    path, baseline = options.get("manifest"), options.get("baseline")
+    manifest = shipped_manifest(dataset) if path is None else load_manifest(path)
+    request = Request(
+        manifest=manifest,
+        folder=manifest.folder(options.get("root")),
+        predictions=None if predictions is None else Path(predictions),
+        protocols=_ways(manifest) if protocol == ALL else (_protocol(protocol, manifest),),
+        every=protocol == ALL,
+        cameras=options.get("cameras"),
+        subset=options.get("subset"),
+        ids=options.get("ids"),
+        exclude_flags=options.get("exclude_flags", ()),
+        allow_missing=options.get("allow_missing", False),
+        workers=Workers.of(options.get("workers", 1)),
+    )
+    if baseline not in (None, "input"):
+        raise ArgumentError(f"baseline must be 'input'; found {baseline!r}")
+    if (predictions is None) == (baseline is None):
+        raise ArgumentError("give a folder of predictions or a baseline, and not both")
+    if request.kind is IMAGES and request.ids is not None:
+        raise ArgumentError("--clip (ids) is for datasets of clips, such as drv")
+    if request.kind is IMAGES and request.every and request.subset is not None:
+        raise ArgumentError("--protocol all scores each protocol's own pairs; leave --subset out")
+    if request.subset is not None and request.ids is not None:
+        raise ArgumentError("give a subset or ids, not both")
+    if not request.every and predictions is None and request.protocols[0].pixels == "srgb":
+        raise ArgumentError(
+            f"protocol {request.protocols[0].name!r} scores renderings, so the raw input is not a baseline of it"
+        )
+    return request
+
+
+def _ways(manifest: Manifest) -> tuple[Protocol, ...]:
+    """Return the protocols for a dataset; of a set of the user's own, one for each way to score."""
+    ways: dict[str, Protocol] = {}
+    own = manifest.name not in shipped_names()
+    for protocol in protocols_for(manifest.name):
+        ways.setdefault(protocol.scoring_digest if own else protocol.name, protocol)
+    return tuple(ways.values())
+
+
+def _protocol(protocol: str | Path | Protocol | None, manifest: Manifest) -> Protocol:
+    """Return the protocol that is meant; it has to be of what the dataset holds, images or clips."""
+    default = default_protocol(manifest.name)
+    chosen = _named(protocol, manifest) if protocol is not None else default
+    chosen.check()
+    if chosen.kind is not default.kind:
+        own = ", ".join(one.name for one in protocols_for(manifest.name))
+        raise ArgumentError(
+            f"protocol {chosen.name!r} scores {chosen.kind.units}, and {manifest.name!r} is a dataset of "
+            f"{default.kind.units}; its protocols are {own}"
+        )
+    return chosen
+
+
+def _named(protocol: str | Path | Protocol, manifest: Manifest) -> Protocol:
+    if isinstance(protocol, Protocol):
+        return protocol
+    members = members_of(str(protocol))
+    if members and manifest.name not in shipped_names():
+        # A family's members differ in the choice of pairs, and a set of the user's own has its own.
+        return next((member for member in members if member.covers(manifest.name)), members[0])
+    if isinstance(protocol, Path):
+        from eldata.protocols.custom import load_protocol
+
+        return load_protocol(protocol)
+    return get_protocol(protocol, manifest.name)

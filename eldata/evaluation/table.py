@@ -1,0 +1,145 @@
+"""The table of a result: means by camera and factor, and how papers lay them out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from eldata.evaluation.pairs import ratio_of
+from eldata.evaluation.scores import UnitScore, Valued, means
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from eldata.evaluation.pairs import Pair
+    from eldata.protocols.kinds import Kind
+
+
+@dataclass(frozen=True, slots=True)
+class TableRow(Valued):
+    """Means over a group. ``camera`` or ``ratio`` is ``None`` where the group spans all of them."""
+
+    camera: str | None
+    ratio: float | None
+    pairs: int
+    scored: int
+    values: dict[str, float]
+
+    def holds(self, score: UnitScore) -> bool:
+        """Return whether a score is of this group."""
+        return self.camera in (None, score.camera) and self.ratio in (None, score.ratio)
+
+    @property
+    def coverage(self) -> str:
+        """How many were scored, as printed."""
+        return str(self.pairs) if self.scored == self.pairs else f"{self.scored} of {self.pairs}"
+
+    def texts(self, kind: Kind) -> tuple[str, ...]:
+        """Return coverage and means as printed; ``-`` where nothing was scored."""
+        return self.coverage, *(m.text(self.values[m.name]) if self.scored else "-" for m in kind.metrics)
+
+    def as_dict(self, kind: Kind) -> dict[str, Any]:
+        """Return it as plain types."""
+        return {"camera": self.camera, "ratio": self.ratio, kind.counted: self.pairs, "scored": self.scored} | (
+            self.values
+        )
+
+
+def groups_of(items: Sequence[tuple[str, float | None]]) -> list[tuple[str | None, float | None]]:
+    """Return the groups of a table over cameras and factors: camera by factor, each factor over all, and all.
+
+    A set without factors has each camera, if there are several, and all.
+    """
+    cameras = list(dict.fromkeys(camera for camera, _ in items))
+    ratios = sorted({ratio for _, ratio in items if ratio is not None})
+    found = set(items)
+    groups: list[tuple[str | None, float | None]] = [
+        (camera, ratio) for camera in cameras for ratio in ratios if (camera, ratio) in found
+    ]
+    if len(cameras) > 1:
+        groups += [(None, ratio) for ratio in ratios] if ratios else [(camera, None) for camera in cameras]
+    return [*groups, (None, None)]
+
+
+def table_of(pairs: Sequence[Pair], scores: Sequence[UnitScore], kind: Kind) -> tuple[TableRow, ...]:
+    """Return the means over the groups of these pairs."""
+    keys = [(pair.camera, ratio_of(pair)) for pair in pairs]
+    rows = []
+    for camera, ratio in groups_of(keys):
+        empty = TableRow(camera, ratio, 0, 0, {})
+        members = [score for score in scores if empty.holds(score)]
+        count = sum(camera in (None, key[0]) and ratio in (None, key[1]) for key in keys)
+        names = [metric.name for metric in kind.metrics]
+        rows.append(TableRow(camera, ratio, count, len(members), means(members, names)))
+    return tuple(row for row in rows if row.pairs)
+
+
+@dataclass(frozen=True, slots=True)
+class PaperTable:
+    """Cells of a table.
+
+    Attributes
+    ----------
+    header, rows
+        Texts.
+    left
+        Columns that stand to the left.
+    rules
+        Rows with a line above.
+    transposed
+        Whether the means of a row of the result stand in a column.
+    """
+
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    left: tuple[int, ...]
+    rules: tuple[int, ...] = ()
+    transposed: bool = False
+
+
+def paper_table(rows: Sequence[TableRow], kind: Kind, *, one_camera: bool) -> PaperTable:
+    """Return the cells: each metric with the decimals that papers print.
+
+    A set of several cameras has a row for each camera and factor, as in the ELD paper's table; a set of one camera has
+    a column for each factor, as in those on SID; without factors it is one row, as in those on DRV.
+
+    Parameters
+    ----------
+    rows, kind
+        Of the result.
+    one_camera
+        Whether the set has one camera, and all of it was chosen.
+    """
+    names = (kind.counted, *(metric.head for metric in kind.metrics))
+    if len(rows) == 1 and rows[0].ratio is None:
+        return PaperTable(names, (rows[0].texts(kind),), (0,))
+    if one_camera and len({row.camera for row in rows if row.camera is not None}) == 1:
+        header = (rows[0].camera or "", *(factor_text(row.ratio) for row in rows))
+        values = zip(*(row.texts(kind) for row in rows), strict=True)
+        cells = tuple((name, *texts) for name, texts in zip(names, values, strict=True))
+        return PaperTable(header, cells, (0,), transposed=True)
+    starts = tuple(index for index, row in enumerate(rows) if index and row.camera != rows[index - 1].camera)
+    cells = tuple(
+        (
+            "" if index and index not in starts else camera_text(row.camera),
+            factor_text(row.ratio),
+            *row.texts(kind),
+        )
+        for index, row in enumerate(rows)
+    )
+    return PaperTable(("camera", "factor", *names), cells, (0,), starts)
+
+
+def camera_text(camera: str | None) -> str:
+    """Return a camera's name, or ``all``."""
+    return "all" if camera is None else camera
+
+
+def factor_text(ratio: float | None) -> str:
+    """Return a factor as printed: ``x100``, or ``all``."""
+    return "all" if ratio is None else f"x{ratio:g}"
+
+
+def short_digest(digest: str) -> str:
+    """Return the beginning of a digest that tells it from others: ``sha256:`` and eight digits."""
+    return digest[:15]

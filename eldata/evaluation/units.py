@@ -1,0 +1,482 @@
+"""The one scoring loop: images and windows of clips under one or several protocols at once.
+
+A unit of work is a reference with the predictions that are compared with it: those of the noisy frames of an image
+scene, or of the frames of a clip's window. Each file is read once, and what protocols share is computed once.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar, cast
+
+import numpy as np
+
+from eldata.base.files import inside
+from eldata.base.png import rgb_frame
+from eldata.base.workers import Failed, require_files
+from eldata.errors import ArgumentError, EldataError, FileError, PredictionError, RawFileError
+from eldata.evaluation.pairs import Pair, frames_of, place_of, ratio_of
+from eldata.evaluation.predictions import load_prediction, load_rgb_prediction, load_srgb_prediction
+from eldata.evaluation.references import normalised_frame, rendered_reference
+from eldata.evaluation.scores import EvaluationProblem, FrameScore, UnitScore, mean
+from eldata.manifest.clips import ClipRecord
+from eldata.protocols.clips import ClipProtocol
+from eldata.records import PairRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Hashable, Sequence
+
+    from numpy.typing import NDArray
+
+    from eldata.evaluation.planning import ScoringPlan
+    from eldata.evaluation.request import Request
+    from eldata.metrics.image_score import Score, ScoringRules
+    from eldata.protocols.protocol import Protocol
+    from eldata.records import RawFrame, Sensor
+
+Value = TypeVar("Value")
+
+
+@dataclass(slots=True)
+class PlanScores:
+    """What the pairs of one plan scored, by path, and what kept others from being scored.
+
+    ``unfit``: pairs that the protocol cannot score whatever is predicted, such as frames too small for its region.
+    ``without_channel_whites``: noisy frames whose reference LibRaw has no white level per channel of, where the
+    protocol takes it.
+    """
+
+    scores: dict[str, UnitScore] = field(default_factory=dict)
+    problems: list[EvaluationProblem] = field(default_factory=list)
+    unfit: list[EvaluationProblem] = field(default_factory=list)
+    without_channel_whites: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class _Member:
+    """A pair, the files of its frames' predictions (``None``: the input itself), and the plans, by number."""
+
+    pair: Pair
+    files: tuple[Path, ...] | None
+    plans: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Unit:
+    """What shares a reference, so that it is decoded once."""
+
+    reference: str
+    members: tuple[_Member, ...]
+
+    def __str__(self) -> str:
+        return self.reference
+
+
+@dataclass(frozen=True, slots=True)
+class _Outcome:
+    plan: int
+    value: UnitScore | EvaluationProblem
+    without_channel_whites: bool = False
+    unfit: bool = False
+
+
+def score_plans(
+    request: Request, plans: Sequence[ScoringPlan], files: Sequence[dict[str, Path]] | None
+) -> list[PlanScores]:
+    """Score the pairs of each plan.
+
+    Parameters
+    ----------
+    request
+        The dataset's folder, and who works.
+    plans
+        Protocols and their pairs.
+    files
+        For each plan, the file of each prediction by its place; pairs without all of theirs are left out. ``None``: the
+        noisy inputs themselves are scored.
+
+    Raises
+    ------
+    Exception
+        What a unit raised that is neither an :class:`~eldata.errors.EldataError` nor an :class:`OSError`, and so no
+        problem of the data; a note names the unit.
+    """
+    units = _units(plans, files)
+    protocols = tuple(plan.protocol for plan in plans)
+    workers = request.workers
+    work = partial(_score_unit, _Job(Path.cwd(), request.folder.absolute(), protocols, workers.threads_within))
+    found = [PlanScores() for _ in plans]
+    for outcomes in workers.attempt(work, units, label="scoring", unit="reference"):
+        if isinstance(outcomes, Failed) and not isinstance(outcomes.error, (EldataError, OSError)):
+            outcomes.error.add_note(f"while the predictions for the reference {outcomes.unit} were scored")
+            raise outcomes.error
+        for outcome in _of_unit(outcomes.unit, outcomes.reason) if isinstance(outcomes, Failed) else outcomes:
+            place = found[outcome.plan]
+            if outcome.without_channel_whites:
+                place.without_channel_whites.append(outcome.value.path)
+            if isinstance(outcome.value, UnitScore):
+                place.scores[outcome.value.path] = outcome.value
+            else:
+                (place.unfit if outcome.unfit else place.problems).append(outcome.value)
+    return found
+
+
+def _units(plans: Sequence[ScoringPlan], files: Sequence[dict[str, Path]] | None) -> list[_Unit]:
+    pairs: dict[str, Pair] = {}
+    scoring: dict[str, list[int]] = defaultdict(list)
+    for number, plan in enumerate(plans):
+        for pair in plan.pairs:
+            if files is None or all(place_of(pair, frame) in files[number] for frame in frames_of(pair)):
+                pairs[pair.path] = pair
+                scoring[pair.path].append(number)
+    members: dict[str, list[_Member]] = defaultdict(list)
+    for path, pair in pairs.items():
+        of = None if files is None else files[scoring[path][0]]
+        found = None if of is None else tuple(of[place_of(pair, frame)] for frame in frames_of(pair))
+        members[pair.reference or ""].append(_Member(pair, found, tuple(scoring[path])))
+    return [_Unit(reference, tuple(sharing)) for reference, sharing in members.items()]
+
+
+def _of_unit(unit: _Unit, reason: str) -> list[_Outcome]:
+    """Return the problems of all pairs of a unit."""
+    return [_Outcome(plan, _reference_problem(member.pair, reason)) for member in unit.members for plan in member.plans]
+
+
+def _reference_problem(pair: Pair, reason: str) -> EvaluationProblem:
+    return EvaluationProblem(pair.path, f"its reference {pair.reference} cannot be used: {reason}")
+
+
+# --- in a worker ------------------------------------------------------------------------------------------------------
+
+
+class _Shared:
+    """Values that are computed when they are first asked for; what that raises is raised each time."""
+
+    def __init__(self) -> None:
+        self._values: dict[Hashable, Any] = {}
+
+    def get(self, key: Hashable, compute: Callable[[], Value]) -> Value:
+        if key not in self._values:
+            try:
+                self._values[key] = compute()
+            except EldataError as error:
+                self._values[key] = error
+        value = self._values[key]
+        if isinstance(value, EldataError):
+            raise value
+        return value  # type: ignore[no-any-return] # of the key's kind
+
+
+class _Reference:
+    """A reference, decoded once, as each protocol takes it."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._shared = _Shared()
+
+    @property
+    def frame(self) -> RawFrame:
+        from eldata.raw.reading import read_raw
+
+        return self._shared.get("frame", lambda: read_raw(self._path))
+
+    def lacks_channel_whites(self, protocol: Protocol) -> bool:
+        """Return whether a protocol takes the white level of each channel and LibRaw has none."""
+        return protocol.levels == "metadata-per-channel" and self.frame.channel_white_levels_dn is None
+
+    def key(self, protocol: Protocol) -> tuple[str, ...]:
+        """Return what of a protocol decides :meth:`target`."""
+        if protocol.pixels != "packed":
+            return (protocol.pixels,)
+        return "metadata" if self.lacks_channel_whites(protocol) else protocol.levels, protocol.reference_clip
+
+    def target(self, protocol: Protocol) -> NDArray[Any]:
+        """Return what predictions are compared with, (C, h, w) of the whole frame."""
+        return self._shared.get(self.key(protocol), lambda: self._target(protocol))
+
+    def _target(self, protocol: Protocol) -> NDArray[Any]:
+        if protocol.pixels == "srgb":
+            return rendered_reference(self._path)
+        if protocol.pixels == "rgb":
+            return rgb_frame(self._path)
+        return normalised_frame(self.frame, protocol.levels, clip=protocol.reference_clip)
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    """What all units share: where predictions' paths begin, the dataset's folder, protocols, threads of a unit."""
+
+    start: Path
+    folder: Path
+    protocols: tuple[Protocol, ...]
+    threads: int | None
+
+
+def _score_unit(job: _Job, unit: _Unit) -> list[_Outcome]:
+    path = inside(job.folder, unit.reference)
+    files = [file for member in unit.members for file in member.files or ()]
+    require_files(path, *(job.start / file for file in files))
+    reference = _Reference(path)
+    outcomes: list[_Outcome] = []
+    for member in unit.members:
+        scorers = [_scorer(job, member.pair, plan) for plan in member.plans]
+        for index, frame in enumerate(frames_of(member.pair)):
+            file = None if member.files is None else member.files[index]
+            shared = _Frame(job, reference, member.pair, frame, file)
+            for scorer in scorers:
+                scorer.take(shared)
+        outcomes += [outcome for scorer in scorers for outcome in scorer.outcomes()]
+    return outcomes
+
+
+class _Frame:
+    """A noisy frame and its prediction, of which protocols share what they have in common."""
+
+    def __init__(self, job: _Job, reference: _Reference, pair: Pair, path: str, file: Path | None) -> None:
+        self.reference, self.path, self.file = reference, path, file
+        self._job, self._pair, self._shared = job, pair, _Shared()
+
+    def prediction(self, protocol: Protocol) -> tuple[Hashable, NDArray[Any]]:
+        """Return the prediction of the whole frame, and what decides it."""
+        key: Hashable
+        if self.file is None:
+            return self.input(protocol)
+        file, levels = self._job.start / self.file, protocol.levels
+        if protocol.pixels == "packed":
+            key = ("raw", levels if file.suffix.lower() == ".dng" else "")
+            return key, self._shared.get(key, lambda: load_prediction(file, self.reference.frame.sensor, levels))
+        channels, height, width = self.reference.target(protocol).shape
+        load = load_srgb_prediction if protocol.pixels == "srgb" else load_rgb_prediction
+        return protocol.pixels, self._shared.get(protocol.pixels, lambda: load(file, (channels, height, width)))
+
+    def input(self, protocol: Protocol) -> tuple[Hashable, NDArray[Any]]:
+        """Return the amplified noisy input as a protocol has it, and what decides it."""
+        if protocol.pixels == "rgb":  # amplified by its authors
+            return "input", self._shared.get("input", lambda: rgb_frame(inside(self._job.folder, self.path)))
+        key = ("input", protocol.levels, protocol.input_clip, protocol.amplification)
+        return key, self._shared.get(key, lambda: self._input(protocol))
+
+    def _input(self, protocol: Protocol) -> NDArray[Any]:
+        from eldata.raw.reading import exposure_ratio, read_raw
+
+        path = inside(self._job.folder, self.path)
+        noisy = self._shared.get("noisy", lambda: read_raw(path))
+        clean = self.reference.frame
+        if noisy.mosaic.shape != clean.mosaic.shape or noisy.sensor.cfa != clean.sensor.cfa:
+            raise RawFileError(
+                path,
+                f"expected {clean.mosaic.shape} pixels with CFA {clean.sensor.cfa} like its reference, found "
+                f"{noisy.mosaic.shape} with {noisy.sensor.cfa}",
+            )
+        nominal = None if protocol.amplification == "metadata" else ratio_of(self._pair)
+        ratio = exposure_ratio(clean, noisy) if nominal is None else nominal
+        return normalised_frame(noisy, protocol.levels, clip=protocol.input_clip, gain=float(ratio))
+
+    def score(self, protocol: Protocol, target: NDArray[Any]) -> tuple[Score, NDArray[Any]]:
+        """Return the scores, and the prediction that got them, of the region."""
+        from eldata.metrics.image_score import factor_by, score_by
+
+        rules, threads = protocol.rules, self._job.threads
+        source, prediction = self.prediction(protocol)
+        crop = protocol.crop(target.shape)
+        compared = (source, self.reference.key(protocol), protocol.region)
+        p, g = prediction[crop], target[crop]
+        factor = 1.0
+        if rules.rescaling == "scalar":
+            limits = rules.prediction_clamp == "none"
+            key = ("factor", compared, limits, rules.rescaling_mask)
+            factor = self._shared.get(key, lambda: factor_by(p, g, rules, threads=threads))
+        if protocol.rendering == "eld-isp":
+            sensor = self.reference.frame.sensor
+            found = self._shared.get(
+                ("srgb score", compared, rules), lambda: _score_rendered(p, g, sensor, rules, factor, threads)
+            )
+        else:
+            found = self._shared.get(
+                ("score", compared, rules), lambda: score_by(p, g, rules, factor=factor, threads=threads)
+            )
+        return found, p
+
+
+def _score_rendered(
+    prediction: NDArray[Any],
+    target: NDArray[Any],
+    sensor: Sensor,
+    rules: ScoringRules,
+    factor: float,
+    threads: int | None,
+) -> Score:
+    """Score a packed raw prediction in sRGB: rescaled in raw, rendered, truncated to 8 bits."""
+    from eldata.isp.srgb_pairs import render_pair_for_scoring
+    from eldata.metrics.image_score import score_by
+
+    treated = as_scored(prediction, rules, factor, np.float64)
+    codes = [image.astype(np.float32) for image in render_pair_for_scoring(treated, target, sensor)]
+    of_codes = replace(rules, rescaling="none", prediction_clamp="none", rounding="none", data_range=255.0)
+    found = score_by(codes[0], codes[1], of_codes, threads=threads)
+    return replace(found, rescale=factor)
+
+
+def as_scored(prediction: NDArray[Any], rules: ScoringRules, factor: float, dtype: Any) -> NDArray[Any]:
+    """Return a prediction clamped and multiplied as rules have it, (C, h, w); the arithmetic is float64."""
+    low, high, _, final_low, final_high = rules.treatment(factor)
+    result = np.empty(prediction.shape, dtype)
+    for channel, plane in enumerate(prediction):  # the float64 intermediates are 8 bytes a pixel
+        result[channel] = np.clip(np.clip(plane.astype(np.float64), low, high) * factor, final_low, final_high)
+    return result
+
+
+# --- what differs between images and clips ------------------------------------------------------------------------
+
+
+def _scorer(job: _Job, pair: Pair, plan: int) -> _Scorer:
+    protocol = job.protocols[plan]
+    if isinstance(pair, ClipRecord) and isinstance(protocol, ClipProtocol):
+        return _ClipScorer(pair, protocol, plan, job.threads)
+    return _Scorer(pair, protocol, plan)
+
+
+class _Scorer:
+    """Scores a pair under one protocol: PSNR and SSIM of its frame."""
+
+    def __init__(self, pair: Pair, protocol: Protocol, plan: int) -> None:
+        self._pair, self._protocol, self._plan = pair, protocol, plan
+        self._frames: list[FrameScore] = []
+        self._problems: list[_Outcome] = []
+        self._bare = False
+
+    def take(self, frame: _Frame) -> None:
+        """Score a frame; what is wrong with it is kept."""
+        protocol, plan, path = self._protocol, self._plan, self._pair.path
+        try:
+            target = frame.reference.target(protocol)
+            self._bare = frame.reference.lacks_channel_whites(protocol)
+        except (ArgumentError, FileError) as error:
+            reason = error.reason if isinstance(error, FileError) else str(error)
+            self._problems = [_Outcome(plan, _reference_problem(self._pair, reason))]
+            return
+        try:
+            found, prediction = frame.score(protocol, target)
+        except FileError as error:
+            file = frame.file if isinstance(error, PredictionError) else error.path
+            self._problems.append(_Outcome(plan, EvaluationProblem(str(file), error.reason)))
+        except ArgumentError as error:
+            problem = EvaluationProblem(path, f"protocol {protocol.name} cannot score it: {error}")
+            self._problems = [_Outcome(plan, problem, unfit=True)]
+        else:
+            self._keep(prediction, target, found)
+            self._frames.append(FrameScore(frame.path, found.psnr_db, found.ssim, found.rescale))
+
+    def _keep(self, prediction: NDArray[Any], target: NDArray[Any], found: Score) -> None:
+        """Keep of a frame what metrics of the whole clip need."""
+
+    def outcomes(self) -> list[_Outcome]:
+        """Return the scores of the pair, or what is wrong with its frames."""
+        return self._problems or [_Outcome(self._plan, self._score(), without_channel_whites=self._bare)]
+
+    def _score(self) -> UnitScore:
+        pair = self._pair
+        iso = float(pair.iso or 0) if isinstance(pair, PairRecord) else 0.0
+        return UnitScore(pair.path, pair.camera, pair.scene, iso, ratio_of(pair), self._means())
+
+    def _means(self) -> dict[str, float]:
+        return {name: mean([getattr(frame, name) for frame in self._frames]) for name in ("psnr_db", "ssim", "rescale")}
+
+
+class _ClipScorer(_Scorer):
+    """Scores a window: means over its frames, and ST-RRED, for which the grey image of each frame alone is kept."""
+
+    def __init__(self, window: ClipRecord, protocol: ClipProtocol, plan: int, threads: int | None) -> None:
+        super().__init__(window, protocol, plan)
+        self._window, self._peak, self._threads = window, protocol.st_rred_peak, threads
+        self._grey = self._still = np.empty(0)
+
+    def _keep(self, prediction: NDArray[Any], target: NDArray[Any], found: Score) -> None:
+        from eldata.metrics.st_rred import raw_to_grey
+
+        if not self._grey.size:
+            self._still = raw_to_grey(target)
+            self._grey = np.empty((len(self._window.paths), *self._still.shape))
+        scored = as_scored(prediction, self._protocol.rules, found.rescale, prediction.dtype)
+        self._grey[len(self._frames)] = raw_to_grey(scored)
+
+    def _score(self) -> UnitScore:
+        from eldata.metrics.st_rred import st_rred
+
+        motionless = np.broadcast_to(self._still, self._grey.shape)
+        video = st_rred(self._grey, motionless, peak=self._peak, threads=self._threads)
+        values = self._means() | {
+            "st_rred": video.st_rred,
+            "spatial_rred": video.spatial,
+            "temporal_rred": video.temporal,
+        }
+        window = self._window
+        return replace(
+            super()._score(), values=values, split=window.split, start=window.start, frames=tuple(self._frames)
+        )
+
+
+# --- for those who look at it ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScoredArrays:
+    """One frame as it was scored: arrays (C, h, w) of the whole frame.
+
+    Attributes
+    ----------
+    amplified
+        The noisy input; ``None`` where predictions are renderings.
+    prediction
+        Rescaled and clamped.
+    reference
+        What it was compared with.
+    sensor
+        Of packed raw; ``None`` of colours.
+    """
+
+    amplified: NDArray[Any] | None
+    prediction: NDArray[Any]
+    reference: NDArray[Any]
+    sensor: Sensor | None
+
+    @property
+    def error(self) -> NDArray[Any]:
+        """The absolute error, mean over channels, (h, w)."""
+        return cast("NDArray[Any]", np.abs(self.prediction - self.reference).mean(axis=0))
+
+
+def scored_arrays(folder: Path, protocol: Protocol, pair: Pair, frame: FrameScore, file: Path | None) -> ScoredArrays:
+    """Return what was compared, decoded once more.
+
+    Parameters
+    ----------
+    folder
+        The dataset's.
+    protocol, pair
+        What was scored, and how.
+    frame
+        Which frame of the pair, and the factor that it was given.
+    file
+        Its prediction; ``None`` if the noisy input itself was scored.
+
+    Raises
+    ------
+    RawFileError, PredictionError, ManifestError
+        If a file is no longer what was scored.
+    """
+    job = _Job(Path.cwd(), folder.absolute(), (protocol,), None)
+    reference = _Reference(inside(folder, pair.reference or ""))
+    shared = _Frame(job, reference, pair, frame.path, file)
+    target = reference.target(protocol)
+    factor = 1.0 if np.isnan(frame.rescale) else frame.rescale
+    prediction = as_scored(shared.prediction(protocol)[1], protocol.rules, factor, np.float32)
+    return ScoredArrays(
+        amplified=None if protocol.pixels == "srgb" else shared.input(protocol)[1],
+        prediction=prediction,
+        reference=target,
+        sensor=reference.frame.sensor if protocol.pixels == "packed" else None,
+    )

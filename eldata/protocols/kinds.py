@@ -1,0 +1,91 @@
+"""What protocols score, single images or windows of clips: their words and their tables of metrics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+
+@dataclass(frozen=True, slots=True)
+class Metric:
+    """A column of means.
+
+    Attributes
+    ----------
+    name
+        Field of a score.
+    label, unit
+        As printed; ``unit`` may be empty.
+    places, gain_places, row_places
+        Decimals that papers print of a mean, that a difference of two methods needs, and that one score is shown with.
+    higher_is_better
+        Whether a higher value is the better one.
+    """
+
+    name: str
+    label: str
+    unit: str
+    places: int
+    gain_places: int
+    row_places: int
+    higher_is_better: bool = True
+
+    @property
+    def head(self) -> str:
+        """Its name as a column's head."""
+        return f"{self.label} [{self.unit}]" if self.unit else self.label
+
+    def text(self, value: float) -> str:
+        """Return a value as papers print it."""
+        return f"{value:.{self.places}f}"
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """What is scored.
+
+    Attributes
+    ----------
+    unit, counted
+        What one score is of, and what coverage counts: images score pairs.
+    metrics
+        What tables have means of.
+    values
+        Every number of a score.
+    columns
+        Columns of the scores' CSV.
+    """
+
+    unit: str
+    counted: str
+    metrics: tuple[Metric, ...]
+    values: tuple[str, ...]
+    columns: tuple[str, ...]
+
+    @property
+    def units(self) -> str:
+        """Several of its units, which is also the scores' name in the JSON."""
+        return f"{self.unit}s"
+
+
+_PSNR = Metric("psnr_db", "PSNR", "dB", 2, 2, 2)
+_SSIM = Metric("ssim", "SSIM", "", 3, 4, 4)  # differences of SSIM are small
+_ST_RRED = Metric("st_rred", "ST-RRED", "", 3, 3, 3, higher_is_better=False)
+
+IMAGES: Final = Kind(
+    unit="image",
+    counted="pairs",
+    metrics=(_PSNR, _SSIM),
+    values=("psnr_db", "ssim", "rescale"),
+    columns=("path", "camera", "scene", "iso", "ratio", "psnr_db", "ssim", "rescale"),
+)
+CLIPS: Final = Kind(
+    unit="video",
+    counted="videos",
+    metrics=(_PSNR, _SSIM, _ST_RRED),
+    values=("psnr_db", "ssim", "st_rred", "spatial_rred", "temporal_rred", "rescale"),
+    columns=(
+        *("scene", "split", "camera", "start", "frames"),
+        *("psnr_db", "ssim", "st_rred", "spatial_rred", "temporal_rred", "rescale"),
+    ),
+)

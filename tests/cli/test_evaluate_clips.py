@@ -1,0 +1,256 @@
+"""`eldata evaluate` and `eldata compare` on clips: everything that datasets of images have."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from eldata.base.png import rgb_frame
+from eldata.datasets.drv import DRVDataset, DRVRawDataset
+from eldata.evaluation import evaluate, evaluate_all, load_results, save_clip_prediction
+from eldata.manifest.drv import scan_raw
+from eldata.manifest.table import save_records
+from eldata.protocols.kinds import CLIPS
+from tests.drv_tree import SmallDrv, generator_of, small_drv, still_of, write_raw_clip
+from tests.reports.pages import assert_well_formed, checked
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.cli.conftest import Cli
+
+SIZE = (48, 56)
+CHOSEN = ("--clip", "0007", "--clip", "0013")
+
+
+@pytest.fixture(scope="module")
+def drv(tmp_path_factory: pytest.TempPathFactory) -> SmallDrv:
+    return small_drv(tmp_path_factory.mktemp("drv"), ("0007", "0013"), 12, size=SIZE)
+
+
+def predict(drv: SmallDrv, folder: Path, noise: float) -> Path:
+    for record in DRVDataset(drv.data, split="test", frames="evaluation", manifest=drv.csv).records:
+        still = still_of(record.scene, SIZE).transpose(2, 0, 1) / 65535
+        frames = 1.1 * still + generator_of(record.scene).normal(0, noise, (5, *still.shape))
+        save_clip_prediction(folder, record, frames.astype(np.float32))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def predictions(drv: SmallDrv, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return predict(drv, tmp_path_factory.mktemp("predictions") / "soft", 0.01)
+
+
+def run(eldata: Cli, drv: SmallDrv, *arguments: object, code: int = 0) -> str:
+    common = ("--manifest", drv.csv, "--root", drv.root, "--jobs", "1")
+    outcome = eldata("evaluate", *map(str, (*arguments, *common)))
+    assert outcome.code == code, outcome.err
+    return outcome.err if code == 2 else outcome.out
+
+
+# --- the numbers, in every form ---------------------------------------------------------------------------------------
+
+
+def test_json_csv_and_tables(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path) -> None:
+    files = ("--csv", tmp_path / "a.csv", "--json", tmp_path / "a.json")
+    text = run(eldata, drv, predictions, *CHOSEN, *files)
+    (saved,) = load_results(tmp_path / "a.json")
+    result = evaluate(predictions, manifest=drv.csv, root=drv.root, ids=["0007", "0013"])
+    assert saved.scores == result.scores
+    assert saved.format_text() + "\n" == text == result.format_text() + "\n"
+    assert saved.as_dict() == result.as_dict()
+    assert text.startswith("drv, protocol drv-rgb: 2 of 2 videos, only 0007, 0013\n\nvideos  PSNR [dB]")
+    with (tmp_path / "a.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert tuple(rows[0]) == CLIPS.columns
+    assert [float(row["st_rred"]) for row in rows] == [score.st_rred for score in result.scores]
+    assert list(result.frame["scene"]) == ["0007", "0013"]
+    numbers = [f"{result.psnr_db:.2f}", f"{result.ssim:.3f}", f"{result.st_rred:.3f}"]
+    markdown = run(eldata, drv, predictions, *CHOSEN, "--format", "markdown")
+    assert [cell.strip() for cell in markdown.splitlines()[2].split("|")[1:-1]] == ["2", *numbers]
+    assert "drv 1.0, protocol drv-rgb (sha256:cb7bfb0e): 2 of 2 videos, only 0007, 0013." in markdown
+    latex = run(eldata, drv, predictions, *CHOSEN, "--format", "latex")
+    assert f"2 & {' & '.join(numbers)} \\\\" in latex
+    assert r"\label{tab:drv-drv-rgb}" in latex
+
+
+def test_the_noisy_input(eldata: Cli, drv: SmallDrv, tmp_path: Path) -> None:
+    """It equals the score of the frames themselves, saved as predictions."""
+    for record in DRVDataset(drv.data, split="test", frames="evaluation", manifest=drv.csv).records:
+        save_clip_prediction(tmp_path / "own", record, np.stack([rgb_frame(drv.data / path) for path in record.paths]))
+    text = run(eldata, drv, "--baseline", "input", *CHOSEN)
+    assert text == run(eldata, drv, tmp_path / "own", *CHOSEN)
+    baseline = evaluate(None, manifest=drv.csv, root=drv.root, ids=["0007", "0013"], baseline="input")
+    assert baseline.provenance["predictions"] == "none: the input itself"
+
+
+def test_the_noisy_input_of_raws(tmp_path: Path) -> None:
+    """It is what the dataset gives to a network: amplified by the files' exposure ratio, clipped before and after."""
+    write_raw_clip(tmp_path / "DRV", "0007", 12)
+    manifest = scan_raw(tmp_path / "DRV").save(tmp_path / "drv-raw.csv")
+    dataset = DRVRawDataset(tmp_path / "DRV", split="test", frames="evaluation")
+    for index, record in enumerate(dataset.records):
+        save_clip_prediction(tmp_path / "own", record, dataset[index]["input"].numpy())
+    own = evaluate(tmp_path / "own", manifest=manifest.path, root=tmp_path, ids=["0007"])
+    baseline = evaluate(None, manifest=manifest.path, root=tmp_path, ids=["0007"], baseline="input")
+    assert baseline.scores == own.scores
+
+
+def test_every_protocol(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path) -> None:
+    files = ("--csv", tmp_path / "all.csv", "--json", tmp_path / "all.json")
+    text = run(eldata, drv, predictions, "--protocol", "all", *CHOSEN, *files)
+    combined = evaluate_all(predictions, manifest=drv.csv, root=drv.root, ids=["0007", "0013"])
+    names = ["drv-rgb", "drv-rgb-uncorrected"]
+    assert [result.protocol.name for result in combined.results] == names
+    for result in combined.results:
+        assert result == evaluate(
+            predictions, manifest=drv.csv, root=drv.root, ids=["0007", "0013"], protocol=result.protocol.name
+        )
+    assert text == combined.format_text() + "\n"
+    assert [line.split()[0] for line in text.splitlines() if line.startswith(("PSNR", "SSIM", "ST-RRED"))] == [
+        "PSNR",
+        "SSIM",
+        "ST-RRED",
+    ]
+    assert "By the protocol alone, on shared videos, the same predictions lie up to" in text
+    assert "drv-rgb-uncorrected: rescaling: one factor per image -> none" in text
+    assert [result.scores for result in load_results(tmp_path / "all.json")] == [
+        result.scores for result in combined.results
+    ]
+    with (tmp_path / "all.csv").open(newline="", encoding="utf-8") as file:
+        assert [row["protocol"] for row in csv.DictReader(file)] == [names[0]] * 2 + [names[1]] * 2
+
+
+def test_each_prediction_is_read_once_for_all_protocols(
+    drv: SmallDrv, predictions: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from eldata.evaluation import units
+    from eldata.evaluation.predictions import load_rgb_prediction as genuine
+
+    loaded = []
+
+    def load(path: Path, shape: tuple[int, int, int]) -> object:
+        loaded.append(path)
+        return genuine(path, shape)
+
+    monkeypatch.setattr(units, "load_rgb_prediction", load)
+    evaluate_all(predictions, manifest=drv.csv, root=drv.root, ids=["0007", "0013"])
+    assert len(loaded) == len(set(loaded)) == 10
+
+
+# --- which clips ------------------------------------------------------------------------------------------------------
+
+
+def test_cameras_and_flags(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path) -> None:
+    shutil.copytree(drv.csv.parent, tmp_path / "manifests")
+    own = SmallDrv(tmp_path / "manifests/drv.csv", drv.root)
+    flagged = [
+        replace(record, flags=("flicker",)) if record.scene == "0013" and record.role == "noisy" else record
+        for record in own.manifest.records
+    ]
+    save_records(own.csv, flagged)
+    text = run(eldata, own, predictions, *CHOSEN, "--exclude", "flicker", "--camera", "SonyRX100M6")
+    assert text.startswith(
+        "drv, protocol drv-rgb: 1 of 1 videos, only SonyRX100M6, only 0007, 0013, without flicker (1)\n"
+    )
+    whole = run(eldata, own, predictions, *CHOSEN)
+    assert whole.startswith("drv, protocol drv-rgb: 2 of 2 videos, only 0007, 0013, flicker included (1)\n")
+    refused = {
+        ("--camera", "Leica"): "no clip has camera 'Leica'; known are SonyRX100M6",
+        ("--exclude", "misaligned"): "no clip has flag 'misaligned'; known are flicker",
+        ("--exclude", "flicker"): "no clip is left",
+    }
+    for arguments, said in refused.items():
+        ids = ("--clip", "0013") if said.startswith("no clip is") else CHOSEN
+        message = run(eldata, own, predictions, *ids, *arguments, code=2)
+        assert said in message
+        assert message.count("\n") == 1
+
+
+# --- pages and comparisons --------------------------------------------------------------------------------------------
+
+
+def test_page(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path) -> None:
+    run(eldata, drv, predictions, *CHOSEN, "--protocol", "all", "--html", tmp_path / "a.html")
+    page = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert_well_formed(page)
+    text = checked(page).text
+    for words in ("soft on drv", "Complete: 2 of 2 videos", "ST-RRED by camera", "Every video", "Rescaling that was"):
+        assert words in text
+    for words in ("ISO", "Every image", "pairs"):
+        assert words not in text.partition("Where the numbers come from")[0]
+    # Two clips are two scenes: both are among the worst. Of each, the frame with the lowest PSNR is shown.
+    assert text.count("the frame with the lowest PSNR") == 2
+    assert page.count('data-layer="input"') == page.count('data-layer="error"') == 2
+    run(eldata, drv, "--baseline", "input", *CHOSEN, "--html", tmp_path / "b.html")
+    assert "The input itself on drv" in (tmp_path / "b.html").read_text(encoding="utf-8")
+
+
+def test_compare(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path) -> None:
+    worse = predict(drv, tmp_path / "worse", 0.05)
+    run(eldata, drv, predictions, *CHOSEN, "--json", tmp_path / "soft.json")
+    run(eldata, drv, worse, *CHOSEN, "--json", tmp_path / "worse.json")
+    paths = (tmp_path / "soft.json", tmp_path / "worse.json")
+    outcome = eldata("compare", *paths, "--html", tmp_path / "c.html", "--json", tmp_path / "c.json")
+    assert (outcome.code, outcome.err) == (0, "")
+    assert outcome.out.startswith("2 methods on 2 common videos of 2 scenes: drv, protocol drv-rgb (sha256:cb7bfb0e)\n")
+    (soft,), (rough,) = (load_results(path) for path in paths)
+    means = outcome.out.splitlines()[4].split()
+    # Lower is better of ST-RRED, and the better method has all three stars.
+    assert soft.st_rred < rough.st_rred
+    assert means[2:] == ["2", f"{soft.psnr_db:.2f}*", f"{soft.ssim:.3f}*", f"{soft.st_rred:.3f}*",
+                         f"{rough.psnr_db:.2f}", f"{rough.ssim:.3f}", f"{rough.st_rred:.3f}"]  # fmt: skip
+    group = json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))["groups"][-1]
+    assert group["gains"][0]["st_rred"]["interval"]["mean"] == pytest.approx(rough.st_rred - soft.st_rred)
+    page = checked((tmp_path / "c.html").read_text(encoding="utf-8")).text
+    assert "Every video" in page
+    assert "PSNR of 2 common videos" in page
+    for form in ("markdown", "latex"):
+        assert "ST-RRED" in eldata("compare", *paths, "--format", form).out
+
+
+def test_what_0_1_did_not_state_is_no_difference(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path) -> None:
+    """Cameras and flags could not be chosen of clips."""
+    run(eldata, drv, predictions, *CHOSEN, "--json", tmp_path / "new.json")
+    data = json.loads((tmp_path / "new.json").read_text(encoding="utf-8"))
+    for name in ("cameras", "excluded_flags", "included_flags"):
+        del data["provenance"][name]
+    data["table"] = {name: data["table"][0][name] for name in ("psnr_db", "ssim", "st_rred")}
+    (tmp_path / "old.json").write_text(json.dumps(data), encoding="utf-8")
+    outcome = eldata("compare", tmp_path / "old.json", tmp_path / "new.json")
+    assert (outcome.code, outcome.err) == (0, "")
+
+
+def test_images_and_clips_do_not_compare(eldata: Cli) -> None:
+    from tests.evaluation.test_saved import WRITTEN_BY_0_1
+
+    outcome = eldata("compare", WRITTEN_BY_0_1 / "eld.json", WRITTEN_BY_0_1 / "drv.json")
+    assert outcome.code == 2
+    assert "eld has scores of images, drv of videos; these do not compare" in outcome.err
+
+
+def test_the_manifest_is_read_once(
+    eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from eldata.manifest import catalogue, table
+
+    read: list[Path] = []
+    genuine = table.load_records
+
+    def load(path: Path) -> object:
+        read.append(path)
+        return genuine(path)
+
+    monkeypatch.setattr(catalogue, "load_records", load)
+    run(eldata, drv, predictions, *CHOSEN, "--html", tmp_path / "a.html", "--compare")
+    assert [path for path in read if path == drv.csv] == [drv.csv]
+
+
+def test_published_numbers(eldata: Cli, drv: SmallDrv, predictions: Path) -> None:
+    assert "no published numbers on drv are known" in run(eldata, drv, predictions, *CHOSEN, "--compare")

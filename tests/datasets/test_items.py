@@ -1,0 +1,161 @@
+"""The crop engine over any source: files, stores, and a source of another package give the same items."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import torch
+from torch.utils.data import DataLoader
+
+from eldata import DRVDataset, PackedClips, PackedStore, StreamedPairs
+from eldata.datasets import DRVRawDataset, PairDataset, SourcePairs
+from eldata.datasets.synthesis import Recipe, synthesize
+from eldata.errors import ArgumentError, DatasetError
+from eldata.noise import CameraProfile
+from eldata.raw import read_raw
+from eldata.sources.frames import Frame, FrameSource
+from eldata.sources.shards import write_shards
+from eldata.sources.store import source_of_dataset
+from tests.drv_tree import SmallDrv, small_drv, write_raw_clip
+from tests.sources.store.helpers import pack_tree
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from eldata.records import FrameRecord
+    from tests.trees import Tree
+
+
+@pytest.fixture(scope="module")
+def store(pristine: Tree, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return pack_tree(pristine, tmp_path_factory.mktemp("items") / "eld.h5").store
+
+
+@pytest.fixture(scope="module")
+def drv(tmp_path_factory: pytest.TempPathFactory) -> SmallDrv:
+    return small_drv(tmp_path_factory.mktemp("drv"), ("0007", "0013", "M0003"), 6)
+
+
+class Memory:
+    """A source as another package may bring it."""
+
+    reads_parts = True
+
+    def __init__(self, tree: Tree) -> None:
+        self.records: tuple[FrameRecord, ...] = tree.manifest.records
+        self.raws = {record.path: read_raw(tree.data / record.path) for record in self.records}
+
+    def frame(self, path: str) -> Frame:
+        raw = self.raws[path]
+        return Frame.of_raw(raw.mosaic, raw.sensor, path, raw.exposure)
+
+
+def same(first: Mapping[str, Any], second: Mapping[str, Any]) -> None:
+    assert list(first) == list(second)
+    for key, value in first.items():
+        assert torch.equal(value, second[key]) if isinstance(value, torch.Tensor) else value == second[key], key
+
+
+def test_crops_of_files_stores_and_other_sources_are_the_same(pristine: Tree, store: Path) -> None:
+    cropping: Any = {"crop": 6, "augment": True, "crops_per_frame": 2, "seed": 4}
+    stored = PackedStore(store, **cropping)
+    source = Memory(pristine)
+    assert isinstance(source, FrameSource)
+    others = [
+        PairDataset(pristine.data, pristine.csv, **cropping),
+        SourcePairs(source, stored.records, cropping=cropping),
+    ]
+    for other in others:
+        assert len(other) == len(stored) == 48
+        for epoch in (0, 3):
+            stored.set_epoch(epoch)
+            other.set_epoch(epoch)
+            for ours, theirs in zip(stored, other, strict=True):
+                same(ours, theirs)
+        # Frames of two cameras, of several sizes: crops make batches all the same.
+        for batch, wanted in zip(DataLoader(other, batch_size=7), DataLoader(stored, batch_size=7), strict=True):
+            assert torch.equal(batch["input"], wanted["input"])
+            assert batch["path"] == wanted["path"]
+    assert "crop=6, augment=True, crops_per_frame=2, seed=4" in repr(others[0])
+
+
+def test_a_source_of_what_is_no_pair_is_refused(pristine: Tree, store: Path) -> None:
+    source = Memory(pristine)
+    record = PackedStore(store, ratios=[100]).records[0]
+    source.raws[record.path] = source.raws[record.reference]
+    with pytest.raises(DatasetError, match="expected an exposure ratio of"):
+        SourcePairs(source, [record])
+
+
+def test_crops_of_packed_arrays(pristine: Tree, tmp_path: Path) -> None:
+    """A noisy frame that is a packed array is cut like one that is a raw file."""
+    clean = tmp_path / "clean"
+    clean.mkdir()
+    (clean / "a.dng").write_bytes(pristine.file(1).read_bytes())
+    made = synthesize(clean, tmp_path / "set", Recipe(CameraProfile.load("SonyA7S2"), format="npy", per_image=2))
+    root = tmp_path / "set" / "data" / "set"
+    whole = PairDataset(root, made.path, levels="metadata")
+    cut = PairDataset(root, made.path, levels="metadata", crop=8, crops_per_frame=3)
+    for index, sample in enumerate(cut):
+        other, part = whole[index % 2], cut.item(index).crop.slices
+        top, left = (side.start // 2 for side in part)
+        for name in ("input", "target"):
+            assert torch.equal(sample[name], other[name][:, top : top + 8, left : left + 8])
+
+
+def test_crops_of_clips_of_files_are_those_of_the_store(drv: SmallDrv, tmp_path: Path) -> None:
+    cropping: Any = {"crop": 9, "augment": True, "crops_per_window": 3, "seed": 2, "window": 2, "clip": "none"}
+    ours = DRVDataset(drv.data, manifest=drv.csv, **cropping)
+    theirs = PackedClips(pack_tree(drv, tmp_path / "drv.h5").store, **cropping)
+    assert len(ours) == len(theirs) == 18
+    for first, second in zip(ours, theirs, strict=True):
+        assert first["path"] == second["path"]
+        for name in ("input", "target"):
+            assert torch.equal(first[name], second[name])
+    with pytest.raises(ArgumentError, match="give a region or a crop, not both"):
+        DRVDataset(drv.data, manifest=drv.csv, crop=9, region=(0, 0, 4, 4))
+
+
+def test_clips_take_the_choices_of_pairs(drv: SmallDrv, tmp_path: Path) -> None:
+    def scenes(**options: Any) -> set[str]:
+        return {record.scene for record in DRVDataset(drv.data, manifest=drv.csv, **options).records}
+
+    assert scenes(scenes=[7]) == scenes(scenes=["0007"]) == scenes(ids=["0007"]) == {"0007"}
+    assert scenes(cameras=["SonyRX100M6"], split=["test"]) == {"0007", "0013"}
+    with pytest.raises(ArgumentError, match="no clip has camera X; known are SonyRX100M6"):
+        scenes(cameras=["X"])
+    with pytest.raises(ArgumentError, match="no clip has all of the wanted"):
+        scenes(scenes=["0007"], ids=["0013"])
+    write_raw_clip(tmp_path, "0007", 5)
+    with pytest.raises(ArgumentError, match="the manifest states no ratio, so amplification must be 'metadata'"):
+        DRVRawDataset(tmp_path, amplification="nominal")[0]
+
+
+def test_the_names_of_0_1_are_understood(pristine: Tree, store: Path, tmp_path: Path) -> None:
+    old: dict[str, Any] = {"splits": ["test"]}
+    with pytest.warns(DeprecationWarning, match="write_shards: splits is called split now"):
+        write_shards(store, tmp_path / "shards", tile=None, **old)
+    with pytest.warns(DeprecationWarning, match="source_of_dataset: splits is called split now"):
+        source = source_of_dataset(pristine.manifest.name, root=pristine.root, manifest=pristine.csv, **old)
+    assert len(source.files) == len(pristine.manifest.records)
+    tiles: dict[str, Any] = {"crops_per_tile": 2}
+    with pytest.warns(DeprecationWarning, match="StreamedPairs: crops_per_tile is called crops_per_frame now"):
+        streamed = StreamedPairs(str(tmp_path / "shards"), **tiles)
+    assert len(streamed) == 48
+    with pytest.raises(TypeError, match="unexpected keyword argument 'tiles'; known are levels, clip, amplification"):
+        StreamedPairs(str(tmp_path / "shards"), tiles=2)  # type: ignore[call-arg]
+
+
+def test_a_part_of_a_frame_is_read_by_slices() -> None:
+    mosaic = np.arange(24, dtype=np.uint16).reshape(4, 6)
+    planes = np.stack([mosaic] * 3)
+    for pixels, frame in (
+        (mosaic, Frame(mosaic, ((0, 1), (3, 2)), (0.0,) * 4, 1.0, "")),
+        (planes, Frame.of_rgb(planes, "")),
+    ):
+        assert frame.shape == (4, 6)
+        np.testing.assert_array_equal(frame.read(slice(1, 3), slice(2, 6)), pixels[..., 1:3, 2:6])
+        assert frame.without_pixels().shape == (4, 6)

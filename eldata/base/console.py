@@ -121,7 +121,8 @@ def whole_number(at_least: int) -> Callable[[str], int]:
 def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:
     """Parse arguments, run the subcommand's ``run`` and return the exit code.
 
-    A subcommand sets ``run`` and ``command`` as its parser's defaults. What it raises becomes one line on stderr.
+    A subcommand sets ``run`` and ``command`` as its parser's defaults, and ``interrupted``, what Ctrl-C leaves of its
+    work, if that is more than nothing. What it raises becomes one line on stderr.
     """
     try:
         arguments = parser.parse_args(argv)
@@ -137,18 +138,19 @@ def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:
     except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 # a person sees one line, --debug shows the rest
         if arguments.debug:
             traceback.print_exception(error)
-        code, message = _explained(error)
+        code, message = _explained(error, arguments)
         if message:
             print(f"{parser.prog} {arguments.command}: {' '.join(message.split())}", file=sys.stderr)
     return code
 
 
-def _explained(error: BaseException) -> tuple[int, str]:
+def _explained(error: BaseException, arguments: argparse.Namespace) -> tuple[int, str]:
     """Return exit code and message of what a command raised."""
     if isinstance(error, EldataError):
         return UNUSABLE, str(error)
     if isinstance(error, KeyboardInterrupt):
-        return INTERRUPTED, "interrupted; files are written whole or not at all, so none is left half"
+        kept = getattr(arguments, "interrupted", "files are written whole or not at all, so none is left half")
+        return INTERRUPTED, f"interrupted; {kept.format_map(vars(arguments))}"
     if isinstance(error, BrokenPipeError):  # head, less: nothing to say, but not known to be all well either
         _drop_output()
         return CLOSED_PIPE, ""

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import INTERRUPTED, OK, PROBLEMS, add_debug, add_json, add_root
+from eldata.base.console import OK, PROBLEMS, add_debug, add_json, add_root
 from eldata.base.files import write_json
 
 if TYPE_CHECKING:
@@ -58,25 +57,13 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     add_json(parser)
     add_debug(parser)
-    parser.set_defaults(run=run, command="download")
+    # The general sentence would leave open whether the gigabytes that have come are lost.
+    kept = "what has come is kept, and the same command goes on from there"
+    parser.set_defaults(run=run, command="download", interrupted=kept)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
-    try:
-        return _run(arguments)
-    except KeyboardInterrupt:
-        if arguments.debug:
-            raise
-        # The general sentence would leave open whether the gigabytes that have come are lost.
-        print(
-            "eldata download: interrupted; what has come is kept, and the same command goes on from there",
-            file=sys.stderr,
-        )
-        return INTERRUPTED
-
-
-def _run(arguments: argparse.Namespace) -> int:
     from eldata.download.card_downloads import choose_parts, holds
     from eldata.download.installing import unpack_dataset
     from eldata.download.overview import overview, presence_of

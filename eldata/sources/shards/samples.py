@@ -37,12 +37,6 @@ def read_run(folder: Folder, index: ShardIndex, run: Run) -> Generator[StoredSam
             start += size
 
 
-def read_sample(folder: Folder, index: ShardIndex, run: Run) -> StoredSample:
-    """Return the first sample of a run; raises like :func:`read_run`."""
-    with closing(read_run(folder, index, run)) as samples:
-        return next(samples)
-
-
 def checked_sample(place: str, where: str, content: bytes, crc32: int) -> StoredSample:
     """Return the sample that bytes of a shard are, if their checksum is that of the index.
 

@@ -17,7 +17,7 @@ from eldata.manifest.clips import choose_clips, clips_of
 from eldata.manifest.drv import Scan, scan_raw
 from eldata.manifest.pairs import RENAMED, Choice, choose_pairs
 from eldata.manifest.patterns import expand, is_pattern
-from eldata.raw.extensions import RAW_EXTENSIONS
+from eldata.raw.extensions import raws_below
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
@@ -105,8 +105,7 @@ def source_of_dataset(
     """
     (chosen,) = keywords("source_of_dataset", choice, Choice, renamed=RENAMED)
     if name == _RAW_CLIPS and manifest is None:
-        published = shipped_manifest("drv")
-        folder = _folder(published, root)
+        folder = _folder(shipped_manifest("drv"), root)
         scan = scan_raw(folder)
         return _source_of_clips(scan.card, scan.records, folder, chosen, ids)
     loaded = shipped_manifest(name) if manifest is None else load_manifest(manifest)
@@ -182,8 +181,5 @@ def source_of_folder(folder: Path | str) -> Source:
         If it holds none.
     """
     folder = Path(folder)
-    found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in RAW_EXTENSIONS)
-    if not found:
-        raise DatasetError(f"{folder}: holds no camera raw file")
-    files: list[tuple[str, Role]] = [(path.relative_to(folder).as_posix(), "reference") for path in found]
+    files: list[tuple[str, Role]] = [(path.relative_to(folder).as_posix(), "reference") for path in raws_below(folder)]
     return Source(folder.resolve().name, folder, tuple(files))

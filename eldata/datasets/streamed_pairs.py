@@ -23,8 +23,8 @@ from eldata.errors import ArgumentError
 from eldata.raw.cfa import packed_shape
 from eldata.sources.frames import Frame
 from eldata.sources.shards import splitting
+from eldata.sources.shards.reading import read_run
 from eldata.sources.shards.remote import Folder
-from eldata.sources.shards.samples import read_run
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator, Mapping, Sequence
@@ -249,26 +249,18 @@ class StreamedPairs(IterableDataset[Sample]):
     def _item(self, sample: StoredSample, crop: int, epoch: int) -> PairItem:
         # The same as PackedStore's, where whole frames were written: its items are numbered in this way.
         generator = np.random.default_rng([self.seed, epoch, sample.number + crop * len(self.index)])
-        pair = self._pair(sample)
-        drawn = Crop.draw(pair.target, generator, crop=self.crop, augment=self.augment)
-        cuts = [
-            replace(frame, mosaic=drawn.cut(frame).copy(), cfa=drawn.cfa)
-            for frame in (pair.input, pair.target)
-            if frame
-        ]
-        whole = Crop((slice(None), slice(None)), drawn.cfa, Orientation(), drawn.height, drawn.width)
-        return PairItem(replace(pair, input=cuts[0], target=cuts[1]), whole)
-
-    def _pair(self, sample: StoredSample) -> OpenedPair:
-        """Return a sample's frames."""
         facts = sample.facts
         name = f"{self.folder.address}: {facts.record.path}"
-        target, noisy = (
+        frames = [
             Frame.of_raw(mosaic, side.sensor, name, side.exposure).with_levels(self.levels)
             for mosaic, side in ((sample.target_dn, facts.target), (sample.input_dn, facts.input))
-        )
+        ]
+        drawn = Crop.draw(frames[0], generator, crop=self.crop, augment=self.augment)
+        target, noisy = (replace(frame, mosaic=drawn.cut(frame).copy(), cfa=drawn.cfa) for frame in frames)
         ratio = facts.ratio if self.amplification == "metadata" else facts.record.ratio
-        return OpenedPair(facts.record, target, noisy, ratio, noisy.exposure)
+        pair = OpenedPair(facts.record, target, noisy, ratio, noisy.exposure)
+        whole = Crop((slice(None), slice(None)), drawn.cfa, Orientation(), drawn.height, drawn.width)
+        return PairItem(pair, whole)
 
     def __repr__(self) -> str:
         tile = "whole frames" if self.index.tile is None else f"tiles of {self.index.tile}"

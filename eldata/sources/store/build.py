@@ -166,8 +166,8 @@ def _header(source: Source, compression: Compression) -> dict[str, Any]:
 def _begin(store: h5py.File, source: Source, compression: Compression) -> None:
     store.attrs.update(_header(source, compression))
     store.create_group("frames")
-    if source.manifest is not None:
-        for name, content in source.manifest_files().items():
+    if source.listing is not None:
+        for name, content in zip(("csv", "json"), source.listing, strict=True):
             store.create_dataset(f"manifest/{name}", data=np.frombuffer(content, np.uint8))
 
 

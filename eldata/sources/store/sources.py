@@ -44,7 +44,7 @@ class Source:
     manifest
         ``None`` for a folder of clean frames.
     listing
-        The manifest's CSV and card as bytes, if it stands in no file: the files of clips, patterns expanded.
+        What the store keeps of the manifest, its CSV and its card as bytes; of clips, patterns are expanded.
     """
 
     dataset: str
@@ -60,14 +60,6 @@ class Source:
         lines += [f"{role} {path}" for path, role in self.files]
         text = "\n".join(lines)
         return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
-
-    def manifest_files(self) -> dict[str, bytes]:
-        """Return what the store keeps of the manifest: ``csv`` and ``json``; nothing if there is none."""
-        if self.manifest is None:
-            return {}
-        if self.listing is not None:
-            return dict(zip(("csv", "json"), self.listing, strict=True))
-        return {name: self.manifest.path.with_suffix(f".{name}").read_bytes() for name in ("csv", "json")}
 
 
 def source_of_dataset(
@@ -127,7 +119,7 @@ def source_of_dataset(
             f"{packed[0]}: is a packed array, not a raw file in DN, as are {len(packed)} in all; a store holds raw "
             "files (eldata synthesize --format dng makes them)"
         )
-    return Source(name, _folder(loaded, root), tuple(files.items()), loaded)
+    return Source(name, _folder(loaded, root), tuple(files.items()), loaded, _listing(loaded))
 
 
 def _folder(manifest: Manifest, root: Path | str | None) -> Path:
@@ -166,10 +158,13 @@ def _source_of_clips(
     counts = Counter(str(row.role) for row in kept)
     listing = replace(card, counts=dict(sorted(counts.items())), subsets=())
     with tempfile.TemporaryDirectory(prefix="eldata-") as place:  # the one loader reads files
-        path = Path(place) / f"{card.name}.csv"
-        manifest = Scan(listing, kept).save(path)
-        content = path.read_bytes(), path.with_suffix(".json").read_bytes()
+        manifest = Scan(listing, kept).save(Path(place) / f"{card.name}.csv")
+        content = _listing(manifest)
     return Source(card.name, folder, tuple(files.items()), manifest, content)
+
+
+def _listing(manifest: Manifest) -> tuple[bytes, bytes]:
+    return manifest.path.read_bytes(), manifest.path.with_suffix(".json").read_bytes()
 
 
 def source_of_folder(folder: Path | str) -> Source:

@@ -225,18 +225,17 @@ class SourcePairs(PairItems, CroppedItems[PairItem, Sample]):
         return self.source.frame(record.path).with_levels(self.levels)
 
     def __repr__(self) -> str:
-        def counted(values: Collection[object]) -> str:
-            distinct = list(dict.fromkeys(values))
+        def counted(name: str) -> str:
+            distinct = dict.fromkeys(getattr(record, name) for record in self.records)
             texts = [f"{float(value):g}" if isinstance(value, Fraction) else str(value) for value in distinct]
             return ", ".join(texts) if len(texts) <= 6 else f"{len(texts)} values"
 
         cropped = self.crop is not None or self.augment or self.crops_per_frame > 1
         return (
             f"{type(self).__name__}({self._place()!r}, {len(self.records)} pairs, "
-            f"cameras: {counted([r.camera for r in self.records])}; "
+            f"cameras: {counted('camera')}; "
             f"{len({(r.camera, r.scene) for r in self.records})} scenes; "
-            f"splits {counted([r.split for r in self.records])}; "
-            f"ISO {counted([r.iso for r in self.records])}; ratios {counted([r.ratio for r in self.records])}; "
+            f"splits {counted('split')}; ISO {counted('iso')}; ratios {counted('ratio')}; "
             f"levels={self.levels!r}, clip={self.clip!r}, amplification={self.amplification!r}"
             + (
                 f", crop={self.crop}, augment={self.augment}, crops_per_frame={self.crops_per_frame}, seed={self.seed}"

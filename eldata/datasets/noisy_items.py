@@ -82,7 +82,7 @@ class NoisyItems(CroppedItems[Item, Sample]):
 
     def facts(self, item: Item) -> dict[str, Any]:
         """Return what the noise was made with, and where the frame comes from."""
-        return {**item.draw.facts(), "path": item.frame.name}
+        return item.draw.facts() | {"path": item.frame.name}
 
     def finish(self, item: Item, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Add the noise."""

@@ -180,8 +180,5 @@ def _is_final(error: BaseException) -> bool:
 
 def _failures() -> tuple[type[BaseException], ...]:
     """Return what a broken connection raises."""
-    found: list[type[BaseException]] = [OSError, TimeoutError, EOFError]
     aiohttp = sys.modules.get("aiohttp")  # fsspec's, if the address needs it
-    if aiohttp is not None:
-        found.append(aiohttp.ClientError)
-    return tuple(found)
+    return OSError, EOFError, *([] if aiohttp is None else [aiohttp.ClientError])

@@ -6,10 +6,10 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from eldata.errors import ArgumentError, DatasetError, ManifestError
+from eldata.errors import ArgumentError, DatasetError
 from eldata.evaluation.pairs import Pair, clip_place, frames_of
 from eldata.manifest.clip_checks import is_png
-from eldata.manifest.clips import clips_of, select_rows, windows
+from eldata.manifest.clips import choose_clips, clips_of, windows
 from eldata.manifest.drv import Layout
 from eldata.manifest.pairs import select_pairs
 from eldata.manifest.patterns import expand
@@ -163,22 +163,21 @@ def _counted(flags: Iterable[tuple[str, ...]]) -> dict[str, int]:
 def _clip_plan(request: Request, protocol: ClipProtocol) -> ScoringPlan:
     """Return the windows; the numbering of all frames of their clips is checked."""
     require_folder(request)
-    subset, rows = _clip_rows(request)
-    for name, wanted, known in (
-        ("camera", request.cameras, {row.camera for row in rows}),
-        ("flag", request.exclude_flags, {flag for row in rows for flag in row.flags}),
-    ):
-        if isinstance(wanted, str):
-            raise ArgumentError(f"give {name} values as a list: [{wanted!r}]")
-        for value in wanted or ():
-            if value not in known:
-                raise ArgumentError(f"no clip has {name} {value!r}; known are {', '.join(sorted(known)) or 'none'}")
-    rows = tuple(row for row in rows if request.cameras is None or row.camera in request.cameras)
-    flags_of = {row.scene: row.flags for row in rows if row.role == "noisy"}
-    kept = {scene: flags for scene, flags in flags_of.items() if not set(flags) & set(request.exclude_flags)}
-    if not kept:
-        raise ArgumentError("no clip is left of the wanted subset, ids, cameras and flags")
-    rows = tuple(row for row in rows if row.scene in kept)
+    subset = _clip_subset(request)
+    manifest = request.manifest
+    paired = {row.split for row in manifest.records if row.role == "reference"}
+    every, rows = (
+        choose_clips(
+            [row for row in manifest.records if row.split in paired],
+            manifest.card.subsets,
+            ids=request.ids,
+            subset=subset,
+            cameras=request.cameras,
+            exclude_flags=flags,
+        )
+        for flags in ((), request.exclude_flags)
+    )
+    there, kept = ({row.scene: row.flags for row in of if row.role == "noisy"} for of in (every, rows))
     check_rows(request, rows, "quick")
     listed = expand(rows, request.folder)
     found = tuple(
@@ -193,25 +192,15 @@ def _clip_plan(request: Request, protocol: ClipProtocol) -> ScoringPlan:
             raise ArgumentError(f"{window.path}: protocol {protocol.name!r} scores {protocol.pixels} frames")
     ids = None if request.ids is None else sorted(request.ids)
     facts = {"ids": ids, "layout": str(Layout.of(listed)), "included_flags": _counted(kept.values())}
-    return ScoringPlan(protocol, found, subset, _excluded(request, flags_of.values()), facts=facts)
+    return ScoringPlan(protocol, found, subset, _excluded(request, there.values()), facts=facts)
 
 
-def _clip_rows(request: Request) -> tuple[str | None, tuple[FrameRecord, ...]]:
-    """Return the rows of the clips that are chosen, and the subset's name."""
-    manifest, subsets = request.manifest, request.manifest.card.subsets
-    if request.ids is not None:
-        splits = {row.split for row in manifest.records if row.role == "reference"}
-        return None, select_rows(manifest.records, splits=sorted(splits), ids=request.ids)
-    if not subsets:
-        raise ArgumentError(f"{manifest.path}: its card names no subset; name the clips with ids")
-    chosen = subsets[0] if request.subset is None else find_subset(subsets, request.subset)
-    rows = select_rows(manifest.records, splits=chosen.splits, ids=None)
-    clips = {row.scene for row in rows if row.role == "noisy"}
-    if len(clips) != chosen.pairs:
-        raise ManifestError(
-            f"subset {chosen.name!r} has {chosen.pairs} clips, the manifest {len(clips)} of them; score those with ids"
-        )
-    return chosen.name, rows
+def _clip_subset(request: Request) -> str | None:
+    """Return the name of the subset whose clips are chosen; ``None`` if they are named."""
+    subsets = request.manifest.card.subsets
+    if request.ids is None and not subsets:
+        raise ArgumentError(f"{request.manifest.path}: its card names no subset; name the clips with ids")
+    return None if request.ids is not None else request.subset or subsets[0].name
 
 
 # --- the files --------------------------------------------------------------------------------------------------------

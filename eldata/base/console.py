@@ -62,7 +62,7 @@ def add_cameras(parser: argparse.ArgumentParser) -> None:
 
 
 class _Default(int):
-    """A default that argparse can tell from the same number given: it compares identities, which small ints share."""
+    """A default that argparse can tell from the same number on the command line: small ints share their identity."""
 
 
 def add_jobs(parser: argparse._ActionsContainer) -> None:
@@ -73,7 +73,7 @@ def add_jobs(parser: argparse._ActionsContainer) -> None:
         type=whole_number(1),
         default=_Default(cpus),
         metavar="J",
-        help="work on so many files at a time (default: one per CPU, here %(default)s)",
+        help="work on this many files at a time (default: one per CPU, here %(default)s)",
     )
 
 
@@ -170,7 +170,7 @@ def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:
     try:
         code: int = arguments.run(arguments)
         sys.stdout.flush()
-    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 # a person sees one line, --debug shows the rest
+    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 # people see one line, --debug shows the rest
         if arguments.debug:
             traceback.print_exception(error)
         code, message = _explained(error, arguments)
@@ -186,7 +186,7 @@ def _explained(error: BaseException, arguments: argparse.Namespace) -> tuple[int
     if isinstance(error, KeyboardInterrupt):
         given = vars(arguments)
         return INTERRUPTED, f"interrupted; {given.get('interrupted', _INTERRUPTED).format_map(given)}"
-    if isinstance(error, BrokenPipeError):  # head, less: nothing to say, but not known to be all well either
+    if isinstance(error, BrokenPipeError):  # head, less: nothing to say, but nobody knows that all is well
         _drop_output()
         return CLOSED_PIPE, ""
     if isinstance(error, OSError):

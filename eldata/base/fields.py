@@ -38,7 +38,7 @@ Number = TypeVar("Number", int, float, Fraction)
 
 LARGEST_WHOLE: Final = 2**63 - 1
 LARGEST_FILE_BYTES: Final = 256 << 20
-# Of a whole number in a file, and of either part of a fraction. Longer ones cost time that grows with their square.
+# In a whole number, and in either part of a fraction. The time that longer ones cost grows with their square.
 _MOST_DIGITS: Final = 40
 _LARGEST_FLOAT: Final = sys.float_info.max
 _LONGEST_SHOWN: Final = 80
@@ -176,18 +176,18 @@ def names_of(record: type) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class TextFile:
-    """A text file, and how its problems are told.
+    """A text file, and how its problems are reported.
 
     Attributes
     ----------
     name
         Its path; or what messages call it, if ``content`` is given.
     error
-        The error to raise: a :class:`~eldata.errors.FileError`, or another that takes one message.
+        The error to raise: a :class:`~eldata.errors.FileError`, or one that takes a single message.
     advice
-        What to do about it; every message ends in it.
+        What to do about it; every message ends with it.
     content
-        What it holds, if that is at hand already.
+        Its content, if that is already available.
     largest_bytes
         Larger files are refused before they are read.
     """
@@ -240,8 +240,8 @@ class TextFile:
         Raises
         ------
         EldataError
-            The file's, as :meth:`text` raises it; or if it is not whole JSON, uses names twice or constants that JSON
-            does not have, is nested too deeply, or is not an object.
+            The file's, as :meth:`text` raises it; or if it is not complete JSON, uses a name twice or a constant that
+            JSON does not have, is nested too deeply, or is not an object.
         """
         text = self.text("JSON")
         constants: list[str] = []
@@ -281,7 +281,7 @@ class TextFile:
         return self.fields(data)
 
     def fields(self, data: object) -> Fields:
-        """Return what was parsed already as fields; it must be an object."""
+        """Return parsed data as fields; it must be an object."""
         if not isinstance(data, dict):
             raise self.problem(f"expected an object, found {shown(data)}")
         return Fields(self, data)
@@ -292,7 +292,7 @@ class TextFile:
         Raises
         ------
         EldataError
-            The file's, as :meth:`text` raises it; or if it is not CSV, has other columns, or a row more or fewer.
+            The file's, as :meth:`text` raises it; or if it is not CSV, has other columns, or a row of another length.
         """
         reader = csv.reader(io.StringIO(self.text("CSV"), newline=""), strict=True)
         try:
@@ -310,7 +310,7 @@ class TextFile:
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return an object of JSON, whose grammar allows a name to stand in it twice."""
+    """Return a JSON object; refuse one with a name twice, which the grammar allows."""
     data = dict(pairs)
     if len(data) < len(pairs):
         twice = Counter(name for name, _ in pairs).most_common(1)[0][0]
@@ -319,7 +319,7 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _short_whole(text: str) -> float:
-    """Return a whole number; as a float if it is too long for any field but a number, infinite if for that as well."""
+    """Return a whole number; as a float if only a number field could hold it, infinite if not even that could."""
     return int(text) if len(text) <= _MOST_DIGITS else float(text)
 
 
@@ -377,7 +377,7 @@ class Fields:
     # --- which fields there are ---------------------------------------------------------------------------------------
 
     def only(self, known: Collection[str]) -> None:
-        """Refuse fields of other names, which would be ignored where they are a misspelling."""
+        """Refuse fields with other names: a misspelt one would be ignored."""
         for name in self.data:
             if name not in known:
                 raise self.problem(name, f"is unknown{_did_you_mean(name, known)}; known are {', '.join(known)}")
@@ -432,13 +432,13 @@ class Fields:
         name, read
             The list's name; such as ``Fields.text``.
         expected
-            What the list should be, in words.
+            What the list should be, for messages.
         count, fewest
             How many elements it has; how many it has at least.
         once
             Whether each value may stand in it only once.
         missing_ok
-            Whether a list that is not there is an empty one.
+            Whether a missing list counts as empty.
         """
         found = self.data.get(name, [] if missing_ok else _MISSING)
         if not isinstance(found, list) or len(found) < fewest or (count is not None and len(found) != count):
@@ -498,7 +498,7 @@ class Fields:
         return self.parsed(name, _number, at_least=at_least, above=above)
 
     def fraction(self, name: str, *, above: int | None = None, digits: int = 18) -> Fraction:
-        """Return an exact number, which stands as text."""
+        """Return an exact number that is given as text."""
         return self.parsed(name, fraction_of, above=above, digits=digits)
 
     def parsed(self, name: str, parse: Callable[..., Value], **options: Any) -> Value:
@@ -528,7 +528,7 @@ def _did_you_mean(name: str, known: Collection[str]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class TextRow(Fields):
-    """A row of a CSV file; numbers are parsed from the cells' text, and an empty cell is one that is not there."""
+    """A row of a CSV file; numbers are parsed from the cells' text, and an empty cell counts as missing."""
 
     _absent: ClassVar[tuple[object, ...]] = ("",)
 

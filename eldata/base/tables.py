@@ -25,7 +25,7 @@ class Strong(str):
 
 
 def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], left: Collection[int] = (0,)) -> str:
-    """Return lines of aligned columns: those of the indices ``left`` to the left, the others to the right."""
+    """Return lines of aligned columns: columns ``left`` to the left, the others to the right."""
     widths = [max(len(cell) for cell in column) for column in zip(header, *rows, strict=True)]
     lines = [
         "  ".join(
@@ -130,7 +130,7 @@ def latex_table(
     spans
         A row above the header: texts, and how many columns each spans. Those with text have a line under them.
     rules
-        Indices of rows with a line above.
+        Indices of rows that have a line above them.
     """
     columns = "".join("l" if index in left else "r" for index in range(len(header)))
     lines = [
@@ -197,7 +197,7 @@ def frame_of(records: Iterable[DataclassInstance]) -> pd.DataFrame:
 
 
 def with_error(value: float, error: float) -> str:
-    """Return ``value ± error`` with the digits that mean something: two of the error up to 0.29, one from 0.3 on.
+    """Return ``value ± error`` with its significant digits: two of the error up to 0.29, one from 0.3 on.
 
     A value without a standard error (nan, infinite, 0) stands alone with five digits.
     """

@@ -35,7 +35,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("folder", metavar="DIR", nargs="?", default="eldata-demo", help="default: %(default)s")
     parser.add_argument("--scenes", type=int, default=4, metavar="N", help="scenes per camera (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of the noise (default: %(default)s)")
-    parser.add_argument("--calibration", action="store_true", help="the calibration of a camera, in place of scenes")
+    parser.add_argument("--calibration", action="store_true", help="calibrate a camera instead of photographing scenes")
     parser.add_argument(
         "--without",
         action="append",

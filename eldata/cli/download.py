@@ -25,13 +25,13 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="fetch a dataset where its publisher allows it; unpack and check what was fetched by hand",
         description=(
             "Say where a dataset is available, how large it is and under which licence; with --yes, fetch the archives "
-            "that the publisher lets programs fetch, go on where a broken connection ended, check their structure and "
+            "that the publisher lets programs fetch, resume after broken connections, check their structure and "
             "unpack them into the dataset's folder. With --from, do the same with an archive that you saved by hand. "
             "Nothing that is there is fetched again or replaced."
         ),
         epilog=(
-            "Exit codes: 0 the listed files are there; 1 they are not (yet), and what to do was printed; 2 a download "
-            "or an archive failed. docs/downloads.md says more."
+            "Exit codes: 0 the listed files are there; 1 some are missing or differ, and what to do was printed; 2 a "
+            "download or an archive failed. docs/downloads.md says more."
         ),
     )
     parser.add_argument("dataset", metavar="DATASET", help="a dataset's name; eldata info lists them")
@@ -55,7 +55,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="NAME",
         help="only this archive of a dataset that comes in several; may be repeated",
     )
-    kept = "what has come is kept, and the same command goes on from there"
+    kept = "what has arrived is kept, and the same command goes on from there"
     add_shared(parser, run, "json", interrupted=kept)
 
 

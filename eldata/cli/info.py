@@ -17,8 +17,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "info",
         help="datasets known: where to get them, size, licence, citation",
         description=(
-            "List the datasets that eldata knows, or all that is known of one: where to get it, size, licence, "
-            "citation, known defects, where its files belong and whether they are there. Names are looked at, not "
+            "List the datasets that eldata knows, or all that is known about one: where to get it, size, licence, "
+            "citation, known defects, where its files belong and whether they are there. It looks at names, not at "
             "contents: eldata verify checks those."
         ),
     )

@@ -46,7 +46,7 @@ def png_findings(folder: Path, record: FrameRecord) -> list[Finding]:
 
 
 def png_decode_findings(folder: Path, record: FrameRecord) -> list[Finding]:
-    """Decode one PNG frame, which checks the checksums that the format has of every part."""
+    """Decode one PNG frame, which verifies the checksum of every part."""
     try:
         read_rgb16(folder / record.path)
     except FileError as error:
@@ -62,13 +62,13 @@ def png_size_findings(folder: Path, records: Iterable[FrameRecord]) -> list[Find
             try:
                 header = read_png_header(folder / record.path)
             except FileError:
-                continue  # named already
+                continue  # reported already
             sizes[record.scene][record.path] = f"{header.width} x {header.height}"
     findings = []
     for of_path in sizes.values():
         usual = Counter(of_path.values()).most_common(1)[0][0]
         findings += [
-            Finding(path, "size", f"{usual} as the clip's other files", size, "is this file of another clip?")
+            Finding(path, "size", f"{usual}, like the clip's other files", size, "is this file of another clip?")
             for path, size in of_path.items()
             if size != usual
         ]
@@ -80,8 +80,8 @@ def exposure_findings(
 ) -> list[Finding]:
     """Compare ISO times exposure time of the raw frames of each clip with each other and with their reference's.
 
-    For rows without a nominal ratio, where that is all that can be said: a frame of another clip or a swapped reference
-    shows if its exposure differs.
+    For rows without a nominal ratio, where nothing else can be checked: a frame of another clip or a swapped reference
+    is found if its exposure differs.
     """
     clips: dict[str, list[FrameRecord]] = defaultdict(list)
     for record in records:
@@ -93,7 +93,7 @@ def exposure_findings(
         usual = Counter(exposures).most_common(1)[0][0] or 0
         for frame, product in zip(frames, exposures, strict=True):
             if product is not None and abs(product - usual) > tolerance * usual:
-                expected = f"{float(usual):.6g} (ISO times seconds) as most frames of the clip"
+                expected = f"{float(usual):.6g} (ISO times seconds), like most frames of the clip"
                 advice = "is this a frame of another clip, or the reference?"
                 findings.append(Finding(frame.path, "exposure", expected, f"{float(product):.6g}", advice))
         reference = frames[0].reference

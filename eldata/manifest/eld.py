@@ -34,7 +34,7 @@ class EldCamera:
     name
         Its folder.
     extension
-        Of its files, with the dot, in the case that the files have.
+        Of its files, with the dot, upper or lower case as in the file names.
     reference_iso
         ISO of the references, where known.
     reference_exposure_s

@@ -25,7 +25,7 @@ UNCERTAIN_ISO = "uncertain-iso"
 
 _OF_PAIRS = names_of(PairRecord)
 
-# Known values in a message: all of up to so many, or so many on each side.
+# Known values in a message: all if there are no more than this, else this many on each side of the wanted one.
 _SHOWN, _NEAR = 30, 5
 
 
@@ -106,7 +106,7 @@ def select_pairs(
         Wanted values. A scene is its name or its number: 3 for ``scene-3``, 34 for ``00034``. A ratio is the nominal
         one.
     subset
-        A named choice, of the manifest's card; the other values choose among its pairs.
+        A named choice from the manifest's card; the other values choose among its pairs.
     exclude_flags
         Pairs with one of these flags are left out.
 
@@ -115,7 +115,7 @@ def select_pairs(
     ArgumentError
         If a value does not occur; the message lists those that do. If no pair has all of them.
     ManifestError
-        If the subset has not as many pairs as its card says.
+        If the subset has another number of pairs than its card says.
     """
     pairs = [
         PairRecord(**{name: getattr(record, name) for name in _OF_PAIRS})

@@ -1,8 +1,8 @@
 """Rows that stand for several files, where the names are not published: the last part of the path has a ``*``.
 
-``VBM4D_rawRGB/0001/*.png`` is every PNG file of that folder. :func:`expand` puts the files of one copy in the place of
-such rows; ``eldata lock`` writes them into the manifest. Until then a missing file shows as a gap in the numbering, or
-not at all: how many there should be is not known.
+``VBM4D_rawRGB/0001/*.png`` is every PNG file of that folder. :func:`expand` replaces such rows by the files of one
+copy; ``eldata lock`` writes those into the manifest. Until then a missing file shows as a gap in the numbering, or not
+at all: how many there should be is not known.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def matching(folder: Path, pattern: str) -> tuple[str, ...]:
 
 
 def expand(records: Iterable[FrameRecord], folder: Path) -> tuple[FrameRecord, ...]:
-    """Return rows with the files of a copy in the place of patterns, sorted by path.
+    """Return rows in which the files of a copy replace the patterns, sorted by path.
 
     A pattern that matches nothing stays, and so does one in ``reference`` unless it matches one file.
     """
@@ -78,7 +78,7 @@ def expand(records: Iterable[FrameRecord], folder: Path) -> tuple[FrameRecord, .
 
 
 def pattern_findings(records: Iterable[FrameRecord], folder: Path) -> list[Finding]:
-    """Return what is wrong with the files that patterns match: several references, names or numbers out of line."""
+    """Return what is wrong with the files that patterns match: several references, odd names, gaps in the numbers."""
     findings = []
     for row in records:
         if not is_pattern(row.path):

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import asdict
+from fractions import Fraction
 from typing import TYPE_CHECKING, Final, Literal
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Collection, Iterable, Sequence
+
+    import pandas as pd
+    from _typeshed import DataclassInstance
 
 Format = Literal["text", "markdown", "latex"]
 FORMATS: Final[tuple[Format, ...]] = ("text", "markdown", "latex")
@@ -172,6 +177,20 @@ def _latex_spans(spans: Sequence[tuple[str, int]]) -> list[str]:
 def one_line(text: str) -> str:
     """Return text without line ends and other control characters."""
     return " ".join("".join(character if character.isprintable() else " " for character in text).split())
+
+
+# --- records ------------------------------------------------------------------------------------------------------
+
+
+def frame_of(records: Iterable[DataclassInstance]) -> pd.DataFrame:
+    """Return records as a pandas DataFrame, one row per record, fractions as floats."""
+    import pandas as pd
+
+    rows = [
+        {key: float(value) if isinstance(value, Fraction) else value for key, value in asdict(record).items()}
+        for record in records
+    ]
+    return pd.DataFrame(rows)
 
 
 # --- numbers ------------------------------------------------------------------------------------------------------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from eldata.base.console import (
     OK,
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
     from eldata.base.tables import Format
     from eldata.evaluation.combined import CombinedResult
-    from eldata.evaluation.request import Request
     from eldata.evaluation.results import EvaluationResult
 
 
@@ -68,7 +67,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "--clip",
         action="append",
-        dest="clips",
+        dest="ids",
         metavar="ID",
         help="only this clip, in place of a subset; may be repeated",
     )
@@ -104,40 +103,27 @@ def run(arguments: argparse.Namespace) -> int:
     from eldata.evaluation.request import EvaluationOptions, make_request
 
     with chosen_workers(arguments) as workers:
-        options: EvaluationOptions = {
-            "root": arguments.root,
-            "manifest": arguments.manifest,
-            "cameras": arguments.cameras,
-            "subset": arguments.subset,
-            "ids": arguments.clips,
-            "exclude_flags": arguments.exclude_flags,
-            "allow_missing": arguments.allow_missing,
-            "baseline": arguments.baseline,
-            "workers": workers,
-        }
-        request = make_request(arguments.predictions, arguments.dataset or "", arguments.protocol, options)
+        options = {name: getattr(arguments, name) for name in EvaluationOptions.__annotations__ if name != "workers"}
+        options["workers"] = workers
+        request = make_request(
+            arguments.predictions, arguments.dataset or "", arguments.protocol, cast("EvaluationOptions", options)
+        )
         combined = perform(request)
     result = combined if request.every else combined.results[0]
     try:
-        _write(result, combined, request, arguments)
+        if arguments.json:
+            result.write_json(arguments.json)
+        if arguments.csv:
+            result.write_csv(arguments.csv)
+        if arguments.html:
+            from eldata.reports.evaluation.page import write_evaluation_page
+
+            write_evaluation_page(
+                combined.results, arguments.html, dataset_folder=request.folder, predictions=request.predictions
+            )
     finally:  # after hours of work the table is shown even if a file cannot be written
         _show(result, combined, arguments)
     return OK if result.scored and not result.problems else PROBLEMS
-
-
-def _write(
-    result: EvaluationResult | CombinedResult, combined: CombinedResult, request: Request, arguments: argparse.Namespace
-) -> None:
-    if arguments.json:
-        result.write_json(arguments.json)
-    if arguments.csv:
-        result.write_csv(arguments.csv)
-    if arguments.html:
-        from eldata.reports.evaluation.page import write_evaluation_page
-
-        write_evaluation_page(
-            combined.results, arguments.html, dataset_folder=request.folder, predictions=request.predictions
-        )
 
 
 def _show(result: EvaluationResult | CombinedResult, combined: CombinedResult, arguments: argparse.Namespace) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from eldata.base.console import OK, add_shared
 from eldata.base.files import write_json
@@ -50,7 +50,9 @@ def run(arguments: argparse.Namespace) -> int:
         print(text_table(HEADER, [summary(protocol) for protocol in found], left=range(len(HEADER))))
         print("\neldata protocols NAME shows one: all that it fixes, its source and digest")
     if arguments.json:
-        write_json(arguments.json, {"protocols": [_as_json(protocol) for protocol in found]})
+        write_json(
+            arguments.json, {"protocols": [protocol.as_dict() | {"digest": protocol.digest} for protocol in found]}
+        )
     return OK
 
 
@@ -88,7 +90,3 @@ def _page(protocol: Protocol) -> str:
         )
         for name, text in rows
     )
-
-
-def _as_json(protocol: Protocol) -> dict[str, Any]:
-    return {**protocol.as_dict(), "digest": protocol.digest}

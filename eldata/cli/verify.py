@@ -56,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _of_shards(arguments: argparse.Namespace) -> int:
-    from eldata.sources.shards.checks import verify_shards
+    from eldata.sources.shards.reading import verify_shards
 
     if arguments.root is not None or arguments.dataset is not None or arguments.cameras:
         raise ArgumentError("--root, --dataset and --camera are for manifests; shards are checked whole")

@@ -188,33 +188,29 @@ def compare(methods: Sequence[Method]) -> Comparison:
 
 
 def _groups(images: Sequence[tuple[UnitScore, ...]], metrics: Sequence[Metric]) -> tuple[Group, ...]:
+    names = [metric.name for metric in metrics]
     groups = []
     for camera, ratio in groups_of([(scores[0].camera, scores[0].ratio) for scores in images]):
         members = [
             scores for scores in images if camera in (None, scores[0].camera) and ratio in (None, scores[0].ratio)
         ]
-        if members:
-            groups.append(_group(camera, ratio, members, [metric.name for metric in metrics]))
+        places = [scores[0].place for scores in members]
+        of_methods = tuple(zip(*members, strict=True))
+        values = [{name: [score.values[name] for score in scores] for name in names} for scores in of_methods]
+        groups.append(
+            Group(
+                camera,
+                ratio,
+                images=len(members),
+                scenes=len(set(places)),
+                means=tuple(means(scores, names) for scores in of_methods),
+                gains=tuple(
+                    {name: paired_difference(values[0][name], other[name], places) for name in names}
+                    for other in values[1:]
+                ),
+            )
+        )
     return tuple(groups)
-
-
-def _group(
-    camera: str | None, ratio: float | None, members: Sequence[tuple[UnitScore, ...]], names: Sequence[str]
-) -> Group:
-    places = [scores[0].place for scores in members]
-    first, *others = zip(*members, strict=True)
-    values = {name: [score.values[name] for score in first] for name in names}
-    return Group(
-        camera,
-        ratio,
-        len(members),
-        len(set(places)),
-        tuple(means(of, names) for of in (first, *others)),
-        tuple(
-            {name: paired_difference(values[name], [score.values[name] for score in of], places) for name in names}
-            for of in others
-        ),
-    )
 
 
 # --- warnings -----------------------------------------------------------------------------------------------------

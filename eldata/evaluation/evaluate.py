@@ -14,7 +14,7 @@ from eldata.errors import ArgumentError, ManifestError, PredictionError
 from eldata.evaluation.combined import CombinedResult, NotScored
 from eldata.evaluation.pairs import frames_of, place_of
 from eldata.evaluation.planning import known_places, plan_scoring, require_pairs
-from eldata.evaluation.predictions import find_predictions, prediction_space
+from eldata.evaluation.predictions import FoundPredictions, find_predictions, prediction_space
 from eldata.evaluation.request import ALL, EvaluationOptions, Request, make_request
 from eldata.evaluation.results import EvaluationResult
 from eldata.evaluation.units import score_plans
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from eldata.evaluation.planning import ScoringPlan
-    from eldata.evaluation.predictions import FoundPredictions
     from eldata.evaluation.units import PlanScores
     from eldata.protocols.protocol import Protocol
 
@@ -58,9 +57,30 @@ def evaluate(
     protocol
         Name of a protocol (:mod:`eldata.protocols`) or of a family, such as ``pmn``; the path of a TOML file; or a
         protocol. Default: the dataset's own, such as ``eld``, ``sid`` or ``drv-rgb``.
-    **options
-        ``root``, ``manifest``, ``cameras``, ``subset``, ``ids``, ``exclude_flags``, ``allow_missing``, ``baseline`` and
-        ``workers``: :class:`~eldata.evaluation.request.EvaluationOptions`.
+    root
+        The folder that holds the datasets. Default: ``$ELDATA_ROOT``, else ``./data``.
+    manifest
+        A manifest's CSV file, in place of ``dataset``: your own set, or that of a copy's raw clips
+        (:func:`eldata.manifest.drv.scan_raw`). Any protocol of images may score your own set, on the set's own pairs:
+        those at the protocol's factors if it has every one of them, else all. Default: the shipped one.
+    cameras
+        Score the pairs of these cameras only; the result says so. Default: those of the protocol.
+    subset
+        Name of a subset on the dataset's card (:mod:`eldata.manifest.subsets`). Default: the protocol's, else the first
+        on the card, if any.
+    ids
+        Score these clips instead of a subset; the result says so. Default: the subset's. Images have none.
+    exclude_flags
+        Leave out pairs or clips that the manifest flags so, such as ``["misaligned"]``; the result says how many.
+        Default: none.
+    allow_missing
+        Whether to score the rest if predictions are missing or unusable; the table shows the coverage. Default: False.
+    baseline
+        ``"input"``, in place of ``predictions``: score the noisy input itself, amplified and clipped as the protocol
+        has it. Default: None.
+    workers
+        Number of worker processes, or an executor that scores (:mod:`eldata.base.workers`); the files are checked from
+        here. Scores do not depend on it. Default: 1.
 
     Returns
     -------
@@ -93,7 +113,8 @@ def evaluate_all(
     Parameters
     ----------
     predictions, dataset, **options
-        As for :func:`evaluate`.
+        As for :func:`evaluate`: ``root``, ``manifest``, ``cameras``, ``subset`` (of clips), ``ids``, ``exclude_flags``,
+        ``allow_missing``, ``baseline`` and ``workers``.
 
     Returns
     -------
@@ -128,8 +149,6 @@ def perform(request: Request) -> CombinedResult:
         plan = plan_scoring(request, request.protocols[0])
         ((result, _),) = _scored(request, [plan])
         return CombinedResult((result,))
-    if request.predictions is not None and not request.predictions.is_dir():
-        find_predictions(request.predictions, [], [])  # says so
     plans: list[ScoringPlan] = []
     left_out: list[NotScored] = []
     for protocol in request.protocols:
@@ -155,17 +174,17 @@ def _of_one_space(request: Request, plans: Sequence[ScoringPlan]) -> tuple[list[
     """Return the plans that take predictions as they are, raw or renderings, and why not the others."""
     if request.kind is not IMAGES:
         return list(plans), []
-    is_srgb = request.predictions is not None and _are_renderings(request, request.predictions, plans)
+    is_srgb = request.predictions is not None and _are_renderings(request.predictions, plans)
     what = f"the predictions are {'sRGB' if is_srgb else 'raw'}" if request.predictions else "the input is raw"
     wanted = "packed raw" if is_srgb else "renderings in sRGB"
     fit = [plan for plan in plans if (plan.protocol.pixels == "srgb") == is_srgb]
     return fit, [NotScored(plan.protocol.name, f"scores {wanted}; {what}") for plan in plans if plan not in fit]
 
 
-def _are_renderings(request: Request, predictions: Path, plans: Sequence[ScoringPlan]) -> bool:
+def _are_renderings(predictions: Path, plans: Sequence[ScoringPlan]) -> bool:
     """Return whether a folder holds renderings in sRGB, by the first prediction that can be read."""
     places = dict.fromkeys(pair.path for plan in plans for pair in plan.pairs)
-    for file in find_predictions(predictions, places, known_places(request)).files.values():
+    for file in find_predictions(predictions, places).files.values():
         try:
             return prediction_space(file) == "srgb"
         except PredictionError:  # it will be among the problems
@@ -178,48 +197,43 @@ def _are_renderings(request: Request, predictions: Path, plans: Sequence[Scoring
 
 def _scored(request: Request, plans: Sequence[ScoringPlan]) -> list[tuple[EvaluationResult, PlanScores]]:
     """Return the result of each plan, and what scoring found beyond it."""
-    found: list[FoundPredictions | None] = [None] * len(plans)
-    if request.predictions is not None:
-        known = known_places(request)
-        found = [
-            find_predictions(
-                request.predictions, [place_of(pair, frame) for pair in plan.pairs for frame in frames_of(pair)], known
-            )
-            for plan in plans
-        ]
+    known = () if request.predictions is None else known_places(request)
+    found = [_found(request, plan, known) for plan in plans]
     require_pairs(request, {pair.path: pair for plan in plans for pair in plan.pairs}.values())
 
-    problems = [[] if one is None else one.problems(allow_missing=request.allow_missing) for one in found]
-    wanted = [request.allow_missing or not some for some in problems]
     scored = score_plans(
         request,
-        [plan if want else replace(plan, pairs=()) for plan, want in zip(plans, wanted, strict=True)],
-        None if request.predictions is None else [one.files for one in found if one is not None],
+        [
+            plan if request.allow_missing or not one.problems else replace(plan, pairs=())
+            for plan, one in zip(plans, found, strict=True)
+        ],
+        None if request.predictions is None else [one.files for one in found],
     )
     results = []
-    for plan, one, already, new in zip(plans, found, problems, scored, strict=True):
-        every = [*already, *new.problems, *new.unfit]
-        result = EvaluationResult.of(
-            plan.protocol,
-            _provenance(request, plan),
-            plan.pairs,
-            new.scores if request.allow_missing or not every else {},
-            every,
-        )
+    for plan, one, new in zip(plans, found, scored, strict=True):
+        every = [*one.problems, *new.problems, *new.unfit]
+        scores = new.scores if request.allow_missing or not every else {}
+        result = EvaluationResult.of(plan.protocol, _provenance(request, plan), plan.pairs, scores, every)
         results.append((replace(result, notes=tuple(_notes(plan, one, result, new))), new))
     return results
 
 
-def _notes(
-    plan: ScoringPlan, found: FoundPredictions | None, result: EvaluationResult, scored: PlanScores
-) -> list[str]:
+def _found(request: Request, plan: ScoringPlan, known: Sequence[str]) -> FoundPredictions:
+    """Return the predictions of what a plan scores; a baseline has none."""
+    if request.predictions is None:
+        return FoundPredictions({}, (), 0)
+    places = [place_of(pair, frame) for pair in plan.pairs for frame in frames_of(pair)]
+    return find_predictions(request.predictions, places, known, allow_missing=request.allow_missing)
+
+
+def _notes(plan: ScoringPlan, found: FoundPredictions, result: EvaluationResult, scored: PlanScores) -> list[str]:
     notes, scores = [], result.scores
     if plan.set_aside:
         factors = ", ".join(f"x{ratio:g}" for ratio in plan.facts["ratios"])
         notes.append(
             f"this set's own pairs are scored ({factors}), not those of the protocol: {', '.join(plan.set_aside)}"
         )
-    if found is not None and found.unscored:
+    if found.unscored:
         notes.append(f"not scored, because this evaluation leaves their frames out: {found.unscored} predictions")
     paths = {score.path for score in scores}
     bare = [path for path in scored.without_channel_whites if path in paths]
@@ -253,9 +267,9 @@ def _provenance(request: Request, plan: ScoringPlan) -> dict[str, Any]:
         "manifest_sha256": manifest.digest,
         "cameras": "all" if cameras is None else [name for name in manifest.card.cameras if name in cameras],
         "predictions": "none: the input itself" if request.predictions is None else str(request.predictions),
-        "eldata": __version__,
         "python": platform.python_version(),
         "libraw": ".".join(map(str, rawpy.libraw_version)),
+        "eldata": __version__,
         **{name: version(name) for name in ("numpy", "numba", "rawpy", "exifread")},
         "protocol_digest": plan.protocol.digest,
         "subset": plan.subset,

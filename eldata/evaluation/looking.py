@@ -154,7 +154,7 @@ def seen_frames(
     units = {unit.path: unit for unit in result.units}
     frames = {score.path: worst_frame(score) for score in (*worst, *best)}
     places = {path: place_of(units[path], frame.path) for path, frame in frames.items()}
-    files = {} if predictions is None else find_predictions(predictions, places.values(), ()).files
+    files = {} if predictions is None else find_predictions(predictions, places.values()).files
     seen = []
     for rank, score in (*(("Worst", score) for score in worst), *(("Best", score) for score in best)):
         frame, place = frames[score.path], places[score.path]

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from eldata.errors import ArgumentError, DatasetError, ManifestError
+from eldata.errors import ArgumentError, DatasetError
 from eldata.evaluation.pairs import Pair, clip_place, frames_of
 from eldata.manifest.clip_checks import is_png
-from eldata.manifest.clips import clips_of, select_rows, windows
+from eldata.manifest.clips import choose_clips, clips_of, windows
 from eldata.manifest.drv import Layout
 from eldata.manifest.pairs import select_pairs
 from eldata.manifest.patterns import expand
-from eldata.manifest.subsets import find_subset
 from eldata.manifest.verify import check_files
 from eldata.protocols.clips import ClipProtocol
 from eldata.protocols.kinds import IMAGES
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Sequence
+    from collections.abc import Iterable, Sequence
 
     from eldata.evaluation.request import Request
     from eldata.manifest.verify import Level
@@ -82,95 +82,75 @@ def plan_scoring(request: Request, protocol: Protocol) -> ScoringPlan:
             f"protocol {protocol.name!r} is for dataset {protocol.dataset!r}, not {name!r}; "
             "eldata protocols lists those for each"
         )
-    if isinstance(protocol, ClipProtocol):
-        return _clip_plan(request, protocol)
-    return _own_plan(request, protocol) if request.is_own else _shipped_plan(request, protocol)
+    return _clip_plan(request, protocol) if isinstance(protocol, ClipProtocol) else _image_plan(request, protocol)
 
 
 # --- images -----------------------------------------------------------------------------------------------------------
 
 
-def _shipped_plan(request: Request, protocol: Protocol) -> ScoringPlan:
+def _image_plan(request: Request, protocol: Protocol) -> ScoringPlan:
+    records, subsets = request.manifest.records, request.manifest.card.subsets
+    set_aside: list[str] = []
+    if request.is_own:
+        there = {record.ratio for record in records if record.role == "noisy"}
+        ratios = protocol.ratios if all(ratio in there for ratio in protocol.ratios) else ()
+        cameras, scenes, subset = request.cameras, None, request.subset
+        set_aside = _set_aside(protocol, ratios)
+    else:
+        _check_choice(request, protocol)
+        cameras = protocol.cameras or None if request.cameras is None else request.cameras
+        scenes, ratios, subset = protocol.scenes or None, protocol.ratios, protocol.subset or request.subset
+    if subset is None and subsets:
+        subset = subsets[0].name
+    choose = partial(
+        select_pairs, records, subsets, cameras=cameras, scenes=scenes, ratios=ratios or None, subset=subset
+    )
+    candidates, pairs = choose(), choose(exclude_flags=request.exclude_flags)
+    return ScoringPlan(
+        protocol=protocol,
+        pairs=pairs,
+        subset=subset,
+        excluded=_excluded(request, (pair.flags for pair in candidates)),
+        set_aside=tuple(set_aside),
+        facts={
+            "ratios": sorted({float(pair.ratio) for pair in pairs}),
+            "set_aside": set_aside,
+            "included_flags": _counted(pair.flags for pair in pairs),
+        },
+    )
+
+
+def _set_aside(protocol: Protocol, ratios: tuple[int | float, ...]) -> list[str]:
+    """Return what of a protocol's choice is not applied to a set of the user's own; ``ratios`` are."""
+    found = [f"cameras {', '.join(protocol.cameras)}"] if protocol.cameras else []
+    if protocol.scenes:
+        found.append(f"{len(protocol.scenes)} scenes")
+    if protocol.subset is not None:
+        found.append(f"subset {protocol.subset}")
+    if protocol.ratios and not ratios:
+        found.append(f"factors {', '.join(f'x{ratio:g}' for ratio in protocol.ratios)}")
+    return found
+
+
+def _check_choice(request: Request, protocol: Protocol) -> None:
+    """Raise :class:`ArgumentError` if the user wants what the protocol does not score."""
     if protocol.subset is not None and request.subset not in (None, protocol.subset):
         raise ArgumentError(
             f"protocol {protocol.name!r} scores the subset {protocol.subset!r}, not {request.subset!r}; leave the "
             "subset out"
         )
-    cameras = request.cameras
-    if protocol.cameras and cameras is not None:
-        unscored = [name for name in cameras if name not in protocol.cameras and name in request.manifest.card.cameras]
-        if unscored:
-            raise ArgumentError(
-                f"protocol {protocol.name!r} scores {', '.join(protocol.cameras)}, not {', '.join(unscored)}"
-            )
-    return _image_plan(
-        request,
-        protocol,
-        cameras=cameras if cameras is not None else protocol.cameras or None,
-        scenes=protocol.scenes or None,
-        ratios=protocol.ratios or None,
-        subset=protocol.subset or request.subset,
-    )
-
-
-def _own_plan(request: Request, protocol: Protocol) -> ScoringPlan:
-    there = {record.ratio for record in request.manifest.records if record.role == "noisy"}
-    has_all = bool(protocol.ratios) and all(ratio in there for ratio in protocol.ratios)
-    set_aside = [f"cameras {', '.join(protocol.cameras)}"] if protocol.cameras else []
-    if protocol.scenes:
-        set_aside.append(f"{len(protocol.scenes)} scenes")
-    if protocol.subset is not None:
-        set_aside.append(f"subset {protocol.subset}")
-    if protocol.ratios and not has_all:
-        set_aside.append(f"factors {', '.join(f'x{ratio:g}' for ratio in protocol.ratios)}")
-    return _image_plan(
-        request,
-        protocol,
-        cameras=request.cameras,
-        scenes=None,
-        ratios=protocol.ratios if has_all else None,
-        subset=request.subset,
-        set_aside=tuple(set_aside),
-    )
-
-
-def _image_plan(
-    request: Request,
-    protocol: Protocol,
-    *,
-    cameras: Collection[str] | None,
-    scenes: Collection[str] | None,
-    ratios: Collection[float] | None,
-    subset: str | None,
-    set_aside: tuple[str, ...] = (),
-) -> ScoringPlan:
-    subsets = request.manifest.card.subsets
-    chosen = find_subset(subsets, subset) if subset is not None else subsets[0] if subsets else None
-    candidates, pairs = (
-        select_pairs(
-            request.manifest.records,
-            subsets,
-            cameras=cameras,
-            scenes=scenes,
-            ratios=ratios,
-            subset=None if chosen is None else chosen.name,
-            exclude_flags=flags,
+    known = request.manifest.card.cameras
+    unscored = [name for name in request.cameras or () if name not in protocol.cameras and name in known]
+    if protocol.cameras and unscored:
+        raise ArgumentError(
+            f"protocol {protocol.name!r} scores {', '.join(protocol.cameras)}, not {', '.join(unscored)}"
         )
-        for flags in ((), request.exclude_flags)
-    )
-    there = _counted(pair.flags for pair in candidates)
-    return ScoringPlan(
-        protocol=protocol,
-        pairs=pairs,
-        subset=None if chosen is None else chosen.name,
-        excluded={flag: there.get(flag, 0) for flag in request.exclude_flags},
-        set_aside=set_aside,
-        facts={
-            "ratios": sorted({float(pair.ratio) for pair in pairs}),
-            "set_aside": list(set_aside),
-            "included_flags": _counted(pair.flags for pair in pairs),
-        },
-    )
+
+
+def _excluded(request: Request, flags: Iterable[tuple[str, ...]]) -> dict[str, int]:
+    """Return how many have each of the flags that are to be left out."""
+    there = _counted(flags)
+    return {flag: there.get(flag, 0) for flag in request.exclude_flags}
 
 
 def _counted(flags: Iterable[tuple[str, ...]]) -> dict[str, int]:
@@ -184,22 +164,21 @@ def _counted(flags: Iterable[tuple[str, ...]]) -> dict[str, int]:
 def _clip_plan(request: Request, protocol: ClipProtocol) -> ScoringPlan:
     """Return the windows; the numbering of all frames of their clips is checked."""
     require_folder(request)
-    subset, rows = _clip_rows(request)
-    for name, wanted, known in (
-        ("camera", request.cameras, {row.camera for row in rows}),
-        ("flag", request.exclude_flags, {flag for row in rows for flag in row.flags}),
-    ):
-        if isinstance(wanted, str):
-            raise ArgumentError(f"give {name} values as a list: [{wanted!r}]")
-        for value in wanted or ():
-            if value not in known:
-                raise ArgumentError(f"no clip has {name} {value!r}; known are {', '.join(sorted(known)) or 'none'}")
-    rows = tuple(row for row in rows if request.cameras is None or row.camera in request.cameras)
-    flags_of = {row.scene: row.flags for row in rows if row.role == "noisy"}
-    kept = {scene: flags for scene, flags in flags_of.items() if not set(flags) & set(request.exclude_flags)}
-    if not kept:
-        raise ArgumentError("no clip is left of the wanted subset, ids, cameras and flags")
-    rows = tuple(row for row in rows if row.scene in kept)
+    subset = _clip_subset(request)
+    manifest = request.manifest
+    paired = {row.split for row in manifest.records if row.role == "reference"}
+    every, rows = (
+        choose_clips(
+            [row for row in manifest.records if row.split in paired],
+            manifest.card.subsets,
+            ids=request.ids,
+            subset=subset,
+            cameras=request.cameras,
+            exclude_flags=flags,
+        )
+        for flags in ((), request.exclude_flags)
+    )
+    there, kept = ({row.scene: row.flags for row in of if row.role == "noisy"} for of in (every, rows))
     check_rows(request, rows, "quick")
     listed = expand(rows, request.folder)
     found = tuple(
@@ -214,28 +193,15 @@ def _clip_plan(request: Request, protocol: ClipProtocol) -> ScoringPlan:
             raise ArgumentError(f"{window.path}: protocol {protocol.name!r} scores {protocol.pixels} frames")
     ids = None if request.ids is None else sorted(request.ids)
     facts = {"ids": ids, "layout": str(Layout.of(listed)), "included_flags": _counted(kept.values())}
-    there = _counted(flags_of.values())
-    return ScoringPlan(
-        protocol, found, subset, {flag: there.get(flag, 0) for flag in request.exclude_flags}, facts=facts
-    )
+    return ScoringPlan(protocol, found, subset, _excluded(request, there.values()), facts=facts)
 
 
-def _clip_rows(request: Request) -> tuple[str | None, tuple[FrameRecord, ...]]:
-    """Return the rows of the clips that are chosen, and the subset's name."""
-    manifest, subsets = request.manifest, request.manifest.card.subsets
-    if request.ids is not None:
-        splits = {row.split for row in manifest.records if row.role == "reference"}
-        return None, select_rows(manifest.records, splits=sorted(splits), ids=request.ids)
-    if not subsets:
-        raise ArgumentError(f"{manifest.path}: its card names no subset; name the clips with ids")
-    chosen = subsets[0] if request.subset is None else find_subset(subsets, request.subset)
-    rows = select_rows(manifest.records, splits=chosen.splits, ids=None)
-    clips = {row.scene for row in rows if row.role == "noisy"}
-    if len(clips) != chosen.pairs:
-        raise ManifestError(
-            f"subset {chosen.name!r} has {chosen.pairs} clips, the manifest {len(clips)} of them; score those with ids"
-        )
-    return chosen.name, rows
+def _clip_subset(request: Request) -> str | None:
+    """Return the name of the subset whose clips are chosen; ``None`` if they are named."""
+    subsets = request.manifest.card.subsets
+    if request.ids is None and not subsets:
+        raise ArgumentError(f"{request.manifest.path}: its card names no subset; name the clips with ids")
+    return None if request.ids is not None else request.subset or subsets[0].name
 
 
 # --- the files --------------------------------------------------------------------------------------------------------

@@ -48,37 +48,20 @@ class FoundPredictions:
     ----------
     files
         Prediction of each noisy frame, by its place.
-    missing
-        Noisy frames without a prediction.
-    ambiguous
-        Noisy frames with several, and their names.
-    extra
-        Files that are the prediction of no noisy frame in the manifest.
+    problems
+        Noisy frames with several predictions or none, and files that are the prediction of no noisy frame.
     unscored
         Number of predictions of noisy frames that this evaluation does not score.
     """
 
     files: dict[str, Path]
-    missing: tuple[str, ...]
-    ambiguous: dict[str, tuple[str, ...]]
-    extra: tuple[str, ...]
+    problems: tuple[EvaluationProblem, ...]
     unscored: int
 
-    def problems(self, *, allow_missing: bool) -> list[EvaluationProblem]:
-        """Return what is wrong with the files."""
-        found = [
-            EvaluationProblem(path, f"expected one prediction, found {len(names)}: {', '.join(names)}; keep one")
-            for path, names in self.ambiguous.items()
-        ]
-        reason = "is the prediction of no noisy frame in the manifest; rename it or move it away"
-        found += [EvaluationProblem(name, reason) for name in self.extra]
-        if not allow_missing:
-            reason = "has no prediction; add it, or score the rest with --allow-missing"
-            found += [EvaluationProblem(path, reason) for path in self.missing]
-        return found
 
-
-def find_predictions(folder: Path, places: Iterable[str], known: Iterable[str]) -> FoundPredictions:
+def find_predictions(
+    folder: Path, places: Iterable[str], known: Iterable[str] = (), *, allow_missing: bool = False
+) -> FoundPredictions:
     """Match the files of a folder with where predictions may lie, but for their extension.
 
     Parameters
@@ -90,6 +73,8 @@ def find_predictions(folder: Path, places: Iterable[str], known: Iterable[str]) 
         matter.
     known
         The same of all noisy frames of the manifest.
+    allow_missing
+        Whether a noisy frame without a prediction is no problem.
 
     Raises
     ------
@@ -104,19 +89,22 @@ def find_predictions(folder: Path, places: Iterable[str], known: Iterable[str]) 
         if path.suffix.lower() in EXTENSIONS and not any(part.startswith(".") for part in relative.parts):
             by_stem.setdefault(relative.with_suffix("").as_posix(), []).append(relative.as_posix())
     files: dict[str, Path] = {}
-    missing, ambiguous = [], {}
+    several, missing = [], []
     for place in places:
         found = by_stem.pop(_stem(place), [])
         if len(found) == 1:
             files[place] = folder / found[0]
         elif found:
-            ambiguous[place] = tuple(found)
-        else:
-            missing.append(place)
+            reason = f"expected one prediction, found {len(found)}: {', '.join(found)}; keep one"
+            several.append(EvaluationProblem(place, reason))
+        elif not allow_missing:
+            reason = "has no prediction; add it, or score the rest with --allow-missing"
+            missing.append(EvaluationProblem(place, reason))
     known_stems = {_stem(path) for path in known}
-    extra = [name for stem, names in by_stem.items() if stem not in known_stems for name in names]
+    reason = "is the prediction of no noisy frame in the manifest; rename it or move it away"
+    extra = [EvaluationProblem(name, reason) for stem, of in by_stem.items() if stem not in known_stems for name in of]
     unscored = sum(len(names) for stem, names in by_stem.items() if stem in known_stems)
-    return FoundPredictions(files, tuple(missing), ambiguous, tuple(extra), unscored)
+    return FoundPredictions(files, (*several, *extra, *missing), unscored)
 
 
 def _stem(path: str) -> str:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypedDict
 
+from eldata.base.keywords import keywords
 from eldata.base.workers import AnyWorkers, Workers
 from eldata.errors import ArgumentError
 from eldata.manifest.catalogue import Manifest, load_manifest, shipped_manifest, shipped_names
@@ -23,33 +24,7 @@ ALL = "all"
 
 
 class EvaluationOptions(TypedDict, total=False):
-    """Keyword arguments of :func:`eldata.evaluate` and :func:`eldata.evaluate_all`.
-
-    Attributes
-    ----------
-    root
-        The folder that holds the datasets; default ``$ELDATA_ROOT``, else ``./data``.
-    manifest
-        A manifest's CSV file, in place of ``dataset``: your own set, or that of a copy's raw clips
-        (:func:`eldata.manifest.drv.scan_raw`). Any protocol of images may score your own set, on the set's own pairs:
-        those at the protocol's factors if it has every one of them, else all.
-    cameras
-        Score these cameras' pairs alone; the result says so.
-    subset
-        Name of a subset on the dataset's card (:mod:`eldata.manifest.subsets`). Default: the protocol's, else the first
-        on the card, if any.
-    ids
-        Score these clips instead of a subset; the result says so.
-    exclude_flags
-        Leave out pairs that the manifest flags so, such as ``["misaligned"]``; the result says how many.
-    allow_missing
-        Score what is there although predictions are missing or unusable; the table shows the coverage.
-    baseline
-        ``"input"``: score the noisy input itself, amplified and clipped as the protocol has it.
-    workers
-        Number of worker processes, or an executor that scores (:mod:`eldata.base.workers`); the files are checked from
-        here. Scores do not depend on it.
-    """
+    """Keyword arguments of :func:`eldata.evaluate`, which says what they mean, and :func:`eldata.evaluate_all`."""
 
     root: Path | str | None
     manifest: Path | str | None
@@ -64,7 +39,7 @@ class EvaluationOptions(TypedDict, total=False):
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What is to be evaluated, with names resolved: :class:`EvaluationOptions` says what each field means.
+    """What is to be evaluated, with names resolved; the options are those of :func:`eldata.evaluate`.
 
     Attributes
     ----------
@@ -111,18 +86,15 @@ def make_request(
     ManifestError, ArgumentError
         If the manifest is malformed, a name or an option is unknown, or options do not go together.
     """
-    for name in options:
-        if name not in EvaluationOptions.__annotations__:
-            raise TypeError(
-                f"an evaluation has no option {name!r}; known are {', '.join(EvaluationOptions.__annotations__)}"
-            )
+    keywords("evaluate", options, EvaluationOptions, renamed={})
     path, baseline = options.get("manifest"), options.get("baseline")
     manifest = shipped_manifest(dataset) if path is None else load_manifest(path)
+    own = manifest.name not in shipped_names()
     request = Request(
         manifest=manifest,
         folder=manifest.folder(options.get("root")),
         predictions=None if predictions is None else Path(predictions),
-        protocols=_ways(manifest) if protocol == ALL else (_protocol(protocol, manifest),),
+        protocols=protocols_for(manifest.name, own=own) if protocol == ALL else (_protocol(protocol, manifest),),
         every=protocol == ALL,
         cameras=options.get("cameras"),
         subset=options.get("subset"),
@@ -146,15 +118,6 @@ def make_request(
             f"protocol {request.protocols[0].name!r} scores renderings, so the raw input is not a baseline of it"
         )
     return request
-
-
-def _ways(manifest: Manifest) -> tuple[Protocol, ...]:
-    """Return the protocols for a dataset; of a set of the user's own, one for each way to score."""
-    ways: dict[str, Protocol] = {}
-    own = manifest.name not in shipped_names()
-    for protocol in protocols_for(manifest.name):
-        ways.setdefault(protocol.scoring_digest if own else protocol.name, protocol)
-    return tuple(ways.values())
 
 
 def _protocol(protocol: str | Path | Protocol | None, manifest: Manifest) -> Protocol:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.evaluation.scores import UnitScore
+
+Values: TypeAlias = "Sequence[float] | NDArray[np.float64]"
 
 LEVEL = 0.95
 RESAMPLES = 9999
@@ -90,12 +92,7 @@ class Difference:
 
 
 def interval_of_mean(
-    values: Sequence[float] | NDArray[np.float64],
-    scenes: Sequence[Hashable],
-    *,
-    level: float = LEVEL,
-    resamples: int = RESAMPLES,
-    seed: int = SEED,
+    values: Values, scenes: Sequence[Hashable], *, level: float = LEVEL, resamples: int = RESAMPLES, seed: int = SEED
 ) -> Interval:
     """Return the mean over images with its interval over scenes.
 
@@ -143,13 +140,7 @@ def interval_of_scores(scores: Sequence[UnitScore], name: str) -> Interval:
 
 
 def paired_difference(
-    first: Sequence[float] | NDArray[np.float64],
-    second: Sequence[float] | NDArray[np.float64],
-    scenes: Sequence[Hashable],
-    *,
-    level: float = LEVEL,
-    resamples: int = RESAMPLES,
-    seed: int = SEED,
+    first: Values, second: Values, scenes: Sequence[Hashable], *, resamples: int = RESAMPLES
 ) -> Difference:
     """Return how much better the second method is than the first on the same images.
 
@@ -160,7 +151,7 @@ def paired_difference(
     ----------
     first, second
         Scores of the two methods, in the same order of images.
-    scenes, level, resamples, seed
+    scenes, resamples
         As for :func:`interval_of_mean`.
 
     Raises
@@ -172,18 +163,12 @@ def paired_difference(
         raise ArgumentError(f"paired scores are of the same images; found {len(first)} and {len(second)}")
     with np.errstate(invalid="ignore"):  # two infinite scores differ by nan, which is what it should be
         differences = np.asarray(second, dtype=np.float64) - np.asarray(first, dtype=np.float64)
-    return Difference(
-        interval_of_mean(differences, scenes, level=level, resamples=resamples, seed=seed),
-        sign_flip_p_value(differences, scenes, resamples=resamples, seed=seed),
-    )
+    interval = interval_of_mean(differences, scenes, resamples=resamples)
+    return Difference(interval, sign_flip_p_value(differences, scenes, resamples=resamples))
 
 
 def sign_flip_p_value(
-    differences: Sequence[float] | NDArray[np.float64],
-    scenes: Sequence[Hashable],
-    *,
-    resamples: int = RESAMPLES,
-    seed: int = SEED,
+    differences: Values, scenes: Sequence[Hashable], *, resamples: int = RESAMPLES, seed: int = SEED
 ) -> float:
     """Return the two-sided p-value of "neither method is better", by flipping the signs of whole scenes.
 
@@ -230,21 +215,18 @@ def expanded_level(level: float, scenes: int) -> float:
 # --- draws --------------------------------------------------------------------------------------------------------
 
 
-def _by_scene(
-    values: Sequence[float] | NDArray[np.float64], scenes: Sequence[Hashable]
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _by_scene(values: Values, scenes: Sequence[Hashable]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return each scene's sum of values and number of images, in the order of first occurrence."""
     if len(values) != len(scenes):
         raise ArgumentError(f"expected the scene of each value; found {len(values)} values and {len(scenes)} scenes")
     index = {scene: number for number, scene in enumerate(dict.fromkeys(scenes))}
     of = np.array([index[scene] for scene in scenes], dtype=np.int64)
-    counts = np.bincount(of, minlength=len(index)).astype(np.int64)
     sums = np.zeros(len(index))
     np.add.at(sums, of, np.asarray(values, dtype=np.float64))
-    return sums, counts
+    return sums, np.bincount(of, minlength=len(index)).astype(np.int64)
 
 
-def _mean(values: Sequence[float] | NDArray[np.float64]) -> float:
+def _mean(values: Values) -> float:
     """Return the mean, summed exactly, as tables have it."""
     array = np.asarray(values, dtype=np.float64)
     if not len(array):

@@ -281,23 +281,15 @@ class _Frame:
         rules, threads = protocol.rules, self._job.threads
         source, prediction = self.prediction(protocol)
         crop = protocol.crop(target.shape)
-        compared = (source, self.reference.key(protocol), protocol.region)
         p, g = prediction[crop], target[crop]
-        factor = 1.0
-        if rules.rescaling == "scalar":
-            limits = rules.prediction_clamp == "none"
-            key = ("factor", compared, limits, rules.rescaling_mask)
-            factor = self._shared.get(key, lambda: factor_by(p, g, rules, threads=threads))
+        compared = (source, self.reference.key(protocol), protocol.region)
+        finding = (rules.rescaling, rules.rescaling_mask, rules.prediction_clamp == "none")
+        factor = self._shared.get(("factor", compared, finding), lambda: factor_by(p, g, rules, threads=threads))
         if protocol.rendering == "eld-isp":
-            sensor = self.reference.frame.sensor
-            found = self._shared.get(
-                ("srgb score", compared, rules), lambda: _score_rendered(p, g, sensor, rules, factor, threads)
-            )
+            score = partial(_score_rendered, p, g, self.reference.frame.sensor, rules, factor, threads)
         else:
-            found = self._shared.get(
-                ("score", compared, rules), lambda: score_by(p, g, rules, factor=factor, threads=threads)
-            )
-        return found, p
+            score = partial(score_by, p, g, rules, factor=factor, threads=threads)
+        return self._shared.get(("score", compared, rules, protocol.rendering), score), p
 
 
 def _score_rendered(

@@ -85,32 +85,6 @@ class ClipRecord:
         return self.paths[0]
 
 
-def select_rows(
-    records: Iterable[FrameRecord], *, splits: Collection[str], ids: Collection[str] | None
-) -> tuple[FrameRecord, ...]:
-    """Return the rows of these splits and, unless it is ``None``, of these clips.
-
-    Raises
-    ------
-    ArgumentError
-        If no row has one of the splits, or a clip does not occur; the message lists those that do.
-    """
-    given = tuple(records)
-    if isinstance(ids, str):
-        raise ArgumentError(f"give ids as a list: [{ids!r}]")
-    rows = tuple(row for row in given if row.split in splits)
-    if not rows:
-        known_splits = ", ".join(sorted({row.split for row in given}))
-        raise ArgumentError(f"no clip has split {' or '.join(splits)}; known are {known_splits or 'none'}")
-    if ids is None:
-        return rows
-    known = sorted({row.scene for row in rows})
-    for scene in ids:
-        if scene not in known:
-            raise ArgumentError(f"no clip of {', '.join(splits)} is called {scene!r}; known are {', '.join(known)}")
-    return tuple(row for row in rows if row.scene in ids)
-
-
 def choose_clips(
     records: Iterable[FrameRecord],
     subsets: Sequence[Subset],
@@ -145,7 +119,8 @@ def choose_clips(
         clips = {row.scene for row in chosen}
         if len(clips) != subset.pairs:
             raise ManifestError(
-                f"subset {name!r}: the card expects {subset.pairs} clips, the manifest has {len(clips)}"
+                f"subset {name!r}: the card expects {subset.pairs} clips, the manifest has {len(clips)}; name "
+                "those with ids"
             )
     wanted = wanted_values(choice)
     chosen = narrowed(narrowed(chosen, noisy, "clip", wanted), noisy, "clip", {"scene": ids})

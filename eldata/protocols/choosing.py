@@ -56,16 +56,17 @@ def default_protocol(dataset: str) -> Protocol:
     return next((protocol for protocol in PROTOCOLS.values() if protocol.covers(dataset)), PROTOCOLS["eld"])
 
 
-def protocols_for(dataset: str) -> tuple[Protocol, ...]:
+def protocols_for(dataset: str, *, own: bool = False) -> tuple[Protocol, ...]:
     """Return the protocols for a dataset, its default first.
 
-    A set of your own has its own pairs, so it gets one protocol of each way to score, the first of the shipped ones.
+    A set of your ``own``, or of no known name, has its own pairs, so it gets one protocol of each way to score, the
+    first of the shipped ones.
     """
     covering = tuple(protocol for protocol in PROTOCOLS.values() if protocol.covers(dataset))
-    if covering:
+    if covering and not own:
         return covering
     ways: dict[str, Protocol] = {}
-    for protocol in PROTOCOLS.values():
-        if protocol.kind is IMAGES:
+    for protocol in covering or PROTOCOLS.values():
+        if covering or protocol.kind is IMAGES:
             ways.setdefault(protocol.scoring_digest, protocol)
     return tuple(ways.values())

@@ -5,10 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
+from dataclasses import asdict, dataclass, fields
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args, get_origin, get_type_hints
 
-from eldata.errors import ArgumentError
+from eldata.errors import ArgumentError, check_choice
 from eldata.protocols.kinds import IMAGES, Kind
 
 if TYPE_CHECKING:
@@ -140,16 +140,7 @@ class Protocol:
         """What decides the scores of a prediction and a reference in the region."""
         from eldata.metrics.image_score import ScoringRules
 
-        return ScoringRules(
-            rescaling=self.rescaling,
-            rescaling_mask=self.rescaling_mask,
-            prediction_clamp=self.prediction_clamp,
-            rounding=self.rounding,
-            data_range=self.data_range,
-            mse_offset=self.mse_offset,
-            ssim_window=self.ssim_window,
-            ssim_covariance=self.ssim_covariance,
-        )
+        return ScoringRules(**{field.name: getattr(self, field.name) for field in fields(ScoringRules)})
 
     @property
     def pixels(self) -> Pixels:
@@ -184,11 +175,8 @@ class Protocol:
             If the image is too small for the region.
         """
         height, width = shape[-2:]
-        found = _REGION.fullmatch(self.region)
-        if found is None:
-            raise ArgumentError(f"region must be 'full', 'centre-N' or 'border-N'; found {self.region!r}")
-        kind, size = found[1], int(found[2] or 0)
-        if kind is None:
+        kind, size = self._region()
+        if kind == "full":
             return slice(None), slice(None), slice(None)
         if min(height, width) < (size if kind == "centre" else 2 * size + 1):
             raise ArgumentError(f"a packed image of {height} x {width} is too small for the region {self.region!r}")
@@ -197,14 +185,18 @@ class Protocol:
         top, left = height // 2 - size // 2, width // 2 - size // 2
         return slice(None), slice(top, top + size), slice(left, left + size)
 
+    def _region(self) -> tuple[str, int]:
+        """Return the region's kind and size in packed pixels."""
+        found = _REGION.fullmatch(self.region)
+        if found is None:
+            raise ArgumentError(f"region must be 'full', 'centre-N' or 'border-N'; found {self.region!r}")
+        return found[1] or "full", int(found[2] or 0)
+
     def check(self) -> None:
         """Raise :class:`ArgumentError` if a field has a value that it cannot have, or two do not go together."""
         for name, known in CHOICES.items():
-            if getattr(self, name) not in known:
-                options = ", ".join(map(repr, known))
-                raise ArgumentError(f"{name} must be one of {options}; found {getattr(self, name)!r}")
-        if _REGION.fullmatch(self.region) is None:
-            raise ArgumentError(f"region must be 'full', 'centre-N' or 'border-N'; found {self.region!r}")
+            check_choice(name, getattr(self, name), known)
+        self._region()
         self.rules.check()
         if (self.space == "raw") != (self.rendering == "none"):
             raise ArgumentError(
@@ -254,17 +246,6 @@ class StatedProtocol:
 
 
 CHOICES: dict[str, tuple[str, ...]] = {
-    "levels": get_args(Levels),
-    "reference_clip": get_args(Clip),
-    "rescaling": get_args(Rescaling),
-    "rescaling_mask": get_args(RescalingMask),
-    "prediction_clamp": get_args(PredictionClamp),
-    "rounding": get_args(Rounding),
-    "input_clip": get_args(Clip),
-    "amplification": get_args(Amplification),
-    "space": get_args(Space),
-    "rendering": get_args(Rendering),
-    "ssim_window": get_args(SsimWindow),
-    "ssim_covariance": get_args(Covariance),
+    name: get_args(hint) for name, hint in get_type_hints(Protocol).items() if get_origin(hint) is Literal
 }
 """Fields that have one of a few values, and these."""

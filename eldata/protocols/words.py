@@ -116,31 +116,25 @@ HEADER = ("protocol", "dataset", "pairs", "region", "white", "scalar", "input cl
 
 def summary(protocol: Protocol) -> tuple[str, ...]:
     """Return a protocol's cells in such a list."""
-    if protocol.kind is not IMAGES:
-        space = {"packed": "raw", "rgb": "RGB"}[protocol.pixels]
-        chosen = f"{protocol.as_dict()['frame_count']} frames per clip"
-        white = "file" if protocol.pixels == "packed" else "none"
-        scalar = "yes" if protocol.rescaling == "scalar" else "no"
-        return protocol.name, protocol.dataset, chosen, "full", white, scalar, protocol.input_clip, "7x7", space
-    pairs = [protocol.subset or "", _scenes(protocol.scenes), ", ".join(protocol.cameras)]
-    if protocol.subset is None:
-        pairs.insert(0, " ".join(f"x{ratio:g}" for ratio in protocol.ratios) or "all factors")
+    if protocol.kind is IMAGES:
+        pairs = [protocol.subset or "", _scenes(protocol.scenes), ", ".join(protocol.cameras)]
+        if protocol.subset is None:
+            pairs.insert(0, " ".join(f"x{ratio:g}" for ratio in protocol.ratios) or "all factors")
+    else:
+        pairs = [f"{protocol.as_dict()['frame_count']} frames per clip"]
     kind, _, size = protocol.region.partition("-")
-    region = {"centre": f"centre {size}", "border": f"{size} px off"}.get(kind, "full")
-    white = {"published": "16383", "metadata": "file", "metadata-per-channel": "file, channel"}.get(
-        protocol.levels, protocol.levels
-    )
-    windows = {"uniform-7": "7x7", "gaussian-11": "Gauss 11", "gaussian-11-volume": "Gauss 11, RGB"}
+    white = {"published": "16383", "metadata": "file", "metadata-per-channel": "file, channel"}
+    space = {"raw": "raw", "srgb": "sRGB, 8 bit" if protocol.rounding != "none" else "sRGB"}[protocol.space]
     return (
         protocol.name,
         protocol.dataset,
         ", ".join(part for part in pairs if part),
-        region,
-        "LibRaw" if protocol.rendering == "libraw" else white,
+        {"centre": f"centre {size}", "border": f"{size} px off"}.get(kind, "full"),
+        {"srgb": "LibRaw", "rgb": "none"}.get(protocol.pixels, white.get(protocol.levels, protocol.levels)),
         "yes" if protocol.rescaling == "scalar" else "no",
         protocol.input_clip,
-        windows[protocol.ssim_window],
-        {"raw": "raw", "srgb": "sRGB, 8 bit" if protocol.rounding != "none" else "sRGB"}[protocol.space],
+        {"uniform-7": "7x7", "gaussian-11": "Gauss 11", "gaussian-11-volume": "Gauss 11, RGB"}[protocol.ssim_window],
+        "RGB" if protocol.pixels == "rgb" else space,
     )
 
 

@@ -162,12 +162,12 @@ def test_cameras_and_flags(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_pa
     whole = run(eldata, own, predictions, *CHOSEN)
     assert whole.startswith("drv, protocol drv-rgb: 2 of 2 videos, only 0007, 0013, flicker included (1)\n")
     refused = {
-        ("--camera", "Leica"): "no clip has camera 'Leica'; known are SonyRX100M6",
-        ("--exclude", "misaligned"): "no clip has flag 'misaligned'; known are flicker",
-        ("--exclude", "flicker"): "no clip is left",
+        ("--camera", "Leica"): "no clip has camera Leica; known are SonyRX100M6",
+        ("--exclude", "misaligned"): "no clip has flag misaligned; known are flicker",
+        ("--exclude", "flicker"): "no clip has all of the wanted cameras",
     }
     for arguments, said in refused.items():
-        ids = ("--clip", "0013") if said.startswith("no clip is") else CHOSEN
+        ids = ("--clip", "0013") if said.startswith("no clip has all") else CHOSEN
         message = run(eldata, own, predictions, *ids, *arguments, code=2)
         assert said in message
         assert message.count("\n") == 1

@@ -3,6 +3,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import re
 import shutil
 from dataclasses import replace
 from importlib.metadata import version
@@ -15,6 +16,7 @@ from eldata import __version__
 from eldata.base.files import sha256_of
 from eldata.errors import ArgumentError, DatasetError, EldataError, ManifestError
 from eldata.evaluation import EvaluationResult, UnitScore, evaluate
+from eldata.evaluation.request import EvaluationOptions
 from eldata.protocols import PROTOCOLS
 from eldata.protocols.kinds import IMAGES
 from tests.evaluation import oracle
@@ -293,6 +295,13 @@ def test_cameras(own: Tree, predictions: Path, result: EvaluationResult) -> None
 def test_unknown_camera(cameras: list[str], tree: Tree, predictions: Path) -> None:
     with pytest.raises(ArgumentError, match=r"DemoGamma.*DemoAlpha, DemoBeta"):
         evaluate(predictions, manifest=tree.manifest, root=tree.root, cameras=cameras)
+
+
+def test_help_names_every_keyword_with_its_default() -> None:
+    """Keywords come through a TypedDict, which ``help()`` does not show."""
+    paragraphs = dict(re.findall(r"(?m)^    (\w+)\n((?:        .+\n)+)", evaluate.__doc__ or ""))
+    for name in EvaluationOptions.__annotations__:
+        assert "Default: " in paragraphs[name], name
 
 
 def test_cameras_as_text(tree: Tree, predictions: Path) -> None:

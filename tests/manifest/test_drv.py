@@ -18,7 +18,7 @@ from eldata.download.card_downloads import archive_name, choose_parts, holds
 from eldata.errors import ArgumentError, DatasetError, FileError, ManifestError
 from eldata.manifest.card import load_card, save_card
 from eldata.manifest.catalogue import shipped_folder, shipped_manifest
-from eldata.manifest.clips import FRAME_RANGES, Clip, clips_of, frame_range, select_rows, windows
+from eldata.manifest.clips import FRAME_RANGES, Clip, choose_clips, clips_of, frame_range, windows
 from eldata.manifest.drv import UNUSED, scan_preprocessed, scan_raw
 from eldata.manifest.lock import lock
 from eldata.manifest.patterns import expand, matching, sequence_of
@@ -197,11 +197,12 @@ def test_windows_that_make_no_sense(length: int, stride: int) -> None:
 def test_unknown_clips_and_splits_list_the_known() -> None:
     records = shipped_manifest("drv").records
     with pytest.raises(ArgumentError, match="no clip has split holidays; known are dynamic, test, train, val"):
-        select_rows(records, splits=["holidays"], ids=None)
-    with pytest.raises(ArgumentError, match=r"no clip of val is called '0001'; known are 0004, 0018"):
-        select_rows(records, splits=["val"], ids=["0001"])
-    with pytest.raises(ArgumentError, match="give ids as a list"):
-        select_rows(records, splits=["val"], ids="0004")
+        choose_clips(records, (), split=["holidays"])
+    of_val = [record for record in records if record.split == "val"]
+    with pytest.raises(ArgumentError, match=r"no clip has scene 0001; known are 0004, 0018"):
+        choose_clips(of_val, (), ids=["0001"])
+    with pytest.raises(ArgumentError, match="give scene values as a list"):
+        choose_clips(of_val, (), ids="0004")
 
 
 # --- patterns ---------------------------------------------------------------------------------------------------------

@@ -6,8 +6,9 @@ import hashlib
 import re
 import zlib
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
 
 import numpy as np
 from tqdm import tqdm
@@ -25,9 +26,8 @@ from eldata.sources.store.read import StoreFrames
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
-    from fractions import Fraction
 
-    from eldata.records import PairRecord, Sensor
+    from eldata.records import PairRecord
     from eldata.sources.frames import Frame
     from eldata.sources.shards.tiles import Tile
 
@@ -48,21 +48,18 @@ class ShardReport:
     bytes: int
 
 
-@dataclass(frozen=True, slots=True)
-class _Planned:
-    """One sample to write."""
+class _Planned(NamedTuple):
+    """One sample to write: its facts, the noisy frame and its reference, their checksums, and the part of them."""
 
-    number: int
-    record: PairRecord
-    ratio: Fraction
-    sides: tuple[Frame, Frame]
+    facts: Facts
+    frames: tuple[Frame, Frame]
     sha256: tuple[str, str]
     tile: Tile
 
-    @property
-    def sensors(self) -> list[Sensor]:
-        """Of the noisy frame and its reference."""
-        return [frame.sensor for frame in self.sides if frame.sensor is not None]
+    def content(self, number: int) -> bytes:
+        """Return the sample's part of a shard."""
+        noisy, reference = (frame.mosaic[self.tile.slices] for frame in self.frames)
+        return to_bytes(key_of(number), self.facts, noisy, reference)
 
 
 def write_shards(
@@ -125,10 +122,10 @@ def write_shards(
     with tqdm(total=len(planned), desc="writing shards", unit="sample", disable=None, leave=False) as bar:
         for number, part in enumerate(parts):
             path = folder / f"shard-{number:06d}.tar"
-            samples = [planned[place] for place in part]
-            shard = _found(path, map(_content, samples)) if path.exists() else None
+            samples = partial(map, lambda place: planned[place].content(place), part)
+            shard = _found(path, samples()) if path.exists() else None
             resumed += shard is not None
-            shards.append(shard or _written(path, map(_content, samples)))
+            shards.append(shard or _written(path, samples()))
             bar.update(len(part))
     index = ShardIndex(source.store.dataset, tile, overlap, seed, tuple(shards))
     write_text(folder / INDEX, index_text(index, _version()))
@@ -139,28 +136,24 @@ def write_shards(
 def _planned(source: StoreFrames, pairs: Sequence[PairRecord], tile: int | None, overlap: int) -> Iterator[_Planned]:
     """Yield the samples in the order of pairs and places, which numbers them."""
     digests = {frame.path: frame.sha256 for frame in source.store.frames}
-    number = 0
     for record in pairs:
         noisy, reference = source.frame(record.path), source.frame(record.reference)
         ratio = checked_ratio(record, reference, noisy)
         sums = digests[record.path], digests[record.reference]
-        sensor = noisy.sensor
-        if sensor is None:
+        if noisy.sensor is None or reference.sensor is None:
             raise DatasetError(f"{noisy.name}: is not a raw file; shards hold mosaics in DN")
-        for place in whole(sensor) if tile is None else grid(noisy.name, sensor, tile, overlap):
-            yield _Planned(number, record, ratio, (noisy, reference), sums, place)
-            number += 1
+        for place in whole(noisy.sensor) if tile is None else grid(noisy.name, noisy.sensor, tile, overlap):
+            first = Side(place.sensor(noisy.sensor), noisy.exposure)
+            second = Side(place.sensor(reference.sensor), reference.exposure)
+            facts = Facts(record, ratio, place.top, place.left, first, second)
+            yield _Planned(facts, (noisy, reference), sums, place)
 
 
 def _digest(planned: Sequence[_Planned]) -> str:
     """Return a digest of what decides the samples' bytes."""
     found = hashlib.sha256()
     for sample in planned:
-        sides = [
-            (digest, repr(sensor), repr(frame.exposure))
-            for digest, sensor, frame in zip(sample.sha256, sample.sensors, sample.sides, strict=True)
-        ]
-        found.update(repr((sample.number, sample.record, sample.tile, sides)).encode())
+        found.update(repr((sample.facts, sample.sha256)).encode())
     return f"sha256:{found.hexdigest()}"
 
 
@@ -185,16 +178,6 @@ def _begin(folder: Path, options: dict[str, Any]) -> None:
         write_json(folder / BEGUN, wanted, indent=1)
         return
     check_same_work(folder, begun.data, wanted)
-
-
-def _content(sample: _Planned) -> bytes:
-    tile = sample.tile
-    sides = [
-        Side(tile.sensor(sensor), frame.exposure) for sensor, frame in zip(sample.sensors, sample.sides, strict=True)
-    ]
-    facts = Facts(sample.record, sample.ratio, tile.top, tile.left, *sides)
-    noisy, reference = (frame.mosaic[tile.slices] for frame in sample.sides)
-    return to_bytes(key_of(sample.number), facts, noisy, reference)
 
 
 def _tallied(name: str, samples: Iterable[bytes], write: Callable[[bytes], object]) -> Shard:

@@ -87,9 +87,7 @@ def build_store(
     with journaled(part) as file:
         try:
             resumed, pixel_bytes = _fill(file, source, compression, options, workers)
-            file.sync()
-            part.rename(path)
-            file.remove_journal()
+            file.finish(path)
         except OSError as error:
             raise EldataError(
                 f"cannot write {part}: {error.strerror or error}; what is finished is kept there: make room and the "
@@ -106,18 +104,17 @@ def _fill(
     workers: Workers,
 ) -> tuple[int, int]:
     """Bring the part to its end; return how many frames were there before, and the bytes of all pixels."""
-    is_new = file.is_new
+    is_new, header = file.is_new, _header(source, compression)
     store: h5py.File | None = None
     try:
         # HDF5's earliest format: later ones mark a file as open, and refuse it after a kill.
         store = h5py.File(file.path, "w" if is_new else "r+", driver="fileobj", fileobj=file, libver="earliest")
         if is_new:
-            _begin(store, source, compression)
+            _begin(store, source, header)
             _commit(store, file)
         else:
-            wanted = _header(source, compression)
             same = ("format", "version", "files_digest", "compression")
-            check_same_work(file.path, store.attrs, {name: wanted[name] for name in same})
+            check_same_work(file.path, store.attrs, {name: header[name] for name in same})
         frames = store["frames"]
         resumed = len(frames)
         waiting = source.files[resumed:]  # frames are written in order
@@ -163,11 +160,11 @@ def _header(source: Source, compression: Compression) -> dict[str, Any]:
     }
 
 
-def _begin(store: h5py.File, source: Source, compression: Compression) -> None:
-    store.attrs.update(_header(source, compression))
+def _begin(store: h5py.File, source: Source, header: Mapping[str, Any]) -> None:
+    store.attrs.update(header)
     store.create_group("frames")
-    if source.manifest is not None:
-        for name, content in source.manifest_files().items():
+    if source.listing is not None:
+        for name, content in zip(("csv", "json"), source.listing, strict=True):
             store.create_dataset(f"manifest/{name}", data=np.frombuffer(content, np.uint8))
 
 

@@ -5,9 +5,9 @@ side, and of a compressed chunk only those blocks that hold wanted rows. What th
 order), HDF5 reads.
 
 Through h5py alone this file would be half as long. It stays because HDF5's bitshuffle filter believes what a chunk says
-of itself: of 22 chunks that lie, 11 ended the process (SIGSEGV), all of which are refused here. And for its time: h5py
-takes 1.6 times as long without compression, 1.06 with lz4, 1.17 with zstd, for which threads do not help it;
-imagecodecs' decoders, which are as careful, take 1.5 and 1.14 times as long (docs/training.md).
+of itself: of 22 chunks whose sizes or blocks lie, 10 ended the process (SIGSEGV); here those 22 are errors (a test has
+them). And for its time: in a DataLoader's workers h5py takes 1.4 times as much without compression, 1.25 times with lz4
+and zstd; imagecodecs' decoders, which are as careful, take 1.5 and 1.14 times as long (docs/training.md).
 """
 
 from __future__ import annotations

@@ -61,13 +61,11 @@ class JournaledFile(io.FileIO):
         self._check_alive()
         self._start_journal()
 
-    def sync(self) -> None:
-        """Make sure that the bytes are on the disk."""
+    def finish(self, path: Path) -> None:
+        """Make sure that the bytes are on the disk, and give the file its name; it needs no journal any more."""
         self._check_alive()
         os.fsync(self.fileno())
-
-    def remove_journal(self) -> None:
-        """Remove the journal of a finished file."""
+        self.path.rename(path)
         self._journal_path.unlink(missing_ok=True)
 
     def release(self) -> None:

@@ -7,9 +7,9 @@ import os
 import tempfile
 import threading
 import weakref
-from collections import OrderedDict
 from contextlib import suppress
 from dataclasses import replace
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -134,9 +134,7 @@ class PixelReader:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._file: h5py.File | None = None
-        self._descriptor: _Descriptor | None = None
-        self._tables: OrderedDict[str, ChunkTable | None] = OrderedDict()
+        self._opened: _Opened | None = None
         self._lock = threading.Lock()
         _READERS.add(self)
 
@@ -166,36 +164,25 @@ class PixelReader:
     def _fill(self, pixels: NDArray[np.uint16], key: str, rows: range, columns: range) -> None:
         try:
             with self._lock:
-                if self._file is None or self._descriptor is None:
-                    self._file, self._descriptor = opened(self.path), _Descriptor(self.path)
-                descriptor, table = self._descriptor, self._table(self._file, key)
+                held = self._opened = self._opened or _Opened(self.path)
+                table = held.table(key)
                 if table is None:
                     part = ..., slice(rows.start, rows.stop), slice(columns.start, columns.stop)
-                    self._file["frames"][key].read_direct(pixels, part)
+                    held.file["frames"][key].read_direct(pixels, part)
                     return
             for number, plane in enumerate(pixels[None] if pixels.ndim == 2 else pixels):
-                read_part(descriptor.number, table, number, rows, columns, plane)
+                read_part(held.number, table, number, rows, columns, plane)
         except (OSError, RuntimeError, KeyError, IndexError, ValueError) as error:
             if isinstance(error, EldataError):
                 raise
             raise StoreError(self.path, f"frame {key} is damaged ({error}); copy or pack it again") from error
 
-    def _table(self, file: h5py.File, key: str) -> ChunkTable | None:
-        if key in self._tables:
-            self._tables.move_to_end(key)
-        else:
-            self._tables[key] = chunk_table(file["frames"][key].id)
-            while len(self._tables) > _MOST_TABLES:
-                self._tables.popitem(last=False)
-        return self._tables[key]
-
     def close(self) -> None:
         """Close the file; the next read opens it again."""
         with self._lock:
-            if self._file is not None:
-                self._file.close()
-            self._file = self._descriptor = None  # a thread that is reading holds the latter until it is done
-            self._tables.clear()
+            if self._opened is not None:
+                self._opened.file.close()
+            self._opened = None  # a thread that is reading holds its descriptor until it is done
 
     def __getstate__(self) -> dict[str, Any]:
         return {"path": self.path}
@@ -204,15 +191,21 @@ class PixelReader:
         self.__init__(state["path"])  # type: ignore[misc] # a pickled reader is a path
 
 
-class _Descriptor:
-    """An open file, closed when nobody holds it any more."""
+class _Opened:
+    """A store's file, and a descriptor of it, which is closed when nobody holds it any more."""
 
     def __init__(self, path: Path) -> None:
+        self.file = opened(path)
+        self.table = lru_cache(_MOST_TABLES)(partial(_table, self.file))
         self.number = os.open(path, os.O_RDONLY)
 
     def __del__(self) -> None:
         with suppress(AttributeError, OSError):  # it was not opened
             os.close(self.number)
+
+
+def _table(file: h5py.File, key: str) -> ChunkTable | None:
+    return chunk_table(file["frames"][key].id)
 
 
 _READERS: weakref.WeakSet[PixelReader] = weakref.WeakSet()

@@ -37,11 +37,6 @@ class Parser(argparse.ArgumentParser):
         self.exit(UNUSABLE, f"{self.prog}: {' '.join(message.split())}; see {self.prog} --help\n")
 
 
-def add_debug(parser: argparse.ArgumentParser) -> None:
-    """Add ``--debug`` to a subcommand."""
-    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
-
-
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Add ``--json`` to a subcommand."""
     parser.add_argument("--json", metavar="FILE", help="write what is shown here to FILE, machine-readable")
@@ -108,7 +103,6 @@ def chosen_workers(arguments: argparse.Namespace) -> Iterator[Workers]:
         yield Workers(arguments.jobs, executor)
 
 
-_INTERRUPTED = "files are written whole or not at all, so none is left half"
 _SHARED = {"root": add_root, "cameras": add_cameras, "jobs": add_jobs, "workers": add_workers, "json": add_json}
 
 
@@ -116,7 +110,7 @@ def add_shared(
     parser: argparse.ArgumentParser,
     run: Callable[[argparse.Namespace], int],
     *options: Literal["root", "cameras", "jobs", "workers", "json"],
-    interrupted: str = _INTERRUPTED,
+    interrupted: str = "files are written whole or not at all, so none is left half",
 ) -> None:
     """Finish a subcommand: add these options and ``--debug``, and say what :func:`run` is to call.
 
@@ -124,8 +118,8 @@ def add_shared(
     """
     for option in options:
         _SHARED[option](parser)
-    add_debug(parser)
-    parser.set_defaults(run=run, command=parser.prog.partition(" ")[2], interrupted=interrupted)
+    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    parser.set_defaults(run=run, command=parser.prog, interrupted=interrupted)
 
 
 def command_line(prog: str, description: str, package: str, modules: Iterable[str]) -> Parser:
@@ -175,7 +169,7 @@ def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:
             traceback.print_exception(error)
         code, message = _explained(error, arguments)
         if message:
-            print(f"{parser.prog} {arguments.command}: {' '.join(message.split())}", file=sys.stderr)
+            print(f"{arguments.command}: {' '.join(message.split())}", file=sys.stderr)
     return code
 
 
@@ -184,8 +178,7 @@ def _explained(error: BaseException, arguments: argparse.Namespace) -> tuple[int
     if isinstance(error, EldataError):
         return UNUSABLE, str(error)
     if isinstance(error, KeyboardInterrupt):
-        given = vars(arguments)
-        return INTERRUPTED, f"interrupted; {given.get('interrupted', _INTERRUPTED).format_map(given)}"
+        return INTERRUPTED, f"interrupted; {arguments.interrupted.format_map(vars(arguments))}"
     if isinstance(error, BrokenPipeError):  # head, less: nothing to say, but nobody knows that all is well
         _drop_output()
         return CLOSED_PIPE, ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_cameras, add_debug, add_root, add_workers, chosen_workers
+from eldata.base.console import OK, add_cameras, add_root, add_shared, chosen_workers
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -42,10 +42,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         default="none",
         help="lossless; lz4 and zstd need the extra eldata[compression] (default: %(default)s)",
     )
-    add_workers(parser)
-    add_debug(parser)
     kept = "the finished frames are kept in {out}.part, and the same command goes on"
-    parser.set_defaults(run=run, command="pack", interrupted=kept)
+    add_shared(parser, run, "workers", interrupted=kept)
 
 
 def run(arguments: argparse.Namespace) -> int:

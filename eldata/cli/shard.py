@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_cameras, add_debug, whole_number
+from eldata.base.console import OK, add_shared, whole_number
 
 if TYPE_CHECKING:
     import argparse
@@ -50,10 +50,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument("--split", action="append", dest="splits", metavar="S", help="only this split; may be repeated")
     parser.add_argument("--subset", metavar="NAME", help="only this subset of the dataset card")
-    add_cameras(parser)
-    add_debug(parser)
     kept = "the finished shards are kept in {out}, and the same command goes on"
-    parser.set_defaults(run=run, command="shard", interrupted=kept)
+    add_shared(parser, run, "cameras", interrupted=kept)
 
 
 def run(arguments: argparse.Namespace) -> int:

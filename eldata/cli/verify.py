@@ -58,8 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _of_shards(arguments: argparse.Namespace) -> int:
     from eldata.sources.shards.reading import verify_shards
 
-    if arguments.root is not None or arguments.dataset is not None or arguments.cameras:
-        raise ArgumentError("--root, --dataset and --camera are for manifests; shards are checked whole")
+    _refuse_choices(arguments, "shards are checked whole")
     if arguments.dask is not None:
         raise ArgumentError("--dask is for manifests and stores; shards are read in their order")
     address = arguments.manifests.removesuffix(_INDEX) or "."
@@ -77,9 +76,13 @@ def _is_store(path: str) -> bool:
 def _of_store(arguments: argparse.Namespace, workers: Workers) -> VerifyReport:
     from eldata.sources.store.checks import verify_store
 
-    if arguments.root is not None or arguments.dataset is not None or arguments.cameras:
-        raise ArgumentError("--root, --dataset and --camera are for manifests; a store is checked whole")
+    _refuse_choices(arguments, "a store is checked whole")
     return verify_store(arguments.manifests, level=arguments.level, workers=workers)
+
+
+def _refuse_choices(arguments: argparse.Namespace, why: str) -> None:
+    if arguments.root is not None or arguments.dataset is not None or arguments.cameras:
+        raise ArgumentError(f"--root, --dataset and --camera are for manifests; {why}")
 
 
 def _of_files(arguments: argparse.Namespace, workers: Workers) -> VerifyReport:

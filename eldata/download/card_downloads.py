@@ -68,10 +68,7 @@ def kept_archives(card: Card, root: Path | str | None = None) -> Pooch:
     import pooch
 
     folder = data_root(root) / "archives"
-    first_of: dict[str, Download] = {}
-    for download in card.downloads:
-        if download.direct:
-            first_of.setdefault(archive_name(download), download)
+    first_of = {archive_name(download): download for download in reversed(card.downloads) if download.direct}
     return pooch.create(
         path=folder.absolute() if folder.parts[0].startswith("~") else folder,  # pooch takes ~ for the home folder
         base_url="",

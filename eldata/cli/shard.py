@@ -31,23 +31,14 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="N",
         help="side of the samples in packed pixels, or 'whole' for whole frames (default: %(default)s)",
     )
-    parser.add_argument(
-        "--overlap",
-        type=whole_number(0),
-        default=0,
-        metavar="N",
-        help="packed pixels that neighbouring samples share at least (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--samples-per-shard",
-        type=whole_number(0),
-        default=64,
-        metavar="N",
-        help="samples a file (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--seed", type=whole_number(0), default=0, metavar="S", help="of the order (default: %(default)s)"
-    )
+    for name, default, letter, text in (
+        ("--overlap", 0, "N", "packed pixels that neighbouring samples share at least"),
+        ("--samples-per-shard", 64, "N", "samples per file"),
+        ("--seed", 0, "S", "of the order"),
+    ):
+        parser.add_argument(
+            name, type=whole_number(0), default=default, metavar=letter, help=f"{text} (default: %(default)s)"
+        )
     parser.add_argument("--split", action="append", dest="splits", metavar="S", help="only this split; may be repeated")
     parser.add_argument("--subset", metavar="NAME", help="only this subset of the dataset card")
     kept = "the finished shards are kept in {out}, and the same command goes on"

@@ -150,6 +150,8 @@ class SourcePairs(PairItems, CroppedItems[PairItem, Sample]):
         Crop, orientations, items per pair, seed; by default whole frames as they are.
     """
 
+    source: FrameSource
+
     def __init__(
         self,
         source: FrameSource,
@@ -170,11 +172,6 @@ class SourcePairs(PairItems, CroppedItems[PairItem, Sample]):
         super().__init__(cut, ("crops_per_frame", self.crops_per_frame))
         # A source that reads parts knows all but the pixels: what is not a pair is refused here.
         self._pairs = tuple(map(self._opened, self.records)) if self.reads_parts else ()
-
-    @property
-    def reads_parts(self) -> bool:
-        """Whether the source reads parts of frames."""
-        return self.source.reads_parts
 
     @property
     def frame(self) -> pd.DataFrame:
@@ -276,7 +273,7 @@ class PairDataset(SourcePairs):
     Notes
     -----
     Frames of different cameras differ in size: with more than one camera use ``batch_size=1``, or crops. The files are
-    decoded anew on each access, in DataLoader workers under fork as under spawn: random crops are read far faster from
+    decoded again on each access, in DataLoader workers under fork as under spawn: random crops are read far faster from
     a store (:class:`~eldata.datasets.packed_store.PackedStore`).
     """
 

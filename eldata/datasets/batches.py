@@ -101,13 +101,11 @@ class Batch:
 
     def parts(self, samples: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         """Return the samples, the large tensors being views of the batch; what ``samples`` has of those is ignored."""
+        large = self.tensors
         return [
-            _Part(self, place, {name: self._view(name, place, value) for name, value in sample.items()})
+            _Part(self, place, dict(sample) | {name: large[name][place] for name in sample if name in large})
             for place, sample in enumerate(samples)
         ]
-
-    def _view(self, name: str, place: int, value: Any) -> Any:
-        return self.tensors[name][place] if name in self.tensors else value
 
 
 class _OfBatch(dict[str, Any]):
@@ -181,11 +179,8 @@ def _received(
     lease = _Lease(memory)
     weakref.finalize(lease, _give_back, os.getpid(), memory).atexit = False
     content = dict(others) | _arrays(fields, lease)
-    return {name: _as_tensor(content[name]) for name in order}
-
-
-def _as_tensor(value: Any) -> Any:
-    return torch.from_numpy(value) if isinstance(value, np.ndarray) else value
+    tensors = {name: torch.from_numpy(value) for name, value in content.items() if isinstance(value, np.ndarray)}
+    return {name: tensors.get(name, content[name]) for name in order}
 
 
 # --- memory -----------------------------------------------------------------------------------------------------------

@@ -70,10 +70,10 @@ class CalibrationFrames:
     Attributes
     ----------
     records
-        One :class:`~eldata.records.FrameRecord` a frame, sorted by path: bias and flat frames of the chosen ISOs. From
-        folders, the ISO is the folder's and the exposure time not known; :meth:`read` has what the file says.
+        One :class:`~eldata.records.FrameRecord` per frame, sorted by path: bias and flat frames of the chosen ISOs.
+        From folders, the ISO is the folder's and the exposure time not known; :meth:`read` has what the file says.
     skipped
-        Files in the folders that are no raw files, such as the JPEG beside a raw file.
+        Files in the folders that are not raw files, such as the JPEG beside a raw file.
 
     Raises
     ------
@@ -147,7 +147,7 @@ class CalibrationFrames:
 
     @property
     def frame(self) -> pd.DataFrame:
-        """The records as a pandas DataFrame, one row a frame, numbers as floats."""
+        """The records as a pandas DataFrame, one row per frame, numbers as floats."""
         return frame_of(self.records)
 
     def __len__(self) -> int:
@@ -216,7 +216,7 @@ def _chosen_camera(wanted: str | None, found: Collection[str], where: str) -> st
 
 
 def _from_folders(root: Path, camera: str | None) -> tuple[str, tuple[FrameRecord, ...], tuple[str, ...]]:
-    layout = "<camera>/bias/ISO100/..., <camera>/flat/ISO100/..., one folder an ISO"
+    layout = "<camera>/bias/ISO100/..., <camera>/flat/ISO100/..., one folder per ISO"
     if not root.is_dir():
         raise DatasetError(f"{root}: there is no such folder; calibration frames lie in {layout}")
     if any((root / role).is_dir() for role in _ROLES):  # the camera's own folder
@@ -232,19 +232,17 @@ def _from_folders(root: Path, camera: str | None) -> tuple[str, tuple[FrameRecor
     for role in _ROLES:
         folder = root / prefix / role
         for path in sorted(folder.rglob("*")) if folder.is_dir() else ():
-            relative = path.relative_to(root).as_posix()
-            if any(part.startswith(".") for part in path.relative_to(folder).parts):
+            relative, parts = path.relative_to(root).as_posix(), path.relative_to(folder).parts
+            is_folder, is_link = path.is_dir(), path.is_symlink()
+            if any(part.startswith(".") for part in parts) or (is_folder and not is_link):
                 continue
-            if path.is_dir():
-                if path.is_symlink():  # which the search does not follow: its frames would be missing without a word
-                    raise DatasetError(f"{path}: is a link to a folder; move the frames themselves there")
-                continue
+            if is_folder:  # which the search does not follow: its frames would be missing without a word
+                raise DatasetError(f"{path}: is a link to a folder; move the frames themselves there")
             if path.suffix.lower() not in RAW_EXTENSIONS:
                 skipped.append(relative)
                 continue
-            first = path.relative_to(folder).parts[0]
-            named = _ISO_FOLDER.fullmatch(first)
-            if named is None or first == path.name:
+            named = _ISO_FOLDER.fullmatch(parts[0])
+            if named is None or len(parts) == 1:
                 raise DatasetError(
                     f"{path}: lies in no folder that names its ISO; expected {folder}/ISO100/{path.name} or the like"
                 )

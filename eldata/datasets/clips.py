@@ -145,6 +145,7 @@ class ClipWindows(CroppedItems[_Item, Sample]):
     """
 
     _is_paired: bool
+    source: FrameSource
 
     def __init__(
         self,
@@ -196,11 +197,6 @@ class ClipWindows(CroppedItems[_Item, Sample]):
         ratio = self._ratio(first, reference, clip.frames[0])
         for path in clip.frames:
             self._check_frame(self._frame(path), path, reference or first, reference, first.name, ratio)
-
-    @property
-    def reads_parts(self) -> bool:
-        """Whether the source reads parts of frames."""
-        return self.source.reads_parts
 
     @property
     def may_differ(self) -> bool:

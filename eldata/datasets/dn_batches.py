@@ -58,11 +58,6 @@ class DnPairs(ReadItems[PairItem, DnSample]):
         return len(self.pairs)
 
     @property
-    def reads_parts(self) -> bool:
-        """As that of the pairs."""
-        return self.pairs.reads_parts
-
-    @property
     def may_differ(self) -> bool:
         """As that of the pairs."""
         return self.pairs.may_differ
@@ -127,9 +122,8 @@ def normalise_batch(batch: Mapping[str, Any], *, clip: Clip = "both") -> dict[st
     images = [image for side in SIDES for image in _images(batch, side)]
     on_cpu = batch["input_dn"].device.type == "cpu"
     packed = _by_kernel(images, clip) if on_cpu else _by_torch(images, clip)
-    if batch["input_dn"].ndim == 2:
-        return result | dict(zip(SIDES, packed, strict=True))
-    return result | dict(zip(SIDES, packed.chunk(2), strict=True))
+    sides = packed if batch["input_dn"].ndim == 2 else packed.chunk(2)
+    return result | dict(zip(SIDES, sides, strict=True))
 
 
 class _Image(NamedTuple):

@@ -12,11 +12,9 @@ from eldata.manifest.drv import DYNAMIC, scan_raw
 from eldata.sources.frames import Files
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from eldata.datasets.clips import ListedClips, WindowOptions
-    from eldata.manifest.card import Card
-    from eldata.records import FrameRecord
+    from eldata.manifest.catalogue import Manifest
+    from eldata.manifest.drv import Scan
 
 
 class _Listed(ClipWindows[Sample]):
@@ -25,7 +23,7 @@ class _Listed(ClipWindows[Sample]):
     def __init__(
         self, root: Path | str | None = None, *, manifest: Path | str = "drv", **options: Unpack[WindowOptions]
     ) -> None:
-        super().__init__(*_listed(root, manifest, is_dynamic=not self._is_paired), **options)
+        super().__init__(*_listed(root, manifest, "*", is_dynamic=not self._is_paired), **options)
 
 
 class _Raws(ClipWindows[Sample]):
@@ -39,7 +37,7 @@ class _Raws(ClipWindows[Sample]):
         manifest: Path | str | None = None,
         **options: Unpack[WindowOptions],
     ) -> None:
-        super().__init__(*_raws(root, manifest, reference, is_dynamic=not self._is_paired), **options)
+        super().__init__(*_listed(root, manifest, reference, is_dynamic=not self._is_paired), **options)
 
 
 class DRVDataset(_Listed[ClipSample], PairedClips):
@@ -122,30 +120,16 @@ class DRVRawDynamicDataset(_Raws[UnpairedClipSample], UnpairedClips):
     """
 
 
-def _listed(root: Path | str | None, manifest: Path | str, *, is_dynamic: bool) -> ListedClips:
-    """Return the static or the dynamic clips below a folder, as a manifest lists them."""
-    folder = _folder(root)
-    loaded = shipped_manifest("drv") if manifest == "drv" else load_manifest(manifest)
-    return _clips(folder, loaded.card, loaded.records, is_dynamic=is_dynamic)
-
-
-def _raws(root: Path | str | None, manifest: Path | str | None, reference: str, *, is_dynamic: bool) -> ListedClips:
-    """Return the clips of camera raws below a folder, as found, or as a manifest lists them."""
-    if manifest is not None:
-        return _listed(root, manifest, is_dynamic=is_dynamic)
-    folder = _folder(root)
-    scan = scan_raw(folder, reference=reference)
-    return _clips(folder, scan.card, scan.records, is_dynamic=is_dynamic)
-
-
-def _clips(folder: Path, card: Card, records: Sequence[FrameRecord], *, is_dynamic: bool) -> ListedClips:
-    rows = [row for row in records if (row.split == DYNAMIC) == is_dynamic]
-    return Files(folder, rows), rows, card.subsets, folder
-
-
-def _folder(root: Path | str | None) -> Path:
-    card = shipped_manifest("drv").card
-    folder = data_root() / card.folder if root is None else Path(root)
+def _listed(root: Path | str | None, manifest: Path | str | None, reference: str, *, is_dynamic: bool) -> ListedClips:
+    """Return the static or the dynamic clips below a folder: those of a manifest, or the camera raws found there."""
+    published = shipped_manifest("drv")
+    folder = data_root() / published.card.folder if root is None else Path(root)
     if not folder.is_dir():
-        raise no_folder(folder, card, "VBM4D_rawRGB and long, or short and long")
-    return folder
+        raise no_folder(folder, published.card, "VBM4D_rawRGB and long, or short and long")
+    found: Manifest | Scan
+    if manifest is None:
+        found = scan_raw(folder, reference=reference)
+    else:
+        found = published if manifest == "drv" else load_manifest(manifest)
+    rows = [row for row in found.records if (row.split == DYNAMIC) == is_dynamic]
+    return Files(folder, rows), rows, found.card.subsets, folder

@@ -85,14 +85,15 @@ class ReadItems(Dataset[Sample], ABC, Generic[Item, Sample]):
 
     dtype = "<f4"
     clip: Clip = "both"
+    source: Any = None
 
     @abstractmethod
     def __len__(self) -> int: ...
 
     @property
-    @abstractmethod
     def reads_parts(self) -> bool:
-        """As :attr:`eldata.sources.frames.FrameSource.reads_parts`."""
+        """Whether the source says that its frames read parts (:class:`eldata.sources.frames.FrameSource`)."""
+        return getattr(self.source, "reads_parts", False)
 
     @property
     @abstractmethod
@@ -179,7 +180,7 @@ class ReadItems(Dataset[Sample], ABC, Generic[Item, Sample]):
 
         if self.reads_parts:
             works = [(item, arrays, part) for item, arrays in items for part in self.parts(item)]
-            decodes_long = getattr(getattr(self, "source", None), "decodes_long", False)  # a store says so
+            decodes_long = getattr(self.source, "decodes_long", False)  # a store says so
             in_threads(lambda work: fill(*work), works, reading_threads(len(items), decodes_long=decodes_long))
         else:
             for item, arrays in items:

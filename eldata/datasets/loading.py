@@ -94,7 +94,7 @@ def training_loader(
     batch_size: int,
     **options: Unpack[LoaderOptions],
 ) -> DataLoader[Any]:
-    """Return a DataLoader for training: shuffled anew each epoch, as many whole batches on every rank.
+    """Return a DataLoader for training: shuffled again each epoch, as many whole batches on every rank.
 
     Call :func:`set_epoch` before each epoch. :func:`describe` says what was chosen, and why.
 
@@ -205,11 +205,10 @@ class _Loader(DataLoader[Any]):
             split = _self_splitting(dataset)
             dataset = split.for_training(batch_size, rank) if is_training else split.for_evaluation(batch_size, rank)
             items, order = len(dataset), "in the order of the shards, the workers' batches in turn"
-        elif is_training:
-            sampler = ShuffledSampler(_length(dataset), seed=self.seed, rank=rank)
-            items = len(sampler)
         else:
-            sampler = range(rank.number, _length(dataset), rank.of)
+            length = _length(dataset)
+            parts = range(rank.number, length, rank.of)
+            sampler = ShuffledSampler(length, seed=self.seed, rank=rank) if is_training else parts
             items = len(sampler)
         if is_training and items < batch_size:
             raise ArgumentError(

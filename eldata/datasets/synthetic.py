@@ -33,7 +33,7 @@ class SyntheticSample(NoiseFacts):
 
 
 class SyntheticPairs(NoisyItems[NoisyItem, SyntheticSample]):
-    """Clean crops and noisy exposures of them, made anew in each epoch.
+    """Clean crops and noisy exposures of them, made again in each epoch.
 
     Item i of epoch e depends on (seed, e, i) alone: not on workers, their number, or what was read before. Call
     :meth:`set_epoch` before each epoch; it reaches workers that are running already.
@@ -69,11 +69,6 @@ class SyntheticPairs(NoisyItems[NoisyItem, SyntheticSample]):
         super().__init__(source, profiles, ("crops_per_frame", crops_per_frame), options)
         self.source = source
         self.crops_per_frame = crops_per_frame
-
-    @property
-    def reads_parts(self) -> bool:
-        """Whether the source says that its frames read parts."""
-        return getattr(self.source, "reads_parts", False)
 
     def drawn(self, index: int, generator: np.random.Generator) -> NoisyItem:
         """Draw a crop of frame ``index`` modulo their number, and its noise."""

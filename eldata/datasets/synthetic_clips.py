@@ -52,7 +52,7 @@ class _Item(NoisyItem):
 
 
 class SyntheticClips(NoisyItems[_Item, SyntheticClipSample]):
-    """Windows of clean clips and noisy exposures of them, made anew in each epoch.
+    """Windows of clean clips and noisy exposures of them, made again in each epoch.
 
     Camera, parameters and ratio are drawn once for a window, and so are its place, crop and orientation, which are the
     same for all of its frames. The noise is fresh in each frame. Item i of epoch e depends on (seed, e, i) alone, as in

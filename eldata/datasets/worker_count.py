@@ -44,9 +44,8 @@ def loader_workers(
     here = _ranks_here(rank)
     cpus = usable_cpus()
     count = max(1, cpus // here - 1)
-    reasons = [
-        f"{cpus} CPUs usable" + (f" by {here} ranks, one of each" if here > 1 else ", one") + " left to training"
-    ]
+    left = f" by {here} ranks, one of each" if here > 1 else ", one"
+    reasons = [f"{cpus} CPUs usable{left} left to training"]
     if count > _MOST_WORKERS:
         count = _MOST_WORKERS
         reasons.append(f"more than {_MOST_WORKERS} bring little")

@@ -159,11 +159,8 @@ class Forward:
                 file.seek(self._at)
                 return file
         left = self._at
-        while left > 0:
-            dropped = len(file.read(min(left, _BLOCK_BYTES)))
-            if dropped == 0:
-                break  # the next read says that it is truncated
-            left -= dropped
+        while left > 0 and (dropped := file.read(min(left, _BLOCK_BYTES))):  # at the end the next read says so
+            left -= len(dropped)
         return file
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
 import numpy as np
 from tqdm import tqdm
 
+from eldata import __version__
 from eldata.base.fields import TextFile
 from eldata.base.files import atomic_write, check_same_work, sha256_of, write_json, write_text
 from eldata.base.keywords import keywords
@@ -128,7 +129,7 @@ def write_shards(
             shards.append(shard or _written(path, samples()))
             bar.update(len(part))
     index = ShardIndex(source.store.dataset, tile, overlap, seed, tuple(shards))
-    write_text(folder / INDEX, index_text(index, _version()))
+    write_text(folder / INDEX, index_text(index, f"eldata {__version__}"))
     (folder / BEGUN).unlink()
     return ShardReport(folder, len(index), len(shards), resumed, sum(shard.bytes for shard in shards))
 
@@ -159,7 +160,7 @@ def _digest(planned: Sequence[_Planned]) -> str:
 
 def _begin(folder: Path, options: dict[str, Any]) -> None:
     """Make the folder, or make sure that the same work was begun in it; remove what a killed writer left."""
-    wanted = {"format": FORMAT, "version": VERSION, "written_by": _version(), **options}
+    wanted = {"format": FORMAT, "version": VERSION, "written_by": f"eldata {__version__}", **options}
     try:
         folder.mkdir(parents=True, exist_ok=True)
         there = sorted(path.name for path in folder.iterdir())
@@ -169,7 +170,7 @@ def _begin(folder: Path, options: dict[str, Any]) -> None:
         there = [name for name in there if not _LEFT_OVER.fullmatch(name)]
     except OSError as error:
         raise EldataError(f"cannot write into {folder}: {error.strerror or error}") from error
-    begun = TextFile(folder / BEGUN, EldataError, "remove the folder to start anew").json() if BEGUN in there else None
+    begun = TextFile(folder / BEGUN, EldataError, "remove the folder to start again").json() if BEGUN in there else None
     if INDEX in there:
         raise EldataError(f"{folder}: holds finished shards already; remove it, or name another folder")
     if begun is None:
@@ -206,9 +207,3 @@ def _found(path: Path, samples: Iterable[bytes]) -> Shard | None:
         return shard if sha256_of(path) == shard.sha256 else None
     except OSError as error:
         raise EldataError(f"cannot read {path}: {error.strerror or error}") from error
-
-
-def _version() -> str:
-    from eldata import __version__
-
-    return f"eldata {__version__}"

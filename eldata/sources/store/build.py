@@ -13,6 +13,7 @@ import h5py
 import numpy as np
 from tqdm import tqdm
 
+from eldata import __version__
 from eldata.base.files import check_same_work, inside
 from eldata.base.png import read_rgb16
 from eldata.base.workers import AnyWorkers, Workers, accepts_jobs, require_files
@@ -146,8 +147,6 @@ def _fill(
 
 def _header(source: Source, compression: Compression) -> dict[str, Any]:
     """Return the attributes of a store that is not complete yet."""
-    from eldata import __version__
-
     return {
         "format": FORMAT,
         "version": version_of(path for path, _ in source.files),

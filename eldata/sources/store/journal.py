@@ -141,10 +141,10 @@ class JournaledFile(io.FileIO):
         except FileNotFoundError:
             raise EldataError(
                 f"{self.path}: its journal {self._journal_path.name} is not there, so it cannot be resumed; remove it "
-                "to start anew"
+                "to start again"
             ) from None
         if len(journal) < _HEADER.size or not journal.startswith(_MAGIC):
-            raise EldataError(f"{self._journal_path}: is not a journal of eldata; remove {self.path} to start anew")
+            raise EldataError(f"{self._journal_path}: is not a journal of eldata; remove {self.path} to start again")
         _, size = _HEADER.unpack_from(journal)
         records = []
         at = _HEADER.size

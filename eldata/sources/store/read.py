@@ -9,7 +9,7 @@ import threading
 import weakref
 from contextlib import suppress
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from eldata.manifest.catalogue import Manifest
     from eldata.manifest.pairs import Choice
     from eldata.records import PairRecord
-    from eldata.sources.store.chunks import ChunkTable
 
 # Enough for the chunks of a few rows of a crop; a read visits each chunk once. HDF5 frees it with the frame.
 _CHUNK_CACHE_BYTES = 1 << 20
@@ -128,8 +127,8 @@ class PixelReader:
     """Reads parts of a store's frames, in any process and in several threads at once.
 
     The file is opened in each process that reads, on its first read. It is never shared: a fork closes it first, and a
-    pickled reader opens it anew. Memory does not grow with the store: a thread keeps one chunk, a process the places of
-    the chunks of the frames that it read last.
+    pickled reader opens it again. Memory does not grow with the store: a thread keeps one chunk, a process the places
+    of the chunks of the frames that it read last.
     """
 
     def __init__(self, path: Path) -> None:
@@ -195,17 +194,13 @@ class _Opened:
     """A store's file, and a descriptor of it, which is closed when nobody holds it any more."""
 
     def __init__(self, path: Path) -> None:
-        self.file = opened(path)
-        self.table = lru_cache(_MOST_TABLES)(partial(_table, self.file))
+        self.file = file = opened(path)
+        self.table = lru_cache(_MOST_TABLES)(lambda key: chunk_table(file["frames"][key].id))
         self.number = os.open(path, os.O_RDONLY)
 
     def __del__(self) -> None:
         with suppress(AttributeError, OSError):  # it was not opened
             os.close(self.number)
-
-
-def _table(file: h5py.File, key: str) -> ChunkTable | None:
-    return chunk_table(file["frames"][key].id)
 
 
 _READERS: weakref.WeakSet[PixelReader] = weakref.WeakSet()

@@ -228,7 +228,7 @@ def test_other_work_is_not_mixed_in(eld: Path, tiles: Path, tmp_path: Path, monk
             write_shards(eld, folder, **options)
     assert bytes_of(folder) == before
     (folder / BEGUN).write_text("{")
-    with pytest.raises(EldataError, match=r"is not JSON, or not whole .* remove the folder to start anew"):
+    with pytest.raises(EldataError, match=r"is not JSON, or not whole .* remove the folder to start again"):
         write_shards(eld, folder, tile=16)
     with pytest.raises(EldataError, match="holds finished shards already; remove it, or name another folder"):
         write_shards(eld, tiles, tile=16, samples_per_shard=50)

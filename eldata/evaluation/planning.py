@@ -200,7 +200,7 @@ def _clip_subset(request: Request) -> str | None:
     """Return the name of the subset whose clips are chosen; ``None`` if they are named."""
     subsets = request.manifest.card.subsets
     if request.ids is None and not subsets:
-        raise ArgumentError(f"{request.manifest.path}: its card names no subset; name the clips with ids")
+        raise ArgumentError(f"{request.manifest.path}: its card names no subset; name the clips with --clip (ids)")
     return None if request.ids is not None else request.subset or subsets[0].name
 
 

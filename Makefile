@@ -5,11 +5,11 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
 PYTEST := $(BIN)/pytest -n auto --dist worksteal
-# The marks of pyproject.toml: what takes long, or needs a program or machine that not everybody has.
+# The marks of pyproject.toml: what takes long, or needs a program that not everybody has.
 RARE := study or browser or tether or dask or kill or memory
 
 # The tests start hundreds of processes. Without bytecode, which images of containers like to switch off, each of them
-# would compile the package anew.
+# would compile the package again.
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help demo test test-all test-rest lint bench manifests clean
@@ -43,7 +43,7 @@ test-rest: $(STAMP)
 bench: $(STAMP)  ## Benchmarks against the straightforward routes, about twenty minutes
 	$(BIN)/python -m benchmarks
 
-manifests: $(STAMP)  ## Write the shipped manifests anew
+manifests: $(STAMP)  ## Write the shipped manifests again
 	$(BIN)/python -m manifests.generate
 
 clean:  ## Remove what make made

@@ -112,7 +112,7 @@ def in_turn(rounds: int, ways: Mapping[str, Callable[[], object]], units: Mappin
 
 def peak_growth_mb(work: Callable[[], object]) -> float:
     """Return by how much this process's resident memory rises above its present size during a call, in 10^6 bytes."""
-    Path("/proc/self/clear_refs").write_text("5")  # the peak starts anew
+    Path("/proc/self/clear_refs").write_text("5")  # resets the peak
     before = _status_bytes("VmRSS")
     work()
     return (_status_bytes("VmHWM") - before) / 1e6

@@ -33,7 +33,7 @@ def run(files: Files, rounds: int, cores: int) -> list[Row]:
     def straightforward() -> tuple[float, float]:
         return published.scores(*tensors)
 
-    # What compiling and importing take is no part of the peak.
+    # The memory for compiling and importing is not part of the peak.
     score(prediction[:, :64, :64], reference[:, :64, :64], rescaling="scalar")
     published.scores(*(tensor[:, :64, :64] for tensor in tensors))
     peak_mb, published_mb = peak_growth_mb(ours), peak_growth_mb(straightforward)

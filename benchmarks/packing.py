@@ -31,7 +31,7 @@ def run(files: Files, rounds: int, _cores: int) -> list[Row]:
 
     reused = straightforward()
     assert np.array_equal(ours(), reused)
-    # Packing reads 2 bytes a pixel and writes 4; a copy of 3 bytes a pixel moves as many.
+    # Packing reads 2 bytes per pixel and writes 4; a copy of 3 bytes per pixel moves as many.
     source = np.zeros(3 * mosaic.size, dtype=np.uint8)
     target = np.ones_like(source)
     timings = in_turn(

@@ -1,8 +1,8 @@
 """Which stretch of the frames that were taken is which scene: alignment of sequences by dynamic programming.
 
-The planned sequences (one a scene) and the frames in the order of time are aligned so that as little as possible is
+The planned sequences (one per scene) and the frames in the order of time are aligned so that as little as possible is
 left over: a planned shot without a frame costs something, a frame without a shot costs more. Scenes may stand in any
-order, with any frames in between. Which frames *can* be a shot is the caller's (ISO and exposure time); the order
+order, with any frames in between. The caller says which frames *can* be a shot (ISO and exposure time); the order
 decides the rest. So a skipped shot, a test shot or a retake shifts nothing, as it would if frames were counted.
 
 Every path through the frames is considered, in time proportional to (frames x planned shots of distinct sequences).
@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -49,15 +49,10 @@ class Stretch:
         return sum(index is not None for index in self.frames)
 
 
-@dataclass(frozen=True, slots=True)
-class _Step:
-    """How a cell was reached: the cell before, and the frame that became this shot, if one did."""
-
-    before: tuple[int, int, int]
-    frame: int | None = None
-
-
-# Cells are (sequence, shots done, frames done); sequence -1 stands between sequences, with no shots done.
+# (sequence, shots done, frames done); sequence -1 stands between sequences, with no shots done.
+_Cell: TypeAlias = tuple[int, int, int]
+# How a cell was reached: the cell before, and the frame that became this shot, if one did.
+_Step: TypeAlias = tuple[_Cell, int | None]
 _BETWEEN: Final = -1
 
 
@@ -83,14 +78,14 @@ def align(
     """
     count = len(times_s)
     pauses = _weights(times_s)
-    cost: dict[tuple[int, int, int], float] = {(_BETWEEN, 0, 0): 0.0}
-    steps: dict[tuple[int, int, int], _Step] = {}
+    cost: dict[_Cell, float] = {(_BETWEEN, 0, 0): 0.0}
+    steps: dict[_Cell, _Step] = {}
 
-    def offer(cell: tuple[int, int, int], value: float, step: _Step) -> None:
+    def offer(cell: _Cell, value: float, before: _Cell, frame: int | None = None) -> None:
         # Offered in the order of preference: what comes later must be better, not equal.
         if value < cost.get(cell, math.inf) - 1e-12:
             cost[cell] = value
-            steps[cell] = step
+            steps[cell] = (before, frame)
 
     for done in range(1, count + 1):
         frame = done - 1
@@ -102,35 +97,35 @@ def align(
                 if can_be(sequence, shots - 1, frame):
                     # Going on with the sequence, or beginning it here with the shots up to this one missing.
                     if before in cost:
-                        offer(cell, cost[before] + pauses[frame], _Step(before, frame))
-                    offer(cell, cost[outside] + _MISSING * (shots - 1), _Step(outside, frame))
+                        offer(cell, cost[before] + pauses[frame], before, frame)
+                    offer(cell, cost[outside] + _MISSING * (shots - 1), outside, frame)
                 if same in cost and shots < length:
-                    offer(cell, cost[same] + _EXTRA + pauses[frame], _Step(same))
+                    offer(cell, cost[same] + _EXTRA + pauses[frame], same)
                 skipped = (sequence, shots - 1, done)
                 if skipped in cost:
-                    offer(cell, cost[skipped] + _MISSING, _Step(skipped))
+                    offer(cell, cost[skipped] + _MISSING, skipped)
             end = (sequence, length, done)
             if end in cost:
-                offer(between, cost[end], _Step(end))
-        offer(between, cost[outside] + _EXTRA, _Step(outside))
+                offer(between, cost[end], end)
+        offer(between, cost[outside] + _EXTRA, outside)
     return _found(steps, count)
 
 
-def _found(steps: dict[tuple[int, int, int], _Step], count: int) -> tuple[Stretch, ...]:
+def _found(steps: dict[_Cell, _Step], count: int) -> tuple[Stretch, ...]:
     stretches: list[Stretch] = []
     frames: list[int | None] = []
     cell = (_BETWEEN, 0, count)
     while cell in steps:
-        step = steps[cell]
+        before, frame = steps[cell]
         sequence, shots, _ = cell
         if sequence != _BETWEEN:
-            if step.before[0] == _BETWEEN:  # its beginning
-                frames += [step.frame, *[None] * (shots - 1)]
+            if before[0] == _BETWEEN:  # its beginning
+                frames += [frame, *[None] * (shots - 1)]
                 stretches.append(Stretch(sequence, tuple(reversed(frames))))
                 frames = []
-            elif step.before[1] == shots - 1:
-                frames.append(step.frame)
-        cell = step.before
+            elif before[1] == shots - 1:
+                frames.append(frame)
+        cell = before
     return tuple(reversed(stretches))
 
 

@@ -3,9 +3,9 @@
 The recipe and where it comes from:
 
 - Bias frames: "under a lightless environment with the shortest exposure time ... at a dark room and the camera lens is
-  capped-on" (the paper, section 3.3). Ten an ISO: the noise's shape needs some, and from six on one is kept out to test
-  the result (docs/calibration.md). The paper gives no number; EMVA 1288 takes two dark frames an exposure time, which
-  is enough for a variance but not for a distribution.
+  capped-on" (Wei, Fu, Zheng and Yang, TPAMI 2021, section 3.3). Ten per ISO: the noise's shape needs some, and from six
+  on one is kept out to test the result (docs/calibration.md). The paper gives no number; EMVA 1288 takes two dark
+  frames per exposure time, which is enough for a variance but not for a distribution.
 - Flats: "a white paper on a uniformly-lit wall ... the lens is focused on infinity" (the paper). Two of each exposure,
   one after the other, since the difference of two equal frames is free of shading and fixed pattern (EMVA 1288). Six
   levels from a tenth to nine tenths of the range (docs/calibration.md: four to eight; EMVA 1288 asks for many more, to
@@ -30,15 +30,10 @@ if TYPE_CHECKING:
 
 BIAS_FRAMES: Final = 10
 LEAST_BIAS_FRAMES: Final = 4  # below, eldata calibrate refuses
-FRAMES_A_LEVEL: Final = 2
+FRAMES_PER_LEVEL: Final = 2
 # Wanted mean of the flats over the range above black. Their distances stay above half a stop, so that rounding down to
 # thirds or halves of a stop leaves them apart.
 FLAT_LEVELS: Final = tuple(Fraction(text) for text in ("1/10", "1/6", "1/4", "2/5", "3/5", "9/10"))
-SOURCES: Final = (
-    "Wei, Fu, Zheng and Yang, TPAMI 2021, section 3.3: what bias and flat-field frames are, and how to take them",
-    "EMVA Standard 1288: two frames of each exposure, differenced",
-    "docs/calibration.md: how many, and at which levels",
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +49,7 @@ class CalibrationPlan:
     flat_levels
         Wanted means of the flats, as shares of the range over black; two frames of each.
     flat_clips_at_s
-        Exposure time at the base ISO from which on the evenly lit surface clips.
+        Exposure time at the base ISO from which the evenly lit surface clips.
     shots
         Bias frames of all ISOs, then, cap off, the flats of all ISOs by rising exposure.
     remarks
@@ -90,7 +85,7 @@ def plan_calibration(
     Raises
     ------
     PlanError
-        If the camera has no such ISO, or a number is out of its range.
+        If the camera lacks an ISO, or a number is out of range.
     ImpossibleShotError
         If a flat needs a time that the camera does not have; the message says what to change.
     """
@@ -100,7 +95,7 @@ def plan_calibration(
     if not isos or list(isos) != sorted(set(isos)):
         raise PlanError(f"calibration ISOs: expected one or more, rising; found {list(isos)}")
     if bias_frames < LEAST_BIAS_FRAMES:
-        raise PlanError(f"bias frames an ISO: expected {LEAST_BIAS_FRAMES} or more, found {bias_frames}")
+        raise PlanError(f"bias frames per ISO: expected {LEAST_BIAS_FRAMES} or more, found {bias_frames}")
     if (
         not flat_levels
         or list(flat_levels) != sorted(set(flat_levels))
@@ -111,7 +106,8 @@ def plan_calibration(
         )
     shots: list[Shot] = []
     remarks: list[str] = []
-    clips_at = _given(camera, flat_clips_at_s)
+    named = camera.named(flat_clips_at_s)
+    clips_at = as_exact(flat_clips_at_s) if named is None else named.true_exact  # what the camera gives for it
     for iso in isos:
         fastest = camera.fastest
         shots += [Shot(len(shots) + 1 + n, "bias", iso, fastest.nominal_s, fastest) for n in range(bias_frames)]
@@ -127,15 +123,9 @@ def plan_calibration(
                 )
                 continue
             taken.append(setting.nominal_s)
-            numbers = range(len(shots) + 1, len(shots) + 1 + FRAMES_A_LEVEL)
+            numbers = range(len(shots) + 1, len(shots) + 1 + FRAMES_PER_LEVEL)
             shots += [Shot(n, "flat", iso, target_s, setting, level=level) for n in numbers]
     return CalibrationPlan(isos, bias_frames, flat_levels, flat_clips_at_s, tuple(shots), tuple(remarks))
-
-
-def _given(camera: CameraDescription, seconds: Fraction) -> ExactNumber:
-    """Return what the camera gives for a time that it may have a setting of."""
-    named = camera.named(seconds)
-    return as_exact(seconds) if named is None else named.true_exact
 
 
 def _flat_setting(

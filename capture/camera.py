@@ -15,7 +15,7 @@ from functools import cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
-from capture.capture_errors import CameraError
+from capture.capture_errors import CameraError, naming
 from capture.exact import ExactNumber, as_exact, parse_seconds
 from eldata.base.fields import Fields, TextFile
 from eldata.base.files import write_json
@@ -23,7 +23,6 @@ from eldata.errors import ArgumentError
 from eldata.raw.extensions import RAW_EXTENSIONS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
 SCHEMA: Final = 1
@@ -88,7 +87,15 @@ class ShutterTime:
 
 @cache
 def ladder(step: Fraction) -> dict[Fraction, ShutterTime]:
-    """Return the standard times of a step (a third, half or full stop), fastest first, by what their names say."""
+    """Return the standard times of a step (a third, half or full stop), fastest first, by what their names say.
+
+    Raises
+    ------
+    CameraError
+        If it is another step.
+    """
+    if step not in _LADDERS:
+        raise CameraError(f"shutter step: expected 1/3, 1/2 or 1 stop, found {step}")
     names, first = _LADDERS[step]
     times = [
         ShutterTime(name, parse_seconds(name), ExactNumber(Fraction(1), first + step * index))
@@ -114,7 +121,7 @@ class Shutter:
     Raises
     ------
     CameraError
-        If there is no time, a time is named twice, or a name is none of the step's.
+        If there is no time, a time is named twice, or a name is not a standard time of the step.
     """
 
     dials: tuple[str, ...]
@@ -122,23 +129,19 @@ class Shutter:
     true_times: TrueTimes = "powers-of-two"
 
     def __post_init__(self) -> None:
-        if self.step not in _LADDERS:
-            raise CameraError(f"shutter step: expected 1/3, 1/2 or 1 stop, found {self.step}")
+        ladder(self.step)
         if self.true_times not in get_args(TrueTimes):
             raise CameraError(
                 f"true_times: expected one of {', '.join(get_args(TrueTimes))}, found {self.true_times!r}"
             )
         if not self.dials:
             raise CameraError("shutter times: expected at least one, found none")
-        nominal = [time.nominal_s for time in self.times]
-        for index, time in enumerate(nominal[1:], 1):
-            if time == nominal[index - 1]:
-                raise CameraError(f"shutter times: expected each time once, found {self.dials[index]} twice")
-            if time < nominal[index - 1]:
-                raise CameraError(
-                    f"shutter times: expected the fastest first, found {self.dials[index]} after "
-                    f"{self.dials[index - 1]}"
-                )
+        named = [(dial, time.nominal_s) for dial, time in zip(self.dials, self.times, strict=True)]
+        for (dial_before, before_s), (dial, time_s) in pairwise(named):
+            if time_s == before_s:
+                raise CameraError(f"shutter times: expected each time once, found {dial} twice")
+            if time_s < before_s:
+                raise CameraError(f"shutter times: expected the fastest first, found {dial} after {dial_before}")
 
     @classmethod
     def between(cls, fastest: str, slowest: str, step: Fraction, true_times: TrueTimes = "powers-of-two") -> Shutter:
@@ -147,10 +150,8 @@ class Shutter:
         Raises
         ------
         CameraError
-            If one of them is no standard time of this step, or the fastest is slower than the slowest.
+            If one of them is not a standard time of this step, or the fastest is slower than the slowest.
         """
-        if step not in _LADDERS:
-            raise CameraError(f"shutter step: expected 1/3, 1/2 or 1 stop, found {step}")
         first, last = (_standard(name, step).nominal_s for name in (fastest, slowest))
         if first > last:
             raise CameraError(f"shutter: the fastest time, {fastest} s, is slower than the slowest, {slowest} s")
@@ -167,14 +168,16 @@ class Shutter:
 def _times(dials: tuple[str, ...], step: Fraction, true_times: TrueTimes) -> tuple[ShutterTime, ...]:
     if true_times == "powers-of-two":
         return tuple(_standard(dial, step) for dial in dials)
-    nominal = [(dial, _seconds(dial)) for dial in dials]
-    return tuple(ShutterTime(dial, nominal_s, as_exact(nominal_s)) for dial, nominal_s in nominal)
+    return tuple(ShutterTime(dial, _seconds(dial), as_exact(_seconds(dial))) for dial in dials)
 
 
 @cache
-def _borders(times: tuple[ShutterTime, ...]) -> tuple[ExactNumber, ...]:
-    """Return the squares of the borders between neighbouring times."""
-    return tuple(one.true_exact * other.true_exact for one, other in pairwise(times))
+def _borders(shutter: Shutter) -> tuple[ExactNumber, ...]:
+    """Return the squares of the borders between neighbouring times, and those half a step beyond both ends."""
+    given = [time.true_exact for time in shutter.times]
+    step = ExactNumber(Fraction(1), shutter.step)
+    first, last = (given[1] / given[0], given[-1] / given[-2]) if len(given) > 1 else (step, step)
+    return tuple(one * other for one, other in pairwise([given[0] / first, *given, given[-1] * last]))
 
 
 def _seconds(name: str) -> Fraction:
@@ -192,7 +195,7 @@ def _standard(name: str, step: Fraction) -> ShutterTime:
         return found
     near = min(known.values(), key=lambda time: abs((as_exact(seconds) / time.nominal_s).log2))
     raise CameraError(
-        f"shutter times: {name} s is no standard time in steps of {step} stop; the nearest is {near.dial} s. If the "
+        f"shutter times: {name} s is not a standard time in steps of {step} stop; the nearest is {near.dial} s. If the "
         'camera has just this time, list its times and say "true_times": "as-named"'
     )
 
@@ -204,13 +207,13 @@ class CameraDescription:
     Attributes
     ----------
     name
-        Short name: its folder in the dataset, such as ``SonyA7S2``.
+        Short name, also of its folder in the dataset, such as ``SonyA7S2``.
     models
         How the camera names itself in EXIF, under any name that it is sold by, such as ``ILCE-7SM2``.
     raw_extension
         Of its raw files, with the dot, as the files have it: ``.ARW``.
     isos
-        The ISOs that it has, rising.
+        Its ISOs, rising.
     base_iso
         The ISO of its references: the lowest that is not an extended ("L") one.
     shutter
@@ -221,7 +224,7 @@ class CameraDescription:
     Raises
     ------
     CameraError
-        If a field is not of its kind, or the base ISO is not among the ISOs.
+        If a field is invalid, or the base ISO is not among the ISOs.
     """
 
     name: str
@@ -266,7 +269,8 @@ class CameraDescription:
         """
         top = TextFile(path, CameraError).json()
         top.schema(SCHEMA, "capture")
-        return camera_from(top)
+        with naming(path, CameraError):
+            return camera_from(top)
 
     def save(self, path: Path | str) -> None:
         """Write the description as JSON, whole or not at all."""
@@ -291,25 +295,12 @@ class CameraDescription:
 
         ``None`` if the wanted time lies beyond the camera's fastest or slowest by more than half of a step there.
         """
-        times, wanted = self.shutter.times, as_exact(wanted_s)
+        wanted = as_exact(wanted_s)
         # Nearest by ratio: the border between two neighbours is the root of their product. Squares stay exact.
-        square = wanted * wanted
-        index = bisect_left(_borders(times), square)
-        if index in (0, len(times) - 1) and self._beyond(times, square, index):
+        square, borders = wanted * wanted, _borders(self.shutter)
+        if square < borders[0] or borders[-1] < square:
             return None
-        return times[index]
-
-    def _beyond(self, times: Sequence[ShutterTime], square: ExactNumber, index: int) -> bool:
-        end = times[index].true_exact
-        step = ExactNumber(Fraction(1), self.shutter.step)
-        if index == 0:
-            ratio = step if len(times) == 1 else times[1].true_exact / end
-            if square < end * end / ratio:
-                return True
-        if index == len(times) - 1:
-            ratio = step if len(times) == 1 else end / times[-2].true_exact
-            return end * end * ratio < square
-        return False
+        return self.shutter.times[bisect_left(borders, square, 1, len(borders) - 1) - 1]
 
     def not_above(self, wanted_s: ExactNumber | Fraction) -> ShutterTime | None:
         """Return the slowest setting that gives no more than the wanted time; ``None`` if all give more."""
@@ -348,15 +339,11 @@ def camera_from(top: Fields) -> CameraDescription:
         "base_iso": top.whole("base_iso", at_least=1),
         "cfa": top.optional("cfa", top.choice, "bayer", known=get_args(Cfa)),
     }
-    try:
-        if "times" in shutter.data:
-            found = Shutter(shutter.texts("times"), step, true_times)
-        else:
-            found = Shutter.between(shutter.text("fastest"), shutter.text("slowest"), step, true_times)
-        return CameraDescription(**values, shutter=found)
-    except CameraError as error:
-        text, name = str(error), str(top.file.name)
-        raise error if text.startswith(name) else CameraError(f"{name}: {text}") from None
+    if "times" in shutter.data:
+        found = Shutter(shutter.texts("times"), step, true_times)
+    else:
+        found = Shutter.between(shutter.text("fastest"), shutter.text("slowest"), step, true_times)
+    return CameraDescription(**values, shutter=found)
 
 
 def camera_as_dict(camera: CameraDescription) -> dict[str, Any]:
@@ -396,4 +383,4 @@ EXAMPLE: Final = CameraDescription(
     base_iso=100,
     shutter=Shutter.between("1/8000", "30", Fraction(1, 3)),
 )
-"""The Sony A7S II of the released set, to start one's own description from."""
+"""The Sony A7S II of the released set, to start your own description from."""

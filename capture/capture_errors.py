@@ -1,15 +1,22 @@
-"""The errors of ``capture``, in the manner of :mod:`eldata.errors`: what, expected, found, what to do.
+"""The errors of ``capture``, like those of :mod:`eldata.errors`: what, expected, found, what to do.
 
-Those of a tethered session stop it, and the same command goes on.
+Those of a tethered session stop it, and the same command resumes it.
 """
 
 from __future__ import annotations
 
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
 from eldata.errors import EldataError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
 
 
 class CameraError(EldataError):
-    """A camera description is malformed, or asked for what the camera does not have."""
+    """A camera description is malformed, or asks for what the camera does not have."""
 
 
 class PlanError(EldataError):
@@ -25,7 +32,7 @@ class MappingError(EldataError):
 
 
 class TetherError(EldataError):
-    """A tethered session cannot start or go on; what was taken so far is safe, and the same command goes on."""
+    """A tethered session cannot start or go on; what was taken so far is safe, and the same command resumes it."""
 
 
 class GphotoError(TetherError):
@@ -34,7 +41,7 @@ class GphotoError(TetherError):
     Attributes
     ----------
     output
-        What it wrote, for those who look for more.
+        What it wrote, for those who need the details.
     """
 
     def __init__(self, message: str, output: str = "") -> None:
@@ -48,3 +55,14 @@ class CameraLostError(GphotoError):
 
 class JournalError(TetherError):
     """The journal of a session cannot be read or written, or belongs to another plan."""
+
+
+@contextmanager
+def naming(path: Path | str, kind: type[EldataError]) -> Iterator[None]:
+    """Turn every error from inside into one of this kind that begins with the file's name."""
+    try:
+        yield
+    except EldataError as error:
+        if isinstance(error, kind) and str(error).startswith(str(path)):
+            raise
+        raise kind(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None

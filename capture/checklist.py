@@ -1,8 +1,8 @@
 """The checklist of a plan: one page for a phone or tablet in the dark, or plain text, or Markdown.
 
 The page is one file with its style and script inside; its policy lets it load nothing else. What is entered stays in
-the browser, under the plan's digest, and can be exported (:func:`load_progress`). A scene that meters otherwise than
-planned is planned anew in the page, with the rounding of :mod:`capture.shots`: there in sixth powers, which turn the
+the browser, under the plan's digest, and can be exported (:func:`load_progress`). A scene that meters differently from
+the plan is planned again in the page, with the rounding of :mod:`capture.shots`: there in sixth powers, which turn the
 camera's halves and thirds of a stop into fractions.
 """
 
@@ -11,18 +11,16 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+from dataclasses import asdict
 from fractions import Fraction
-from functools import cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from capture.checklist_content import (
-    BEFORE_BIAS,
-    BEFORE_FLATS,
+    TEMPLATES,
     at_each_scene,
     bias_and_flats,
     every_item,
-    preparation,
+    items,
     rows,
 )
 from capture.checklist_progress import (
@@ -37,12 +35,9 @@ from capture.checklist_progress import (
     load_progress,
 )
 from capture.checklist_text import markdown_checklist, text_checklist
-from eldata import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    import jinja2
 
     from capture.exact import ExactNumber
     from capture.plan import Plan
@@ -60,8 +55,6 @@ __all__ = [
     "text_checklist",
 ]
 
-_TEMPLATES: Final = Path(__file__).parent / "templates"
-
 
 def plan_digest(plan: Plan) -> str:
     """Return ``sha256:<hex>`` of what a plan decides; notes may change without losing what was ticked."""
@@ -74,34 +67,31 @@ def plan_digest(plan: Plan) -> str:
 
 def html_checklist(plan: Plan) -> str:
     """Return the checklist as a page; the same plan gives the same page."""
+    from eldata.reports.html import rendered
+
     # With the line end that stands before them in the page, since the policy's hashes are of elements' whole content.
-    style, script = (
-        "\n" + (_TEMPLATES / f"checklist.{suffix}").read_text(encoding="utf-8") for suffix in ("css", "js")
-    )
+    style, script = ("\n" + (TEMPLATES / f"checklist.{suffix}").read_text(encoding="utf-8") for suffix in ("css", "js"))
     bias, flats = bias_and_flats(plan)
-    return (
-        _environment()
-        .get_template("checklist.html")
-        .render(
-            plan=plan,
-            protocol=plan.protocol,
-            calibration=plan.calibration,
-            frames=len(plan.shots),
-            scene_rows=[(scene, rows(scene.shots)) for scene in plan.scenes],
-            bias=bias,
-            flats=flats,
-            preparation=preparation(plan),
-            before_bias=BEFORE_BIAS,
-            before_flats=BEFORE_FLATS,
-            at_each_scene=at_each_scene(plan),
-            longest_text=LONGEST_TEXT,
-            data=_embedded(_page_data(plan)),
-            style=style,
-            script=script,
-            style_hash=_policy_hash(style),
-            script_hash=_policy_hash(script),
-            version=__version__,
-        )
+    return rendered(
+        "checklist.html",
+        TEMPLATES,
+        plan=plan,
+        protocol=plan.protocol,
+        calibration=plan.calibration,
+        frames=len(plan.shots),
+        scene_rows=[(scene, rows(scene.shots)) for scene in plan.scenes],
+        bias=bias,
+        flats=flats,
+        preparation=items("preparation", plan),
+        before_bias=items("bias", plan),
+        before_flats=items("flats", plan),
+        at_each_scene=at_each_scene(plan),
+        longest_text=LONGEST_TEXT,
+        data=_embedded(_page_data(plan)),
+        style=style,
+        script=script,
+        style_hash=_policy_hash(style),
+        script_hash=_policy_hash(script),
     )
 
 
@@ -111,20 +101,6 @@ FORMATS: Final[dict[str, Callable[[Plan], str]]] = {
     "txt": text_checklist,
 }
 """The formats by their names, which are their files' suffixes too."""
-
-
-@cache
-def _environment() -> jinja2.Environment:
-    import jinja2
-
-    return jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_TEMPLATES),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
 
 
 def _policy_hash(text: str) -> str:
@@ -139,7 +115,7 @@ def _embedded(data: dict[str, Any]) -> str:
 
 
 def _page_data(plan: Plan) -> dict[str, Any]:
-    """Return what the page's script reckons with."""
+    """Return what the page's script computes with."""
     camera, protocol = plan.camera, plan.protocol
     bias, flats = bias_and_flats(plan)
     return {
@@ -150,21 +126,15 @@ def _page_data(plan: Plan) -> dict[str, Any]:
         "isos": camera.isos,
         "base_iso": protocol.base_iso,
         "noisy_isos": protocol.noisy_isos,
-        "step_sixth": _sixth(Fraction(2) ** int(6 * camera.shutter.step)),
+        "step_sixth": str(Fraction(2) ** int(6 * camera.shutter.step)),
         "times": [
-            {"dial": time.dial, "nominal": str(time.nominal_s), "sixth": _sixth(_sixth_power(time.true_exact))}
+            {"dial": time.dial, "nominal": str(time.nominal_s), "sixth": str(_sixth_power(time.true_exact))}
             for time in camera.shutter.times
         ],
         "fitting": _fitting(plan),
-        "frames": [
-            {"number": frame.number, "role": frame.role, "iso": frame.iso, "factor": frame.factor}
-            for frame in protocol.frames()
-        ],
+        "frames": [asdict(frame) for frame in protocol.frames()],
         "scenes": [{"name": scene.name, "metered": str(scene.metered_s)} for scene in plan.scenes],
-        "calibration": [
-            {"number": row.number, "count": row.count, "role": row.role, "iso": row.iso, "dial": row.dial}
-            for row in (*bias, *flats)
-        ],
+        "calibration": [row.as_dict() for row in (*bias, *flats)],
         "preparation": [item.name for item in every_item(plan)],
         "longest_text": LONGEST_TEXT,
         "most_repeats": MOST_REPEATS,
@@ -176,12 +146,8 @@ def _sixth_power(number: ExactNumber) -> Fraction:
     return number.coefficient**6 * Fraction(2) ** int(6 * number.stops)
 
 
-def _sixth(power: Fraction) -> str:
-    return str(power)
-
-
 def _fitting(plan: Plan) -> list[int]:
-    """Return the indices of the first and last setting at which references can be exposed so that all shots fit."""
+    """Return the indices of the first and last setting for the references at which all shots fit."""
     camera, protocol = plan.camera, plan.protocol
     scales = [
         Fraction(protocol.base_iso, frame.iso * frame.factor) for frame in protocol.frames() if frame.factor is not None

@@ -15,7 +15,7 @@ The file is JSON::
     }
 
 ``taken_at`` is the exposure time at which a shot was ticked, ``null`` where it was not. It differs from ``dial`` where
-the scene was metered anew and the shot not taken again; ``dial`` is ``null`` where the metered time asks for what the
+the scene was metered again but the shot not taken again; ``dial`` is ``null`` where the metered time asks for what the
 camera does not have, which :func:`load_progress` refuses with what to change. A plan that has changed since may
 still be read with the file, as long as its scenes and shots are the same.
 """
@@ -46,7 +46,7 @@ MOST_REPEATS: Final = 99
 
 
 class ProgressError(PlanError):
-    """A checklist's exported progress is malformed, or is that of another plan."""
+    """A checklist's exported progress is malformed, or belongs to another plan."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,7 @@ class ShotProgress:
     taken_at
         The exposure time at which it was ticked, as the camera marks it; ``None`` if it was not.
     repeats
-        How often it was taken again: so many more frames (times ``count``) are on the card, and the last ones count.
+        How often it was taken again: that many more frames (times ``count``) are on the card, and the last ones count.
     file, remark
         As written down; empty if nothing was. ``file`` names the first of several.
     """
@@ -79,7 +79,7 @@ class ShotProgress:
 
     @property
     def done(self) -> bool:
-        """Whether it was ticked, at the setting that it is to have."""
+        """Whether it was ticked, at its present setting."""
         return self.taken_at == self.dial
 
 
@@ -145,7 +145,7 @@ def load_progress(path: Path | str, plan: Plan) -> Progress:
     top = TextFile(path, ProgressError).json()
     top.only(("kind", "schema", "plan", "camera", "preparation", "scenes", "calibration"))
     if top.value("kind") != KIND:
-        raise top.wrong("kind", f'"{KIND}", the file that the page\'s Export gives', top.data["kind"])
+        raise top.wrong("kind", f'"{KIND}", the file that the page\'s Export writes', top.data["kind"])
     top.schema(SCHEMA, "capture")
     if top.text("camera") != plan.camera.name:
         raise top.wrong("camera", f"{plan.camera.name!r}, the plan's", top.data["camera"])
@@ -179,18 +179,15 @@ def _shots(fields: Fields, name: str, expected: Sequence[ChecklistRow]) -> tuple
         raise fields.problem(name, f"expected the plan's {len(expected)} rows, found {len(items)} rows")
     found = []
     for shot, row in zip(items, expected, strict=True):
-        shot.only(("number", "count", "role", "iso", "dial", "taken_at", "repeats", "file", "remark"))
-        for key in ("number", "count", "role", "iso", "dial"):
-            value, there = getattr(row, key), shot.value(key)
+        planned = row.as_dict()
+        shot.only((*planned, "taken_at", "repeats", "file", "remark"))
+        for key, value in planned.items():
+            there = shot.value(key)
             if there != value or not isinstance(there, type(value)):
                 raise shot.wrong(key, f"{shown(value)}, as in the plan", there)
         found.append(
             ShotProgress(
-                row.number,
-                row.count,
-                row.role,
-                row.iso,
-                row.dial,
+                **planned,
                 taken_at=None if shot.value("taken_at") is None else shot.text("taken_at"),
                 repeats=shot.whole("repeats", at_most=MOST_REPEATS),
                 file=_words(shot, "file"),

@@ -1,4 +1,4 @@
-"""Exact positive numbers ``c 2^s``: the exposure times that cameras give, which are no fractions.
+"""Exact positive numbers ``c 2^s``: the exposure times that cameras give, which are not fractions.
 
 A shutter marked 1/60 s opens for 2^-6 s, the next faster one for 2^(-19/3) s. With ``c`` and ``s`` as fractions,
 products, quotients and comparisons stay exact, so that rounding to a camera's steps has no near misses.
@@ -88,7 +88,7 @@ def parse_seconds(text: object) -> Fraction:
     Raises
     ------
     ArgumentError
-        If it names none, or none above 0.
+        If it is not a time above 0.
     """
     if not isinstance(text, str):
         raise ArgumentError(f'expected seconds as text, such as "1/2", found {shown(text)}')

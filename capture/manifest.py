@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 class CopiedRow:
     """A row of the manifest, and the file that it is made from."""
 
-    source: Path
+    path: Path
     record: FrameRecord
 
 
@@ -44,7 +44,7 @@ class Dataset:
     rows
         By scene and number.
     remarks
-        What gaps led to: other references, noisy frames left out.
+        The effects of gaps: other references, noisy frames left out.
     """
 
     folder: Path
@@ -69,12 +69,12 @@ def into_layout(plan: Plan, match: Match, folder: Path) -> Dataset:
 
 
 def in_place(plan: Plan, match: Match) -> Dataset:
-    """Return the dataset with its files where they are, below the folder that their folders have in common.
+    """Return the dataset with its files where they are, below the folder that they share.
 
     Raises
     ------
     MappingError
-        If they have none but the root of the file system.
+        If they share only the root of the file system.
     """
     files = {slot: Path(os.path.abspath(frame.path)) for slot, frame in match.frames.items()}  # noqa: PTH100 # links stay
     if not files:
@@ -134,20 +134,15 @@ def _record(plan: Plan, scene: str, shot: Shot, frame: ObservedFrame, path: str,
 
 def with_hashes(dataset: Dataset, workers: Workers = IN_THIS_PROCESS) -> Dataset:
     """Return the dataset with size and SHA-256 of each original filled in: copies are checked against them."""
-    found = workers.run(_size_and_hash, [row.source for row in dataset.rows], label="hashing")
-    rows = [
-        replace(row, record=replace(row.record, size_bytes=size, sha256=digest))
-        for row, (size, digest) in zip(dataset.rows, found, strict=True)
-    ]
-    return replace(dataset, rows=tuple(rows))
+    return replace(dataset, rows=tuple(workers.run(_with_hash, dataset.rows, label="hashing")))
 
 
-def _size_and_hash(path: Path) -> tuple[int, str]:
-    return path.stat().st_size, sha256_of(path)
+def _with_hash(row: CopiedRow) -> CopiedRow:
+    return replace(row, record=replace(row.record, size_bytes=row.path.stat().st_size, sha256=sha256_of(row.path)))
 
 
 def card_of(plan: Plan, name: str, folder: str, records: Sequence[FrameRecord]) -> Card:
-    """Return the dataset's card; what only the photographer knows, such as the licence, is left to be filled in."""
+    """Return the dataset's card; what only the photographer knows, such as the licence, is left to fill in."""
     roles = Counter(record.role for record in records)
     scenes = len({record.scene for record in records} - {""})
     what = [f"{scenes} scene{'' if scenes == 1 else 's'}"] if scenes else []

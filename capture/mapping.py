@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Final
 from capture.capture_errors import MappingError
 from capture.matching import Match, MatchRemark, checked
 from eldata.base.fields import TextFile
-from eldata.base.files import json_text
 
 if TYPE_CHECKING:
     from capture.matching import Slot
@@ -19,35 +18,27 @@ SCHEMA: Final = 1
 
 
 def mapping_as_dict(plan: Plan, observed: Observed, match: Match) -> dict[str, Any]:
-    """Return the mapping as plain JSON types: a line a shot, the files that have none, and the remarks."""
-    shots = []
-    for scene, shot in plan.shots:
-        frame = match.frames.get((scene, shot.number))
-        shots.append(
+    """Return the mapping as plain JSON types: one line per shot, the files without one, and the remarks."""
+    files = {slot: str(frame.path.absolute()) for slot, frame in match.frames.items()}
+    used = {frame.path for frame in match.frames.values()}
+    return {
+        "schema": SCHEMA,
+        "shots": [
             {
                 "scene": scene,
                 "number": shot.number,
                 "shot": f"{shot.role}, ISO {shot.iso}, {shot.setting.dial} s",
-                "file": None if frame is None else str(frame.path.absolute()),
+                "file": files.get((scene, shot.number)),
             }
-        )
-    used = {frame.path for frame in match.frames.values()}
-    unused = [
-        {"file": str(frame.path.absolute()), "settings": frame.settings}
-        for frame in observed.frames
-        if frame.path not in used
-    ]
-    return {
-        "schema": SCHEMA,
-        "shots": shots,
-        "unused": unused,
+            for scene, shot in plan.shots
+        ],
+        "unused": [
+            {"file": str(frame.path.absolute()), "settings": frame.settings}
+            for frame in observed.frames
+            if frame.path not in used
+        ],
         "remarks": [f"{remark.kind}: {remark.text}" for remark in match.remarks],
     }
-
-
-def mapping_text(plan: Plan, observed: Observed, match: Match) -> str:
-    """Return the mapping as the text of its file."""
-    return json_text(mapping_as_dict(plan, observed, match), indent=1)
 
 
 def load_mapping(path: Path | str, plan: Plan, observed: Observed) -> Match:
@@ -60,7 +51,7 @@ def load_mapping(path: Path | str, plan: Plan, observed: Observed) -> Match:
     ------
     MappingError
         If the file is malformed, names a shot that the plan does not have, or a file that was not given, is used twice
-        or has other settings than its shot; the message says which.
+        or has settings different from its shot's; the message says which.
     """
     top = TextFile(path, MappingError).json()
     top.only(("schema", "shots", "unused", "remarks"))
@@ -84,9 +75,9 @@ def load_mapping(path: Path | str, plan: Plan, observed: Observed) -> Match:
         if file in used:
             raise fields.wrong("file", f"each file once ({used[file][0]} frame {used[file][1]} has it)", str(file))
         frames[slot], used[file] = given[file], slot
-    left = [frame for frame in observed.frames if frame.path.resolve() not in used]
     remarks = [
         MatchRemark("extra", f"{frame.path.name}: {frame.settings}: left out by the mapping", path=frame.path)
-        for frame in left
+        for path, frame in given.items()
+        if path not in used
     ]
     return checked(plan, Match(frames, tuple(remarks)))

@@ -1,7 +1,7 @@
 """Which file is which shot of the plan, and everything that did not go as planned.
 
 Frames are matched by their settings and by the order in which they were taken (:mod:`capture.alignment`). What that
-leaves over is explained: a repeated shot is usually a retake, a shot that is missing here and stands there was taken
+leaves over is explained: a repeated shot is usually a retake, a shot that is missing here and found there was taken
 out of order, the rest are test shots or wrong settings. Nothing is dropped without a word.
 """
 
@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal, get_args
 
 from capture.alignment import Stretch, align
@@ -19,14 +20,13 @@ from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
     from capture.observed import Observed, ObservedFrame
     from capture.plan import Plan
     from capture.shots import Shot
 
 # EXIF states the name of a setting or what it gives, rounded in either case; neighbouring settings are a third of a
-# stop apart, of which names take up to a tenth.
+# stop apart, and names account for up to a tenth.
 STOPS_TOLERANCE: Final = 0.125
 _NEAR_STOPS: Final = 1.05  # a wrong setting that was meant for a shot: up to a stop off
 
@@ -34,14 +34,14 @@ Repeated = Literal["last", "first"]
 Kind = Literal[
     "missing", "repeated", "out-of-order", "extra", "wrong-setting", "unusable", "ambiguous", "scene-order", "no-times"
 ]
-# What only informs: the mapping does not depend on it.
+# For information only: the mapping does not depend on it.
 _HARMLESS: Final = ("scene-order", "no-times")
 Slot = tuple[str, int]
 
 
 @dataclass(frozen=True, slots=True)
 class MatchRemark:
-    """One thing that did not go as planned: what kind, which shot or file, and what was made of it."""
+    """One thing that did not go as planned: what kind, which shot or file, and how it was resolved."""
 
     kind: Kind
     text: str
@@ -89,14 +89,13 @@ class _Block:
         return tuple((shot.iso, shot.setting.dial) for shot in self.shots)
 
 
-@dataclass(slots=True)
-class _Found:
-    """A block with the frames that it was found at."""
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Where a block was found, and the frames among which its forgotten shots may be: up to its neighbours' own."""
 
     block: _Block
-    frames: list[int | None]
-    first: int
-    last: int
+    stretch: Stretch
+    window: range
 
 
 def match(plan: Plan, observed: Observed, *, repeated: Repeated = "last") -> Match:
@@ -109,7 +108,7 @@ def match(plan: Plan, observed: Observed, *, repeated: Repeated = "last") -> Mat
     observed
         The files, in the order in which they were taken.
     repeated
-        Which frame of a shot that was taken several times in a row.
+        Which frame to use of a shot that was taken several times in a row.
 
     Raises
     ------
@@ -120,7 +119,8 @@ def match(plan: Plan, observed: Observed, *, repeated: Repeated = "last") -> Mat
         raise ArgumentError(f"repeated must be 'last' or 'first'; found {repeated!r}")
     matcher = _Matcher(plan, observed.frames, repeated)
     remarks = [
-        MatchRemark("unusable", f"{file.path.name}: {file.reason}", path=file.path) for file in observed.unusable
+        MatchRemark("unusable", f"{Path(file.path).name}: {file.reason}", path=Path(file.path))
+        for file in observed.unusable
     ]
     if not observed.by_time:
         remarks.append(
@@ -153,7 +153,11 @@ class _Matcher:
         self.repeated = repeated
         self.remarks: list[MatchRemark] = []
         self.used: dict[int, tuple[_Block, Shot]] = {}
-        self._can_be: dict[tuple[int, str, int], bool] = {}
+        shots = {(shot.iso, shot.setting.dial): shot for block in self.blocks for shot in block.shots}
+        self.fitting = {
+            settings: {index for index, frame in enumerate(frames) if can_be(shot, frame)}
+            for settings, shot in shots.items()
+        }
         start = frames[0].taken if frames else None
         self.times_s = [
             (frame.taken - start).total_seconds() if start is not None and frame.taken is not None else 0.0
@@ -161,27 +165,24 @@ class _Matcher:
         ]
 
     def can_be(self, shot: Shot, index: int) -> bool:
-        key = (shot.iso, shot.setting.dial, index)
-        if key not in self._can_be:
-            self._can_be[key] = can_be(shot, self.frames[index])
-        return self._can_be[key]
+        return index in self.fitting[shot.iso, shot.setting.dial]
 
     def run(self) -> tuple[dict[Slot, ObservedFrame], list[MatchRemark]]:
-        found = self.stretches()
-        for place in found:
-            for shot, index in zip(place.block.shots, place.frames, strict=True):
+        places = self.places()
+        for place in places:
+            for shot, index in zip(place.block.shots, place.stretch.frames, strict=True):
                 if index is not None:
                     self.used[index] = (place.block, shot)
         self.settle_repeats()
-        self.fill_gaps(found)
-        self.name_missing(found)
-        self.name_extra(found)
+        self.fill_gaps(places)
+        self.name_missing(places)
+        self.name_extra(places)
         frames = {(block.scene, shot.number): self.frames[index] for index, (block, shot) in self.used.items()}
         return frames, self.remarks
 
     # --- which stretch is which block ---------------------------------------------------------------------------------
 
-    def stretches(self) -> list[_Found]:
+    def places(self) -> list[_Place]:
         """Return the blocks that were found, in the order of time."""
         kinds: dict[tuple[tuple[int, str], ...], list[_Block]] = defaultdict(list)
         for block in self.blocks:
@@ -192,26 +193,27 @@ class _Matcher:
             lambda sequence, shot, frame: self.can_be(alike[sequence][0].shots[shot], frame),
             self.times_s,
         )
-        found: list[_Found] = []
+        found: list[tuple[_Block, Stretch]] = []
         for sequence, blocks in enumerate(alike):
-            places = self.most_whole([one for one in stretches if one.sequence == sequence], blocks)
-            for block, place in zip(blocks, places, strict=False):
-                found.append(_Found(block, list(place.frames), place.first, place.last))
-            if 0 < len(places) < len(blocks):
+            kept = self.most_whole([one for one in stretches if one.sequence == sequence], blocks)
+            found += zip(blocks, kept, strict=False)
+            if 0 < len(kept) < len(blocks):
                 titles = ", ".join(block.title for block in blocks)
-                lost = ", ".join(block.title for block in blocks[len(places) :])
-                verb = "is" if len(blocks) - len(places) == 1 else "are"
+                lost = ", ".join(block.title for block in blocks[len(kept) :])
+                verb = "is" if len(blocks) - len(kept) == 1 else "are"
                 self.note(
                     "ambiguous",
-                    f"{titles} have equal exposures, and {len(places)} of these {len(blocks)} were found: taken for "
+                    f"{titles} have equal exposures, and {len(kept)} of these {len(blocks)} were found: taken for "
                     f"the first ones, so {lost} {verb} missing. If another one is, edit the mapping",
                 )
-        found.sort(key=lambda place: place.first)
-        self.note_order(found)
-        return found
+        found.sort(key=lambda pair: pair[1].first)
+        self.note_order([block.title for block, _ in found])
+        starts = [0, *(stretch.last + 1 for _, stretch in found)]
+        stops = [*(stretch.first for _, stretch in found[1:]), len(self.frames)]
+        return [_Place(*pair, range(*window)) for pair, *window in zip(found, starts, stops, strict=False)]
 
     def most_whole(self, places: list[Stretch], blocks: Sequence[_Block]) -> list[Stretch]:
-        """Return as many stretches as there are blocks: those with the most shots, the later of two equal ones."""
+        """Return as many stretches as there are blocks: those with the most shots; of two equal ones, the later."""
         spare = len(places) - len(blocks)
         if spare <= 0:
             return places
@@ -227,16 +229,14 @@ class _Matcher:
             )
         return sorted(kept, key=lambda place: place.first)
 
-    def note_order(self, found: Sequence[_Found]) -> None:
-        planned = [block.title for block in self.blocks]
-        taken = [place.block.title for place in found]
-        if taken != [title for title in planned if title in taken]:
+    def note_order(self, taken: Sequence[str]) -> None:
+        if taken != [block.title for block in self.blocks if block.title in taken]:
             self.note("scene-order", f"taken in the order {', '.join(taken)}")
 
     # --- what is left over --------------------------------------------------------------------------------------------
 
     def settle_repeats(self) -> None:
-        """Of frames with equal settings in a row, take the last (or first) ones for the shots among them."""
+        """Where successive frames have equal settings, take the last (or first) ones for the shots among them."""
         same_as_before = [
             index > 0 and self._settings(index) == self._settings(index - 1) for index in range(len(self.frames))
         ]
@@ -260,7 +260,7 @@ class _Matcher:
         """Split a run of equal settings where one scene ends and another begins: at its longest pause there.
 
         The reference at a scene's end and the one at the next scene's beginning may be equal, and so may be the first
-        one of an attempt that was given up.
+        one of an abandoned attempt.
         """
         cuts = set()
         used = [index for index in run if index in self.used]
@@ -293,103 +293,86 @@ class _Matcher:
             text = f"{block.title} frame {shot.number} was taken more than once; the {which} one is used, {taken}"
             self.note("repeated", f"{self.name(index)}: {text}", (block, shot), index)
 
-    def windows(self, found: Sequence[_Found]) -> dict[int, range]:
-        """Return the frames between which each block's forgotten shots may stand: up to its neighbours' own."""
-        result = {}
-        for index in range(len(found)):
-            after = found[index - 1].last + 1 if index else 0
-            before = found[index + 1].first if index + 1 < len(found) else len(self.frames)
-            result[index] = range(after, before)
-        return result
+    def indices(self, block: _Block) -> dict[int, int]:
+        """Return the frame that each shot of a block has by now, by the shot's number."""
+        return {shot.number: index for index, (owner, shot) in self.used.items() if owner is block}
 
-    def fill_gaps(self, found: Sequence[_Found]) -> None:
-        """Give shots without a frame the frame of their settings that stands elsewhere around the scene."""
-        reported = {remark.path for remark in self.remarks if remark.kind == "repeated"}
-        for index, window in self.windows(found).items():
-            place = found[index]
-            at = {shot.number: i for i, (block, shot) in self.used.items() if block is place.block}
+    def unexplained(self) -> list[int]:
+        """Return the frames that are neither used nor remarked on."""
+        explained = {remark.path for remark in self.remarks}
+        return [
+            index for index, frame in enumerate(self.frames) if index not in self.used and frame.path not in explained
+        ]
+
+    def fill_gaps(self, places: Sequence[_Place]) -> None:
+        """Give shots without a frame the frame with their settings that was taken elsewhere around the scene."""
+        for place in places:
+            at = self.indices(place.block)
             for shot in place.block.shots:
                 if shot.number in at:
                     continue
-                spare = [
-                    i
-                    for i in window
-                    if i not in self.used and self.can_be(shot, i) and self.frames[i].path not in reported
-                ]
+                spare = [i for i in self.unexplained() if i in place.window and self.can_be(shot, i)]
                 if not spare:
                     continue
-                before = [i for number, i in at.items() if number < shot.number]
-                middle = max(before) if before else place.first
+                middle = max((i for number, i in at.items() if number < shot.number), default=place.stretch.first)
                 chosen = min(spare, key=lambda i: abs(i - middle))
                 self.used[chosen] = (place.block, shot)
-                at[shot.number] = chosen
                 after = [number for number, i in at.items() if i < chosen]
+                at[shot.number] = chosen
                 where = f"after frame {max(after, key=lambda number: at[number])}" if after else "before all others"
                 text = f"{self.name(chosen)}: {place.block.title} frame {shot.number}, taken out of order ({where})"
                 self.note("out-of-order", text, (place.block, shot), chosen)
 
-    def name_missing(self, found: Sequence[_Found]) -> None:
-        have = {(block.scene, shot.number) for block, shot in self.used.values()}
-        windows = self.windows(found)
+    def name_missing(self, places: Sequence[_Place]) -> None:
         for block in self.blocks:
-            lacking = [shot for shot in block.shots if (block.scene, shot.number) not in have]
-            if len(lacking) == len(block.shots):
-                text = f"{block.title}: none of its {len(lacking)} frames"
-                for shot in lacking:
-                    self.note("missing", text, (block, shot))
-                continue
-            for shot in lacking:
-                settings = f"{shot.role}, ISO {shot.iso}, {shot.setting.dial} s"
-                text = f"{block.title} frame {shot.number} ({settings}): no file"
-                at = next(index for index, place in enumerate(found) if place.block is block)
-                near = self.meant_for(shot, windows[at], found[at])
-                if near is not None:
-                    frame = self.frames[near]
-                    text += f"; {frame.path.name} may be meant, but was taken at {frame.settings}"
-                    wanted = f"{block.title} frame {shot.number} asks for ISO {shot.iso}, {shot.setting.dial} s"
-                    wrong = f"{frame.path.name}: {frame.settings}, where {wanted}; not used"
-                    self.note("wrong-setting", wrong, (block, shot), near)
-                self.note("missing", text, (block, shot))
+            at = self.indices(block)
+            for shot in block.shots:
+                if not at:
+                    self.note("missing", f"{block.title}: none of its {len(block.shots)} frames", (block, shot))
+                elif shot.number not in at:
+                    window = next(place.window for place in places if place.block is block)
+                    self.name_missing_shot(block, shot, self.meant_for(shot, window, at))
 
-    def meant_for(self, shot: Shot, window: range, place: _Found) -> int | None:
-        """Return the left-over frame that stands where a missing shot should, with the ISO or time slightly off."""
-        explained = {remark.path for remark in self.remarks}
-        before = [i for i, (block, other) in self.used.items() if block is place.block and other.number < shot.number]
-        after = [i for i, (block, other) in self.used.items() if block is place.block and other.number > shot.number]
-        low, high = max(before, default=window.start - 1), min(after, default=window.stop)
-        for index in range(low + 1, high):
+    def name_missing_shot(self, block: _Block, shot: Shot, near: int | None) -> None:
+        settings = f"ISO {shot.iso}, {shot.setting.dial} s"
+        text = f"{block.title} frame {shot.number} ({shot.role}, {settings}): no file"
+        if near is not None:
+            frame = self.frames[near]
+            text += f"; {frame.path.name} may be meant, but was taken at {frame.settings}"
+            wanted = f"{block.title} frame {shot.number} asks for {settings}"
+            wrong = f"{frame.path.name}: {frame.settings}, where {wanted}; not used"
+            self.note("wrong-setting", wrong, (block, shot), near)
+        self.note("missing", text, (block, shot))
+
+    def meant_for(self, shot: Shot, window: range, at: dict[int, int]) -> int | None:
+        """Return the left-over frame that is where a missing shot should be, with the ISO or time slightly off."""
+        low = max((i for number, i in at.items() if number < shot.number), default=window.start - 1)
+        high = min((i for number, i in at.items() if number > shot.number), default=window.stop)
+        for index in self.unexplained():
             frame = self.frames[index]
-            if index in self.used or frame.path in explained:
-                continue
             off = shot.setting.stops_off(frame.exposure_s)
-            if (frame.iso == shot.iso and off <= _NEAR_STOPS) or (frame.iso != shot.iso and off <= STOPS_TOLERANCE):
+            if low < index < high and off <= (_NEAR_STOPS if frame.iso == shot.iso else STOPS_TOLERANCE):
                 return index
         return None
 
-    def name_extra(self, found: Sequence[_Found]) -> None:
-        explained = {remark.path for remark in self.remarks}
-        windows = self.windows(found)
-        for index, frame in enumerate(self.frames):
-            if index in self.used or frame.path in explained:
-                continue
-            text = f"{frame.path.name}: {frame.settings}: no shot of the plan; not used"
+    def name_extra(self, places: Sequence[_Place]) -> None:
+        for index in self.unexplained():
+            frame = self.frames[index]
+            text = f"{frame.path.name}: {frame.settings}: not a shot of the plan; not used"
             kind: Kind = "extra"
-            for at, window in windows.items():
-                block = found[at].block
-                around = range(min(window.start, found[at].first), max(window.stop, found[at].last + 1))
-                same = [shot for shot in block.shots if index in around and self.can_be(shot, index)]
-                if same:
+            for place in places:
+                same = [str(shot.number) for shot in place.block.shots if self.can_be(shot, index)]
+                if same and index in place.window:
                     kind = "repeated"
-                    numbers = " or ".join(str(shot.number) for shot in same[:4])
                     text = (
-                        f"{frame.path.name}: {frame.settings}, as {block.title} frame {numbers}, which other files in "
-                        "their order were taken for; not used"
+                        f"{frame.path.name}: {frame.settings}, as {place.block.title} frame {' or '.join(same[:4])}, "
+                        "for which other files in the right order are used; not used"
                     )
                     break
             self.note(kind, text, frame=index)
 
     def note(self, kind: Kind, text: str, of: tuple[_Block, Shot] | None = None, frame: int | None = None) -> None:
-        """Remark on something, of which shot and which frame."""
+        """Remark on something, with the shot and the frame that it concerns."""
         path = None if frame is None else self.frames[frame].path
         scene, number = ("", None) if of is None else (of[0].scene, of[1].number)
         self.remarks.append(MatchRemark(kind, text, scene, number, path))

@@ -1,4 +1,4 @@
-"""What the camera brought home: raw files with what EXIF says of them, in the order in which they were taken."""
+"""The camera's raw files, with what EXIF says of them, in the order in which they were taken."""
 
 from __future__ import annotations
 
@@ -38,14 +38,6 @@ class ObservedFrame:
 
 
 @dataclass(frozen=True, slots=True)
-class UnusableFile:
-    """A file that cannot be matched, and why."""
-
-    path: Path
-    reason: str
-
-
-@dataclass(frozen=True, slots=True)
 class Observed:
     """All files that were given.
 
@@ -54,13 +46,13 @@ class Observed:
     frames
         In the order in which they were taken.
     unusable
-        Damaged files, those without ISO or exposure time, those of another camera.
+        Why files cannot be matched: damaged, without ISO or exposure time, of another camera.
     by_time
-        Whether EXIF gave the order; else the names did.
+        Whether the order is that of EXIF; if not, it is that of the names.
     """
 
     frames: tuple[ObservedFrame, ...]
-    unusable: tuple[UnusableFile, ...]
+    unusable: tuple[RawFileError, ...]
     by_time: bool
 
 
@@ -77,17 +69,17 @@ def raw_files(given: Iterable[Path | str], extension: str, outside: Path | None 
     Parameters
     ----------
     given
-        Files and folders. Of folders, hidden files are left alone.
+        Files and folders. In folders, hidden files are ignored.
     extension
-        The camera's, with the dot; upper and lower case are the same. A file that is given by itself may have any raw
-        extension, so that a wrong one shows.
+        The camera's, with the dot; upper and lower case are the same. A file given by name may have any raw
+        extension, so that a wrong one is noticed.
     outside
         A folder whose files are not taken: where copies go.
 
     Raises
     ------
     MappingError
-        If a name is neither a file nor a folder, or there is no raw file among them.
+        If a name is neither a file nor a folder, or none of the files is raw.
     """
     found: dict[Path, Path] = {}
     away = None if outside is None else outside.resolve()
@@ -103,7 +95,7 @@ def raw_files(given: Iterable[Path | str], extension: str, outside: Path | None 
         elif name.is_file():
             paths = [name] if name.suffix.lower() in RAW_EXTENSIONS else []
         else:
-            raise MappingError(f"{name}: there is no such file or folder")
+            raise MappingError(f"{name}: no such file or folder")
         for path in paths:
             resolved = path.resolve()
             if away is None or not resolved.is_relative_to(away):
@@ -119,7 +111,7 @@ def observe(paths: Sequence[Path], models: Sequence[str], workers: Workers = IN_
     """Read what EXIF says of each file, and put the files into the order in which they were taken.
 
     The order is that of DateTimeOriginal with its fraction of a second; frames of the same second that have no fraction
-    stand in the order of their names. If a file has no time, all are ordered by folder and name, as cameras number
+    are in the order of their names. If a file has no time, all are ordered by folder and name, as cameras number
     them.
 
     Parameters
@@ -129,39 +121,47 @@ def observe(paths: Sequence[Path], models: Sequence[str], workers: Workers = IN_
     models
         The camera's names in EXIF: files of another camera are unusable.
     workers
-        Who reads the files.
+        The workers that read the files.
     """
     frames: list[ObservedFrame] = []
-    unusable: list[UnusableFile] = []
+    unusable: list[RawFileError] = []
     known = {model.casefold() for model in models}
     for found in workers.run(_observe, paths, label="reading EXIF"):
-        if isinstance(found, UnusableFile):
+        if isinstance(found, RawFileError):
             unusable.append(found)
         elif found.model.casefold() not in known:
             reason = (
                 f"was taken by {found.model or 'a camera that it does not name'}; the plan's is {' or '.join(models)}"
             )
-            unusable.append(UnusableFile(found.path, reason))
+            unusable.append(RawFileError(found.path, reason))
         else:
             frames.append(found)
     by_time = all(frame.taken is not None for frame in frames)
-    if by_time:
-        frames.sort(key=lambda frame: (frame.taken, _natural(frame.path)))
-    else:
-        frames.sort(key=lambda frame: _natural(frame.path))
+    frames.sort(key=lambda frame: (frame.taken if by_time else None, _natural(frame.path)))
     return Observed(tuple(frames), tuple(unusable), by_time)
 
 
-def _observe(path: Path) -> ObservedFrame | UnusableFile:
+def _observe(path: Path) -> ObservedFrame | RawFileError:
+    try:
+        return observe_one(path)
+    except RawFileError as error:
+        return error
+
+
+def observe_one(path: Path) -> ObservedFrame:
+    """Read what EXIF says of a file.
+
+    Raises
+    ------
+    RawFileError
+        If it is damaged, or states no ISO or exposure time.
+    """
     from eldata.raw.reading import read_header
 
-    try:
-        header = read_header(path)
-    except RawFileError as error:
-        return UnusableFile(path, error.reason)
+    header = read_header(path)
     iso, exposure_s = header.exposure.iso, header.exposure.exposure_s
     if iso is None or exposure_s is None:
-        return UnusableFile(path, f"states no {'ISO' if iso is None else 'exposure time'}: copy the original file")
+        raise RawFileError(path, f"states no {'ISO' if iso is None else 'exposure time'}: copy the original file")
     return ObservedFrame(path, iso, exposure_s, header.taken, header.model)
 
 

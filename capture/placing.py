@@ -1,14 +1,14 @@
 """Files into the dataset's layout by copy or hard link: originals stay, what is there already is never replaced.
 
-Symbolic links are not made: a dataset whose files lie elsewhere is refused by ``eldata verify`` and every reader, since
-a link that leads outside of its folder is how a manifest from a stranger would reach other files.
+Symbolic links are not made: ``eldata verify`` and every reader refuse a dataset whose files are elsewhere, since a link
+that leads out of its folder is how a manifest from a stranger would reach other files.
 """
 
 from __future__ import annotations
 
-import hashlib
 import os
 import secrets
+import shutil
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
@@ -25,16 +25,11 @@ _PIECE: Final = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """One file to place: where it is, where it goes, and the hash of its content (``sha256:<hex>``)."""
+    """One file to place: where it is, where it goes, and its hash (``sha256:<hex>``)."""
 
-    source: Path
+    path: Path
     target: Path
     sha256: str
-
-    @property
-    def path(self) -> Path:
-        """The source: what an error of a worker names."""
-        return self.source
 
 
 def check_free(placements: Iterable[Placement]) -> None:
@@ -48,7 +43,7 @@ def check_free(placements: Iterable[Placement]) -> None:
     for placement in placements:
         if os.path.lexists(placement.target) and not _holds(placement):
             raise MappingError(
-                f"{placement.target} is there already with another content than {placement.source}; nothing was "
+                f"{placement.target} is there already with another content than {placement.path}; nothing was "
                 "copied. Choose another folder, or move that file away"
             )
 
@@ -61,24 +56,23 @@ def copy(placement: Placement) -> None:
     MappingError
         If the target holds something else, or the source changed meanwhile.
     """
-    source, target = placement.source, placement.target
+    source, target = placement.path, placement.target
     if _holds(placement):
         return
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = target.parent / f".{target.name}.{secrets.token_hex(8)}.part"
     try:
-        digest = hashlib.sha256()
         with source.open("rb") as reading, temporary.open("xb") as writing:
-            while piece := reading.read(_PIECE):
-                digest.update(piece)
-                writing.write(piece)
+            shutil.copyfileobj(reading, writing, _PIECE)
             writing.flush()
             os.fsync(writing.fileno())
             seen = os.fstat(reading.fileno())
-        if f"sha256:{digest.hexdigest()}" != placement.sha256:
+        if sha256_of(temporary) != placement.sha256:
             raise MappingError(f"{source} changed while it was being copied; run this again")
         os.utime(temporary, ns=(seen.st_atime_ns, seen.st_mtime_ns))
-        _rename_to_new(temporary, target)
+        rename_to_new(temporary, target)
+    except FileExistsError:
+        raise _occupied(target) from None
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
@@ -96,17 +90,17 @@ def link(placement: Placement) -> None:
         return
     placement.target.parent.mkdir(parents=True, exist_ok=True)
     try:
-        placement.target.hardlink_to(placement.source)
+        placement.target.hardlink_to(placement.path)
     except FileExistsError:
         raise _occupied(placement.target) from None
     except OSError as error:
         raise MappingError(
-            f"{placement.target} cannot be a hard link to {placement.source} ({error.strerror}); use --copy-to"
+            f"{placement.target} cannot be a hard link to {placement.path} ({error.strerror}); use --copy-to"
         ) from error
 
 
 def _holds(placement: Placement) -> bool:
-    source, target = placement.source, placement.target
+    source, target = placement.path, placement.target
     if not target.is_file():
         return False
     if target.samefile(source):
@@ -114,16 +108,26 @@ def _holds(placement: Placement) -> bool:
     return target.stat().st_size == source.stat().st_size and sha256_of(target) == placement.sha256
 
 
-def _rename_to_new(temporary: Path, target: Path) -> None:
-    """Rename, but fail if the target exists: a plain rename would replace it without a word."""
+def rename_to_new(source: Path, target: Path) -> None:
+    """Rename a file, but never over another one: a plain rename would replace it without a word.
+
+    Raises
+    ------
+    FileExistsError
+        If the target exists.
+    OSError
+        If the disk refuses.
+    """
     try:
-        target.hardlink_to(temporary)
+        target.hardlink_to(source)
     except FileExistsError:
-        raise _occupied(target) from None
+        raise
     except OSError:  # a file system without hard links, such as a memory card's
         if os.path.lexists(target):
-            raise _occupied(target) from None
-        temporary.rename(target)
+            raise FileExistsError from None
+        source.rename(target)
+    else:
+        source.unlink()
 
 
 def _occupied(target: Path) -> MappingError:

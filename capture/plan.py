@@ -1,14 +1,13 @@
 """The capture plan: what to photograph with one camera, scene by scene, as a file that can be changed and resumed.
 
 The file states what was decided (camera, protocol, metered times) and, for readers in other languages, the shots that
-follow. On load they are computed again and must agree: a shot changed by hand would give a ratio that nobody notices.
+follow. On load they are computed again and must agree: nobody would notice the ratio of a shot changed by hand.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -16,20 +15,19 @@ from typing import TYPE_CHECKING, Any, Final
 
 from capture.calibration import CalibrationPlan, plan_calibration
 from capture.camera import CameraDescription, camera_as_dict, camera_from, wholes
-from capture.capture_errors import PlanError
+from capture.capture_errors import PlanError, naming
 from capture.exact import parse_seconds
 from capture.protocol import CaptureProtocol
 from capture.shots import Shot, check_isos, scene_shots
 from eldata.base.fields import Fields, TextFile, shown
 from eldata.base.files import write_json
-from eldata.errors import EldataError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
 SCHEMA: Final = 1
 CALIBRATION: Final = "calibration"
-# As eldata verify has it: a pair whose ratio is further off its nominal one is refused there.
+# As in eldata verify, which refuses a pair whose ratio is further off its nominal one.
 RATIO_TOLERANCE: Final = Fraction(1, 10)
 _MOST_BIAS_FRAMES: Final = 10_000  # of one ISO: every shot is planned
 _SCENE: Final = re.compile(r"scene-[1-9][0-9]{0,5}")
@@ -48,7 +46,7 @@ class ScenePlan:
     shots
         In the order in which they are taken.
     notes
-        The photographer's own: what the scene shows.
+        The photographer's notes: what the scene shows.
     """
 
     name: str
@@ -113,7 +111,7 @@ class Plan:
             if _SCENE.fullmatch(scene.name) is None:
                 raise PlanError(
                     f"scene name: expected scene-1, scene-2 and so on, as the dataset's folders are called; found "
-                    f"{scene.name!r} (what it shows belongs into its notes)"
+                    f"{scene.name!r} (what it shows belongs in its notes)"
                 )
             if scene.name in names:
                 raise PlanError(f"scene names: expected each once, found {scene.name} twice")
@@ -132,7 +130,7 @@ class Plan:
         Raises
         ------
         PlanError
-            If there is none of that name; the message lists those that there are.
+            If the name is unknown; the message lists the plan's scenes.
         """
         for scene in self.scenes:
             if scene.name == name:
@@ -146,11 +144,12 @@ class Plan:
         Raises
         ------
         PlanError
-            If the name is no ``scene-<n>`` or is taken.
+            If the name is not ``scene-<n>`` or is taken.
         ImpossibleShotError
             If one of its shots is beyond the camera.
         """
-        return replace(self, scenes=(*self.scenes, self._planned(name, metered_s, tuple(notes))))
+        added = plan_scene(self.camera, self.protocol, name, metered_s, tuple(notes))
+        return replace(self, scenes=(*self.scenes, added))
 
     def remeter(self, name: str, metered_s: Fraction) -> Plan:
         """Return the plan with a scene's shots computed from another metered time; its notes stay.
@@ -158,11 +157,11 @@ class Plan:
         Raises
         ------
         PlanError
-            If there is no such scene.
+            If the scene is unknown.
         ImpossibleShotError
             If one of its shots is beyond the camera.
         """
-        changed = self._planned(name, metered_s, self.scene(name).notes)
+        changed = plan_scene(self.camera, self.protocol, name, metered_s, self.scene(name).notes)
         return replace(self, scenes=tuple(changed if scene.name == name else scene for scene in self.scenes))
 
     def add_note(self, name: str, note: str) -> Plan:
@@ -171,7 +170,7 @@ class Plan:
         Raises
         ------
         PlanError
-            If there is no such scene.
+            If the scene is unknown.
         """
         noted = replace(self.scene(name), notes=(*self.scene(name).notes, note))
         return replace(self, scenes=tuple(noted if scene.name == name else scene for scene in self.scenes))
@@ -182,7 +181,7 @@ class Plan:
         Raises
         ------
         PlanError
-            If there is no such scene, or there are no calibration frames.
+            If a scene is unknown, or there are no calibration frames.
         """
         if CALIBRATION in names and self.calibration is None:
             raise PlanError("the plan has no calibration frames")
@@ -192,9 +191,6 @@ class Plan:
             scenes=tuple(scene for scene in self.scenes if scene.name in wanted),
             calibration=self.calibration if CALIBRATION in names else None,
         )
-
-    def _planned(self, name: str, metered_s: Fraction, notes: tuple[str, ...]) -> ScenePlan:
-        return plan_scene(self.camera, self.protocol, name, metered_s, notes)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the plan as plain JSON types: the content of its file."""
@@ -264,7 +260,7 @@ def make_plan(
     Raises
     ------
     PlanError
-        If there is nothing to take, a name is no ``scene-<n>``, or the camera does not have one of the ISOs.
+        If there is nothing to take, a name is not ``scene-<n>``, or the camera does not have one of the ISOs.
     ImpossibleShotError
         If one of the shots is beyond the camera.
     """
@@ -311,7 +307,7 @@ def _load(path: Path) -> Plan:
     top = TextFile(path, PlanError).json()
     top.only(("schema", "camera", "protocol", "scenes", "calibration"))
     top.schema(SCHEMA, "capture")
-    with _naming(path):
+    with naming(path, PlanError):
         camera = camera_from(top.inside("camera"))
         fields = top.inside("protocol")
         fields.only(("base_iso", "noisy_isos", "low_light_factors"))
@@ -323,17 +319,6 @@ def _load(path: Path) -> Plan:
         if top.value("calibration") is not None:
             calibration = _calibration(top.inside("calibration"), camera, protocol)
         return Plan(camera, protocol, scenes, calibration)
-
-
-@contextmanager
-def _naming(path: Path) -> Iterator[None]:
-    """Let errors from inside be a plan's, and name the file."""
-    try:
-        yield
-    except EldataError as error:
-        if isinstance(error, PlanError) and str(error).startswith(f"{path}"):
-            raise
-        raise PlanError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
 
 
 def _scene(fields: Fields, camera: CameraDescription, protocol: CaptureProtocol) -> ScenePlan:

@@ -55,12 +55,12 @@ class CaptureProtocol:
     noisy_isos
         ISOs of the noisy frames, in the order in which they are taken: the algorithm's ``g_h``.
     low_light_factors
-        By how much less light the noisy frames get, in any order: the algorithm's ``f``.
+        How much less light the noisy frames get, in any order: the algorithm's ``f``.
 
     Raises
     ------
     ArgumentError
-        If a value is no positive whole number, or if a tuple is empty or repeats a value.
+        If a value is not a positive whole number, or if a tuple is empty or repeats a value.
     """
 
     base_iso: int = 100
@@ -120,7 +120,7 @@ class CaptureProtocol:
         ArgumentError
             If ``frame`` is not of this protocol, or if ``metered_s`` is not an exact number above 0.
         """
-        if not _is_exact(metered_s):
+        if type(metered_s) not in (Fraction, int):
             raise ArgumentError(f"metered_s must be a Fraction, so that exposures are exact; found {metered_s!r}")
         if metered_s <= 0:
             raise ArgumentError(f"metered_s must be above 0 seconds, found {metered_s}")
@@ -134,10 +134,6 @@ class CaptureProtocol:
 def _nearest(references: list[int], number: int) -> int:
     # The references rise, and min() returns the first of two that are equally near: the earlier.
     return min(references, key=lambda reference: abs(number - reference))
-
-
-def _is_exact(value: object) -> bool:
-    return isinstance(value, Fraction | int) and not isinstance(value, bool)
 
 
 def _check_positive(name: str, value: object) -> None:
@@ -157,10 +153,10 @@ def _check_distinct(name: str, values: object) -> None:
 
 
 RELEASED = CaptureProtocol()
-"""The released set: 16 frames a scene, with the factors 1 and 10 beside the paper's 100 and 200."""
+"""The released set: 16 frames per scene, with the factors 1 and 10 beside the paper's 100 and 200."""
 
 PAPER = CaptureProtocol(low_light_factors=(100, 200))
-"""The paper's own settings: six noisy frames a scene, 240 pairs over ten scenes and four cameras.
+"""The paper's own settings: six noisy frames per scene, 240 pairs over ten scenes and four cameras.
 
 Its frames are numbered on their own, 1 to 10; the released files keep the numbers of :data:`RELEASED`.
 """

@@ -55,14 +55,14 @@ class Shot:
 
     @property
     def error_stops(self) -> float | None:
-        """By how many stops the true ratio lies above the nominal factor."""
+        """How many stops the true ratio lies above the nominal factor."""
         if self.true_ratio is None or self.factor is None:
             return None
         return (self.true_ratio / self.factor).log2
 
     @property
     def error_percent(self) -> float | None:
-        """By how much per cent the true ratio lies above the nominal factor."""
+        """How many per cent the true ratio lies above the nominal factor."""
         if self.true_ratio is None or self.factor is None:
             return None
         return 100 * (float(self.true_ratio / self.factor) - 1)
@@ -99,17 +99,12 @@ def check_isos(camera: CameraDescription, protocol: CaptureProtocol) -> None:
             )
 
 
-def reference_setting(camera: CameraDescription, metered_s: Fraction) -> ShutterTime | None:
-    """Return the setting of a metered time: the one marked so, else the nearest; ``None`` beyond the camera's."""
-    return camera.named(metered_s) or camera.nearest(metered_s)
-
-
 def _shots_or_none(
     camera: CameraDescription, protocol: CaptureProtocol, metered_s: Fraction
 ) -> tuple[Shot, ...] | ProtocolFrame:
     """Return the shots, or the first frame that the camera cannot take."""
     frames = protocol.frames()
-    base = reference_setting(camera, metered_s)
+    base = camera.named(metered_s) or camera.nearest(metered_s)
     if base is None:
         return frames[0]
     shots = []
@@ -123,19 +118,9 @@ def _shots_or_none(
         if setting is None:
             return frame
         speeds = Fraction(protocol.base_iso, frame.iso)
-        shots.append(
-            Shot(
-                number=frame.number,
-                role=frame.role,
-                iso=frame.iso,
-                target_s=target_s,
-                setting=setting,
-                factor=frame.factor,
-                reference=frame.reference,
-                true_ratio=base.true_exact / setting.true_exact * speeds,
-                named_ratio=base.nominal_s / setting.nominal_s * speeds,
-            )
-        )
+        ratios = (base.true_exact / setting.true_exact * speeds, base.nominal_s / setting.nominal_s * speeds)
+        shot = Shot(frame.number, frame.role, frame.iso, target_s, setting, frame.factor, frame.reference, *ratios)
+        shots.append(shot)
     return tuple(shots)
 
 

@@ -18,7 +18,7 @@ class EldataError(Exception):
 
 
 class ArgumentError(EldataError, ValueError):
-    """An argument is outside of what the function accepts."""
+    """An argument is not one that the function accepts."""
 
 
 def check_choice(name: str, value: object, known: Collection[object]) -> None:
@@ -52,7 +52,7 @@ class ManifestError(EldataError):
 
 
 class DatasetError(EldataError):
-    """A dataset's files do not fit what was asked of them."""
+    """A dataset's files are not what was asked for."""
 
 
 class ProfileError(EldataError):
@@ -60,8 +60,8 @@ class ProfileError(EldataError):
 
 
 class DownloadError(EldataError):
-    """A file cannot be fetched or written; what has come so far is kept unless the message says otherwise."""
+    """A file cannot be fetched or written; what has arrived is kept, unless the message says that it is not."""
 
 
 class ArchiveError(FileError):
-    """An archive is damaged, unsafe to unpack, or a different one from what was asked for."""
+    """An archive is damaged, unsafe to unpack, or not the one that was asked for."""

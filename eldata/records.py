@@ -22,7 +22,7 @@ Matrix3 = tuple[tuple[float, float, float], tuple[float, float, float], tuple[fl
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """What a raw file says of the sensor that took it.
+    """What a raw file says about the sensor that took it.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class Exposure:
 
 @dataclass(frozen=True, slots=True)
 class RawHeader:
-    """What a raw file says of itself before its pixels are decoded.
+    """What a raw file says about itself, before its pixels are decoded.
 
     ``taken``: by the camera's clock, which knows no time zone, with a fraction of a second where the file has one.
     """
@@ -111,7 +111,10 @@ class RawFrame:
 
 @dataclass(frozen=True, slots=True)
 class FrameRecord:
-    """One row of a manifest: one file of a dataset. ``path`` and ``reference`` are relative POSIX paths."""
+    """One row of a manifest: one file of a dataset. ``path`` and ``reference`` are relative POSIX paths.
+
+    The fields, in this order, are the columns of a manifest's file: others read them, so none changes.
+    """
 
     path: str
     role: Role

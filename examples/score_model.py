@@ -28,7 +28,7 @@ def main(root: Path, predictions: Path, manifest: str = "eld") -> None:
     """Predict every pair of the protocol, then print the table."""
     dataset = ELDDataset(root, manifest=manifest)
     print(dataset)
-    # Frames of different cameras differ in size, so one a batch; the workers decode.
+    # Frames of different cameras differ in size, so one per batch; the workers decode.
     for batch in DataLoader(dataset, batch_size=1, num_workers=2):
         with torch.no_grad():
             output = model(batch["input"])

@@ -1,8 +1,8 @@
 """Write the shipped manifests and their cards: ``python -m manifests.generate`` (or ``make manifests``).
 
-The SID rows come from ``facts/sid-*.csv``, one line a scene. ``python -m manifests.generate --sid-lists FOLDER`` writes
-those anew first, from the file lists of the SID repository (its folder ``dataset``). ``--drv-lists FOLDER`` does the
-same for ``facts/drv.csv``, one line a clip, from the lists of the DRV repository (its folder ``DRV``).
+The SID rows come from ``facts/sid-*.csv``, one line per scene. ``python -m manifests.generate --sid-lists FOLDER``
+first writes those again from the file lists of the SID repository (its folder ``dataset``). ``--drv-lists FOLDER`` does
+the same for ``facts/drv.csv``, one line per clip, from the lists of the DRV repository (its folder ``DRV``).
 """
 
 import argparse

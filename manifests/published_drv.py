@@ -47,7 +47,7 @@ def splits_from_lists(lists: Mapping[str, Path]) -> dict[str, str]:
     Raises
     ------
     ManifestError
-        If a clip stands in the lists twice.
+        If a clip is listed twice.
     """
     split_of: dict[str, str] = {}
     for split, path in lists.items():

@@ -1,6 +1,6 @@
 """The published ELD set: its cameras, its rows and its card.
 
-Sources: as :mod:`eldata.manifest.eld` has them.
+Sources: see :mod:`eldata.manifest.eld`.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 A file is ``<folder>/{short,long}/SNNNN_BB_Ts.<ext>``. SNNNN is the scene, its first digit S the split (0 train, 1 test,
 2 validation); BB is the number in the burst; T is the exposure time in seconds, where ``0.033`` means 1/30. Every scene
-has one long exposure, ``00``, and bursts of short ones, numbered from ``00`` on without gaps. So a table of one row a
-scene says all: its ISO, its long exposure, and how many shots each short burst has.
+has one long exposure, ``00``, and bursts of short ones, numbered from ``00`` on without gaps. So a table of one row per
+scene says it all: its ISO, its long exposure, and how many shots each short burst has.
 
 The exposure ratio is that of the times, at most 300, as in the published code. There the cap is for 10 / 0.033 = 303;
 with the true 1/30 s no pair of the lists lies above 300, so that the nominal ratio is also the true one.
@@ -56,13 +56,13 @@ class SidCamera:
     name
         Camera, as the ELD manifest and the noise profiles call it.
     folder, extension
-        Of its files, the extension with the dot.
+        Those of its files, the extension with the dot.
     models
         EXIF identity.
     misaligned, misaligned_unconfirmed
-        Scenes whose pairs are misaligned according to the authors, and according to somebody else or perhaps.
+        Scenes whose pairs are misaligned according to the authors; according to others, or possibly.
     uncertain_iso
-        Short frames whose ISO in the lists is not that of their scene.
+        Short frames whose ISO in the lists differs from their scene's.
     """
 
     name: str
@@ -118,7 +118,7 @@ def nominal_ratio(long: str, short: str) -> Fraction:
 def sid_records(camera: SidCamera, scenes: Iterable[SidScene]) -> tuple[FrameRecord, ...]:
     """Return the rows of one half of the set, sorted by path.
 
-    ``exposure_s`` and ``ratio`` are exact; flags stand at the short frames, because they are about pairs.
+    ``exposure_s`` and ``ratio`` are exact; the short frames carry the flags, which are about pairs.
     """
     rows = []
     for scene in scenes:
@@ -168,7 +168,7 @@ def load_scenes(path: Path) -> tuple[SidScene, ...]:
     Raises
     ------
     ManifestError
-        If it cannot be read, its columns are others, or a number is none.
+        If it cannot be read, has other columns, or has a number that is not one.
     """
     return tuple(
         SidScene(
@@ -196,7 +196,7 @@ def scenes_from_lists(camera: SidCamera, lists: Iterable[Path]) -> tuple[SidScen
     Raises
     ------
     ManifestError
-        If a line is of another form, a burst has a gap, a scene has two long exposures, or a frame that
+        If a line has another form, a burst has a gap, a scene has two long exposures, or a frame that
         ``camera.uncertain_iso`` does not name has another ISO than its scene: the table could not say it.
     """
     folder, extension = re.escape(camera.folder), re.escape(camera.extension)

@@ -88,7 +88,7 @@ class Place:
 
 
 def test_the_page_has_what_is_tested() -> None:
-    for section, files in (("Your own files", 2), ("From a package of yours", 3), ("In eldata", 6)):
+    for section, files in (("Your own files", 2), ("From your own package", 3), ("In eldata", 6)):
         found = blocks(section)
         assert sum(block.kind not in ("sh", "diff") for block in found) == files
         assert all(bool(block.path) != (block.kind == "sh") for block in found), "a block is a file or commands"
@@ -132,7 +132,7 @@ def test_your_own_files_and_a_package_of_yours(mine: Place) -> None:
     assert "4 of 4 pairs" in printed
     assert "sha256:" in (mine.folder / "mine.csv").read_text()
 
-    package = blocks("From a package of yours")
+    package = blocks("From your own package")
     mine.execute(package)
     for name in ("mine.csv", "mine.json"):
         shutil.copy(mine.folder / name, mine.folder / "hallway" / name)

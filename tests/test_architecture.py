@@ -176,7 +176,10 @@ ONLY = {
     "eldata.protocols": ("eldata.errors", "eldata.base", "eldata.metrics"),
     "eldata.isp": ("eldata.errors", "eldata.records", "eldata.base", "eldata.raw"),
     "eldata.download": ("eldata.errors", "eldata.records", "eldata.base", "eldata.manifest"),
-    "capture": ("eldata.errors", "eldata.records", "eldata.base", "eldata.raw", "eldata.manifest"),
+    "capture": (
+        *("eldata.errors", "eldata.records", "eldata.base", "eldata.raw", "eldata.manifest"),
+        *("eldata.isp.preview", "eldata.reports.html"),  # the pictures and the page of its own sheets
+    ),
 }
 # Rooms that only these import.
 ONLY_FOR = {"eldata.cli": (), "eldata.demo": ("eldata.cli",), "eldata.download": ("eldata.cli",), "capture": ()}
@@ -516,7 +519,7 @@ def test_the_wheel_holds_what_it_must_and_nothing_else(wheel: Path) -> None:
     assert {name.split("/")[0].split("-")[0] for name in names} == {"eldata", "capture"}
     assert not [name for name in names if "__pycache__" in name or "tests" in name.split("/")]
     suffixes = {Path(name).suffix for name in names if "dist-info" not in name}
-    assert suffixes <= {".py", ".pyi", ".toml", ".typed", ".css", ".csv", ".html", ".js", ".json"}
+    assert suffixes <= {".py", ".pyi", ".typed", ".css", ".csv", ".html", ".js", ".json", ".mplstyle", ".toml"}
 
 
 def test_the_wheels_manifests_are_data_alone(wheel: Path) -> None:

@@ -27,7 +27,7 @@ from eldata.noise.profile import CameraProfile
 from eldata.protocols.custom import load_protocol
 from eldata.records import Exposure, PairRecord, Sensor
 from eldata.sources.shards.index import Facts, Side, facts_text, parse_facts, parse_index
-from eldata.sources.store.format import stored_frame
+from eldata.sources.store.format import stored
 from manifests.sid_scenes import SHORT_EXPOSURES, load_scenes
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ def read_plan(path: Path, text: str) -> None:
 def read_journal(path: Path, text: str) -> None:
     line = {"event": "done", "scene": "scene-1", "number": text, "shot": "x", "token": "x"}
     path.write_text(as_number(line, text) + "\n")
-    Journal.seen(path)
+    Journal(path, writable=False)
 
 
 def read_seconds(path: Path, text: str) -> None:  # of the command line
@@ -127,7 +127,7 @@ SENSOR = Sensor("make", "model", ((0, 1), (3, 2)), (0.0,) * 4, 16383.0, 4, 4)
 def read_store(path: Path, text: str) -> None:
     exposure = {"iso": "100", "exposure_s": text, "f_number": None}
     attributes = {"path": "a", "role": "bias", "sha256": "x", "exposure": json.dumps(exposure)}
-    stored_frame("0", attributes | {"sensor": json.dumps(asdict(SENSOR))})
+    stored("0", attributes | {"sensor": json.dumps(asdict(SENSOR))}, ())
 
 
 def read_facts(path: Path, text: str) -> None:

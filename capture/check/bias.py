@@ -12,131 +12,119 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from capture.check.frames import ReducedFrame, file_name, other_kind, reduced_frames
-from capture.check.measures import Measure, MeasureKind, Remark
+from capture.check.drift import OF_MEDIAN, TO_SIGMA
+from capture.check.frames import Unit, file_name, reduced_frames
+from capture.check.measures import MeasureKind
 from capture.check.pictures import map_picture
-from capture.check.result import CheckedGroup, SheetPicture, sorted_by_path
+from capture.check.result import CheckedGroup
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from capture.check.cells import Cells
-    from capture.check.frames import Unit
-    from eldata.records import FrameRecord
 
-PATCHES: Final = 8  # a side
+PATCHES: Final = 8  # along each side
 # Chance exceeds six standard errors once in 500 million patches: of ten frames of 64 patches, never.
 _PATCH_SIGMAS: Final = 6.0
-_OF_MEDIAN: Final = 1.2533
+_PICTURES: Final = 4  # of frames without a finding
+_SHOWN_DN: Final = 2.0  # the strongest colour of a map
 _BLACK = MeasureKind(
     "black",
     "%",
     0.1,
     1.0,
-    "from 1 % on eldata calibrate refuses the frames: neither mean nor noise can be told of clipped black",
+    "from 1 % on eldata calibrate refuses the frames: clipped black shows neither mean nor noise",
     "use raw files that keep their black level",
 )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PatchLevels:
-    """A bias frame in 8 x 8 levels over black with their standard errors, (8, 8), DN, and its noise a pixel, DN."""
+    """A bias frame in 8 x 8 levels over black, the standard error of each, and the noise per pixel; all in DN."""
 
+    path: str
     level_dn: NDArray[np.float64]
-    error_dn: NDArray[np.float64]
+    error_dn: float
     noise_dn: float
 
 
-def patch_levels(cells: Cells) -> PatchLevels:
+def patch_levels(path: str, cells: Cells) -> PatchLevels:
     """Reduce a bias frame to patches."""
-    values = cells.mean_dn.astype(np.float64)
     levels, errors = np.zeros((PATCHES, PATCHES)), np.zeros((PATCHES, PATCHES))
-    rows = np.array_split(np.arange(values.shape[1]), PATCHES)
-    columns = np.array_split(np.arange(values.shape[2]), PATCHES)
-    for i, of_rows in enumerate(rows):
-        for j, of_columns in enumerate(columns):
-            patch = values[:, of_rows[0] : of_rows[-1] + 1, of_columns[0] : of_columns[-1] + 1]
+    for i, rows in enumerate(np.array_split(cells.mean_dn.astype(np.float64), PATCHES, axis=1)):
+        for j, patch in enumerate(np.array_split(rows, PATCHES, axis=2)):
             levels[i, j] = np.median(patch, axis=(1, 2)).mean()
             of_each_row = np.median(patch, axis=2).mean(axis=0)
-            spread = 1.4826 * np.median(np.abs(of_each_row - np.median(of_each_row)))
-            errors[i, j] = _OF_MEDIAN * max(spread, of_each_row.std() / 2) / len(of_rows) ** 0.5
+            spread = TO_SIGMA * np.median(np.abs(of_each_row - np.median(of_each_row)))
+            errors[i, j] = OF_MEDIAN * max(spread, of_each_row.std() / 2) / len(of_each_row) ** 0.5
     # Patches of one row share its noise, and few rows tell their scatter badly: one error for all, from all.
-    errors[:] = np.sqrt(np.mean(errors**2))
-    return PatchLevels(levels, errors, cells.spread_dn)
+    return PatchLevels(path, levels, float(np.sqrt(np.mean(errors**2))), cells.spread_dn)
 
 
 def check_bias(unit: Unit) -> CheckedGroup:
     """Check the bias frames of one ISO."""
-    records = sorted_by_path(unit.records, "bias")
-    first: ReducedFrame | None = None
-    remarks: list[Remark] = []
-    measures: list[Measure] = []
-    patches: list[tuple[FrameRecord, PatchLevels]] = []
-    for record, frame in reduced_frames(unit, records):
-        if isinstance(frame, Remark):
-            remarks.append(frame)
-            continue
-        remark = None if first is None else other_kind(first, frame)
-        if remark is not None:
-            remarks.append(remark)
-            continue
-        first = first or frame
+    group = CheckedGroup(unit.name, len(unit.records))
+    patches: list[PatchLevels] = []
+    for frame in reduced_frames(unit, group):
+        path = frame.record.path
         if min(frame.cells.mean_dn.shape[1:]) < 2 * PATCHES:
-            remarks.append(Remark(record.path, "is too small to look for light leaks in", "look"))
+            group.remark(path, "is too small to look for light leaks in")
             continue
-        measures.append(Measure(_BLACK, record.path, "pixels at 0 DN", 100 * frame.cells.zero_share))
-        patches.append((record, patch_levels(frame.cells)))
-    pictures: list[SheetPicture] = []
+        group.measure(_BLACK, path, "pixels at 0 DN", 100 * frame.cells.zero_share)
+        patches.append(patch_levels(path, frame.cells))
     if len(patches) == 1:
-        text = "the only bias frame of this ISO: a light leak cannot be told from the sensor's own pattern"
-        remarks.append(Remark(patches[0][0].path, text, "look"))
+        text = "is the only bias frame of this ISO: a light leak cannot be told from the sensor's own pattern"
+        group.remark(patches[0].path, text)
     elif patches:
-        measures.append(_shading(patches))
-        pictures.append(map_picture("all frames: level, ±2 DN", patches[0][0].path, _about_mean(_middle(patches)), 2.0))
-        for index, (record, _) in enumerate(patches):
-            of_frame, change = compare_bias(patches, index)
-            measures += of_frame
-            if any(one.verdict != "keep" for one in of_frame) or len(patches) <= _PICTURES:
-                caption = f"{file_name(record.path)} less the others, ±2 DN"
-                pictures.append(map_picture(caption, record.path, change, 2.0))
-    return CheckedGroup(unit.name, len(records), tuple(measures), tuple(remarks), tuple(pictures))
+        noise = float(np.median([levels.noise_dn for levels in patches]))
+        _compare_together(patches, noise, group)
+        for own in patches:
+            _compare(own, [other for other in patches if other is not own], noise, group)
+    return group
 
 
-_PICTURES: Final = 4  # of frames without a finding
-
-
-def _middle(patches: list[tuple[FrameRecord, PatchLevels]]) -> NDArray[np.float64]:
-    middle: NDArray[np.float64] = np.median([levels.level_dn for _, levels in patches], axis=0)
-    return middle
-
-
-def _about_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    about: NDArray[np.float64] = values - values.mean()
-    return about
-
-
-def compare_bias(
-    patches: list[tuple[FrameRecord, PatchLevels]], index: int
-) -> tuple[list[Measure], NDArray[np.float64]]:
-    """Return the measures of one bias frame against the others, and the map of its difference, DN."""
-    record, own = patches[index]
-    others = patches[:index] + patches[index + 1 :]
-    change = own.level_dn - _middle(others)
-    error = float(
-        np.hypot(own.error_dn[0, 0], _OF_MEDIAN * np.mean([o.error_dn[0, 0] for _, o in others]) / len(others) ** 0.5)
+def _compare_together(patches: Sequence[PatchLevels], noise_dn: float, group: CheckedGroup) -> None:
+    """Measure how uneven all frames are together."""
+    middle = _middle(patches)
+    group.pictures.append(map_picture("all frames: level, ±2 DN", patches[0].path, middle - middle.mean(), _SHOWN_DN))
+    error = 2**0.5 * float(np.mean([levels.error_dn for levels in patches])) * OF_MEDIAN / len(patches) ** 0.5
+    kind = MeasureKind(
+        "shading",
+        "DN",
+        max(2.0, noise_dn),
+        float("inf"),
+        "the noise of a pixel, or 2 DN: more than the dark shading of usual sensors at a short exposure",
+        "a light leak in all of them, or the sensor's own shading: take one in full darkness and compare",
+        sigmas=_PATCH_SIGMAS,
     )
+    text = "difference between the brightest and the darkest part, in all bias frames of this ISO"
+    folder = patches[0].path.rpartition("/")[0] or "."
+    group.measure(kind, folder, text, float(middle.max() - middle.min()), error)
+
+
+def _compare(own: PatchLevels, others: Sequence[PatchLevels], noise_dn: float, group: CheckedGroup) -> None:
+    """Measure one bias frame against the others; show the map of its difference if something is found."""
+    change = own.level_dn - _middle(others)
+    of_others = OF_MEDIAN * np.mean([other.error_dn for other in others]) / len(others) ** 0.5
+    error = float(np.hypot(own.error_dn, of_others))
     level = float(change.mean())
     # Patches beside each other share their rows' noise, so that only as many as there are above each other count.
     level_error = error / PATCHES**0.5
     uneven = change - level
     place = np.unravel_index(int(np.argmax(np.abs(uneven))), uneven.shape)
-    noise = float(np.median([levels.noise_dn for _, levels in patches]))
     where = f"{_third(place[0], ('top', 'middle', 'bottom'))} {_third(place[1], ('left', 'centre', 'right'))}"
     leaking = f"unlike the other bias frames at the {where}, by"
-    return [
-        Measure(_level(noise), record.path, "mean, less that of the other bias frames", level, level_error),
-        Measure(_leak(noise), record.path, leaking, float(uneven[place]), error),
-    ], change
+    group.measure(_level(noise_dn), own.path, "mean, less that of the other bias frames", level, level_error)
+    group.measure(_leak(noise_dn), own.path, leaking, float(uneven[place]), error)
+    if len(others) < _PICTURES or any(one.verdict != "keep" for one in group.measures[-2:]):
+        group.pictures.append(map_picture(f"{file_name(own.path)} less the others, ±2 DN", own.path, change, _SHOWN_DN))
+
+
+def _middle(patches: Sequence[PatchLevels]) -> NDArray[np.float64]:
+    middle: NDArray[np.float64] = np.median([levels.level_dn for levels in patches], axis=0)
+    return middle
 
 
 def _level(noise_dn: float) -> MeasureKind:
@@ -157,21 +145,3 @@ def _leak(noise_dn: float) -> MeasureKind:
 
 def _third(place: np.intp, names: tuple[str, str, str]) -> str:
     return names[min(2, 3 * int(place) // PATCHES)]
-
-
-def _shading(patches: list[tuple[FrameRecord, PatchLevels]]) -> Measure:
-    """Return how uneven all frames are together."""
-    middle = _middle(patches)
-    noise = float(np.median([levels.noise_dn for _, levels in patches]))
-    error = 2**0.5 * float(np.mean([levels.error_dn[0, 0] for _, levels in patches])) * _OF_MEDIAN / len(patches) ** 0.5
-    kind = MeasureKind(
-        "shading",
-        "DN",
-        max(2.0, noise),
-        float("inf"),
-        "the noise of a pixel, or 2 DN: more than the dark shading of usual sensors at a short exposure",
-        "a light leak in all of them, or the sensor's own shading: take one in full darkness and compare",
-        sigmas=_PATCH_SIGMAS,
-    )
-    text = "difference between the brightest and the darkest part, in all bias frames of this ISO"
-    return Measure(kind, patches[0][0].path.rpartition("/")[0] or ".", text, float(middle.max() - middle.min()), error)

@@ -1,4 +1,4 @@
-"""A frame in small: means of cells of 4 x 4 packed pixels a channel, over black. Only shift and focus need more.
+"""A frame in small: means over black of cells of 4 x 4 packed pixels, per channel. Only shift and focus need more.
 
 Averaging takes the pixels' noise off (a quarter of it is left), keeps rows apart finely enough for flicker, and makes a
 frame of 12 megapixels 3 MB, so that a whole scene fits into the memory of a frame or two.
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     Mosaic = NDArray[np.uint16]
 
-CELL: Final = 4  # packed pixels a side
+CELL: Final = 4  # packed pixels along each side
 
 # Pixels in the last thousandth of the range below the highest value, if these are more than thrice those in the
 # thousandth below: a sensor that saturates below its white level. The upper tail of shot noise is several thousandths
@@ -59,6 +59,11 @@ class Cells:
     zero_share: float
     spread_dn: float
     colours: tuple[str, ...]
+
+    @property
+    def greens(self) -> list[int]:
+        """The indices of the green channels."""
+        return [index for index, colour in enumerate(self.colours) if colour == "G"]
 
     def pooled(self, rows: int, columns: int) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """Return means of groups of cells, and which groups hold no saturated pixel."""
@@ -99,7 +104,7 @@ def luminance(packed: NDArray[np.uint16], cells: Cells) -> NDArray[np.float32]:
     """Return the sum of the packed channels, (h, w), each scaled to the same mean: what a grey scene has.
 
     The sum of all sites of a CFA cell is a low-pass filter: detail finer than the packed pixels, which a single channel
-    would show as coarser detail (aliasing) that moves otherwise than the scene, cancels for the most part.
+    would show as coarser detail (aliasing) that moves differently from the scene, cancels for the most part.
     """
     mean = np.maximum(cells.mean_dn.mean(axis=(1, 2), dtype=np.float64), 1.0)
     total = np.zeros(packed.shape[1:], dtype=np.float32)

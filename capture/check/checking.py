@@ -1,8 +1,8 @@
-"""Check a manifest's files by their pixels, a scene or a set of calibration frames at a time."""
+"""Check a manifest's files by their pixels, one scene or set of calibration frames at a time."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 from capture.check.bias import check_bias
 from capture.check.flat import check_flats
@@ -37,30 +37,34 @@ def check(
     root
         The folder that holds the dataset; default ``$ELDATA_ROOT``, else ``./data``.
     scenes
-        Just these scenes, by name or number (``"scene-3"``, ``"3"``), without the calibration frames; none means all.
+        Only these scenes, by name or number (``"scene-3"``, ``"3"``), without the calibration frames; none means all.
     cameras
-        Just these cameras; none means all.
+        Only these cameras; none means all.
     workers
         Number of worker processes; with fewer scenes than that, files are also decoded ahead.
 
     Raises
     ------
     ArgumentError
-        If there is no such scene or camera, or nothing to check.
+        If a scene or camera is unknown, or there is nothing to check.
     ManifestError
-        If the manifest is malformed, or its dataset's folder is not there.
+        If the manifest is malformed, or its dataset's folder does not exist.
     """
     workers = Workers.of(workers)
     loaded = manifest if isinstance(manifest, Manifest) else load_manifest(manifest)
     folder = loaded.folder(root)
     if not folder.is_dir():
         raise ManifestError(f"no folder {folder}: --root names the folder that holds {loaded.card.folder}")
-    records = _of_cameras(loaded.records, cameras)
-    groups = _groups(_of_scenes(records, scenes))
+    groups: dict[str, list[FrameRecord]] = {}
+    for record in _of_scenes(_of_cameras(loaded.records, cameras), scenes):
+        groups.setdefault(_unit_name(record), []).append(record)
     if not groups:
         raise ArgumentError(f"{loaded.name}: no scenes and no calibration frames to check")
     within = Workers(max(1, workers.jobs // len(groups)))
-    units = [_unit(key, folder, tuple(group), within) for key, group in groups.items()]
+    units = [
+        Unit(name, folder, tuple(sorted(records, key=lambda one: (one.role == "noisy", one.path))), within)
+        for name, records in groups.items()
+    ]
     found = workers.run(check_unit, units, label=loaded.name, unit="scene")
     return CheckReport(loaded.name, tuple(found))
 
@@ -73,26 +77,10 @@ def check_unit(unit: Unit) -> CheckedGroup:
     return _CHECKS.get(unit.records[0].role, check_scene)(unit)
 
 
-Key: TypeAlias = tuple[str, str, str]
-
-
-def _groups(records: Sequence[FrameRecord]) -> dict[Key, list[FrameRecord]]:
-    """Return the records of each unit: by camera and scene, or camera, role and ISO."""
-    groups: dict[Key, list[FrameRecord]] = {}
-    for record in records:
-        if record.role in ("bias", "flat"):
-            iso = "?" if record.iso is None else f"{float(record.iso):g}"
-            key: Key = (record.camera, record.role, iso)
-        else:
-            key = (record.camera, "", record.scene)
-        groups.setdefault(key, []).append(record)
-    return groups
-
-
-def _unit(key: Key, folder: Path, records: tuple[FrameRecord, ...], within: Workers) -> Unit:
-    camera, role, which = key
-    name = f"{camera} {role} ISO {which}" if role else f"{camera} {which}".rstrip()
-    return Unit(str(folder / records[0].path), name, folder, records, within)
+def _unit_name(record: FrameRecord) -> str:
+    if record.role in ("bias", "flat"):
+        return f"{record.camera} {record.role} ISO {'?' if record.iso is None else f'{float(record.iso):g}'}"
+    return f"{record.camera} {record.scene}".rstrip()
 
 
 def _of_cameras(records: Sequence[FrameRecord], cameras: Collection[str]) -> list[FrameRecord]:

@@ -1,7 +1,7 @@
 """Is the light modulated from row to row? A rolling shutter turns a lamp's flicker into bands.
 
 Each row of cells gives a relative modulation m, its weighted regression on what the reference leads to expect, in one
-of two ways. Then every frequency f from one cycle a frame up is tried: ``m = a + b row + A cos(2 pi f row + phase)``
+of two ways. Then every frequency f from one cycle per frame up is tried: ``m = a + b row + A cos(2 pi f row + phase)``
 by weighted least squares. With g what the wave takes off the weighted squares and s what is left of them, v degrees of
 freedom over, chance alone exceeds ``g v / s = (A / standard error)^2 = c`` with the probability
 ``(1 + c / v)^(-v / 2)`` (the F distribution with 2 and v), at n frequencies with n times that at most. What is left
@@ -17,16 +17,20 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from capture.check.measures import Estimate, Measure, MeasureKind
+from capture.check.ratio import residuals_between
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
+    from capture.check.cells import Cells
     from capture.check.ratio import StripResiduals
 
     Array = NDArray[np.float64]
 
 _FALSE_ALARM: Final = 1e-6  # of one frame
-_STEP: Final = 0.25  # cycles a frame
+_STEP: Final = 0.25  # cycles per frame
 _LEAST_ROWS: Final = 16
 _FITTED: Final = 4  # a, b, A and the phase
 
@@ -40,9 +44,9 @@ class Flicker:
     amplitude
         As a share of the signal, with its standard error.
     cycles
-        A frame's height.
+        Number of them in the frame's height.
     sigmas
-        Standard errors that the strongest of so many frequencies exceeds by chance once in a million frames.
+        Standard errors that the strongest of these frequencies exceeds by chance once in a million frames.
     """
 
     amplitude: Estimate
@@ -72,6 +76,16 @@ def flicker_of_level(residuals: StripResiduals) -> Flicker | None:
     """Measure the modulation of the rows' whole signal: right for bright frames, and for flats without contrast."""
     weight = residuals.sigma_dn**-2.0
     return _strongest(*_modulation(weight, residuals.expected_dn, residuals.residual_dn))
+
+
+def flicker_between(first: Cells, second: Cells, ratios: Sequence[Estimate | None]) -> Flicker | None:
+    """Measure the modulation between two bright frames, given the ratio of brightness of each channel.
+
+    ``None`` if a channel has no ratio, or too little is well exposed.
+    """
+    known = [ratio.value for ratio in ratios if ratio is not None]
+    residuals = residuals_between(first, second, known) if len(known) == len(ratios) else None
+    return None if residuals is None else flicker_of_level(residuals)
 
 
 def _modulation(weight: Array, expected: Array, residual: Array) -> tuple[Array, Array]:

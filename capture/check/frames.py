@@ -1,4 +1,4 @@
-"""The frames of one unit of work, decoded one after the other and reduced at once."""
+"""The frames of one unit of work, decoded one after another and reduced at once."""
 
 from __future__ import annotations
 
@@ -6,35 +6,42 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from capture.check.cells import Cells, luminance, reduce_to_cells
-from capture.check.measures import Remark
 from eldata.base.files import inside
 from eldata.errors import EldataError
 from eldata.records import FrameRecord, RawHeader, Sensor
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
     from pathlib import Path
 
     import numpy as np
     from numpy.typing import NDArray
 
+    from capture.check.result import CheckedGroup
     from eldata.base.workers import Workers
 
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """The files of one scene, or the bias frames or flats of one camera and ISO: small, for worker processes."""
+    """The files of one scene, or the bias frames or flats of one camera and ISO: small, for worker processes.
 
-    path: str
+    Records stand in the order in which they are checked: by path, references before noisy frames.
+    """
+
     name: str
     folder: Path
     records: tuple[FrameRecord, ...]
     workers: Workers
 
+    @property
+    def path(self) -> Path:
+        """The first file: what an error of a worker names."""
+        return self.folder / self.records[0].path
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReducedFrame:
-    """What is kept of a decoded frame, and its luminance, which is not meant to be."""
+    """What is kept of a decoded frame, and its luminance, which is meant for use at once."""
 
     record: FrameRecord
     header: RawHeader
@@ -44,41 +51,52 @@ class ReducedFrame:
 
     @property
     def scale(self) -> int:
-        """Mosaic pixels a side of a packed pixel."""
+        """Mosaic pixels along each side of a packed pixel."""
         return 2 if len(self.sensor.cfa) == 2 else 3
 
 
-def reduced_frames(unit: Unit, records: Sequence[FrameRecord]) -> Iterator[tuple[FrameRecord, ReducedFrame | Remark]]:
-    """Yield each frame reduced, or what is wrong with its file; at most ``unit.workers.jobs`` + 1 are in memory."""
+def reduced_frames(unit: Unit, group: CheckedGroup) -> Iterator[ReducedFrame]:
+    """Yield each frame reduced; at most ``unit.workers.jobs`` + 1 are in memory.
 
-    def reduce(record: FrameRecord) -> tuple[FrameRecord, ReducedFrame | Remark]:
+    A frame that cannot be read, or compared with the first one, is left out with a remark in ``group``.
+    """
+
+    def reduce(record: FrameRecord) -> ReducedFrame | EldataError:
         from eldata.raw.cfa import pack
         from eldata.raw.reading import read_raw
 
         try:
             frame = read_raw(inside(unit.folder, record.path))
         except EldataError as error:
-            text = f"cannot be read ({getattr(error, 'reason', '') or error}); copy it again from the card"
-            return record, Remark(record.path, text, "shoot again")
+            return error
         packed = pack(frame.mosaic, frame.sensor.cfa)
         cells = reduce_to_cells(frame.mosaic, frame.sensor, packed)
         header = RawHeader(frame.path, frame.sensor.make, frame.sensor.model, frame.exposure)
-        return record, ReducedFrame(record, header, frame.sensor, cells, luminance(packed, cells))
+        return ReducedFrame(record, header, frame.sensor, cells, luminance(packed, cells))
 
-    yield from unit.workers.read_ahead(reduce, records)
+    first: tuple[str, Sensor] | None = None
+    for record, frame in zip(unit.records, unit.workers.read_ahead(reduce, unit.records), strict=True):
+        if isinstance(frame, EldataError):
+            text = f"cannot be read ({getattr(frame, 'reason', '') or frame}); copy it again from the card"
+            group.remark(record.path, text, "shoot again")
+            continue
+        first = first or (record.path, frame.sensor)
+        problem = _other_kind(*first, frame.sensor)
+        if problem is None:
+            yield frame
+        else:
+            group.remark(record.path, problem, "shoot again")
 
 
-def other_kind(first: ReducedFrame, frame: ReducedFrame) -> Remark | None:
-    """Return a remark if a frame cannot be compared with the first of its unit."""
-    ours, theirs = first.sensor, frame.sensor
+def _other_kind(path: str, ours: Sensor, theirs: Sensor) -> str | None:
+    """Return why a frame cannot be compared with that of ``path``, or ``None``."""
     for name, one, two in (
         ("camera", ours.model, theirs.model),
         ("size", (ours.width, ours.height), (theirs.width, theirs.height)),
         ("colour filter array", ours.cfa, theirs.cfa),
     ):
         if one != two:
-            text = f"{name} {two}, where {first.record.path} has {one}; take all frames with one camera and raw format"
-            return Remark(frame.record.path, text, "shoot again")
+            return f"{name} {two}, where {path} has {one}; take all frames with one camera and raw format"
     return None
 
 

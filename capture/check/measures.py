@@ -41,7 +41,7 @@ RATIO_SOURCE: Final = (
 
 @dataclass(frozen=True, slots=True)
 class MeasureKind:
-    """A kind of measure: what is expected, from which distance on to look and to shoot again, and what to do then.
+    """A kind of measure: what is expected, at which distance to look and to shoot again, and what to do then.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class MeasureKind:
     unit
         ``"%"``, ``"px"`` (of the mosaic), ``"DN"`` or ``""``.
     look, again
-        Distances from ``expected`` in ``unit``; infinite where a value alone never leads there.
+        Distances from ``expected`` in ``unit``; infinite if a value alone never leads to that verdict.
     source
         Where these limits come from, in words.
     advice
@@ -80,9 +80,9 @@ class Measure:
     kind
         What is measured, and what is expected of it.
     path
-        The file that it is about, as in the manifest; for two, the later one.
+        The file concerned, as in the manifest; of two, the later one.
     text
-        What it says, as a clause that the value fits behind: ``"brightness of R against IMG_0001.dng"``.
+        What it says, as a clause that the value can follow: ``"brightness of R against IMG_0001.dng"``.
     value, standard_error
         In the kind's unit; the standard error is 0 for a count.
     """
@@ -105,7 +105,7 @@ class Measure:
 
     @property
     def verdict(self) -> Verdict:
-        """What the value alone asks for."""
+        """The verdict from the value alone."""
         if self.deviation <= self.kind.sigmas * self.standard_error:
             return "keep"
         if self.deviation > self.kind.again:
@@ -151,7 +151,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Remark:
-    """What cannot be put as a measure: a file that cannot be read, a reference that is not there."""
+    """What cannot be expressed as a measure: a file that cannot be read, a missing reference."""
 
     path: str
     text: str

@@ -9,6 +9,8 @@ import numpy as np
 
 from capture.check.frames import file_name
 from capture.check.result import SheetPicture
+from capture.observed import exposure_text
+from eldata.isp.preview import srgb_encode
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -25,14 +27,14 @@ def scene_picture(frame: ReducedFrame, gain: float) -> SheetPicture:
     """Return a frame as a picture, amplified."""
     iso, time = frame.header.exposure.iso, frame.header.exposure.exposure_s
     settings = f"ISO {float(iso):g}" if iso is not None else "ISO ?"
-    settings += f", {_seconds(float(time))}" if time is not None else ""
+    settings += f", {exposure_text(time)}" if time is not None else ""
     amplified = f", x{gain:g}" if gain != 1 else ""
     caption = f"{file_name(frame.record.path)}: {settings}{amplified}"
     light = _three_colours(frame.cells) * gain / frame.cells.range_dn
     balance = frame.sensor.white_balance
     if balance is not None:
         light *= np.array(balance[:3], dtype=np.float32)
-    return SheetPicture(caption, frame.record.path, _jpeg(_srgb(light)))
+    return SheetPicture(caption, frame.record.path, _jpeg(255 * srgb_encode(np.clip(light, 0, 1))))
 
 
 def change_picture(first: ReducedFrame, last: ReducedFrame) -> SheetPicture:
@@ -51,10 +53,6 @@ def map_picture(caption: str, path: str, values: NDArray[np.floating], full: flo
     return SheetPicture(caption, path, _jpeg(_diverging(larger / full)))
 
 
-def _seconds(time: float) -> str:
-    return f"1/{1 / time:.0f} s" if time < 0.3 else f"{time:g} s"
-
-
 def _three_colours(cells: Cells) -> NDArray[np.float32]:
     """Return the means of R, G and B, (rows, columns, 3), in as many cells as a small picture has pixels."""
     group = max(1, -(-cells.mean_dn.shape[2] // _WIDEST))
@@ -63,26 +61,20 @@ def _three_colours(cells: Cells) -> NDArray[np.float32]:
     return np.stack([mean[colours == colour].mean(axis=0) for colour in "RGB"], axis=-1)
 
 
-def _srgb(light: NDArray[np.float32]) -> NDArray[np.uint8]:
-    light = np.clip(light, 0, 1)
-    curve = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
-    picture: NDArray[np.uint8] = np.rint(255 * curve).astype(np.uint8)
-    return picture
-
-
-def _diverging(values: NDArray[np.floating]) -> NDArray[np.uint8]:
-    """Return -1 as blue, 0 as light grey and 1 as red."""
+def _diverging(values: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return -1 as blue, 0 as light grey and 1 as red, 0 to 255."""
     strength = np.clip(values, -1, 1)[..., None]
     grey, red, blue = (np.array(colour) for colour in ((235, 235, 235), (190, 20, 30), (20, 70, 190)))
-    colour = np.where(strength >= 0, grey + strength * (red - grey), grey - strength * (blue - grey))
-    picture: NDArray[np.uint8] = np.rint(colour).astype(np.uint8)
-    return picture
+    colours: NDArray[np.floating] = np.where(
+        strength >= 0, grey + strength * (red - grey), grey - strength * (blue - grey)
+    )
+    return colours
 
 
-def _jpeg(picture: NDArray[np.uint8]) -> bytes:
+def _jpeg(colours: NDArray[np.floating]) -> bytes:
     from PIL import Image
 
-    image = Image.fromarray(picture)
+    image = Image.fromarray(np.rint(colours).astype(np.uint8))
     if image.width < _WIDEST:
         image = image.resize((_WIDEST, max(1, round(image.height * _WIDEST / image.width))))
     file = io.BytesIO()

@@ -1,7 +1,7 @@
 """The exposure ratio that the pixels show: a line through the block means of a noisy frame over those of its reference.
 
 ``mean_noisy = offset_c + mean_reference / ratio`` over all strips of 4 x 16 packed pixels that are not clipped, with an
-offset a channel, since the black level of a noisy frame may be off by some DN (colour bias), which at a ratio of 200
+offset per channel, since the black level of a noisy frame may be off by some DN (colour bias), which at a ratio of 200
 is a good part of its signal. Weighted least squares with Huber's weights: the scatter as a function of the level comes
 from the residuals themselves, so no noise model is needed, and hot pixels count little. The standard error allows for
 any correlation within rows (row noise): clusters of one cell's height, sandwich estimator.
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from capture.check.drift import TO_SIGMA
 from capture.check.measures import SIGMAS, Estimate
 
 if TYPE_CHECKING:
@@ -31,10 +32,8 @@ _ROUNDS: Final = 4
 _HUBER: Final = 2.5  # standard deviations
 _LEVELS: Final = 12  # bins of the scatter
 _LEAST_STRIPS: Final = 100
-_ZERO_SHARE: Final = (
-    0.01  # of pixels at 0 DN: black is clipped, and means of dark parts are no longer those of the light
-)
-_TO_SIGMA: Final = 1.4826
+# Of pixels at 0 DN: black is clipped, and means of dark parts are no longer those of the light.
+_ZERO_SHARE: Final = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,9 +85,7 @@ class RatioFit:
 
 def fit_ratio(reference: Cells, noisy: Cells) -> RatioFit | None:
     """Fit the line; ``None`` if too little is well exposed, or the noisy frame's black is clipped."""
-    x32, unclipped_x = reference.pooled(*STRIP)
-    y32, unclipped_y = noisy.pooled(*STRIP)
-    x, y, usable = x32.astype(np.float64), y32.astype(np.float64), unclipped_x & unclipped_y
+    x, y, usable = _strips(reference, noisy)
     if int(usable.sum()) < _LEAST_STRIPS or noisy.zero_share > _ZERO_SHARE:
         return None
     level = _levels(x, usable)
@@ -119,15 +116,21 @@ def residuals_between(first: Cells, second: Cells, ratios: Sequence[float]) -> S
     For frames of equal exposure, whose noise is alike: a fitted line would be too flat by the noise of the first.
     ``None`` if too little is well exposed.
     """
-    x32, unclipped_x = first.pooled(*STRIP)
-    y32, unclipped_y = second.pooled(*STRIP)
-    usable = unclipped_x & unclipped_y
+    x, y, usable = _strips(first, second)
     if int(usable.sum()) < _LEAST_STRIPS:
         return None
-    expected = x32 * np.asarray(ratios, dtype=np.float64)[:, None, None]
-    residual = y32 - expected
-    sigma = _scatter(residual, _levels(expected, usable), usable)[_levels(expected, usable)]
+    expected = x * np.asarray(ratios)[:, None, None]
+    residual = y - expected
+    level = _levels(expected, usable)
+    sigma = _scatter(residual, level, usable)[level]
     return _limited(expected, residual, sigma, usable)
+
+
+def _strips(first: Cells, second: Cells) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return the strips' means in two frames, and which strips are unclipped in both."""
+    x, unclipped_x = first.pooled(*STRIP)
+    y, unclipped_y = second.pooled(*STRIP)
+    return x.astype(np.float64), y.astype(np.float64), unclipped_x & unclipped_y
 
 
 def _limited(expected: Array, residual: Array, sigma: Array, usable: NDArray[np.bool_]) -> StripResiduals:
@@ -154,13 +157,13 @@ def _line(x: Array, y: Array, weight: Array) -> tuple[float, Array, Array]:
 
 def _scatter(residual: Array, level: NDArray[np.intp], usable: NDArray[np.bool_]) -> Array:
     """Return the robust standard deviation of the residuals at each level."""
-    whole = _TO_SIGMA * float(np.median(np.abs(residual[usable])))
+    whole = TO_SIGMA * float(np.median(np.abs(residual[usable])))
     floor = max(whole / 100, 1e-6)
     found = np.full(_LEVELS, max(whole, floor))
     for index in range(_LEVELS):
         chosen = residual[usable & (level == index)]
         if len(chosen) >= 2 * _LEVELS:
-            found[index] = max(_TO_SIGMA * float(np.median(np.abs(chosen - np.median(chosen)))), floor)
+            found[index] = max(TO_SIGMA * float(np.median(np.abs(chosen - np.median(chosen)))), floor)
     return found
 
 
@@ -173,7 +176,7 @@ def _match(slope: float, x: Array, residual: Array, usable: NDArray[np.bool_]) -
     pairs = usable[:, 1:] & usable[:, :-1]
     if not pairs.any():
         return Estimate(float("nan"), float("inf"))
-    limit = 10 * _TO_SIGMA * float(np.median(np.abs(residual[usable])))
+    limit = 10 * TO_SIGMA * float(np.median(np.abs(residual[usable])))
     limited = np.clip(residual, -limit, limit)  # hot pixels
     products = (limited[:, 1:] * limited[:, :-1])[pairs]
     unexplained = max(0.0, float(products.mean()))

@@ -1,15 +1,12 @@
-"""What a check gives back: a verdict a scene (or set of calibration frames), with its measures and pictures."""
+"""What a check gives back: one verdict per scene (or set of calibration frames), with its measures and pictures."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from typing import Any
 
-from capture.check.measures import VERDICTS, Measure, Remark, Verdict, worst
+from capture.check.measures import VERDICTS, Measure, MeasureKind, Remark, Verdict, worst
 from eldata.base.tables import with_error
-
-if TYPE_CHECKING:
-    from eldata.records import FrameRecord
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,9 +18,9 @@ class SheetPicture:
     jpeg: bytes
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class CheckedGroup:
-    """The result for one scene, or for the bias frames or flats of one ISO.
+    """The result for one scene, or for the bias frames or flats of one ISO; it grows while the frames pass.
 
     Attributes
     ----------
@@ -32,21 +29,30 @@ class CheckedGroup:
     files
         Number of files looked at.
     measures, remarks
-        All that was measured, also where it is well; and what could not be.
+        Everything measured, good values too; and what could not be measured.
     pictures
         For the contact sheet.
     """
 
     name: str
     files: int
-    measures: tuple[Measure, ...]
-    remarks: tuple[Remark, ...]
-    pictures: tuple[SheetPicture, ...]
+    measures: list[Measure] = field(default_factory=list)
+    remarks: list[Remark] = field(default_factory=list)
+    pictures: list[SheetPicture] = field(default_factory=list)
+
+    def measure(self, kind: MeasureKind, path: str, text: str, value: float, error: float = 0.0) -> Measure:
+        """Add a measure, and return it."""
+        self.measures.append(Measure(kind, path, text, value, error))
+        return self.measures[-1]
+
+    def remark(self, path: str, text: str, verdict: Verdict = "look") -> None:
+        """Add a remark."""
+        self.remarks.append(Remark(path, text, verdict))
 
     @property
-    def findings(self) -> tuple[Measure | Remark, ...]:
+    def findings(self) -> list[Measure | Remark]:
         """Remarks and measures, all of them."""
-        return self.remarks + self.measures
+        return [*self.remarks, *self.measures]
 
     @property
     def verdict(self) -> Verdict:
@@ -55,13 +61,13 @@ class CheckedGroup:
 
     @property
     def reasons(self) -> tuple[Measure | Remark, ...]:
-        """What made the verdict, and what else is to be looked at; the worst first."""
+        """What made the verdict, and what else to look at; the worst first."""
         found = [one for one in self.findings if one.verdict != "keep"]
         return tuple(sorted(found, key=lambda one: -VERDICTS.index(one.verdict)))
 
     @property
     def extremes(self) -> tuple[Measure, ...]:
-        """The measure of each name that comes nearest to its limit, or lies furthest beyond."""
+        """The measure of each name that comes nearest to its limit, or exceeds it most."""
         found: dict[str, Measure] = {}
         for one in self.measures:
             if one.name not in found or _closeness(one) > _closeness(found[one.name]):
@@ -84,7 +90,7 @@ class CheckedGroup:
         }
 
     def format_text(self) -> str:
-        """Return the verdict and its reasons; where all is well, how well."""
+        """Return the verdict and its reasons; for a group to keep, its most critical values."""
         lines = [f"{self.name}: {self.verdict}"]
         lines += [f"    {one.verdict}: {one}" for one in self.reasons]
         if self.verdict == "keep":
@@ -135,8 +141,3 @@ def _closeness(measure: Measure) -> tuple[int, float, float]:
     beyond_chance = max(0.0, measure.deviation - measure.kind.sigmas * measure.standard_error)
     limit = min(measure.kind.look, measure.kind.again)
     return VERDICTS.index(measure.verdict), beyond_chance / limit, measure.deviation / limit
-
-
-def sorted_by_path(records: tuple[FrameRecord, ...], role: str) -> list[FrameRecord]:
-    """Return the records of a role by path."""
-    return sorted((record for record in records if record.role == role), key=lambda record: record.path)

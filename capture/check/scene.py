@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from capture.check.drift import brightest_level, brightness_ratios, changed_share
-from capture.check.flicker import Flicker, flicker_of_contrast, flicker_of_level
-from capture.check.frames import ReducedFrame, file_name, other_kind, reduced_frames
+from capture.check.flicker import Flicker, flicker_between, flicker_of_contrast
+from capture.check.frames import ReducedFrame, Unit, file_name, reduced_frames
 from capture.check.measures import (
     BRIGHTNESS_AGAIN,
     BRIGHTNESS_LOOK,
@@ -16,13 +15,11 @@ from capture.check.measures import (
     RATIO_LOOK,
     RATIO_SOURCE,
     Estimate,
-    Measure,
     MeasureKind,
-    Remark,
 )
 from capture.check.pictures import change_picture, scene_picture
-from capture.check.ratio import RatioFit, fit_ratio, residuals_between
-from capture.check.result import CheckedGroup, SheetPicture, sorted_by_path
+from capture.check.ratio import fit_ratio
+from capture.check.result import CheckedGroup, SheetPicture
 from capture.check.shift import Tiles, make_tiles, measure_focus, measure_shift, moved_tiles
 from eldata.errors import RawFileError
 
@@ -30,7 +27,6 @@ if TYPE_CHECKING:
     from fractions import Fraction
 
     from capture.check.cells import Cells
-    from capture.check.frames import Unit
     from eldata.records import FrameRecord, RawHeader
 
 _INFINITE: Final = float("inf")
@@ -64,7 +60,7 @@ MOVEMENT: Final = MeasureKind(
     "%",
     0.1,
     _INFINITE,
-    "practical: one part in a thousand of the picture, what moved may be of no importance, so look",
+    "practical: one part in a thousand of the picture; what moved may not matter, so look",
     "something in the scene moved, or a shadow on it: look at the picture of differences",
 )
 FOCUS: Final = MeasureKind(
@@ -82,7 +78,7 @@ CLIPPED: Final = MeasureKind(
     5.0,
     "highlights and lamps clip in any scene; scores leave saturated pixels out, and a twentieth of the picture is too "
     "much to leave out",
-    "expose the references less (and plan the scene anew), or shade the highlights",
+    "expose the references less (and plan the scene again), or shade the highlights",
 )
 BRIGHTNESS: Final = MeasureKind(
     "brightness",
@@ -107,106 +103,74 @@ SIGNAL: Final = MeasureKind(
     "%",
     100 * RATIO_LOOK,
     50.0,
-    "the tolerance of eldata verify; to shoot again: half of the signal lacks",
+    "the tolerance of eldata verify; to shoot again: half of the signal is missing",
     "no light, or far too little: was the lens capped, the exposure right?",
     expected=100.0,
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Reference:
-    cells: Cells
-    header: RawHeader
-
-
-@dataclass(slots=True, eq=False)
-class _Found:
-    """What gathers while the frames pass."""
-
-    measures: list[Measure]
-    remarks: list[Remark]
-    pictures: list[SheetPicture]
-
-
 def check_scene(unit: Unit) -> CheckedGroup:
     """Check the frames of one scene, references first, each decoded once."""
-    references, noisy = sorted_by_path(unit.records, "reference"), sorted_by_path(unit.records, "noisy")
-    found = _Found([], [], [])
-    kept: dict[str, _Reference] = {}
+    group = CheckedGroup(unit.name, len(unit.records))
+    noisy = [record for record in unit.records if record.role == "noisy"]
+    references: dict[str, tuple[Cells, RawHeader]] = {}
     first: ReducedFrame | None = None
     tiles: Tiles | None = None
     last: ReducedFrame | None = None
     changes: list[SheetPicture] = []
-    of_noisy: list[tuple[FrameRecord, RatioFit, Fraction | None]] = []
-    for record, frame in reduced_frames(unit, [*references, *noisy]):
-        if isinstance(frame, Remark):
-            found.remarks.append(frame)
+    for frame in reduced_frames(unit, group):
+        path = frame.record.path
+        if frame.record.role == "noisy":
+            named = frame.record.reference or (unit.records[0].path if len(noisy) < len(unit.records) else "")
+            _check_noisy(frame, named, references.get(named), noisy, group)
+            group.pictures.append(scene_picture(frame, float(frame.record.ratio or 1)))
             continue
-        remark = None if first is None else other_kind(first, frame)
-        if remark is not None:
-            found.remarks.append(remark)
-            continue
-        if record.role == "noisy":
-            fitted = _noisy_fit(record, frame, kept, references, found)
-            of_noisy += [] if fitted is None else [fitted]
-            found.pictures.append(scene_picture(frame, float(record.ratio or 1)))
-            continue
-        kept[record.path] = _Reference(frame.cells, frame.header)
-        found.measures.append(Measure(CLIPPED, record.path, "saturated pixels", 100 * frame.cells.clipped_share))
+        references[path] = (frame.cells, frame.header)
+        group.measure(CLIPPED, path, "saturated pixels", 100 * frame.cells.clipped_share)
         if first is None:
             first, tiles = frame, make_tiles(frame.luminance)
             text = "share of the range that the bright parts reach"
-            found.measures.append(Measure(BRIGHTNESS, record.path, text, 100 * brightest_level(frame.cells)))
-            found.pictures.append(scene_picture(frame, 1.0))
+            group.measure(BRIGHTNESS, path, text, 100 * brightest_level(frame.cells))
+            group.pictures.append(scene_picture(frame, 1.0))
         else:
-            if last is not None and not _well(found, last):
-                changes.append(change_picture(first, last))  # of the last one, there is always one
-            _compare(first, tiles, frame, found)
+            if last is not None and not _well(group, last):
+                changes.append(change_picture(first, last))  # the last one always has one
+            _compare(first, tiles, frame, group)
             last = frame
     if last is not None and first is not None:
-        found.pictures[1:1] = [scene_picture(last, 1.0), *changes, change_picture(first, last)]
-    if len(kept) == 1 and first is not None:
-        text = "the only reference: whether the light changed or the camera moved cannot be told"
-        found.remarks.append(Remark(first.record.path, text, "look"))
-    for record, fit, exif_ratio in of_noisy:
-        found.measures += _noisy_measures(record, fit, exif_ratio, noisy)
-    return CheckedGroup(
-        unit.name, len(references) + len(noisy), tuple(found.measures), tuple(found.remarks), tuple(found.pictures)
-    )
+        group.pictures[1:1] = [scene_picture(last, 1.0), *changes, change_picture(first, last)]
+    if len(references) == 1 and first is not None:
+        text = "is the only reference: whether the light changed or the camera moved cannot be told"
+        group.remark(first.record.path, text)
+    return group
 
 
-def _well(found: _Found, frame: ReducedFrame) -> bool:
-    return all(one.verdict == "keep" for one in found.measures if one.path == frame.record.path)
+def _well(group: CheckedGroup, frame: ReducedFrame) -> bool:
+    return all(one.verdict == "keep" for one in group.measures if one.path == frame.record.path)
 
 
 # --- references ---------------------------------------------------------------------------------------------------
 
 
-def _compare(first: ReducedFrame, tiles: Tiles | None, frame: ReducedFrame, found: _Found) -> None:
+def _compare(first: ReducedFrame, tiles: Tiles | None, frame: ReducedFrame, group: CheckedGroup) -> None:
     """Measure a later reference against the first."""
     path, against = frame.record.path, file_name(first.record.path)
     ratios = brightness_ratios(first.cells, frame.cells)
     known = [(colour, one) for colour, one in zip(first.cells.colours, ratios, strict=True) if one is not None]
     brightness = 1.0
     if not known:
-        found.remarks.append(Remark(path, "too little is well exposed to compare it with the first reference", "look"))
+        group.remark(path, "too little is well exposed to compare it with the first reference")
     else:
         colour, worst_one = max(known, key=lambda pair: abs(pair[1].value - 1))
         brightness = sum(one.value for _, one in known) / len(known)
         text = f"change of brightness ({colour}) since {against}"
-        change, error = 100 * (worst_one.value - 1), 100 * worst_one.standard_error
-        found.measures.append(Measure(DRIFT, path, text, change, error))
-    aligned = _compare_places(first, tiles, frame, brightness, found)
-    if not aligned or len(known) < len(ratios):
-        return
-    residuals = residuals_between(first.cells, frame.cells, [one.value for _, one in known])
-    flicker = None if residuals is None else flicker_of_level(residuals)
-    if flicker is not None:
-        found.measures.append(_flicker(path, flicker))
+        group.measure(DRIFT, path, text, 100 * (worst_one.value - 1), 100 * worst_one.standard_error)
+    if _compare_places(first, tiles, frame, brightness, group):
+        _add_flicker(group, path, flicker_between(first.cells, frame.cells, ratios))
 
 
 def _compare_places(
-    first: ReducedFrame, tiles: Tiles | None, frame: ReducedFrame, brightness: float, found: _Found
+    first: ReducedFrame, tiles: Tiles | None, frame: ReducedFrame, brightness: float, group: CheckedGroup
 ) -> bool:
     """Measure shift and focus; return whether the frames lie on each other."""
     path, against = frame.record.path, file_name(first.record.path)
@@ -214,96 +178,86 @@ def _compare_places(
     shift = None if cut is None else measure_shift(cut[0], cut[1])
     if cut is None or shift is None:
         text = "has too little detail to tell whether the camera moved: put something with edges into the scene"
-        found.remarks.append(Remark(path, text, "look"))
+        group.remark(path, text)
         return True
     length = shift.length(cut[2], frame.scale)
-    measure = Measure(SHIFT, path, f"distance from {against}", length.value, length.standard_error)
-    found.measures.append(measure)
+    measure = group.measure(SHIFT, path, f"distance from {against}", length.value, length.standard_error)
     if measure.verdict != "keep":
-        return False  # what is measured pixel by pixel would tell of the shift again
+        return False  # what is measured pixel by pixel would show the shift again
     focus = measure_focus(cut[0], cut[1], shift, brightness)
     if focus is not None:
         text = f"change of the contrast of fine detail since {against}"
-        measure = Measure(FOCUS, path, text, 100 * (focus.value - 1), 100 * focus.standard_error)
-        found.measures.append(measure)
+        measure = group.measure(FOCUS, path, text, 100 * (focus.value - 1), 100 * focus.standard_error)
         if measure.verdict != "keep":
             return True  # edges differ everywhere
-    text = f"share of the picture that changed otherwise than the whole since {against}"
+    text = f"share of the picture that changed differently from the whole since {against}"
     # Without an error: only what exceeds eight of them is counted.
-    found.measures.append(Measure(MOVEMENT, path, text, 100 * changed_share(first.cells, frame.cells, brightness)))
+    group.measure(MOVEMENT, path, text, 100 * changed_share(first.cells, frame.cells, brightness))
     return True
 
 
-def _flicker(path: str, flicker: Flicker) -> Measure:
-    return flicker.measure(FLICKER, path, f"bands across the picture, {flicker.cycles:g} a frame, amplitude")
+def _add_flicker(group: CheckedGroup, path: str, flicker: Flicker | None) -> None:
+    if flicker is not None:
+        text = f"bands across the picture, {flicker.cycles:g} per frame, amplitude"
+        group.measures.append(flicker.measure(FLICKER, path, text))
 
 
 # --- noisy frames -------------------------------------------------------------------------------------------------
 
 
-def _noisy_fit(
-    record: FrameRecord,
+def _check_noisy(
     frame: ReducedFrame,
-    kept: dict[str, _Reference],
-    references: list[FrameRecord],
-    found: _Found,
-) -> tuple[FrameRecord, RatioFit, Fraction | None] | None:
-    """Return a noisy frame's fit to its reference, and the ratio that EXIF says."""
+    named: str,
+    reference: tuple[Cells, RawHeader] | None,
+    noisy: list[FrameRecord],
+    group: CheckedGroup,
+) -> None:
+    """Measure a noisy frame against its reference: the scene that it shows, its exposure ratio, flicker."""
     from eldata.raw.reading import exposure_ratio
 
-    named = record.reference or (references[0].path if references else "")
-    reference = kept.get(named)
+    record, path = frame.record, frame.record.path
     if reference is None:
         text = f"its reference {file_name(named)} cannot be used" if named else "the scene has no reference"
-        found.remarks.append(Remark(record.path, text, "shoot again"))
-        return None
+        group.remark(path, text, "shoot again")
+        return
+    cells, header = reference
     try:
-        exif_ratio = exposure_ratio(reference.header, frame.header)
+        exif_ratio = exposure_ratio(header, frame.header)
     except RawFileError:
         exif_ratio = None
-    fit = fit_ratio(reference.cells, frame.cells)
+    fit = fit_ratio(cells, frame.cells)
     if fit is None:
         text = "too few pixels that are neither saturated nor clipped at black: its exposure ratio cannot be measured"
-        found.remarks.append(Remark(record.path, text, "look"))
-        return None
-    return record, fit, exif_ratio
-
-
-def _noisy_measures(
-    record: FrameRecord, fit: RatioFit, exif_ratio: Fraction | None, noisy: list[FrameRecord]
-) -> list[Measure]:
+        group.remark(path, text)
+        return
     against = file_name(record.reference or "its reference")
     text = f"how much of the scene in {against} it shows"
-    match = Measure(MATCH, record.path, text, 100 * fit.match.value, 100 * fit.match.standard_error)
+    match = group.measure(MATCH, path, text, 100 * fit.match.value, 100 * fit.match.standard_error)
     if match.verdict == "shoot again":
-        return [match]  # of another scene there is no ratio
-    found = [match]
+        return  # with another scene there is no ratio
     nominal = record.ratio
     if fit.ratio is None:
         expected = nominal or exif_ratio
-        return found if expected is None else [*found, _signal(record, fit, expected)]
+        if expected is not None:
+            text = f"signal, as a share of that at a ratio of {_number(expected)}; too little to measure the ratio by"
+            scale = 100 * float(expected)
+            group.measure(SIGNAL, path, text, scale * fit.slope.value, scale * fit.slope.standard_error)
+        return
     if nominal is not None:
-        advice = _ratio_advice(record, fit.ratio, exif_ratio, noisy)
         text = f"exposure ratio to {against} by the pixels, nominally {_number(nominal)}"
-        found.append(_ratio("ratio", record, fit.ratio, nominal, text, advice))
+        kind = _ratio_kind("ratio", nominal, _ratio_advice(record, fit.ratio, exif_ratio, noisy))
+        group.measure(kind, path, text, fit.ratio.value, fit.ratio.standard_error)
     if exif_ratio is not None and exif_ratio != nominal:
         text = f"exposure ratio to {against} by the pixels, {_number(exif_ratio)} by EXIF"
         advice = "EXIF does not say how this file was exposed: is it the file that the camera wrote?"
-        found.append(_ratio("EXIF ratio", record, fit.ratio, exif_ratio, text, advice))
-    flicker = flicker_of_contrast(fit.residuals)
-    return found if flicker is None else [*found, _flicker(record.path, flicker)]
+        kind = _ratio_kind("EXIF ratio", exif_ratio, advice)
+        group.measure(kind, path, text, fit.ratio.value, fit.ratio.standard_error)
+    _add_flicker(group, path, flicker_of_contrast(fit.residuals))
 
 
-def _signal(record: FrameRecord, fit: RatioFit, expected: Fraction) -> Measure:
-    text = f"signal that it shows, of that at a ratio of {_number(expected)}; too little to measure the ratio by"
-    scale = 100 * float(expected)
-    return Measure(SIGNAL, record.path, text, scale * fit.slope.value, scale * fit.slope.standard_error)
-
-
-def _ratio(name: str, record: FrameRecord, ratio: Estimate, expected: Fraction, text: str, advice: str) -> Measure:
+def _ratio_kind(name: str, expected: Fraction, advice: str) -> MeasureKind:
     nominal = float(expected)
-    kind = MeasureKind(name, "", RATIO_LOOK * nominal, RATIO_AGAIN * nominal, RATIO_SOURCE, advice, expected=nominal)
-    return Measure(kind, record.path, text, ratio.value, ratio.standard_error)
+    return MeasureKind(name, "", RATIO_LOOK * nominal, RATIO_AGAIN * nominal, RATIO_SOURCE, advice, expected=nominal)
 
 
 def _ratio_advice(record: FrameRecord, ratio: Estimate, exif_ratio: Fraction | None, noisy: list[FrameRecord]) -> str:

@@ -1,10 +1,11 @@
-"""The contact sheet: one HTML page that needs no network, with a row of pictures a scene and what was found."""
+"""The contact sheet: one HTML page that needs no network, with each scene's pictures and what was found."""
 
 from __future__ import annotations
 
 import base64
 from typing import TYPE_CHECKING
 
+from capture.checklist_content import TEMPLATES
 from eldata.base.files import write_text
 from eldata.errors import ArgumentError
 
@@ -34,12 +35,9 @@ def check_sheet_name(path: Path | str) -> None:
 
 def sheet_page(report: CheckReport) -> str:
     """Return the page; the same report gives the same text."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from eldata.reports.html import rendered
 
-    environment = Environment(
-        loader=PackageLoader("capture.check", "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-    return environment.get_template("sheet.html").render(report=report, source=_source)
+    return rendered("sheet.html", TEMPLATES, report=report, source=_source)
 
 
 def _source(picture: SheetPicture) -> str:

@@ -8,8 +8,8 @@ Shift
     The peak of the phase correlation, summed over the tiles, gives d to a packed pixel. From there each tile's d is the
     least-squares solution over the frequencies of the scene, ``min sum |F2 - F1 exp(-2 pi i k d)|^2`` (Gauss-Newton):
     each frequency counts by its power over the white noise, none is interpolated and no phase is unwrapped. The
-    residual gives the noise and with it the standard error. Frequencies below 3 cycles a tile, where the window shows,
-    and above 0.2 cycles a packed pixel, where aliasing shows, stay out.
+    residual gives the noise and with it the standard error. Frequencies below 3 cycles per tile, where the window
+    shows, and above 0.2 cycles per packed pixel, where aliasing shows, are left out.
 Focus
     With P1, P2 the powers and C the real part of the cross power after undoing the shift, all summed over the band of
     fine detail, equal noise N in both: ``P1 = S + N, P2 = B^2 S + N, C = B S``. So ``(P1 - P2) / C = (1 - B^2) / B``,
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 _SIDES: Final = (256, 128, 64, 32)
 _LEAST_TILES_A_SIDE: Final = 3  # with the largest tiles; smaller frames take smaller tiles
 _MOST_TILES: Final = (4, 6)
-_SHIFT_BAND: Final = (3.0, 0.2)  # cycles a tile, cycles a packed pixel
-_FOCUS_BAND: Final = (0.1, 0.4)  # cycles a packed pixel
+_SHIFT_BAND: Final = (3.0, 0.2)  # cycles per tile, cycles per packed pixel
+_FOCUS_BAND: Final = (0.1, 0.4)  # cycles per packed pixel
 _ROUNDS: Final = 6
 _FURTHEST: Final = 1.5  # packed pixels: the peak is certain to one
 _WORST_ERROR: Final = 0.25  # packed pixels: a tile that is less certain has no detail to tell a shift by
@@ -58,17 +58,11 @@ class Shift:
     Attributes
     ----------
     down, right
-        Of the whole frame, with standard errors.
-    tiles
-        Number of tiles with enough detail.
-    odd_tiles
-        Those of them that moved otherwise than the frame and were left out: something in the scene moved.
+        Of the whole frame, with standard errors; tiles where something in the scene moved are left out.
     """
 
     down: Estimate
     right: Estimate
-    tiles: int
-    odd_tiles: int
 
     def length(self, pixels: tuple[int, int], scale: int) -> Estimate:
         """Return the distance between the frames, which lie ``pixels`` more apart, times ``scale``.
@@ -215,8 +209,6 @@ def _combined(values: NDArray[np.float64], errors: NDArray[np.float64]) -> Shift
     return Shift(
         down=Estimate(float(mean[0]), float(found[0])),
         right=Estimate(float(mean[1]), float(found[1])),
-        tiles=values.shape[1],
-        odd_tiles=int(odd.sum()),
     )
 
 

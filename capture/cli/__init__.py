@@ -1,4 +1,4 @@
-"""The `capture` command: one module a subcommand, heavy imports inside of its `run`."""
+"""The `capture` command: one module per subcommand, with heavy imports inside its `run`."""
 
 from capture.cli.main import main
 

@@ -1,11 +1,11 @@
-"""`capture camera`: look at a camera description, or get one to start from."""
+"""`capture camera`: check a camera description, or get one to start from."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_debug, add_json
+from eldata.base.console import OK, add_shared
 from eldata.base.files import write_json
 from eldata.errors import ArgumentError
 
@@ -27,9 +27,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument("camera", metavar="CAMERA", nargs="?", help="a camera description (JSON)")
     parser.add_argument("--example", metavar="FILE", help="write an example description to FILE, which must be new")
-    add_json(parser)
-    add_debug(parser)
-    parser.set_defaults(run=run, command="camera")
+    add_shared(parser, run, "json")
 
 
 def run(arguments: argparse.Namespace) -> int:

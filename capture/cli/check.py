@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_cameras, add_debug, add_jobs, add_json, add_root
+from eldata.base.console import OK, PROBLEMS, add_cameras, add_jobs, add_root, add_shared
 from eldata.base.files import write_json
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         description=(
             "Check the pixels of each scene: do the references agree (light, position, focus), is each noisy frame "
             "exposed as its name says, is there flicker; light leaks in bias frames, saturated or uneven flats. Gives "
-            "a verdict a scene: keep, look, shoot again, with the reasons. Nothing is changed."
+            "one verdict per scene: keep, look or shoot again, with the reasons. Nothing is changed."
         ),
     )
     parser.add_argument("manifest", metavar="MANIFEST", help="the manifest's CSV file, its card beside it")
@@ -35,9 +35,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     add_cameras(parser)
     add_jobs(parser)
     parser.add_argument("--sheet", metavar="FILE", help="write a contact sheet, an HTML page that needs no network")
-    add_json(parser)
-    add_debug(parser)
-    parser.set_defaults(run=run, command="check")
+    add_shared(parser, run, "json")
 
 
 def run(arguments: argparse.Namespace) -> int:

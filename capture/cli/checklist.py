@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_debug, add_json
+from eldata.base.console import OK, add_shared
 from eldata.base.files import write_json, write_text
 from eldata.errors import ArgumentError
 
@@ -22,16 +22,16 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="turn a plan into a checklist for the phone, or for paper",
         description=(
             "Turn a plan into a checklist: preparation, then each shot in order with what to dial. The page (html) is "
-            "one file for a phone or tablet in the dark. It needs no network, plans a scene anew from another metered "
+            "one file for a phone or tablet in the dark. It needs no network, plans a scene again from another metered "
             "time, keeps ticks, file names and remarks in the browser, and exports them."
         ),
     )
     parser.add_argument("plan", metavar="PLAN", help="a plan (capture plan)")
-    parser.add_argument("-o", "--output", metavar="FILE", help="write it there; without, md and txt go to the terminal")
+    parser.add_argument(
+        "-o", "--output", metavar="FILE", help="write it to FILE; without, md and txt go to the terminal"
+    )
     parser.add_argument("--format", choices=_FORMATS, help="default: by the suffix of FILE; without FILE txt")
-    add_json(parser)
-    add_debug(parser)
-    parser.set_defaults(run=run, command="checklist")
+    add_shared(parser, run, "json")
 
 
 def run(arguments: argparse.Namespace) -> int:

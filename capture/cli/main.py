@@ -5,29 +5,17 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING
 
-from capture.cli import camera, check, checklist, manifest, plan, protocol
-from capture.cli import run as tethered
-from eldata import __version__
-from eldata.base.console import Parser, run
+from eldata.base.console import command_line, run
 
 if TYPE_CHECKING:
     import argparse
 
-_COMMANDS = (protocol, camera, plan, checklist, tethered, manifest, check)
+_COMMANDS = ("protocol", "camera", "plan", "checklist", "run", "manifest", "check")
 
 
 def parser() -> argparse.ArgumentParser:
     """Return the command's argument parser."""
-    result = Parser(
-        prog="capture",
-        description="Photograph scenes for a low-light denoising dataset.",
-        epilog="Exit codes: 0 all well, 1 problems were found and listed, 2 wrong usage or unusable input.",
-    )
-    result.add_argument("--version", action="version", version=f"capture {__version__}")
-    commands = result.add_subparsers(title="commands", metavar="COMMAND")
-    for module in _COMMANDS:
-        module.add_parser(commands)
-    return result
+    return command_line("capture", "Photograph scenes for a low-light denoising dataset.", "capture.cli", _COMMANDS)
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_debug, add_jobs, add_json
+from eldata.base.console import OK, PROBLEMS, add_shared
 from eldata.base.files import write_json
 from eldata.base.workers import Workers
 from eldata.errors import ArgumentError
@@ -27,7 +27,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="match the camera's files to a plan, and make the dataset and its manifest",
         description=(
             "Match raw files to the shots of a plan by ISO, exposure time and the order in which they were taken; name "
-            "everything missing, repeated, out of order or not of the plan; write the manifest (CSV) and its card "
+            "everything missing, repeated, out of order or not in the plan; write the manifest (CSV) and its card "
             "(JSON). With --copy-to or --link-to, place the files in the dataset's layout. Originals stay as they are."
         ),
         epilog="Where something had to be decided, you are asked; without a terminal the mapping is written to a file, "
@@ -54,13 +54,10 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         default="last",
         help="which of the frames of a shot that was taken several times in a row (default: %(default)s)",
     )
-    parser.add_argument("--allow-gaps", action="store_true", help="write the manifest though shots are missing")
-    parser.add_argument("--yes", action="store_true", help="accept what was decided, without being asked")
+    parser.add_argument("--allow-gaps", action="store_true", help="write the manifest even if shots are missing")
+    parser.add_argument("--yes", action="store_true", help="accept what was decided, without asking")
     parser.add_argument("--replace", action="store_true", help="replace an older manifest of this name")
-    add_jobs(parser)
-    add_json(parser)
-    add_debug(parser)
-    parser.set_defaults(run=run, command="manifest")
+    add_shared(parser, run, "jobs", "json")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -116,11 +113,11 @@ def _confirmed() -> bool:
 
 def _leave_mapping(output: Path, plan: Plan, observed: Observed, found: Match) -> int:
     """Write the mapping for a person to edit, unless one that may be edited is there."""
-    from capture.mapping import mapping_text
-    from eldata.base.files import write_text
+    from capture.mapping import mapping_as_dict
+    from eldata.base.files import json_text, write_text
 
     path = output.with_suffix(".mapping.json")
-    text = mapping_text(plan, observed, found)
+    text = json_text(mapping_as_dict(plan, observed, found), indent=1)
     if path.exists() and path.read_bytes() != text.encode():
         print(f"no manifest was written. {path} is there already, perhaps edited, and was left as it is:")
         print(f"use it with --mapping {path}, or delete it to get a new one")
@@ -149,7 +146,7 @@ def _write(plan: Plan, found: Match, output: Path, arguments: argparse.Namespace
     records = [row.record for row in dataset.rows]
     if place is not None:
         placements = [
-            Placement(row.source, dataset.folder / row.record.path, row.record.sha256 or "") for row in dataset.rows
+            Placement(row.path, dataset.folder / row.record.path, row.record.sha256 or "") for row in dataset.rows
         ]
         check_free(placements)
         work = copy if arguments.copy_to else link
@@ -187,7 +184,7 @@ def _warn_of_unlisted(dataset: Dataset, place: str | None) -> None:
 
 
 def format_match(plan: Plan, observed: Observed, found: Match) -> str:
-    """Return what was matched, a line a scene, and everything that did not go as planned."""
+    """Return what was matched, one line per scene, and everything that did not go as planned."""
     from capture.matching import blocks_of
     from eldata.base.tables import text_table
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from capture.cli.values import metered, nine_digits, scene_time, seconds, spaced
-from capture.protocol import PROTOCOLS, RELEASED
-from eldata.base.console import OK, add_debug, add_json
+from capture.cli.values import metered, nine_digits, or_dash, scene_time, seconds, spaced
+from capture.protocol import PROTOCOLS, CaptureProtocol
+from eldata.base.console import OK, add_shared
 from eldata.base.files import write_json
 from eldata.errors import ArgumentError
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from capture.calibration import CalibrationPlan
     from capture.camera import CameraDescription
     from capture.plan import Plan
-    from capture.protocol import CaptureProtocol
     from capture.shots import Shot
 
 _CREATING = ("camera", "scenes", "metered", "protocol", "isos", "factors")
@@ -52,7 +51,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     new.add_argument(
         "--protocol",
         choices=tuple(PROTOCOLS),
-        help="frames a scene: those of the released set (default) or of the paper, without the factors 1 and 10",
+        help="frames of a scene: those of the released set (default), or the paper's, without the factors 1 and 10",
     )
     new.add_argument("--isos", type=nine_digits, nargs="+", metavar="ISO", help="other ISOs of the noisy frames")
     new.add_argument(
@@ -90,7 +89,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--flat-clips-at",
         type=seconds,
         metavar="SECONDS",
-        help="time at the base ISO from which on the evenly lit surface is overexposed in raw",
+        help="time at the base ISO from which the evenly lit surface is overexposed in raw",
     )
     calibration.add_argument(
         "--calibration-isos",
@@ -99,13 +98,11 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="ISO",
         help="ISOs to calibrate (default: full stops from the base ISO to the highest noisy one)",
     )
-    calibration.add_argument("--bias-frames", type=nine_digits, metavar="N", help="bias frames an ISO (default: 10)")
+    calibration.add_argument("--bias-frames", type=nine_digits, metavar="N", help="bias frames per ISO (default: 10)")
     parser.add_argument(
         "-o", "--output", metavar="FILE", help="the new plan's file; with PLAN: write the changes there"
     )
-    add_json(parser)
-    add_debug(parser)
-    parser.set_defaults(run=run, command="plan")
+    add_shared(parser, run, "json")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -142,19 +139,13 @@ def _new(arguments: argparse.Namespace) -> Plan:
     if arguments.camera is None:
         raise ArgumentError("a new plan needs --camera FILE; capture camera --example cam.json writes one to change")
     camera = CameraDescription.load(arguments.camera)
-    protocol = _protocol(camera, arguments)
-    times = _metered(arguments)
-    return make_plan(camera, protocol, times, _calibration(camera, protocol, arguments))
-
-
-def _protocol(camera: CameraDescription, arguments: argparse.Namespace) -> CaptureProtocol:
     chosen = PROTOCOLS[arguments.protocol or "released"]
-    return replace(
-        chosen,
-        base_iso=camera.base_iso,
-        noisy_isos=tuple(arguments.isos or RELEASED.noisy_isos),
-        low_light_factors=tuple(arguments.factors or chosen.low_light_factors),
+    protocol = CaptureProtocol(
+        camera.base_iso,
+        tuple(arguments.isos or chosen.noisy_isos),
+        tuple(arguments.factors or chosen.low_light_factors),
     )
+    return make_plan(camera, protocol, _metered(arguments), _calibration(camera, protocol, arguments))
 
 
 def _metered(arguments: argparse.Namespace) -> dict[str, Fraction]:
@@ -164,14 +155,14 @@ def _metered(arguments: argparse.Namespace) -> dict[str, Fraction]:
         raise ArgumentError(f"--scenes: expected a number of scenes from 1 to 1000, found {arguments.scenes or 'none'}")
     names = [f"scene-{number}" for number in range(1, arguments.scenes + 1)]
     times: dict[str, Fraction] = {}
-    for name, time in arguments.metered or ():
+    # First the time of every scene, whatever the order in which they are given.
+    for name, time in sorted(arguments.metered or (), key=lambda given: given[0] is not None):
         if name is None:
             times = dict.fromkeys(names, time)
-    for name, time in arguments.metered or ():
-        if name is not None and name not in names:
-            raise ArgumentError(f"--metered {name}: the scenes are scene-1 to scene-{arguments.scenes}")
-        if name is not None:
+        elif name in names:
             times[name] = time
+        else:
+            raise ArgumentError(f"--metered {name}: the scenes are scene-1 to scene-{arguments.scenes}")
     lacking = [name for name in names if name not in times]
     if lacking:
         raise ArgumentError(
@@ -210,10 +201,8 @@ def _changed(plan: Plan, arguments: argparse.Namespace) -> Plan:
         if not equals or not note.strip():
             raise ArgumentError(f"--note: expected a scene and a text, such as scene-2=bookshelf; found {text!r}")
         plan = plan.add_note(name, note.strip())
-    if arguments.plan is not None:
-        calibration = _calibration(plan.camera, plan.protocol, arguments)
-        if calibration is not None:
-            plan = replace(plan, calibration=calibration)
+    if arguments.plan is not None and (calibration := _calibration(plan.camera, plan.protocol, arguments)) is not None:
+        plan = replace(plan, calibration=calibration)
     return plan
 
 
@@ -226,8 +215,7 @@ def format_plan(plan: Plan) -> str:
     settings = f"base ISO {protocol.base_iso}, ISOs {spaced(protocol.noisy_isos)}"
     factors = spaced(protocol.low_light_factors)
     parts = [f"{plan.camera.name}: {len(plan.shots)} shots; {settings}, low-light factors {factors}"]
-    times = list(dict.fromkeys(scene.metered_s for scene in plan.scenes))
-    for time in times:
+    for time in dict.fromkeys(scene.metered_s for scene in plan.scenes):
         scenes = [scene for scene in plan.scenes if scene.metered_s == time]
         title = f"{', '.join(scene.name for scene in scenes)}: metered at {time} s"
         notes = [f"{scene.name}: {note}" for scene in scenes for note in scene.notes]
@@ -242,24 +230,22 @@ def _table(shots: Sequence[Shot]) -> str:
     from eldata.base.tables import text_table
 
     header = ("frame", "role", "ISO", "factor", "asked", "set", "gives", "ratio", "error", "stops", "reference")
-    rows = []
-    for shot in shots:
-        noisy = shot.true_ratio is not None and shot.error_percent is not None and shot.error_stops is not None
-        rows.append(
-            (
-                str(shot.number),
-                shot.role,
-                str(shot.iso),
-                "-" if shot.factor is None else f"x{shot.factor}",
-                f"{shot.target_s} s",
-                f"{shot.setting.dial} s",
-                f"{shot.setting.true_s:.4g} s",
-                f"{float(shot.true_ratio):.2f}" if noisy and shot.true_ratio is not None else "-",
-                f"{shot.error_percent:+.1f} %" if noisy else "-",
-                f"{shot.error_stops:+.3f}" if noisy else "-",
-                "-" if shot.reference is None else str(shot.reference),
-            )
+    rows = [
+        (
+            str(shot.number),
+            shot.role,
+            str(shot.iso),
+            or_dash(shot.factor, "x{}"),
+            f"{shot.target_s} s",
+            f"{shot.setting.dial} s",
+            f"{shot.setting.true_s:.4g} s",
+            or_dash(None if shot.true_ratio is None else float(shot.true_ratio), "{:.2f}"),
+            or_dash(shot.error_percent, "{:+.1f} %"),
+            or_dash(shot.error_stops, "{:+.3f}"),
+            or_dash(shot.reference),
         )
+        for shot in shots
+    ]
     return text_table(header, rows, left=(1,))
 
 
@@ -268,7 +254,7 @@ def _calibration_table(shots: Sequence[Shot]) -> str:
 
     groups: dict[tuple[str, int, str, str], list[int]] = {}
     for shot in shots:
-        level = "-" if shot.level is None else f"{float(100 * shot.level):.0f} %"
+        level = or_dash(None if shot.level is None else float(100 * shot.level), "{:.0f} %")
         groups.setdefault((shot.role, shot.iso, level, shot.setting.dial), []).append(shot.number)
     rows = [
         (f"{numbers[0]}-{numbers[-1]}", role, str(iso), level, f"{dial} s", str(len(numbers)))

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from capture.cli.values import nine_digits, seconds, spaced
+from capture.cli.values import nine_digits, or_dash, seconds, spaced
 from capture.protocol import RELEASED, CaptureProtocol
-from eldata.base.console import OK, add_debug, add_json
+from eldata.base.console import OK, add_shared
 from eldata.base.files import write_json
 from eldata.base.tables import text_table
 
@@ -55,9 +56,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="FACTOR",
         help=f"low-light factors (default: {spaced(RELEASED.low_light_factors)})",
     )
-    add_json(parser)
-    add_debug(parser)
-    parser.set_defaults(run=run, command="protocol")
+    add_shared(parser, run, "json")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -65,59 +64,31 @@ def run(options: argparse.Namespace) -> int:
     protocol = CaptureProtocol(options.base_iso, tuple(options.isos), tuple(options.factors))
     metered_s: Fraction | None = options.metered
     frames = protocol.frames()
-    exposures_s = [None if metered_s is None else protocol.exposure_s(frame, metered_s) for frame in frames]
+    exposures = [None if metered_s is None else str(protocol.exposure_s(frame, metered_s)) for frame in frames]
     if options.json is not None:
-        content = _as_json(protocol, metered_s, frames, exposures_s)
-        write_json(options.json, content)
-    print(_table(frames, exposures_s))
+        listed = [asdict(frame) | {"exposure_s": exposure} for frame, exposure in zip(frames, exposures, strict=True)]
+        metered = None if metered_s is None else str(metered_s)
+        write_json(options.json, asdict(protocol) | {"metered_s": metered, "frames": listed})
+    rows = [
+        (
+            str(frame.number),
+            frame.role,
+            str(frame.iso),
+            or_dash(frame.factor, "x{}"),
+            or_dash(exposure, "{} s"),
+            or_dash(frame.reference),
+        )
+        for frame, exposure in zip(frames, exposures, strict=True)
+    ]
+    print(text_table(("frame", "role", "ISO", "factor", "exposure", "reference"), rows, left=(1,)))
     print(_summary(protocol, frames))
     return OK
-
-
-def _as_json(
-    protocol: CaptureProtocol,
-    metered_s: Fraction | None,
-    frames: Sequence[ProtocolFrame],
-    exposures_s: Sequence[Fraction | None],
-) -> dict[str, object]:
-    return {
-        "base_iso": protocol.base_iso,
-        "noisy_isos": protocol.noisy_isos,
-        "low_light_factors": protocol.low_light_factors,
-        "metered_s": _exact(metered_s),
-        "frames": [
-            {
-                "number": frame.number,
-                "role": frame.role,
-                "iso": frame.iso,
-                "factor": frame.factor,
-                "exposure_s": _exact(exposure_s),
-                "reference": frame.reference,
-            }
-            for frame, exposure_s in zip(frames, exposures_s, strict=True)
-        ],
-    }
-
-
-def _exact(seconds: Fraction | None) -> str | None:
-    return None if seconds is None else str(seconds)
-
-
-def _table(frames: Sequence[ProtocolFrame], exposures_s: Sequence[Fraction | None]) -> str:
-    header = ("frame", "role", "ISO", "factor", "exposure", "reference")
-    rows = []
-    for frame, exposure_s in zip(frames, exposures_s, strict=True):
-        factor = "-" if frame.factor is None else f"x{frame.factor}"
-        exposure = "-" if exposure_s is None else f"{exposure_s} s"
-        reference = "-" if frame.reference is None else str(frame.reference)
-        rows.append((str(frame.number), frame.role, str(frame.iso), factor, exposure, reference))
-    return text_table(header, rows, left=(1,))
 
 
 def _summary(protocol: CaptureProtocol, frames: Sequence[ProtocolFrame]) -> str:
     references = sum(frame.role == "reference" for frame in frames)
     noisy = len(frames) - references
     return (
-        f"{len(frames)} frames a scene: {references} references at ISO {protocol.base_iso}, {noisy} noisy "
+        f"{len(frames)} frames per scene: {references} references at ISO {protocol.base_iso}, {noisy} noisy "
         f"(ISOs: {len(protocol.noisy_isos)}, factors: {len(protocol.low_light_factors)})"
     )

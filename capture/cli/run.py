@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_debug, add_json
+from eldata.base.console import OK, add_shared
 from eldata.base.files import write_json
 from eldata.errors import ArgumentError
 
@@ -23,10 +23,10 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "run",
         help="shoot a plan with the camera on the cable (needs the program gphoto2)",
         description=(
-            "Shoot a plan with the camera on the USB cable: before each scene say what to prepare, then for each shot "
-            "set ISO and time, read them back, release, download, and compare the frame's EXIF with the plan. Whatever "
-            "cuts it off (a pulled cable, a crash, Ctrl-C), the same command goes on, without repeating or losing a "
-            "frame: DIR/journal.jsonl knows."
+            "Shoot a plan with the camera on the USB cable. Before each scene it says what to prepare; for each shot "
+            "it sets ISO and time, reads them back, releases, downloads, and compares the frame's EXIF with the plan. "
+            "Whatever cuts it off (a pulled cable, a crash, Ctrl-C), the same command resumes, without repeating or "
+            "losing a frame: DIR/journal.jsonl records each one."
         ),
         epilog="Then: capture manifest PLAN DIR/* -o manifests/mine.csv --copy-to data/mine",
     )
@@ -39,7 +39,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="N",
         help="only this scene, by name or number, or calibration; may be repeated",
     )
-    parser.add_argument("--port", metavar="P", default="", help="which camera, as gphoto2 --auto-detect lists it")
+    parser.add_argument("--port", metavar="P", default="", help="the camera's port, as gphoto2 --auto-detect lists it")
     parser.add_argument(
         "--gphoto2", metavar="PATH", default="gphoto2", help="the program (default: the gphoto2 on the PATH)"
     )
@@ -51,12 +51,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="seconds that gphoto2 may take beyond twice the exposure (default: 60)",
     )
     parser.add_argument("--yes", action="store_true", help="go on from scene to scene without waiting for Enter")
-    parser.add_argument(
-        "--dry-run", action="store_true", help="list the commands that are left to run; the camera is left alone"
-    )
-    add_json(parser)
-    add_debug(parser)
-    parser.set_defaults(run=run, command="run")
+    parser.add_argument("--dry-run", action="store_true", help="only list the commands that are left to run")
+    add_shared(parser, run, "json")
 
 
 def _patience(text: str) -> float:
@@ -85,7 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
         _show_commands(part, folder, arguments)
         return OK
     if not arguments.yes and not sys.stdin.isatty():
-        raise ArgumentError("there is no terminal to ask on before each scene; --yes goes on without asking")
+        raise ArgumentError("there is no terminal to ask on before each scene; use --yes to go on without asking")
     gphoto = replace(Gphoto.find(arguments.gphoto2, timeout_s=arguments.timeout), port=arguments.port)
     ask = _say if arguments.yes else _ask
     outcome = run_session(part, folder, gphoto, whole=whole, path=arguments.plan, ask=ask, say=_say)
@@ -118,7 +114,7 @@ def _show_commands(plan: Plan, folder: Path, arguments: argparse.Namespace) -> N
     from capture.tether import Gphoto, Journal, commands
     from capture.tether.journal import NAME
 
-    journal = Journal.seen(folder / NAME)
+    journal = Journal(folder / NAME, writable=False)
     done = {slot for slot, entry in journal.done().items() if (folder / str(entry.details.get("file"))).is_file()}
     before = ""
     for title, command in commands(plan, Gphoto(arguments.gphoto2, arguments.port), frozenset(done)):

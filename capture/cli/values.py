@@ -46,6 +46,11 @@ def metered(text: str) -> tuple[str | None, Fraction]:
     return scene_time(text) if "=" in text else (None, seconds(text))
 
 
+def or_dash(value: object, form: str = "{}") -> str:
+    """Return a cell of a table: the value in this form, or a dash for ``None``."""
+    return "-" if value is None else form.format(value)
+
+
 def spaced(numbers: Sequence[int]) -> str:
     """Return numbers as the command line takes them."""
     return " ".join(map(str, numbers))

@@ -1,5 +1,5 @@
 "use strict";
-// The script of the checklist. Everything that it knows of the plan stands in the page; what is entered is kept in this
+// The script of the checklist. Everything that it knows about the plan is in the page; what is entered is kept in this
 // browser under the plan's digest, in the form that Export writes. The page is whole without it, to read and to print.
 
 const plan = JSON.parse(document.getElementById("plan-data").textContent);
@@ -63,7 +63,7 @@ function nearest(wanted) {
   return settings[index];
 }
 
-/** By what a frame's time is shorter than the reference's: base ISO over ISO and factor. */
+/** How much shorter a frame's time is than the reference's: base ISO over ISO and factor. */
 const scale = (frame) => ({ n: BigInt(frame.factor === null ? 1 : plan.base_iso), d: BigInt(frame.factor === null ? 1 : frame.iso * frame.factor) });
 
 function sceneShots(metered) {
@@ -157,7 +157,7 @@ const rowsOf = (section) => [...rows.values()].filter((row) => row.section === s
 const problemOf = (section) => scenes.get(section)?.problem ?? "";
 const frameCount = (list) => list.reduce((sum, row) => sum + row.count, 0);
 
-/** Text without tabs and what else a file name or remark cannot hold. */
+/** Text without tabs and whatever else a file name or remark cannot hold. */
 const plain = (text) => text.replace(/[\p{Cc}\p{Cs}]/gu, " ");
 
 /** What Export writes, and what is kept; capture.checklist.load_progress reads it. */
@@ -178,10 +178,10 @@ function progress() {
 /** Take over what Export wrote; return the scenes that do not fit this plan. An unusable file changes nothing. */
 function adopt(content) {
   const check = (right, what) => { if (!right) throw new Error(what); };
-  check(content && content.kind === plan.kind, "this is no exported progress of a checklist");
+  check(content && content.kind === plan.kind, "it is not the exported progress of a checklist");
   check(content.schema === plan.schema, "it was written by another version of capture");
-  check(content.camera === plan.camera, `it is of the camera ${content.camera}, and this plan is of ${plan.camera}`);
-  for (const name of ["preparation", "scenes", "calibration"]) check(Array.isArray(content[name]), `its ${name} is no list`);
+  check(content.camera === plan.camera, `it is for the camera ${content.camera}, and this plan is for ${plan.camera}`);
+  for (const name of ["preparation", "scenes", "calibration"]) check(Array.isArray(content[name]), `its ${name} is not a list`);
   const left = [];
   const found = [];
   const times = new Map();
@@ -198,9 +198,9 @@ function adopt(content) {
     part.shots.forEach((shot, index) => {
       const where = `${part.name}, row ${index + 1}`;
       check(shot && (shot.taken_at === null || typeof shot.taken_at === "string"), `${where}: taken_at is neither a time nor null`);
-      check(Number.isInteger(shot.repeats) && shot.repeats >= 0 && shot.repeats <= plan.most_repeats, `${where}: repeats is no small number`);
+      check(Number.isInteger(shot.repeats) && shot.repeats >= 0 && shot.repeats <= plan.most_repeats, `${where}: repeats is not a whole number up to ${plan.most_repeats}`);
       for (const name of ["file", "remark"]) {
-        check(typeof shot[name] === "string" && shot[name].length <= plan.longest_text, `${where}: ${name} is no text, or too long`);
+        check(typeof shot[name] === "string" && shot[name].length <= plan.longest_text, `${where}: ${name} is not a text, or too long`);
       }
     });
     const fits = part.shots.every((shot, index) => ["number", "count", "role", "iso"].every((name) => shot[name] === there[index][name]));
@@ -370,7 +370,7 @@ function refuse(text) {
 
 function fold(section, open) {
   const body = byId(`${section}-body`);
-  if (!open && body.contains(document.activeElement)) return;  // never from under one's fingers
+  if (!open && body.contains(document.activeElement)) return;  // never from under a finger
   body.hidden = !open;
   byId(`${section}-title`).querySelector(".fold").setAttribute("aria-expanded", String(open));
 }
@@ -455,7 +455,7 @@ function meter(section, text) {
   if (!found) {
     const problem = byId(`${section}-problem`);
     problem.hidden = false;
-    problem.textContent = `"${text}" is no time: write seconds such as 4, 1/2 or 0.5. The shots below are still those of ${metered.get(section)} s.`;
+    problem.textContent = `"${text}" is not a time: write seconds such as 4, 1/2 or 0.5. The shots below are still those of ${metered.get(section)} s.`;
     return;
   }
   const time = textOf(found);

@@ -1,7 +1,7 @@
 """Which of the camera's own choices each setting of a plan is.
 
 Makers write one time in several ways: 1/60, 0.0166s (cut to four decimals), 10/600, 0.3, 1/3, 3s for what others call
-3.2. So a choice that names the very time of the dial comes first; else the one choice within an eighth of a stop.
+3.2. So a choice that names exactly the time of the dial comes first; next, the one choice within an eighth of a stop.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from capture.matching import STOPS_TOLERANCE
 from eldata.base.fields import fraction_of, whole_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from capture.camera import CameraDescription, ShutterTime
     from capture.shots import Shot
@@ -31,7 +31,7 @@ _COARSE_BELOW_S: Final = Fraction(1, 100)
 _ISO: Final = re.compile(r"(?:ISO ?)?(?P<iso>[0-9]{1,9})", re.ASCII)
 _RAW: Final = re.compile(r"(?<![a-z])(?:c|m|s)?raw|nef|nrw|\barw|cr[23w]\b|raf|orf|rw2|pef|dng", re.IGNORECASE)
 _COMPRESSED: Final = re.compile(r"jpe?g|\+|fine|normal|basic|standard|light|heif", re.IGNORECASE)
-_LONGEST_OF_LADDER_S: Final = 30  # beyond it cameras go on in steps of their own
+_LONGEST_OF_LADDER_S: Final = 30  # beyond it cameras use their own steps
 _SHORTEST_OF_CUT_S: Final = Fraction(1, 1000)
 
 
@@ -98,7 +98,7 @@ def time_choice(setting: ShutterTime, choices: Sequence[str], others: Sequence[S
     Raises
     ------
     TetherError
-        If there is none, or it could be another setting as well.
+        If none fits, or the one that fits could be another setting too.
     """
     fitting = list(dict.fromkeys(text for text in choices if is_time(text, setting)))
     if not fitting:
@@ -118,17 +118,17 @@ def _stops(text: str, setting: ShutterTime) -> float:
 
 
 def iso_choice(iso: int, choices: Sequence[str]) -> str:
-    """Return the choice that is an ISO: not one with an addition, such as ``100 Multi Frame Noise Reduction``.
+    """Return the choice that is an ISO; not one with an addition, such as ``100 Multi Frame Noise Reduction``.
 
     Raises
     ------
     TetherError
         If there is none.
     """
-    for text in choices:
-        if is_iso(text, iso):
-            return text
-    raise TetherError(f"ISO {iso}")
+    found = next((text for text in choices if is_iso(text, iso)), None)
+    if found is None:
+        raise TetherError(f"ISO {iso}")
+    return found
 
 
 def is_iso(text: str, iso: int) -> bool:
@@ -153,19 +153,20 @@ def choose(camera: CameraDescription, shots: Iterable[Shot], iso: Setting, shutt
                 f"the camera's {setting.name} is {state}: turn its mode dial to M and switch automatics off, then run "
                 "this again"
             )
-    isos: dict[int, str] = {}
-    times: dict[str, str] = {}
     lacking: list[str] = []
-    for number in dict.fromkeys(shot.iso for shot in planned):
+
+    def chosen(choice: Callable[..., str], *arguments: object) -> str:
         try:
-            isos[number] = iso_choice(number, iso.choices)
+            return choice(*arguments)
         except TetherError as error:
             lacking.append(str(error))
-    for time in dict.fromkeys(shot.setting for shot in planned):
-        try:
-            times[time.dial] = time_choice(time, shutter.choices, camera.shutter.times)
-        except TetherError as error:
-            lacking.append(str(error))
+            return ""
+
+    isos = {number: chosen(iso_choice, number, iso.choices) for number in dict.fromkeys(shot.iso for shot in planned)}
+    times = {
+        time.dial: chosen(time_choice, time, shutter.choices, camera.shutter.times)
+        for time in dict.fromkeys(shot.setting for shot in planned)
+    }
     if lacking:
         offered = f"{_ends(iso.choices)} as ISO, {_ends(shutter.choices)} as time"
         raise TetherError(
@@ -197,8 +198,7 @@ def _check_steps(camera: CameraDescription, dial: str, text: str, choices: Seque
     if not 0 < at < len(times) - 1:
         return
     around = (as_exact(times[at + 1]) / times[at - 1]).log2  # two steps
-    halves, thirds = around > 0.84, around < 0.84
-    if (step == Fraction(1, 3) and halves) or (step == Fraction(1, 2) and thirds):
+    if (around > 0.84) == (step == Fraction(1, 3)):
         raise TetherError(
             f"the plan counts in steps of {step} stop, and around {dial} s the camera offers steps of about "
             f"{around / 2:.2f} stop: set its exposure steps (EV steps) to {step} in the menu, or describe the camera "
@@ -207,17 +207,13 @@ def _check_steps(camera: CameraDescription, dial: str, text: str, choices: Seque
 
 
 def format_problem(setting: Setting) -> str | None:
-    """Return why an image format will not do, or ``None``: raw alone, or a text that says neither."""
+    """Return why an image format will not do; ``None`` for raw alone, or a text that says neither raw nor JPEG."""
     text = setting.current
-    raw = _RAW.search(text) is not None
-    compressed = _COMPRESSED.search(text) is not None
-    if raw and not compressed:
-        return None
-    if not compressed:
-        return None  # "Unknown value 000d": the first frame shows
+    if _COMPRESSED.search(text) is None:
+        return None  # of "Unknown value 000d" the first frame shows what it is
     offered = [choice for choice in setting.choices if _RAW.search(choice) and not _COMPRESSED.search(choice)]
     advice = f"set it to {' or '.join(offered)}" if offered else "set it to raw"
-    if raw:
+    if _RAW.search(text) is not None:
         return (
             f"the camera's {setting.name} is {text!r}: {advice} alone. With a JPEG beside it, some cameras hand over "
             "the raw of the shot before"

@@ -7,7 +7,7 @@ from itertools import count
 from typing import TYPE_CHECKING, Any
 
 from capture.matching import can_be
-from capture.observed import ObservedFrame
+from capture.observed import observe_one
 from eldata.errors import RawFileError
 
 if TYPE_CHECKING:
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from capture.camera import CameraDescription
     from capture.matching import Slot
+    from capture.observed import ObservedFrame
     from capture.shots import Shot
 
 
@@ -26,7 +27,7 @@ def frame_name(slot: Slot, camera: CameraDescription) -> str:
 
 
 def aside_path(folder: Path, slot: Slot, observed: ObservedFrame | None, suffix: str) -> Path:
-    """Return a free name for a frame that is none of the plan's: it says why, and is no raw file's name.
+    """Return a free name for a frame that is not the plan's: it says why, and is not a raw file's name.
 
     Such as ``scene-1_0004.wrong-ISO800-1_60s.1.ARW.aside``.
     """
@@ -39,8 +40,9 @@ def aside_path(folder: Path, slot: Slot, observed: ObservedFrame | None, suffix:
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What became of looking at a file: ``problem`` is ``None`` if it is the frame; ``observed`` if it is readable."""
+    """What a file turned out to be: ``problem`` is ``None`` if it is the frame, ``observed`` if it is unreadable."""
 
+    path: Path
     observed: ObservedFrame | None
     problem: str | None
 
@@ -62,37 +64,26 @@ def look(path: Path, shot: Shot, camera: CameraDescription) -> Look:
     """Decode a downloaded file, and compare its EXIF with a shot.
 
     Decoded, since gphoto2 ends well after a download that the disk had no room for, and not every format's header
-    tells how long the file should be.
+    states how long the file should be.
     """
-    from eldata.raw.reading import read_header, read_raw
+    from eldata.raw.reading import read_raw
 
     if path.suffix.lower() != camera.raw_extension.lower():
-        return Look(
-            None,
-            f"the camera sent a {path.suffix or 'nameless'} file, not {camera.raw_extension}: set its image format to "
-            "raw alone",
-        )
+        sent = f"the camera sent a {path.suffix or 'nameless'} file, not {camera.raw_extension}"
+        return Look(path, None, f"{sent}: set its image format to raw alone")
     try:
         read_raw(path)
-        header = read_header(path)
+        observed = observe_one(path)
     except RawFileError as error:
-        return Look(None, f"the file that came is not whole: {error.reason}")
-    iso, exposure_s = header.exposure.iso, header.exposure.exposure_s
-    if iso is None or exposure_s is None:
-        return Look(None, f"the file that came states no {'ISO' if iso is None else 'exposure time'}")
-    observed = ObservedFrame(path, iso, exposure_s, header.taken, header.model)
-    if header.model.casefold() not in {model.casefold() for model in camera.models}:
-        return Look(
-            observed,
-            f"the frame was taken by {header.model or 'a camera that it does not name'}; the plan is for "
-            f"{' or '.join(camera.models)}",
-        )
-    if not can_be(shot, observed):
-        return Look(
-            observed,
-            f"the frame was taken at {observed.settings}, and the plan asks for ISO {shot.iso}, {shot.setting.dial} s",
-        )
-    return Look(observed, None)
+        return Look(path, None, f"the file that came cannot be used: {error.reason}")
+    problem = None
+    if observed.model.casefold() not in {model.casefold() for model in camera.models}:
+        taker = observed.model or "a camera that it does not name"
+        problem = f"the frame was taken by {taker}; the plan is for {' or '.join(camera.models)}"
+    elif not can_be(shot, observed):
+        wanted = f"ISO {shot.iso}, {shot.setting.dial} s"
+        problem = f"the frame was taken at {observed.settings}, and the plan asks for {wanted}"
+    return Look(path, observed, problem)
 
 
 def taken_of(exif: dict[str, Any]) -> datetime | None:

@@ -6,8 +6,8 @@ What was seen of the real program (2.5.28) and shaped this module:
   final name. So an exit code of 0 proves nothing, and every frame is decoded before it counts.
 - ``--set-config`` takes a number for a place in the list: 25 is the 26th choice, not 25 s. ``--set-config-value`` takes
   the text.
-- Without a terminal it asks "Overwrite? [y|n]" and fails where a file is there: each shot has a folder of its own.
-- It remembers the last port in ~/.gphoto/settings and takes it where none is given: so the port is always given.
+- Without a terminal it asks "Overwrite? [y|n]" and fails where a file exists: each shot has its own folder.
+- It remembers the last port in ~/.gphoto/settings and uses it if none is given: so the port is always given.
 - Messages follow the language of the environment; ``LC_ALL=C`` keeps them, and decimal points, readable.
 """
 
@@ -25,6 +25,7 @@ from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING, Final
 
 from capture.capture_errors import CameraLostError, GphotoError
+from eldata.base.fields import TextFile
 from eldata.base.files import check_posix
 
 if TYPE_CHECKING:
@@ -34,91 +35,22 @@ INSTALL: Final = "install it with: apt install gphoto2 (macOS: brew install gpho
 PATTERN: Final = "frame.%C"  # %C is the camera's own extension: a JPEG beside the raw gets another name
 LOG: Final = "gphoto2.log"
 _GRACE_S: Final = 5.0
+_MESSAGES: Final = Path(__file__).parents[1] / "templates" / "gphoto2.toml"
 _CAMERA: Final = re.compile(r"(?P<model>\S.*?)\s+(?P<port>[a-z0-9]+:\S.*?)\s*")
 _NO_CAPTURE_PORTS: Final = ("disk:", "usbdiskdirect:", "usbscsi:")  # memory cards, which are listed too
 _NEW_FILE: Final = re.compile(r"New file is in location (?P<path>/.*?) on the camera")
-_LISTED: Final = re.compile(r"FILENAME='(?P<path>/[^']*)'.*?FILESIZE=\s*(?P<size>\d+)(?:.*?FILEMTIME=(?P<time>\d+))?")
+_LISTED: Final = re.compile(r"FILENAME='(?P<path>/[^']*)'.*?FILESIZE=\s*\d+(?:.*?FILEMTIME=(?P<time>\d+))?")
 _CHOICE: Final = re.compile(r"Choice: (?P<index>\d+) (?P<text>.*)")
 
 
 @dataclass(frozen=True, slots=True)
-class _Meaning:
-    """What a message of gphoto2 means and what to do; ``lost`` if the camera is out of reach."""
-
-    pattern: str
-    advice: str
-    lost: bool = False
-
-
-# The first that fits counts.
-_MEANINGS: Final = (
-    _Meaning(
-        r"Could not claim the USB device|Could not claim interface|Could not lock the device",
-        "another program holds the camera. Close photo programs, and let the file manager go of it: gio mount -s "
-        "gphoto2 (or eject the camera there)",
-        lost=True,
-    ),
-    _Meaning(
-        r"Could not open USB device|Access denied|LIBUSB_ERROR_ACCESS|Permission denied",
-        "the camera's USB port may not be opened by you: unplug the camera and plug it in again; if that does not "
-        "help, add yourself to the group plugdev",
-        lost=True,
-    ),
-    _Meaning(
-        r"Could not detect any camera|No camera found|Unknown model|Could not find the requested device"
-        r"|No such device|disconnected|Unknown port|Port .* not found",
-        "no camera answers: plug the cable in, switch the camera on, wake it, and set its USB mode to PC remote or "
-        "PTP. gphoto2 --auto-detect shows whether it is found; its port changes with every plugging, so --port may be "
-        "out of date",
-        lost=True,
-    ),
-    _Meaning(r"No space left|Disk full|'Fixed limit exceeded'", "the disk, or the camera's card, is full: make room"),
-    _Meaning(
-        r"I/O in progress|Device Busy",
-        "the camera is busy: wait for its card light to go out, and leave its menus",
-    ),
-    _Meaning(
-        r"Timeout|I/O problem|Error reading from the port|Error writing to the port|PTP General Error|PTP Session",
-        "the connection broke: check cable and battery, switch the camera off and on",
-    ),
-    _Meaning(r"can ?not capture|does not support generic capture", "this camera cannot be released by gphoto2"),
-    _Meaning(
-        r"not found in configuration tree|within list of choices|does not provide any configuration|was not set",
-        "the camera does not take this setting now: turn its mode dial to M, and switch ISO automatics off",
-    ),
-    _Meaning(
-        r"Out of Focus|autofocus|Could not capture",
-        "the camera did not release: set lens and body to manual focus, the mode dial to M, the drive to single, and "
-        "see what its display says",
-    ),
-)
-
-
-@dataclass(frozen=True, slots=True)
-class Detected:
-    """A camera that gphoto2 found: its own name for it, and the port."""
-
-    model: str
-    port: str
-
-
-@dataclass(frozen=True, slots=True)
 class Setting:
-    """A setting as the camera has it now; ``choices`` is empty if it is no list."""
+    """A setting as the camera has it now; ``choices`` is empty if it is not a list."""
 
     name: str
     current: str
     choices: tuple[str, ...] = ()
     read_only: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class CardFile:
-    """A file on the camera: ``time`` is seconds by its clock, 0 if it does not say."""
-
-    path: PurePosixPath
-    size_bytes: int
-    time: int
 
 
 def set_arguments(values: dict[str, str]) -> list[str]:
@@ -150,7 +82,7 @@ class Gphoto:
         File descriptors that the program keeps open: the session's lock, which so outlives a killed session for as long
         as its gphoto2 is still downloading.
     started
-        Told the process id of each run.
+        Called with the process id of each run.
     """
 
     program: str
@@ -173,24 +105,24 @@ class Gphoto:
         check_posix("tethered capture")
         path = shutil.which(name)
         if path is None:
-            raise GphotoError(f"{name}: there is no such program; {INSTALL}")
+            raise GphotoError(f"{name}: program not found; {INSTALL}")
         return cls(str(Path(path).absolute()), timeout_s=timeout_s)
 
     def command(self, *arguments: str) -> list[str]:
         """Return a whole command line."""
         return [self.program, *(("--port", self.port) if self.port else ()), *arguments]
 
-    # --- what is asked of it ------------------------------------------------------------------------------------------
+    # --- what it is asked ---------------------------------------------------------------------------------------------
 
-    def detect(self) -> tuple[Detected, ...]:
-        """Return the cameras that can be reached; memory cards, which are listed too, are left out.
+    def detect(self) -> dict[str, str]:
+        """Return the models of the cameras that can be reached, by port; without memory cards, which are listed too.
 
-        Asked without a port: with one, the program lists whatever it is told that there is.
+        Asked without a port: given one, the program lists it whether or not a camera is there.
         """
         return parse_cameras(self._run(["--auto-detect"]))
 
     def setting_names(self) -> tuple[str, ...]:
-        """Return the names of the camera's settings, without the sections that they stand in."""
+        """Return the names of the camera's settings, without their sections."""
         lines = self._run(["--list-config"]).splitlines()
         return tuple(line.strip().rpartition("/")[2] for line in lines if line.startswith("/"))
 
@@ -199,7 +131,7 @@ class Gphoto:
         found = parse_settings(self._run(get_arguments(names)))
         if len(found) != len(names):
             raise GphotoError(
-                f"gphoto2 was asked for {', '.join(names)} and told {len(found)} of {len(names)} settings"
+                f"gphoto2 was asked for {', '.join(names)} and returned {len(found)} of {len(names)} settings"
             )
         return {name: Setting(name, *one) for name, one in zip(names, found, strict=True)}
 
@@ -216,7 +148,7 @@ class Gphoto:
         with (folder / LOG).open("ab+") as log:
             self._run(list(CAPTURE), folder=folder, limit_s=2 * exposure_s + self.timeout_s, log=log)
 
-    def card(self) -> tuple[CardFile, ...]:
+    def card(self) -> tuple[PurePosixPath, ...]:
         """List the files on the camera, oldest first as far as it says."""
         return parse_card(self._run(["--parsable", "--list-files"]))
 
@@ -273,10 +205,10 @@ class Gphoto:
             _end(process)
             raise CameraLostError(
                 f"gphoto2 {arguments[0]} did not end within {limit_s:g} s and was ended: switch the camera off and on, "
-                "check cable and battery; if it only is slow, give more time with --timeout",
+                "check cable and battery; if it is only slow, give more time with --timeout",
                 _text(log, begun),
             ) from None
-        except BaseException:  # Ctrl-C above all: nothing may go on behind the back of the journal
+        except BaseException:  # Ctrl-C above all: nothing may go on that the journal does not know of
             _end(process)
             raise
         output = _text(log, begun)
@@ -305,41 +237,28 @@ def _text(log: IO[bytes], begun: int) -> str:
 
 def explained(what: str, output: str) -> GphotoError:
     """Return the error that a failed command stands for, to be raised."""
-    said = " ".join(line for line in map(str.strip, output.splitlines()) if line and not _is_advice(line))
+    known = TextFile(_MESSAGES, GphotoError).toml()
+    boilerplate = known.texts("boilerplate")
+    said = " ".join(line for line in map(str.strip, output.splitlines()) if not line.startswith(boilerplate))
     said = re.sub(r"\*\*\* Error[ *]*\*\*\*", " ", said).replace("*** Error", "").replace("***", "")
     said = " ".join(said.split())[:300] or "nothing"
-    for meaning in _MEANINGS:
-        if re.search(meaning.pattern, output, re.IGNORECASE):
-            kind = CameraLostError if meaning.lost else GphotoError
-            return kind(f"{meaning.advice}. gphoto2 {what} said: {said}", output)
+    for message in known.objects("message"):
+        if re.search(message.text("pattern"), output, re.IGNORECASE):
+            kind = CameraLostError if message.flag("lost") else GphotoError
+            return kind(f"{message.text('advice')}. gphoto2 {what} said: {said}", output)
     return GphotoError(f"gphoto2 {what} failed and said: {said}", output)
-
-
-_ADVICE: Final = (
-    "For debugging messages",
-    "Debugging messages",
-    "If you intend",
-    "developer mailing list",
-    "gphoto2 as follows",
-    "env LANG=C",
-    "Please make sure",
-)
-
-
-def _is_advice(line: str) -> bool:
-    return line.startswith(_ADVICE)
 
 
 # --- what it prints ---------------------------------------------------------------------------------------------------
 
 
-def parse_cameras(output: str) -> tuple[Detected, ...]:
-    """Return the cameras of ``--auto-detect``."""
+def parse_cameras(output: str) -> dict[str, str]:
+    """Return the cameras of ``--auto-detect``, models by port."""
     lines = output.splitlines()
     rule = next((index for index, line in enumerate(lines) if line.startswith("-----")), len(lines))
     matches = (_CAMERA.fullmatch(line) for line in lines[rule + 1 :])
-    found = (Detected(one["model"], one["port"]) for one in matches if one is not None)
-    return tuple(camera for camera in found if not camera.port.startswith(_NO_CAPTURE_PORTS))
+    found = {one["port"]: one["model"] for one in matches if one is not None}
+    return {port: model for port, model in found.items() if not port.startswith(_NO_CAPTURE_PORTS)}
 
 
 def parse_settings(output: str) -> list[tuple[str, tuple[str, ...], bool]]:
@@ -364,15 +283,11 @@ def parse_settings(output: str) -> list[tuple[str, tuple[str, ...], bool]]:
     return found
 
 
-def parse_card(output: str) -> tuple[CardFile, ...]:
-    """Return the files of ``--parsable --list-files``, oldest first, then by name."""
+def parse_card(output: str) -> tuple[PurePosixPath, ...]:
+    """Return the files of ``--parsable --list-files``, oldest first by the camera's clock, then by name."""
     matches = (_LISTED.search(line) for line in output.splitlines())
-    found = [
-        CardFile(PurePosixPath(one["path"]), int(one["size"]), int(one["time"] or 0))
-        for one in matches
-        if one is not None
-    ]
-    return tuple(sorted(found, key=lambda file: (file.time, str(file.path))))
+    found = sorted((int(one["time"] or 0), one["path"]) for one in matches if one is not None)
+    return tuple(PurePosixPath(path) for _, path in found)
 
 
 def parse_taken(output: str) -> tuple[PurePosixPath, ...]:

@@ -1,4 +1,4 @@
-"""The journal of a session: what was about to be done, and what was done, a line of JSON each, synced to disk.
+"""The journal of a session: what was about to be done and what was done, each as a line of JSON synced to disk.
 
 ``intent`` comes before the release, ``done`` after the frame has its final name; so after a crash at any moment an
 intent without an end says which frame to look for. Lines are only ever appended. A last line without its line end was
@@ -10,11 +10,12 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import TYPE_CHECKING, Any, Final
 
 from capture.capture_errors import JournalError
+from capture.placing import rename_to_new
 from capture.plan import CALIBRATION
 from eldata.base.fields import TextFile
 
@@ -34,7 +35,7 @@ _EVENTS: Final = ("plan", "intent", "done", "wrong", "failed")
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A line that concerns a shot.
+    """A line about a shot.
 
     Attributes
     ----------
@@ -74,21 +75,23 @@ def digest_of(plan: Plan) -> str:
 
 
 class Journal:
-    """The journal of one folder, open for appending.
+    """The journal of one folder, open for appending; or only read, and not touched, if it is not to be ``writable``.
 
-    The caller holds the folder's lock.
+    To write, the caller must hold the folder's lock.
 
     Raises
     ------
     JournalError
-        If a line other than the last is no entry, or the file cannot be read.
+        If a line other than the last is not an entry, or the file cannot be read.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, writable: bool = True) -> None:
         self.path = path
         self.plans: list[str] = []
         self.entries: list[Entry] = []
         whole = self._read()
+        if not writable:
+            return
         try:
             with path.open("ab") as file:
                 if file.tell() > whole:
@@ -98,18 +101,10 @@ class Journal:
         except OSError as error:
             raise JournalError(f"{path}: cannot be written to ({error.strerror})") from error
 
-    @classmethod
-    def seen(cls, path: Path) -> Journal:
-        """Read a journal without touching it."""
-        self = cls.__new__(cls)
-        self.path, self.plans, self.entries = path, [], []
-        self._read()
-        return self
-
     # --- reading ------------------------------------------------------------------------------------------------------
 
     def _read(self) -> int:
-        """Take in the whole lines; return the number of bytes that they have."""
+        """Take in the whole lines; return their number of bytes."""
         try:
             data = self.path.read_bytes()
         except FileNotFoundError:
@@ -136,25 +131,30 @@ class Journal:
         return {entry.slot: entry for entry in self.entries if entry.event == "done"}
 
     def open_intents(self) -> tuple[Entry, ...]:
-        """Return the shots that were begun and of which it is not known what became of them."""
+        """Return the shots that were begun, and whose outcome is unknown."""
         ended = {entry.token for entry in self.entries if entry.event != "intent"}
         return tuple(entry for entry in self.entries if entry.event == "intent" and entry.token not in ended)
 
     # --- writing ------------------------------------------------------------------------------------------------------
 
     def write_plan(self, plan: Plan) -> None:
-        """Note the plan that is followed from here on, if it is not the one that was."""
+        """Note the plan that is followed from here on, if it has changed."""
         digest = digest_of(plan)
         if self.plans[-1:] != [digest]:
             self._append({"event": "plan", "schema": SCHEMA, "digest": digest, "camera": plan.camera.name})
             self.plans.append(digest)
 
-    def write(self, event: str, slot: Slot, shot: str, token: str, **details: Any) -> None:
-        """Append an entry; it is on the disk when this returns."""
-        scene, number = slot
-        line = {"event": event, "scene": scene, "number": number, "shot": shot, "token": token}
-        self._append(line | details)
-        self.entries.append(Entry(event, slot, shot, token, details))
+    def write(self, entry: Entry) -> Entry:
+        """Append an entry, and return it; it is on the disk when this returns."""
+        scene, number = entry.slot
+        line = {"event": entry.event, "scene": scene, "number": number, "shot": entry.shot, "token": entry.token}
+        self._append(line | entry.details)
+        self.entries.append(entry)
+        return entry
+
+    def end(self, intent: Entry, event: str, **details: Any) -> None:
+        """Append what became of an intent."""
+        self.write(replace(intent, event=event, details=details))
 
     def _append(self, line: dict[str, Any]) -> None:
         stamped = line | {"time": datetime.now().astimezone().isoformat(timespec="milliseconds")}
@@ -177,10 +177,10 @@ class Journal:
     # --- the plan that it belongs to ----------------------------------------------------------------------------------
 
     def check(self, plan: Plan, path: Path | str) -> None:
-        """Refuse a plan in which a shot that was taken here is another one now, or is gone.
+        """Refuse a plan in which a shot that was taken here has changed or is gone.
 
-        A plan that was changed only where nothing is taken yet, as by metering a later scene again, goes on; so does
-        one where the frames of the changed scene were deleted.
+        A plan that was changed only where nothing is taken yet, such as by metering a later scene again, is accepted;
+        so is one where the frames of the changed scene were deleted.
 
         Raises
         ------
@@ -208,7 +208,7 @@ _COMMON: Final = frozenset(("event", "scene", "number", "shot", "token", "time")
 
 
 def _sync_folder(folder: Path) -> None:
-    """Bring renamed and new files' names to the disk."""
+    """Sync the names of renamed and new files to the disk."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -227,15 +227,7 @@ def place(source: Path, target: Path) -> None:
     try:
         with source.open("rb") as file:
             os.fsync(file.fileno())
-        try:
-            target.hardlink_to(source)
-            source.unlink()
-        except FileExistsError:
-            raise
-        except OSError:  # a file system without hard links, such as a memory card's
-            if os.path.lexists(target):
-                raise FileExistsError from None
-            source.rename(target)
+        rename_to_new(source, target)
         _sync_folder(target.parent)
     except FileExistsError:
         raise JournalError(f"{target} is there already, and this session did not take it: move it away") from None

@@ -1,4 +1,4 @@
-"""One session a folder: a lock that the operating system lets go of when the last of its processes ends."""
+"""One session per folder: a lock that the operating system releases when the last of its processes ends."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ class Lock:
     descriptor: int
 
     def note(self, gphoto2: int) -> None:
-        """Write down which gphoto2 is at work, for the one who finds the lock held."""
+        """Write down which gphoto2 is at work, for whoever finds the lock held."""
         text = json.dumps({"session": os.getpid(), "gphoto2": gphoto2}).encode()
-        with suppress(OSError):  # a full disk must not stop what only informs
+        with suppress(OSError):  # a full disk must not stop what is only information
             os.pwrite(self.descriptor, text.ljust(64), 0)
 
 
@@ -40,8 +40,8 @@ class Lock:
 def locked(folder: Path) -> Iterator[Lock]:
     """Hold the folder's lock.
 
-    A gphoto2 that a killed session left behind holds it too, until its download is done: then there is nothing that
-    could appear behind the back of the next session.
+    A gphoto2 that a killed session left behind holds it too, until its download is done, so that no
+    file appears behind the back of the next session.
 
     Raises
     ------

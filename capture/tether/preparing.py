@@ -19,7 +19,7 @@ _SHUTTERS: Final = ("shutterspeed2", "shutterspeed")  # Nikon's first has exact 
 
 @dataclass(frozen=True, slots=True)
 class Ready:
-    """A camera that can shoot a plan: the program with its port, its texts for the settings, what to tell."""
+    """A camera that can shoot a plan: the program with its port, its texts for the settings, and what to show."""
 
     gphoto: Gphoto
     choices: Choices
@@ -34,7 +34,7 @@ def prepare(plan: Plan, gphoto: Gphoto) -> Ready:
     CameraLostError
         If there is none.
     TetherError
-        If there are several, it is another one than the plan's, or does not offer a setting or raw files.
+        If there are several, it is not the plan's, or it does not offer a setting or raw files.
     """
     port, name = chosen_port(gphoto)
     gphoto = replace(gphoto, port=port)
@@ -43,7 +43,7 @@ def prepare(plan: Plan, gphoto: Gphoto) -> Ready:
     lacking = [what for what, any_of in needed if not {*any_of} & {*names}]
     if lacking:
         raise TetherError(
-            f"{name} has no setting {' and none '.join(lacking)} now: turn its mode dial to M, and set its USB mode to "
+            f"{name} does not offer {' or '.join(lacking)} now: turn its mode dial to M, and set its USB mode to "
             "PC remote; gphoto2 --list-config shows what it has"
         )
     asked = [one for one in ("cameramodel", "batterylevel", "iso", *_SHUTTERS, *_FORMATS) if one in names]
@@ -81,29 +81,29 @@ def chosen_port(gphoto: Gphoto) -> tuple[str, str]:
     Raises
     ------
     CameraLostError
-        If none is found, or none where it was said to be.
+        If none is found, or none at the given port.
     TetherError
         If there are several and none was chosen.
     """
     if gphoto.port and not gphoto.port.startswith("usb:"):
-        return gphoto.port, "the camera"  # one in the network is not found by itself
+        return gphoto.port, "the camera"  # auto-detection does not find one in the network
     found = replace(gphoto, port="").detect()
     if not found:
         raise CameraLostError(
             "no camera was found: plug the cable in, switch the camera on, wake it, and set its USB mode to PC remote "
             "or PTP; gphoto2 --auto-detect shows what is found"
         )
-    listed = ", ".join(f"{one.port} ({one.model})" for one in found)
-    there = [one for one in found if gphoto.port in ("", one.port)]
-    if not there:
-        raise CameraLostError(f"--port {gphoto.port}: no camera is there; found {listed}")
-    if len(there) > 1:
+    listed = ", ".join(f"{port} ({model})" for port, model in found.items())
+    if not gphoto.port and len(found) > 1:
         raise TetherError(f"several cameras are connected: {listed}; choose one with --port")
-    return there[0].port, there[0].model
+    port = gphoto.port or next(iter(found))
+    if port not in found:
+        raise CameraLostError(f"--port {port}: no camera is there; found {listed}")
+    return port, found[port]
 
 
 def model_problem(said: str, models: tuple[str, ...]) -> str | None:
-    """Return why a camera's own name is none of a plan's, or ``None``; EXIF may put the maker before it."""
+    """Return why a camera's own name is not among the plan's, or ``None``; EXIF may put the maker before it."""
     name = " ".join(said.split()).casefold()
     if not name or any(name == model.casefold() or model.casefold().endswith(f" {name}") for model in models):
         return None

@@ -1,9 +1,9 @@
-"""A tethered session: the camera set, released and checked, shot by shot, so that it can be cut off at any moment.
+"""A tethered session: the camera set, released and checked, shot by shot, and safe to cut off at any moment.
 
-The order of steps is what makes that so. For each shot: intent into the journal; release and download into a folder of
-that attempt alone; decode and compare with the plan; final name; done into the journal. Whoever comes after a crash
-finds an intent without an end, and looks: at the final name, into the attempt's folder, on the camera's card. Only if
-the frame is nowhere, it is taken again.
+The order of steps makes it so. For each shot: intent into the journal; release and download into a folder of
+that attempt alone; decode and compare with the plan; final name; done into the journal. After a crash, the next
+session finds an intent without an end, and looks: at the final name, in the attempt's folder, on the camera's card.
+Only if the frame is nowhere is it taken again.
 """
 
 from __future__ import annotations
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from capture.matching import Slot
     from capture.plan import Plan
     from capture.shots import Shot
-    from capture.tether.gphoto import CardFile
 
 INCOMING: Final = ".incoming"
 ATTEMPTS: Final = 2
@@ -70,7 +69,7 @@ def run_session(
     plan
         What to take: a plan, or a part of it.
     folder
-        Where frames and journal go; made if it is not there.
+        Where frames and journal go; created if it does not exist.
     gphoto
         The program; with a port if several cameras are connected.
     whole
@@ -85,7 +84,7 @@ def run_session(
     Raises
     ------
     TetherError
-        If the session cannot start or go on. Frames that were taken are kept; the same call goes on where this ended.
+        If the session cannot start or go on. Frames already taken are kept; the same call resumes the session.
     """
     begun = time.monotonic()
     whole = plan if whole is None else whole
@@ -159,7 +158,7 @@ class _Session:
     # --- before the first shot ----------------------------------------------------------------------------------------
 
     def check_done(self) -> None:
-        """See that the frames of the journal are there; those that were deleted are taken again."""
+        """Check that the frames of the journal exist; those that were deleted are taken again."""
         self.gone: set[Slot] = set()
         begun_again = {intent.slot for intent in self.journal.open_intents()}
         for slot, entry in self.journal.done().items():
@@ -178,15 +177,15 @@ class _Session:
     # --- one shot -----------------------------------------------------------------------------------------------------
 
     def take(self, slot: Slot, shot: Shot, choices: Choices) -> None:
-        """Take one frame; set anew and try once more if it came out wrong."""
+        """Take one frame; set the camera again and try once more if it came out wrong."""
         target = self.folder / frame_name(slot, self.plan.camera)
         if target.exists():
             raise JournalError(f"{target} is there already, and this session did not take it: move it away")
-        problems: list[str] = []
-        for attempt in range(1, ATTEMPTS + 1):
+        problem: str | None = None
+        for _ in range(ATTEMPTS):
             self.check_room()
-            if attempt > 1:
-                self.say(f"{slot[0]} frame {slot[1]}: {problems[-1]}; once more")
+            if problem is not None:
+                self.say(f"{_title(slot)}: {problem}; once more")
             try:
                 self.set(shot, choices)
                 problem = self.release(slot, shot)
@@ -198,15 +197,14 @@ class _Session:
                 self.taken += 1
                 return
             self.state = {}
-            problems.append(problem)
         raise TetherError(
-            f"{slot[0]} frame {slot[1]} (ISO {shot.iso}, {shot.setting.dial} s) failed {ATTEMPTS} times: "
-            f"{problems[-1]}. Look at the camera: mode dial on M, ISO and exposure automatics off, image format raw, "
-            "drive single; then run the same command again, it goes on with this frame"
+            f"{_title(slot)} (ISO {shot.iso}, {shot.setting.dial} s) failed {ATTEMPTS} times: {problem}. Look at the "
+            "camera: mode dial on M, ISO and exposure automatics off, image format raw, drive single; then run the "
+            "same command again, it goes on with this frame"
         )
 
     def set(self, shot: Shot, choices: Choices) -> None:
-        """Set ISO and time where they are others now, and read them back."""
+        """Set ISO and time if they differ from the camera's now, and read them back."""
         wanted = choices.values(shot)
         if self.state == wanted:
             return
@@ -231,48 +229,46 @@ class _Session:
         token = f"{slot[0]}_{slot[1]:04d}.{secrets.token_hex(6)}"
         folder = self.folder / INCOMING / token
         folder.mkdir(parents=True)
-        mark = fingerprint(self.whole, shot)
-        self.journal.write("intent", slot, mark, token)
+        intent = self.journal.write(Entry("intent", slot, fingerprint(self.whole, shot), token))
         failure: GphotoError | None = None
         try:
             self.gphoto.capture(folder, shot.setting.true_s)
         except GphotoError as error:
             failure = error
-        found = self.bring_home(slot, shot, token, failure)
+        found = self.bring_home(intent, shot, card=not isinstance(failure, CameraLostError))
         if found is not None and found.problem is None:
             return None
         if isinstance(failure, CameraLostError):
             raise failure  # the intent stays open: the frame may be on the card
         if found is None:
             problem = str(failure) if failure is not None else "gphoto2 ended well and downloaded nothing"
-            self.journal.write("failed", slot, mark, token, reason=problem)
+            self.journal.end(intent, "failed", reason=problem)
             shutil.rmtree(folder, ignore_errors=True)
             return problem
         return found.problem
 
-    def bring_home(self, slot: Slot, shot: Shot, token: str, failure: GphotoError | None) -> Look | None:
+    def bring_home(self, intent: Entry, shot: Shot, *, card: bool = True) -> Look | None:
         """Find an attempt's frame in its folder, or on the card if the download failed; ``None`` if it is nowhere.
 
         A frame gets its final name and a ``done``; a wrong one is kept aside, and gets a ``wrong``.
         """
-        folder = self.folder / INCOMING / token
-        path, seen = self.downloaded(folder, shot)
+        folder = self.folder / INCOMING / intent.token
+        seen = self.downloaded(folder, shot)
         if seen is None or seen.observed is None:
-            if isinstance(failure, CameraLostError):
+            if not card:
                 return None
-            path, seen = self.from_card(folder, shot) or (path, seen)
-        if path is None or seen is None:
+            seen = self.from_card(folder, shot) or seen
+        if seen is None:
             return None
-        mark = fingerprint(self.whole, shot)
-        twin = self.twin(path)
+        twin = self.twin(seen.path)
         if seen.problem is None and twin is not None:
-            seen = Look(seen.observed, f"the camera sent the frame of {twin} once more")
+            seen = replace(seen, problem=f"the camera sent the frame of {twin} once more")
         if seen.problem is None:
-            self.finish(slot, mark, token, path, seen)
+            self.finish(intent, seen)
         else:
-            aside = aside_path(self.folder, slot, seen.observed, path.suffix)
-            place(path, aside)
-            self.journal.write("wrong", slot, mark, token, file=aside.name, reason=seen.problem, exif=seen.exif)
+            aside = aside_path(self.folder, intent.slot, seen.observed, seen.path.suffix)
+            place(seen.path, aside)
+            self.journal.end(intent, "wrong", file=aside.name, reason=seen.problem, exif=seen.exif)
         shutil.rmtree(folder, ignore_errors=True)
         return seen
 
@@ -282,29 +278,26 @@ class _Session:
         same = (entry for entry in self.have.values() if entry.details["sha256"] == digest)
         return next((str(entry.details["file"]) for entry in same), None)
 
-    def finish(self, slot: Slot, mark: str, token: str, path: Path, seen: Look) -> None:
+    def finish(self, intent: Entry, seen: Look) -> None:
         """Give a frame its final name, and write it down."""
-        target = self.folder / frame_name(slot, self.plan.camera)
-        digest, size = sha256_of(path), path.stat().st_size
-        if path != target:
-            place(path, target)
-        details = {"file": target.name, "size_bytes": size, "sha256": digest, "exif": seen.exif}
-        self.journal.write("done", slot, mark, token, **details)
-        self.gone.discard(slot)
+        target = self.folder / frame_name(intent.slot, self.plan.camera)
+        digest, size = sha256_of(seen.path), seen.path.stat().st_size
+        if seen.path != target:
+            place(seen.path, target)
+        self.journal.end(intent, "done", file=target.name, size_bytes=size, sha256=digest, exif=seen.exif)
+        self.gone.discard(intent.slot)
 
-    def downloaded(self, folder: Path, shot: Shot) -> tuple[Path | None, Look | None]:
-        """Return the best of the files that came, and what it is; raw files before others."""
+    def downloaded(self, folder: Path, shot: Shot) -> Look | None:
+        """Return the best of the files that came; raw files before others."""
         if not folder.is_dir():
-            return None, None
+            return None
         extension = self.plan.camera.raw_extension.lower()
         paths = [path for path in sorted(folder.iterdir()) if path.name.startswith("frame.") and path.is_file()]
-        looks = [
-            (path, look(path, shot, self.plan.camera))
-            for path in sorted(paths, key=lambda p: p.suffix.lower() != extension)
-        ]
-        return min(looks, key=lambda one: one[1].problem is not None, default=(None, None))
+        paths.sort(key=lambda path: path.suffix.lower() != extension)
+        looks = [look(path, shot, self.plan.camera) for path in paths]
+        return min(looks, key=lambda one: one.problem is not None, default=None)
 
-    def from_card(self, folder: Path, shot: Shot) -> tuple[Path, Look] | None:
+    def from_card(self, folder: Path, shot: Shot) -> Look | None:
         """Download the frame from the camera's card, where a broken download left it; ``None`` if it is not there.
 
         It must be where gphoto2 said that it was; or be the newest on the card, and have been taken after the last
@@ -319,28 +312,27 @@ class _Session:
         except GphotoError:
             return None  # many bodies do not show their card in remote mode
         extension = self.plan.camera.raw_extension.lower()
-        raws = [file for file in card if file.path.suffix.lower() == extension]
-        wanted: list[CardFile] = [file for file in raws if file.path in said]
-        named = bool(wanted)
-        for file in wanted or raws[-1:]:
+        raws = [path for path in card if path.suffix.lower() == extension]
+        named = [path for path in raws if path in said]
+        for path in named or raws[-1:]:
             inside = folder / "card"
             shutil.rmtree(inside, ignore_errors=True)
             inside.mkdir(parents=True)
             try:
-                self.gphoto.fetch(file.path, inside)
+                self.gphoto.fetch(path, inside)
             except CameraLostError:
                 raise
             except GphotoError:
                 continue
-            path, seen = self.downloaded(inside, shot)
-            if path is not None and seen is not None and seen.problem is None and (named or self.is_new(seen)):
-                self.say(f"the download had failed; {file.path.name} was fetched from the camera's card")
-                return path, seen
+            seen = self.downloaded(inside, shot)
+            if seen is not None and seen.problem is None and (named or self.is_new(seen)):
+                self.say(f"the download had failed; {path.name} was fetched from the camera's card")
+                return seen
         return None
 
     def is_new(self, seen: Look) -> bool:
         """Return whether a frame was taken after the last one that is here."""
-        times = [taken_of(entry.details.get("exif", {})) for entry in self.journal.entries if entry.details.get("exif")]
+        times = [taken_of(entry.details.get("exif", {})) for entry in self.journal.entries]
         known = [one for one in times if one is not None]
         taken = None if seen.observed is None else seen.observed.taken
         return taken is not None and bool(known) and taken > max(known)
@@ -348,12 +340,11 @@ class _Session:
     # --- after a crash ------------------------------------------------------------------------------------------------
 
     def settle(self, intent: Entry) -> None:
-        """Find out what became of a shot that was begun and not ended."""
+        """Find out what became of a shot that was begun but not ended."""
         slot = intent.slot
         shot = self.shots.get(slot)
         if shot is None or fingerprint(self.whole, shot) != intent.shot:
-            reason = "the plan asks for another shot by now"
-            self.journal.write("failed", slot, intent.shot, intent.token, reason=reason)
+            self.journal.end(intent, "failed", reason="the plan now asks for another shot")
             return
         target = self.folder / frame_name(slot, self.plan.camera)
         before = self.journal.done().get(slot)
@@ -361,17 +352,16 @@ class _Session:
             seen = look(target, shot, self.plan.camera)
             if seen.problem is not None:
                 raise JournalError(f"{target}: {seen.problem}; move it away, then run this again")
-            self.finish(slot, intent.shot, intent.token, target, seen)
-            self.taken += 1
-            self.say(f"{target.name} had been taken when the last session was cut off")
-            return
-        found = self.bring_home(slot, shot, intent.token, GphotoError("the last session was cut off"))
+            self.finish(intent, seen)
+            found: Look | None = seen
+        else:
+            found = self.bring_home(intent, shot)
         if found is None:
             reason = "the last session was cut off, and the frame is neither here nor on the card"
-            self.journal.write("failed", slot, intent.shot, intent.token, reason=reason)
-            self.say(f"{slot[0]} frame {slot[1]}: {reason}; it will be taken again")
+            self.journal.end(intent, "failed", reason=reason)
+            self.say(f"{_title(slot)}: {reason}; it will be taken again")
         elif found.problem is not None:
-            self.say(f"{slot[0]} frame {slot[1]}: {found.problem}; it will be taken again")
+            self.say(f"{_title(slot)}: {found.problem}; it will be taken again")
         else:
             self.taken += 1
             self.say(f"{target.name} had been taken when the last session was cut off")
@@ -381,7 +371,7 @@ class _Session:
         shutil.rmtree(self.folder / INCOMING, ignore_errors=True)
 
     def check_room(self) -> None:
-        """Refuse to release where the frame would not fit: gphoto2 would cut it short without a word."""
+        """Refuse to release if the frame would not fit: gphoto2 would cut it short without a word."""
         sizes = [int(entry.details["size_bytes"]) for entry in self.journal.done().values()]
         needed = 2 * max(sizes) if sizes else _LEAST_FREE_BYTES
         free = shutil.disk_usage(self.folder).free
@@ -390,3 +380,7 @@ class _Session:
                 f"{self.folder}: {free >> 20} MiB are free, and a frame may need {needed >> 20}; make room, then run "
                 "the same command again"
             )
+
+
+def _title(slot: Slot) -> str:
+    return f"{slot[0]} frame {slot[1]}"

@@ -1,4 +1,4 @@
-"""What a session goes through: stages with one preparation each, and the commands that they come to."""
+"""What a session goes through: stages with one preparation each, and the commands that they run."""
 
 from __future__ import annotations
 

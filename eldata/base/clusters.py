@@ -1,4 +1,4 @@
-"""A Dask cluster's executor, lent to the command line, and what must hold of a cluster that units run on."""
+"""A Dask cluster's executor for the command line, and what must be true of a cluster that units run on."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from eldata import __version__
 from eldata.base.fields import TextFile
+from eldata.base.logs import quiet
 from eldata.errors import EldataError
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 _TIMEOUT_S = 10
 
-# Python's and Dask's, or the machines do not understand each other; the others', or figures may differ in the last bit.
+# Without the same Python and Dask the machines do not understand each other; the others may change the last bit.
 _OF_EVERY_MACHINE = ("python", "dask", "distributed", "cloudpickle")
 _OF_WORKERS = (*_OF_EVERY_MACHINE, "numpy", "scipy", "numba", "rawpy", "imagecodecs")
 
@@ -32,9 +33,9 @@ class ClusterError(EldataError):
 
 @contextmanager
 def dask_executor(address: str) -> Iterator[Executor]:
-    """Lend the executor of a running Dask cluster, which goes on running afterwards.
+    """Yield the executor of a running Dask cluster, which goes on running afterwards.
 
-    For a program of its own: what Dask logs is silenced meanwhile. In a notebook, make a ``distributed.Client`` and
+    For command lines: what Dask logs is silenced meanwhile. In a notebook, make a ``distributed.Client`` and
     pass ``client.get_executor()``.
 
     Parameters
@@ -45,16 +46,17 @@ def dask_executor(address: str) -> Iterator[Executor]:
     Raises
     ------
     ClusterError
-        If Dask is not installed, no scheduler answers within ten seconds, it has no worker, or as
+        If Dask is not installed, no scheduler answers within ten seconds, or it has no worker; and like
         :func:`check_cluster`.
     """
     try:
-        import distributed  # noqa: F401 # is it there?
+        import distributed  # noqa: F401 # is it installed?
     except ImportError as error:
         raise ClusterError(
             "--dask needs Dask's distributed, which is not installed: pip install 'eldata[dask]'"
         ) from error
-    with _without_its_log():
+    # Dask reports a lost connection in tracebacks, we in one line.
+    with quiet(logging.CRITICAL + 1, "distributed", "distributed.client"):
         client = _connected(_scheduler(address))
         try:
             check_cluster(client)
@@ -87,30 +89,15 @@ def _connected(scheduler: str) -> Client:
     return client
 
 
-@contextmanager
-def _without_its_log() -> Iterator[None]:
-    """Silence what Dask writes to stderr: it tells of a lost connection in tracebacks, we in a line."""
-    loggers = (logging.getLogger(name) for name in ("distributed", "distributed.client"))
-    handlers = [handler for logger in loggers for handler in logger.handlers]
-    levels = [handler.level for handler in handlers]
-    for handler in handlers:
-        handler.setLevel(logging.CRITICAL + 1)
-    try:
-        yield
-    finally:
-        for handler, level in zip(handlers, levels, strict=True):
-            handler.setLevel(level)
-
-
 def check_cluster(client: Client) -> None:
-    """Check that a cluster can run this package's work, and gives the figures that this machine would.
+    """Check that a cluster can run this package's work, with the results that this machine would give.
 
     A worker that cannot import the package would take units and never answer.
 
     Raises
     ------
     ClusterError
-        If the scheduler or a worker cannot import eldata, or has another version of it or of what it computes with.
+        If the scheduler or a worker cannot import eldata, or has another version of it or of a package that it uses.
     """
     try:
         found: dict[str, Any] = client.run(pkgutil.resolve_name, "eldata:__version__", on_error="return")
@@ -135,7 +122,7 @@ def check_cluster(client: Client) -> None:
 
 
 def _on_scheduler(client: Client) -> Any:
-    """Return the package's version on the scheduler, which reads what it passes on, or why it has none."""
+    """Return the package's version on the scheduler, or why it has none; the scheduler unpickles what it passes on."""
     try:
         return client.run_on_scheduler(pkgutil.resolve_name, "eldata:__version__")  # type: ignore[no-untyped-call]
     except OSError:

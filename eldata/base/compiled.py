@@ -1,6 +1,6 @@
 """How this package compiles its kernels, in one place.
 
-Kernels release the GIL, are compiled on first use for the dtypes that arrive and are kept on disk. They are
+Kernels release the GIL, are compiled on first use for the dtypes that they are given, and are kept on disk. They are
 all serial: parallel work is cut into fixed pieces that run on plain threads (:func:`in_threads`). So the
 result does not depend on the number of threads, and numba's own thread pool, which does not survive a fork,
 is never started.
@@ -63,7 +63,7 @@ def in_threads(work: Callable[[Piece], Result], pieces: Sequence[Piece], threads
 
 @cache
 def _pool() -> ThreadPoolExecutor:
-    # Kept: starting threads takes longer than many a piece of work.
+    # Kept: starting threads takes longer than many pieces of work.
     return ThreadPoolExecutor(max(1, available_threads() - 1), thread_name_prefix="eldata")
 
 

@@ -11,13 +11,15 @@ import os
 import sys
 import traceback
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any, NoReturn
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
+from eldata import __version__
 from eldata.base.fields import whole_of
 from eldata.errors import ArgumentError, EldataError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from eldata.base.workers import Workers
 
@@ -60,7 +62,7 @@ def add_cameras(parser: argparse.ArgumentParser) -> None:
 
 
 class _Default(int):
-    """A default that argparse can tell from the same number given: it compares identities, which small ints share."""
+    """A default that argparse can tell from the same number on the command line: small ints share their identity."""
 
 
 def add_jobs(parser: argparse._ActionsContainer) -> None:
@@ -71,7 +73,7 @@ def add_jobs(parser: argparse._ActionsContainer) -> None:
         type=whole_number(1),
         default=_Default(cpus),
         metavar="J",
-        help="work on so many files at a time (default: one per CPU, here %(default)s)",
+        help="work on this many files at a time (default: one per CPU, here %(default)s)",
     )
 
 
@@ -106,6 +108,40 @@ def chosen_workers(arguments: argparse.Namespace) -> Iterator[Workers]:
         yield Workers(arguments.jobs, executor)
 
 
+_INTERRUPTED = "files are written whole or not at all, so none is left half"
+_SHARED = {"root": add_root, "cameras": add_cameras, "jobs": add_jobs, "workers": add_workers, "json": add_json}
+
+
+def add_shared(
+    parser: argparse.ArgumentParser,
+    run: Callable[[argparse.Namespace], int],
+    *options: Literal["root", "cameras", "jobs", "workers", "json"],
+    interrupted: str = _INTERRUPTED,
+) -> None:
+    """Finish a subcommand: add these options and ``--debug``, and say what :func:`run` is to call.
+
+    ``interrupted`` says what Ctrl-C leaves; ``{name}`` in it is the value of that argument.
+    """
+    for option in options:
+        _SHARED[option](parser)
+    add_debug(parser)
+    parser.set_defaults(run=run, command=parser.prog.partition(" ")[2], interrupted=interrupted)
+
+
+def command_line(prog: str, description: str, package: str, modules: Iterable[str]) -> Parser:
+    """Return a program's parser. Each subcommand is a module of a package, with a function ``add_parser``."""
+    parser = Parser(
+        prog=prog,
+        description=description,
+        epilog="Exit codes: 0 all well, 1 problems were found and listed, 2 wrong usage or unusable input.",
+    )
+    parser.add_argument("--version", action="version", version=f"{prog} {__version__}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
+    for module in modules:
+        import_module(f"{package}.{module}").add_parser(commands)
+    return parser
+
+
 def whole_number(at_least: int) -> Callable[[str], int]:
     """Return the type of an option that takes a whole number, for argparse."""
 
@@ -121,7 +157,7 @@ def whole_number(at_least: int) -> Callable[[str], int]:
 def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:
     """Parse arguments, run the subcommand's ``run`` and return the exit code.
 
-    A subcommand sets ``run`` and ``command`` as its parser's defaults. What it raises becomes one line on stderr.
+    A subcommand is set up by :func:`add_shared`. What it raises becomes one line on stderr.
     """
     try:
         arguments = parser.parse_args(argv)
@@ -134,22 +170,23 @@ def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:
     try:
         code: int = arguments.run(arguments)
         sys.stdout.flush()
-    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 # a person sees one line, --debug shows the rest
+    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 # people see one line, --debug shows the rest
         if arguments.debug:
             traceback.print_exception(error)
-        code, message = _explained(error)
+        code, message = _explained(error, arguments)
         if message:
             print(f"{parser.prog} {arguments.command}: {' '.join(message.split())}", file=sys.stderr)
     return code
 
 
-def _explained(error: BaseException) -> tuple[int, str]:
+def _explained(error: BaseException, arguments: argparse.Namespace) -> tuple[int, str]:
     """Return exit code and message of what a command raised."""
     if isinstance(error, EldataError):
         return UNUSABLE, str(error)
     if isinstance(error, KeyboardInterrupt):
-        return INTERRUPTED, "interrupted; files are written whole or not at all, so none is left half"
-    if isinstance(error, BrokenPipeError):  # head, less: nothing to say, but not known to be all well either
+        given = vars(arguments)
+        return INTERRUPTED, f"interrupted; {given.get('interrupted', _INTERRUPTED).format_map(given)}"
+    if isinstance(error, BrokenPipeError):  # head, less: nothing to say, but nobody knows that all is well
         _drop_output()
         return CLOSED_PIPE, ""
     if isinstance(error, OSError):

@@ -34,13 +34,15 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
 Value = TypeVar("Value")
+Number = TypeVar("Number", int, float, Fraction)
 
 LARGEST_WHOLE: Final = 2**63 - 1
 LARGEST_FILE_BYTES: Final = 256 << 20
-# Of a whole number in a file, and of either part of a fraction. Longer ones cost time that grows with their square.
+# In a whole number, and in either part of a fraction. The time that longer ones cost grows with their square.
 _MOST_DIGITS: Final = 40
 _LARGEST_FLOAT: Final = sys.float_info.max
 _LONGEST_SHOWN: Final = 80
+_WHOLE: Final = re.compile(rf"[0-9]{{1,{_MOST_DIGITS}}}")
 _DECIMAL: Final = re.compile(r"[+-]?(?:[0-9]{1,40}(?:\.[0-9]{0,40})?|\.[0-9]{1,40})(?:[eE][+-]?[0-9]{1,4})?")
 
 
@@ -65,9 +67,7 @@ def fraction_of(text: object, *, above: int | None = None, digits: int = 18) -> 
         If it is anything else; the message says what was expected and found.
     """
     value = _fraction(text, digits) if isinstance(text, str) and len(text) <= 4 * digits + 3 else None
-    if value is None or (above is not None and value <= above):
-        raise _expected(_ranged("a number", above=above) + " as text, such as 800, 0.005 or 1/30", text)
-    return value
+    return _checked(value, text, "a number", " as text, such as 800, 0.005 or 1/30", above=above)
 
 
 @lru_cache(maxsize=4096)  # the rows of a table share most of their numbers
@@ -93,16 +93,11 @@ def whole_of(text: object, *, at_least: int = 0, at_most: int = LARGEST_WHOLE) -
     ArgumentError
         If it is anything else or out of range; the message says what was expected and found.
     """
-    if isinstance(text, str) and len(text) <= _MOST_DIGITS and text.isascii() and text.isdecimal():
-        value = int(text)
-        if at_least <= value <= at_most:
-            return value
-    raise _expected(_ranged("a whole number", at_least=at_least, at_most=at_most), text)
+    value = int(text) if isinstance(text, str) and _WHOLE.fullmatch(text) else None
+    return _checked(value, text, "a whole number", at_least=at_least, at_most=at_most)
 
 
-def number_of(
-    text: object, *, at_least: float | None = None, above: float | None = None, at_most: float | None = None
-) -> float:
+def number_of(text: object, *, at_least: float | None = None, above: float | None = None) -> float:
     """Return the finite number that a text such as ``0.5`` or ``1e-05`` names.
 
     Raises
@@ -110,53 +105,54 @@ def number_of(
     ArgumentError
         If it is anything else or out of range; the message says what was expected and found.
     """
-    if isinstance(text, str) and _DECIMAL.fullmatch(text) is not None:
-        value = float(text)
-        if math.isfinite(value) and _within(value, at_least, above, at_most):
-            return value
-    raise _expected(_ranged("a finite number", at_least, above, at_most), text)
+    value = float(text) if isinstance(text, str) and _DECIMAL.fullmatch(text) else None
+    return _checked(_finite(value), text, "a finite number", at_least=at_least, above=above)
 
 
-def _within(value: float, at_least: float | None, above: float | None, at_most: float | None) -> bool:
-    return (
-        (at_least is None or value >= at_least)
+def _finite(value: float | None) -> float | None:
+    # Compared, not converted: Python has whole numbers that no float can hold.
+    return float(value) if value is not None and -_LARGEST_FLOAT <= value <= _LARGEST_FLOAT else None
+
+
+def _checked(
+    value: Number | None,
+    found: object,
+    kind: str,
+    example: str = "",
+    *,
+    at_least: float | None = None,
+    above: float | None = None,
+    at_most: float | None = None,
+) -> Number:
+    """Return the value that was read from what was found, if one could be (not ``None``) and it is in its range."""
+    if (
+        value is not None
+        and (at_least is None or value >= at_least)
         and (above is None or value > above)
         and (at_most is None or value <= at_most)
-    )
-
-
-def _ranged(kind: str, at_least: float | None = None, above: float | None = None, at_most: float | None = None) -> str:
-    """Return a kind of number with its range, in words."""
+    ):
+        return value
     if above is not None:
-        return f"{kind} above {above}" + ("" if at_most is None else f", at most {at_most}")
-    if at_least is not None and at_most not in (None, LARGEST_WHOLE):
-        return f"{kind} from {at_least} to {at_most}"
-    if at_least is not None:
-        return f"{kind} of {at_least} or more"
-    return kind if at_most is None else f"{kind} of at most {at_most}"
-
-
-def _expected(expected: str, found: object) -> ArgumentError:
-    return ArgumentError(f"expected {expected}, found {shown(found)}")
+        kind = f"{kind} above {above}"
+    elif at_most not in (None, LARGEST_WHOLE):
+        kind = f"{kind} from {at_least} to {at_most}"
+    elif at_least is not None:
+        kind = f"{kind} of {at_least} or more"
+    raise ArgumentError(f"expected {kind}{example}, found {shown(found)}")
 
 
 # --- what messages show -------------------------------------------------------------------------------------------
 
 
-class _Missing:
-    """Stands for a field that is not there."""
-
-    def __repr__(self) -> str:
-        return "nothing"
-
-
-_MISSING: Final = _Missing()
+_MISSING: Final = object()  # stands for a field that is not there
 _REPR: Final = reprlib.Repr()
 _REPR.maxlevel, _REPR.maxlist, _REPR.maxdict = 2, 6, 4
 
 
 def shown(found: object, longest: int = _LONGEST_SHOWN) -> str:
     """Return a value as a message shows it: on one line, and short."""
+    if found is _MISSING:
+        return "nothing"
     if found is None or isinstance(found, bool):
         return json.dumps(found)
     try:
@@ -180,18 +176,18 @@ def names_of(record: type) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class TextFile:
-    """A text file, and how its problems are told.
+    """A text file, and how its problems are reported.
 
     Attributes
     ----------
     name
         Its path; or what messages call it, if ``content`` is given.
     error
-        The error to raise: a :class:`~eldata.errors.FileError`, or another that takes one message.
+        The error to raise: a :class:`~eldata.errors.FileError`, or one that takes a single message.
     advice
-        What to do about it; every message ends in it.
+        What to do about it; every message ends with it.
     content
-        What it holds, if that is at hand already.
+        Its content, if that is already available.
     largest_bytes
         Larger files are refused before they are read.
     """
@@ -244,8 +240,8 @@ class TextFile:
         Raises
         ------
         EldataError
-            The file's, as :meth:`text` raises it; or if it is not whole JSON, uses names twice or constants that JSON
-            does not have, is nested too deeply, or is not an object.
+            The file's, as :meth:`text` raises it; or if it is not complete JSON, uses a name twice or a constant that
+            JSON does not have, is nested too deeply, or is not an object.
         """
         text = self.text("JSON")
         constants: list[str] = []
@@ -260,7 +256,7 @@ class TextFile:
             raise self.problem(f"is not JSON, or not whole ({error.msg} in line {error.lineno})") from error
         except RecursionError:
             raise self.problem("is not JSON that can be read: it is nested too deeply") from None
-        except _JsonError as error:
+        except ValueError as error:
             raise self.problem(f"is not JSON that can be read: {error}") from error
         if constants:
             reason = f"expected a finite number, found {constants[0]}, which JSON does not have"
@@ -285,7 +281,7 @@ class TextFile:
         return self.fields(data)
 
     def fields(self, data: object) -> Fields:
-        """Return what was parsed already as fields; it must be an object."""
+        """Return parsed data as fields; it must be an object."""
         if not isinstance(data, dict):
             raise self.problem(f"expected an object, found {shown(data)}")
         return Fields(self, data)
@@ -296,7 +292,7 @@ class TextFile:
         Raises
         ------
         EldataError
-            The file's, as :meth:`text` raises it; or if it is not CSV, has other columns, or a row more or fewer.
+            The file's, as :meth:`text` raises it; or if it is not CSV, has other columns, or a row of another length.
         """
         reader = csv.reader(io.StringIO(self.text("CSV"), newline=""), strict=True)
         try:
@@ -313,20 +309,17 @@ class TextFile:
             raise self.problem(f"is not CSV ({error})", f"line {reader.line_num}") from error
 
 
-class _JsonError(ValueError):
-    """What JSON's grammar allows and this reader does not."""
-
-
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return a JSON object; refuse one with a name twice, which the grammar allows."""
     data = dict(pairs)
     if len(data) < len(pairs):
         twice = Counter(name for name, _ in pairs).most_common(1)[0][0]
-        raise _JsonError(f"an object has the field {_named(twice)} twice")
+        raise ValueError(f"an object has the field {_named(twice)} twice")
     return data
 
 
 def _short_whole(text: str) -> float:
-    """Return a whole number; as a float if it is too long for any field but a number, infinite if for that as well."""
+    """Return a whole number; as a float if only a number field could hold it, infinite if not even that could."""
     return int(text) if len(text) <= _MOST_DIGITS else float(text)
 
 
@@ -384,7 +377,7 @@ class Fields:
     # --- which fields there are ---------------------------------------------------------------------------------------
 
     def only(self, known: Collection[str]) -> None:
-        """Refuse fields of other names, which would be ignored where they are a misspelling."""
+        """Refuse fields with other names: a misspelt one would be ignored."""
         for name in self.data:
             if name not in known:
                 raise self.problem(name, f"is unknown{_did_you_mean(name, known)}; known are {', '.join(known)}")
@@ -439,13 +432,13 @@ class Fields:
         name, read
             The list's name; such as ``Fields.text``.
         expected
-            What the list should be, in words.
+            What the list should be, for messages.
         count, fewest
             How many elements it has; how many it has at least.
         once
             Whether each value may stand in it only once.
         missing_ok
-            Whether a list that is not there is an empty one.
+            Whether a missing list counts as empty.
         """
         found = self.data.get(name, [] if missing_ok else _MISSING)
         if not isinstance(found, list) or len(found) < fewest or (count is not None and len(found) != count):
@@ -498,26 +491,14 @@ class Fields:
 
     def whole(self, name: str, *, at_least: int = 0, at_most: int = LARGEST_WHOLE) -> int:
         """Return a whole number."""
-        found = self.data.get(name, _MISSING)
-        if type(found) is not int or not at_least <= found <= at_most:
-            raise self.wrong(name, _ranged("a whole number", at_least=at_least, at_most=at_most), found)
-        return found
+        return self.parsed(name, _whole, at_least=at_least, at_most=at_most)
 
-    def number(
-        self, name: str, *, at_least: float | None = None, above: float | None = None, at_most: float | None = None
-    ) -> float:
+    def number(self, name: str, *, at_least: float | None = None, above: float | None = None) -> float:
         """Return a finite number."""
-        found = self.data.get(name, _MISSING)
-        if (
-            type(found) not in (int, float)
-            or not -_LARGEST_FLOAT <= found <= _LARGEST_FLOAT
-            or not _within(found, at_least, above, at_most)
-        ):
-            raise self.wrong(name, _ranged("a finite number", at_least, above, at_most), found)
-        return float(found)
+        return self.parsed(name, _number, at_least=at_least, above=above)
 
     def fraction(self, name: str, *, above: int | None = None, digits: int = 18) -> Fraction:
-        """Return an exact number, which stands as text."""
+        """Return an exact number that is given as text."""
         return self.parsed(name, fraction_of, above=above, digits=digits)
 
     def parsed(self, name: str, parse: Callable[..., Value], **options: Any) -> Value:
@@ -526,6 +507,16 @@ class Fields:
             return parse(self.data.get(name, _MISSING), **options)
         except ArgumentError as error:
             raise self.problem(name, str(error)) from None
+
+
+def _whole(found: object, at_least: int, at_most: int) -> int:
+    value = found if isinstance(found, int) and not isinstance(found, bool) else None
+    return _checked(value, found, "a whole number", at_least=at_least, at_most=at_most)
+
+
+def _number(found: object, at_least: float | None, above: float | None) -> float:
+    value = found if isinstance(found, (int, float)) and not isinstance(found, bool) else None
+    return _checked(_finite(value), found, "a finite number", at_least=at_least, above=above)
 
 
 def _did_you_mean(name: str, known: Collection[str]) -> str:
@@ -537,7 +528,7 @@ def _did_you_mean(name: str, known: Collection[str]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class TextRow(Fields):
-    """A row of a CSV file; numbers are parsed from the cells' text, and an empty cell is one that is not there."""
+    """A row of a CSV file; numbers are parsed from the cells' text, and an empty cell counts as missing."""
 
     _absent: ClassVar[tuple[object, ...]] = ("",)
 
@@ -548,8 +539,6 @@ class TextRow(Fields):
         """Return a whole number."""
         return self.parsed(name, whole_of, at_least=at_least, at_most=at_most)
 
-    def number(
-        self, name: str, *, at_least: float | None = None, above: float | None = None, at_most: float | None = None
-    ) -> float:
+    def number(self, name: str, *, at_least: float | None = None, above: float | None = None) -> float:
         """Return a finite number."""
-        return self.parsed(name, number_of, at_least=at_least, above=above, at_most=at_most)
+        return self.parsed(name, number_of, at_least=at_least, above=above)

@@ -11,10 +11,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING
 
-from eldata.errors import EldataError, ManifestError
+from eldata.errors import ArgumentError, EldataError, ManifestError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
 
 def sha256_of(path: Path) -> str:
@@ -28,7 +28,7 @@ def atomic_write(path: Path | str) -> Iterator[IO[bytes]]:
     """Write a file whole or not at all: a temporary file in the same folder, synced, then renamed.
 
     Whatever happens before the rename (an error, a full disk, Ctrl-C, kill -9) leaves an older ``path`` as it
-    was; all but the kill also remove the temporary file, which is hidden and ends in ``.part``.
+    was, and all but the kill also remove the temporary file, which is hidden and ends in ``.part``.
 
     Raises
     ------
@@ -64,8 +64,18 @@ def write_json(path: Path | str, data: object, *, indent: int = 2) -> None:
 
 
 def json_text(data: object, *, indent: int = 2) -> str:
-    """Return plain types as the text of a JSON file; only finite numbers have a place in it."""
+    """Return plain types as the text of a JSON file; only finite numbers are allowed."""
     return json.dumps(data, indent=indent, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def check_same_work(place: Path, begun: Mapping[str, object], wanted: Mapping[str, object]) -> None:
+    """Raise :class:`ArgumentError` if unfinished work was begun with another dataset or other options than now."""
+    for name, value in wanted.items():
+        if begun.get(name) != value:
+            raise ArgumentError(
+                f"{place}: was begun with another {name.replace('_', ' ')}: expected {value}, found {begun.get(name)}; "
+                "give the same data and options as then, or remove it to start again"
+            )
 
 
 def check_posix(what: str) -> None:
@@ -74,7 +84,7 @@ def check_posix(what: str) -> None:
     Call it before the first ``os.pread``, ``os.O_CLOEXEC`` and their kin, which Windows does not have either.
     """
     try:
-        import fcntl  # noqa: F401 # asked for, not used
+        import fcntl  # noqa: F401 # only to see whether it exists
     except ImportError:
         raise EldataError(
             f"{what} needs a POSIX system such as Linux or macOS: this Python ({sys.platform}) has no module fcntl; "
@@ -88,7 +98,7 @@ def try_lock(path: Path, file: int | IO[bytes]) -> bool:
     Raises
     ------
     EldataError
-        If its disk keeps no locks.
+        If its disk does not support locks.
     """
     import fcntl
 
@@ -122,7 +132,7 @@ def path_problem(relative: str) -> str | None:
 
 
 def inside(root: Path, relative: str) -> Path:
-    """Return ``root / relative``, if that file lies inside of ``root`` once every link is followed.
+    """Return ``root / relative``, if that file lies inside ``root`` once every link is followed.
 
     The root itself may be a link; a link below it that leads out of it is refused, whether or not it dangles.
 

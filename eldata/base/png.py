@@ -1,4 +1,4 @@
-"""PNG files as DRV and predictions have them: up to 16 bits a sample. The one PNG reader of this package.
+"""PNG files as DRV and predictions have them: up to 16 bits per sample. The one PNG reader of this package.
 
 imagecodecs (libpng) reads 16-bit RGB, which Pillow does not. Samples come as the file has them, in the order R, G, B,
 without gamma or colour management; OpenCV, which the DRV code uses, returns the same samples as B, G, R.
@@ -26,7 +26,7 @@ _COLOURS = {0: "grey", 2: "RGB", 3: "palette", 4: "grey with alpha", 6: "RGB wit
 
 @dataclass(frozen=True, slots=True)
 class PngHeader:
-    """What a PNG says of itself: size in pixels, bits a sample, and ``grey``, ``RGB``, ``palette`` or with alpha."""
+    """What a PNG says of itself: size in pixels, bits per sample, and ``grey``, ``RGB``, ``palette`` or with alpha."""
 
     width: int
     height: int
@@ -43,7 +43,7 @@ def read_png_header(path: Path) -> PngHeader:
     Raises
     ------
     FileError
-        If the file cannot be read, is no PNG, or does not end as one: it is truncated.
+        If the file cannot be read, is not a PNG, or does not end like one: it is truncated.
     """
     try:
         with path.open("rb") as file:
@@ -64,7 +64,7 @@ def read_png_header(path: Path) -> PngHeader:
 
 
 def decode_png(content: bytes) -> NDArray[Any]:
-    """Decode a PNG file's bytes: (H, W) or (H, W, channels), uint8 or uint16. Raises what imagecodecs does."""
+    """Decode a PNG file's bytes: (H, W) or (H, W, channels), uint8 or uint16. Raises what imagecodecs raises."""
     import imagecodecs
 
     array: NDArray[Any] = imagecodecs.png_decode(content)
@@ -72,7 +72,7 @@ def decode_png(content: bytes) -> NDArray[Any]:
 
 
 def rgb_frame(path: Path) -> NDArray[np.float32]:
-    """Read a 16-bit RGB PNG as a frame: (3, h, w) float32 in [0, 1], divided by 65535. Errors as :func:`read_rgb16`."""
+    """Read a 16-bit RGB PNG as a frame, (3, h, w) float32: its samples / 65535. Raises like :func:`read_rgb16`."""
     import numpy as np
 
     pixels = np.ascontiguousarray(read_rgb16(path).transpose(2, 0, 1)).astype(np.float32)

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import asdict
+from fractions import Fraction
 from typing import TYPE_CHECKING, Final, Literal
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Collection, Iterable, Sequence
+
+    import pandas as pd
+    from _typeshed import DataclassInstance
 
 Format = Literal["text", "markdown", "latex"]
 FORMATS: Final[tuple[Format, ...]] = ("text", "markdown", "latex")
@@ -20,7 +25,7 @@ class Strong(str):
 
 
 def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], left: Collection[int] = (0,)) -> str:
-    """Return lines of aligned columns: those of the indices ``left`` to the left, the others to the right."""
+    """Return lines of aligned columns: columns ``left`` to the left, the others to the right."""
     widths = [max(len(cell) for cell in column) for column in zip(header, *rows, strict=True)]
     lines = [
         "  ".join(
@@ -39,7 +44,7 @@ _MARKDOWN_SPECIAL = re.compile(r"([\\`*_{}\[\]<>|~&$])")
 
 def markdown_text(text: str) -> str:
     """Return text that Markdown shows as it is, in one line: its special characters are escaped."""
-    return _MARKDOWN_SPECIAL.sub(r"\\\1", _one_line(text))
+    return _MARKDOWN_SPECIAL.sub(r"\\\1", one_line(text))
 
 
 def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]], left: Collection[int] = (0,)) -> str:
@@ -47,7 +52,11 @@ def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]], left: C
 
     Texts are escaped; a :class:`Strong` cell is bold.
     """
-    cells = [[_markdown_cell(cell) for cell in row] for row in (header, *rows)]
+    return aligned_markdown([[_markdown_cell(cell) for cell in row] for row in (header, *rows)], left)
+
+
+def aligned_markdown(cells: Sequence[Sequence[str]], left: Collection[int] = (0,)) -> str:
+    """Return a table like :func:`markdown_table`, of cells that are Markdown already; the first row is the header."""
     widths = [max(3, *(len(cell) for cell in column)) for column in zip(*cells, strict=True)]
     ruler = ["-" * width if index in left else "-" * (width - 1) + ":" for index, width in enumerate(widths)]
     padded = [
@@ -95,7 +104,7 @@ _LATEX = {
 
 def latex_text(text: str) -> str:
     """Return text that LaTeX prints as it is, in one line: its special characters are escaped."""
-    return "".join(_LATEX.get(character, character) for character in _one_line(text))
+    return "".join(_LATEX.get(character, character) for character in one_line(text))
 
 
 def latex_table(
@@ -121,7 +130,7 @@ def latex_table(
     spans
         A row above the header: texts, and how many columns each spans. Those with text have a line under them.
     rules
-        Indices of rows with a line above.
+        Indices of rows that have a line above them.
     """
     columns = "".join("l" if index in left else "r" for index in range(len(header)))
     lines = [
@@ -165,16 +174,30 @@ def _latex_spans(spans: Sequence[tuple[str, int]]) -> list[str]:
     return [f"{' & '.join(cells)} \\\\", " ".join(rules)]
 
 
-def _one_line(text: str) -> str:
+def one_line(text: str) -> str:
     """Return text without line ends and other control characters."""
     return " ".join("".join(character if character.isprintable() else " " for character in text).split())
+
+
+# --- records ------------------------------------------------------------------------------------------------------
+
+
+def frame_of(records: Iterable[DataclassInstance]) -> pd.DataFrame:
+    """Return records as a pandas DataFrame, one row per record, fractions as floats."""
+    import pandas as pd
+
+    rows = [
+        {key: float(value) if isinstance(value, Fraction) else value for key, value in asdict(record).items()}
+        for record in records
+    ]
+    return pd.DataFrame(rows)
 
 
 # --- numbers ------------------------------------------------------------------------------------------------------
 
 
 def with_error(value: float, error: float) -> str:
-    """Return ``value ± error`` with the digits that mean something: two of the error up to 0.29, one from 0.3 on.
+    """Return ``value ± error`` with its significant digits: two of the error up to 0.29, one from 0.3 on.
 
     A value without a standard error (nan, infinite, 0) stands alone with five digits.
     """

@@ -6,6 +6,6 @@ import sys
 
 
 def is_tensor(value: object) -> bool:
-    """Tell whether ``value`` is a torch tensor, without importing torch for those who do not use it."""
+    """Tell whether ``value`` is a torch tensor, without importing torch where it is not used."""
     torch = sys.modules.get("torch")
     return torch is not None and isinstance(value, torch.Tensor)

@@ -2,8 +2,8 @@
 
 An executor is a :class:`concurrent.futures.Executor` of the caller: a pool of the standard library, or Dask's
 (``client.get_executor()``), whose workers may be on other machines. It is never shut down here. A bounded number of
-units is in flight: four for each worker that the executor states, so that none waits for work and results do not pile
-up; 64 if it states none.
+units is in flight: four for each worker if the executor says how many it has, so that none waits for work and results
+do not pile up; else 64.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from concurrent.futures import (
     wait,
 )
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial, wraps
 from typing import TYPE_CHECKING, Any, Generic, ParamSpec, Protocol, TypeVar
@@ -39,7 +39,7 @@ from tqdm import tqdm
 from eldata.errors import ArgumentError, EldataError, FileError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
     from pathlib import Path
 
 Unit = TypeVar("Unit")
@@ -48,12 +48,12 @@ Returned = TypeVar("Returned")
 Given = ParamSpec("Given")
 
 _PER_WORKER = 4  # units in flight: enough to keep every worker busy, few enough to hold in memory
-_UNSTATED_WORKERS = 16  # taken for an executor that does not say how many it has
+_UNSTATED_WORKERS = 16  # assumed for an executor that does not say how many it has
 _MOST_LARGE = 16  # large results in flight, however many the workers: they are held in memory here
 
 
 class UnseenFileError(FileError):
-    """A file cannot be seen by the machine that is to work on it."""
+    """The machine that is to work on a file cannot see it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +75,7 @@ class Failed(Generic[Unit]):
 
 @dataclass(frozen=True, slots=True)
 class Workers:
-    """Where units of work run: in this process, in processes or threads of our own, or on an executor of the caller's.
+    """Where units of work run: in this process, in processes or threads of our own, or on the caller's executor.
 
     Made once, at the edge (a command line, a public function), and passed on whole.
 
@@ -85,7 +85,7 @@ class Workers:
         How many units run at a time, in worker processes (:meth:`run`, :meth:`attempt`) or threads
         (:meth:`read_ahead`); 1 works in this process.
     executor
-        Runs the units in their place, if given; ``jobs`` then says nothing. It is never shut down here.
+        Runs the units instead, if given; ``jobs`` is then ignored. It is never shut down here.
 
     Raises
     ------
@@ -113,7 +113,7 @@ class Workers:
 
     @property
     def threads_within(self) -> int | None:
-        """How many threads a unit's own work may use: one if units run side by side, else ``None``, all CPUs."""
+        """How many threads a unit's own work may use: one if units run side by side, else ``None``: all CPUs."""
         return None if self.jobs == 1 and self.executor is None else 1
 
     def run(
@@ -136,14 +136,11 @@ class Workers:
             If a unit's worker is lost, and lost again as the unit runs alone; or if the executor cannot run units at
             all. Errors that ``work`` raises come through as they are.
         """
-        for outcome in self.attempt(work, units, label=label, unit=unit):
-            if isinstance(outcome, Failed):
-                raise outcome.error
-            yield outcome
+        return _results(self.attempt(work, units, label=label, unit=unit))
 
     def attempt(
         self, work: Callable[[Unit], Result], units: Sequence[Unit], *, label: str = "", unit: str = "file"
-    ) -> Iterator[Result | Failed[Unit]]:
+    ) -> Generator[Result | Failed[Unit], None, None]:
         """Yield ``work(unit)`` or, where that failed, :class:`Failed`, for each unit, in the units' order.
 
         Parameters and errors are those of :meth:`run`, except that a unit that fails, or that ends its worker twice,
@@ -159,35 +156,24 @@ class Workers:
 
         For work that releases the GIL, as decoding does, and whose results are too large to send between processes. At
         most ``jobs`` + 1 results are in memory; 1 works in the calling thread. An executor takes the threads' place,
-        with two results per worker and one more in memory at most, and never more than 17.
+        with at most two results per worker and one more in memory, and never more than 17.
 
         Raises
         ------
         EldataError
-            Like :meth:`run`, of an executor. Errors that ``work`` raises come through as they are, in their unit's
-            turn.
+            Like :meth:`run`, if there is an executor. Errors that ``work`` raises come through as they are, in their
+            unit's turn.
         """
         if self.executor is not None:
-            for outcome in _in_order(work, units, _Lent(self.executor, per_worker=2, most=_MOST_LARGE)):
-                if isinstance(outcome, Failed):
-                    raise outcome.error
-                yield outcome
-                del outcome
-            return
-        if self.jobs == 1:
+            yield from _results(_in_order(work, units, _Lent(self.executor, per_worker=2, most=_MOST_LARGE)))
+        elif self.jobs == 1:
             yield from map(work, units)
-            return
-        pool = ThreadPoolExecutor(self.jobs)
-        waiting: deque[Future[Result]] = deque()
-        try:
-            for unit in units:
-                waiting.append(pool.submit(work, unit))
-                if len(waiting) > self.jobs:
-                    yield waiting.popleft().result()
-            while waiting:
-                yield waiting.popleft().result()
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+        else:
+            pool = ThreadPoolExecutor(self.jobs)
+            try:
+                yield from _results(_in_order(work, units, _Lent(pool, per_worker=1)))
+            finally:
+                pool.shutdown(wait=True, cancel_futures=True)
 
 
 IN_THIS_PROCESS = Workers()
@@ -221,7 +207,7 @@ def accepts_jobs(function: Callable[Given, Returned]) -> Callable[Given, Returne
 def require_files(*paths: Path) -> None:
     """Raise :class:`UnseenFileError` unless this machine sees every file: for the first line of a unit's work.
 
-    Who starts the work has seen them; a worker on another machine may not.
+    The machine that starts the work has seen them; a worker on another machine may not.
     """
     for path in paths:
         try:
@@ -235,7 +221,7 @@ def require_files(*paths: Path) -> None:
 
 
 def slots_of(executor: Executor) -> int | None:
-    """Return how many units an executor runs at a time, if it states it, as the standard library's and Dask's do."""
+    """Return how many units an executor runs at a time, if it says so, as the standard library's and Dask's do."""
     client = _dask_client(executor)
     if client is not None:
         try:
@@ -255,29 +241,25 @@ def _dask_client(executor: Executor) -> Any:
 # --- one unit, where it runs ------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class _Raised:
-    """An error on its way back as a value: what an executor itself raises is then told from it."""
-
-    error: Exception
-
-
-def _call(work: Callable[[Unit], Result], unit: Unit) -> Callable[[], Result | _Raised]:
+def _call(work: Callable[[Unit], Result], unit: Unit) -> Callable[[], Result | Failed[Unit]]:
     """Return a unit's work for another worker."""
-    # Dask takes equal calls for one, and answers with the result that it has.
+    # Dask takes equal calls for the same one, and answers with the result that it already has.
     return partial(_run_unit, work, unit, _here(), uuid.uuid4().hex)
 
 
-def _run_unit(work: Callable[[Unit], Result], unit: Unit, caller: tuple[str, int], _: str = "") -> Result | _Raised:
+def _run_unit(
+    work: Callable[[Unit], Result], unit: Unit, caller: tuple[str, int], _: str = ""
+) -> Result | Failed[Unit]:
+    """Return a unit's result, or its error as a value: what an executor itself raises can then be told from it."""
     try:
         return work(unit)
     except Exception as error:  # noqa: BLE001 # whatever it is, it is the unit's
         host, process = _here()
         if (host, process) == caller:
-            return _Raised(error)
+            return Failed(unit, error)
         # A traceback does not travel.
         error.add_note(f"on {host}, process {process}:\n{traceback.format_exc()}")
-        return _Raised(_transportable(error))
+        return Failed(unit, _transportable(error))
 
 
 def _here() -> tuple[str, int]:
@@ -285,12 +267,22 @@ def _here() -> tuple[str, int]:
 
 
 def _transportable(error: Exception) -> Exception:
-    """Return an error that can be made again from its arguments, or else one that says the same."""
+    """Return an error that can be copied from its arguments, else one that says the same."""
     try:
         copy.copy(error)
     except Exception:  # noqa: BLE001 # its class may do anything
         return EldataError(f"unexpected {type(error).__name__}: {error}")
     return error
+
+
+def _results(outcomes: Generator[Result | Failed[Any], None, None]) -> Iterator[Result]:
+    """Yield results; the first failure is raised and ends the others."""
+    with closing(outcomes):
+        for outcome in outcomes:
+            if isinstance(outcome, Failed):
+                raise outcome.error
+            yield outcome
+            del outcome  # it may be large
 
 
 # --- all units --------------------------------------------------------------------------------------------------------
@@ -309,7 +301,7 @@ class _Pool(Protocol):
         """Whether a future's error means that the unit's worker was lost, and the unit may be run again."""
 
     def renew(self) -> None:
-        """Make good for workers lost, as far as that is ours to do."""
+        """Replace lost workers, if that is up to us."""
 
     def loss(self, name: str) -> str:
         """Return the sentence about a unit that was lost twice."""
@@ -328,10 +320,12 @@ def _outcomes(
             own.end()
     else:
         for unit in units:
-            yield _settled(unit, _run_unit(work, unit, _here()))
+            yield _run_unit(work, unit, _here())
 
 
-def _in_order(work: Callable[[Unit], Result], units: Iterable[Unit], pool: _Pool) -> Iterator[Result | Failed[Unit]]:
+def _in_order(
+    work: Callable[[Unit], Result], units: Iterable[Unit], pool: _Pool
+) -> Generator[Result | Failed[Unit], None, None]:
     left = iter(units)
     waiting: deque[tuple[Unit, Future[Any]]] = deque()
     more = True
@@ -352,14 +346,14 @@ def _in_order(work: Callable[[Unit], Result], units: Iterable[Unit], pool: _Pool
             if error is None:
                 found = future.result()
             elif pool.is_loss(error):
-                # Which of the units in flight ended the worker shows only if this one runs with none beside it.
+                # Only a unit that runs alone shows whether it was the one that ended the worker.
                 wait([other for _, other in waiting])
                 found = _alone(unit, _call(work, unit), pool)
             else:
                 raise _unrunnable(unit, error) from error
             waiting.popleft()
             del future  # and with it the result, which may be large
-            yield _settled(unit, found)
+            yield found
             del found
     finally:
         for _, future in waiting:
@@ -379,7 +373,7 @@ def _alone(unit: Unit, call: Callable[[], Any], pool: _Pool) -> Any:
     if not pool.is_loss(error):
         raise _unrunnable(unit, error) from error
     pool.renew()
-    return _Raised(EldataError(pool.loss(unit_name(unit))))
+    return Failed(unit, EldataError(pool.loss(_unit_name(unit))))
 
 
 def _error_of(future: Future[Any]) -> BaseException | None:
@@ -389,20 +383,16 @@ def _error_of(future: Future[Any]) -> BaseException | None:
         return error
 
 
-def _settled(unit: Unit, found: Result | _Raised) -> Result | Failed[Unit]:
-    return Failed(unit, found.error) if isinstance(found, _Raised) else found
-
-
-def unit_name(unit: object) -> str:
+def _unit_name(unit: object) -> str:
     """Return what messages call a unit: its path, if it has one."""
     return str(getattr(unit, "path", unit))
 
 
 def _unrunnable(unit: object, error: BaseException) -> EldataError:
-    """Return what is wrong if it is not the unit's work that failed, but the running of it."""
-    name = unit_name(unit)
+    """Return what is wrong if not the unit's work failed, but the attempt to run it."""
+    name = _unit_name(unit)
     if isinstance(error, CancelledError):
-        return EldataError(f"the work on {name} was cancelled: was the executor shut down, or its scheduler restarted?")
+        return EldataError(f"the work on {name} was cancelled; was the executor shut down, or its scheduler restarted?")
     if isinstance(error, BrokenExecutor):
         return EldataError(
             f"the executor broke at or soon after {name}: a worker died; lack of memory? make a new executor, with "
@@ -410,12 +400,12 @@ def _unrunnable(unit: object, error: BaseException) -> EldataError:
         )
     return EldataError(
         f"the executor cannot run the work on {name}: {type(error).__name__}: {error}; is the same version of eldata "
-        "installed on every worker (of Dask, with the scheduler too)?"
+        "installed on every worker (with Dask, on the scheduler too)?"
     )
 
 
 class _Lent:
-    """An executor of the caller's."""
+    """The caller's executor."""
 
     def __init__(self, executor: Executor, *, per_worker: int, most: int = sys.maxsize) -> None:
         self._executor, self._per_worker, self._most = executor, per_worker, most
@@ -439,14 +429,14 @@ class _Lent:
             return self._executor.submit(call)
         except BrokenExecutor as error:
             broken: Future[Any] = Future()
-            broken.set_exception(error)  # of an earlier unit, whose turn comes first
+            broken.set_exception(error)  # broken by an earlier unit, which is reported first
             return broken
-        except Exception as error:  # its own kind, if it was shut down or lost its cluster
+        except Exception as error:  # each executor has its own, for a shutdown or a lost cluster
             raise ArgumentError(f"the executor takes no work: {error}") from error
 
     def is_loss(self, error: BaseException) -> bool:
-        # Dask runs a lost worker's units again by itself; this is its word for one that lost several workers. It
-        # blames whatever lay on the worker, the innocent too.
+        # Dask runs a lost worker's units again by itself; this is its error for one that lost several workers. It
+        # blames every unit on the worker, the innocent ones too.
         scheduler = sys.modules.get("distributed.scheduler")
         return scheduler is not None and isinstance(error, scheduler.KilledWorker)
 
@@ -455,8 +445,8 @@ class _Lent:
 
     def loss(self, name: str) -> str:
         return (
-            f"{name}: the workers that ran it died, again and again, in the end with nothing else beside it; lack of "
-            "memory? their logs may say"
+            f"{name}: the workers that ran it died again and again, in the end with nothing else beside it; lack of "
+            "memory? their logs may tell"
         )
 
 
@@ -488,7 +478,7 @@ class _Own:
         return isinstance(error, BrokenProcessPool)
 
     def renew(self) -> None:
-        """Start other processes, unless those that are there live."""
+        """Start new processes, unless the present ones are alive."""
         try:
             self._start(os.getpid).result()
         except BrokenProcessPool:
@@ -506,8 +496,8 @@ class _Own:
 
     def loss(self, name: str) -> str:
         return (
-            f"{name}: a worker process died at it twice, in the end with nothing else beside it; lack of memory? try "
-            "fewer --jobs"
+            f"{name}: a worker process died at it twice, the second time with nothing else beside it; lack of memory? "
+            "try fewer --jobs"
         )
 
     def end(self) -> None:
@@ -516,7 +506,7 @@ class _Own:
 
 @contextmanager
 def _workers_without_ctrl_c() -> Iterator[None]:
-    """Let processes that start meanwhile ignore Ctrl-C from their first instruction on.
+    """Let processes that start inside the block ignore Ctrl-C from their first instruction on.
 
     It reaches the whole process group; the parent ends the pool and says so once.
     """

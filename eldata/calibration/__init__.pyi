@@ -4,6 +4,7 @@ from .colour_bias import ColourBias as ColourBias
 from .colour_bias import colour_bias as colour_bias
 from .defects import BiasStack as BiasStack
 from .defects import FixedPattern as FixedPattern
+from .defects import PatternSummary as PatternSummary
 from .defects import fixed_pattern as fixed_pattern
 from .frame_checks import FramesError as FramesError
 from .joint import LogLogEstimate as LogLogEstimate
@@ -25,7 +26,6 @@ from .reproduction import Reproduction as Reproduction
 from .reproduction import reproduction as reproduction
 from .results import Calibration as Calibration
 from .results import IsoCalibration as IsoCalibration
-from .results import PatternSummary as PatternSummary
 from .row_noise import LineMeans as LineMeans
 from .row_noise import LineNoise as LineNoise
 from .row_noise import RowNoise as RowNoise

@@ -29,7 +29,7 @@ def channels_of(pattern: NDArray[np.int64]) -> int:
 
 
 def checked_mosaic(mosaic: NDArray[Any], shape: tuple[int, int] | None, period: int) -> NDArray[np.uint16]:
-    """Return the mosaic if it is a frame in DN of the shape of those before, or of any sufficient one."""
+    """Return the mosaic if it is a frame in DN, of the shape of the frames before or else large enough."""
     if mosaic.dtype != np.uint16:
         raise ArgumentError(
             f"a mosaic in DN is uint16; found {mosaic.dtype}. Give the raw values as decoded: with the black level, "
@@ -56,26 +56,46 @@ def checked_black_level(black_level_dn: Sequence[float], channels: int) -> NDArr
     return black
 
 
-def checked_defects(defects: NDArray[np.bool_] | None, shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """Return the mask of defects, or an empty one of that shape."""
-    if defects is None:
-        return np.zeros(shape, dtype=np.bool_)
-    if defects.dtype != np.bool_ or defects.shape != shape:
-        raise ArgumentError(
-            f"the mask of defects is boolean and of the frames' shape {shape}; found {defects.dtype} {defects.shape}"
-        )
-    return defects
+class FrameSums:
+    """What every sum of whole frames begins with: the CFA, which pixels are left out, and what it asks of frames.
+
+    Parameters
+    ----------
+    cfa
+        The CFA of pixel (0, 0).
+    defects
+        (H, W) True where a pixel is not to be used.
+    """
+
+    def __init__(self, cfa: Cfa, defects: NDArray[np.bool_] | None = None) -> None:
+        self.pattern = pattern_of(cfa)
+        self.channels = channels_of(self.pattern)
+        self.frames = 0
+        self._defects = defects
+        self._shape: tuple[int, int] | None = None
+
+    def _check(self, mosaic: NDArray[np.uint16]) -> NDArray[np.bool_]:
+        """Refuse a frame that is unlike those before, count it, and return the mask of defects."""
+        height, width = checked_mosaic(mosaic, self._shape, len(self.pattern)).shape
+        self._shape = height, width
+        if self._defects is None:
+            self._defects = np.zeros(self._shape, dtype=np.bool_)
+        if self._defects.dtype != np.bool_ or self._defects.shape != self._shape:
+            raise ArgumentError(
+                f"the mask of defects is boolean and of the frames' shape {self._shape}; found {self._defects.dtype} "
+                f"{self._defects.shape}"
+            )
+        self.frames += 1
+        return self._defects
 
 
-def pixels_per_row(defects: NDArray[np.bool_], pattern: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return how many sound pixels each row has in each channel, (H, C)."""
-    height, period = defects.shape[0], len(pattern)
-    counts = np.zeros((height, channels_of(pattern)), dtype=np.int64)
-    for y in range(period):
-        for x in range(period):
-            plane = defects[y::period, x::period]
-            counts[y::period, pattern[y, x]] += plane.shape[1] - plane.sum(axis=1)
-    return counts
+def sums_by_row(values: NDArray[Any], pattern: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the sum of each row in each channel, (H, C), of integers or truth values."""
+    sums = np.zeros((len(values), channels_of(pattern)), dtype=np.int64)
+    period = len(pattern)
+    for (y, x), channel in np.ndenumerate(pattern):
+        sums[y::period, channel] += values[y::period, x::period].sum(axis=1, dtype=np.int64)
+    return sums
 
 
 def classes_of_rows(pattern: NDArray[np.int64]) -> int:

@@ -35,41 +35,6 @@ def add_to_stack(
 
 
 @kernel
-def channel_sums(
-    mosaic: NDArray[np.uint16], defects: NDArray[np.bool_], pattern: NDArray[np.int64], sums: NDArray[np.int64]
-) -> None:
-    """Add each row's sound pixels to ``sums`` (row, channel)."""
-    period = pattern.shape[0]
-    for row in range(mosaic.shape[0]):
-        for phase in range(period):
-            total: Any = 0
-            for column in range(phase, mosaic.shape[1], period):
-                total += np.int64(mosaic[row, column]) * (1 - np.int64(defects[row, column]))
-            sums[row, pattern[row % period, phase]] += total
-
-
-@kernel
-def line_totals(
-    total: NDArray[np.uint32],
-    defects: NDArray[np.bool_],
-    pattern: NDArray[np.int64],
-    rows: NDArray[np.int64],
-    columns: NDArray[np.int64],
-) -> None:
-    """Add the sound pixels of a sum of frames to ``rows`` (row, channel) and ``columns`` (column, channel)."""
-    period = pattern.shape[0]
-    for row in range(total.shape[0]):
-        for phase in range(period):
-            channel = pattern[row % period, phase]
-            across: Any = 0
-            for column in range(phase, total.shape[1], period):
-                value = np.int64(total[row, column]) * (1 - np.int64(defects[row, column]))
-                across += value
-                columns[column, channel] += value
-            rows[row, channel] += across
-
-
-@kernel
 def channel_histograms(
     mosaic: NDArray[np.uint16], defects: NDArray[np.bool_], pattern: NDArray[np.int64], counts: NDArray[np.int64]
 ) -> None:

@@ -108,7 +108,7 @@ def _compressed(values: Values, weights: Values, spread: float) -> tuple[Values,
 def correlation(values: Values, counts: Values, shape: float) -> tuple[float, float]:
     """Return correlation and slope of the probability plot of a histogram against Tukey lambda.
 
-    ``values`` ascend and no count is 0. Each cell is held against the mean of the quantile function over its share of
+    ``values`` ascend and no count is 0. Each cell is compared with the mean of the quantile function over its share of
     the probability, whose integral is ``(p^(l + 1) + (1 - p)^(l + 1) - 1) / (l (l + 1))``.
     """
     total = float(counts.sum())
@@ -116,7 +116,7 @@ def correlation(values: Values, counts: Values, shape: float) -> tuple[float, fl
     above = np.concatenate([np.cumsum(counts[::-1])[::-1], [0.0]]) / total
     weights = counts / total
     blocks = np.diff(_integral(below, above, shape))
-    # The quantile's spread inside of a cell, by quadrature; without the outermost cells, where it has no bound.
+    # The quantile's spread inside a cell, by quadrature; without the outermost cells, where it has no bound.
     inside = 0.0
     means = blocks[1:-1] / weights[1:-1]
     for node, share in zip((_LEGENDRE[0] + 1) / 2, _LEGENDRE[1] / 2, strict=True):

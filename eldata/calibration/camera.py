@@ -53,7 +53,7 @@ def calibrate(
         Only these ISOs, if a folder is given.
     workers
         Number of threads that decode, or an executor that measures whole ISOs side by side, with a thread each
-        (:mod:`eldata.base.workers`). Neither the figures nor, much, the memory depend on it.
+        (:mod:`eldata.base.workers`). The figures do not depend on it, and the memory hardly does.
 
     Returns
     -------
@@ -77,7 +77,7 @@ def calibrate(
     if not isinstance(frames, CalibrationFrames):
         frames = CalibrationFrames(frames, camera, isos=isos)
     elif isos is not None:
-        raise ArgumentError("isos is about a folder; choose them with CalibrationFrames(..., isos=...)")
+        raise ArgumentError("isos is for a folder; choose them with CalibrationFrames(..., isos=...)")
     workers = Workers.of(workers)
     # The headers of a folder are read here: they are small, and an executor takes whole ISOs.
     chosen = sorted_frames(frames, Workers(workers.jobs))
@@ -128,7 +128,7 @@ def _failure(frames: CalibrationFrames, failed: Failed[IsoFrames]) -> FramesErro
     if isinstance(failed.error, FramesError):
         return failed.error
     where = f"{frames.camera}, ISO {float(failed.unit.iso):g}"
-    advice = "see to it where the work runs, or leave this ISO out"
+    advice = "look into it where the work runs, or leave this ISO out"
     return FramesError([Problem(frames.camera, where, "work", "a finished estimate", failed.reason, advice)])
 
 

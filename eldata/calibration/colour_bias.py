@@ -8,14 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.calibration._frames import (
-    channels_of,
-    checked_black_level,
-    checked_defects,
-    checked_mosaic,
-    pattern_of,
-    pixels_per_row,
-)
+from eldata.calibration._frames import FrameSums, checked_black_level, sums_by_row
 from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
@@ -38,7 +31,7 @@ class ColourBias:
         From the scatter of the frames' means, with n - 1 degrees of freedom; nan for one frame. It holds drift from
         frame to frame, which the next one cannot see.
     row_error_dn
-        From the scatter of row means inside of the frames; it also holds a fixed row pattern.
+        From the scatter of row means inside the frames; it also holds a fixed row pattern.
     frame_bias_dn
         (frames, channels): each frame's own.
     frames
@@ -51,8 +44,13 @@ class ColourBias:
     frame_bias_dn: NDArray[np.float64] = field(repr=False)
     frames: int
 
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the CFA's channels."""
+        return ("R", "G1", "B", "G2") if len(self.bias_dn) == 4 else ("R", "G", "B")
 
-class ChannelMeans:
+
+class ChannelMeans(FrameSums):
     """Accumulates the channel and row means of bias frames for :func:`colour_bias`.
 
     Parameters
@@ -64,26 +62,18 @@ class ChannelMeans:
     """
 
     def __init__(self, cfa: Cfa, *, defects: NDArray[np.bool_] | None = None) -> None:
-        self._pattern = pattern_of(cfa)
-        self._defects = defects
-        self._shape: tuple[int, int] | None = None
-        self._pixels = np.zeros((0, 0), dtype=np.int64)
+        super().__init__(cfa, defects)
         self.means_dn: list[NDArray[np.float64]] = []
-        """Mean of each channel, one entry a frame."""
+        """Mean of each channel, one entry per frame."""
         self.row_variances_dn2: list[NDArray[np.float64]] = []
-        """Variance of each channel's mean by the scatter of its row means, one entry a frame."""
+        """Variance of each channel's mean by the scatter of its row means, one entry per frame."""
 
     def add(self, mosaic: NDArray[np.uint16]) -> None:
         """Add a bias frame."""
-        from eldata.calibration._kernels import channel_sums
-
-        checked_mosaic(mosaic, self._shape, len(self._pattern))
-        defects = checked_defects(self._defects, (mosaic.shape[0], mosaic.shape[1]))
-        if self._shape is None:
-            self._shape = (mosaic.shape[0], mosaic.shape[1])
-            self._pixels = pixels_per_row(defects, self._pattern)
-        sums = np.zeros((mosaic.shape[0], channels_of(self._pattern)), dtype=np.int64)
-        channel_sums(mosaic, defects, self._pattern, sums)
+        sound = ~self._check(mosaic)
+        if self.frames == 1:
+            self._pixels = sums_by_row(sound, self.pattern)
+        sums = sums_by_row(mosaic * sound, self.pattern)
         pixels = self._pixels.sum(axis=0)
         if not np.all(pixels > 0):
             raise DatasetError("a channel has no sound pixel: the mask of defects covers it; raise its threshold")

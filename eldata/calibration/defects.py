@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from eldata.calibration._frames import channels_of, checked_mosaic, pattern_of
+from eldata.calibration._frames import FrameSums
 from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
@@ -30,6 +30,32 @@ _CLIPPED_SHARE = 0.01  # of pixels that reach 0
 _BLOCK = 16  # periods of the CFA a side, for the local level
 
 
+@dataclass(frozen=True, slots=True)
+class PatternSummary:
+    """What stays from bias frame to bias frame, in numbers.
+
+    Attributes
+    ----------
+    defects, off_level, stuck
+        Pixels that were left out; those off their neighbourhood's level; those that never change (a pixel may be both).
+    pixels
+        Of a frame.
+    dsnu_dn, dsnu_error_dn
+        Dark-signal non-uniformity, per channel: the standard deviation of the sound pixels' fixed levels around their
+        local level, and its standard error; 0 where the frames' own noise explains all of it.
+    shading_dn
+        (channels, rows, columns): level of blocks of 16 x 16 CFA periods over the channel's mean.
+    """
+
+    defects: int
+    off_level: int
+    stuck: int
+    pixels: int
+    dsnu_dn: tuple[float, ...]
+    dsnu_error_dn: tuple[float, ...]
+    shading_dn: NDArray[np.float64] = field(repr=False)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FixedPattern:
     """What the mean of the bias frames shows.
@@ -44,37 +70,27 @@ class FixedPattern:
         (H, W) exact sum of the frames.
     defects
         (H, W) True where a pixel is hot, cold or stuck.
-    off_level, stuck
-        How many defects lie off their neighbourhood's level, and how many never change (a pixel may be both).
     threshold_dn
         Distance from the local level that makes a defect, per channel.
     level_dn
         Mean of the sound pixels, per channel.
     temporal_variance_dn2
         Mean variance over time of the sound pixels, per channel; with row noise and quantisation.
-    dsnu_dn, dsnu_error_dn
-        Standard deviation of the sound pixels' fixed levels around their local level, per channel, and its standard
-        error; 0 where the frames' own noise explains all of it.
-    shading_dn
-        (channels, rows, columns): level of blocks of 16 x 16 CFA periods over the channel's mean. The noise of an
-        entry is ``shading_error_dn``.
     shading_error_dn
-        Per channel.
+        Noise of an entry of the summary's shading, per channel.
+    summary
+        Defects, non-uniformity and shading.
     """
 
     pattern: NDArray[np.int64] = field(repr=False)
     frames: int
     total_dn: NDArray[np.uint32] = field(repr=False)
     defects: NDArray[np.bool_] = field(repr=False)
-    off_level: int
-    stuck: int
     threshold_dn: tuple[float, ...]
     level_dn: tuple[float, ...]
     temporal_variance_dn2: tuple[float, ...]
-    dsnu_dn: tuple[float, ...]
-    dsnu_error_dn: tuple[float, ...]
-    shading_dn: NDArray[np.float64] = field(repr=False)
     shading_error_dn: tuple[float, ...]
+    summary: PatternSummary
 
     @property
     def mean_dn(self) -> NDArray[np.float32]:
@@ -82,7 +98,7 @@ class FixedPattern:
         return (self.total_dn / self.frames).astype(np.float32)
 
 
-class BiasStack:
+class BiasStack(FrameSums):
     """Accumulates bias frames for :func:`fixed_pattern`: the memory of eight mosaics, for any number of frames.
 
     Parameters
@@ -92,25 +108,21 @@ class BiasStack:
     """
 
     def __init__(self, cfa: Cfa) -> None:
-        self._pattern = pattern_of(cfa)
-        self._shape: tuple[int, int] | None = None
-        self.frames = 0
+        super().__init__(cfa)
 
     def add(self, mosaic: NDArray[np.uint16]) -> None:
         """Add a bias frame."""
         from eldata.calibration._kernels import add_to_stack
 
-        checked_mosaic(mosaic, self._shape, len(self._pattern))
         if self.frames >= _MOST_FRAMES:
             raise ArgumentError(f"a stack takes {_MOST_FRAMES} frames at most")
-        if self._shape is None:
-            self._shape = (mosaic.shape[0], mosaic.shape[1])
-            self._total = np.zeros(self._shape, dtype=np.uint32)
-            self._squares = np.zeros(self._shape, dtype=np.int64)
-            self._lowest = np.full(self._shape, 65535, dtype=np.uint16)
-            self._highest = np.zeros(self._shape, dtype=np.uint16)
-        add_to_stack(mosaic, self._total, self._squares, self._lowest, self._highest)
-        self.frames += 1
+        shape = self._check(mosaic).shape
+        if self.frames == 1:
+            self.total = np.zeros(shape, dtype=np.uint32)
+            self.squares = np.zeros(shape, dtype=np.int64)
+            self.lowest = np.full(shape, 65535, dtype=np.uint16)
+            self.highest = np.zeros(shape, dtype=np.uint16)
+        add_to_stack(mosaic, self.total, self.squares, self.lowest, self.highest)
 
 
 def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
@@ -121,7 +133,7 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
     (1.4826 times the median absolute deviation) off the median of its neighbourhood, or if it never changes although
     the noise should move it.
 
-    Dark-signal non-uniformity: ``DSNU^2 = Var(mean frame) - sigma_t^2 / n`` inside of blocks, with sigma_t^2 the mean
+    Dark-signal non-uniformity: ``DSNU^2 = Var(mean frame) - sigma_t^2 / n`` inside blocks, with sigma_t^2 the mean
     variance over time (EMVA 1288's correction for n frames).
 
     Raises
@@ -138,12 +150,10 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
             f"{stack.frames} bias frame(s) are not enough to tell what stays from what changes: "
             f"{MINIMUM_FRAMES} are needed, ten or more advised, all at one ISO"
         )
-    pattern, frames = stack._pattern, stack.frames  # noqa: SLF001 - the two make one module
-    total, squares = stack._total, stack._squares  # noqa: SLF001
-    lowest, highest = stack._lowest, stack._highest  # noqa: SLF001
-    channels = channels_of(pattern)
+    pattern, channels, frames = stack.pattern, stack.channels, stack.frames
+    total, squares, lowest, highest = stack.total, stack.squares, stack.lowest, stack.highest
 
-    stuck = _stuck(lowest, highest, total, squares, frames)
+    stuck = _stuck(stack)
     off_level = np.zeros(total.shape, dtype=np.bool_)
 
     def limit(channel: int) -> float:
@@ -186,21 +196,25 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
         frames=frames,
         total_dn=total,
         defects=defects,
-        off_level=int(off_level.sum()),
-        stuck=int(stuck.sum()),
         threshold_dn=tuple(limits),
         level_dn=tuple(one.level for one in measured),
         temporal_variance_dn2=tuple(one.variance for one in measured),
-        dsnu_dn=tuple(one.dsnu for one in measured),
-        dsnu_error_dn=tuple(one.dsnu_error for one in measured),
-        shading_dn=np.stack([one.shading for one in measured]),
         shading_error_dn=tuple(math.sqrt((one.variance / frames + one.dsnu**2) / one.block_pixels) for one in measured),
+        summary=PatternSummary(
+            defects=int(defects.sum()),
+            off_level=int(off_level.sum()),
+            stuck=int(stuck.sum()),
+            pixels=defects.size,
+            dsnu_dn=tuple(one.dsnu for one in measured),
+            dsnu_error_dn=tuple(one.dsnu_error for one in measured),
+            shading_dn=np.stack([one.shading for one in measured]),
+        ),
     )
 
 
 @dataclass(frozen=True, slots=True)
 class _Channel:
-    """What one channel's sound pixels show; ``block_pixels`` is how many a block of the shading has."""
+    """What one channel's sound pixels show; ``block_pixels`` is how many pixels a block of the shading has."""
 
     variance: float
     level: float
@@ -215,49 +229,42 @@ Site = tuple[slice, slice]
 
 def _sites(pattern: NDArray[np.int64], channel: int) -> Iterator[Site]:
     period = len(pattern)
-    for y in range(period):
-        for x in range(period):
-            if pattern[y, x] == channel:
-                yield slice(y, None, period), slice(x, None, period)
+    for y, x in np.argwhere(pattern == channel):
+        yield slice(y, None, period), slice(x, None, period)
 
 
-def _stuck(
-    lowest: NDArray[np.uint16],
-    highest: NDArray[np.uint16],
-    total: NDArray[np.uint32],
-    squares: NDArray[np.int64],
-    frames: int,
-) -> NDArray[np.bool_]:
+def _stuck(stack: BiasStack) -> NDArray[np.bool_]:
     """Return the pixels that never change, if the noise of the others makes that improbable."""
+    lowest, highest, frames = stack.lowest, stack.highest, stack.frames
     constant = lowest == highest
     share = float(constant.mean())
     if float((lowest == 0).mean() - (highest == 0).mean()) > _CLIPPED_SHARE:
         raise DatasetError(
             "black is clipped: many pixels are 0 in some frame and above in another, so that neither mean nor noise "
-            "can be told; calibrate raw files whose black level lies above 0, and never subtract it before"
+            "is known; calibrate raw files whose black level lies above 0, and never subtract it before"
         )
     if share > 0.99:
         raise DatasetError(
             "nearly all pixels have the same value in every frame: the frames are copies of one another, or black is "
             "clipped; calibrate raw files whose black level lies above 0"
         )
-    exact = frames * squares[::7, ::5] - total[::7, ::5].astype(np.int64) ** 2
+    exact = frames * stack.squares[::7, ::5] - stack.total[::7, ::5].astype(np.int64) ** 2
     sigma = math.sqrt(float(np.median(exact)) / (frames * (frames - 1)) / 0.9)
     # All n values alike: below (1 / (sigma sqrt(2 pi)))^(n - 1) / sqrt(n) for Gaussian noise of sigma > 1/2 DN.
     chance = (1 / (sigma * math.sqrt(2 * math.pi))) ** (frames - 1) / math.sqrt(frames) if sigma > 0.5 else 1.0
     return constant if chance < 1e-4 else np.zeros_like(constant)
 
 
-def _blocked(plane: NDArray[Any]) -> NDArray[Any]:
-    """Return a plane as (rows, columns, pixels) of blocks; edges are mirrored to full blocks."""
+def _blocked(plane: NDArray[Any], beyond: Literal["symmetric", "constant"]) -> NDArray[Any]:
+    """Return a plane as (rows, columns, pixels) of blocks; beyond its edges it is mirrored or 0."""
     height, width = plane.shape
-    padded = np.pad(plane, ((0, -height % _BLOCK), (0, -width % _BLOCK)), mode="symmetric")
+    padded = np.pad(plane, ((0, -height % _BLOCK), (0, -width % _BLOCK)), mode=beyond)
     rows, columns = padded.shape[0] // _BLOCK, padded.shape[1] // _BLOCK
     return padded.reshape(rows, _BLOCK, columns, _BLOCK).swapaxes(1, 2).reshape(rows, columns, -1)
 
 
 def _local_median(plane: NDArray[Any]) -> NDArray[Any]:
-    median = np.median(_blocked(plane), axis=2)
+    median = np.median(_blocked(plane, "symmetric"), axis=2)
     full: NDArray[Any] = np.repeat(np.repeat(median, _BLOCK, axis=0), _BLOCK, axis=1)
     return full[: plane.shape[0], : plane.shape[1]]
 
@@ -266,11 +273,7 @@ def _block_moments(
     mean: NDArray[np.float64], sound: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return count, mean and sum of squared deviations of the sound pixels of each block."""
-    height, width = mean.shape
-    rows, columns = -(-height // _BLOCK), -(-width // _BLOCK)
-    values, use = np.zeros((rows * _BLOCK, columns * _BLOCK)), np.zeros((rows * _BLOCK, columns * _BLOCK))
-    values[:height, :width], use[:height, :width] = mean, sound
-    values, use = _blocked(values), _blocked(use)
+    values, use = _blocked(mean, "constant"), _blocked(sound.astype(np.float64), "constant")
     count = use.sum(axis=2)
     level = (values * use).sum(axis=2) / np.maximum(count, 1)
     return count, level, ((values - level[..., None]) ** 2 * use).sum(axis=2)

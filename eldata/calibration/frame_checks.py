@@ -30,7 +30,7 @@ ADVISED_BIAS_FRAMES = 10
 _CLIPPED_SHARE = 0.01  # of pixels at 0 DN
 _PAIR_DIFFERENCE = 0.05  # of the signal; drift below it does no harm (eldata.calibration.photon_transfer)
 _CENTRAL = (0.05, 0.95)
-_FEW = 30  # occurrences a code, below which a gap may be chance
+_FEW = 30  # occurrences per code, below which a gap may be chance
 
 
 class FramesError(DatasetError):
@@ -99,7 +99,7 @@ def sorted_frames(frames: CalibrationFrames, workers: Workers = IN_THIS_PROCESS)
 
 
 def _unlike_its_row(record: FrameRecord, header: RawHeader, model: str) -> Iterator[Problem]:
-    """Yield in what a file's header differs from its row, and its camera from most frames'."""
+    """Yield how a file's header differs from its row, and its camera from that of most frames."""
     iso, exposure_s, stated = header.exposure.iso, header.exposure.exposure_s, record.exposure_s
     if header.model != model:
         yield _problem(record, "camera", model, header.model or "no model", "move it to its own camera")
@@ -110,7 +110,7 @@ def _unlike_its_row(record: FrameRecord, header: RawHeader, model: str) -> Itera
         advice = "move it to the folder (or row) of its ISO"
         yield _problem(record, "iso", number_text(record.iso), number_text(iso), advice)
     elif stated is not None and abs(exposure_s - stated) > RATIO_TOLERANCE * stated:
-        advice = "correct the manifest's row, or put the file there that it means"
+        advice = "correct the manifest's row, or put the file that it means there"
         yield _problem(record, "exposure_s", _time_text(stated), _time_text(exposure_s), advice)
 
 
@@ -156,7 +156,7 @@ class FrameFigures:
 
 
 def unlike(record: FrameRecord, found: Sensor, usual: Sensor, example: str) -> list[Problem]:
-    """Return in what a frame's sensor differs from that of the others of its ISO, such as the file ``example``."""
+    """Return how a frame's sensor differs from those of its ISO's other frames, such as the file ``example``."""
     problems = []
     advice = "take all frames of a camera in one raw mode, and leave this one out"
     for field in ("height", "width", "cfa", "black_level_dn", "white_level_dn"):
@@ -172,7 +172,7 @@ def _within_1_dn(first: tuple[float, ...], second: tuple[float, ...]) -> bool:
 
 
 def unlike_most(sensors: Mapping[FrameRecord, Sensor]) -> list[Problem]:
-    """Return in what the frames of one ISO differ from most of them."""
+    """Return how some frames of one ISO differ from most of them."""
     kinds: list[tuple[FrameRecord, Sensor, list[FrameRecord]]] = []
     for record, sensor in sensors.items():
         for first, of_first, members in kinds:
@@ -205,7 +205,7 @@ def clipped_black(record: FrameRecord, mosaic: NDArray[np.uint16]) -> list[Probl
             "black",
             "noise on both sides of a black level above 0",
             f"{share:.0%} of the pixels at 0 DN",
-            "black is clipped in this file, so neither mean nor noise can be told: use raw files that keep the black "
+            "black is clipped in this file, so neither mean nor noise is known: use raw files that keep the black "
             "level, and never subtract it before",
         )
     ]
@@ -226,18 +226,14 @@ def odd_bias_frames(figures: Sequence[FrameFigures]) -> list[Problem]:
     advice = "is it a bias frame of this ISO? look for light and for a lens without its cap, and leave it out"
     problems = []
     for one in figures:
-        if abs(one.level_dn - level) > max(10 * scatter, 1.0, 0.5 * spread):
-            problems.append(
-                _problem(
-                    one.record, "level", f"about {level:.1f} DN as in the others", f"{one.level_dn:.1f} DN", advice
-                )
-            )
-        elif abs(one.spread_dn - spread) > max(0.25 * spread, 1.0):
-            problems.append(
-                _problem(
-                    one.record, "noise", f"about {spread:.1f} DN as in the others", f"{one.spread_dn:.1f} DN", advice
-                )
-            )
+        for field, found, usual, tolerance in (
+            ("level", one.level_dn, level, max(10 * scatter, 1.0, 0.5 * spread)),
+            ("noise", one.spread_dn, spread, max(0.25 * spread, 1.0)),
+        ):
+            if abs(found - usual) > tolerance:
+                expected = f"about {usual:.1f} DN as in the others"
+                problems.append(_problem(one.record, field, expected, f"{found:.1f} DN", advice))
+                break
     return problems
 
 
@@ -256,7 +252,7 @@ def unequal_pair(pair: FlatPair, first: RawFrame, second: RawFrame) -> str | Non
 def missing_codes(mosaic: NDArray[np.uint16], pattern: NDArray[np.int64]) -> float:
     """Return the largest share, of any CFA site, of DN values that never occur though their neighbours do.
 
-    0 for what a converter gives. Lossy compression by a curve leaves gaps in bright frames; multiplication after the
+    A plain converter gives 0. Lossy compression by a curve leaves gaps in bright frames; multiplication after the
     conversion (the highest ISOs of some cameras, white balance) leaves them everywhere.
     """
     worst = 0.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import partial
+from operator import methodcaller
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -35,7 +35,7 @@ from eldata.calibration.photon_transfer import (
 from eldata.calibration.read_noise import Residuals, probability_plot, read_noise
 from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs
 from eldata.calibration.reproduction import reproduction
-from eldata.calibration.results import IsoCalibration, PatternSummary
+from eldata.calibration.results import IsoCalibration
 from eldata.calibration.row_noise import LineMeans, row_noise
 from eldata.calibration.spectrum import power_spectrum
 from eldata.errors import DatasetError, RawFileError
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from eldata.records import FrameRecord, RawFrame, Sensor
 
 HOLD_OUT_FROM = 6
-"""With so many bias frames the last one is kept from the estimators, to hold the result against."""
+"""From this many bias frames on, the last one is kept from the estimators, to test the result."""
 
 
 def calibrate_iso(
@@ -71,8 +71,8 @@ def calibrate_iso(
     chosen
         The ISO's frames (:func:`~eldata.calibration.frame_checks.sorted_frames`).
     workers
-        The threads that decode; the result does not depend on them. A frame more than that is in memory, besides the
-        sums.
+        The threads that decode; the result does not depend on them. One frame more than that is in memory, besides
+        the sums.
     done
         Called after each decoded frame; :func:`decodings` says how many there will be.
 
@@ -159,7 +159,7 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
     for _, frame in reader.read(estimated):
         if spectrum is None:
             spectrum, gaps = power_spectrum(frame.mosaic, fixed), missing_codes(frame.mosaic, fixed.pattern)
-        in_threads(partial(_add, frame.mosaic), (residuals, lines, means), reader.workers.jobs)
+        in_threads(methodcaller("add", frame.mosaic), (residuals, lines, means), reader.workers.jobs)
     reader.refuse()
     if spectrum is None:
         raise DatasetError("no bias frame could be read")
@@ -178,15 +178,7 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
             rows=row_noise(lines),
             read=read_noise(histogram),
             plot=probability_plot(histogram),
-            pattern=PatternSummary(
-                defects=int(np.count_nonzero(fixed.defects)),
-                off_level=fixed.off_level,
-                stuck=fixed.stuck,
-                pixels=fixed.defects.size,
-                dsnu_dn=fixed.dsnu_dn,
-                dsnu_error_dn=fixed.dsnu_error_dn,
-                shading_dn=fixed.shading_dn,
-            ),
+            pattern=fixed.summary,
             spectrum_dn2=first_spectrum,
             reproduction=None,
             remarks=(),
@@ -234,10 +226,6 @@ def _first_pass(reader: _Reader, bias: Sequence[FrameRecord]) -> tuple[FixedPatt
     if stack is None:
         raise DatasetError("no bias frame could be read")
     return fixed_pattern(stack), kept
-
-
-def _add(mosaic: NDArray[np.uint16], sums: Residuals | LineMeans | ChannelMeans) -> None:
-    sums.add(mosaic)
 
 
 def _flats(

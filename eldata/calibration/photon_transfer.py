@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.calibration._frames import channels_of, checked_black_level, checked_defects, checked_mosaic, pattern_of
+from eldata.calibration._frames import FrameSums, checked_black_level
 from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ class PhotonTransferLine:
         return self.gain_dn_per_e * signal_dn + self.intercept_dn2
 
     def pooled(self, levels: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return the points in at most so many levels: weighted means of neighbours, which stay on a line."""
+        """Return the points pooled to at most ``levels``: weighted means of neighbours, which stay on a line."""
         order = np.argsort(self.signal_dn, kind="stable")
         groups = np.array_split(order, min(levels, order.size))
         weights = [self.variance_error_dn2[group] ** -2.0 for group in groups]
@@ -98,7 +98,28 @@ class PhotonTransfer:
     left_out: float
 
 
-class FlatPairs:
+class _Flats(FrameSums):
+    """Sums of flat frames; parameters as :class:`FlatPairs`."""
+
+    def __init__(
+        self,
+        cfa: Cfa,
+        black_level_dn: Sequence[float],
+        white_level_dn: float,
+        *,
+        defects: NDArray[np.bool_] | None = None,
+        margin: float = _MARGIN,
+    ) -> None:
+        super().__init__(cfa, defects)
+        self._black = checked_black_level(black_level_dn, self.channels)
+        self._limit = _saturation_dn(self._black, white_level_dn, margin)
+        self._make_room()
+
+    def _make_room(self) -> None:
+        """Set up what the frames are added to, if anything."""
+
+
+class FlatPairs(_Flats):
     """Accumulates pairs of equal flat frames, of any number of levels, for :func:`photon_transfer`.
 
     Parameters
@@ -111,28 +132,10 @@ class FlatPairs:
         Pixels within this share of the range below white count as saturated.
     """
 
-    def __init__(
-        self,
-        cfa: Cfa,
-        black_level_dn: Sequence[float],
-        white_level_dn: float,
-        *,
-        defects: NDArray[np.bool_] | None = None,
-        margin: float = _MARGIN,
-    ) -> None:
-        self._pattern = pattern_of(cfa)
-        channels = channels_of(self._pattern)
-        self._black = checked_black_level(black_level_dn, channels)
-        self._limit = _saturation_dn(self._black, white_level_dn, margin)
+    def _make_room(self) -> None:
         self._level_dn = (self._limit - float(self._black.min())) / _LEVELS
-        self._defects = defects
-        self._shape: tuple[int, int] | None = None
-        self.frames = 0
-        self._segments = np.zeros((channels, _LEVELS), dtype=np.int64)
-        self._clipped = np.zeros((channels, _LEVELS), dtype=np.int64)
-        self._freedom = np.zeros((channels, _LEVELS))
-        self._variance = np.zeros((channels, _LEVELS))
-        self._mean = np.zeros((channels, _LEVELS))
+        self._segments, self._clipped = np.zeros((2, self.channels, _LEVELS), dtype=np.int64)
+        self._freedom, self._variance, self._mean = np.zeros((3, self.channels, _LEVELS))
 
     def add(self, first: NDArray[np.uint16], second: NDArray[np.uint16]) -> None:
         """Add two frames of the same scene, exposure and ISO; use each frame in one pair only.
@@ -141,17 +144,15 @@ class FlatPairs:
         """
         from eldata.calibration._kernels import pair_segments
 
-        period = len(self._pattern)
-        checked_mosaic(first, self._shape, period)
-        self._shape = (first.shape[0], first.shape[1])
-        checked_mosaic(second, self._shape, period)
+        self._check(first)
+        defects = self._check(second)
         if first.shape[1] < _SEGMENT:
             raise ArgumentError(f"flat frames must be {_SEGMENT} pixels wide or more; found {first.shape[1]}")
         pair_segments(
             first,
             second,
-            checked_defects(self._defects, self._shape),
-            self._pattern,
+            defects,
+            self.pattern,
             self._black,
             self._limit,
             _SEGMENT,
@@ -162,7 +163,6 @@ class FlatPairs:
             self._variance,
             self._mean,
         )
-        self.frames += 2
 
     @property
     def left_out(self) -> float:
@@ -187,7 +187,7 @@ def photon_transfer(flats: FlatPairs) -> PhotonTransfer:
     """Estimate K by weighted least squares of the temporal variance over the mean (equation "photon-transfer").
 
     Per segment of a row and channel, ``s^2 = Var(A - B) / 2`` about the segment's own mean difference and
-    ``mean = (A + B) / 2 - black``; segments pool by level. So shading inside of a frame gives levels, and drift, row
+    ``mean = (A + B) / 2 - black``; segments pool by level. So shading inside a frame gives levels, and drift, row
     noise and flicker between the frames of a pair do not enter. The weights are
     ``1 / Var(s^2)``, ``Var(s^2) = (2 sigma^4 + K^3 mean / 2) / nu`` with nu degrees of freedom and sigma^2 from the
     fitted line, repeated until it stays; the second term is the fourth cumulant of shot noise.
@@ -199,7 +199,7 @@ def photon_transfer(flats: FlatPairs) -> PhotonTransfer:
     """
     if flats.frames == 0:
         raise DatasetError("no flat frames were given: take pairs of equal flats at several exposures")
-    lines = tuple(_weighted_line(*flats.points(channel), channel) for channel in range(len(flats._black)))  # noqa: SLF001
+    lines = tuple(_weighted_line(*flats.points(channel), channel) for channel in range(flats.channels))
     return _joined(lines, flats.frames, flats.left_out)
 
 
@@ -282,24 +282,10 @@ def _saturation_dn(black: NDArray[np.float64], white_level_dn: float, margin: fl
 # --- the published method -------------------------------------------------------------------------------------
 
 
-class FlatFrames:
+class FlatFrames(_Flats):
     """Accumulates single flat frames for :func:`spatial_photon_transfer`; parameters as :class:`FlatPairs`."""
 
-    def __init__(
-        self,
-        cfa: Cfa,
-        black_level_dn: Sequence[float],
-        white_level_dn: float,
-        *,
-        defects: NDArray[np.bool_] | None = None,
-        margin: float = _MARGIN,
-    ) -> None:
-        self._pattern = pattern_of(cfa)
-        self._black = checked_black_level(black_level_dn, channels_of(self._pattern))
-        self._limit = _saturation_dn(self._black, white_level_dn, margin)
-        self._defects = defects
-        self._shape: tuple[int, int] | None = None
-        self.frames = 0
+    def _make_room(self) -> None:
         self.points: list[list[tuple[float, float]]] = [[] for _ in self._black]
         """Median over black and variance of each frame that is neither clipped nor saturated, by channel."""
 
@@ -307,11 +293,8 @@ class FlatFrames:
         """Add a flat frame."""
         from eldata.calibration._kernels import channel_histograms
 
-        checked_mosaic(mosaic, self._shape, len(self._pattern))
-        self._shape = (mosaic.shape[0], mosaic.shape[1])
-        counts = np.zeros((len(self._black), 65536), dtype=np.int64)
-        channel_histograms(mosaic, checked_defects(self._defects, self._shape), self._pattern, counts)
-        self.frames += 1
+        counts = np.zeros((self.channels, 65536), dtype=np.int64)
+        channel_histograms(mosaic, self._check(mosaic), self.pattern, counts)
         values = np.arange(65536)  # integers: exact, and no BLAS, whose threads would wait in vain
         for channel, histogram in enumerate(counts):
             total = int(histogram.sum())
@@ -328,7 +311,7 @@ def spatial_photon_transfer(flats: FlatFrames) -> PhotonTransfer:
     """Estimate K as published: ordinary least squares of each frame's variance over its median.
 
     For comparison only: PRNU of p adds ``(p signal)^2``, and shading more. The standard errors come from the scatter
-    around the line and do not know of either.
+    around the line and allow for neither.
 
     Raises
     ------

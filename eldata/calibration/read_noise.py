@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.calibration._frames import pixels_per_row
-from eldata.calibration.row_noise import line_sums
+from eldata.calibration._frames import sums_by_row
+from eldata.calibration.row_noise import check_same_frames, line_sums
 from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ class ReadNoise:
         Of what was recorded: clipping at 0 takes from it, as from the two probability plots.
     ppcc_lambda, ppcc_sigma_tl_dn
         Shape of the highest probability-plot correlation and the plot's slope, with the model's own answer to the same
-        question held against the truth it was made with, so that rounding and the mean over frames are allowed for.
+        question compared with the truth it was made with, so that rounding and the mean over frames are allowed for.
     ppcc_lambda_plain, ppcc_sigma_plain_dn
         The same without that: what the published procedure gives on these residuals.
     curve
@@ -187,7 +187,7 @@ class Residuals:
 
     def __init__(self, fixed: FixedPattern) -> None:
         self._fixed = fixed
-        self._pixels = pixels_per_row(fixed.defects, fixed.pattern)
+        self._pixels = sums_by_row(~fixed.defects, fixed.pattern)
         self._added = 0
         sigma = math.sqrt(float(np.mean(fixed.temporal_variance_dn2)))
         step = round(fixed.frames * sigma / _CELLS_PER_SIGMA)
@@ -202,9 +202,8 @@ class Residuals:
         sums, _, _ = line_sums(mosaic, fixed)
         level = sums.sum(axis=0) / np.maximum(self._pixels.sum(axis=0), 1)
         row = (sums - self._pixels * level).sum(axis=1) / np.maximum(self._pixels.sum(axis=1), 1)
-        period = len(fixed.pattern)
-        rows = np.arange(len(row)) % period
-        offsets = np.rint(row[:, None] + level[fixed.pattern[rows]]).astype(np.int64)
+        phases = np.arange(len(row)) % len(fixed.pattern)
+        offsets = np.rint(row[:, None] + level[fixed.pattern[phases]]).astype(np.int64)
         residual_histogram(
             mosaic, fixed.total_dn, fixed.defects, fixed.frames, offsets, self._step, len(self._counts), self._counts
         )
@@ -219,10 +218,7 @@ class Residuals:
             If the frames added are not those of the fixed pattern, or black is too close to 0.
         """
         fixed, frames = self._fixed, self._fixed.frames
-        if self._added != frames:
-            raise DatasetError(
-                f"{self._added} frames were added and the fixed pattern comes from {frames}: add the same frames again"
-            )
+        check_same_frames(self._added, fixed)
         pixels = float(self._pixels.sum(axis=1).mean())
         own = (1 - 1 / frames) * (1 - 1 / pixels)
         variance = max(fixed.temporal_variance_dn2)

@@ -59,7 +59,7 @@ def bias_remarks(found: IsoCalibration, chosen: IsoFrames, lossy: str | None, ga
             "its plot for steps and a second slope)"
         )
     if rows.sigma_dn == 0:
-        remarks.append(f"no row noise was seen; {rows.sigma_error_dn:.2g} DN would just have been")
+        remarks.append(f"no row noise was seen; {rows.sigma_error_dn:.2g} DN would just have been visible")
     elif rows.shapiro_p < 1e-3 and abs(rows.excess_kurtosis) > 0.5:
         remarks.append(
             f"the row noise is not normal (Shapiro-Wilk p = {rows.shapiro_p:.1g}, excess kurtosis "
@@ -74,7 +74,9 @@ def bias_remarks(found: IsoCalibration, chosen: IsoFrames, lossy: str | None, ga
     if drift > 0.25:
         remarks.append(f"black drifts from frame to frame: the colour bias is uncertain by {drift:.2g} DN")
     if found.pattern.defects > 0.01 * found.pattern.pixels:
-        remarks.append(f"{found.pattern.defects / found.pattern.pixels:.1%} of the pixels are defects; is it the cap?")
+        remarks.append(
+            f"{found.pattern.defects / found.pattern.pixels:.1%} of the pixels are defects; is the lens capped?"
+        )
     compared = found.reproduction
     if compared is not None and compared.histogram_distance > max(4 * compared.histogram_distance_by_chance, 0.02):
         remarks.append(

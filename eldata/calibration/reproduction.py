@@ -1,4 +1,4 @@
-"""Does the noise model, with what was measured, make bias frames like the camera's? Held against one kept out.
+"""Does the noise model, with what was measured, make bias frames like the camera's? Compared with one kept out.
 
 The real frame and simulated ones go the same way: a frame less the mean of n others, over the same piece of the sensor.
 For the camera the n others are those that the estimators saw, for the model n more draws. So what the mean takes off is
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 _SIDE = 1024  # of the piece that is compared: a million pixels
 _SHOWN = (128, 192)
-_SHADING_BLOCK = 16  # CFA periods a side, of FixedPattern.shading_dn
+_SHADING_BLOCK = 16  # CFA periods per side, of PatternSummary.shading_dn
 _LEVELS = np.unique(
     np.concatenate([np.geomspace(1e-5, 0.05, 40), np.linspace(0.05, 0.95, 91), 1 - np.geomspace(1e-5, 0.05, 40)])
 )
@@ -120,8 +120,8 @@ def reproduction(
     channel = _channels(fixed.pattern, real.shape)
     block = _SHADING_BLOCK * len(fixed.pattern)
     rows_of, columns_of = (np.arange(part.start, part.stop) // block for part in place)
-    level = fixed.shading_dn[channel, rows_of[:, None], columns_of]
-    spread = np.asarray(fixed.dsnu_dn)[channel]
+    level = fixed.summary.shading_dn[channel, rows_of[:, None], columns_of]
+    spread = np.asarray(fixed.summary.dsnu_dn)[channel]
     first, simulated = _simulated(level, spread, fixed.frames, sensor, parameters, generator)
     _, again = _simulated(level, spread, fixed.frames, sensor, parameters, generator)
     for residual in (real, simulated, again):
@@ -133,7 +133,7 @@ def reproduction(
     sigmas = [float(ordered.std()) for ordered in values]
     quantiles = [np.quantile(ordered, _LEVELS) for ordered in values]
     # Odd multiples of 1/n DN, on which residuals lie: other cells would hold now more, now fewer of those steps, and
-    # edges on the steps themselves would tell frames apart by the least drift.
+    # edges on the steps themselves would tell frames apart by the slightest drift.
     steps = round(fixed.frames * sigmas[1] / 5)
     cell = max(1, steps - 1 + steps % 2) / fixed.frames
     histograms = [_histogram(ordered, cell) for ordered in values]

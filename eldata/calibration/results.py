@@ -1,4 +1,4 @@
-"""What a calibration found: one record an ISO, the fits over all of them, the profile, and what to be wary of."""
+"""What a calibration found: one record per ISO, the fits over all of them, the profile, and what to be wary of."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.calibration.colour_bias import ColourBias
+    from eldata.calibration.defects import PatternSummary
     from eldata.calibration.joint import LogLogEstimate
     from eldata.calibration.photon_transfer import PhotonTransfer
     from eldata.calibration.read_noise import ProbabilityPlot, ReadNoise
@@ -25,31 +26,6 @@ if TYPE_CHECKING:
     from eldata.noise.parameters import NoiseParameters
     from eldata.noise.profile import CameraProfile
     from eldata.records import Sensor
-
-
-@dataclass(frozen=True, slots=True)
-class PatternSummary:
-    """What stays from bias frame to bias frame, in numbers (see :class:`~eldata.calibration.defects.FixedPattern`).
-
-    Attributes
-    ----------
-    defects, off_level, stuck
-        Pixels that were left out; those off their neighbourhood's level; those that never change.
-    pixels
-        Of a frame.
-    dsnu_dn, dsnu_error_dn
-        Dark-signal non-uniformity and its standard error, per channel.
-    shading_dn
-        (channels, rows, columns): level of blocks over the channel's mean.
-    """
-
-    defects: int
-    off_level: int
-    stuck: int
-    pixels: int
-    dsnu_dn: tuple[float, ...]
-    dsnu_error_dn: tuple[float, ...]
-    shading_dn: NDArray[np.float64] = field(repr=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +43,7 @@ class IsoCalibration:
     transfer
         Photon transfer from pairs of flats; ``None`` without flats of this ISO.
     spatial
-        The published single-frame method on the same flats, for comparison; ``None`` where it cannot be had.
+        The published single-frame method on the same flats, for comparison; ``None`` where it is not available.
     bias, rows, read
         Colour bias, row (and column) noise, read noise.
     plot
@@ -101,7 +77,7 @@ class IsoCalibration:
 
     @property
     def spectrum_lines(self) -> SpectrumLines:
-        """What the rows' and the columns' line in the spectrum stand out of."""
+        """The rows' and the columns' line in the spectrum, and the ground that they stand out from."""
         return SpectrumLines.of(self.spectrum_dn2)
 
     @property
@@ -145,7 +121,7 @@ class Calibration:
     camera
         The camera's name.
     isos
-        One record an ISO, ascending.
+        One record per ISO, ascending.
     profile
         For :class:`~eldata.noise.model.NoiseModel`.
     tukey_lambda_fit, gauss_fit, row_fit
@@ -221,7 +197,6 @@ class Calibration:
 
     def bias_table(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         """Return header and rows of the colour bias by ISO and CFA channel."""
-        channels = ("R", "G1", "B", "G2") if len(self.isos[0].bias.bias_dn) == 4 else ("R", "G", "B")
         rows = [
             (
                 f"{one.iso:g}",
@@ -230,7 +205,7 @@ class Calibration:
             )
             for one in self.isos
         ]
-        return ("ISO", *channels, "DSNU"), rows
+        return ("ISO", *self.isos[0].bias.channels, "DSNU"), rows
 
     def fit_table(self) -> list[tuple[str, ...]]:
         """Return the rows of the joint fits that could be made."""
@@ -270,7 +245,7 @@ class Calibration:
         return header, rows
 
     def as_dict(self) -> dict[str, Any]:
-        """Return every figure with its standard error as plain JSON types; what is not a number is ``None``."""
+        """Return every figure with its standard error as plain JSON types; numbers that are not finite are ``None``."""
         from dataclasses import asdict
 
         fits = {
@@ -289,6 +264,11 @@ class Calibration:
 
 def _iso_dict(one: IsoCalibration) -> dict[str, Any]:
     read, rows, columns = one.read, one.rows.rows, one.rows.columns
+    of_read = (
+        *("tukey_lambda", "tukey_lambda_error", "sigma_tl_dn", "sigma_tl_error_dn"),
+        *("sigma_gauss_dn", "sigma_gauss_error_dn", "ppcc_lambda", "ppcc_sigma_tl_dn", "r_squared_tl"),
+        "r_squared_gauss",
+    )
     found = {
         "iso": one.iso,
         "black_level_dn": one.sensor.black_level_dn,
@@ -299,16 +279,7 @@ def _iso_dict(one: IsoCalibration) -> dict[str, Any]:
         "gain_error": None if one.transfer is None else one.transfer.gain_error,
         "gain_by_channel": None if one.transfer is None else [line.gain_dn_per_e for line in one.transfer.channels],
         "gain_spatial_dn_per_e": None if one.spatial is None else one.spatial.gain_dn_per_e,
-        "tukey_lambda": read.tukey_lambda,
-        "tukey_lambda_error": read.tukey_lambda_error,
-        "sigma_tl_dn": read.sigma_tl_dn,
-        "sigma_tl_error_dn": read.sigma_tl_error_dn,
-        "sigma_gauss_dn": read.sigma_gauss_dn,
-        "sigma_gauss_error_dn": read.sigma_gauss_error_dn,
-        "ppcc_lambda": read.ppcc_lambda,
-        "ppcc_sigma_tl_dn": read.ppcc_sigma_tl_dn,
-        "r_squared_tl": read.r_squared_tl,
-        "r_squared_gauss": read.r_squared_gauss,
+        **{name: getattr(read, name) for name in of_read},
         "read_chi2_per_dof": read.chi2_per_dof,
         "read_is_reliable": read.is_reliable,
         "sigma_row_dn": rows.sigma_dn,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.calibration._frames import channels_of, checked_mosaic, classes_of_rows, pixels_per_row
+from eldata.calibration._frames import channels_of, checked_mosaic, classes_of_rows, sums_by_row
 from eldata.calibration.spectrum import smoothed_power
 from eldata.errors import DatasetError
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from eldata.calibration.defects import FixedPattern
 
 SHAPIRO_VALUES = 5000
-"""The Shapiro-Wilk test's p is accurate up to so many values; more are thinned evenly."""
+"""The Shapiro-Wilk test's p is accurate up to this many values; more are thinned evenly."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,8 +113,8 @@ class LineMeans:
 
     def __init__(self, fixed: FixedPattern) -> None:
         self.fixed = fixed
-        self.row_pixels = pixels_per_row(fixed.defects, fixed.pattern)
-        self.column_pixels = pixels_per_row(fixed.defects.T, fixed.pattern.T)
+        self.row_pixels = sums_by_row(~fixed.defects, fixed.pattern)
+        self.column_pixels = sums_by_row(~fixed.defects.T, fixed.pattern.T)
         self.rows_dn: list[NDArray[np.float64]] = []
         self.columns_dn: list[NDArray[np.float64]] = []
         self.squares = 0.0
@@ -129,6 +129,14 @@ class LineMeans:
         self.squares += float((squares - sums**2 / np.maximum(pixels, 1)).sum()) / frames**2
         self.rows_dn.append(_line_means(rows / frames, self.row_pixels))
         self.columns_dn.append(_line_means(columns / frames, self.column_pixels))
+
+
+def check_same_frames(added: int, fixed: FixedPattern) -> None:
+    """Raise a DatasetError unless the second pass saw as many frames as the first."""
+    if added != fixed.frames:
+        raise DatasetError(
+            f"{added} frames were added and the fixed pattern comes from {fixed.frames}: add the same frames again"
+        )
 
 
 def line_sums(
@@ -169,22 +177,14 @@ def row_noise(means: LineMeans) -> RowNoise:
     DatasetError
         If the frames added are not those of the fixed pattern.
     """
-    from eldata.calibration._kernels import line_totals
-
     fixed, frames = means.fixed, means.fixed.frames
-    if len(means.rows_dn) != frames:
-        raise DatasetError(
-            f"{len(means.rows_dn)} frames were added and the fixed pattern comes from {frames}: add the same "
-            "frames again"
-        )
+    check_same_frames(len(means.rows_dn), fixed)
     pixels = means.row_pixels.sum(axis=1)
     # Per pixel and row 1/n and 1/m of the freedom are gone.
     freedom = (frames - 1) * float(np.maximum(pixels - 1, 0).sum())
     pixel_variance = means.squares / freedom
-    height, width = fixed.total_dn.shape
-    channels = channels_of(fixed.pattern)
-    rows, columns = np.zeros((height, channels), dtype=np.int64), np.zeros((width, channels), dtype=np.int64)
-    line_totals(fixed.total_dn, fixed.defects, fixed.pattern, rows, columns)
+    sound = np.where(fixed.defects, 0, fixed.total_dn)
+    rows, columns = sums_by_row(sound, fixed.pattern), sums_by_row(sound.T, fixed.pattern.T)
     return RowNoise(
         rows=_line_noise(np.array(means.rows_dn), means.row_pixels, rows / frames, fixed.pattern, pixel_variance),
         columns=_line_noise(

@@ -4,16 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import (
-    OK,
-    PROBLEMS,
-    add_debug,
-    add_json,
-    add_root,
-    add_workers,
-    chosen_workers,
-    whole_number,
-)
+from eldata.base.console import OK, PROBLEMS, add_shared, chosen_workers, whole_number
 from eldata.base.files import write_json
 
 if TYPE_CHECKING:
@@ -28,7 +19,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         description=(
             "Measure system gain, colour bias, row noise and read noise at each ISO from bias frames (lens capped, "
             "shortest exposure) and pairs of flat-field frames, fit their joint distribution, and write the camera's "
-            "profile for the noise model. With frames that cannot be used, each is listed and nothing is written."
+            "profile for the noise model. If frames cannot be used, each is listed and nothing is written."
         ),
         epilog="What to shoot, and how failures show: docs/calibration.md.",
     )
@@ -37,7 +28,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="FRAMES",
         help="folder with CAMERA/{bias,flat}/ISO100/... in it, the camera's own folder, or a manifest (.csv)",
     )
-    parser.add_argument("--camera", metavar="NAME", help="the camera's name (default: the only one that is there)")
+    parser.add_argument("--camera", metavar="NAME", help="the camera's name (default: the only camera there)")
     parser.add_argument("-o", "--output", metavar="FILE", help="write the camera profile to FILE (JSON)")
     parser.add_argument("--html", metavar="FILE", help="write a report with plots to FILE")
     parser.add_argument(
@@ -48,11 +39,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="ISO",
         help="only this ISO; may be repeated",
     )
-    add_root(parser)
-    add_workers(parser)
-    add_json(parser)
-    add_debug(parser)
-    parser.set_defaults(run=run, command="calibrate")
+    add_shared(parser, run, "root", "workers", "json")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -86,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
         return PROBLEMS
     print(f"{found.camera}: {found.profile.source}\n\n{found.format_text()}")
     if frames.skipped:
-        print(f"\n{len(frames.skipped)} file(s) that are no raw files were left alone, such as {frames.skipped[0]}")
+        print(f"\n{len(frames.skipped)} file(s) that are not raw files were left alone, such as {frames.skipped[0]}")
     if arguments.output:
         found.profile.save(arguments.output)
         print(f"\nprofile: {arguments.output}; look at it with eldata profile show {arguments.output}")

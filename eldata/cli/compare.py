@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_debug, add_json
+from eldata.base.console import OK, add_shared
 from eldata.base.files import write_json
 from eldata.base.tables import FORMATS
 from eldata.errors import ArgumentError
@@ -42,9 +42,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("--protocol", metavar="P", help="which protocol's results, of files that hold several")
     parser.add_argument("--format", choices=FORMATS, default="text", help="how to print the tables (default: text)")
     parser.add_argument("--html", metavar="FILE", help="write a page with plots and the biggest differences to FILE")
-    add_json(parser)
-    add_debug(parser)
-    parser.set_defaults(run=run, command="compare")
+    add_shared(parser, run, "json")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_debug, add_jobs
+from eldata.base.console import OK, add_shared
 from eldata.base.workers import Workers
 from eldata.errors import ArgumentError
 
@@ -35,7 +35,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("folder", metavar="DIR", nargs="?", default="eldata-demo", help="default: %(default)s")
     parser.add_argument("--scenes", type=int, default=4, metavar="N", help="scenes per camera (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of the noise (default: %(default)s)")
-    parser.add_argument("--calibration", action="store_true", help="the calibration of a camera, in place of scenes")
+    parser.add_argument("--calibration", action="store_true", help="calibrate a camera instead of photographing scenes")
     parser.add_argument(
         "--without",
         action="append",
@@ -44,9 +44,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="FEATURE",
         help=f"with --calibration: a camera without this ({', '.join(_FEATURES)}); may be repeated",
     )
-    add_jobs(parser)
-    add_debug(parser)
-    parser.set_defaults(run=run, command="demo")
+    add_shared(parser, run, "jobs")
 
 
 def run(arguments: argparse.Namespace) -> int:

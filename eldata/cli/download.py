@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import INTERRUPTED, OK, PROBLEMS, add_debug, add_json, add_root
+from eldata.base.console import OK, PROBLEMS, add_root, add_shared
 from eldata.base.files import write_json
 
 if TYPE_CHECKING:
@@ -26,13 +25,13 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="fetch a dataset where its publisher allows it; unpack and check what was fetched by hand",
         description=(
             "Say where a dataset is available, how large it is and under which licence; with --yes, fetch the archives "
-            "that the publisher lets programs fetch, go on where a broken connection ended, check their structure and "
+            "that the publisher lets programs fetch, resume after broken connections, check their structure and "
             "unpack them into the dataset's folder. With --from, do the same with an archive that you saved by hand. "
             "Nothing that is there is fetched again or replaced."
         ),
         epilog=(
-            "Exit codes: 0 the listed files are there; 1 they are not (yet), and what to do was printed; 2 a download "
-            "or an archive failed. docs/downloads.md says more."
+            "Exit codes: 0 the listed files are there; 1 some are missing or differ, and what to do was printed; 2 a "
+            "download or an archive failed. docs/downloads.md says more."
         ),
     )
     parser.add_argument("dataset", metavar="DATASET", help="a dataset's name; eldata info lists them")
@@ -56,27 +55,12 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="NAME",
         help="only this archive of a dataset that comes in several; may be repeated",
     )
-    add_json(parser)
-    add_debug(parser)
-    parser.set_defaults(run=run, command="download")
+    kept = "what has arrived is kept, and the same command goes on from there"
+    add_shared(parser, run, "json", interrupted=kept)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
-    try:
-        return _run(arguments)
-    except KeyboardInterrupt:
-        if arguments.debug:
-            raise
-        # The general sentence would leave open whether the gigabytes that have come are lost.
-        print(
-            "eldata download: interrupted; what has come is kept, and the same command goes on from there",
-            file=sys.stderr,
-        )
-        return INTERRUPTED
-
-
-def _run(arguments: argparse.Namespace) -> int:
     from eldata.download.card_downloads import choose_parts, holds
     from eldata.download.installing import unpack_dataset
     from eldata.download.overview import overview, presence_of

@@ -9,9 +9,9 @@ from eldata.base.console import (
     OK,
     PROBLEMS,
     add_cameras,
-    add_debug,
     add_json,
     add_root,
+    add_shared,
     add_workers,
     chosen_workers,
 )
@@ -94,8 +94,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "--compare", action="store_true", help="show the result among the published numbers that compare with it"
     )
-    add_debug(parser)
-    parser.set_defaults(run=run, command="evaluate")
+    add_shared(parser, run)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_debug, add_json, add_root
+from eldata.base.console import OK, add_shared
 from eldata.base.files import write_json
 
 if TYPE_CHECKING:
@@ -17,16 +17,13 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "info",
         help="datasets known: where to get them, size, licence, citation",
         description=(
-            "List the datasets that eldata knows, or all that is known of one: where to get it, size, licence, "
-            "citation, known defects, where its files belong and whether they are there. Names are looked at, not "
+            "List the datasets that eldata knows, or all that is known about one: where to get it, size, licence, "
+            "citation, known defects, where its files belong and whether they are there. It looks at names, not at "
             "contents: eldata verify checks those."
         ),
     )
     parser.add_argument("dataset", metavar="DATASET", nargs="?", help="a dataset's name, such as eld")
-    add_root(parser)
-    add_json(parser)
-    add_debug(parser)
-    parser.set_defaults(run=run, command="info")
+    add_shared(parser, run, "root", "json")
 
 
 def run(arguments: argparse.Namespace) -> int:

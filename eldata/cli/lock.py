@@ -4,16 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import (
-    OK,
-    PROBLEMS,
-    add_cameras,
-    add_debug,
-    add_json,
-    add_root,
-    add_workers,
-    chosen_workers,
-)
+from eldata.base.console import OK, PROBLEMS, add_shared, chosen_workers
 from eldata.base.files import write_json
 from eldata.manifest.lock import lock
 
@@ -32,12 +23,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         ),
     )
     parser.add_argument("manifest", metavar="MANIFEST", help="the manifest's CSV file, which is changed")
-    add_root(parser)
-    add_cameras(parser)
-    add_workers(parser)
-    add_json(parser)
-    add_debug(parser)
-    parser.set_defaults(run=run, command="lock")
+    add_shared(parser, run, "root", "cameras", "workers", "json")
 
 
 def run(arguments: argparse.Namespace) -> int:

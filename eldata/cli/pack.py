@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING
 
-from eldata.base.console import INTERRUPTED, OK, add_cameras, add_debug, add_root, add_workers, chosen_workers
+from eldata.base.console import OK, add_cameras, add_debug, add_root, add_workers, chosen_workers
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -45,7 +44,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     add_workers(parser)
     add_debug(parser)
-    parser.set_defaults(run=run, command="pack")
+    kept = "the finished frames are kept in {out}.part, and the same command goes on"
+    parser.set_defaults(run=run, command="pack", interrupted=kept)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -53,18 +53,8 @@ def run(arguments: argparse.Namespace) -> int:
     from eldata.sources.store.build import build_store
 
     source = _source(arguments)
-    try:
-        with chosen_workers(arguments) as workers:
-            report = build_store(source, arguments.out, compression=arguments.compression, workers=workers)
-    except KeyboardInterrupt:
-        if arguments.debug:
-            raise
-        print(
-            f"eldata pack: interrupted; the finished frames are kept in {arguments.out}.part, and the same command "
-            "goes on",
-            file=sys.stderr,
-        )
-        return INTERRUPTED
+    with chosen_workers(arguments) as workers:
+        report = build_store(source, arguments.out, compression=arguments.compression, workers=workers)
     resumed = f" ({report.resumed} of them before)" if report.resumed else ""
     print(
         f"{report.frames} frames packed{resumed}: {report.path}, {report.store_bytes / 1e6:.1f} MB for "

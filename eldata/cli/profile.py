@@ -1,10 +1,10 @@
-"""`eldata profile`: what a camera's noise profile says, and whether the noise model does what it says."""
+"""`eldata profile`: what a camera's noise profile says, and whether the noise model follows it."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_debug, add_json, whole_number
+from eldata.base.console import OK, PROBLEMS, add_shared, whole_number
 from eldata.base.files import write_json
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="show a profile and compare simulated frames with the theory",
         description=(
             "Show a profile, draw parameters from it, simulate flats and bias frames and compare them with the model's "
-            "closed forms. With --iso or --gain, lambda and colour bias are of the calibration row nearest in gain; "
+            "closed forms. With --iso or --gain, lambda and colour bias come from the calibration row nearest in gain; "
             "otherwise all are drawn. Exit code 1 if a figure is off by more than 4 standard errors."
         ),
     )
@@ -36,16 +36,12 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--model", default="P*+G*+B+R+U", metavar="SPEC", help="components of the noise (default: %(default)s)"
     )
     show.add_argument(
-        "--seed", type=whole_number(0), default=0, metavar="S", help="seed of everything (default: %(default)s)"
+        "--seed", type=whole_number(0), default=0, metavar="S", help="seed of all randomness (default: %(default)s)"
     )
     show.add_argument("--html", metavar="FILE", help="write a page with plots to FILE")
-    add_json(show)
-    add_debug(show)
-    show.set_defaults(run=run_show, command="profile show")
+    add_shared(show, run_show, "json")
     listing = subcommands.add_parser("list", help="list the profiles that ship", description="List shipped profiles.")
-    add_json(listing)
-    add_debug(listing)
-    listing.set_defaults(run=run_list, command="profile list")
+    add_shared(listing, run_list, "json")
 
 
 def run_show(arguments: argparse.Namespace) -> int:
@@ -122,5 +118,5 @@ def run_list(arguments: argparse.Namespace) -> int:
 
 
 def _printable(text: str) -> str:
-    """Return a profile's text on one line, without what would steer a terminal."""
+    """Return a profile's text on one line, without what would control a terminal."""
     return "".join(character if character.isprintable() else "?" for character in " ".join(text.split()))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_debug, add_json
+from eldata.base.console import OK, add_shared
 from eldata.base.files import write_json
 
 if TYPE_CHECKING:
@@ -34,9 +34,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="show this one (also: show NAME); a family such as pmn shows its protocols; or a TOML file",
     )
     parser.add_argument("--dataset", metavar="N", help="only those for this dataset")
-    add_json(parser)
-    add_debug(parser)
-    parser.set_defaults(run=run, command="protocols")
+    add_shared(parser, run, "json")
 
 
 def run(arguments: argparse.Namespace) -> int:

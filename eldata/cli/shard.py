@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING
 
-from eldata.base.console import INTERRUPTED, OK, add_cameras, add_debug, whole_number
+from eldata.base.console import OK, add_cameras, add_debug, whole_number
 
 if TYPE_CHECKING:
     import argparse
@@ -53,33 +52,25 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("--subset", metavar="NAME", help="only this subset of the dataset card")
     add_cameras(parser)
     add_debug(parser)
-    parser.set_defaults(run=run, command="shard")
+    kept = "the finished shards are kept in {out}, and the same command goes on"
+    parser.set_defaults(run=run, command="shard", interrupted=kept)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
     from eldata.sources.shards.writing import write_shards
 
-    try:
-        report = write_shards(
-            arguments.store,
-            arguments.out,
-            tile=arguments.tile,
-            overlap=arguments.overlap,
-            samples_per_shard=arguments.samples_per_shard,
-            seed=arguments.seed,
-            cameras=arguments.cameras,
-            split=arguments.splits,
-            subset=arguments.subset,
-        )
-    except KeyboardInterrupt:
-        if arguments.debug:
-            raise
-        print(
-            f"eldata shard: interrupted; the finished shards are kept in {arguments.out}, and the same command goes on",
-            file=sys.stderr,
-        )
-        return INTERRUPTED
+    report = write_shards(
+        arguments.store,
+        arguments.out,
+        tile=arguments.tile,
+        overlap=arguments.overlap,
+        samples_per_shard=arguments.samples_per_shard,
+        seed=arguments.seed,
+        cameras=arguments.cameras,
+        split=arguments.splits,
+        subset=arguments.subset,
+    )
     resumed = f" ({report.resumed} of them before)" if report.resumed else ""
     print(
         f"{report.samples} samples in {report.shards} shards{resumed}: {report.folder}, {report.bytes / 1e6:.1f} MB; "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from eldata.base.console import OK, add_debug, add_workers, chosen_workers
+from eldata.base.console import OK, add_shared, chosen_workers
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -33,9 +33,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument("--per-image", type=int, default=1, metavar="N", help="noisy frames per clean one (default: 1)")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="default: %(default)s")
-    add_workers(parser)
-    add_debug(parser)
-    parser.set_defaults(run=run, command="synthesize")
+    add_shared(parser, run, "workers")
 
 
 def _ratio(text: str) -> tuple[float, float]:

@@ -4,16 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import (
-    OK,
-    PROBLEMS,
-    add_cameras,
-    add_debug,
-    add_json,
-    add_root,
-    add_workers,
-    chosen_workers,
-)
+from eldata.base.console import OK, PROBLEMS, add_cameras, add_root, add_shared, chosen_workers
 from eldata.base.files import write_json
 from eldata.errors import ArgumentError
 from eldata.manifest.verify import LEVELS, verify
@@ -35,7 +26,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         description=(
             "Check the files on disk against manifests and list every problem. Levels: quick (present, size, no "
             "unlisted raw files), metadata (also: opens, camera, ISO, exposure, ratio), full (also: hashes). Nothing "
-            "is written. Of a training store (.h5) every level checks its structure, full also its pixels; "
+            "is written. For a training store (.h5) every level checks its structure, full also its pixels; "
             "shards (their index.json, at any address) are read whole."
         ),
     )
@@ -48,10 +39,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("--dataset", metavar="N", help="only the dataset of this name, which must be there")
     add_cameras(parser)
     parser.add_argument("--level", choices=LEVELS, default="quick", help="how deep to look (default: %(default)s)")
-    add_workers(parser)
-    add_json(parser)
-    add_debug(parser)
-    parser.set_defaults(run=run, command="verify")
+    add_shared(parser, run, "workers", "json")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -68,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _of_shards(arguments: argparse.Namespace) -> int:
-    from eldata.sources.shards.checks import verify_shards
+    from eldata.sources.shards.reading import verify_shards
 
     if arguments.root is not None or arguments.dataset is not None or arguments.cameras:
         raise ArgumentError("--root, --dataset and --camera are for manifests; shards are checked whole")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, Unpack, get_args
@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, Unpack, g
 import numpy as np
 
 from eldata.base.files import inside
+from eldata.base.tables import frame_of
 from eldata.datasets.choices import Options, Representation, understood
 from eldata.datasets.crops import Crop
-from eldata.datasets.items import CroppedItems, Cropping, Part
+from eldata.datasets.items import CroppedItems, Cropping, Part, ReadItems
 from eldata.errors import DatasetError
 from eldata.manifest.catalogue import Manifest, data_root, load_manifest, shipped_manifest, shipped_names
 from eldata.manifest.pairs import Choice, choose_pairs
@@ -35,16 +36,13 @@ Side = Literal["input", "target"]
 SIDES: tuple[Side, ...] = get_args(Side)
 
 
-class Sample(TypedDict):
-    """One pair, as torch's default collate accepts it.
+class PairFacts(TypedDict):
+    """What a sample of a pair has beside its tensors.
 
-    ``input`` and ``target`` are (C, h, w) float32, normalised, the input multiplied by ``ratio``: the files' own
-    exposure ratio or, with ``amplification="nominal"``, the manifest's, which ``nominal_ratio`` always is. ``iso`` and
-    ``exposure_s`` (seconds) are the noisy file's.
+    ``ratio`` is the files' own exposure ratio or, with ``amplification="nominal"``, the manifest's, which
+    ``nominal_ratio`` always is. ``iso`` and ``exposure_s`` (seconds) are the noisy file's.
     """
 
-    input: torch.Tensor
-    target: torch.Tensor
     ratio: float
     nominal_ratio: float
     iso: float
@@ -55,6 +53,16 @@ class Sample(TypedDict):
     path: str
     reference: str
     flags: str
+
+
+class Sample(PairFacts):
+    """One pair, as torch's default collate accepts it.
+
+    ``input`` and ``target`` are (C, h, w) float32, normalised, the input multiplied by ``ratio``.
+    """
+
+    input: torch.Tensor
+    target: torch.Tensor
 
 
 class PairCropping(Cropping, total=False):
@@ -94,24 +102,38 @@ class PairItem(NamedTuple):
     crop: Crop
 
 
-def pair_facts(pair: OpenedPair) -> dict[str, Any]:
-    """Return the fields of a :class:`Sample` that are not tensors."""
-    record = pair.record
-    return {
-        "ratio": float(pair.ratio),
-        "nominal_ratio": float(record.ratio),
-        "iso": float(pair.exposure.iso or 0),
-        "exposure_s": float(pair.exposure.exposure_s or 0),
-        "camera": record.camera,
-        "scene": record.scene,
-        "split": record.split,
-        "path": record.path,
-        "reference": record.reference,
-        "flags": ";".join(record.flags),
-    }
+class PairItems(ReadItems[PairItem, Sample]):
+    """Items of pairs whose frames are open."""
+
+    def shapes(self, item: PairItem) -> dict[str, tuple[int, ...]]:
+        """Return the shapes of input and target."""
+        return dict.fromkeys(SIDES, item.crop.packed_shape)
+
+    def parts(self, item: PairItem) -> Iterator[Part]:
+        """Yield the target, then the input."""
+        yield Part("target", item.pair.target)
+        if item.pair.input is not None:
+            # What no raw file states is amplified already.
+            yield Part("input", item.pair.input, gain=float(item.pair.ratio) if item.pair.input.sensor else 1.0)
+
+    def facts(self, item: PairItem) -> dict[str, Any]:
+        """Return the fields of a :class:`Sample` that are not tensors."""
+        record, exposure = item.pair.record, item.pair.exposure
+        return {
+            "ratio": float(item.pair.ratio),
+            "nominal_ratio": float(record.ratio),
+            "iso": float(exposure.iso or 0),
+            "exposure_s": float(exposure.exposure_s or 0),
+            "camera": record.camera,
+            "scene": record.scene,
+            "split": record.split,
+            "path": record.path,
+            "reference": record.reference,
+            "flags": ";".join(record.flags),
+        }
 
 
-class SourcePairs(CroppedItems[PairItem, Sample]):
+class SourcePairs(PairItems, CroppedItems[PairItem, Sample]):
     """Pairs of frames of any source: ``dataset[i]`` is a :class:`Sample`.
 
     Parameters
@@ -157,13 +179,7 @@ class SourcePairs(CroppedItems[PairItem, Sample]):
     @property
     def frame(self) -> pd.DataFrame:
         """The records as a pandas DataFrame, one row per pair, numbers as floats."""
-        import pandas as pd
-
-        rows = [
-            {key: float(value) if isinstance(value, Fraction) else value for key, value in asdict(record).items()}
-            for record in self.records
-        ]
-        return pd.DataFrame(rows)
+        return frame_of(self.records)
 
     def __len__(self) -> int:
         return len(self.records) * self.crops_per_frame
@@ -174,29 +190,18 @@ class SourcePairs(CroppedItems[PairItem, Sample]):
         pair = self._pairs[place] if self.reads_parts else self._begun(self.records[place])
         return PairItem(pair, Crop.draw(pair.target, generator, crop=self.crop, augment=self.augment))
 
-    def shapes(self, item: PairItem) -> dict[str, tuple[int, ...]]:
-        """Return the shapes of input and target."""
-        return dict.fromkeys(SIDES, item.crop.packed_shape)
-
     def parts(self, item: PairItem) -> Iterator[Part]:
-        """Yield the target, then the input."""
+        """Yield the target, then the input; frames that are decoded whole are held one at a time."""
+        if self.reads_parts:
+            yield from super().parts(item)
+            return
         pair = item.pair
-        target = pair.target
-        if not self.reads_parts:
-            pair.target = target.without_pixels()  # a worker holds one mosaic at a time
-        yield Part("target", target)
-        del target
-        if pair.input is None:
-            self._open_input(pair)
-        if pair.input is not None:
-            # What no raw file states is amplified already.
-            yield Part("input", pair.input, gain=float(pair.ratio) if pair.input.sensor else 1.0)
-        if not self.reads_parts:
-            pair.input = None
-
-    def facts(self, item: PairItem) -> dict[str, Any]:
-        """Return the fields of a :class:`Sample` that are not tensors."""
-        return pair_facts(item.pair)
+        parts = super().parts(item)
+        yield next(parts)
+        pair.target = pair.target.without_pixels()
+        self._open_input(pair)
+        yield from parts
+        pair.input = None
 
     def _begun(self, record: PairRecord) -> OpenedPair:
         return OpenedPair(record, self.source.frame(record.reference).with_levels(self.levels))
@@ -220,18 +225,17 @@ class SourcePairs(CroppedItems[PairItem, Sample]):
         return self.source.frame(record.path).with_levels(self.levels)
 
     def __repr__(self) -> str:
-        def counted(values: Collection[object]) -> str:
-            distinct = list(dict.fromkeys(values))
+        def counted(name: str) -> str:
+            distinct = dict.fromkeys(getattr(record, name) for record in self.records)
             texts = [f"{float(value):g}" if isinstance(value, Fraction) else str(value) for value in distinct]
             return ", ".join(texts) if len(texts) <= 6 else f"{len(texts)} values"
 
         cropped = self.crop is not None or self.augment or self.crops_per_frame > 1
         return (
             f"{type(self).__name__}({self._place()!r}, {len(self.records)} pairs, "
-            f"cameras: {counted([r.camera for r in self.records])}; "
+            f"cameras: {counted('camera')}; "
             f"{len({(r.camera, r.scene) for r in self.records})} scenes; "
-            f"splits {counted([r.split for r in self.records])}; "
-            f"ISO {counted([r.iso for r in self.records])}; ratios {counted([r.ratio for r in self.records])}; "
+            f"splits {counted('split')}; ISO {counted('iso')}; ratios {counted('ratio')}; "
             f"levels={self.levels!r}, clip={self.clip!r}, amplification={self.amplification!r}"
             + (
                 f", crop={self.crop}, augment={self.augment}, crops_per_frame={self.crops_per_frame}, seed={self.seed}"

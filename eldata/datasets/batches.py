@@ -18,6 +18,7 @@ import mmap
 import os
 import threading
 import weakref
+from functools import cache
 from multiprocessing.reduction import ForkingPickler
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -76,13 +77,13 @@ def new_batch(fields: Sequence[Field]) -> Batch | None:
 
     In a DataLoader's worker it can be sent without a copy.
     """
-    taken = _own.take(_size(fields)) if get_worker_info() is None else _shared.take(_size(fields))
+    taken = _pieces(_Piece if get_worker_info() is None else _SharedPiece).take(_size(fields))
     return None if taken is None else Batch(fields, *taken)
 
 
 def new_arrays(fields: Sequence[Field]) -> dict[str, NDArray[Any]]:
     """Return arrays to be filled, by name: memory that is used again if there is some free, for one sample."""
-    taken = _own.take(_size(fields))
+    taken = _pieces(_Piece).take(_size(fields))
     if taken is None:
         return {field.name: np.empty(field.shape, field.dtype) for field in fields}
     return _arrays(fields, taken[1])
@@ -109,25 +110,8 @@ class Batch:
         return self.tensors[name][place] if name in self.tensors else value
 
 
-class _Part(dict[str, Any]):
-    """A sample of a batch: a dictionary that knows where it lies. Copied or pickled, it is a dictionary."""
-
-    def __init__(self, batch: Batch, place: int, sample: Mapping[str, Any]) -> None:
-        super().__init__(sample)
-        self.batch = batch
-        self.place = place
-        self.views = {name: sample[name] for name in batch.tensors}
-
-    def is_whole(self) -> bool:
-        """Return whether nobody has put another tensor in the place of a view."""
-        return all(self.get(name) is view for name, view in self.views.items())
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return dict, (dict(self),)
-
-
-class _Whole(dict[str, Any]):
-    """A collated batch in a worker, of which the queue sends no copy. Any other pickle of it is a dictionary."""
+class _OfBatch(dict[str, Any]):
+    """A dictionary that knows its batch. Copied or pickled, it is a plain one."""
 
     def __init__(self, batch: Batch, content: Mapping[str, Any]) -> None:
         super().__init__(content)
@@ -135,6 +119,23 @@ class _Whole(dict[str, Any]):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return dict, (dict(self),)
+
+
+class _Part(_OfBatch):
+    """A sample of a batch, and where it lies."""
+
+    def __init__(self, batch: Batch, place: int, sample: Mapping[str, Any]) -> None:
+        super().__init__(batch, sample)
+        self.place = place
+        self.views = {name: sample[name] for name in batch.tensors}
+
+    def is_whole(self) -> bool:
+        """Return whether nobody has put another tensor in the place of a view."""
+        return all(self.get(name) is view for name, view in self.views.items())
+
+
+class _Whole(_OfBatch):
+    """A collated batch in a worker, of which the queue sends no copy."""
 
 
 def _collated(parts: Sequence[_Part], *, collate_fn_map: Any = None) -> dict[str, Any]:
@@ -213,6 +214,8 @@ def _give_back(process: int, memory: mmap.mmap) -> None:
 class _Piece:
     """Memory of this process: free, or held by arrays on it."""
 
+    is_supported = True
+
     def __init__(self, size: int) -> None:
         self.size = size
         self._memory = self._mapped()
@@ -235,6 +238,8 @@ class _Piece:
 
 class _SharedPiece(_Piece):
     """Memory that the process that it was sent to may hold as well."""
+
+    is_supported = hasattr(os, "memfd_create")
 
     def __init__(self, size: int) -> None:
         self._descriptor = -1
@@ -263,15 +268,14 @@ class _SharedPiece(_Piece):
 class _Pieces:
     """The pieces of one kind that this process has."""
 
-    def __init__(self, kind: type[_Piece], *, is_supported: bool = True) -> None:
+    def __init__(self, kind: type[_Piece]) -> None:
         self._kind = kind
-        self._is_supported = is_supported
         self._lock = threading.Lock()
         self.all: list[_Piece] = []
 
     def take(self, size: int) -> tuple[_Piece, _Lease] | None:
         """Return a free piece that is large enough but not far too large; or a new one, unless many are held."""
-        if not self._is_supported:
+        if not self._kind.is_supported:
             return None
         with self._lock:
             free = [piece for piece in self.all if piece.is_free()]
@@ -287,18 +291,13 @@ class _Pieces:
             return taken, taken.lease()
 
 
-_own = _Pieces(_Piece)
-_shared = _Pieces(_SharedPiece, is_supported=hasattr(os, "memfd_create"))
+@cache
+def _pieces(kind: type[_Piece]) -> _Pieces:
+    return _Pieces(kind)
 
 
-def _forget_pieces() -> None:
-    global _own, _shared  # noqa: PLW0603 # those are the parent's
-    _own = _Pieces(_Piece)
-    _shared = _Pieces(_SharedPiece, is_supported=hasattr(os, "memfd_create"))
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_forget_pieces)
+if hasattr(os, "register_at_fork"):  # those are the parent's
+    os.register_at_fork(after_in_child=_pieces.cache_clear)
 
 
 def _size(fields: Sequence[Field]) -> int:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
 from eldata.base.files import inside
+from eldata.base.tables import frame_of
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.catalogue import data_root, load_manifest
 from eldata.raw.extensions import RAW_EXTENSIONS
@@ -147,13 +148,7 @@ class CalibrationFrames:
     @property
     def frame(self) -> pd.DataFrame:
         """The records as a pandas DataFrame, one row a frame, numbers as floats."""
-        import pandas as pd
-
-        rows = [
-            {key: float(value) if isinstance(value, Fraction) else value for key, value in asdict(record).items()}
-            for record in self.records
-        ]
-        return pd.DataFrame(rows)
+        return frame_of(self.records)
 
     def __len__(self) -> int:
         return len(self.records)

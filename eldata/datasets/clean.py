@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.manifest.patterns import sequence_of
 from eldata.raw.cfa import XTRANS_CFA, unpack
-from eldata.raw.extensions import RAW_EXTENSIONS
+from eldata.raw.extensions import RAW_EXTENSIONS, raws_below
 from eldata.raw.levels import LEVELS, Levels
 from eldata.sources.frames import Files, Frame
 from eldata.sources.store.read import StoreFrames
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 _BAYER: CfaRows = ((0, 1), (3, 2))
 
 CleanFrame = Frame
+Frames = TypeVar("Frames", bound="CleanSource")
 
 
 class CleanSource(Protocol):
@@ -106,15 +107,9 @@ class RawFiles(SomeFrames):
     """
 
     def __init__(self, files: Path | str | Iterable[Path | str], *, levels: Levels = "metadata", keep: int = 0) -> None:
-        if isinstance(files, (str, Path)):
-            folder = Path(files)
-            found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in RAW_EXTENSIONS)
-            if not found:
-                raise DatasetError(f"{folder}: holds no camera raw file")
-        else:
-            found = [Path(path) for path in files]
-            if not found:
-                raise DatasetError("no raw file was given")
+        found = raws_below(Path(files)) if isinstance(files, (str, Path)) else [Path(path) for path in files]
+        if not found:
+            raise DatasetError("no raw file was given")
         if keep < 0:
             raise ArgumentError(f"keep must be 0 or more; found {keep}")
         super().__init__(Files(), map(str, found), levels)
@@ -217,7 +212,21 @@ class StoredFrames(SomeFrames):
 # --- clips ------------------------------------------------------------------------------------------------------------
 
 
-class RawClips:
+class SomeClips(Generic[Frames]):
+    """Clips by their number."""
+
+    def __init__(self, clips: Iterable[Frames]) -> None:
+        self._clips = tuple(clips)
+
+    def __len__(self) -> int:
+        return len(self._clips)
+
+    def clip(self, index: int) -> Frames:
+        """Return the frames of one clip."""
+        return self._clips[index]
+
+
+class RawClips(SomeClips[RawFiles]):
     """Clean clips of raw files: folders, one per clip, whose files are in the order of the numbers in their names.
 
     Parameters
@@ -235,24 +244,14 @@ class RawClips:
 
     def __init__(self, folders: Path | str | Iterable[Path | str], *, levels: Levels = "metadata") -> None:
         if isinstance(folders, (str, Path)):
-            top = Path(folders)
-            found = sorted({path.parent for path in top.rglob("*") if path.suffix.lower() in RAW_EXTENSIONS})
-            if not found:
-                raise DatasetError(f"{top}: holds no folder with camera raws")
+            found = sorted({path.parent for path in raws_below(Path(folders))})
         else:
             found = [Path(folder) for folder in folders]
-            if not found:
-                raise DatasetError("no folder was given")
+        if not found:
+            raise DatasetError("no folder was given")
         self.folders: tuple[Path, ...] = tuple(found)
         self.levels: Levels = levels
-        self._clips = tuple(RawFiles(_frames_of(folder), levels=levels) for folder in found)
-
-    def __len__(self) -> int:
-        return len(self._clips)
-
-    def clip(self, index: int) -> RawFiles:
-        """Return the frames of one clip."""
-        return self._clips[index]
+        super().__init__(RawFiles(_frames_of(folder), levels=levels) for folder in found)
 
     def __repr__(self) -> str:
         return f"RawClips({len(self)} clips, first {self.folders[0]}, levels={self.levels!r})"
@@ -277,7 +276,7 @@ def _in_order(folder: PurePosixPath | Path, names: Iterable[str]) -> tuple[str, 
     return sequence.names
 
 
-class ArrayClips:
+class ArrayClips(SomeClips[Arrays]):
     """Clean clips from packed, normalised arrays (T, C, h, w) in memory (or memory-mapped).
 
     Parameters
@@ -293,23 +292,16 @@ class ArrayClips:
         If there is no array or ``range_dn`` is not positive.
     """
 
-    def __init__(self, arrays: Sequence[NDArray[Any]], *, range_dn: float, cfa: CfaRows = ((0, 1), (3, 2))) -> None:
+    def __init__(self, arrays: Sequence[NDArray[Any]], *, range_dn: float, cfa: CfaRows = _BAYER) -> None:
         if len(arrays) == 0:
             raise ArgumentError("no array was given")
-        self._clips = tuple(Arrays(array, range_dn=range_dn, cfa=cfa) for array in arrays)
-
-    def __len__(self) -> int:
-        return len(self._clips)
-
-    def clip(self, index: int) -> Arrays:
-        """Return the frames of one clip."""
-        return self._clips[index]
+        super().__init__(Arrays(array, range_dn=range_dn, cfa=cfa) for array in arrays)
 
     def __repr__(self) -> str:
         return f"ArrayClips({len(self)} clips, first {self._clips[0]!r})"
 
 
-class StoredClips:
+class StoredClips(SomeClips[SomeFrames]):
     """Clean clips of a store, for :class:`~eldata.datasets.synthetic_clips.SyntheticClips`: only the crops are read.
 
     The store is of a folder of clean raws (``eldata pack FOLDER``); each folder in it that holds raws is a clip, as in
@@ -342,17 +334,10 @@ class StoredClips:
         for frame in source.store.frames:
             place = PurePosixPath(frame.path)
             folders.setdefault(place.parent, []).append(place.name)
-        self._clips = tuple(
+        super().__init__(
             SomeFrames(source, (str(folder / name) for name in _in_order(source.path / folder, names)), levels)
             for folder, names in sorted(folders.items())
         )
-
-    def __len__(self) -> int:
-        return len(self._clips)
-
-    def clip(self, index: int) -> SomeFrames:
-        """Return the frames of one clip; they are read part by part."""
-        return self._clips[index]
 
     def __repr__(self) -> str:
         return f"StoredClips({str(self.path)!r}, {len(self)} clips, levels={self.levels!r})"

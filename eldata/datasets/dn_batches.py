@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 
 from eldata.base.compiled import in_threads
-from eldata.datasets.base import SIDES, PairItem
+from eldata.datasets.base import SIDES, PairFacts, PairItem
 from eldata.datasets.batches import Field, new_arrays
 from eldata.datasets.items import ReadItems
 from eldata.errors import ArgumentError, check_choice
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from eldata.raw.cfa import CfaRows, Clip
 
 
-class DnSample(TypedDict):
+class DnSample(PairFacts):
     """One pair in DN: half as much to send from a worker as a :class:`~eldata.datasets.base.Sample`.
 
     ``input_dn`` and ``target_dn`` are (H, W) uint16, mosaics in DN as the files have them, the input not multiplied by
@@ -39,16 +39,6 @@ class DnSample(TypedDict):
     target_black_dn: torch.Tensor
     input_white_dn: float
     target_white_dn: float
-    ratio: float
-    nominal_ratio: float
-    iso: float
-    exposure_s: float
-    camera: str
-    scene: str
-    split: str
-    path: str
-    reference: str
-    flags: str
 
 
 class DnPairs(ReadItems[PairItem, DnSample]):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypedDict
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import torch
 
@@ -44,19 +44,10 @@ class NoiseDraw:
     parameters: NoiseParameters
     ratio: float
 
-    def facts(self) -> NoiseFacts:
-        """Return the draw as fields of a sample."""
-        drawn = self.parameters
-        return NoiseFacts(
-            ratio=self.ratio,
-            camera=self.camera,
-            gain_dn_per_e=drawn.gain_dn_per_e,
-            tukey_lambda=drawn.tukey_lambda,
-            sigma_tl_dn=drawn.sigma_tl_dn,
-            sigma_gauss_dn=drawn.sigma_gauss_dn,
-            sigma_row_dn=drawn.sigma_row_dn,
-            colour_bias_dn=torch.tensor(drawn.colour_bias_dn, dtype=torch.float64),
-        )
+    def facts(self) -> dict[str, Any]:
+        """Return the draw as fields of a sample: a :class:`NoiseFacts`."""
+        facts = {"ratio": self.ratio, "camera": self.camera, **asdict(self.parameters)}
+        return facts | {"colour_bias_dn": torch.tensor(self.parameters.colour_bias_dn, dtype=torch.float64)}
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
 from eldata.datasets.base import no_folder
-from eldata.datasets.clips import PairedClips, UnpairedClips
+from eldata.datasets.clips import ClipSample, ClipWindows, PairedClips, Sample, UnpairedClips, UnpairedClipSample
 from eldata.manifest.catalogue import data_root, load_manifest, shipped_manifest
 from eldata.manifest.drv import DYNAMIC, scan_raw
 from eldata.sources.frames import Files
@@ -19,7 +19,30 @@ if TYPE_CHECKING:
     from eldata.records import FrameRecord
 
 
-class DRVDataset(PairedClips):
+class _Listed(ClipWindows[Sample]):
+    """The static or the dynamic clips below a folder, as a manifest lists them."""
+
+    def __init__(
+        self, root: Path | str | None = None, *, manifest: Path | str = "drv", **options: Unpack[WindowOptions]
+    ) -> None:
+        super().__init__(*_listed(root, manifest, is_dynamic=not self._is_paired), **options)
+
+
+class _Raws(ClipWindows[Sample]):
+    """The static or the dynamic clips of camera raws below a folder, as found, or as a manifest lists them."""
+
+    def __init__(
+        self,
+        root: Path | str | None = None,
+        *,
+        reference: str = "*",
+        manifest: Path | str | None = None,
+        **options: Unpack[WindowOptions],
+    ) -> None:
+        super().__init__(*_raws(root, manifest, reference, is_dynamic=not self._is_paired), **options)
+
+
+class DRVDataset(_Listed[ClipSample], PairedClips):
     """The static clips of DRV as the authors preprocessed them: RGB, binned, amplified and denoised by VBM4D.
 
     ``dataset[i]`` is a :class:`~eldata.datasets.clips.ClipSample` with C = 3 in the order R, G, B (the DRV code has
@@ -56,13 +79,8 @@ class DRVDataset(PairedClips):
     (49, torch.Size([5, 3, 918, 1374]), torch.Size([3, 918, 1374]))
     """
 
-    def __init__(
-        self, root: Path | str | None = None, *, manifest: Path | str = "drv", **options: Unpack[WindowOptions]
-    ) -> None:
-        super().__init__(*_listed(root, manifest, is_dynamic=False), **options)
 
-
-class DRVDynamicDataset(UnpairedClips):
+class DRVDynamicDataset(_Listed[UnpairedClipSample], UnpairedClips):
     """The 23 dynamic clips of DRV, M0000 to M0022, preprocessed: input alone, for they have no reference.
 
     ``dataset[i]`` is an :class:`~eldata.datasets.clips.UnpairedClipSample`; ``ids`` are ``M0000`` and so on. Everything
@@ -70,13 +88,8 @@ class DRVDynamicDataset(UnpairedClips):
     :class:`~eldata.datasets.synthetic_clips.SyntheticClips`.
     """
 
-    def __init__(
-        self, root: Path | str | None = None, *, manifest: Path | str = "drv", **options: Unpack[WindowOptions]
-    ) -> None:
-        super().__init__(*_listed(root, manifest, is_dynamic=True), **options)
 
-
-class DRVRawDataset(PairedClips):
+class DRVRawDataset(_Raws[ClipSample], PairedClips):
     """The static clips of DRV as camera raws: packed Bayer, amplified by the exact exposure ratio of the files.
 
     How the raw archives lie is not published. The files are looked for below ``root``
@@ -100,33 +113,13 @@ class DRVRawDataset(PairedClips):
         As :class:`DRVDataset`; and if the files do not lie as ``scan_raw`` expects.
     """
 
-    def __init__(
-        self,
-        root: Path | str | None = None,
-        *,
-        reference: str = "*",
-        manifest: Path | str | None = None,
-        **options: Unpack[WindowOptions],
-    ) -> None:
-        super().__init__(*_raws(root, manifest, reference, is_dynamic=False), **options)
 
-
-class DRVRawDynamicDataset(UnpairedClips):
+class DRVRawDynamicDataset(_Raws[UnpairedClipSample], UnpairedClips):
     """The dynamic clips of DRV as camera raws: packed, normalised, not amplified; ``ratio`` is 1.
 
     There is no reference, so no exposure ratio either: multiply by the one that you choose. Parameters are as in
     :class:`DRVRawDataset`.
     """
-
-    def __init__(
-        self,
-        root: Path | str | None = None,
-        *,
-        reference: str = "*",
-        manifest: Path | str | None = None,
-        **options: Unpack[WindowOptions],
-    ) -> None:
-        super().__init__(*_raws(root, manifest, reference, is_dynamic=True), **options)
 
 
 def _listed(root: Path | str | None, manifest: Path | str, *, is_dynamic: bool) -> ListedClips:

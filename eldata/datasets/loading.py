@@ -9,18 +9,18 @@ score.
 from __future__ import annotations
 
 import multiprocessing
+import os
 import pickle
 import sys
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypedDict, Unpack, runtime_checkable
-from weakref import WeakKeyDictionary
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, TypedDict, Unpack, runtime_checkable
 
 import numpy as np
 import torch
-from torch.utils.data import DataLoader, IterableDataset, Sampler
+from torch.utils.data import DataLoader, IterableDataset
 
 from eldata.base.keywords import keywords
-from eldata.datasets.ranks import ExactSampler, Rank, ShuffledSampler, current_rank
+from eldata.datasets.ranks import Rank, ShuffledSampler, current_rank
 from eldata.datasets.worker_count import START_METHODS, loader_workers
 from eldata.errors import ArgumentError, check_choice
 
@@ -54,18 +54,6 @@ class SelfSplitting(Protocol):
 
     def __len__(self) -> int:
         """Return the number of items of this rank."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Known:
-    """What is remembered of a loader that was made here."""
-
-    seed: int
-    rank: Rank
-    why: tuple[str, ...]
-
-
-_KNOWN: WeakKeyDictionary[DataLoader[Any], _Known] = WeakKeyDictionary()
 
 
 class LoaderOptions(TypedDict, total=False):
@@ -126,34 +114,7 @@ def training_loader(
         If an argument is out of its range, the dataset cannot be sent to workers or be split, or no whole batch is
         there; or if ``WORLD_SIZE`` is above 1 without torch.distributed.
     """
-    chosen = _chosen("training_loader", batch_size, options)
-    rank = chosen.rank
-    if isinstance(dataset, IterableDataset):
-        dataset = _self_splitting(dataset).for_training(batch_size, rank)
-        sampler, items = None, len(dataset)  # type: ignore[arg-type] # it has a length, by its protocol
-    else:
-        sampler = ShuffledSampler(_length(dataset), seed=chosen.seed, rank=rank)
-        items = len(sampler)
-    if items < batch_size:
-        raise ArgumentError(
-            f"{items} items for rank {rank.number} of {rank.of} are no whole batch of {batch_size}; take a smaller "
-            "batch_size, or more crops per frame"
-        )
-    told = [
-        f"training: {items} items in {items // batch_size} batches of {batch_size}, shuffled by (seed, epoch)"
-        + (f", {items % batch_size} left over in the last batch dropped" if items % batch_size else ""),
-        "ranks: one process"
-        if rank.of == 1
-        else f"ranks: number {rank.number} of {rank.of}; as many items on each, none twice; at most {rank.of - 1} "
-        "items left out, others each epoch",
-    ]
-    settings = _settings(dataset, batch_size, chosen, told)
-    if settings["num_workers"] > 0:
-        told.append("workers stay for the next epochs (persistent_workers)")
-        settings["persistent_workers"] = True
-    return _loader(
-        dataset, batch_size, sampler, settings, chosen.collate, _Known(chosen.seed, rank, tuple(told)), drop_last=True
-    )
+    return _Loader(dataset, batch_size, options, is_training=True)
 
 
 def evaluation_loader(
@@ -167,29 +128,7 @@ def evaluation_loader(
     gather their results afterwards, and do not synchronise batch by batch. Parameters and errors are those of
     :func:`training_loader`; but the last batch may be smaller, and a rank may have none.
     """
-    chosen = _chosen("evaluation_loader", batch_size, options)
-    rank = chosen.rank
-    order = "in order"
-    if isinstance(dataset, IterableDataset):
-        dataset = _self_splitting(dataset).for_evaluation(batch_size, rank)
-        sampler, items = None, len(dataset)  # type: ignore[arg-type] # as above
-        order = "in the order of the shards, the workers' batches in turn"
-    else:
-        sampler = ExactSampler(_length(dataset), rank=rank)
-        items = len(sampler)
-    told = [
-        f"evaluation: {items} items in {-(-items // batch_size)} batches of up to {batch_size}, {order}",
-        "ranks: one process"
-        if rank.of == 1
-        else f"ranks: number {rank.number} of {rank.of}; every item exactly once over all of them, so they may differ "
-        "by one batch",
-    ]
-    settings = _settings(dataset, batch_size, chosen, told)
-    if settings["num_workers"] > 0:
-        told.append("workers end with each pass, which gives their memory back")
-    return _loader(
-        dataset, batch_size, sampler, settings, chosen.collate, _Known(chosen.seed, rank, tuple(told)), drop_last=False
-    )
+    return _Loader(dataset, batch_size, options, is_training=False)
 
 
 def describe(loader: DataLoader[Any]) -> str:
@@ -221,8 +160,7 @@ def set_epoch(loader: DataLoader[Any], epoch: int) -> None:
     for part in _parts(loader.dataset):
         if callable(getattr(part, "set_epoch", None)):
             part.set_epoch(epoch)
-    if loader.generator is not None:
-        loader.generator.manual_seed(_worker_seed(known.seed, epoch, known.rank))
+    known.seed_workers(epoch)
 
 
 def _parts(dataset: Any) -> Iterator[Any]:
@@ -233,33 +171,92 @@ def _parts(dataset: Any) -> Iterator[Any]:
         yield from _parts(part)
 
 
-def _known(loader: DataLoader[Any]) -> _Known:
-    known = _KNOWN.get(loader)
-    if known is None:
+def _known(loader: DataLoader[Any]) -> _Loader:
+    if not isinstance(loader, _Loader):
         raise ArgumentError("expected a loader from training_loader or evaluation_loader, found another DataLoader")
-    return known
+    return loader
 
 
 # --- building -----------------------------------------------------------------------------------------------------
 
 
-class _Chosen(NamedTuple):
-    """The options of a loader, those that were not given by their defaults."""
+_DEFAULTS: LoaderOptions = {
+    "workers": None,
+    "seed": 0,
+    "device": None,
+    "prefetch": 2,
+    "start_method": "forkserver",
+    "collate": None,
+    "rank": None,
+}
 
-    rank: Rank
-    workers: int | None = None
-    seed: int = 0
-    device: Any = None
-    prefetch: int = 2
-    start_method: StartMethod = "forkserver"
-    collate: Callable[[list[Any]], Any] | None = None
+
+class _Loader(DataLoader[Any]):
+    """A DataLoader that knows why it is as it is; ``seed`` and ``rank`` are those of its order."""
+
+    def __init__(self, dataset: Any, batch_size: int, options: LoaderOptions, *, is_training: bool) -> None:
+        name = "training_loader" if is_training else "evaluation_loader"
+        chosen = _chosen(name, batch_size, options)
+        self.seed = chosen["seed"]
+        self.rank = rank = chosen["rank"] or current_rank()
+        sampler: Any = None
+        order = "in order"
+        if isinstance(dataset, IterableDataset):
+            split = _self_splitting(dataset)
+            dataset = split.for_training(batch_size, rank) if is_training else split.for_evaluation(batch_size, rank)
+            items, order = len(dataset), "in the order of the shards, the workers' batches in turn"
+        elif is_training:
+            sampler = ShuffledSampler(_length(dataset), seed=self.seed, rank=rank)
+            items = len(sampler)
+        else:
+            sampler = range(rank.number, _length(dataset), rank.of)
+            items = len(sampler)
+        if is_training and items < batch_size:
+            raise ArgumentError(
+                f"{items} items for rank {rank.number} of {rank.of} are no whole batch of {batch_size}; take a smaller "
+                "batch_size, or more crops per frame"
+            )
+        if is_training:
+            left = items % batch_size
+            told = [
+                f"training: {items} items in {items // batch_size} batches of {batch_size}, shuffled by (seed, epoch)"
+                + (f", {left} left over in the last batch dropped" if left else "")
+            ]
+            promise = f"as many items on each, none twice; at most {rank.of - 1} items left out, others each epoch"
+            stay = "workers stay for the next epochs (persistent_workers)"
+        else:
+            batches = -(-items // batch_size)
+            told = [f"evaluation: {items} items in {batches} batches of up to {batch_size}, {order}"]
+            promise = "every item exactly once over all of them, so they may differ by one batch"
+            stay = "workers end with each pass, which gives their memory back"
+        told.append("ranks: one process" if rank.of == 1 else f"ranks: number {rank.number} of {rank.of}; {promise}")
+        settings = _settings(dataset, batch_size, chosen, rank, told)
+        if settings["num_workers"] > 0:
+            told.append(stay)
+        self.why = tuple(told)
+        super().__init__(
+            dataset,
+            batch_size=batch_size,
+            sampler=sampler,
+            drop_last=is_training,
+            collate_fn=chosen["collate"],
+            generator=torch.Generator(),  # torch seeds the workers' random numbers from it
+            persistent_workers=is_training and settings["num_workers"] > 0,
+            **settings,
+        )
+        self.seed_workers(0)
+
+    def seed_workers(self, epoch: int) -> None:
+        """Seed the generator from which torch seeds its workers' torch, numpy and random."""
+        sequence = np.random.SeedSequence((self.seed, epoch), spawn_key=(_WORKERS, self.rank.number))
+        self.generator.manual_seed(int(sequence.generate_state(1, np.uint64)[0] >> 1))  # torch takes a signed number
 
 
-def _chosen(name: str, batch_size: int, options: LoaderOptions) -> _Chosen:
+def _chosen(name: str, batch_size: int, options: LoaderOptions) -> LoaderOptions:
+    """Return the options of a loader, those that were not given by their defaults."""
     (given,) = keywords(name, options, LoaderOptions, renamed={})
-    given["rank"] = current_rank() if given.get("rank") is None else given["rank"]
-    chosen = _Chosen(**given)
-    prefetch, seed, start_method = chosen.prefetch, chosen.seed, chosen.start_method
+    chosen: LoaderOptions = {**_DEFAULTS, **given}
+    prefetch, seed, start_method = chosen["prefetch"], chosen["seed"], chosen["start_method"]
     if batch_size < 1 or prefetch < 1:
         raise ArgumentError(f"batch_size and prefetch must be 1 or more; found {batch_size}, {prefetch}")
     if seed < 0:
@@ -288,14 +285,9 @@ def _length(dataset: Any) -> int:
     return length
 
 
-def _settings(
-    dataset: Any,
-    batch_size: int,
-    chosen: _Chosen,
-    told: list[str],
-) -> dict[str, Any]:
+def _settings(dataset: Any, batch_size: int, chosen: LoaderOptions, rank: Rank, told: list[str]) -> dict[str, Any]:
     """Return the DataLoader's settings of workers and memory; the reasons are added to ``told``."""
-    rank, workers, start_method, prefetch = chosen.rank, chosen.workers, chosen.start_method, chosen.prefetch
+    workers, start_method, prefetch = chosen["workers"], chosen["start_method"], chosen["prefetch"]
     if workers is None:
         held = dataset.buffer_bytes if isinstance(dataset, SelfSplitting) else 0
         count, why = loader_workers(_sample_bytes(dataset) * batch_size, prefetch, start_method, rank, held_bytes=held)
@@ -311,7 +303,7 @@ def _settings(
         settings |= {"multiprocessing_context": _context(start_method), "prefetch_factor": prefetch}
         told.append(f"start method: {start_method} ({_WHY[start_method]})")
         told.append(f"read ahead: {prefetch} batches a worker")
-    settings["pin_memory"], why = _pinned(chosen.device)
+    settings["pin_memory"], why = _pinned(chosen["device"])
     told.append(f"pinned memory: {why}")
     return settings
 
@@ -324,50 +316,12 @@ _WHY: dict[StartMethod, str] = {
 }
 
 
-def _loader(
-    dataset: Any,
-    batch_size: int,
-    sampler: Sampler[int] | None,
-    settings: dict[str, Any],
-    collate: Callable[[list[Any]], Any] | None,
-    known: _Known,
-    *,
-    drop_last: bool,
-) -> DataLoader[Any]:
-    generator = torch.Generator()
-    generator.manual_seed(_worker_seed(known.seed, 0, known.rank))
-    loader: DataLoader[Any] = DataLoader(
-        dataset,
-        batch_size=batch_size,
-        sampler=sampler,
-        drop_last=drop_last,
-        collate_fn=collate,
-        generator=generator,  # torch seeds the workers' random numbers from it
-        **settings,
-    )
-    _KNOWN[loader] = known
-    return loader
-
-
-def _worker_seed(seed: int, epoch: int, rank: Rank) -> int:
-    """Return the seed of the generator from which torch seeds its workers' torch, numpy and random."""
-    sequence = np.random.SeedSequence((seed, epoch), spawn_key=(_WORKERS, rank.number))
-    return int(sequence.generate_state(1, np.uint64)[0] >> 1)  # torch takes it as a signed number
-
-
 def _context(start_method: StartMethod) -> BaseContext:
     context = multiprocessing.get_context(start_method)
     if start_method == "forkserver":
         # Not __main__: what a script imports may start threads, which the server must not have as it forks.
         context.set_forkserver_preload(list(_PRELOADED))
     return context
-
-
-class _Nowhere:
-    """A file that keeps nothing."""
-
-    def write(self, data: Any) -> int:
-        return len(data)
 
 
 def _check_can_be_sent(dataset: Any, start_method: StartMethod) -> None:
@@ -379,7 +333,8 @@ def _check_can_be_sent(dataset: Any, start_method: StartMethod) -> None:
             f"{type(dataset).__name__} is defined in an interactive session, which workers cannot import; {advice}"
         )
     try:
-        pickle.Pickler(_Nowhere()).dump(dataset)
+        with Path(os.devnull).open("wb") as nowhere:
+            pickle.dump(dataset, nowhere)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise ArgumentError(f"{type(dataset).__name__} cannot be sent to workers ({error}); {advice}") from error
 

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol, TypedDict, TypeVar
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 
 from eldata.base.keywords import keywords
 from eldata.datasets.batches import threads_here
 from eldata.datasets.draws import NoiseChoice
-from eldata.datasets.items import CroppedItems, Cropping, DrawnItem
+from eldata.datasets.items import CroppedItems, Cropping
 from eldata.noise.model import NoiseModel
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping, Sequence, Sized
 
     import numpy as np
     from numpy.typing import NDArray
 
+    from eldata.datasets.crops import Crop
     from eldata.datasets.draws import NoiseDraw
     from eldata.noise.profile import CameraProfile, RowChoice
+    from eldata.sources.frames import Frame
 
 
 class Noise(TypedDict, total=False):
@@ -43,23 +46,17 @@ class NoiseOptions(Cropping, Noise, total=False):
     """All of the keyword arguments that synthetic pairs and clips share; by default ``crop=512, augment=True``."""
 
 
-class DrawnNoise(DrawnItem, Protocol):
+@dataclass(frozen=True, slots=True)
+class NoisyItem:
     """One item before its pixels are read: all that was drawn for it, and the generator that its noise comes from."""
 
-    @property
-    def draw(self) -> NoiseDraw:
-        """Camera, parameters and ratio."""
-
-    @property
-    def range_dn(self) -> float:
-        """White level minus black level."""
-
-    @property
-    def generator(self) -> np.random.Generator:
-        """Where the noise comes from."""
+    frame: Frame
+    crop: Crop
+    draw: NoiseDraw
+    generator: np.random.Generator
 
 
-Item = TypeVar("Item", bound=DrawnNoise)
+Item = TypeVar("Item", bound=NoisyItem)
 Sample = TypeVar("Sample")
 
 
@@ -68,6 +65,7 @@ class NoisyItems(CroppedItems[Item, Sample]):
 
     def __init__(
         self,
+        source: Sized,
         profiles: CameraProfile | str | Sequence[CameraProfile | str],
         crops: tuple[str, int],
         options: NoiseOptions,
@@ -77,6 +75,14 @@ class NoisyItems(CroppedItems[Item, Sample]):
         ratio, row = noise.get("ratio", (100.0, 300.0)), noise.get("row", "any")
         self.noise = NoiseChoice.of(profiles, ratio, noise.get("iso"), row)
         self.model: NoiseModel = noise.get("model") or NoiseModel(clip="both")
+        self._length = len(source) * crops[1]
+
+    def __len__(self) -> int:
+        return self._length
+
+    def facts(self, item: Item) -> dict[str, Any]:
+        """Return what the noise was made with, and where the frame comes from."""
+        return item.draw.facts() | {"path": item.frame.name}
 
     def finish(self, item: Item, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Add the noise."""
@@ -84,7 +90,7 @@ class NoisyItems(CroppedItems[Item, Sample]):
             arrays["target"],
             parameters=item.draw.parameters,
             ratio=item.draw.ratio,
-            range_dn=item.range_dn,
+            range_dn=item.frame.range_dn,
             generator=item.generator,
             threads=threads_here(),
         )

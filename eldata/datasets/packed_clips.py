@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Unpack
 
-from eldata.datasets.clips import PairedClips, UnpairedClips
+from eldata.datasets.clips import ClipSample, ClipWindows, PairedClips, Sample, UnpairedClips, UnpairedClipSample
 from eldata.errors import DatasetError
 from eldata.sources.store.read import StoreFrames
 
@@ -14,7 +14,16 @@ if TYPE_CHECKING:
     from eldata.datasets.clips import ListedClips, WindowOptions
 
 
-class PackedClips(PairedClips):
+class _Packed(ClipWindows[Sample]):
+    """Those clips of a store that have a reference, or those that have none."""
+
+    def __init__(self, path: Path | str, **options: Unpack[WindowOptions]) -> None:
+        options.setdefault("crop", 512)
+        options.setdefault("augment", True)
+        super().__init__(*_clips(path, is_paired=self._is_paired), **options)
+
+
+class PackedClips(_Packed[ClipSample], PairedClips):
     """Windows of clips of a store: ``dataset[i]`` is a :class:`~eldata.datasets.clips.ClipSample`.
 
     The clips are those that have a reference. Each item is a window of consecutive frames and their one reference, all
@@ -41,25 +50,13 @@ class PackedClips(PairedClips):
         If a value is unknown (the message lists the known ones) or out of its range.
     """
 
-    def __init__(self, path: Path | str, **options: Unpack[WindowOptions]) -> None:
-        super().__init__(*_clips(path, is_paired=True), **_cropped(options))
 
-
-class PackedUnpairedClips(UnpairedClips):
+class PackedUnpairedClips(_Packed[UnpairedClipSample], UnpairedClips):
     """Windows of the clips of a store that have no reference, such as DRV's dynamic ones.
 
     ``dataset[i]`` is an :class:`~eldata.datasets.clips.UnpairedClipSample`, not amplified. Parameters and errors are
     those of :class:`PackedClips`.
     """
-
-    def __init__(self, path: Path | str, **options: Unpack[WindowOptions]) -> None:
-        super().__init__(*_clips(path, is_paired=False), **_cropped(options))
-
-
-def _cropped(options: WindowOptions) -> WindowOptions:
-    options.setdefault("crop", 512)
-    options.setdefault("augment", True)
-    return options
 
 
 def _clips(path: Path | str, *, is_paired: bool) -> ListedClips:

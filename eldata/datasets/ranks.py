@@ -74,20 +74,3 @@ class ShuffledSampler(Sampler[int]):
         sequence = np.random.SeedSequence((self.seed, self.epoch), spawn_key=(_ORDER,))
         order = np.random.default_rng(sequence).permutation(self.length)
         yield from order[self.rank.number :: self.rank.of][: len(self)].tolist()
-
-
-class ExactSampler(Sampler[int]):
-    """Every index exactly once over all ranks, in order: rank r of n has r, r + n, r + 2n, ...
-
-    Ranks may differ by one.
-    """
-
-    def __init__(self, length: int, *, rank: Rank) -> None:
-        self.length = length
-        self.rank = rank
-
-    def __len__(self) -> int:
-        return len(range(self.rank.number, self.length, self.rank.of))
-
-    def __iter__(self) -> Iterator[int]:
-        yield from range(self.rank.number, self.length, self.rank.of)

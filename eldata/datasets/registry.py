@@ -6,7 +6,6 @@ its class (docs/adding-a-dataset.md). Nothing of it is imported before that data
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any
@@ -14,27 +13,19 @@ from typing import TYPE_CHECKING, Any
 from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from pathlib import Path
 
 # The group of entry points under which other packages name their datasets.
 ENTRY_POINTS = "eldata.datasets"
 
 
-@dataclass(frozen=True, slots=True)
-class _Entry:
-    """Name of a class, not the class: the registry is read by commands that need no torch."""
-
-    place: str
-    options: Mapping[str, str] = field(default_factory=dict)
-
-
-# A dataset's name is that of its manifest. Some classes read several.
-_ENTRIES = {
-    "eld": _Entry("eldata.datasets.eld:ELDDataset"),
-    "sid-sony": _Entry("eldata.datasets.sid:SIDDataset", {"camera": "sony"}),
-    "sid-fuji": _Entry("eldata.datasets.sid:SIDDataset", {"camera": "fuji"}),
-    "drv": _Entry("eldata.datasets.drv:DRVDataset"),
+# A dataset's name is that of its manifest; the place of its class, for commands that read this need no torch; and the
+# options that tell manifests apart which one class reads.
+_ENTRIES: dict[str, tuple[str, dict[str, str]]] = {
+    "eld": ("eldata.datasets.eld:ELDDataset", {}),
+    "sid-sony": ("eldata.datasets.sid:SIDDataset", {"camera": "sony"}),
+    "sid-fuji": ("eldata.datasets.sid:SIDDataset", {"camera": "fuji"}),
+    "drv": ("eldata.datasets.drv:DRVDataset", {}),
 }
 
 
@@ -53,7 +44,7 @@ def dataset_class(name: str) -> type[Any]:
     DatasetError
         If the class that another package registers is not to be found.
     """
-    place = _entry(name).place
+    place, _ = _entry(name)
     module, _, attribute = place.partition(":")
     try:
         found: type[Any] = getattr(import_module(module), attribute)
@@ -81,15 +72,15 @@ def open_dataset(name: str, root: Path | str | None = None, **options: Any) -> A
     EldataError
         As :func:`dataset_class` and the class do.
     """
-    return dataset_class(name)(root, **{**_entry(name).options, **options})  # each class has keywords of its own
+    return dataset_class(name)(root, **_entry(name)[1] | options)  # each class has keywords of its own
 
 
-def _entry(name: str) -> _Entry:
+def _entry(name: str) -> tuple[str, dict[str, str]]:
     own = [_ENTRIES[name]] if name in _ENTRIES else []
-    found = own + [_Entry(point.value) for point in entry_points(group=ENTRY_POINTS, name=name)]
+    found = own + [(point.value, {}) for point in entry_points(group=ENTRY_POINTS, name=name)]
     if not found:
         raise ArgumentError(f"no dataset is called {name!r}; known are {', '.join(dataset_names())}")
     if len(found) > 1:
-        places = ", ".join(entry.place for entry in found)
+        places = ", ".join(place for place, _ in found)
         raise ArgumentError(f"{len(found)} datasets are called {name!r}: {places}; import the one that you want")
     return found[0]

@@ -14,18 +14,17 @@ import numpy as np
 from torch.utils.data import IterableDataset, get_worker_info
 
 from eldata.datasets.augmentation import Orientation
-from eldata.datasets.base import SIDES, OpenedPair, PairItem, Sample, pair_facts
+from eldata.datasets.base import OpenedPair, PairItem, PairItems, Sample
 from eldata.datasets.choices import Representation, understood
 from eldata.datasets.crops import Crop
-from eldata.datasets.items import Part, ReadItems, SharedEpoch
+from eldata.datasets.items import SharedEpoch
 from eldata.datasets.ranks import Rank, current_rank
 from eldata.errors import ArgumentError
 from eldata.raw.cfa import packed_shape
 from eldata.sources.frames import Frame
 from eldata.sources.shards import splitting
+from eldata.sources.shards.reading import read_run
 from eldata.sources.shards.remote import Folder
-from eldata.sources.shards.samples import read_run, read_sample
-from eldata.sources.shards.shuffling import shuffled_through
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator, Mapping, Sequence
@@ -45,7 +44,7 @@ class StreamOptions(Representation, total=False):
     crops_per_frame: int
 
 
-class _Crops(ReadItems[PairItem, Sample]):
+class _Crops(PairItems):
     """Crops in DN, turned, in memory of their own, that become samples."""
 
     reads_parts = True
@@ -60,17 +59,6 @@ class _Crops(ReadItems[PairItem, Sample]):
 
     def item(self, index: int) -> PairItem:
         return self.items[index]
-
-    def shapes(self, item: PairItem) -> dict[str, tuple[int, ...]]:
-        return dict.fromkeys(SIDES, item.crop.packed_shape)
-
-    def parts(self, item: PairItem) -> Iterator[Part]:
-        if item.pair.input is not None:
-            yield Part("input", item.pair.input, gain=float(item.pair.ratio))
-        yield Part("target", item.pair.target)
-
-    def facts(self, item: PairItem) -> dict[str, Any]:
-        return pair_facts(item.pair)
 
 
 class StreamedPairs(IterableDataset[Sample]):
@@ -189,7 +177,8 @@ class StreamedPairs(IterableDataset[Sample]):
     @cached_property
     def sample_bytes(self) -> int:
         """Size of an item's two arrays: of the first sample of the first shard, which is read for it."""
-        first = read_sample(self.folder, self.index, splitting.Run(0, 0, 1))
+        with closing(read_run(self.folder, self.index, splitting.Run(0, 0, 1))) as samples:
+            first = next(samples)
         shape = packed_shape(first.input_dn.shape, first.facts.input.sensor.cfa)
         pixels = math.prod(shape[1:]) if self.crop is None else self.crop**2
         return 2 * 4 * shape[0] * pixels
@@ -229,7 +218,7 @@ class StreamedPairs(IterableDataset[Sample]):
             if self._order == "shuffled":
                 rank = self._rank()
                 generator = self._generator(epoch, _BUFFER, rank.number, rank.of, worker, workers)
-                items = shuffled_through(read, self.shuffle_buffer, generator)
+                items = splitting.shuffled_through(read, self.shuffle_buffer, generator)
             while batch := list(islice(items, self._batch_size or 1)):
                 crops = _Crops(batch, self.clip)
                 yield from crops if self._batch_size is None else crops.__getitems__(range(len(batch)))
@@ -260,26 +249,18 @@ class StreamedPairs(IterableDataset[Sample]):
     def _item(self, sample: StoredSample, crop: int, epoch: int) -> PairItem:
         # The same as PackedStore's, where whole frames were written: its items are numbered in this way.
         generator = np.random.default_rng([self.seed, epoch, sample.number + crop * len(self.index)])
-        pair = self._pair(sample)
-        drawn = Crop.draw(pair.target, generator, crop=self.crop, augment=self.augment)
-        cuts = [
-            replace(frame, mosaic=drawn.cut(frame).copy(), cfa=drawn.cfa)
-            for frame in (pair.input, pair.target)
-            if frame
-        ]
-        whole = Crop((slice(None), slice(None)), drawn.cfa, Orientation(), drawn.height, drawn.width)
-        return PairItem(replace(pair, input=cuts[0], target=cuts[1]), whole)
-
-    def _pair(self, sample: StoredSample) -> OpenedPair:
-        """Return a sample's frames."""
         facts = sample.facts
         name = f"{self.folder.address}: {facts.record.path}"
-        target, noisy = (
+        frames = [
             Frame.of_raw(mosaic, side.sensor, name, side.exposure).with_levels(self.levels)
             for mosaic, side in ((sample.target_dn, facts.target), (sample.input_dn, facts.input))
-        )
+        ]
+        drawn = Crop.draw(frames[0], generator, crop=self.crop, augment=self.augment)
+        target, noisy = (replace(frame, mosaic=drawn.cut(frame).copy(), cfa=drawn.cfa) for frame in frames)
         ratio = facts.ratio if self.amplification == "metadata" else facts.record.ratio
-        return OpenedPair(facts.record, target, noisy, ratio, noisy.exposure)
+        pair = OpenedPair(facts.record, target, noisy, ratio, noisy.exposure)
+        whole = Crop((slice(None), slice(None)), drawn.cfa, Orientation(), drawn.height, drawn.width)
+        return PairItem(pair, whole)
 
     def __repr__(self) -> str:
         tile = "whole frames" if self.index.tile is None else f"tiles of {self.index.tile}"

@@ -18,10 +18,9 @@ import numpy as np
 from eldata.base.files import atomic_write, write_json
 from eldata.base.workers import AnyWorkers, Workers, accepts_jobs, require_files
 from eldata.datasets.clean import RawFiles
-from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError
-from eldata.manifest.card import CameraCard, Card, save_card
-from eldata.manifest.catalogue import Manifest, load_manifest
-from eldata.manifest.table import save_records
+from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError, check_choice
+from eldata.manifest.card import CameraCard, Card
+from eldata.manifest.catalogue import Manifest, save_manifest
 from eldata.noise.components import parse_components
 from eldata.noise.model import NoiseModel
 from eldata.raw.cfa import cfa_from, pack_normalised, packed_area, packed_black_level_dn, unpack
@@ -30,8 +29,6 @@ from eldata.raw.reading import read_raw
 from eldata.records import Exposure, FrameRecord, RawFrame
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from eldata.noise.profile import CameraProfile, RowChoice
 
 Format = Literal["dng", "npy"]
@@ -74,8 +71,7 @@ class Recipe:
             raise ArgumentError(f"ratio must be above 0, the lower first; found {low:g} to {high:g}")
         if self.seed < 0 or self.per_image < 1:
             raise ArgumentError(f"seed must be 0 or more and per_image 1 or more; found {self.seed}, {self.per_image}")
-        if self.format not in get_args(Format):
-            raise ArgumentError(f"format must be one of {', '.join(get_args(Format))}; found {self.format!r}")
+        check_choice("format", self.format, get_args(Format))
         if self.iso is not None:
             self.profile.gain_at_iso(self.iso)  # refuses an ISO that the profile does not know
         self.model()
@@ -152,9 +148,7 @@ def synthesize(clean: Path, out: Path, recipe: Recipe, *, workers: AnyWorkers = 
         "frames": [frame for item in made for frame in item.parameters],
     }
     write_json(out / "parameters.json", parameters, indent=1)
-    save_card(out / "manifests" / f"{name}.json", card)
-    save_records(out / "manifests" / f"{name}.csv", records)
-    return load_manifest(out / "manifests" / f"{name}.csv")
+    return save_manifest(out / "manifests" / f"{name}.csv", card, records)
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,17 +195,10 @@ def _synthesize_file(start: Path, folder: Path, recipe: Recipe, unit: tuple[int,
             exposure = Exposure(noisy_iso, noisy_s, frame.exposure.f_number)
             write_dng(place / name, mosaic, sensor, exposure, compression="lossless-jpeg")
         else:
-            _write_npy(place / name, noisy)
-        records.append(
-            record(
-                path=f"{base}/{name}",
-                role="noisy",
-                iso=noisy_iso,
-                exposure_s=noisy_s,
-                ratio=ratio,
-                reference=reference.path,
-            )
-        )
+            with atomic_write(place / name) as file:
+                np.save(file, noisy, allow_pickle=False)
+        of_copy = record(path=f"{base}/{name}", role="noisy", iso=noisy_iso, exposure_s=noisy_s)
+        records.append(replace(of_copy, ratio=ratio, reference=reference.path))
         drawn.append({"path": f"{base}/{name}", "clean": str(path), "ratio": float(ratio)} | asdict(parameters))
     return _Made(tuple(records), tuple(drawn), sensor.model, len(sensor.cfa) == 2)
 
@@ -229,8 +216,3 @@ def _iso_of(profile: CameraProfile, gain_dn_per_e: float, otherwise: Fraction) -
     if profile.iso_range is None:
         return otherwise
     return Fraction(max(1, round(profile.iso_range[0] * gain_dn_per_e / profile.gain_range_dn_per_e[0])))
-
-
-def _write_npy(path: Path, array: NDArray[np.float32]) -> None:
-    with atomic_write(path) as file:
-        np.save(file, array, allow_pickle=False)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
+from typing import TYPE_CHECKING, Unpack
 
 from eldata.datasets.base import SIDES
 from eldata.datasets.crops import Crop
 from eldata.datasets.draws import NoiseFacts
 from eldata.datasets.items import Part
-from eldata.datasets.noisy_items import NoiseOptions, NoisyItems
+from eldata.datasets.noisy_items import NoiseOptions, NoisyItem, NoisyItems
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -17,9 +17,7 @@ if TYPE_CHECKING:
     import torch
 
     from eldata.datasets.clean import CleanSource
-    from eldata.datasets.draws import NoiseDraw
     from eldata.noise.profile import CameraProfile
-    from eldata.sources.frames import Frame
 
 
 class SyntheticSample(NoiseFacts):
@@ -34,18 +32,7 @@ class SyntheticSample(NoiseFacts):
     path: str
 
 
-class _Item(NamedTuple):
-    frame: Frame
-    crop: Crop
-    draw: NoiseDraw
-    generator: np.random.Generator
-
-    @property
-    def range_dn(self) -> float:
-        return self.frame.range_dn
-
-
-class SyntheticPairs(NoisyItems[_Item, SyntheticSample]):
+class SyntheticPairs(NoisyItems[NoisyItem, SyntheticSample]):
     """Clean crops and noisy exposures of them, made anew in each epoch.
 
     Item i of epoch e depends on (seed, e, i) alone: not on workers, their number, or what was read before. Call
@@ -79,35 +66,28 @@ class SyntheticPairs(NoisyItems[_Item, SyntheticSample]):
         crops_per_frame: int = 1,
         **options: Unpack[NoiseOptions],
     ) -> None:
-        super().__init__(profiles, ("crops_per_frame", crops_per_frame), options)
+        super().__init__(source, profiles, ("crops_per_frame", crops_per_frame), options)
         self.source = source
         self.crops_per_frame = crops_per_frame
-
-    def __len__(self) -> int:
-        return len(self.source) * self.crops_per_frame
 
     @property
     def reads_parts(self) -> bool:
         """Whether the source says that its frames read parts."""
         return getattr(self.source, "reads_parts", False)
 
-    def drawn(self, index: int, generator: np.random.Generator) -> _Item:
+    def drawn(self, index: int, generator: np.random.Generator) -> NoisyItem:
         """Draw a crop of frame ``index`` modulo their number, and its noise."""
         frame = self.source.frame(index % len(self.source))
         crop = Crop.draw(frame, generator, crop=self.crop, augment=self.augment)
-        return _Item(frame, crop, self.noise.draw(generator), generator)
+        return NoisyItem(frame, crop, self.noise.draw(generator), generator)
 
-    def shapes(self, item: _Item) -> dict[str, tuple[int, ...]]:
+    def shapes(self, item: NoisyItem) -> dict[str, tuple[int, ...]]:
         """Return the shapes of input and target."""
         return dict.fromkeys(SIDES, item.crop.packed_shape)
 
-    def parts(self, item: _Item) -> Iterator[Part]:
+    def parts(self, item: NoisyItem) -> Iterator[Part]:
         """Yield the clean crop."""
         yield Part("target", item.frame)
-
-    def facts(self, item: _Item) -> dict[str, Any]:
-        """Return what the noise was made with, and where the frame comes from."""
-        return {**item.draw.facts(), "path": item.frame.name}
 
     def __repr__(self) -> str:
         return self._text(self.source, f"{len(self)} items")

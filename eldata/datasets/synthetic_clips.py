@@ -6,13 +6,14 @@ et al., TPAMI 2021, section on videography: parameters are drawn once per clip, 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Unpack
 
 from eldata.datasets.base import SIDES
 from eldata.datasets.crops import Crop
 from eldata.datasets.draws import NoiseFacts
 from eldata.datasets.items import Part
-from eldata.datasets.noisy_items import NoiseOptions, NoisyItems
+from eldata.datasets.noisy_items import NoiseOptions, NoisyItem, NoisyItems
 from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     import torch
 
     from eldata.datasets.clean import CleanSource, ClipSource
-    from eldata.datasets.draws import NoiseDraw
     from eldata.noise.profile import CameraProfile
     from eldata.sources.frames import Frame
 
@@ -42,18 +42,13 @@ class SyntheticClipSample(NoiseFacts):
     start: int
 
 
-class _Item(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class _Item(NoisyItem):
+    """A window: ``frame`` is its first, the ``start``-th of a clip, whose number is ``place``."""
+
     clip: CleanSource
     place: int
     start: int
-    first: Frame
-    crop: Crop
-    draw: NoiseDraw
-    generator: np.random.Generator
-
-    @property
-    def range_dn(self) -> float:
-        return self.first.range_dn
 
 
 class SyntheticClips(NoisyItems[_Item, SyntheticClipSample]):
@@ -90,13 +85,10 @@ class SyntheticClips(NoisyItems[_Item, SyntheticClipSample]):
     ) -> None:
         if frames < 1 or windows_per_clip < 1:
             raise ArgumentError(f"frames and windows_per_clip must be 1 or more; found {frames}, {windows_per_clip}")
-        super().__init__(profiles, ("windows_per_clip", windows_per_clip), options)
+        super().__init__(source, profiles, ("windows_per_clip", windows_per_clip), options)
         self.source = source
         self.frames = frames
         self.windows_per_clip = windows_per_clip
-
-    def __len__(self) -> int:
-        return len(self.source) * self.windows_per_clip
 
     @property
     def reads_parts(self) -> bool:
@@ -112,7 +104,7 @@ class SyntheticClips(NoisyItems[_Item, SyntheticClipSample]):
         start = int(generator.integers(len(clip) - self.frames + 1))
         first = clip.frame(start)
         crop = Crop.draw(first, generator, crop=self.crop, augment=self.augment)
-        return _Item(clip, place, start, first, crop, self.noise.draw(generator), generator)
+        return _Item(first, crop, self.noise.draw(generator), generator, clip, place, start)
 
     def shapes(self, item: _Item) -> dict[str, tuple[int, ...]]:
         """Return the shapes of input and target."""
@@ -120,16 +112,16 @@ class SyntheticClips(NoisyItems[_Item, SyntheticClipSample]):
 
     def parts(self, item: _Item) -> Iterator[Part]:
         """Yield the clean frames in order."""
-        yield Part("target", item.first, 0)
+        yield Part("target", item.frame, 0)
         for step in range(1, self.frames):
             frame = item.clip.frame(item.start + step)
-            _check_alike(frame, item.first)
+            _check_alike(frame, item.frame)
             yield Part("target", frame, step)
             del frame
 
     def facts(self, item: _Item) -> dict[str, Any]:
         """Return what the noise was made with, and where the window comes from."""
-        return {**item.draw.facts(), "path": item.first.name, "clip": item.place, "start": item.start}
+        return super().facts(item) | {"clip": item.place, "start": item.start}
 
     def __repr__(self) -> str:
         return self._text(self.source, f"{len(self)} windows of {self.frames} frames")

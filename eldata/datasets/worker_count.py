@@ -6,6 +6,8 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
+from eldata.base.compiled import available_threads
+
 if TYPE_CHECKING:
     from eldata.datasets.ranks import Rank
 
@@ -67,8 +69,8 @@ def loader_workers(
 
 def usable_cpus() -> int:
     """Return how many CPUs this process may use: its affinity, and the quota of its control group."""
-    cpus = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    quota, _, period = _first_line(_CGROUP / "cpu.max").partition(" ")
+    cpus = available_threads()
+    quota, _, period = _text(_CGROUP / "cpu.max").partition(" ")
     if quota.isdecimal() and period.isdecimal() and int(period) > 0:
         cpus = min(cpus, max(1, int(quota) // int(period)))
     return cpus
@@ -76,13 +78,9 @@ def usable_cpus() -> int:
 
 def available_memory_bytes() -> int | None:
     """Return the memory that is free to use, the limit of the control group included; ``None`` if not known."""
-    found: list[int] = []
-    try:
-        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
-    except OSError:
-        lines = []
-    found += [int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:")]
-    limit, used = (_first_line(_CGROUP / f"memory.{name}") for name in ("max", "current"))
+    lines = _text(Path("/proc/meminfo")).splitlines()
+    found = [int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:")]
+    limit, used = (_text(_CGROUP / f"memory.{name}") for name in ("max", "current"))
     if limit.isdecimal() and used.isdecimal():
         found.append(max(0, int(limit) - int(used)))
     return min(found, default=None)
@@ -100,7 +98,7 @@ def shared_memory_bytes() -> int | None:
 _CGROUP = Path("/sys/fs/cgroup")
 
 
-def _first_line(path: Path) -> str:
+def _text(path: Path) -> str:
     try:
         return path.read_text(encoding="ascii").strip()
     except OSError:

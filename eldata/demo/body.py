@@ -6,7 +6,7 @@ A frame is, in DN and rounded to whole DN within [0, white]::
     electrons = Poisson(light x response),   u uniform in (0, 1),   row noise: one normal draw per mosaic row
 
 with Q the quantile of the Tukey-lambda distribution (K. Wei et al., TPAMI 2021, section 3). It is written in plain
-numpy and scipy and shares no code with :mod:`eldata.noise` and :mod:`eldata.calibration`: these are held against it.
+numpy and scipy and shares no code with :mod:`eldata.noise` and :mod:`eldata.calibration`: these are checked against it.
 """
 
 from __future__ import annotations
@@ -216,7 +216,7 @@ class Body:
         )
 
     def bias_frame(self, noise: KnownNoise, generator: np.random.Generator) -> NDArray[np.uint16]:
-        """Return a frame without light, (H, W) uint16, DN; raises as :meth:`offset_dn`."""
+        """Return a frame without light, (H, W) uint16, DN; raises like :meth:`offset_dn`."""
         return self._digitised(self.offset_dn(noise) + temporal_noise_dn(noise, self.channel.shape, generator))
 
     def flat_frame(
@@ -238,7 +238,7 @@ class Body:
         Raises
         ------
         ArgumentError
-            If there is less than no light, or as :meth:`offset_dn`.
+            If there is less than no light, or like :meth:`offset_dn`.
         """
         if not (0 <= level_dn < math.inf and -1 <= drift < math.inf):
             raise ArgumentError(

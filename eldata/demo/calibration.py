@@ -38,7 +38,7 @@ def run_calibration_demo(
     features
         What stays the same from frame to frame.
     workers
-        Who photographs and measures.
+        What runs the work.
 
     Raises
     ------

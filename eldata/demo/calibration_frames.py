@@ -61,7 +61,7 @@ class CalibrationCamera:
     sensor
         What its files say of it; the size of the frames is given when they are made.
     noise
-        The truth, one record an ISO.
+        The truth, one record per ISO.
     """
 
     name: str
@@ -184,11 +184,11 @@ def make_calibration_frames(
     size
         (H, W) of the mosaics in pixels.
     seed
-        The same seed gives the same files, wherever it is done.
+        The same seed gives the same files, wherever they are made.
     features
         How strong the fixed pattern is.
     workers
-        Who photographs them.
+        What runs the work.
 
     Raises
     ------
@@ -242,7 +242,7 @@ def _span_dn(sensor: Sensor) -> float:
 
 
 def _lamp_e_per_s(camera: CalibrationCamera, body: Body) -> float:
-    """Return the lamp's light in the middle of the frame, photoelectrons a second: the same for any choice of ISOs."""
+    """Return the lamp's light in mid-frame, photoelectrons per second: the same for any choice of ISOs."""
     lowest_gain = min(noise.gain_dn_per_e for noise in camera.noise)
     mean_e = _BRIGHTEST_SHARE * _span_dn(camera.sensor) / lowest_gain
     return mean_e / float(_BRIGHTEST_S) / _mean_light(body)

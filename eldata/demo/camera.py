@@ -5,7 +5,7 @@ noise and one draw of row noise per mosaic row, a constant colour bias, amplific
 to whole DN. Read noise is Gaussian here. The figures are of the order of the published calibrations.
 
 It is written in plain numpy and shares no code with :mod:`eldata.noise`: what the model and its calibration find can be
-held against it.
+checked against it.
 """
 
 from __future__ import annotations

@@ -212,30 +212,18 @@ class _Stage:
         cy: float,
         width: float,
         height: float,
-        tone: Tone,
+        tone: Tone | ArrayLike,
         turn: float = 0.0,
         radius: float = 0.0,
     ) -> None:
-        """Fill a box with a function of coordinates that run over it from 0 to 1."""
+        """Fill a box with one colour, or with a function of coordinates that run over it from 0 to 1."""
         spread = abs(np.sin(turn))
         across, down = (width + spread * height) / 2, (height + spread * width) / 2
         here = self.window(cx - across, cy - down, cx + across, cy + down)
         x, y = self.grid(here, cx, cy, turn)
-        tones = tone(np.clip(x / width + 0.5, 0, 1), np.clip(y / height + 0.5, 0, 1))
-        self.paint(_box(x, y, width / 2, height / 2, radius), tones, here)
-
-    def box(
-        self,
-        cx: float,
-        cy: float,
-        width: float,
-        height: float,
-        colour: ArrayLike,
-        turn: float = 0.0,
-        radius: float = 0.0,
-    ) -> None:
-        """Fill a box with one colour."""
-        self.fill(cx, cy, width, height, lambda *_: np.asarray(colour), turn, radius)
+        if callable(tone):
+            tone = tone(np.clip(x / width + 0.5, 0, 1), np.clip(y / height + 0.5, 0, 1))
+        self.paint(_box(x, y, width / 2, height / 2, radius), tone, here)
 
     def panel(self, cx: float, cy: float, width: float, height: float, colour: ArrayLike) -> None:
         """Stand up a board with a soft shadow that falls away from the lamp."""
@@ -244,7 +232,7 @@ class _Stage:
         x, y = self.grid(here, cx + 0.03 * np.sign(cx - self.lamp[0]), cy + 0.035)
         depth = np.clip(_box(x, y, width / 2, height / 2, 0.03) / 0.03, -30, 30)
         self.shade(0.75 / (1 + np.exp(depth)), here)
-        self.box(cx, cy, width, height, colour, radius=0.02)
+        self.fill(cx, cy, width, height, colour, radius=0.02)
 
     def waves(self, phase: Field, period: Field | float) -> Field:
         """Return anti-aliased black and white bars: phase in turns, local period in units."""
@@ -280,7 +268,7 @@ class _Stage:
         patches = patches[:: -1 if self.variation % 2 else 1, :: int(self.side)]
         for (row, column), _ in np.ndenumerate(patches[..., 0]):
             px, py, colour = cx + (column - 2.5) * pitch, cy + (row - 1.5) * pitch, patches[row, column]
-            self.box(px, py, 0.86 * pitch, 0.86 * pitch, colour)
+            self.fill(px, py, 0.86 * pitch, 0.86 * pitch, colour)
             right, down = self.pixel(px, py)
             self.patches.append((int(down), int(right), colour))
 
@@ -357,11 +345,11 @@ def _resolution(stage: _Stage) -> None:
     stage.panel(-0.62 * m, -0.09, 1.30, 1.30, WHITE)
     stage.star(-0.62 * m, -0.09, 0.57, (36, 48, 24, 60)[stage.variation % 4])
     for dx, dy in ((-1, -1), (1, -1), (-1, 1), (1, 1)):
-        stage.box(-0.62 * m + 0.56 * dx, -0.09 + 0.56 * dy, 0.09, 0.09, INK, np.pi / 4)
+        stage.fill(-0.62 * m + 0.56 * dx, -0.09 + 0.56 * dy, 0.09, 0.09, INK, np.pi / 4)
     tilt = 5 + stage.variation % 4
     for x, paper, ink, degrees in ((0.37, WHITE, INK, tilt), (1.01, INK, WHITE, -12)):
         stage.panel(x * m, -0.42, 0.56, 0.64, paper)
-        stage.box(x * m, -0.46, 0.31, 0.31, ink, np.deg2rad(degrees) * m)
+        stage.fill(x * m, -0.46, 0.31, 0.31, ink, np.deg2rad(degrees) * m)
         stage.write(x * m, -0.17, 0.075, f"slanted {abs(degrees)}°", ink, "mm")
     stage.panel(0.69 * m, 0.24, 1.20, 0.60, WHITE)
     for column in range(5):

@@ -42,7 +42,7 @@ def make_tree(
     Parameters
     ----------
     folder
-        Made if it is not there.
+        Made if it does not exist.
     scenes
         Number of scenes per camera.
     size

@@ -1,4 +1,4 @@
-"""Archives: what is in one and whether it is safe to unpack, seen before a byte of it is written."""
+"""Archives: what one holds and whether it is safe to unpack, checked before a byte of it is written."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 # Zip's deflate reaches 1000:1 on zeros; raw files of dark scenes shrink to a third, never to a hundredth.
 MOST_EXPANSION = 100
 SURELY_HARMLESS_BYTES = 64 * 2**20
-MOST_MEMBERS = 500_000  # the largest of the known datasets has a tenth of it
+MOST_MEMBERS = 500_000  # ten times as many as the largest of the known datasets has
 
 
 @dataclass(frozen=True, slots=True)
 class Archive:
-    """An archive that :func:`open_archive` found whole in structure and safe to unpack; ``files`` are its files."""
+    """An archive that :func:`open_archive` found complete and safe to unpack; ``files`` are its files."""
 
     path: Path
     files: tuple[Member, ...]
@@ -48,10 +48,10 @@ def open_archive(path: Path) -> Archive:
     Raises
     ------
     ArchiveError
-        If it is not an archive, cut short, encrypted, or has a member that would leave the folder, is a link or a
-        device, collides with another, or expands beyond reason; the message names it.
+        If it is not an archive, is cut short or encrypted, expands beyond reason, or has a member that would leave the
+        folder, is a link or a device, or collides with another; the message names it.
     DownloadError
-        If a reader for the format is missing; the message says how to go on.
+        If the package that reads the format is missing; the message says how to go on.
     """
     try:
         with path.open("rb") as file:
@@ -71,7 +71,7 @@ def open_archive(path: Path) -> Archive:
 
 
 def check_members(path: Path, members: Sequence[Member]) -> None:
-    """Refuse an archive for what its list of members says.
+    """Refuse an archive whose list of members is unsafe.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def check_members(path: Path, members: Sequence[Member]) -> None:
         if member.kind == "link":
             raise ArchiveError(path, f"member {name!r} is a link, which could lead out of the folder; {unsafe}")
         if member.kind == "special":
-            raise ArchiveError(path, f"member {name!r} is a device or the like; {unsafe}")
+            raise ArchiveError(path, f"member {name!r} is a device or something like it; {unsafe}")
         if member.kind == "folder":
             continue
         key = _as_file_systems_see(member.name)

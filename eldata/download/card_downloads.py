@@ -1,4 +1,4 @@
-"""What a dataset card says of archives: their names, sizes and parts; those that a program may fetch, for pooch."""
+"""What a dataset card says about archives: names, sizes, parts, and which ones pooch may fetch."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SUFFIXES = (".zip", ".7z", ".tar", ".tar.gz", ".tgz", ".tar.bz2", ".tar.xz")
 
 
 def archive_name(download: Download) -> str:
-    """Return the name of the archive that the address ends in, empty if it does not end in one."""
+    """Return the archive's name at the end of the address, empty if there is none."""
     name = PurePosixPath(unquote(urlsplit(download.address).path)).name
     plain = bool(name) and name[0] not in ".-" and not any(sign in name for sign in '/\\:\0\n\r"')
     return name if plain and name.lower().endswith(SUFFIXES) else ""
@@ -40,12 +40,12 @@ def holds(download: Download, path: str) -> bool:
 
 
 def choose_parts(downloads: Sequence[Download], names: Collection[str]) -> tuple[Download, ...]:
-    """Return the downloads for a program of the named parts, one each; with a single part there is nothing to name.
+    """Return the downloads that a program may fetch, one for each named part; a single part needs no name.
 
     Raises
     ------
     ArgumentError
-        If a name is unknown, or none is given although there are several; the message lists them.
+        If a name is unknown, or no name is given although there are several parts; the message lists them.
     """
     first_of: dict[str, Download] = {}
     for download in downloads:
@@ -63,7 +63,7 @@ def choose_parts(downloads: Sequence[Download], names: Collection[str]) -> tuple
 def kept_archives(card: Card, root: Path | str | None = None) -> Pooch:
     """Return pooch's registry of the archives that a program may fetch: name, address and the card's hash of each.
 
-    They are kept below the data root, in ``archives``; one that is there and differs is never replaced.
+    They are kept in ``archives`` below the data root; one that is there but differs is never replaced.
     """
     import pooch
 

@@ -1,7 +1,7 @@
 """Fetching large archives through pooch, over connections that break.
 
-Pooch decides whether an archive is to be fetched, checks its hash and puts it under its name. By itself it would start
-a broken download over and delete what has come, so the downloader that it calls is ours: what has come is kept in
+Pooch decides whether an archive has to be fetched, checks its hash and gives it its name. By itself it would start a
+broken download over and delete what has arrived, so the downloader that it calls is ours: what has arrived is kept in
 ``<name>.part`` and goes on by range requests, in this run or the next. ``<name>.part.json`` beside it holds what makes
 the bytes one file: the address, the total size, and the server's mark for this version (a strong ETag, else
 Last-Modified). Without such a mark, or when the server's file has changed, fetching starts over: two versions are never
@@ -13,7 +13,7 @@ from __future__ import annotations
 import logging
 import re
 import time
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass
 from http import HTTPStatus
 from pathlib import Path
@@ -22,13 +22,14 @@ from urllib.parse import urljoin, urlsplit
 
 from eldata import __version__
 from eldata.base.files import sha256_of
+from eldata.base.logs import quiet
 from eldata.download.partial import Partial, Version, discard, opened_partial
 from eldata.download.readers import HEAD_BYTES, archive_format, looks_like
 from eldata.download.sizes import check_room, progress_bar, size_text
 from eldata.errors import DownloadError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator
+    from collections.abc import Callable, Collection
 
     import requests
     from pooch import Pooch
@@ -39,15 +40,7 @@ _Result = TypeVar("_Result")
 _PIECE_BYTES = 2**14  # what a broken connection loses at most
 _MOST_REDIRECTS = 5
 _MOVE_AWAY = "move it away to fetch it again"
-_PASSING = (
-    HTTPStatus.REQUEST_TIMEOUT,
-    HTTPStatus.TOO_EARLY,
-    HTTPStatus.TOO_MANY_REQUESTS,
-    HTTPStatus.INTERNAL_SERVER_ERROR,
-    HTTPStatus.BAD_GATEWAY,
-    HTTPStatus.SERVICE_UNAVAILABLE,
-    HTTPStatus.GATEWAY_TIMEOUT,
-)
+_PASSING = (408, 425, 429, 500, 502, 503, 504)  # time-outs, too many requests, a server in trouble
 _CONTENT_RANGE = re.compile(r"bytes (\d+)-(\d+)/(\d+)")
 
 
@@ -55,7 +48,7 @@ _CONTENT_RANGE = re.compile(r"bytes (\d+)-(\d+)/(\d+)")
 class Patience:
     """How long to put up with a bad connection.
 
-    ``tries`` in a row without a byte more than ever before end it; waits between them double from ``first_wait_s`` to
+    ``tries`` in a row that bring nothing new end it; waits between them double from ``first_wait_s`` to
     ``longest_wait_s``; ``silence_s`` without a byte counts as a broken connection.
     """
 
@@ -65,11 +58,11 @@ class Patience:
     silence_s: float = 60.0
 
     def wait_s(self, failures: int) -> float:
-        """Return how long to wait after so many failures in a row."""
+        """Return how long to wait after this many failures in a row."""
         return float(min(self.longest_wait_s, self.first_wait_s * 2.0 ** min(failures - 1, 30)))
 
 
-class _Broken(Exception):  # noqa: N818 # not an error yet: another try may help
+class _Broken(Exception):  # noqa: N818 # not an error yet: another try may succeed
     """A try ended before its time."""
 
 
@@ -98,29 +91,27 @@ class Fetcher:
         archives, name
             Pooch's registry (see :func:`~eldata.download.card_downloads.kept_archives`) and the archive's name in it.
         process
-            What to do with the archive, once it is whole and its hash right.
+            What to do with the archive, once it is complete and its hash is right.
         size_bytes
             The archive's size, if known.
 
         Raises
         ------
         DownloadError
-            If it cannot be fetched: the server says no, sends something else, or stays unreachable; the disk is full;
+            If it cannot be fetched: the server refuses, sends something else, or cannot be reached; the disk is full;
             or the file is not the expected one. The message says what is kept and how to go on.
         """
-        import pooch
-
         target = Path(archives.path, name)
         there = target.exists()
         if there and size_bytes is not None and (found_bytes := target.stat().st_size) != size_bytes:
             raise DownloadError(f"{target}: expected {size_bytes} bytes, found {found_bytes}; {_MOVE_AWAY}")
         fetched = passed = False
-        with ExitStack() as held, _without_news(pooch.get_logger()):
+        with ExitStack() as held, quiet(logging.WARNING, "pooch"):  # which says on stderr what it fetches
 
             def downloader(address: str, temporary: str, _: Pooch) -> None:
                 nonlocal fetched
-                Path(temporary).unlink()  # pooch made it, empty; a killed run would leave it
-                partial = held.enter_context(opened_partial(target))  # until pooch has put it under its name
+                Path(temporary).unlink()  # pooch made it, empty; a killed run would leave it behind
+                partial = held.enter_context(opened_partial(target))  # until pooch has given it its name
                 self._complete(address, partial, size_bytes)
                 partial.hand_over(Path(temporary))
                 fetched = True
@@ -144,7 +135,7 @@ class Fetcher:
                     raise DownloadError(f"{target}: {wrong}; {_MOVE_AWAY}") from error
                 if not fetched:
                     raise
-                discard(target)  # going on from it would end the same
+                discard(target)  # going on from it would fail again
                 raise DownloadError(f"{archives.get_url(name)}: {error} Look at the homepage.") from error
         return result
 
@@ -191,7 +182,7 @@ class Fetcher:
             if answer.status_code == HTTPStatus.PARTIAL_CONTENT and known is not None and have:
                 _check_range(answer, partial, known, have)
             elif answer.status_code == HTTPStatus.OK:
-                # Asked from the start, or the server knows no ranges, or has another version by now.
+                # We asked from the start, or the server does not support ranges, or it has another version by now.
                 _check_kind(address, answer)
                 known, have = Version(address, _total_of(address, answer), _mark_of(answer)), 0
                 if size_bytes not in (None, known.total_bytes):
@@ -217,7 +208,7 @@ class Fetcher:
                     here, headers=headers, stream=True, allow_redirects=False, timeout=(30, self.patience.silence_s)
                 )
             except ValueError as error:  # requests looks at the next address too
-                raise DownloadError(f"{address}: is malformed or redirects to what is ({error})") from error
+                raise DownloadError(f"{address}: is malformed, or redirects to an address that is ({error})") from error
             if not answer.is_redirect:
                 return answer
             answer.close()
@@ -240,14 +231,14 @@ def _check_range(answer: requests.Response, partial: Partial, known: Version, ha
     changed = _mark_of(answer) not in ("", known.mark)
     if found is None or changed or (int(found[1]), int(found[3])) != (have, known.total_bytes):
         partial.restart()
-        raise _Broken("the server's file has changed, or it answers with other bytes than asked for")
+        raise _Broken("the server's file has changed, or it sends other bytes than it was asked for")
 
 
 def _refuse(address: str, partial: Partial, answer: requests.Response) -> NoReturn:
     status = answer.status_code
     if status in (HTTPStatus.PARTIAL_CONTENT, HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE):
         partial.restart()
-        raise _Broken(f"the server answered {status} to what it should have sent")
+        raise _Broken(f"the server answered {status} to a request for the missing bytes")
     if status in _PASSING:
         raise _Broken(f"the server answered {status} {answer.reason}")
     advice_of: dict[int, str] = {
@@ -260,7 +251,7 @@ def _refuse(address: str, partial: Partial, answer: requests.Response) -> NoRetu
 
 
 def _receive(answer: requests.Response, partial: Partial, version: Version, have: int, bar: tqdm[Any]) -> None:
-    """Take the bytes of an answer that start at ``have``."""
+    """Take the bytes of an answer, which start at ``have``."""
     total = version.total_bytes
     head = b""
     for arrived in answer.iter_content(_PIECE_BYTES):
@@ -274,7 +265,7 @@ def _receive(answer: requests.Response, partial: Partial, version: Version, have
                     f"{version.address}: sent {looks_like(head)} in place of an archive; open it in a browser, "
                     "save the archive and use --from"
                 )
-            # Not earlier: the login page of a hotel must not cost the gigabytes that have come.
+            # Not earlier: a hotel's login page must not cost the gigabytes that have arrived.
             partial.restart()
             partial.note(version)
             piece = head
@@ -289,7 +280,7 @@ def _receive(answer: requests.Response, partial: Partial, version: Version, have
 
 
 def _mark_of(answer: requests.Response) -> str:
-    """Return what tells this version of the file from others, as If-Range takes it."""
+    """Return what tells this version of the file from others, in the form for If-Range."""
     etag = answer.headers.get("ETag", "")
     if etag and not etag.startswith("W/"):  # a weak one may stay when bytes change
         return etag
@@ -314,17 +305,6 @@ def _check_kind(address: str, answer: requests.Response) -> None:
             f"{address}: answered with a web page in place of an archive; open it in a browser, save the archive "
             "and use --from"
         )
-
-
-@contextmanager
-def _without_news(logger: logging.Logger) -> Iterator[None]:
-    """Keep pooch from telling on stderr what it fetches."""
-    level = logger.level
-    logger.setLevel(max(level, logging.WARNING))
-    try:
-        yield
-    finally:
-        logger.setLevel(level)
 
 
 def _reason(error: Exception) -> str:

@@ -1,4 +1,4 @@
-"""From an archive, fetched or saved by hand, to a dataset's folder."""
+"""From an archive, fetched or saved by hand, to the dataset's folder."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Installed:
-    """What came out of one archive.
+    """What was unpacked from one archive.
 
     ``files_listed`` of its files are in the manifest; ``left`` are its members beside the dataset's folder.
     """
@@ -51,8 +51,8 @@ class Installed:
 def unpack_dataset(archive_path: Path, manifest: Manifest, folder: Path) -> Installed:
     """Check an archive and unpack it into the dataset's folder.
 
-    Which of its folders is which of the dataset's, the names that the manifest lists tell; where it lists none of them,
-    the card may say where they go.
+    The names that the manifest lists show which of its folders is which of the dataset's; if it lists none of them, the
+    card may say where they go.
 
     Raises
     ------

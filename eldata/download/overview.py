@@ -1,4 +1,4 @@
-"""What is known of a dataset and what of it is on the disk: the content of `eldata info`."""
+"""What is known about a dataset, and how much of it is on the disk: the content of `eldata info`."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Presence:
-    """How many of the manifest's rows have their file there (and not empty).
+    """How many of the manifest's rows have a file that is not empty.
 
-    A row that stands for a whole clip (a pattern) counts once a single file of it is there; ``patterns`` says how many
-    such rows there are. ``unfinished``: there are some, and an unpacking that ended early: more of their files may be
-    missing.
+    A row that stands for a whole clip (a pattern) counts as soon as one of its files is there; ``patterns`` is the
+    number of such rows. ``unfinished``: there are such rows, and an unpacking ended early, so that more of their files
+    may be missing.
     """
 
     files_listed: int
@@ -57,7 +57,7 @@ class Presence:
 
 @dataclass(frozen=True, slots=True)
 class Overview:
-    """A dataset's manifest with what is on the disk below ``root``."""
+    """A dataset's manifest, and what is on the disk below ``root``."""
 
     manifest: Manifest
     root: Path
@@ -158,7 +158,7 @@ def format_downloads(downloads: Iterable[Download]) -> list[str]:
 
 
 def presence_of(folder: Path, records: Iterable[FrameRecord]) -> Presence:
-    """Return how much of what is listed is in a folder; names and sizes alone are looked at."""
+    """Return how much of what is listed is in a folder, by names and sizes alone."""
     listed = present = patterns = 0
     for record in records:
         pattern = is_pattern(record.path)
@@ -177,5 +177,5 @@ def _is_there(path: Path) -> bool:
 
 
 def overview(manifest: Manifest, root: Path | str | None = None) -> Overview:
-    """Return what is known of a dataset and what of it lies below ``root``."""
+    """Return what is known about a dataset, and how much of it lies below ``root``."""
     return Overview(manifest, data_root(root), presence_of(manifest.folder(root), manifest.records))

@@ -1,4 +1,4 @@
-"""A file on its way: the bytes that have come, and which file they are a part of."""
+"""An unfinished download: the bytes that have arrived, and which file they belong to."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Version:
 
 
 class Partial:
-    """A file on its way: ``<name>.part``, which :func:`opened_partial` opens, and what it is a part of."""
+    """An unfinished download: ``<name>.part``, which :func:`opened_partial` opens, and which file it belongs to."""
 
     def __init__(self, target: Path, file: IO[bytes]) -> None:
         self.path, self._note = _paths(target)
@@ -36,11 +36,11 @@ class Partial:
 
     @property
     def size_bytes(self) -> int:
-        """How many bytes have come."""
+        """How many bytes have arrived."""
         return os.fstat(self._file.fileno()).st_size
 
     def version(self) -> Version | None:
-        """Return which file the bytes belong to, ``None`` if that is not known."""
+        """Return which file the bytes belong to, ``None`` if unknown."""
         try:
             note = TextFile(self._note, DownloadError).json()
             return Version(note.text("address"), note.whole("total_bytes"), note.text("mark", empty=True))
@@ -52,7 +52,7 @@ class Partial:
         write_json(self._note, asdict(version))
 
     def restart(self) -> None:
-        """Forget what has come."""
+        """Forget what has arrived."""
         self._note.unlink(missing_ok=True)
         self._file.truncate(0)
 
@@ -80,7 +80,7 @@ class Partial:
                     other.unlink()
             try:
                 temporary.hardlink_to(self.path)
-            except OSError:  # exFAT and others know no links
+            except OSError:  # exFAT and others have no links
                 self.path.rename(temporary)
         except OSError as error:
             raise DownloadError(f"cannot write {self.path}: {error.strerror}") from error
@@ -88,7 +88,7 @@ class Partial:
 
 @contextmanager
 def opened_partial(target: Path) -> Iterator[Partial]:
-    """Open what has come of a file, for one process at a time.
+    """Open what has arrived of a file, for one process at a time.
 
     Raises
     ------
@@ -110,7 +110,7 @@ def opened_partial(target: Path) -> Iterator[Partial]:
 def discard(target: Path) -> None:
     """Remove what :class:`Partial` keeps beside a file."""
     for path in _paths(target):
-        if path.exists():  # not missing_ok: a disk that is read only refuses even that
+        if path.exists():  # not missing_ok: a read-only disk refuses even that
             path.unlink()
 
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 Format = Literal["zip", "7z", "tar"]
 Kind = Literal["file", "folder", "link", "special"]
 
-# Enough to see the mark of a tar file, at byte 257.
+# Enough to see a tar file's mark, at byte 257.
 HEAD_BYTES = 512
 
 _MARKS: tuple[tuple[bytes, Format], ...] = (
@@ -57,13 +57,13 @@ class Member:
 
 
 class Sink(Protocol):
-    """Takes one member's bytes; ``finish`` is called once all have come and their checksum is right."""
+    """Takes one member's bytes; ``finish`` is called once all have arrived and their checksum is right."""
 
     def write(self, piece: bytes) -> None:
         """Take the next bytes."""
 
     def finish(self) -> None:
-        """Take note that the member is whole."""
+        """Note that the member is complete."""
 
 
 class Reader(Protocol):
@@ -77,7 +77,7 @@ class Reader(Protocol):
 
 
 def archive_format(head: bytes) -> Format | None:
-    """Return an archive's format by its first ``HEAD_BYTES`` bytes, ``None`` if they belong to no archive."""
+    """Return an archive's format by its first ``HEAD_BYTES`` bytes, ``None`` if it is not an archive."""
     for mark, name in _MARKS:
         if head.startswith(mark):
             return name
@@ -85,7 +85,7 @@ def archive_format(head: bytes) -> Format | None:
 
 
 def looks_like(head: bytes) -> str:
-    """Say what a file looks like by its first bytes, which are not an archive's."""
+    """Say what a file that is not an archive looks like by its first bytes."""
     text = head.lstrip(b"\xef\xbb\xbf \t\r\n").lower()
     if text.startswith((b"<!doctype", b"<html", b"<head", b"<?xml", b"<!--")):
         return "a web page, as Google Drive sends when it asks for a confirmation or a login"
@@ -109,7 +109,7 @@ def reader_of(name: Format, path: Path) -> Reader:
     if name == "tar":
         return TarReader()
     try:
-        import py7zr  # noqa: F401 # whether it is there
+        import py7zr  # noqa: F401 # is it installed?
     except ImportError as error:
         raise DownloadError(
             f"{path} is a 7z archive, which needs the package py7zr: pip install 'eldata[7z]'; or unpack it by hand "
@@ -120,7 +120,7 @@ def reader_of(name: Format, path: Path) -> Reader:
 
 @contextmanager
 def _damage_named(path: Path, *kinds: type[Exception]) -> Iterator[None]:
-    """Turn what a library raises on a damaged archive into one line that names it."""
+    """Turn a library's errors about a damaged archive into one line that names it."""
     try:
         yield
     except OSError as error:
@@ -299,7 +299,7 @@ class SevenZipReader:
             def read(self, size: int | None = None) -> bytes:  # noqa: ARG002 # py7zr's interface has it and never calls it
                 raise io.UnsupportedOperation("read")
 
-            def seek(self, offset: int, whence: int = 0) -> int:  # noqa: ARG002 # asked for before it closes, in vain
+            def seek(self, offset: int, whence: int = 0) -> int:  # noqa: ARG002 # py7zr calls it before it closes, and needs no answer
                 return 0
 
             def flush(self) -> None:

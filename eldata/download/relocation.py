@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Relocation:
-    """What lies in ``inside`` of the archive belongs into ``below`` of the dataset's folder; empty is the top."""
+    """The archive's folder ``inside`` is the folder ``below`` of the dataset; empty means the top."""
 
     inside: str
     below: str
@@ -36,8 +36,8 @@ def find_relocation(
     """Return the one relocation by which an archive's files are those that a manifest lists.
 
     A publisher packs ``Sony/short/...``, ``SID/Sony/short/...`` or ``short/...``, and changes that between versions.
-    The ends of the listed paths tell which; where two fit (``scene-1/IMG_0001.CR2`` without its camera), none
-    is guessed. If no file is listed, the archive's top is ``unlisted_below`` of the dataset, if that is given.
+    The ends of the listed paths tell which; where two fit (``scene-1/IMG_0001.CR2`` without its camera), nothing is
+    guessed. If no file is listed, the archive's top folder is ``unlisted_below`` of the dataset, if that is given.
 
     Raises
     ------

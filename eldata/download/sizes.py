@@ -29,7 +29,7 @@ def progress_bar(name: str, total_bytes: int | None = None) -> tqdm[Any]:
 
 
 def check_room(folder: Path, missing_bytes: int, purpose: str) -> None:
-    """Raise :class:`~eldata.errors.DownloadError` if so many bytes do not fit on the folder's disk."""
+    """Raise :class:`~eldata.errors.DownloadError` if this many bytes do not fit on the folder's disk."""
     free = shutil.disk_usage(folder).free
     if missing_bytes > free:
         raise DownloadError(

@@ -1,7 +1,7 @@
-"""Unpacking an archive into a dataset's folder: files appear there once they are whole, and none is replaced.
+"""Unpacking an archive into a dataset's folder: files appear there once they are complete, and none is replaced.
 
 Members are written into the hidden folder ``.eldata-unpacking`` of the dataset's folder, so on the same disk, and
-renamed into place one by one. A run that ends early, be it by kill -9, leaves whole files and that hidden folder: the
+renamed into place one by one. A run that ends early, even by kill -9, leaves complete files and that hidden folder, a
 sign that files may be missing. The next run goes on with those, and removes the folder at its end.
 """
 
@@ -36,7 +36,7 @@ _PIECE_BYTES = 2**20
 class Unpacked:
     """What :func:`unpack_archive` did, as paths relative to the dataset's folder.
 
-    ``differing`` were there already with other content (or as something else than a file) and were left alone.
+    ``differing`` were there already with other content (or were not files) and were left alone.
     """
 
     written: tuple[str, ...]
@@ -50,13 +50,13 @@ def unpack_archive(archive: Archive, targets: Mapping[str, str], folder: Path) -
     Parameters
     ----------
     targets
-        Member's name: where it belongs, relative to ``folder``. Other members stay in the archive.
+        Where each member, by name, belongs, relative to ``folder``. Other members stay in the archive.
 
     Raises
     ------
     ArchiveError
         If a member is damaged, or would be written through a link that leads out of the folder. Files written before
-        that are whole and stay.
+        that are complete and stay.
     DownloadError
         If the disk is full or cannot be written to, or another process is unpacking there.
     """
@@ -109,7 +109,7 @@ def _verdict(member: Member, place: Path, bar: tqdm[Any]) -> str | None:
     if not place.is_file() or place.stat().st_size != member.size_bytes:
         verdict = "differing"
     elif member.crc32 is None:
-        return None  # it takes the archive's bytes to tell
+        return None  # only the archive's bytes can tell
     else:
         verdict = "identical" if _crc32_of(place) == member.crc32 else "differing"
     bar.update(member.size_bytes)
@@ -158,7 +158,7 @@ class _NewFile:
             os.fsync(self._file.fileno())
             self.close()
             self._place.parent.mkdir(parents=True, exist_ok=True)
-            # A link would refuse to replace a file that came meanwhile, but not every disk knows links.
+            # A link would refuse to replace a file that appeared meanwhile, but not every disk has links.
             if os.path.lexists(self._place):
                 self._result[self._member.name] = "differing"
                 return
@@ -199,7 +199,7 @@ def _staging_folder(folder: Path) -> Iterator[Path]:
         if not try_lock(folder, handle):
             raise DownloadError(f"{folder}: another process is unpacking there; wait for that one")
         with _disk_named(staging):
-            if os.path.lexists(staging):  # of a run that was killed
+            if os.path.lexists(staging):  # left by a run that was killed
                 _remove(staging)
             staging.mkdir()
         try:

@@ -20,7 +20,7 @@ from eldata.metrics.similarity import ssim
 from eldata.protocols.kinds import IMAGES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from eldata.protocols import Protocol
 
@@ -92,7 +92,26 @@ class _MeanOverImages(Metric):
         return torch.tensor(_exact_mean(values), dtype=torch.float64, device=self.device)
 
 
-class PSNR(_MeanOverImages):
+class _OneScore(_MeanOverImages):
+    """The mean of one function of two images and their data range."""
+
+    higher_is_better = True
+    measure: Callable[..., float]
+
+    def __init__(self, *, data_range: float = 1.0, threads: int | None = None, **kwargs: Any) -> None:
+        super().__init__(data_range, threads=threads, **kwargs)
+        check_data_range(data_range)
+        self.data_range = data_range
+
+    def _scores(self, prediction: torch.Tensor, reference: torch.Tensor) -> tuple[float, ...]:
+        return (self.measure(prediction, reference, data_range=self.data_range, threads=self.threads),)
+
+    def compute(self) -> torch.Tensor:
+        """Return the mean, float64; nan before any image."""
+        return self._mean(*self.columns)
+
+
+class PSNR(_OneScore):
     """Peak signal-to-noise ratio in dB, mean over images: :func:`eldata.metrics.psnr`. Nothing is clipped.
 
     Parameters
@@ -114,23 +133,11 @@ class PSNR(_MeanOverImages):
     20.0
     """
 
-    higher_is_better = True
     columns = ("psnr_db",)
-
-    def __init__(self, *, data_range: float = 1.0, threads: int | None = None, **kwargs: Any) -> None:
-        super().__init__(data_range, threads=threads, **kwargs)
-        check_data_range(data_range)
-        self.data_range = data_range
-
-    def _scores(self, prediction: torch.Tensor, reference: torch.Tensor) -> tuple[float, ...]:
-        return (psnr(prediction, reference, data_range=self.data_range, threads=self.threads),)
-
-    def compute(self) -> torch.Tensor:
-        """Return the mean, float64; nan before any image."""
-        return self._mean("psnr_db")
+    measure = staticmethod(psnr)
 
 
-class SSIM(_MeanOverImages):
+class SSIM(_OneScore):
     """Structural similarity, mean over images: :func:`eldata.metrics.ssim`. Nothing is clipped.
 
     Parameters
@@ -143,20 +150,8 @@ class SSIM(_MeanOverImages):
         As for every ``torchmetrics.Metric``.
     """
 
-    higher_is_better = True
     columns = ("ssim",)
-
-    def __init__(self, *, data_range: float = 1.0, threads: int | None = None, **kwargs: Any) -> None:
-        super().__init__(data_range, threads=threads, **kwargs)
-        check_data_range(data_range)
-        self.data_range = data_range
-
-    def _scores(self, prediction: torch.Tensor, reference: torch.Tensor) -> tuple[float, ...]:
-        return (ssim(prediction, reference, data_range=self.data_range, threads=self.threads),)
-
-    def compute(self) -> torch.Tensor:
-        """Return the mean, float64; nan before any image."""
-        return self._mean("ssim")
+    measure = staticmethod(ssim)
 
 
 class ProtocolScore(_MeanOverImages):

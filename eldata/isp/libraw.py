@@ -46,14 +46,12 @@ def render_libraw(path: Path | str, *, bits: Bits = 8) -> NDArray[np.uint8] | ND
     Raises
     ------
     RawFileError
-        As :func:`eldata.raw.read_raw`; or if the file has no as-shot white balance or no colour matrix, in whose place
-        LibRaw would put its own; or is X-Trans with a side under 512 pixels, which LibRaw does not demosaic.
+        Like :func:`eldata.raw.read_raw`; or if the file has no as-shot white balance or no colour matrix, in place of
+        which LibRaw would put its own; or is X-Trans with a side under 512 pixels, which LibRaw does not demosaic.
     ArgumentError
         If ``bits`` is neither 8 nor 16.
     """
-    import rawpy
-
-    from eldata.raw.reading import read_raw
+    from eldata.raw.reading import opened_raw, read_raw
 
     if bits not in get_args(Bits):
         raise ArgumentError(f"bits must be 8 or 16; found {bits!r}")
@@ -65,32 +63,20 @@ def render_libraw(path: Path | str, *, bits: Bits = 8) -> NDArray[np.uint8] | ND
         raise RawFileError(path, "states no as-shot white balance; LibRaw would put one of its own in its place")
     if frame.sensor.xyz_to_camera is None:
         raise RawFileError(
-            path, "has no colour matrix, nor has LibRaw one for its camera; LibRaw would show the camera's own colours"
+            path, "has no colour matrix, and LibRaw has none for its camera; LibRaw would show the camera's own colours"
         )
     if len(frame.sensor.cfa) == 6 and min(frame.mosaic.shape) < _LEAST_XTRANS_SIDE:
         raise RawFileError(
             path,
-            f"{frame.sensor.height} x {frame.sensor.width} pixels: LibRaw demosaics no X-Trans picture with a side "
-            f"under {_LEAST_XTRANS_SIDE}",
+            f"{frame.sensor.height} x {frame.sensor.width} pixels: LibRaw does not demosaic X-Trans pictures with a "
+            f"side under {_LEAST_XTRANS_SIDE}",
         )
     del frame  # its pixels
-    raw = rawpy.RawPy()  # not rawpy.imread, which warns in every forked process
-    try:
-        raw.open_file(str(path))
-        raw.set_unpack_params(shot_select=0)
-        raw.unpack()
+    with opened_raw(path, "render") as raw:
         rendered: NDArray[Any] = raw.postprocess(
             use_camera_wb=True, half_size=False, no_auto_bright=True, output_bps=16
         )
-    except rawpy.LibRawError as error:
-        reason = error.args[0] if error.args else error
-        text = reason.decode(errors="replace") if isinstance(reason, bytes) else str(reason)
-        raise RawFileError(path, f"LibRaw cannot render it ({text}); is the file whole?") from error
-    finally:
-        raw.close()
-    if bits == 16:
-        return rendered
-    return sixteen_to_eight_bits(rendered)
+    return rendered if bits == 16 else sixteen_to_eight_bits(rendered)
 
 
 def sixteen_to_eight_bits(values: NDArray[np.uint16]) -> NDArray[np.uint8]:

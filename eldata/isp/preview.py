@@ -22,7 +22,7 @@ def srgb_encode(linear: NDArray[Any]) -> NDArray[Any]:
 
 
 def preview(packed: NDArray[np.floating[Any]], sensor: Sensor) -> NDArray[np.uint8]:
-    """Render packed raw data for viewing: one pixel a packed pixel, no demosaicing.
+    """Render packed raw data for viewing: one pixel per packed pixel, no demosaicing.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def preview(packed: NDArray[np.floating[Any]], sensor: Sensor) -> NDArray[np.uin
     Raises
     ------
     ArgumentError
-        If there are neither 4 nor 9 channels.
+        If there are not 4 or 9 channels.
     """
     if packed.ndim != 3 or packed.shape[0] not in CHANNELS_OF_COLOUR:
         raise ArgumentError(f"expected packed data (4, h, w) or (9, h, w); found shape {packed.shape}")

@@ -35,9 +35,9 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 _MOST_BLOCKS = 1 << 14
-_FLAT = 0.02  # of full brightness: the standard deviation inside of a block that counts as flat
+_FLAT = 0.02  # of full brightness: the standard deviation inside a block that counts as flat
 _LEAST_PAIRS = 20  # for each component
-# A fitted inverse rises by at least this from point to point: an inverse that stands still is none.
+# A fitted inverse rises by at least this from point to point: one that stands still is not an inverse.
 _LEAST_RISE = 1e-7
 _GRID_POINTS = 1024  # as EMoR
 _MOST_STEPS = 100
@@ -140,7 +140,7 @@ class CurveModel:
         Raises
         ------
         ArgumentError
-            If it has not so many.
+            If it has fewer.
         """
         if not 1 <= components <= len(self.components):
             raise ArgumentError(

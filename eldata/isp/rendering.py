@@ -103,7 +103,7 @@ class CameraColour:
 class Rendering:
     """Packed raw to sRGB as the paper has it; ``rendering(packed)`` renders.
 
-    White balance, clip to [0, 1], the greens averaged (one RGB pixel a packed pixel), camera to sRGB, clip to [0, 1],
+    White balance, clip to [0, 1], the greens averaged (one RGB pixel per packed pixel), camera to sRGB, clip to [0, 1],
     response.
 
     Attributes
@@ -123,7 +123,7 @@ class Rendering:
 
     @classmethod
     def of(cls, sensors: Sensor | Sequence[Sensor], response: Response = PAPER_GAMMA) -> Rendering:
-        """Return the rendering with the white balance and matrix of a sensor, or of one sensor a batch item.
+        """Return the rendering with the white balance and matrix of a sensor, or of one sensor per batch item.
 
         Raises
         ------
@@ -136,7 +136,7 @@ class Rendering:
         return cls(tuple(CameraColour.of(sensor) for sensor in each), response)
 
     def linear(self, packed: torch.Tensor) -> torch.Tensor:
-        """Return linear sRGB, clipped to [0, 1]: everything but the response. Arguments and errors as of a call."""
+        """Return linear sRGB, clipped to [0, 1]: everything but the response. Arguments and errors are a call's."""
         import torch
 
         def values(name: str) -> torch.Tensor:
@@ -163,7 +163,7 @@ class Rendering:
         Raises
         ------
         ArgumentError
-            If the shape or dtype is another, or the batch has not one item a camera.
+            If the shape or dtype does not fit, or the batch does not have one item per camera.
         """
         return self.response(self.linear(packed))
 
@@ -178,5 +178,6 @@ class Rendering:
         rows = "; ".join(numbers(row) for row in first.camera_to_srgb)
         return (
             f"white balance R, G1, B, G2 = {numbers(first.white_balance)}{others}; clip to [0, 1]; greens averaged, "
-            f"one RGB pixel a packed pixel; camera to sRGB [{rows}]{others}; clip to [0, 1]; {self.response.describe()}"
+            f"one RGB pixel per packed pixel; camera to sRGB [{rows}]{others}; clip to [0, 1]; "
+            f"{self.response.describe()}"
         )

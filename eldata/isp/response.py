@@ -37,7 +37,7 @@ class ResponseCurve:
     ------
     ArgumentError
         If the shapes differ, there are fewer than 2 points, a number is not finite, irradiance does not rise,
-        brightness falls, or an end is another.
+        brightness falls, or an end is elsewhere.
     """
 
     irradiance: NDArray[np.float64]
@@ -92,7 +92,7 @@ class ResponseCurve:
     def inverse(self, brightness: torch.Tensor) -> torch.Tensor:
         """Return an irradiance that has this brightness; ``curve(curve.inverse(b)) == b`` up to rounding.
 
-        Where the curve is flat it is the least one. Arguments and errors as of a call.
+        Where the curve is flat it is the lowest one. Arguments and errors are a call's.
         """
         return self._interpolated(brightness, self.brightness, self.irradiance)
 

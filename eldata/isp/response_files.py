@@ -9,7 +9,7 @@ table
     Lines of 2 numbers (irradiance, brightness) or 4 (irradiance, brightness of R, G, B), separated by white space,
     commas or semicolons; ``#`` starts a comment.
 DoRF (dorfCurves.txt)
-    Six lines a curve: name, kind, ``I =``, the irradiances, ``B =``, the brightnesses.
+    Six lines per curve: name, kind, ``I =``, the irradiances, ``B =``, the brightnesses.
 EMoR (emor.txt, invemor.txt)
     Sections of a label line that ends in ``=`` and lines of numbers: the grid (``E =`` or ``B =``), the mean curve
     (``f0 =`` or ``g0 =``), the components (``h(1)=`` or ``hinv(1)=`` and so on).
@@ -31,8 +31,6 @@ from eldata.isp.radiometric import CurveModel
 from eldata.isp.response import ResponseCurve
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
 _SEPARATORS = re.compile(r"[\s,;]+")
@@ -119,7 +117,7 @@ def read_dorf(path: Path | str) -> tuple[ResponseCurve, ...]:
     lines = _lines(path, comments=False)
     if not lines or len(lines) % _DORF_LINES:
         raise ResponseFileError(
-            path, f"expected six lines a curve; found {len(lines)} lines: cut short, or another layout"
+            path, f"expected six lines per curve; found {len(lines)} lines: cut short, or a different layout"
         )
     curves = []
     for at in range(0, len(lines), _DORF_LINES):
@@ -198,13 +196,8 @@ def _numbers(path: Path, number: int, line: str) -> list[float]:
     return values
 
 
-def _curve(
-    path: Path,
-    irradiance: NDArray[np.float64] | Sequence[float],
-    brightness: NDArray[np.float64] | Sequence[float],
-    name: str,
-) -> ResponseCurve:
+def _curve(path: Path, irradiance: NDArray[np.float64], brightness: NDArray[np.float64], name: str) -> ResponseCurve:
     try:
-        return ResponseCurve(np.asarray(irradiance), np.asarray(brightness), name)
+        return ResponseCurve(irradiance, brightness, name)
     except ArgumentError as error:
         raise ResponseFileError(path, str(error)) from error

@@ -49,7 +49,7 @@ def render_pair_for_scoring(
     Raises
     ------
     ArgumentError
-        If the shapes are others or differ, a value is NaN or infinite, or the sensor lacks white balance or matrix.
+        If the shapes do not fit or differ, a value is NaN or infinite, or the sensor lacks white balance or matrix.
     """
     import torch
 

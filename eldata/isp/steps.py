@@ -47,7 +47,7 @@ def white_balance(packed: torch.Tensor, multipliers: torch.Tensor) -> torch.Tens
     Raises
     ------
     ArgumentError
-        If a shape is another.
+        If a shape does not fit.
     """
     _check_packed(packed)
     per_item = _per_item(multipliers, (4,), packed, "the white balance's multipliers")
@@ -57,7 +57,7 @@ def white_balance(packed: torch.Tensor, multipliers: torch.Tensor) -> torch.Tens
 
 
 def bin_colours(packed: torch.Tensor) -> torch.Tensor:
-    """Average the packed channels of each colour: one RGB pixel a packed pixel, no demosaicing.
+    """Average the packed channels of each colour: one RGB pixel per packed pixel, no demosaicing.
 
     Bayer: R, (G1 + G2) / 2, B. X-Trans: the means of the 2 reds, 5 greens and 2 blues of a 3 x 3 block, which the paper
     does not have.
@@ -75,7 +75,7 @@ def bin_colours(packed: torch.Tensor) -> torch.Tensor:
     Raises
     ------
     ArgumentError
-        If the shape is another.
+        If the shape does not fit.
     """
     import torch
 
@@ -97,7 +97,7 @@ def colour_matrix(rgb: torch.Tensor, matrix: torch.Tensor) -> torch.Tensor:
     Raises
     ------
     ArgumentError
-        If a shape is another.
+        If a shape does not fit.
     """
     import torch
 
@@ -149,7 +149,7 @@ def _check_packed(packed: torch.Tensor) -> None:
 
 
 def _per_item(values: torch.Tensor, shape: tuple[int, ...], image: torch.Tensor, name: str) -> torch.Tensor:
-    """Return values of ``shape``, one set or one a batch item, so that they broadcast over the image's leading ones."""
+    """Return values of ``shape``, one set or one per batch item, to broadcast over the image's leading axes."""
     values = values.to(device=image.device, dtype=image.dtype)
     if values.shape == shape:
         return values

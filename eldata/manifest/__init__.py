@@ -1,4 +1,4 @@
-"""Manifests: one row a file, with a dataset card beside it. Needs neither torch nor rawpy to import."""
+"""Manifests: one row per file, with a dataset card beside it. Importing it needs neither torch nor rawpy."""
 
 import lazy_loader
 

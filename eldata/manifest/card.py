@@ -16,20 +16,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Download:
-    """A place to get the files from.
+    """A place where files can be downloaded.
 
     Attributes
     ----------
     address, size_bytes, notes
         Web address, its size if known, and what to know about it.
     direct
-        Whether the publisher lets a program fetch it; the others are web pages for a person.
+        Whether the publisher lets programs fetch it; the others are web pages for people.
     part
-        Name of the archive's share of the dataset, if it comes in several.
+        Name of the archive's part of the dataset, if there are several.
     paths
         Pattern of the manifest's paths that the archive holds.
     below
-        Folder of the dataset to unpack it into if the manifest lists none of its files; ``None``: not known.
+        Folder of the dataset to unpack it into, if the manifest lists none of its files; ``None``: not known.
     sha256
         ``sha256:<hex>`` of the archive, if published.
     about
@@ -71,7 +71,7 @@ class Card:
     counts
         Expected number of rows per role.
     subsets
-        Named choices of pairs. The first is the one that ``eldata evaluate`` scores if no other is named.
+        Named choices of pairs. ``eldata evaluate`` scores the first one by default.
     known_defects, sources
         What is wrong with the published files, and where this card's facts come from.
     """

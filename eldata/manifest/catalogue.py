@@ -53,7 +53,7 @@ def load_manifest(path: Path | str) -> Manifest:
     Raises
     ------
     ManifestError
-        If either is malformed, a row's camera is not on the card, or the rows are not as many as the card expects.
+        If either is malformed, a row's camera is not on the card, or the card expects another number of rows.
     """
     path = Path(path)
     records = load_records(path)
@@ -76,7 +76,7 @@ def save_manifest(path: Path | str, card: Card, records: Iterable[FrameRecord]) 
     Raises
     ------
     ManifestError
-        If rows and card do not fit each other.
+        If rows and card contradict each other.
     EldataError
         If a file cannot be written.
     """
@@ -103,7 +103,7 @@ def shipped_manifest(name: str) -> Manifest:
     Raises
     ------
     ManifestError
-        If there is none of that name; the message lists those that there are.
+        If the name is unknown; the message lists the known ones.
     """
     if name not in shipped_names():
         raise ManifestError(f"no dataset is called {name!r}; known are {', '.join(shipped_names())}")

@@ -24,6 +24,15 @@ def is_png(path: str) -> bool:
     return path.lower().endswith(".png")
 
 
+def size_findings(record: FrameRecord, width: int, height: int, advice: str) -> list[Finding]:
+    """Compare a file's size in pixels with the row's, if that has one."""
+    return [
+        Finding(record.path, name, str(size), str(found), advice)
+        for name, size, found in (("width", record.width, width), ("height", record.height, height))
+        if size is not None and size != found
+    ]
+
+
 def png_findings(folder: Path, record: FrameRecord) -> list[Finding]:
     """Check one PNG frame's header and end: that it is whole, 16-bit RGB, of the recorded size."""
     try:
@@ -33,18 +42,11 @@ def png_findings(folder: Path, record: FrameRecord) -> list[Finding]:
     if (header.bit_depth, header.colour) != (16, "RGB"):
         advice = "this file was converted: take the original"
         return [Finding(record.path, "content", "a 16-bit RGB PNG", str(header), advice)]
-    return [
-        Finding(record.path, name, str(size), str(found), "this file is of another clip or was scaled")
-        for name, size, found in (
-            ("width", record.width, header.width),
-            ("height", record.height, header.height),
-        )
-        if size is not None and size != found
-    ]
+    return size_findings(record, header.width, header.height, "this file is of another clip or was scaled")
 
 
 def png_decode_findings(folder: Path, record: FrameRecord) -> list[Finding]:
-    """Decode one PNG frame, which checks the checksums that the format has of every part."""
+    """Decode one PNG frame, which verifies the checksum of every part."""
     try:
         read_rgb16(folder / record.path)
     except FileError as error:
@@ -60,13 +62,13 @@ def png_size_findings(folder: Path, records: Iterable[FrameRecord]) -> list[Find
             try:
                 header = read_png_header(folder / record.path)
             except FileError:
-                continue  # named already
+                continue  # reported already
             sizes[record.scene][record.path] = f"{header.width} x {header.height}"
     findings = []
     for of_path in sizes.values():
         usual = Counter(of_path.values()).most_common(1)[0][0]
         findings += [
-            Finding(path, "size", f"{usual} as the clip's other files", size, "is this file of another clip?")
+            Finding(path, "size", f"{usual}, like the clip's other files", size, "is this file of another clip?")
             for path, size in of_path.items()
             if size != usual
         ]
@@ -78,8 +80,8 @@ def exposure_findings(
 ) -> list[Finding]:
     """Compare ISO times exposure time of the raw frames of each clip with each other and with their reference's.
 
-    For rows without a nominal ratio, where that is all that can be said: a frame of another clip or a swapped reference
-    shows if its exposure differs.
+    For rows without a nominal ratio, where nothing else can be checked: a frame of another clip or a swapped reference
+    is found if its exposure differs.
     """
     clips: dict[str, list[FrameRecord]] = defaultdict(list)
     for record in records:
@@ -91,7 +93,7 @@ def exposure_findings(
         usual = Counter(exposures).most_common(1)[0][0] or 0
         for frame, product in zip(frames, exposures, strict=True):
             if product is not None and abs(product - usual) > tolerance * usual:
-                expected = f"{float(usual):.6g} (ISO times seconds) as most frames of the clip"
+                expected = f"{float(usual):.6g} (ISO times seconds), like most frames of the clip"
                 advice = "is this a frame of another clip, or the reference?"
                 findings.append(Finding(frame.path, "exposure", expected, f"{float(product):.6g}", advice))
         reference = frames[0].reference

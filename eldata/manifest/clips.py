@@ -1,7 +1,7 @@
 """Clips of a manifest: rows of one scene in the order of their numbers, and windows of consecutive frames.
 
-Rows of role ``noisy`` with the same scene are a clip, their common ``reference`` is its reference. Positions count from
-0 in the clip, whatever the numbers in the file names.
+Rows of role ``noisy`` with the same scene are a clip, and their common ``reference`` is its reference. Positions in a
+clip count from 0, whatever the numbers in the file names.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Clip:
     frames
         Files of its frames in order, POSIX paths relative to the dataset's folder.
     numbers
-        The running number in each frame's name, if there is one.
+        The running number in each frame's name, if the names have one.
     reference
         The file of its reference, if it has one.
     """
@@ -54,7 +54,7 @@ class Clip:
     reference: str | None
 
     def continuous(self, start: int, stop: int) -> bool:
-        """Return whether no number is left out between the frames at these positions."""
+        """Return whether no number is missing between the frames at these positions."""
         return self.numbers is None or self.numbers[stop - 1] - self.numbers[start] == stop - 1 - start
 
 
@@ -182,12 +182,12 @@ def frame_range(name: FrameRange, count: int) -> range:
     """Return the positions of a named choice of frames in a clip of ``count`` frames.
 
     ``"all"``; ``"authors"``: 4 to ``count - 4``, the frames that the DRV repository's test_video.py takes;
-    ``"evaluation"``: 4 to 8, five continuous frames a clip as in the ELD paper.
+    ``"evaluation"``: 4 to 8, five continuous frames per clip as in the ELD paper.
 
     Raises
     ------
     ArgumentError
-        If there is no choice of that name.
+        If the name is unknown.
     """
     check_choice("frames", name, FRAME_RANGES)
     chosen = {"all": range(count), "authors": range(4, count - 3), "evaluation": EVALUATION_FRAMES}[name]
@@ -195,9 +195,9 @@ def frame_range(name: FrameRange, count: int) -> range:
 
 
 def windows(clip: Clip, *, length: int, stride: int, frames: FrameRange) -> list[ClipRecord]:
-    """Return the windows of ``length`` consecutive frames, ``stride`` apart, that lie inside of a named range.
+    """Return the windows of ``length`` consecutive frames, ``stride`` apart, that lie inside a named range.
 
-    A window in which a number is left out is no window of consecutive frames: it is not returned.
+    A window in which a number is missing is left out: its frames are not consecutive.
 
     Raises
     ------

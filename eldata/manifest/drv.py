@@ -8,7 +8,7 @@ preprocessed
     ``long/<clip>/half0001*.png``, both 16-bit RGB. Neither names nor numbers of the frames are published, so the
     shipped rows are patterns (:mod:`eldata.manifest.patterns`).
 raw
-    The camera's own files, in the archives ``short1`` to ``short5`` and ``long``. How they lie there is not published:
+    The camera's own files, in the archives ``short1`` to ``short5`` and ``long``. Their layout is not published:
     :func:`scan_raw` looks and says what it found.
 """
 
@@ -45,7 +45,7 @@ _SHOWN = 5
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """How a copy's files lie: for each kind of name, how many clips and files have it.
+    """How a copy's files are laid out: for each kind of name, how many clips and files have it.
 
     Attributes
     ----------
@@ -85,14 +85,14 @@ class Layout:
         low, high = self.frames_per_clip
         lone = self.without_reference
         return (
-            f"{kinds or 'no files'}; {low} to {high} frames a clip"
+            f"{kinds or 'no files'}; {low} to {high} frames per clip"
             f"{f'; without a reference: {_some(lone)}' if lone else ''}"
         )
 
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """The files of one copy as a manifest: its card, its rows, one a file, and notes on what was left out."""
+    """The files of one copy as a manifest: its card, its rows, one per file, and notes on what was left out."""
 
     card: Card
     records: tuple[FrameRecord, ...]
@@ -100,7 +100,7 @@ class Scan:
 
     @property
     def layout(self) -> Layout:
-        """How the files lie."""
+        """How the files are laid out."""
         return Layout.of(self.records)
 
     def save(self, path: Path | str) -> Manifest:
@@ -143,8 +143,8 @@ def scan_preprocessed(folder: Path | str) -> Scan:
 def scan_raw(folder: Path | str, *, reference: str = "*") -> Scan:
     """List the camera raws of a copy, wherever its archives were unpacked below ``folder``.
 
-    A file belongs to the clip whose name one of its folders has. It is a reference if one of its folders is called
-    ``long``, a noisy frame if one is called ``short`` or begins so. Nothing else is assumed, and what does not fit is
+    A file belongs to the clip that one of its folders is named after. It is a reference if one of its folders is called
+    ``long``, a noisy frame if the name of one begins with ``short``. Nothing else is assumed, and what does not fit is
     an error. Raws of dynamic clips below ``long`` are left out: what they are is not published.
 
     Parameters
@@ -158,8 +158,8 @@ def scan_raw(folder: Path | str, *, reference: str = "*") -> Scan:
     Raises
     ------
     DatasetError
-        If there is no raw file; if raws lie elsewhere than described; if a clip's files lie in several folders, or
-        several fit ``reference``. The message says what was found.
+        If there is no raw file; if raws lie anywhere else; if a clip's files lie in several folders, or several fit
+        ``reference``. The message says what was found.
     """
     folder = Path(folder)
     published = shipped_manifest("drv")
@@ -174,8 +174,8 @@ def scan_raw(folder: Path | str, *, reference: str = "*") -> Scan:
     stray, noisy, bright, unused = found[""][""], found["noisy"], found["reference"], found[UNUSED]
     if stray:
         raise DatasetError(
-            f"{folder}: cannot tell to which clip {len(stray)} raw files belong, such as {_some(stray)}; expected each "
-            "below a folder called short, short1 ... or long, in one called as a clip is (0001, M0000)"
+            f"{folder}: cannot tell which clip {len(stray)} raw files belong to, such as {_some(stray)}; expected each "
+            "below a folder called short, short1 ... or long, in one named after a clip (0001, M0000)"
         )
     if not noisy:
         raise DatasetError(f"{folder}: holds no camera raw of a clip, such as short/0001/<name>.ARW")

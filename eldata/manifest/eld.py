@@ -10,7 +10,7 @@ sid_dataset.py for names and the choice of reference; PMN's and LED's file lists
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
 from typing import TYPE_CHECKING
@@ -34,7 +34,7 @@ class EldCamera:
     name
         Its folder.
     extension
-        Of its files, with the dot, in the case that the files have.
+        Of its files, with the dot, upper or lower case as in the file names.
     reference_iso
         ISO of the references, where known.
     reference_exposure_s
@@ -65,40 +65,29 @@ def eld_records(
     ``ratio`` is the nominal low-light factor. Exposure times of noisy frames follow from the references' where those
     are known: t_noisy = ISO_ref t_ref / (ISO_noisy f). ``flags`` are given by path.
     """
-    flags = flags or {}
     rows = []
     for camera in cameras:
         for scene in scenes:
             reference_iso = None if camera.reference_iso is None else Fraction(camera.reference_iso)
             reference_exposure_s = (camera.reference_exposure_s or {}).get(scene)
             frame = partial(FrameRecord, camera=camera.name, scene=f"scene-{scene}", split="test")
-            for number in REFERENCE_NUMBERS:
-                path = frame_path(camera, scene, number)
-                rows.append(
-                    frame(
-                        path=path,
-                        role="reference",
-                        iso=reference_iso,
-                        exposure_s=reference_exposure_s,
-                        flags=flags.get(path, ()),
-                    )
-                )
+            reference = partial(frame, role="reference", iso=reference_iso, exposure_s=reference_exposure_s)
+            rows += [reference(path=frame_path(camera, scene, number)) for number in REFERENCE_NUMBERS]
             for i, iso in enumerate(NOISY_ISOS):
                 for k, factor in enumerate(LOW_LIGHT_FACTORS):
                     number = 5 * i + 2 + k
-                    path = frame_path(camera, scene, number)
                     exposure_s = None
                     if reference_iso is not None and reference_exposure_s is not None:
                         exposure_s = reference_iso * reference_exposure_s / (iso * factor)
                     rows.append(
                         frame(
-                            path=path,
+                            path=frame_path(camera, scene, number),
                             role="noisy",
                             iso=Fraction(iso),
                             exposure_s=exposure_s,
                             ratio=Fraction(factor),
                             reference=frame_path(camera, scene, nearest_reference(number)),
-                            flags=flags.get(path, ()),
                         )
                     )
-    return tuple(sorted(rows, key=lambda row: row.path))
+    flagged = [replace(row, flags=flags[row.path]) if flags and row.path in flags else row for row in rows]
+    return tuple(sorted(flagged, key=lambda row: row.path))

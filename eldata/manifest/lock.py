@@ -1,4 +1,4 @@
-"""Filling a manifest's sizes and hashes in from a copy that its user trusts."""
+"""Filling in a manifest's sizes and hashes from a copy that its user trusts."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class LockReport:
-    """The result of :func:`lock`: the checks made first, and what was filled in (nothing if there were problems)."""
+    """The result of :func:`lock`: the checks made first, and how much was filled in: nothing if there were problems."""
 
     checks: VerifyReport
     problems: tuple[Problem, ...]

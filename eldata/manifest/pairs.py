@@ -6,6 +6,7 @@ from bisect import bisect
 from operator import attrgetter
 from typing import TYPE_CHECKING, TypedDict, TypeVar, Unpack
 
+from eldata.base.fields import names_of
 from eldata.errors import ArgumentError
 from eldata.manifest.subsets import find_subset
 from eldata.records import PairRecord
@@ -22,7 +23,9 @@ Item = TypeVar("Item", "PairRecord", "FrameRecord")
 # Flag of a frame whose ISO the publisher states in two ways: its exposure ratio cannot be checked.
 UNCERTAIN_ISO = "uncertain-iso"
 
-# Known values in a message: all of up to so many, or so many on each side.
+_OF_PAIRS = names_of(PairRecord)
+
+# Known values in a message: all if there are no more than this, else this many on each side of the wanted one.
 _SHOWN, _NEAR = 30, 5
 
 
@@ -103,7 +106,7 @@ def select_pairs(
         Wanted values. A scene is its name or its number: 3 for ``scene-3``, 34 for ``00034``. A ratio is the nominal
         one.
     subset
-        A named choice, of the manifest's card; the other values choose among its pairs.
+        A named choice from the manifest's card; the other values choose among its pairs.
     exclude_flags
         Pairs with one of these flags are left out.
 
@@ -112,20 +115,10 @@ def select_pairs(
     ArgumentError
         If a value does not occur; the message lists those that do. If no pair has all of them.
     ManifestError
-        If the subset has not as many pairs as its card says.
+        If the subset has another number of pairs than its card says.
     """
     pairs = [
-        PairRecord(
-            path=record.path,
-            reference=record.reference,
-            camera=record.camera,
-            scene=record.scene,
-            split=record.split,
-            iso=record.iso,
-            exposure_s=record.exposure_s,
-            ratio=record.ratio,
-            flags=record.flags,
-        )
+        PairRecord(**{name: getattr(record, name) for name in _OF_PAIRS})
         for record in records
         if record.role == "noisy" and record.reference is not None and record.ratio is not None
     ]

@@ -1,8 +1,8 @@
 """Rows that stand for several files, where the names are not published: the last part of the path has a ``*``.
 
-``VBM4D_rawRGB/0001/*.png`` is every PNG file of that folder. :func:`expand` puts the files of one copy in the place of
-such rows; ``eldata lock`` writes them into the manifest. Until then a missing file shows as a gap in the numbering, or
-not at all: how many there should be is not known.
+``VBM4D_rawRGB/0001/*.png`` is every PNG file of that folder. :func:`expand` replaces such rows by the files of one
+copy; ``eldata lock`` writes those into the manifest. Until then a missing file shows as a gap in the numbering, or not
+at all: how many there should be is not known.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def matching(folder: Path, pattern: str) -> tuple[str, ...]:
 
 
 def expand(records: Iterable[FrameRecord], folder: Path) -> tuple[FrameRecord, ...]:
-    """Return rows with the files of a copy in the place of patterns, sorted by path.
+    """Return rows in which the files of a copy replace the patterns, sorted by path.
 
     A pattern that matches nothing stays, and so does one in ``reference`` unless it matches one file.
     """
@@ -78,7 +78,7 @@ def expand(records: Iterable[FrameRecord], folder: Path) -> tuple[FrameRecord, .
 
 
 def pattern_findings(records: Iterable[FrameRecord], folder: Path) -> list[Finding]:
-    """Return what is wrong with the files that patterns match: several references, names or numbers out of line."""
+    """Return what is wrong with the files that patterns match: several references, odd names, gaps in the numbers."""
     findings = []
     for row in records:
         if not is_pattern(row.path):
@@ -162,14 +162,9 @@ def sequence_findings(paths: Sequence[str]) -> list[Finding]:
         Finding(f"{parent}", "number", f"each frame once, and so one frame {number}", "two", "move one away")
         for number in sequence.doubles
     ]
-    findings += [
-        Finding(
-            f"{parent}",
-            "number",
-            f"frames {(sequence.numbers or (0,))[0]} to {(sequence.numbers or (0,))[-1]} without a gap",
-            f"none of {first}" if first == last else f"none of {first} to {last}",
-            advice,
-        )
-        for first, last in sequence.gaps
-    ]
+    for first, last in sequence.gaps:
+        numbers = sequence.numbers or (first, last)
+        expected = f"frames {numbers[0]} to {numbers[-1]} without a gap"
+        found = f"no frame {first}" if first == last else f"no frames {first} to {last}"
+        findings.append(Finding(f"{parent}", "number", expected, found, advice))
     return findings

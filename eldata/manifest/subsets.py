@@ -47,12 +47,12 @@ class Subset:
         )
 
     def choose(self, pairs: Sequence[PairRecord]) -> list[PairRecord]:
-        """Return the pairs of this subset, out of all of a dataset.
+        """Return the pairs of this subset, given all pairs of a dataset.
 
         Raises
         ------
         ManifestError
-            If they are not as many as expected.
+            If their number is not the expected one.
         """
         chosen = [pair for pair in pairs if self.holds(pair)]
         if len(chosen) != self.pairs:
@@ -68,7 +68,7 @@ def find_subset(subsets: Sequence[Subset], name: str) -> Subset:
     Raises
     ------
     ArgumentError
-        If there is none of that name; the message lists those that there are.
+        If the name is unknown; the message lists the known ones.
     """
     for subset in subsets:
         if subset.name == name:

@@ -8,7 +8,7 @@ import re
 from fractions import Fraction
 from typing import TYPE_CHECKING, get_args
 
-from eldata.base.fields import TextFile, TextRow, shown
+from eldata.base.fields import TextFile, TextRow, names_of, shown
 from eldata.base.files import path_problem, write_text
 from eldata.errors import ArgumentError, ManifestError
 from eldata.records import FrameRecord, Role
@@ -17,22 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-COLUMNS = (
-    "path",
-    "role",
-    "camera",
-    "scene",
-    "split",
-    "iso",
-    "exposure_s",
-    "ratio",
-    "reference",
-    "width",
-    "height",
-    "size_bytes",
-    "sha256",
-    "flags",
-)
+COLUMNS = names_of(FrameRecord)
 ROLES: tuple[Role, ...] = get_args(Role)
 
 _LARGEST_BYTES = 1 << 30  # millions of rows
@@ -43,15 +28,10 @@ _NAME = re.compile(r"[\w.+-]{1,255}")
 
 def number_text(value: Fraction) -> str:
     """Return a fraction as exact text: ``800``, ``0.005`` where at most nine decimals do, else ``1/30``."""
-    scaled, denominator, digits = value.numerator, value.denominator, 0
-    while denominator % 10 == 0:
-        denominator, digits = denominator // 10, digits + 1
-    for prime, partner in ((2, 5), (5, 2)):
-        while denominator % prime == 0:
-            denominator, scaled, digits = denominator // prime, scaled * partner, digits + 1
-    if denominator != 1 or digits > _MOST_DECIMALS:
+    digits = next((digits for digits in range(_MOST_DECIMALS + 1) if 10**digits % value.denominator == 0), None)
+    if digits is None:
         return f"{value.numerator}/{value.denominator}"
-    text = str(scaled).rjust(digits + 1, "0")
+    text = str(int(value * 10**digits)).rjust(digits + 1, "0")
     return f"{text[:-digits]}.{text[-digits:]}" if digits else text
 
 
@@ -97,22 +77,19 @@ def save_records(path: Path, records: Iterable[FrameRecord]) -> None:
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
-    writer.writerows(_fields(record).values() for record in ordered)
+    writer.writerows([_text(getattr(record, column)) for column in COLUMNS] for record in ordered)
     for record, read_back in zip(ordered, _parse(TextFile(path, ManifestError, content=text.getvalue())), strict=True):
         if record != read_back:
             raise ManifestError(f"{path}, row {record.path!r}: cannot be written as text and read back the same")
     write_text(path, text.getvalue())
 
 
-def _fields(record: FrameRecord) -> dict[str, str]:
-    def text(value: object) -> str:
-        if isinstance(value, tuple):
-            return ";".join(value)
-        if isinstance(value, Fraction):
-            return number_text(value)
-        return "" if value is None else str(value)
-
-    return {column: text(getattr(record, column)) for column in COLUMNS}
+def _text(value: object) -> str:
+    if isinstance(value, tuple):
+        return ";".join(value)
+    if isinstance(value, Fraction):
+        return number_text(value)
+    return "" if value is None else str(value)
 
 
 def _record(row: TextRow) -> FrameRecord:

@@ -1,4 +1,4 @@
-"""Is what lies on the disk what the manifest says? Finds and lists every problem; never writes.
+"""Are the files on the disk what the manifest says? Finds and lists every problem; never writes.
 
 Levels, each with those before it:
 
@@ -30,6 +30,7 @@ from eldata.manifest.clip_checks import (
     png_decode_findings,
     png_findings,
     png_size_findings,
+    size_findings,
 )
 from eldata.manifest.pairs import UNCERTAIN_ISO
 from eldata.manifest.patterns import Finding, expand, pattern_findings
@@ -118,7 +119,7 @@ class VerifyReport:
         return {"level": self.level, "ok": self.ok, "datasets": datasets}
 
     def format_text(self) -> str:
-        """Return the report as text: each problem by file, then a line a dataset."""
+        """Return the report as text: each problem by file, then one line per dataset."""
         lines = [problem.format_text() for problem in self.problems]
         for dataset in self.datasets:
             if dataset.absent:
@@ -163,7 +164,7 @@ def verify(
     dataset
         Name of the one dataset to check; it must then be there.
     cameras
-        Check just these cameras' files, if you hold a part of a dataset.
+        Check just these cameras' files, if you have only part of a dataset.
     level
         See the module's text.
     workers
@@ -182,7 +183,7 @@ def verify(
         names = [manifest.name for manifest in chosen]
         chosen = [manifest for manifest in chosen if manifest.name == dataset]
         if not chosen:
-            raise ManifestError(f"no manifest of a dataset called {dataset!r}; found {', '.join(names)}")
+            raise ManifestError(f"no manifest is for a dataset called {dataset!r}; found {', '.join(names)}")
     known = sorted({camera for manifest in chosen for camera in manifest.card.cameras})
     for camera in cameras or ():
         if camera not in known:
@@ -206,7 +207,7 @@ def _verify_dataset(
     required: bool,
 ) -> DatasetReport:
     records = [record for record in manifest.records if not cameras or record.camera in cameras]
-    # Two datasets may share a folder and have one each in it (SID/Sony, SID/Fuji): who has one lacks the other whole.
+    # Two datasets may share a folder and have one each in it (SID/Sony, SID/Fuji): a copy of one may lack the other.
     tops = {record.path.partition("/")[0] for record in manifest.records}
     needed = folder / tops.pop() if len(tops) == 1 and not required else folder
     if not needed.is_dir():
@@ -268,7 +269,7 @@ def _check_presence(
             findings.append(Finding(record.path, "path", expected, "a link outside", str(error)))
             continue
         if size is None:
-            # One line for a whole folder that is not there, at the highest level that is not.
+            # One line for a whole missing folder, the topmost one that is missing.
             parents = (*reversed(Path(record.path).parents), Path(record.path))
             top = next((part.as_posix() for part in parents if not (folder / part).exists()), record.path)
             missing[top].append(record)
@@ -308,12 +309,12 @@ def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRec
 
     every = expand(manifest.records, folder)
     listed = {record.path for record in every}
-    # Beside references there may be other pictures of the scene (DRV); beside noisy PNG frames none.
+    # There may be other pictures of the scene beside references (DRV), but not beside noisy PNG frames.
     pictured = {
         Path(record.path).parent.as_posix() for record in every if record.role == "noisy" and is_png(record.path)
     }
     raw = {Path(path).parent.as_posix() for path in listed if Path(path).suffix.lower() in RAW_EXTENSIONS}
-    # A missing file's name in another case is reported there, with what to do.
+    # A missing file whose name differs in case alone is reported as missing, with what to do.
     respelled = {path.casefold() for path in listed if not (folder / path).exists()}
     findings = []
     count_in = Counter(Path(path).parent.as_posix() for path in listed)
@@ -324,7 +325,7 @@ def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRec
             path = name if parent == "." else f"{parent}/{name}"
             if path not in listed and path.casefold() not in respelled:
                 expected = f"the {count_in[parent]} listed raw files in this folder"
-                advice = "move it away, and make sure that the others were not numbered anew"
+                advice = "move it away, and make sure that the others were not renumbered"
                 findings.append(Finding(path, "file", expected, f"{len(raws)} raw files, this one unlisted", advice))
     return findings
 
@@ -332,9 +333,9 @@ def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRec
 # --- metadata and full ----------------------------------------------------------------------------------------
 
 Outcome: TypeAlias = "tuple[list[Finding], Fraction | None]"
-"""What is wrong with a file, and its ISO times exposure time, if it states both."""
+"""What is wrong with a file, and its ISO times its exposure time, if it states both."""
 
-# Findings of these fields say that the file is not what it should be as a whole: its bytes are not looked into further.
+# With a finding in one of these fields the whole file is wrong: its bytes are not checked further.
 _OF_CONTENT = ("content", "width", "height")
 
 
@@ -410,11 +411,7 @@ def _decode_findings(path: Path, record: FrameRecord) -> list[Finding]:
     except RawFileError as error:
         return [Finding(record.path, "content", "a raw file that decodes", error.reason, _AGAIN)]
     advice = "this file was taken in another mode or by another camera"
-    return [
-        Finding(record.path, field, str(size), str(found), advice)
-        for field, size, found in (("width", record.width, sensor.width), ("height", record.height, sensor.height))
-        if size is not None and size != found
-    ]
+    return size_findings(record, sensor.width, sensor.height, advice)
 
 
 def _packed_findings(path: Path, record: FrameRecord) -> list[Finding]:
@@ -438,7 +435,7 @@ def _check_ratios(records: Sequence[FrameRecord], product_of: Mapping[str, Fract
             continue
         reference, noisy = product_of.get(record.reference), product_of[record.path]
         if reference is None or noisy is None:
-            continue  # named already: missing, unreadable or without exposure
+            continue  # reported already: missing, unreadable or without exposure
         ratio = reference / noisy
         if abs(ratio - record.ratio) > RATIO_TOLERANCE * record.ratio:
             expected = f"{number_text(record.ratio)} to {record.reference}"

@@ -90,12 +90,10 @@ class Pair:
         channels, height, _ = self.prediction.shape
         margin = window - 1
         windows = height - margin
-        count = -(-windows // _BAND_ROWS)
-        edges = [windows * index // count for index in range(count + 1)]
         return [
             Band(channel, start, stop + margin, stop - start + (margin if stop == windows else 0))
             for channel in range(channels)
-            for start, stop in pairwise(edges)
+            for start, stop in _row_bands(windows)
         ]
 
     def over_bands(self, work: Callable[[Band], Result], threads: int | None, window: int = 1) -> list[Result]:
@@ -105,9 +103,7 @@ class Pair:
 
     def over_row_bands(self, work: Callable[[tuple[int, int]], Result], threads: int | None) -> list[Result]:
         """Return ``work((start, stop))`` of bands of rows of all channels, in order."""
-        height = self.prediction.shape[1]
-        count = -(-height // _BAND_ROWS)
-        bands = list(pairwise(height * index // count for index in range(count + 1)))
+        bands = _row_bands(self.prediction.shape[1])
         return in_threads(work, bands, 1 if self.prediction.size < _LEAST_FOR_THREADS_WINDOWED else threads)
 
     def blocks(self, band: Band) -> tuple[Block, Block]:
@@ -118,6 +114,12 @@ class Pair:
         block = np.require(image[band.channel, band.start : band.stop], self.dtype, ("C", "A", "E"))
         block.flags.writeable = False  # always, so that numba compiles each kernel once per dtype
         return block
+
+
+def _row_bands(rows: int) -> list[tuple[int, int]]:
+    """Return the start and the stop of bands of rows of about the same height."""
+    count = -(-rows // _BAND_ROWS)
+    return list(pairwise(rows * index // count for index in range(count + 1)))
 
 
 def pair(prediction: Image, reference: Image, *, smallest: int = 1) -> Pair:
@@ -167,3 +169,9 @@ def total(parts: Iterable[float]) -> float:
     for part in parts:
         result += part
     return result
+
+
+def totals(parts: Iterable[tuple[float, float]]) -> tuple[float, float]:
+    """Return :func:`total` of the first and of the second sums."""
+    first, second = zip(*parts, strict=True)
+    return total(first), total(second)

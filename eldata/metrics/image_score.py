@@ -68,14 +68,11 @@ class ScoringRules:
     ssim_covariance: Covariance = "sample"
 
     def check(self) -> None:
-        """Raise :class:`ArgumentError` if a field has a value that it cannot have."""
-        for name, value, known in (
-            ("rescaling", self.rescaling, RESCALINGS),
-            ("rescaling_mask", self.rescaling_mask, RESCALING_MASKS),
-            ("prediction_clamp", self.prediction_clamp, PREDICTION_CLAMPS),
-            ("rounding", self.rounding, ROUNDINGS),
-        ):
-            check_choice(name, value, known)
+        """Raise :class:`ArgumentError` if a field has an invalid value."""
+        check_choice("rescaling", self.rescaling, RESCALINGS)
+        check_choice("rescaling_mask", self.rescaling_mask, RESCALING_MASKS)
+        check_choice("prediction_clamp", self.prediction_clamp, PREDICTION_CLAMPS)
+        check_choice("rounding", self.rounding, ROUNDINGS)
         check_windowing(self.ssim_window, self.ssim_covariance)
         check_data_range(self.data_range)
         if not (self.mse_offset >= 0 and math.isfinite(self.mse_offset)):
@@ -141,8 +138,6 @@ def score(
         If an image is not one image of floating-point numbers or is smaller than 7 x 7, the shapes differ,
         or ``rescaling`` is neither of the two.
     """
-    if rescaling not in RESCALINGS:
-        raise ArgumentError(f'rescaling must be "none" or "scalar", not {rescaling!r}')
     return score_by(prediction, reference, ScoringRules(rescaling=rescaling), threads=threads)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, overload
 import numpy as np
 
 from eldata.base.tensors import is_tensor
-from eldata.metrics._images import check_threads, host_array, pair, total
+from eldata.metrics._images import check_threads, host_array, pair, totals
 from eldata.metrics._kernels import products
 
 if TYPE_CHECKING:
@@ -64,9 +64,8 @@ def factor_of(
     def work(band: Band) -> tuple[float, float]:
         return products(*images.blocks(band), low, high, left_out)
 
-    sums = images.over_bands(work, threads)
-    pp = total(part for _, part in sums)
-    return total(part for part, _ in sums) / pp if pp != 0.0 else 1.0
+    pg, pp = totals(images.over_bands(work, threads))
+    return pg / pp if pp != 0.0 else 1.0
 
 
 @overload
@@ -97,7 +96,7 @@ def rescale(prediction: Image, reference: Image) -> Image:
     factor = rescale_factor(prediction, reference)
     source = host_array(prediction, "the prediction")
     result = np.empty(source.shape, source.dtype)
-    for row in np.ndindex(source.shape[:-2]):  # per channel: the float64 intermediates are 8 bytes a pixel
+    for row in np.ndindex(source.shape[:-2]):  # per channel: the float64 intermediates are 8 bytes per pixel
         clamped = np.clip(source[row].astype(np.float64), 0.0, 1.0)
         clamped *= factor
         result[row] = np.clip(clamped, 0.0, 1.0)

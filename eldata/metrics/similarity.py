@@ -10,7 +10,7 @@ import numpy as np
 from eldata.errors import check_choice
 from eldata.metrics import _gaussian_kernels, _kernels
 from eldata.metrics._gaussian_kernels import RADIUS, WEIGHTS, gaussian_error_and_similarity
-from eldata.metrics._images import check_data_range, check_threads, pair, total
+from eldata.metrics._images import check_data_range, check_threads, pair, totals
 from eldata.metrics._kernels import error_and_similarity
 
 if TYPE_CHECKING:
@@ -55,11 +55,11 @@ def ssim(
     data_range
         The difference between the largest and the smallest possible value.
     window
-        ``"uniform-7"``: uniform, 7 x 7, averaged over the windows that lie inside of the image and over the channels.
-        ``"gaussian-11"``: 11 x 11 with standard deviation 1.5, else alike, as in the paper and its code (BasicSR,
-        LED). ``"gaussian-11-volume"``: MATLAB's ``ssim(A, ref)`` with default arguments on a colour image, which takes
-        it for a volume: 11 x 11 x 11 with standard deviation 1.5, one window for each value, the image continued
-        beyond its edges and its first and last channel by their own values.
+        ``"uniform-7"``: uniform, 7 x 7, averaged over the windows that lie inside the image and over the channels.
+        ``"gaussian-11"``: 11 x 11 with standard deviation 1.5, otherwise the same, as in the paper and its code
+        (BasicSR, LED). ``"gaussian-11-volume"``: MATLAB's ``ssim(A, ref)`` with default arguments on a colour image,
+        which takes it for a volume: 11 x 11 x 11 with standard deviation 1.5, one window for each value, the image
+        continued beyond its edges and its first and last channel by their own values.
     covariance
         ``"sample"``: unbiased by N / (N - 1) with N the window's entries, scikit-image's default; ``"population"``: as
         in the paper and in MATLAB.
@@ -86,8 +86,8 @@ def ssim(
 
 def check_windowing(window: str, covariance: str) -> None:
     """Raise :class:`ArgumentError` if the window or the covariance is unknown."""
-    for name, value, known in (("window", window, SSIM_WINDOWS), ("covariance", covariance, COVARIANCES)):
-        check_choice(name, value, known)
+    check_choice("window", window, SSIM_WINDOWS)
+    check_choice("covariance", covariance, COVARIANCES)
 
 
 def side_of(window: SsimWindow) -> int:
@@ -104,7 +104,7 @@ def error_and_ssim(
     window: SsimWindow = "uniform-7",
     covariance: Covariance = "sample",
 ) -> tuple[float, float]:
-    """Return the mean squared error and the SSIM of a prediction treated so."""
+    """Return the mean squared error and the SSIM of a prediction treated this way."""
     c1 = (_K1 * data_range) ** 2
     c2 = (_K2 * data_range) ** 2
     if window == "gaussian-11-volume":
@@ -129,11 +129,10 @@ def error_and_ssim(
             entries / degrees,
         )
 
-    sums = images.over_bands(uniform if window == "uniform-7" else gaussian, threads, side)
+    error, similarity = totals(images.over_bands(uniform if window == "uniform-7" else gaussian, threads, side))
     channels, height, width = images.prediction.shape
     windows = channels * (height - side + 1) * (width - side + 1)
-    error = total(part for part, _ in sums) / images.prediction.size
-    return error, total(part for _, part in sums) / windows
+    return error / images.prediction.size, similarity / windows
 
 
 # --- colour as a volume -----------------------------------------------------------------------------------------------
@@ -174,6 +173,5 @@ def _in_volume(
         treated = np.clip(np.clip(prediction[inside].astype(np.float64), low, high) * factor, final_low, final_high)
         return float(np.square(treated - reference[inside]).sum()), similarity
 
-    sums = images.over_row_bands(work, threads)
-    size = images.prediction.size
-    return total(part for part, _ in sums) / size, total(part for _, part in sums) / size
+    error, similarity = totals(images.over_row_bands(work, threads))
+    return error / images.prediction.size, similarity / images.prediction.size

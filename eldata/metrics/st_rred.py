@@ -195,7 +195,7 @@ def raw_to_grey(image: Image) -> Plane:
     """Return the grey image of which the released code of the ELD paper takes the ST-RRED of a raw clip.
 
     ``0.2989 R + 0.5870 G + 0.1140 B``, the luma weights of 8-bit video as scikit-video rounds them (they add up to
-    0.9999), on linear values without white balance; in packed Bayer G is the mean of G1 and G2. That is no
+    0.9999), on linear values without white balance; in packed Bayer G is the mean of G1 and G2. That is not the
     luminance of any camera, but the numbers in the paper were made with it.
 
     Parameters

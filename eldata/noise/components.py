@@ -6,7 +6,7 @@
 ``G``   read noise, Gaussian                                    sigma_gauss_dn
 ``G*``  read noise, Tukey lambda                                tukey_lambda, sigma_tl_dn
 ``B``   colour bias: the read noise's mean per channel          colour_bias_dn
-``R``   row noise, one Gaussian draw a mosaic row               sigma_row_dn
+``R``   row noise, one Gaussian draw per mosaic row             sigma_row_dn
 ``U``   quantisation noise, uniform over one DN                 none
 ======  =====================================================  =========================
 
@@ -58,15 +58,15 @@ def parse_components(spec: str) -> Components:
     Raises
     ------
     ArgumentError
-        If a name is unknown or repeated, there is none, or two models of one noise source are asked for.
+        If a name is unknown or repeated, there are none, or two models of one noise source are asked for.
     """
     names = [name.strip().replace("^", "") for name in spec.split("+")]
     for name in names:
         if name not in _NAMES:
-            raise ArgumentError(f"noise model {spec!r}: {name!r} is no component; known are {', '.join(_NAMES)}")
+            raise ArgumentError(f"noise model {spec!r}: {name!r} is not a component; known are {', '.join(_NAMES)}")
     for name in set(names):
         if names.count(name) > 1:
-            raise ArgumentError(f"noise model {spec!r}: {name} stands in it twice; each source adds its noise once")
+            raise ArgumentError(f"noise model {spec!r}: {name} is in it twice; each source adds its noise once")
     for first, second, source in _EXCLUSIVE:
         if first in names and second in names:
             raise ArgumentError(

@@ -31,8 +31,6 @@ from eldata.noise.model import NoiseModel
 from eldata.noise.parameters import tukey_lambda_variance
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from eldata.noise.components import Components
@@ -41,8 +39,8 @@ if TYPE_CHECKING:
 
 DRAWS = 300
 
-_READ_LEVELS = (0.0001, 0.001, 0.01, 0.1, 0.25, 0.5, 0.75, 0.9, 0.99, 0.999, 0.9999)
-_PART_LEVELS = (0.001, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999)
+_READ_LEVELS = np.array([0.0001, 0.001, 0.01, 0.1, 0.25, 0.5, 0.75, 0.9, 0.99, 0.999, 0.9999])
+_PART_LEVELS = np.array([0.001, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999])
 
 # Packed height and width. Flats have short rows: more rows average the row noise better.
 _FLAT = (1024, 64)
@@ -239,28 +237,14 @@ def _over_signal(
         centred = frame - frame.mean(axis=(1, 2), keepdims=True)
         # Subtracting the sample's own mean loses that mean's variance, known from the spread of the rows.
         lost = float(centred.mean(axis=2).var(axis=1, ddof=1).mean()) / height
+        label, found = f"at {signal:g} e-", float(frame.mean())
+        expected = sum(theory.mean(signal, channel) for channel in range(4)) / 4
+        error = math.hypot(math.sqrt((v / n + r) / count), rounding)
+        means.append(TheoryCheck("mean over signal", label, "DN", expected, found, error))
+        found = float((centred**2).mean()) + lost
         fourth = theory.fourth_cumulant(signal)
-        label = f"at {signal:g} e-"
-        means.append(
-            TheoryCheck(
-                "mean over signal",
-                label,
-                "DN",
-                sum(theory.mean(signal, channel) for channel in range(4)) / 4,
-                float(frame.mean()),
-                math.hypot(math.sqrt((v / n + r) / count), rounding),
-            )
-        )
-        variances.append(
-            TheoryCheck(
-                "variance over signal",
-                label,
-                "DN^2",
-                theory.variance(signal),
-                float((centred**2).mean()) + lost,
-                _finite(((fourth + 2 * v * v + 4 * r * v) / n + 2 * r * r) / count + rounding**4),
-            )
-        )
+        spread = _finite(((fourth + 2 * v * v + 4 * r * v) / n + 2 * r * r) / count + rounding**4)
+        variances.append(TheoryCheck("variance over signal", label, "DN^2", theory.variance(signal), found, spread))
     return tuple(means), tuple(variances)
 
 
@@ -272,15 +256,10 @@ def _bias_frame(
     frame = _frame(theory.model, actual, 0.0, _BIAS, _generator(seed, 1))
     v, r, rounding = theory.pixel_variance(0.0), theory.row_variance, theory.rounding(0.0)
     by_channel = frame.mean(axis=2)  # (4, h)
+    error = math.hypot(math.sqrt((v / width + r) / height), rounding)
+    check = "bias frame, mean by channel"
     bias = tuple(
-        TheoryCheck(
-            "bias frame, mean by channel",
-            name,
-            "DN",
-            theory.mean(0.0, channel),
-            float(by_channel[channel].mean()),
-            math.hypot(math.sqrt((v / width + r) / height), rounding),
-        )
+        TheoryCheck(check, name, "DN", theory.mean(0.0, channel), float(by_channel[channel].mean()), error)
         for channel, name in enumerate(CHANNELS)
     )
     centred = by_channel - by_channel.mean(axis=1, keepdims=True)
@@ -293,33 +272,14 @@ def _bias_frame(
     q = v / width
     shared = float(red @ green + blue @ second_green) / (count - 2)
     apart = float(red @ blue + green @ second_green) / (count - 2)
+    found = math.sqrt(float(row_means @ row_means) / (count - 2))
+    # Of both covariances: R with B and G1 with G2 are two products of the same two draws.
+    error = math.hypot(math.sqrt((2 * r * r + 2 * r * q + q * q) / count), rounding**2)
     check = "bias frame, row means"
     rows = (
-        TheoryCheck(
-            check,
-            "standard deviation",
-            "DN",
-            math.sqrt(expected),
-            math.sqrt(float(row_means @ row_means) / (count - 2)),
-            _finite(spread + rounding**2),
-        ),
-        TheoryCheck(
-            check,
-            "covariance, same row",
-            "DN^2",
-            r,
-            shared,
-            math.hypot(math.sqrt((2 * r * r + 2 * r * q + q * q) / count), rounding**2),
-        ),
-        TheoryCheck(
-            check,
-            "covariance, other row",
-            "DN^2",
-            0.0,
-            apart,
-            # As above: R with B and G1 with G2 are two products of the same two draws.
-            math.hypot(math.sqrt((2 * r * r + 2 * r * q + q * q) / count), rounding**2),
-        ),
+        TheoryCheck(check, "standard deviation", "DN", math.sqrt(expected), found, _finite(spread + rounding**2)),
+        TheoryCheck(check, "covariance, same row", "DN^2", r, shared, error),
+        TheoryCheck(check, "covariance, other row", "DN^2", 0.0, apart, error),
     )
     return bias, rows, row_means
 
@@ -341,21 +301,19 @@ def _read_noise(
             return scale * tukey_lambda_quantile(levels, shape), scale * slope
         return _gaussian_quantiles(levels, parameters.sigma_gauss_dn)
 
-    comparisons = _quantile_comparisons(
-        "read noise alone", values, _READ_LEVELS, *expected_and_slope(_array(_READ_LEVELS))
-    )
+    comparisons = _quantile_comparisons("read noise alone", values, _READ_LEVELS, *expected_and_slope(_READ_LEVELS))
     logits = np.linspace(math.log(1e-4 / (1 - 1e-4)), -math.log(1e-4 / (1 - 1e-4)), 241)
     grid = 1 / (1 + np.exp(-logits))
     return comparisons, Quantiles(grid, expected_and_slope(grid)[0], np.quantile(values, grid))
 
 
 def _row_noise(theory: _Theory, actual: NoiseParameters, seed: int) -> tuple[TheoryCheck, ...]:
-    """Quantiles of the row noise alone: of one pixel a row."""
+    """Quantiles of the row noise alone: of one pixel per row."""
     if not theory.model.components.row:
         return ()
     frame = _frame(NoiseModel("R"), actual, 0.0, _ROW, _generator(seed, 3))
     values = np.sort(frame[[0, 2]], axis=None)  # R and B: every mosaic row once
-    expected, slope = _gaussian_quantiles(_array(_PART_LEVELS), theory.parameters.sigma_row_dn)
+    expected, slope = _gaussian_quantiles(_PART_LEVELS, theory.parameters.sigma_row_dn)
     return _quantile_comparisons("row noise alone", values, _PART_LEVELS, expected, slope)
 
 
@@ -364,12 +322,8 @@ def _quantisation(theory: _Theory, actual: NoiseParameters, seed: int) -> tuple[
     if not theory.model.components.quantisation:
         return ()
     values = np.sort(_frame(NoiseModel("U"), actual, 0.0, _QUANTISATION, _generator(seed, 4)), axis=None)
-    levels = _array(_PART_LEVELS)
-    return _quantile_comparisons("quantisation alone", values, _PART_LEVELS, levels - 0.5, np.ones_like(levels))
-
-
-def _array(values: Sequence[float]) -> NDArray[np.float64]:
-    return np.array(values, dtype=np.float64)
+    slope = np.ones_like(_PART_LEVELS)
+    return _quantile_comparisons("quantisation alone", values, _PART_LEVELS, _PART_LEVELS - 0.5, slope)
 
 
 def _gaussian_quantiles(levels: NDArray[np.float64], sigma: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -383,7 +337,7 @@ def _gaussian_quantiles(levels: NDArray[np.float64], sigma: float) -> tuple[NDAr
 def _quantile_comparisons(
     check: str,
     values: NDArray[np.float64],
-    levels: Sequence[float],
+    levels: NDArray[np.float64],
     expected: NDArray[np.float64],
     slope: NDArray[np.float64],
 ) -> tuple[TheoryCheck, ...]:
@@ -433,15 +387,7 @@ def _against_fits(profile: CameraProfile, components: Components, draws: Draws) 
         line = fit.slope * np.log(draws.gain_dn_per_e) + fit.intercept
         residuals = np.abs(np.log(scales) - line) / fit.sigma
         for width in (1, 2):
-            share = math.erf(width / math.sqrt(2))
-            comparisons.append(
-                TheoryCheck(
-                    "sampled parameters",
-                    f"{name}, share within {width} sigma",
-                    "1",
-                    share,
-                    float((residuals <= width).mean()),
-                    math.sqrt(share * (1 - share) / DRAWS),
-                )
-            )
+            share, found = math.erf(width / math.sqrt(2)), float((residuals <= width).mean())
+            symbol, error = f"{name}, share within {width} sigma", math.sqrt(share * (1 - share) / DRAWS)
+            comparisons.append(TheoryCheck("sampled parameters", symbol, "1", share, found, error))
     return tuple(comparisons)

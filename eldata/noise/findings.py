@@ -109,7 +109,7 @@ def read_fit(profile: CameraProfile, components: Components) -> LogLogFit:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Draws:
-    """Parameters as sampled from the profile, one entry a draw; scales in DN."""
+    """Parameters as sampled from the profile, one entry per draw; scales in DN."""
 
     gain_dn_per_e: NDArray[np.float64]
     sigma_read_dn: NDArray[np.float64]
@@ -170,11 +170,6 @@ class Diagnostics:
     def model(self) -> NoiseModel:
         """The model under test."""
         return NoiseModel(self.spec)
-
-    @property
-    def read_fit(self) -> LogLogFit:
-        """The profile's fit of the read noise that the model uses."""
-        return read_fit(self.profile, self.model.components)
 
     @property
     def normal_quantiles(self) -> NDArray[np.float64]:

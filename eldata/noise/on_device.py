@@ -63,7 +63,7 @@ def _tukey_lambda(size: torch.Size, shape: torch.Tensor, generator: torch.Genera
 
 
 def _row_noise(size: torch.Size, sigma: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-    """Return row noise (N, C, h, w): one draw a mosaic row."""
+    """Return row noise (N, C, h, w): one draw per mosaic row."""
     images, channels, height, width = size
     under = packed_rows(channels)
     rows = -(-height // under.sub) * under.period

@@ -61,11 +61,9 @@ class NoiseParameters:
         for name in ("sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn"):
             if getattr(self, name) < 0:
                 raise ArgumentError(f"{name} must not be negative; found {getattr(self, name)}")
-        low, high = _LAMBDA_RANGE
-        if not low < self.tukey_lambda <= high:
-            raise ArgumentError(
-                f"tukey_lambda must lie above {low:g} and not above {high:g}; found {self.tukey_lambda}"
-            )
+        problem = shape_problem(self.tukey_lambda)
+        if problem is not None:
+            raise ArgumentError(f"tukey_lambda must lie {problem}; found {self.tukey_lambda}")
 
 
 def tukey_lambda_variance(tukey_lambda: float) -> float:

@@ -102,7 +102,7 @@ class CameraProfile:
         Raises
         ------
         ProfileError
-            If there is no such profile, or it is malformed; the message names file, field, expected and found.
+            If the profile is unknown or malformed; the message names file, field, expected and found.
         """
         if isinstance(name, str) and "/" not in name and not name.endswith(".json"):
             if name not in shipped_profiles():
@@ -261,11 +261,10 @@ def _row(row: Fields) -> ProfileRow:
     return ProfileRow(
         tukey_lambda=shape,
         colour_bias_dn=(red, green, blue, second_green),
-        iso=row.optional("iso", row.number, above=0),
-        gain_dn_per_e=row.optional("gain_dn_per_e", row.number, above=0),
-        sigma_tl_dn=row.optional("sigma_tl_dn", row.number, at_least=0),
-        sigma_gauss_dn=row.optional("sigma_gauss_dn", row.number, at_least=0),
-        sigma_row_dn=row.optional("sigma_row_dn", row.number, at_least=0),
-        r_squared_tl=row.optional("r_squared_tl", row.number),
-        r_squared_gauss=row.optional("r_squared_gauss", row.number),
+        **{name: row.optional(name, row.number, above=0) for name in ("iso", "gain_dn_per_e")},
+        **{
+            name: row.optional(name, row.number, at_least=0)
+            for name in ("sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn")
+        },
+        **{name: row.optional(name, row.number) for name in ("r_squared_tl", "r_squared_gauss")},
     )

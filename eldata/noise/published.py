@@ -48,7 +48,7 @@ def read_published(path: Path | str) -> dict[str, Any]:
     Raises
     ------
     ProfileError
-        If the file is no such pickle, or asks for anything but numpy arrays and plain types; then nothing was run.
+        If the file is not such a pickle, or asks for anything but numpy arrays and plain types; none of it is run then.
     """
     path = Path(path)
     try:
@@ -64,7 +64,7 @@ def read_published(path: Path | str) -> dict[str, Any]:
         content = _PlainUnpickler(stream, encoding="latin1").load() if holds_object else None
         plain = _plain(content.item() if isinstance(content, np.ndarray) and content.shape == () else content)
     except Exception as error:  # whatever a foreign pickle provokes
-        raise ProfileError(f"{path}: is not a published parameter file ({error}); nothing of it was run") from error
+        raise ProfileError(f"{path}: is not a published parameter file ({error}); none of it was run") from error
     if not isinstance(plain, dict):
         raise ProfileError(f"{path}: expected a dictionary, found {type(plain).__name__}")
     return plain

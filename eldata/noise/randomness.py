@@ -32,22 +32,20 @@ def uniforms(generator: Generator, count: int) -> list[float]:
     """Return ``count`` draws from [0, 1), float64."""
     _checked(generator)
     if isinstance(generator, np.random.Generator):
-        return [float(value) for value in generator.random(count)]
+        return list(generator.random(count).tolist())
     import torch
 
-    drawn = torch.rand(count, generator=generator, dtype=torch.float64, device=generator.device)
-    return [float(value) for value in drawn.tolist()]
+    return list(torch.rand(count, generator=generator, dtype=torch.float64, device=generator.device).tolist())
 
 
 def standard_normals(generator: Generator, count: int) -> list[float]:
     """Return ``count`` standard normal draws, float64."""
     _checked(generator)
     if isinstance(generator, np.random.Generator):
-        return [float(value) for value in generator.standard_normal(count)]
+        return list(generator.standard_normal(count).tolist())
     import torch
 
-    drawn = torch.randn(count, generator=generator, dtype=torch.float64, device=generator.device)
-    return [float(value) for value in drawn.tolist()]
+    return list(torch.randn(count, generator=generator, dtype=torch.float64, device=generator.device).tolist())
 
 
 def key_from(generator: Generator) -> int:

@@ -62,7 +62,7 @@ def pack_bayer_normalised(
 ) -> None:
     """Pack and normalise a Bayer mosaic: clip(gain * clip((DN - black) / (white - black))) in float32.
 
-    ``channel`` (2, 2) names the packed channel of each site, ``black`` (4,) has one entry a packed channel. A
+    ``channel`` (2, 2) names the packed channel of each site, ``black`` (4,) has one entry per packed channel. A
     non-negative gain cannot undo the lower clip, so only the upper one is repeated. Dividing, not multiplying by
     a reciprocal, keeps the published loaders' bits. Both columns of a cell stand in one loop and the limits are
     comparisons, not min() and max(): that is what the compiler turns into vector code.

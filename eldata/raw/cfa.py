@@ -340,7 +340,7 @@ def pack_normalised(
     Raises
     ------
     ArgumentError
-        If the mosaic is not uint16, the levels or the gain make no sense, or the CFA is unsupported.
+        If the mosaic is not uint16, the levels or the gain are invalid, or the CFA is unsupported.
     """
     from eldata.raw._kernels import pack_bayer_normalised, pack_xtrans_normalised
 
@@ -376,7 +376,7 @@ def normalise(
     Raises
     ------
     ArgumentError
-        If the shape does not fit the CFA, or the levels make no sense.
+        If the shape does not fit the CFA, or the levels are invalid.
     """
     black = _black_of(packed, cfa, black_level_dn)
     white = _checked_levels(black, white_level_dn)
@@ -393,7 +393,7 @@ def denormalise(
     Raises
     ------
     ArgumentError
-        As :func:`normalise`.
+        Like :func:`normalise`.
     """
     black = _black_of(packed, cfa, black_level_dn).astype(np.float64)
     white = float(_checked_levels(black.astype(np.float32), white_level_dn))

@@ -38,7 +38,7 @@ def camera_to_srgb(xyz_to_camera: Matrix3) -> NDArray[np.float64]:
     scaled = srgb_to_camera / np.where(white > 0, white, 1)
     if not (white > 0).all() or np.linalg.matrix_rank(scaled) < 3:
         raise ArgumentError(
-            f"xyz_to_camera {xyz_to_camera}: no camera's matrix; white must give every channel a response, and the "
-            "channels must differ"
+            f"xyz_to_camera {xyz_to_camera}: is not a camera's matrix; white must give every channel a response, and "
+            "the channels must differ"
         )
     return np.linalg.inv(scaled)

@@ -15,9 +15,9 @@ _SONY, _LOSSY_JPEG = 32767, 34892
 def lossy_compression(path: Path) -> str | None:
     """Return what loses data in a raw file, in words, or ``None`` if nothing known does.
 
-    Known are Sony's compressed ARW 2 (one byte a pixel: 11 of 14 bits by a curve, differences within 16 pixels) and the
-    lossy JPEG of DNG. Nikon's lossy NEF says so in its maker notes alone, Canon's CRAW in a container that is not TIFF:
-    the gaps that such compression leaves between the values show it
+    Known are Sony's compressed ARW 2 (one byte per pixel: 11 of 14 bits by a curve, differences within 16 pixels) and
+    the lossy JPEG of DNG. Nikon's lossy NEF says so in its maker notes alone, Canon's CRAW in a container that is not
+    TIFF: the gaps that such compression leaves between the values show it
     (:func:`eldata.calibration.frame_checks.missing_codes`).
 
     Raises

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from eldata.base.files import atomic_write
-from eldata.errors import ArgumentError
+from eldata.errors import ArgumentError, check_choice
 from eldata.raw.cfa import packed_black_level_dn
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ def _check_sensor(sensor: Sensor) -> None:
         )
     if min(sensor.height, sensor.width) < _LEAST_SIDE:
         raise ArgumentError(
-            f"{sensor.height} x {sensor.width} pixels: LibRaw takes no raw image under {_LEAST_SIDE} pixels a side"
+            f"{sensor.height} x {sensor.width} pixels: LibRaw reads no raw image under {_LEAST_SIDE} pixels per side"
         )
     if sensor.white_balance is not None and not all(0 < value < np.inf for value in sensor.white_balance):
         raise ArgumentError(f"white_balance {sensor.white_balance}: expected positive multipliers")
@@ -185,8 +185,7 @@ def write_dng(
     import imagecodecs
     import tifffile
 
-    if compression not in get_args(Compression):
-        raise ArgumentError(f"compression must be one of {', '.join(get_args(Compression))}; found {compression!r}")
+    check_choice("compression", compression, get_args(Compression))
     _check_sensor(sensor)
     if mosaic.dtype != np.uint16 or mosaic.shape != (sensor.height, sensor.width):
         raise ArgumentError(

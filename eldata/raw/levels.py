@@ -41,7 +41,7 @@ def white_level_dn(sensor: Sensor, levels: Levels) -> float:
     Raises
     ------
     ArgumentError
-        If ``levels`` is neither.
+        If ``levels`` is unknown.
     """
     check_choice("levels", levels, LEVELS)
     return sensor.white_level_dn if levels == "metadata" else PUBLISHED_WHITE_LEVEL_DN
@@ -57,7 +57,7 @@ def with_levels(sensor: Sensor, levels: FrameLevels) -> Sensor:
     Raises
     ------
     ArgumentError
-        If ``levels`` is none of these.
+        If ``levels`` is unknown.
     """
     check_choice("levels", levels, FRAME_LEVELS)
     if levels == "metadata" or levels == "published":  # spelt out so that mypy narrows the type
@@ -72,7 +72,7 @@ def packed_frame(frame: RawFrame, *, levels: FrameLevels, clip: Clip, gain: floa
     Raises
     ------
     ArgumentError
-        If ``levels``, ``clip`` or ``gain`` make no sense.
+        If ``levels``, ``clip`` or ``gain`` is invalid.
     """
     sensor = with_levels(frame.sensor, levels)
     return pack_normalised(frame.mosaic, sensor.cfa, sensor.black_level_dn, sensor.white_level_dn, clip=clip, gain=gain)

@@ -29,8 +29,8 @@ ISO, exposure time, aperture
 What LibRaw does not notice
 ---------------------------
 LibRaw opens some truncated files as whole frames. So the extents that a TIFF-based or RAF file declares must lie
-inside of it, the file must hold at least one bit a pixel (no lossless code is shorter), and the last row must not
-be empty. Damage inside of compressed data shows in no field: only a recorded hash finds it (``eldata lock``).
+inside it, the file must hold at least one bit per pixel (no lossless code is shorter), and the last row must not
+be empty. Damage inside compressed data shows in no field: only a recorded hash finds it (``eldata lock``).
 
 Fork and threads
 ----------------
@@ -56,7 +56,7 @@ import numpy as np
 
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw.cfa import packed_channels
-from eldata.raw.tiff import ACTIVE_AREA, BLACK_DELTAS, BLACK_LEVEL, BLACK_REPEAT, MAGIC, read_directories
+from eldata.raw.tiff import ACTIVE_AREA, BLACK_DELTAS, BLACK_LEVEL, BLACK_REPEAT, MAGIC, read_directories, require
 from eldata.records import Exposure, RawFrame, RawHeader, Sensor
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def read_header(path: Path | str) -> RawHeader:
     """
     path = _existing(path)
     read_directories(path)  # refuses a file that does not hold what it declares
-    with _opened(path) as raw:
+    with opened_raw(path) as raw:
         return _header(path, raw, _exif_tags(path))
 
 
@@ -108,7 +108,7 @@ def read_raw(path: Path | str) -> RawFrame:
 
     path = _existing(path)
     directories = read_directories(path)
-    with _opened(path) as raw:
+    with opened_raw(path) as raw:
         tags = _exif_tags(path)
         raw.unpack()
         header = _header(path, raw, tags)
@@ -183,12 +183,19 @@ def _existing(path: Path | str) -> Path:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[rawpy.RawPy]:
+def opened_raw(path: Path, what: str = "decode") -> Iterator[rawpy.RawPy]:
+    """Open a raw file with LibRaw, whose errors say that it cannot do ``what``.
+
+    Raises
+    ------
+    RawFileError
+        If LibRaw does not know the file or refuses it, then or inside the block.
+    """
     import rawpy
 
     _check_raf(path)
-    _one_thread()
-    # Not rawpy.imread: it warns in every forked process, and _one_thread removes what it warns of.
+    _set_openmp_threads()(1)  # a setting of the calling thread, so it is made for each read
+    # Not rawpy.imread: it warns in every forked process, of what the line above removes.
     raw = rawpy.RawPy()
     try:
         raw.open_file(str(path))
@@ -199,26 +206,20 @@ def _opened(path: Path) -> Iterator[rawpy.RawPy]:
     except rawpy.LibRawError as error:
         reason = error.args[0] if error.args else error
         text = reason.decode(errors="replace") if isinstance(reason, bytes) else str(reason)
-        raise RawFileError(path, f"LibRaw cannot decode it ({text}); is the file whole?") from error
+        raise RawFileError(path, f"LibRaw cannot {what} it ({text}); is the file whole?") from error
     finally:
         raw.close()
 
 
 @cache
-def _set_openmp_threads() -> Callable[[int], None] | None:
-    """Return omp_set_num_threads of the runtime that rawpy's wheel brings, or None if it brings none."""
+def _set_openmp_threads() -> Callable[[int], object]:
+    """Return omp_set_num_threads of the runtime that rawpy's wheel brings; or a function that does nothing."""
     import rawpy
 
     package = Path(rawpy.__file__).parent
     for library in sorted((package.parent / "rawpy.libs").glob("libgomp*")):
         return ctypes.CDLL(str(library)).omp_set_num_threads
-    return None
-
-
-def _one_thread() -> None:
-    set_threads = _set_openmp_threads()
-    if set_threads is not None:
-        set_threads(1)  # a setting of the calling thread, so it is made for each read
+    return lambda _: None
 
 
 # --- what the file declares -----------------------------------------------------------------------------------
@@ -230,11 +231,7 @@ def _check_raf(path: Path) -> None:
     if head.startswith(_RAF_MAGIC) and len(head) == 108:
         # Offset and length of the JPEG, the CFA header and the CFA data, big-endian.
         end = max(sum(struct.unpack_from(">II", head, at)) for at in (84, 92, 100))
-        size = path.stat().st_size
-        if end > size:
-            raise RawFileError(
-                path, f"truncated: it declares data up to byte {end} but has {size} bytes; copy or download it again"
-            )
+        require(path, path.stat().st_size, end)
 
 
 # --- EXIF -----------------------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ CFA_PHOTOMETRIC = 32803
 
 _SUB_IFDS, _EXIF_IFD = 330, 34665
 _DATA = ((273, 279), (324, 325))  # strips, tiles: offsets and byte counts
-# Tags whose values must lie inside of the file: those above, and what reading.py takes from EXIF and DNG tags.
+# Tags whose values must lie inside the file: those above, and what reading.py takes from EXIF and DNG tags.
 _EXIF = {33434, 33437, 34855, 34864, 34865, 34866, 34867}
 _READ = _EXIF | {
     *(WIDTH, HEIGHT, COMPRESSION, PHOTOMETRIC),
@@ -101,20 +101,20 @@ def read_directories(path: Path) -> tuple[Directory, ...]:
                 waiting += map(int, directory.values.get(tag, ()))
     # The raw image alone where it is marked as such: some cameras declare previews that they do not write.
     images = [directory for directory in found if directory.is_mosaic] or found
-    _require(path, size, max((sum(extent) for directory in images for extent in directory.extents), default=0))
+    require(path, size, max((sum(extent) for directory in images for extent in directory.extents), default=0))
     for directory in found:
         held = sum(count for _, count in directory.extents)
-        # No lossless code takes less than one bit a pixel.
+        # No lossless code takes less than one bit per pixel.
         if directory.is_mosaic and held * 8 < directory.pixels:
             raise RawFileError(path, f"truncated: its image data, {held} bytes, cannot hold {directory.pixels} pixels")
     return tuple(found)
 
 
 def _read_directory(path: Path, file: IO[bytes], size: int, order: str, at: int) -> tuple[Directory, int]:
-    _require(path, size, at + 2)
+    require(path, size, at + 2)
     file.seek(at)
     count = struct.unpack(order + "H", file.read(2))[0]
-    _require(path, size, at + 2 + 12 * count)
+    require(path, size, at + 2 + 12 * count)
     table = file.read(12 * count + 4)
     values: dict[int, Numbers] = {}
     for index in range(count):
@@ -126,7 +126,7 @@ def _read_directory(path: Path, file: IO[bytes], size: int, order: str, at: int)
         data = entry[8:12]
         if length > 4:
             offset = struct.unpack(order + "I", data)[0]
-            _require(path, size, offset + length)
+            require(path, size, offset + length)
             if kind not in _CODES or number > _MOST_VALUES:
                 continue
             file.seek(offset)
@@ -146,7 +146,8 @@ def _numbers(order: str, code: str, number: int, data: bytes) -> Numbers:
     return tuple(Fraction(numerator, denominator) if denominator else Fraction(0) for numerator, denominator in pairs)
 
 
-def _require(path: Path, size: int, end: int) -> None:
+def require(path: Path, size: int, end: int) -> None:
+    """Raise a RawFileError if the file, of this size, declares data beyond its end."""
     if end > size:
         raise RawFileError(
             path, f"truncated: it declares data up to byte {end} but has {size} bytes; copy or download it again"

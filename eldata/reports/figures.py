@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
 from eldata.noise.findings import LIMIT
+from eldata.reports.html import TEMPLATES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -32,7 +33,7 @@ SIZE_INCHES = (4.4, 3.6)
 """About a phone's width at the page's own letter size."""
 
 MARKERS = ("o", "s", "^", "D")
-"""One a channel, so that colour alone never tells."""
+"""One per channel, so that colour is never the only sign."""
 
 _POINTS_SHOWN = 161
 _TAIL_SHOWN = 15
@@ -83,34 +84,10 @@ def drawn_axes(name: str, title: str, alt: str, caption: str, draw: Callable[[Ax
 
 
 def _svg(draw: Callable[[Theme], Figure], theme: Theme, name: str) -> bytes:
-    style = {
-        "axes.edgecolor": theme.ink,
-        "axes.facecolor": "none",
-        "axes.formatter.useoffset": False,
-        "axes.grid": True,
-        "axes.labelcolor": theme.ink,
-        "axes.labelsize": 10,
-        "axes.spines.right": False,
-        "axes.spines.top": False,
-        "figure.facecolor": "none",
-        "font.family": "DejaVu Sans",
-        "grid.color": theme.grid,
-        "grid.linewidth": 0.6,
-        "legend.fontsize": 9,
-        "legend.frameon": False,
-        "legend.labelcolor": theme.ink,
-        "lines.linewidth": 1.4,
-        "lines.markersize": 5,
-        "svg.fonttype": "path",
-        "svg.hashsalt": name,
-        "text.color": theme.ink,
-        "xtick.color": theme.ink,
-        "xtick.labelsize": 9.5,
-        "ytick.color": theme.ink,
-        "ytick.labelsize": 9.5,
-    }
+    inked = ("axes.edgecolor", "axes.labelcolor", "legend.labelcolor", "text.color", "xtick.color", "ytick.color")
+    style = {"grid.color": theme.grid, "svg.hashsalt": name} | dict.fromkeys(inked, theme.ink)
     buffer = io.BytesIO()
-    with matplotlib.style.context(["default", style]):
+    with matplotlib.style.context(["default", TEMPLATES / "figures.mplstyle", style]):
         figure = draw(theme)
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
     return _slimmed(buffer.getvalue().decode("utf-8")).encode("utf-8")
@@ -120,7 +97,7 @@ def _slimmed(svg: str) -> str:
     """Return the same picture in about half the characters: a page holds a hundred of them."""
     svg = re.sub(r"<!--.*?-->|<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r"\s+", " ", svg).replace("> <", "><")
-    # A hundredth of a point is not to be seen. Scales of letters stay as they are.
+    # A hundredth of a point cannot be seen. Scales of letters stay as they are.
     svg = re.sub(r' (?:d|x|y)="[^"]*"', lambda match: re.sub(r"(\.\d\d)\d+", r"\1", match[0]), svg)
     svg = re.sub(r' d="[^"]*"', lambda match: re.sub(r"(?<=\S) ?([MLQCz]) ?", r"\1", match[0]), svg)
     svg = re.sub(r'<g id="[^"]*"', "<g", svg)
@@ -168,6 +145,12 @@ def one_axes() -> tuple[Figure, Axes]:
     return drawing, drawing.subplots()
 
 
+def two_axes(ratio: float) -> tuple[Figure, Axes, Axes]:
+    """Return such a figure with two axes above each other, the upper ``ratio`` times as high as the lower."""
+    drawing = figure()
+    return drawing, *drawing.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [ratio, 1]})
+
+
 # --- axes ---------------------------------------------------------------------------------------------------------
 
 
@@ -212,14 +195,14 @@ def fit_band(axes: Axes, fit: LogLogFit, gains: NDArray[np.float64], theme: Them
     axes.plot(gains, [fit.scale_dn(float(gain), 0.0) for gain in gains], color=theme.theory, label="fit, ±1σ, ±2σ")
 
 
-def log_log(axes: Axes, ylabel: str) -> None:
-    """Set up axes of a scale over the gain."""
+def log_log(axes: Axes, name: str) -> None:
+    """Set up axes of the sigma of that name over the gain."""
     axes.set_xscale("log")
     axes.set_yscale("log")
     for axis in (axes.xaxis, axes.yaxis):
         log_ticks(axis, 2)
     axes.set_xlabel("K [DN/e⁻]")
-    axes.set_ylabel(ylabel)
+    axes.set_ylabel(rf"$\sigma_\mathrm{{{name}}}$ [DN]")
 
 
 def bars(axes: Axes, at: Sequence[float], values: Sequence[float], errors: Sequence[float], theme: Theme) -> None:
@@ -260,8 +243,12 @@ def legend_above(axes: Axes) -> None:
     )
 
 
+def evenly(size: int, most: int) -> NDArray[np.int64]:
+    """Return which of ``size`` values to draw: ``most`` of them at most, evenly spread."""
+    return np.linspace(0, size - 1, min(size, most)).round().astype(np.int64)
+
+
 def thinned(size: int) -> NDArray[np.int64]:
     """Return which of many ordered values to draw: a few hundred evenly, and the tails in full."""
-    chosen = np.linspace(0, size - 1, min(size, _POINTS_SHOWN)).round().astype(np.int64)
     tail = np.arange(min(size, _TAIL_SHOWN))
-    return np.unique(np.concatenate([chosen, tail, size - 1 - tail]))
+    return np.unique(np.concatenate([evenly(size, _POINTS_SHOWN), tail, size - 1 - tail]))

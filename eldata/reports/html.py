@@ -10,35 +10,44 @@ import math
 import re
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import jinja2
 
 from eldata import __version__
+from eldata.base.fields import TextFile
 from eldata.base.tables import with_error
+from eldata.errors import EldataError
 
-_TEMPLATES = Path(__file__).parent / "templates"
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+TEMPLATES = Path(__file__).parent / "templates"
 
 
-def rendered(template: str, **values: object) -> str:
-    """Return a page; every text that is put in is escaped."""
-    return _environment().get_template(template).render(version=__version__, **values)
+def rendered(template: str, templates: Path = TEMPLATES, /, **values: object) -> str:
+    """Return a page from a template in the folder ``templates``; every text that is put in is escaped."""
+    return _environment(templates).get_template(template).render(version=__version__, **values)
 
 
 @cache
-def _environment() -> jinja2.Environment:
+def plot_words(report: str) -> Mapping[str, Any]:
+    """Return the title and the caption of each kind of plot and picture of a report, from its file of words."""
+    return TextFile(TEMPLATES / f"{report}.toml", EldataError).toml().data
+
+
+@cache
+def _environment(templates: Path) -> jinja2.Environment:
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_TEMPLATES),
+        loader=jinja2.FileSystemLoader(templates),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters["svg_uri"] = svg_uri
-    environment.filters["png_uri"] = png_uri
-    environment.filters["typeset"] = typeset
-    environment.filters["signed"] = signed
-    environment.filters["prose"] = prose
+    filters = (svg_uri, png_uri, typeset, signed, prose)
+    environment.filters |= {function.__name__: function for function in filters}
     return environment
 
 
@@ -80,7 +89,7 @@ def prose(text: str) -> str:
 
 
 def digits(value: float, count: int = 3) -> str:
-    """Return a number with so many significant digits; "not known" for what is not a number."""
+    """Return a number with ``count`` significant digits; "not known" for what is not a number."""
     return signed(f"{value:.{count}g}") if math.isfinite(value) else "not known"
 
 

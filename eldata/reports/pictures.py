@@ -64,7 +64,7 @@ def grey(label: str, alt: str, values: NDArray[Any], low: float, high: float) ->
 
 
 def pooled(plane: NDArray[np.float64], most: int) -> NDArray[np.float64]:
-    """Return a plane of at most so many rows and columns: means of blocks."""
+    """Return a plane of at most ``most`` rows and columns: means of blocks."""
     step = max(1, -(-max(plane.shape) // most))
     height, width = (length // step * step for length in plane.shape)
     blocks = plane[:height, :width].reshape(height // step, step, width // step, step)

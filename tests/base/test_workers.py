@@ -148,7 +148,7 @@ print(list(Workers(2).run(abs, [1, 2, 3])))
 
 
 def test_a_script_without_the_guard_is_told_so(tmp_path: Path) -> None:
-    """Each worker runs the script anew as it starts, and dies of that."""
+    """Each worker runs the script again as it starts, and dies of that."""
     script = tmp_path / "work.py"
     script.write_text(UNGUARDED, encoding="utf-8")
     done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=PATIENCE_S)

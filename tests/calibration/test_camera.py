@@ -293,7 +293,7 @@ def test_no_row_noise_at_one_iso(found: Calibration) -> None:
 
 
 def test_files_of_a_camera_without_row_noise(tmp_path: Path) -> None:
-    """Less is found than would just have been seen, or nothing."""
+    """Less than what would just have been seen is found, or nothing."""
     noise = tuple(replace(DEMO_GAMMA.noise_at(iso), sigma_row_dn=0.0) for iso in (400, 1600))
     camera = replace(DEMO_GAMMA, noise=noise)
     tree = made_tree(tmp_path / "x", camera=camera, isos=(400, 1600), features=FixedFeatures())
@@ -341,7 +341,7 @@ def test_gains_that_are_not_in_proportion_to_iso(found: Calibration) -> None:
 
 
 def test_wrong_arguments(pristine: FrameTree, tmp_path: Path) -> None:
-    with pytest.raises(ArgumentError, match="isos is about a folder"):
+    with pytest.raises(ArgumentError, match="isos is for a folder"):
         calibrate(pristine.frames(), isos=[100])
     with pytest.raises(ArgumentError, match="workers must be 1 or more"):
         calibrate(pristine.root, workers=0)

@@ -48,7 +48,7 @@ def test_hot_and_stuck_pixels_are_found() -> None:
     bright = np.abs(body.fixed - np.median(body.fixed)) > 40
     assert bright.sum() > 500
     assert fixed.defects[bright].all()
-    assert fixed.stuck == 1
+    assert fixed.summary.stuck == 1
     assert fixed.defects[10, 20]
     assert (fixed.defects & ~body.hot).sum() < 20
 
@@ -58,7 +58,7 @@ def test_non_uniformity_less_the_frames_noise(frames: int) -> None:
     """The plain standard deviation of the mean frame holds sigma / sqrt(n); what is left is the pattern's own."""
     camera = CAMERA.with_(column_pattern=0.0, hot_share=0.0, dsnu=0.6, tukey_lambda=0.1)
     fixed = stacked(camera, Body(camera, np.random.default_rng(2)).bias_frames(frames))
-    for value, error in zip(fixed.dsnu_dn, fixed.dsnu_error_dn, strict=True):
+    for value, error in zip(fixed.summary.dsnu_dn, fixed.summary.dsnu_error_dn, strict=True):
         assert abs(value - 0.6) < 5 * error < 0.15
     assert float(fixed.mean_dn[::2, ::2].std()) > 0.75
 
@@ -69,9 +69,9 @@ def test_shading_is_seen() -> None:
     y, x = np.ogrid[-1:1:512j, -1:1:768j]
     truth = 3 * (y + x**2)
     truth = (truth - truth.mean()).reshape(16, 32, 24, 32).mean(axis=(1, 3))
-    assert fixed.shading_dn.shape == (4, 16, 24)
+    assert fixed.summary.shading_dn.shape == (4, 16, 24)
     for channel in range(4):
-        assert np.abs(fixed.shading_dn[channel] - truth).max() < 8 * fixed.shading_error_dn[channel] + 0.3
+        assert np.abs(fixed.summary.shading_dn[channel] - truth).max() < 8 * fixed.shading_error_dn[channel] + 0.3
 
 
 def test_unusable_stacks() -> None:

@@ -207,7 +207,7 @@ def test_each_field_is_needed(field: str, tmp_path: Path) -> None:
         ),
         (
             {"shutter": {"step": "1/3", "fastest": "1/7000", "slowest": "30"}},
-            "1/7000 s is no standard time in steps of 1/3 stop; the nearest is 1/6400 s",
+            "1/7000 s is not a standard time in steps of 1/3 stop; the nearest is 1/6400 s",
         ),
         ({"shutter": {"step": "1/3", "fastest": "fast", "slowest": "30"}}, "expected seconds such as 4, 1/2 or 0.5"),
         ({"shutter": {"step": "1/3", "fastest": "30", "slowest": "1"}}, "the fastest time, 30 s, is slower than"),

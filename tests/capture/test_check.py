@@ -207,7 +207,7 @@ def test_flicker_of_a_noisy_frame(tmp_path: Path, number: int) -> None:
     assert named(group) == {("flicker", number)}
     assert group.verdict == "shoot again"
     assert value(group, "flicker", number).value == pytest.approx(5, abs=1)
-    assert "5.25 a frame" in value(group, "flicker", number).text
+    assert "5.25 per frame" in value(group, "flicker", number).text
 
 
 def test_weak_flicker_of_a_reference(tmp_path: Path) -> None:

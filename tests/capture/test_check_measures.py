@@ -281,7 +281,7 @@ def test_banding_of_the_sensor_is_not_flicker() -> None:
 
 def test_patches_have_the_errors_that_they_state() -> None:
     dark = np.zeros((3, *SIZE), dtype=np.float32)
-    levels = [patch_levels(cells_of(photographed(dark, seed, iso=1600))) for seed in range(20)]
+    levels = [patch_levels("", cells_of(photographed(dark, seed, iso=1600))) for seed in range(20)]
     stack = np.stack([one.level_dn for one in levels])
     stated = float(np.mean([one.error_dn for one in levels]))
     assert stack.shape == (20, PATCHES, PATCHES)

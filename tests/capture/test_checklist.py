@@ -130,10 +130,10 @@ def test_text_and_markdown_hold_what_the_page_holds(plan: Plan) -> None:
     assert len(lines) == len(found)
     for line, row in zip(lines, found, strict=True):
         assert line[2] == row.numbers
-        assert f"{row.iso} {row.dial} s" in " ".join(line)
+        assert f"{row.shot.iso} {row.dial} s" in " ".join(line)
     cells = [[cell.strip() for cell in line.split("|")] for line in markdown.splitlines() if line.startswith("| [ ]")]
     assert [(line[2], line[4], line[5]) for line in cells] == [
-        (row.numbers, str(row.iso), f"{row.dial} s") for row in found
+        (row.numbers, str(row.shot.iso), f"{row.dial} s") for row in found
     ]
     for table in re.findall(r"(?:^\|.*\n)+", markdown, flags=re.MULTILINE):
         assert len({len(line) for line in table.splitlines()}) == 1
@@ -201,20 +201,7 @@ def exported(plan: Plan) -> dict[str, Any]:
     """What the page exports before anything is ticked; the browser tests hold the page against it."""
 
     def shots(found: Any) -> list[dict[str, Any]]:
-        return [
-            {
-                "number": row.number,
-                "count": row.count,
-                "role": row.role,
-                "iso": row.iso,
-                "dial": row.dial,
-                "taken_at": None,
-                "repeats": 0,
-                "file": "",
-                "remark": "",
-            }
-            for row in rows(found)
-        ]
+        return [row.as_dict() | {"taken_at": None, "repeats": 0, "file": "", "remark": ""} for row in rows(found)]
 
     return {
         "kind": "capture-progress",

@@ -233,7 +233,7 @@ def test_no_time_changes_nothing(page: Page, text: str) -> None:
     before = dials(page, "scene-1")
     meter(page, "scene-1", text)
     assert dials(page, "scene-1") == before
-    assert page.text("#scene-1-problem").startswith(f'"{text}" is no time')
+    assert page.text("#scene-1-problem").startswith(f'"{text}" is not a time')
     assert page.run("byId('scene-1-metered').getAttribute('aria-invalid')") == "true"
 
 
@@ -379,13 +379,13 @@ def test_progress_of_an_older_plan_is_taken_as_far_as_it_fits(bare: Page, plan: 
     ("change", "words"),
     [
         (lambda _: "[", "is not JSON"),
-        (lambda _: "null", "this is no exported progress"),
+        (lambda _: "null", "it is not the exported progress"),
         (lambda content: json.dumps(content | {"camera": "NikonD850"}), "it is of the camera NikonD850"),
         (lambda content: json.dumps(content | {"schema": 2}), "another version"),
-        (lambda content: json.dumps(content | {"scenes": 1}), "its scenes is no list"),
+        (lambda content: json.dumps(content | {"scenes": 1}), "its scenes is not a list"),
         (
             lambda content: json.dumps(content).replace('"remark": ""', '"remark": 7', 1),
-            "scene-1, row 1: remark is no text",
+            "scene-1, row 1: remark is not a text",
         ),
         (
             lambda content: json.dumps(content).replace('"taken_at": null', '"taken_at": 1', 1),
@@ -393,7 +393,7 @@ def test_progress_of_an_older_plan_is_taken_as_far_as_it_fits(bare: Page, plan: 
         ),
         (
             lambda content: json.dumps(content).replace('"repeats": 0', '"repeats": 1e9', 1),
-            "repeats is no small number",
+            "repeats is not a whole number up to 99",
         ),
         (lambda content: json.dumps(content).replace('"metered_s": "2"', '"metered_s": "x"', 1), "no metered time"),
     ],

@@ -33,7 +33,7 @@ frame  role        ISO  factor  exposure  reference
    14  noisy      3200    x100   1/800 s         16
    15  noisy      3200    x200  1/1600 s         16
    16  reference   100       -       4 s          -
-16 frames a scene: 4 references at ISO 100, 12 noisy (ISOs: 3, factors: 4)
+16 frames per scene: 4 references at ISO 100, 12 noisy (ISOs: 3, factors: 4)
 """
 
 SMALL = """\
@@ -43,7 +43,7 @@ frame  role       ISO  factor  exposure  reference
     2  noisy      400    x100         -          1
     3  noisy      400    x200         -          4
     4  reference   50       -         -          -
-4 frames a scene: 2 references at ISO 50, 2 noisy (ISOs: 1, factors: 2)
+4 frames per scene: 2 references at ISO 50, 2 noisy (ISOs: 1, factors: 2)
 """
 
 

@@ -157,7 +157,7 @@ def test_test_shots_are_named_and_left_out(places: list[int]) -> None:
     found = match(plan, observed)
     assert names(found) == truth
     assert [remark.kind for remark in found.remarks] == ["extra"] * len(places)
-    assert "ISO 200, 1/30 s: no shot of the plan" in found.remarks[0].text
+    assert "ISO 200, 1/30 s: not a shot of the plan" in found.remarks[0].text
 
 
 @settings(deadline=None, max_examples=20)
@@ -207,7 +207,7 @@ def test_a_retake_that_is_out_of_its_order_is_named_and_left_out() -> None:
     found = match(plan, observed)
     assert names(found) == truth
     assert [remark.kind for remark in found.remarks] == ["repeated"]
-    assert "DSC0016.ARW: ISO 800, 1/200 s, as scene-1 frame 4, which other files" in found.remarks[0].text
+    assert "DSC0016.ARW: ISO 800, 1/200 s, as scene-1 frame 4, for which other files" in found.remarks[0].text
 
 
 def test_a_wrong_setting_is_named() -> None:

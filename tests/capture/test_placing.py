@@ -28,10 +28,10 @@ def placement(tmp_path: Path) -> Placement:
 def test_placing(placement: Placement, work: object) -> None:
     for _ in range(2):  # again changes nothing
         (copy if work is copy else link)(placement)
-        assert placement.target.read_bytes() == placement.source.read_bytes()
+        assert placement.target.read_bytes() == placement.path.read_bytes()
         assert [path.name for path in placement.target.parent.iterdir()] == ["IMG_0001.ARW"]
         assert placement.target.stat().st_mtime == 1_700_000_000
-    assert placement.target.samefile(placement.source) == (work is link)
+    assert placement.target.samefile(placement.path) == (work is link)
 
 
 @pytest.mark.parametrize("work", [copy, link])
@@ -57,7 +57,7 @@ def test_a_dangling_link_is_not_written_through(placement: Placement, tmp_path: 
 
 
 def test_a_source_that_changes_is_not_placed(placement: Placement) -> None:
-    placement.source.write_bytes(b"another")
+    placement.path.write_bytes(b"another")
     with pytest.raises(MappingError, match="changed while it was being copied"):
         copy(placement)
     assert list(placement.target.parent.iterdir()) == []
@@ -69,7 +69,7 @@ def test_without_hard_links_a_copy_is_still_whole(placement: Placement, monkeypa
 
     monkeypatch.setattr(Path, "hardlink_to", refuse)
     copy(placement)
-    assert placement.target.read_bytes() == placement.source.read_bytes()
+    assert placement.target.read_bytes() == placement.path.read_bytes()
     placement.target.unlink()
     with pytest.raises(MappingError, match=r"cannot be a hard link .*; use --copy-to"):
         link(placement)

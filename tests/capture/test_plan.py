@@ -213,7 +213,7 @@ def test_flats_never_clip_and_come_in_pairs(dial: str, step: Fraction) -> None:
         ((100, 150), "1/2", {}, "SonyA7S2 has no ISO 150"),
         ((), "1/2", {}, "calibration ISOs: expected one or more, rising"),
         ((800, 100), "1/2", {}, "calibration ISOs: expected one or more, rising"),
-        ((100,), "1/2", {"bias_frames": 3}, "bias frames an ISO: expected 4 or more, found 3"),
+        ((100,), "1/2", {"bias_frames": 3}, "bias frames per ISO: expected 4 or more, found 3"),
         ((100,), "1/2", {"flat_levels": (Fraction(1, 2), Fraction(1))}, "flat levels: expected shares between 0 and 1"),
         ((100,), "1/2", {"flat_levels": ()}, "flat levels"),
         ((100, 25600), "1/4", {}, "the flat of 10 % at ISO 25600 needs 9.77e-05 s"),

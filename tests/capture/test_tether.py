@@ -143,7 +143,7 @@ class Rig:
         """Each planned frame once, with its settings, in the order of time; the journal and the folder agree."""
         assert self.frames() == self.expected()
         digests, times = [], []
-        journal = Journal.seen(self.shots / "journal.jsonl")
+        journal = Journal(self.shots / "journal.jsonl", writable=False)
         assert journal.open_intents() == ()
         done = journal.done()
         for scene, shot in self.plan.shots:
@@ -318,7 +318,7 @@ def test_refused_before_the_first_shot(
 
 def test_no_program(rig: Rig, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", str(rig.file), "-o", str(rig.shots), "--yes", "--gphoto2", "gphoto-not-there"]) == 2
-    assert "there is no such program; install it with: apt install gphoto2" in capsys.readouterr().err
+    assert "program not found; install it with: apt install gphoto2" in capsys.readouterr().err
 
 
 def test_no_camera_several_and_one_that_is_held(rig: Rig, capsys: pytest.CaptureFixture[str]) -> None:
@@ -584,7 +584,7 @@ def test_cut_off_while_a_deleted_frame_is_taken_again(tmp_path: Path, step: str)
     assert rig.run() == 0
     assert rig.frames() == rig.expected()
     assert rig.calls("--capture-image-and-download") == 5
-    done = Journal.seen(rig.shots / "journal.jsonl").done()
+    done = Journal(rig.shots / "journal.jsonl", writable=False).done()
     digest = hashlib.sha256((rig.shots / "scene-1_0003.dng").read_bytes()).hexdigest()
     assert done["scene-1", 3].details["sha256"] == f"sha256:{digest}"
 

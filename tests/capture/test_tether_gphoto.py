@@ -168,11 +168,11 @@ def test_models() -> None:
 
 
 def test_cameras_settings_and_files_are_parsed() -> None:
-    assert [(one.model, one.port) for one in parse_cameras(DETECTED)] == [
+    assert [(model, port) for port, model in parse_cameras(DETECTED).items()] == [
         ("Nikon DSC D90 (PTP mode)", "usb:003,010"),
         ("USB PTP Class Camera", "ptpip:192.168.1.1"),
     ]
-    assert parse_cameras("") == ()
+    assert parse_cameras("") == {}
     text = "Label: Shutter Speed\nReadonly: 0\nType: RADIO\nCurrent: 1/30\nChoice: 0 30\nChoice: 1 1/30\nEND\n"
     other = "Label: Battery Level     \nReadonly: 1\nType: TEXT\nCurrent: 100%\nEND\n"
     assert parse_settings(text + other) == [("1/30", ("30", "1/30"), False), ("100%", (), True)]
@@ -182,7 +182,7 @@ def test_cameras_settings_and_files_are_parsed() -> None:
     listed = (
         "FILENAME='/DCIM/B.NEF' PERMS=rd FILESIZE=    3 FILETYPE=image/x-raw\nFILENAME='/A.NEF' FILESIZE=7 FILEMTIME=9"
     )
-    assert [str(file.path) for file in parse_card(listed)] == ["/DCIM/B.NEF", "/A.NEF"]
+    assert [str(path) for path in parse_card(listed)] == ["/DCIM/B.NEF", "/A.NEF"]
 
 
 @pytest.mark.parametrize(
@@ -197,7 +197,7 @@ def test_cameras_settings_and_files_are_parsed() -> None:
             False,
         ),
         ("*** Error (-10: 'Timeout reading from or writing to the port') ***", "connection broke", False),
-        ("This camera can not capture.\n*** Error (-6: 'Unsupported operation') ***", "cannot be released", False),
+        ("This camera can not capture.\n*** Error (-6: 'Unsupported operation') ***", "cannot release", False),
         ("Canon EOS Capture failed: Perhaps no focus?\nERROR: Could not capture.", "manual focus", False),
         ("Choice 1/3 not found within list of choices.", "mode dial to M", False),
         ("Some new text", "failed and said: Some new text", False),
@@ -253,14 +253,11 @@ def real(tmp_path: Path) -> Gphoto:
 @needs_gphoto2
 def test_the_real_program_lists_and_downloads(real: Gphoto, tmp_path: Path) -> None:
     files = real.card()
-    assert [(str(file.path), file.size_bytes) for file in files] == [
-        ("/DCIM/100MSDCF/DSC00001.ARW", 1280000),
-        ("/DCIM/100MSDCF/DSC00002.JPG", 4),
-    ]
+    assert list(map(str, files)) == ["/DCIM/100MSDCF/DSC00001.ARW", "/DCIM/100MSDCF/DSC00002.JPG"]
     folder = tmp_path / "100% new"
     folder.mkdir()
     for _ in range(2):  # the second time over the first
-        real.fetch(files[0].path, folder)
+        real.fetch(files[0], folder)
     assert [path.name for path in folder.iterdir()] == ["frame.ARW"]
     assert (folder / "frame.ARW").stat().st_size == 1280000
     with pytest.raises(GphotoError, match="File not found"):
@@ -270,11 +267,11 @@ def test_the_real_program_lists_and_downloads(real: Gphoto, tmp_path: Path) -> N
 @pytest.mark.tether
 @needs_gphoto2
 def test_the_real_program_refuses_what_a_card_cannot_do(real: Gphoto, tmp_path: Path) -> None:
-    assert real.detect() == ()  # a card is no camera
+    assert real.detect() == {}  # a card is not a camera
     for call in (real.setting_names, lambda: real.settings(["iso"]), lambda: real.set({"iso": "100"})):
         with pytest.raises(GphotoError, match="does not take this setting"):
             call()
-    with pytest.raises(GphotoError, match="cannot be released by gphoto2") as caught:
+    with pytest.raises(GphotoError, match="gphoto2 cannot release") as caught:
         real.capture(tmp_path, 0.1)
     assert "For debugging messages" not in str(caught.value)
     assert "This camera can not capture" in (tmp_path / "gphoto2.log").read_text()

@@ -33,7 +33,7 @@ def pristine(tmp_path_factory: pytest.TempPathFactory) -> FrameTree:
 
 @pytest.fixture
 def tree(pristine: FrameTree, tmp_path: Path) -> FrameTree:
-    """A copy of one's own."""
+    """A copy that a test may change."""
     return pristine.copy(tmp_path / "tree")
 
 
@@ -127,7 +127,7 @@ def test_files_that_are_no_raw_files_are_mentioned(eldata: Cli, tree: FrameTree)
     (tree.camera / "bias" / "ISO100" / "IMG_0001.JPG").write_bytes(b"x")
     outcome = eldata("calibrate", tree.root, "--iso", "100")
     assert outcome.code == 0
-    assert f"1 file(s) that are no raw files were left alone, such as {CAMERA}/bias/ISO100/IMG_0001.JPG" in outcome.out
+    assert f"1 file(s) that are not raw files were left alone, such as {CAMERA}/bias/ISO100/IMG_0001.JPG" in outcome.out
 
 
 # --- problems -------------------------------------------------------------------------------------------------------

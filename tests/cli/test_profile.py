@@ -149,7 +149,7 @@ def test_list(profile: Cli) -> None:
         (["show", "SonyA7S2", "--iso", "99999999"], "outside of the calibrated range"),
         (["show", "SonyA7S2", "--iso", "nan"], "outside of the calibrated range"),
         (["show", "SonyA7S2", "--gain", "-1"], "outside of the calibrated range 0.09392 to 6.011 of SonyA7S2"),
-        (["show", "SonyA7S2", "--model", "Q"], "'Q' is no component"),
+        (["show", "SonyA7S2", "--model", "Q"], "'Q' is not a component"),
         (["show", "SonyA7S2", "--seed", "-1"], "expected a whole number of 0 or more"),
         (["show", "SonyA7S2", "--iso", "100", "--gain", "1"], "not allowed with"),
         (["show", "SonyA7S2", "--json", "absent/data.json"], "cannot write absent/data.json"),

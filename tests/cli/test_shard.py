@@ -87,7 +87,7 @@ def test_shards_are_verified(eldata: Cli, sharded: Shard, store: Path, tmp_path:
 @pytest.mark.kill
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_an_ended_command_goes_on(number: signal.Signals, sharded: Shard, store: Path, tmp_path: Path) -> None:
-    """Ended as soon as the third shard is there; a run that was faster than that is begun anew."""
+    """Ended as soon as the third shard is there; a run that was faster than that is begun again."""
     reference, out = tmp_path / "reference", tmp_path / "shards"
     options = ["--tile", "8", "--samples-per-shard", "2"]
     assert sharded(store, "-o", reference, *options).code == 0

@@ -126,10 +126,10 @@ def test_memory_is_used_again_once_nobody_sees_it() -> None:
     others = [Numbers().__getitems__([6, 7]) for _ in range(6)]
     assert (view == 5).all()
     assert len({part[0]["image"].data_ptr() for part in others}) == 6
-    assert len(batches._own.all) >= 7
+    assert len(batches._pieces(batches._Piece).all) >= 7
     del others, view
     address()
-    assert len(batches._own.all) <= 1 + batches._MOST_FREE
+    assert len(batches._pieces(batches._Piece).all) <= 1 + batches._MOST_FREE
 
 
 def test_free_memory_is_bounded_and_of_any_size() -> None:
@@ -142,7 +142,7 @@ def test_free_memory_is_bounded_and_of_any_size() -> None:
     assert len(places) == 2
     for factor in range(1, 12):
         new_arrays([Field("image", (3**factor,), "<f4")])
-    assert len([piece for piece in batches._own.all if piece.is_free()]) <= 1 + batches._MOST_FREE
+    assert len([piece for piece in batches._pieces(batches._Piece).all if piece.is_free()]) <= 1 + batches._MOST_FREE
 
 
 def test_who_keeps_very_many_batches_gets_other_memory() -> None:
@@ -150,7 +150,7 @@ def test_who_keeps_very_many_batches_gets_other_memory() -> None:
     kept = [Numbers().__getitems__([index])[0]["image"] for index in range(2 * batches._MOST_HELD)]
     for index, image in enumerate(kept):
         assert (image == index).all()
-    assert len(batches._own.all) <= batches._MOST_HELD
+    assert len(batches._pieces(batches._Piece).all) <= batches._MOST_HELD
     for epoch in range(2):
         loader = DataLoader(Numbers(200), batch_size=1, num_workers=1, multiprocessing_context="fork")
         for index, batch in enumerate(list(loader)):

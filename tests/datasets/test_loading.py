@@ -21,7 +21,7 @@ import eldata.errors
 from eldata import PackedStore
 from eldata.datasets import loading, worker_count
 from eldata.datasets.loading import describe, evaluation_loader, set_epoch, training_loader
-from eldata.datasets.ranks import ExactSampler, Rank, ShuffledSampler, current_rank
+from eldata.datasets.ranks import Rank, ShuffledSampler, current_rank
 from eldata.datasets.worker_count import loader_workers
 from eldata.errors import ArgumentError
 from tests.sources.store.helpers import pack_tree
@@ -59,12 +59,14 @@ def test_every_rank_gets_as_many_and_none_twice(length: int, ranks: int, epoch: 
     assert set(together) <= set(range(length))
 
 
-@given(length=st.integers(0, 60), ranks=st.integers(1, 7))
-def test_every_item_is_evaluated_exactly_once(length: int, ranks: int) -> None:
-    samplers = [ExactSampler(length, rank=Rank(number, ranks)) for number in range(ranks)]
-    got = [list(sampler) for sampler in samplers]
+@given(length=st.integers(1, 60), ranks=st.integers(1, 7), batch=st.integers(1, 4))
+def test_every_item_is_evaluated_exactly_once(length: int, ranks: int, batch: int) -> None:
+    items: Any = range(length)
+    loaders = [evaluation_loader(items, batch, rank=Rank(number, ranks), workers=0) for number in range(ranks)]
+    got = [[index for part in loader for index in part.tolist()] for loader in loaders]
     assert sorted(index for part in got for index in part) == list(range(length))
-    assert [len(sampler) for sampler in samplers] == [len(part) for part in got]
+    assert all(part == sorted(part) for part in got)
+    assert [len(loader) for loader in loaders] == [-(-len(part) // batch) for part in got]
     assert max(map(len, got)) - min(map(len, got)) <= 1
 
 

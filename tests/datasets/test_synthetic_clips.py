@@ -234,7 +234,7 @@ def test_raw_clips_are_the_folders_with_raws(folder: Path, tmp_path: Path) -> No
         "102.dng",
     ]
     assert len(RawClips([folder / "b"])) == 1
-    with pytest.raises(DatasetError, match="holds no folder"):
+    with pytest.raises(DatasetError, match="holds no camera raw file"):
         RawClips(tmp_path)
     with pytest.raises(DatasetError, match="no folder was given"):
         RawClips([])

@@ -184,7 +184,8 @@ def test_what_the_processor_raises_is_not_taken_for_a_failed_download(
 
 def test_a_redirect_to_nonsense_keeps_what_has_come(site: server.Site, target: Path) -> None:
     site.then(server.breaking_after(16_384), server.redirect("https://[nonsense/"))
-    refused(site, target, "is malformed or redirects to what is (Invalid IPv6 URL)", sha256=sha256_of(CONTENT))
+    said = "is malformed, or redirects to an address that is (Invalid IPv6 URL)"
+    refused(site, target, said, sha256=sha256_of(CONTENT))
     assert part_of(target).read_bytes() == CONTENT[:16_384]
 
 

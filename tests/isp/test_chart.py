@@ -87,7 +87,7 @@ def delta_e(first: Floats, second: Floats) -> Floats:
     return difference
 
 
-# X-Trans needs 512 pixels a side: LibRaw demosaics no less.
+# X-Trans needs 512 pixels per side: LibRaw does not demosaic less.
 MOSAICS = [*((name, cfa, 32) for name, cfa in BAYER.items()), ("xtrans-42", XTRANS["xtrans-42"], 132)]
 
 

@@ -74,7 +74,7 @@ def test_what_is_no_raw_file_is_refused(tmp_path: Path) -> None:
 
 def test_x_trans_that_libraw_cannot_demosaic_is_named(tmp_path: Path) -> None:
     path = written(tmp_path / "small.dng", XTRANS["xtrans-00"], 510, 516)
-    with pytest.raises(RawFileError, match="510 x 516 pixels: LibRaw demosaics no X-Trans"):
+    with pytest.raises(RawFileError, match="510 x 516 pixels: LibRaw does not demosaic X-Trans"):
         render_libraw(path)
 
 

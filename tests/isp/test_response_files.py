@@ -89,7 +89,7 @@ def test_dorf_cut_short_is_refused(tmp_path: Path) -> None:
     write_dorf(path, family())
     whole = path.read_text()
     path.write_text(whole[: whole.rindex("B =")])
-    with pytest.raises(ResponseFileError, match="six lines a curve; found 94 lines"):
+    with pytest.raises(ResponseFileError, match="six lines per curve; found 94 lines"):
         read_dorf(path)
     path.write_text(whole[:-200])  # in the last line of numbers
     with pytest.raises(ResponseFileError, match=r"shoulder 0\.9: expected 2 or more points"):

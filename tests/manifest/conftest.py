@@ -20,5 +20,5 @@ def pristine(demo_tree: Path) -> Tree:
 
 @pytest.fixture
 def tree(pristine: Tree, tmp_path: Path) -> Tree:
-    """A copy of one's own."""
+    """A copy that a test may change."""
     return copy_tree(pristine, tmp_path)

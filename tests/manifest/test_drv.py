@@ -454,7 +454,7 @@ def test_a_scan_lists_a_copy_whatever_its_numbers(drv: SmallDrv, tmp_path: Path)
     scan = scan_preprocessed(drv.data)
     assert str(scan.layout) == (
         "noisy VBM4D_rawRGB/<clip>/<n>.png: 3 clips, 17 files; reference long/<clip>/half<n>_<n>.png: 2 clips, 2 "
-        "files; 5 to 6 frames a clip; without a reference: M0003"
+        "files; 5 to 6 frames per clip; without a reference: M0003"
     )
     manifest = scan.save(tmp_path / "mine.csv")
     assert verify([manifest], drv.root, level="full").ok
@@ -495,7 +495,7 @@ def test_parts_in_folders_of_their_own(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("stray", "message"),
     [
-        ("short/DSC00001.ARW", r"cannot tell to which clip 1 raw files belong, such as short/DSC00001.ARW"),
+        ("short/DSC00001.ARW", r"cannot tell which clip 1 raw files belong to, such as short/DSC00001.ARW"),
         ("0007/DSC00001.ARW", r"cannot tell .* 0007/DSC00001.ARW"),
         ("short/0999/DSC00001.ARW", r"cannot tell .* short/0999"),
         ("short/0007/0013/DSC00001.ARW", r"cannot tell .* short/0007/0013"),

@@ -1,4 +1,4 @@
-"""The shipped ELD manifest against facts written down here anew, from the paper and its repository."""
+"""The shipped ELD manifest against facts written down again here, from the paper and its repository."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The shipped SID manifests against facts written down here anew, and verify on trees with the published names."""
+"""The shipped SID manifests against facts written down again here, and verify on trees with the published names."""
 
 from __future__ import annotations
 
@@ -335,7 +335,7 @@ def pristine(tmp_path_factory: pytest.TempPathFactory) -> dict[str, SmallTree]:
 
 @pytest.fixture(params=NAMES)
 def tree(request: pytest.FixtureRequest, pristine: dict[str, SmallTree], tmp_path: Path) -> SmallTree:
-    """A copy of one's own, of either half."""
+    """A copy of either half that a test may change."""
     name: str = request.param
     shutil.copytree(pristine[name].csv.parents[1], tmp_path / "tree")
     return SmallTree(tmp_path / "tree" / "manifests" / f"{name}.csv", tmp_path / "tree" / "data")

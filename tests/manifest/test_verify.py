@@ -222,7 +222,7 @@ def test_unlisted_raw_files(tree: Tree, extra: int) -> None:
     for problem in report.problems:
         assert problem.expected == "the 16 listed raw files in this folder"
         assert problem.found == f"{16 + extra} raw files, this one unlisted"
-        assert "numbered anew" in problem.advice
+        assert "renumbered" in problem.advice
 
 
 @pytest.mark.parametrize("name", ["IMG_0020.ARW", "IMG_0020.cr2", "extra.NEF", "IMG_0001 (1).dng"])
@@ -629,7 +629,7 @@ def forget_everything(tree: Tree) -> None:
     ],
 )
 def test_the_text_of_a_report(tree: Tree, name: str, harm: Callable[[Tree], None], level: Level) -> None:
-    """Word for word, as a person reads it. ELDATA_UPDATE_GOLDEN=1 writes the files in golden/ anew: read the diff."""
+    """Word for word, as a person reads it. ELDATA_UPDATE_GOLDEN=1 rewrites the files in golden/: read the diff."""
     harm(tree)
     text = check(tree, level).format_text().replace(str(tree.root), "ROOT") + "\n"
     golden = GOLDEN / f"{name}.txt"

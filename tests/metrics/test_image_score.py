@@ -138,7 +138,7 @@ def test_score_is_frozen() -> None:
 
 def test_refusals() -> None:
     image = np.zeros((9, 9), np.float32)
-    with pytest.raises(ArgumentError, match=r'"none" or "scalar", not \'affine\''):
+    with pytest.raises(ArgumentError, match="rescaling must be one of 'none', 'scalar'; found 'affine'"):
         score(image, image, rescaling="affine")  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match="at least 7 x 7"):
         score(image[:6], image[:6], rescaling="none")

@@ -68,13 +68,13 @@ def test_the_papers_caret() -> None:
     "spec", ["", " ", "+", "P++G", "+P", "P+", "p", "g*", "Q", "P**", "P *", "Poisson", "P,G", "P-G", "P*G*", "B R"]
 )
 def test_what_is_no_component_is_named(spec: str) -> None:
-    with pytest.raises(ArgumentError, match=r"is no component; known are P, P\*, G, G\*, B, R, U") as caught:
+    with pytest.raises(ArgumentError, match=r"is not a component; known are P, P\*, G, G\*, B, R, U") as caught:
         parse_components(spec)
     assert repr(spec) in str(caught.value)
 
 
 def test_the_unknown_name_itself_is_shown() -> None:
-    with pytest.raises(ArgumentError, match=r"noise model 'P\*\+X\+R': 'X' is no component"):
+    with pytest.raises(ArgumentError, match=r"noise model 'P\*\+X\+R': 'X' is not a component"):
         parse_components("P*+X+R")
 
 
@@ -83,11 +83,11 @@ def test_a_name_that_stands_twice(name: str) -> None:
     other = "R" if name != "R" else "B"
     with pytest.raises(ArgumentError) as caught:
         parse_components(f"{name}+{other}+{name}")
-    assert f"{name} stands in it twice" in str(caught.value)
+    assert f"{name} is in it twice" in str(caught.value)
 
 
 def test_both_spellings_of_one_name_are_the_same_name() -> None:
-    with pytest.raises(ArgumentError, match=r"P\* stands in it twice"):
+    with pytest.raises(ArgumentError, match=r"P\* is in it twice"):
         parse_components("P*+P^*")
 
 

@@ -490,7 +490,7 @@ def test_what_are_no_parameters(parameters: Any) -> None:
 
 
 def test_a_bad_spec() -> None:
-    with pytest.raises(ArgumentError, match="'X' is no component"):
+    with pytest.raises(ArgumentError, match="'X' is not a component"):
         NoiseModel("P*+X")
 
 

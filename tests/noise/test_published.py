@@ -140,7 +140,7 @@ def test_code_is_refused_by_name_and_does_not_run(name: str, protocol: int, tmp_
     attack = attacks(marker)[name]
     for content in (attack, {"Kmin": attack}, {"Kmin": [np.float64(1), (attack,)]}, np.array([attack], dtype=object)):
         path = file_of(tmp_path, npy(held(content, protocol)))
-        with pytest.raises(ProfileError, match=r"Camera_params\.npy: .*it asks for .*nothing of it was run"):
+        with pytest.raises(ProfileError, match=r"Camera_params\.npy: .*it asks for .*none of it was run"):
             read_published(path)
         assert not marker.exists()
 

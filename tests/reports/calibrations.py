@@ -13,7 +13,7 @@ from eldata.calibration.defects import BiasStack, fixed_pattern
 from eldata.calibration.photon_transfer import FlatFrames, FlatPairs, photon_transfer, spatial_photon_transfer
 from eldata.calibration.read_noise import Residuals, probability_plot, read_noise
 from eldata.calibration.reproduction import reproduction
-from eldata.calibration.results import Calibration, IsoCalibration, PatternSummary
+from eldata.calibration.results import Calibration, IsoCalibration
 from eldata.calibration.row_noise import LineMeans, row_noise
 from eldata.calibration.spectrum import power_spectrum
 from eldata.records import Sensor
@@ -65,15 +65,7 @@ def measured(iso: float, camera: Camera, *, frames: int = 6, levels: Sequence[fl
         rows=row_noise(lines),
         read=read_noise(histogram),
         plot=probability_plot(histogram),
-        pattern=PatternSummary(
-            defects=int(np.count_nonzero(fixed.defects)),
-            off_level=fixed.off_level,
-            stuck=fixed.stuck,
-            pixels=fixed.defects.size,
-            dsnu_dn=fixed.dsnu_dn,
-            dsnu_error_dn=fixed.dsnu_error_dn,
-            shading_dn=fixed.shading_dn,
-        ),
+        pattern=fixed.summary,
         spectrum_dn2=power_spectrum(bias[0], fixed),
         reproduction=None,
         remarks=(),

@@ -106,7 +106,7 @@ def test_self_contained(which: str, request: pytest.FixtureRequest) -> None:
 def test_says_what_was_measured(page: str, calibration: Calibration) -> None:
     text = checked(page).text
     assert "Noise calibration of TestCamera" in text
-    assert "Made from 15 bias and 24 flat frames of 384 × 264 pixels, and held against 3 more bias frames." in text
+    assert "Made from 15 bias and 24 flat frames of 384 × 264 pixels, and compared with 3 more bias frames." in text
     gains = [digits(one.gain_dn_per_e or 0.0) for one in calibration.isos]
     assert f"3 ISOs from 100 to 6400, K from {gains[0]} to {gains[-1]} DN/e⁻." in text
     for one in calibration.isos:

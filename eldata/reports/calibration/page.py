@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 from eldata.reports.calibration.iso_pictures import reproduced_pictures, shading_pictures, spectrum_picture
 from eldata.reports.calibration.iso_plots import (
     bias_plot,
-    channel_names,
     gaussian_plot,
     line_spectrum_plot,
     ppcc_plot,
@@ -42,7 +41,7 @@ def calibration_page(calibration: Calibration) -> str:
         remarks=_remarks(calibration),
         tables=[table for table in _tables(calibration) if table.rows],
         joint=joint_plots(calibration),
-        sections=[_section(one) for one in calibration.isos],
+        sections=[(f"{one.iso:g}", _summary(one), one.remarks, _groups(one)) for one in calibration.isos],
         made_from=_made_from(calibration),
     )
 
@@ -56,14 +55,6 @@ class _Table:
 
 
 @dataclass(frozen=True, slots=True)
-class _Remark:
-    """What is said, and of which ISOs; of the whole if that is empty."""
-
-    isos: str
-    text: str
-
-
-@dataclass(frozen=True, slots=True)
 class _Group:
     """Plots and figures of one kind of noise."""
 
@@ -72,16 +63,6 @@ class _Group:
     plots: tuple[Plot, ...] = ()
     pictures: tuple[Pictures, ...] = ()
     note: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class _Section:
-    """What is shown of one ISO."""
-
-    iso: str
-    summary: str
-    remarks: tuple[str, ...]
-    groups: tuple[_Group, ...]
 
 
 def _tables(calibration: Calibration) -> tuple[_Table, ...]:
@@ -123,16 +104,14 @@ def _wary(calibration: Calibration) -> str:
     return f"{number} {'remark' if number == 1 else 'remarks'}, on {_and(about)}."
 
 
-def _remarks(calibration: Calibration) -> tuple[_Remark, ...]:
-    """Return the remarks; what is said of several ISOs is said once."""
+def _remarks(calibration: Calibration) -> list[tuple[str, str]]:
+    """Return of which ISOs (of the whole if empty) and what is remarked; what is said of several ISOs is said once."""
     isos: dict[str, list[str]] = {}
     for one in calibration.isos:
         for remark in one.remarks:
             isos.setdefault(remark, []).append(f"{one.iso:g}")
-    return (
-        *(_Remark(f"ISO {_and(places)}", remark) for remark, places in isos.items()),
-        *(_Remark("", remark) for remark in calibration.remarks),
-    )
+    of_isos = [(f"ISO {_and(places)}", remark) for remark, places in isos.items()]
+    return of_isos + [("", remark) for remark in calibration.remarks]
 
 
 def _and(items: Sequence[str]) -> str:
@@ -146,31 +125,30 @@ def _made_from(calibration: Calibration) -> str:
     bias, flat = sum(one.bias_frames for one in isos), sum(one.flat_frames for one in isos)
     kept = sum(one.reproduction is not None for one in isos)
     frames = f"{bias} bias and {flat} flat frames of {shapes} pixels"
-    return f"{frames}, and held against {kept} more bias {'frame' if kept == 1 else 'frames'}" if kept else frames
+    return f"{frames}, and compared with {kept} more bias {'frame' if kept == 1 else 'frames'}" if kept else frames
 
 
 # --- one ISO ------------------------------------------------------------------------------------------------------
 
 
-def _section(one: IsoCalibration) -> _Section:
+def _summary(one: IsoCalibration) -> str:
     read, row = one.read, one.rows.rows
     gain = "not known" if one.transfer is None else digits(one.transfer.gain_dn_per_e)
-    summary = (
-        f"K {gain}, λ {digits(read.tukey_lambda, 2)}, σ TL {digits(read.sigma_tl_dn)}, σ row {digits(row.sigma_dn)}"
-    )
-    return _Section(
-        iso=f"{one.iso:g}",
-        summary=summary,
-        remarks=one.remarks,
-        groups=(
-            _gain(one),
-            _colour_bias(one),
-            _rows(one),
-            _read_noise(one),
-            _reproduction(one),
-            _pattern(one),
-        ),
-    )
+    return f"K {gain}, λ {digits(read.tukey_lambda, 2)}, σ TL {digits(read.sigma_tl_dn)}, σ row {digits(row.sigma_dn)}"
+
+
+def _groups(one: IsoCalibration) -> tuple[_Group, ...]:
+    return _gain(one), _colour_bias(one), _rows(one), _read_noise(one), _reproduction(one), _pattern(one)
+
+
+def _by_channel(
+    template: str, one: IsoCalibration, values: Sequence[float], errors: Sequence[float], unit: str = ""
+) -> list[tuple[str, str]]:
+    """Return a number for each CFA channel, with its error and the template's name for it."""
+    return [
+        (template.format(name), measured(value, error, unit))
+        for name, value, error in zip(one.bias.channels, values, errors, strict=True)
+    ]
 
 
 def _gain(one: IsoCalibration) -> _Group:
@@ -179,10 +157,10 @@ def _gain(one: IsoCalibration) -> _Group:
         note = "There are no pairs of equal flats of this ISO, so K is not known and there is no photon transfer line."
         return _Group(title, (), note=note)
     transfer = one.transfer
-    numbers = [("K [DN/e⁻]", measured(transfer.gain_dn_per_e, transfer.gain_error))]
-    numbers += [
-        (f"K of {name}", measured(line.gain_dn_per_e, line.gain_error))
-        for name, line in zip(channel_names(len(transfer.channels)), transfer.channels, strict=True)
+    lines = transfer.channels
+    numbers = [
+        ("K [DN/e⁻]", measured(transfer.gain_dn_per_e, transfer.gain_error)),
+        *_by_channel("K of {}", one, [line.gain_dn_per_e for line in lines], [line.gain_error for line in lines]),
     ]
     if one.spatial is not None:
         numbers.append(("K as published", measured(one.spatial.gain_dn_per_e, one.spatial.gain_error)))
@@ -196,13 +174,9 @@ def _gain(one: IsoCalibration) -> _Group:
 
 def _colour_bias(one: IsoCalibration) -> _Group:
     bias = one.bias
-    names = channel_names(len(bias.bias_dn))
     blacks = sorted(set(one.sensor.black_level_dn))
     numbers = [
-        *(
-            (name, measured(value, error, "DN"))
-            for name, value, error in zip(names, bias.bias_dn, bias.standard_error_dn, strict=True)
-        ),
+        *_by_channel("{}", one, bias.bias_dn, bias.standard_error_dn, "DN"),
         ("Recorded black", f"{_and([f'{level:g}' for level in blacks])} DN"),
         ("Bias frames", str(bias.frames)),
     ]
@@ -236,7 +210,7 @@ def _read_noise(one: IsoCalibration) -> _Group:
     )
     note = ""
     if not read.is_reliable:
-        note = "Rounding to whole DN hides the shape: λ and σ TL are no more than rough."
+        note = "Rounding to whole DN hides the shape: λ and σ TL are only rough."
     elif read.chi2_per_dof > _HIGH_CHI2:
         note = (
             "χ² is far above 1: the noise is not of this family, or the fixed pattern is so faint that rounding to "
@@ -275,11 +249,6 @@ def _pattern(one: IsoCalibration) -> _Group:
         ("Defects", f"{grouped(pattern.defects)}, {digits(100 * pattern.defects / pattern.pixels, 2)} %"),
         ("Off their level", grouped(pattern.off_level)),
         ("Never changing", grouped(pattern.stuck)),
-        *(
-            (f"DSNU of {name}", measured(value, error, "DN"))
-            for name, value, error in zip(
-                channel_names(len(pattern.dsnu_dn)), pattern.dsnu_dn, pattern.dsnu_error_dn, strict=True
-            )
-        ),
+        *_by_channel("DSNU of {}", one, pattern.dsnu_dn, pattern.dsnu_error_dn, "DN"),
     )
     return _Group("What stays from frame to frame", numbers, pictures=(shading_pictures(one),))

@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from eldata.noise.findings import CHANNELS, SIGNALS_E
+from eldata.noise.findings import CHANNELS, SIGNALS_E, read_fit
 from eldata.reports.figures import (
     MARKERS,
     Plot,
     Theme,
     deviation_band,
     drawn,
-    figure,
     fit_band,
     log_log,
     log_ticks,
@@ -24,7 +23,9 @@ from eldata.reports.figures import (
     plain_ticks,
     quantile_plot,
     thinned,
+    two_axes,
 )
+from eldata.reports.html import plot_words
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -34,100 +35,40 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from eldata.noise.findings import Diagnostics, TheoryCheck
+    from eldata.noise.findings import Diagnostics, Quantiles, TheoryCheck
     from eldata.noise.profile import LogLogFit
 
 
 def plots(diagnostics: Diagnostics) -> tuple[Plot, ...]:
     """Draw every plot that the diagnostics have data for, in the order of the report."""
-    read = "sigma_G" if diagnostics.model.components.read == "gaussian" else "sigma_TL"
-    wanted: list[tuple[str, str, str, str, Callable[[Diagnostics, Theme], Figure]]] = [
-        (
-            "mean",
-            "Mean over signal",
-            _over_signal_alt("Mean of D", diagnostics.mean),
-            (
-                "Points: simulated flats. Line: the closed form, K I plus the mean colour bias. Below: deviation in "
-                "standard errors; the band is what counts as ok."
-            ),
-            _mean,
-        ),
-        (
-            "variance",
-            "Variance over signal",
-            _over_signal_alt("Variance of D", diagnostics.variance),
-            (
-                "Photon transfer: shot noise grows with the signal; the variance at no light is that of read, row and "
-                "quantisation noise together."
-            ),
-            _variance,
-        ),
-        (
-            "colour-bias",
-            "Colour bias",
-            "Mean of a bias frame in R, G1, B and G2, found and expected. " + _worst(diagnostics.colour_bias),
-            "Per-channel mean of a bias frame; the bars are one standard error.",
-            _colour_bias,
-        ),
-        (
-            "row-means",
-            "Row means of a bias frame",
-            "Normal probability plot of the row means. " + _worst(diagnostics.rows),
-            "Normal row noise lies on the line, whose slope is the expected standard deviation.",
-            _row_means,
-        ),
+    rows, read = len(diagnostics.profile.rows), _read_letters(diagnostics)
+    fit = (
+        "over the gain: the profile's line with its bands of 1 and 2 standard deviations, and where "
+        f"{diagnostics.draws.gain_dn_per_e.size} sampled parameters fall."
+    )
+    biases = "Mean of a bias frame in R, G1, B and G2, found and expected. " + _worst(diagnostics.colour_bias)
+    wanted: list[tuple[str, str, Callable[[Diagnostics, Theme], Figure]]] = [
+        ("mean", _over_signal_alt("Mean of D", diagnostics.mean), _mean),
+        ("variance", _over_signal_alt("Variance of D", diagnostics.variance), _variance),
+        ("colour-bias", biases, _colour_bias),
+        ("row-means", "Normal probability plot of the row means. " + _worst(diagnostics.rows), _row_means),
+        ("read-fit", f"σ {read} {fit}", _read_fit),
+        ("row-fit", f"σ row {fit}", _row_fit),
+        ("lambda-rows", f"Lambda of the profile's {rows} calibration rows by ISO.", _lambda_rows),
+        ("bias-rows", f"Colour bias of the profile's {rows} calibration rows by ISO and channel.", _bias_rows),
     ]
     if diagnostics.quantiles is not None:
-        wanted.append(
-            (
-                "read-noise",
-                "Dark read noise",
-                "Probability plot of the read noise alone against its model. " + _worst(diagnostics.read),
-                (
-                    "Quantiles from 0.0001 to 0.9999 of the read noise alone. Tails that bend off the line would be "
-                    "another distribution."
-                ),
-                _read_noise,
-            )
-        )
-    for name, title, function in (
-        ("read-fit", f"{_letters(read)} over the gain", _read_fit),
-        ("row-fit", f"{_letters('sigma_row')} over the gain", _row_fit),
-    ):
-        wanted.append(
-            (
-                name,
-                title,
-                (
-                    f"{title}: the profile's line with its bands of 1 and 2 standard deviations, and where "
-                    f"{diagnostics.draws.gain_dn_per_e.size} sampled parameters fall."
-                ),
-                (
-                    "Line and bands: the profile's fit. Points: sampled parameters, 68 % and 95 % of which belong in "
-                    "the bands. Diamonds: measured, where the profile has them. The ring is the draw examined here."
-                ),
-                function,
-            )
-        )
-    wanted += [
-        (
-            "lambda-rows",
-            "Calibration rows: λ",
-            f"Lambda of the profile's {len(diagnostics.profile.rows)} calibration rows by ISO.",
-            "0 is the logistic distribution, 0.14 nearly the Gaussian; the lower, the longer the tails.",
-            _lambda_rows,
-        ),
-        (
-            "bias-rows",
-            "Calibration rows: colour bias",
-            f"Colour bias of the profile's {len(diagnostics.profile.rows)} calibration rows by ISO and channel.",
-            "λ and colour bias of one row are sampled together.",
-            _bias_rows,
-        ),
-    ]
+        alt = "Probability plot of the read noise alone against its model. " + _worst(diagnostics.read)
+        wanted.insert(4, ("read-noise", alt, partial(_read_noise, diagnostics.quantiles)))
+    said = plot_words("profile")
     return tuple(
-        drawn(name, title, alt, caption, partial(draw, diagnostics)) for name, title, alt, caption, draw in wanted
+        drawn(name, said[name]["title"].format(read=read), alt, said[name]["caption"], partial(draw, diagnostics))
+        for name, alt, draw in wanted
     )
+
+
+def _read_letters(diagnostics: Diagnostics) -> str:
+    return "G" if diagnostics.model.components.read == "gaussian" else "TL"
 
 
 def _over_signal_alt(what: str, comparisons: Sequence[TheoryCheck]) -> str:
@@ -144,10 +85,6 @@ def _worst(comparisons: Sequence[TheoryCheck]) -> str:
     return f"Largest deviation {max(deviations):.2g} standard errors."
 
 
-def _letters(name: str) -> str:
-    return {"sigma_TL": "σ TL", "sigma_G": "σ G", "sigma_row": "σ row"}[name]
-
-
 # --- figures ------------------------------------------------------------------------------------------------------
 
 
@@ -155,8 +92,7 @@ def _with_deviations(
     comparisons: Sequence[TheoryCheck], at: Sequence[float], theme: Theme
 ) -> tuple[Figure, Axes, Axes]:
     """Return a figure whose lower axes show deviations in standard errors; the upper ones are to be filled."""
-    drawing = figure()
-    main, below = drawing.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [2.6, 1]})
+    drawing, main, below = two_axes(2.6)
     points = [
         (x, item.deviation, item.verdict) for x, item in zip(at, comparisons, strict=True) if item.deviation is not None
     ]
@@ -238,69 +174,50 @@ def _row_means(diagnostics: Diagnostics, theme: Theme) -> Figure:
     )
 
 
-def _read_noise(diagnostics: Diagnostics, theme: Theme) -> Figure:
-    quantiles = diagnostics.quantiles
-    if quantiles is None:
-        return figure()
+def _read_noise(quantiles: Quantiles, diagnostics: Diagnostics, theme: Theme) -> Figure:
     drawing, main, below = _with_deviations(diagnostics.read, [item.expected for item in diagnostics.read], theme)
     ends = quantiles.expected_dn[[0, -1]]
     main.plot(ends, ends, color=theme.theory, label="closed form")
     main.plot(quantiles.expected_dn, quantiles.found_dn, "o", markersize=3, color=theme.found, label="simulated")
     main.set_ylabel("found quantile [DN]")
     main.legend(loc="upper left")
-    read = "Gaussian" if diagnostics.model.components.read == "gaussian" else "Tukey-lambda"
-    below.set_xlabel(f"{read} quantile [DN]")
+    family = {"G": "Gaussian", "TL": "Tukey-lambda"}[_read_letters(diagnostics)]
+    below.set_xlabel(f"{family} quantile [DN]")
     return drawing
 
 
 def _read_fit(diagnostics: Diagnostics, theme: Theme) -> Figure:
-    gaussian = diagnostics.model.components.read == "gaussian"
-    name = "sigma_gauss_dn" if gaussian else "sigma_tl_dn"
-    return _fit(
-        diagnostics,
-        diagnostics.read_fit,
-        diagnostics.draws.sigma_read_dn,
-        name,
-        r"$\sigma_\mathrm{G}$ [DN]" if gaussian else r"$\sigma_\mathrm{TL}$ [DN]",
-        theme,
-    )
+    name = _read_letters(diagnostics)
+    field = {"G": "sigma_gauss_dn", "TL": "sigma_tl_dn"}[name]
+    fit = read_fit(diagnostics.profile, diagnostics.model.components)
+    return _fit(diagnostics, fit, diagnostics.draws.sigma_read_dn, field, name, theme)
 
 
 def _row_fit(diagnostics: Diagnostics, theme: Theme) -> Figure:
-    scales = diagnostics.draws.sigma_row_dn
-    return _fit(diagnostics, diagnostics.profile.row_fit, scales, "sigma_row_dn", r"$\sigma_\mathrm{row}$ [DN]", theme)
+    fit, scales = diagnostics.profile.row_fit, diagnostics.draws.sigma_row_dn
+    return _fit(diagnostics, fit, scales, "sigma_row_dn", "row", theme)
 
 
 def _fit(
-    diagnostics: Diagnostics, fit: LogLogFit, scales: NDArray[np.float64], field: str, label: str, theme: Theme
+    diagnostics: Diagnostics, fit: LogLogFit, scales: NDArray[np.float64], field: str, name: str, theme: Theme
 ) -> Figure:
     """Draw a log-log fit with its bands, the draws, the measured rows and the draw that is examined."""
     drawing, axes = one_axes()
     low, high = diagnostics.profile.gain_range_dn_per_e
-    gains = np.geomspace(low / 1.15, high * 1.15, 50)
-    fit_band(axes, fit, gains, theme)
-    axes.plot(
-        diagnostics.draws.gain_dn_per_e, scales, "o", markersize=2.5, alpha=0.75, color=theme.found, label="sampled"
-    )
+    fit_band(axes, fit, np.geomspace(low / 1.15, high * 1.15, 50), theme)
+    gains = diagnostics.draws.gain_dn_per_e
+    axes.plot(gains, scales, "o", markersize=2.5, alpha=0.75, color=theme.found, label="sampled")
     measured = [
-        (row.gain_dn_per_e, getattr(row, field))
+        (row.gain_dn_per_e, scale)
         for row in diagnostics.profile.rows
-        if row.gain_dn_per_e is not None and getattr(row, field) is not None and getattr(row, field) > 0
+        if row.gain_dn_per_e is not None and (scale := getattr(row, field) or 0.0) > 0
     ]
     if measured:
         axes.plot(*zip(*measured, strict=True), "D", color=theme.ink, markersize=5, label="measured")
+    ring: dict[str, Any] = {"markersize": 10, "markerfacecolor": "none", "markeredgewidth": 1.8, "color": theme.ink}
     parameters = diagnostics.parameters
-    axes.plot(
-        parameters.gain_dn_per_e,
-        getattr(parameters, field),
-        "o",
-        markersize=10,
-        markerfacecolor="none",
-        markeredgewidth=1.8,
-        color=theme.ink,
-        label="examined here",
-    )
-    log_log(axes, label)
+    axes.plot(parameters.gain_dn_per_e, getattr(parameters, field), "o", label="examined here", **ring)
+    log_log(axes, name)
     axes.legend(loc="upper left")
     return drawing
 

@@ -182,7 +182,8 @@ def _shard(data: Mapping[str, Any]) -> Shard:
 
 def facts_text(facts: Facts) -> str:
     """Return a sample's facts as JSON; fractions as text, so that they stay exact."""
-    record = {name: _plain(value) for name, value in asdict(facts.record).items()}
+    fields = asdict(facts.record).items()
+    record = {name: str(value) if isinstance(value, Fraction) else value for name, value in fields}
     sides = {
         name: {"sensor": asdict(side.sensor), "exposure": exposure_data(side.exposure)}
         for name, side in (("input", facts.input), ("target", facts.target))
@@ -218,10 +219,6 @@ def _side(data: Mapping[str, Any]) -> Side:
     if not np.isfinite(np.array([*sensor.black_level_dn, sensor.white_level_dn], dtype=np.float64)).all():
         raise ValueError("a level is not finite")
     return Side(sensor, exposure_of(data["exposure"]))
-
-
-def _plain(value: Any) -> Any:
-    return str(value) if isinstance(value, Fraction) else value
 
 
 def key_of(number: int) -> str:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import sys
 import time
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
-from typing import IO, TYPE_CHECKING, Any, Self
+from typing import IO, TYPE_CHECKING, Any
 
 from fsspec.core import url_to_fs  # type: ignore[import-untyped] # it has none
 
@@ -70,7 +70,7 @@ class Folder:
         ArgumentError
             As :meth:`file_system` does.
         """
-        with Forward(self, INDEX) as file:
+        with closing(Forward(self, INDEX)) as file:
             content = file.read_all()
         return parse_index(self.place(INDEX), content)
 
@@ -88,12 +88,6 @@ class Forward:
         self._has_ranges = True
         protocol = self._system.protocol
         self._is_local = bool({protocol, *protocol} & set(_LOCAL)) if protocol else False
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """Close the file."""
@@ -186,8 +180,5 @@ def _is_final(error: BaseException) -> bool:
 
 def _failures() -> tuple[type[BaseException], ...]:
     """Return what a broken connection raises."""
-    found: list[type[BaseException]] = [OSError, TimeoutError, EOFError]
     aiohttp = sys.modules.get("aiohttp")  # fsspec's, if the address needs it
-    if aiohttp is not None:
-        found.append(aiohttp.ClientError)
-    return tuple(found)
+    return OSError, EOFError, *([] if aiohttp is None else [aiohttp.ClientError])

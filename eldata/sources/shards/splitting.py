@@ -1,4 +1,4 @@
-"""Who reads what: an epoch's samples in their order, split over ranks and workers without overlap or loss.
+"""Who reads what, and in which order: an epoch's samples, split over ranks and workers without overlap or loss.
 
 Shards are not dealt out whole, for then ranks and workers get unequal parts, or none where there are fewer shards than
 workers. The epoch's samples are one sequence, and each reader gets a part of it, which may begin in the middle of a
@@ -9,14 +9,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
+
+Item = TypeVar("Item")
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,3 +74,23 @@ def cut(runs: Sequence[Run], places: range) -> Iterator[Run]:
         first, last = max(begin, places.start), min(end, places.stop)
         if first < last:
             yield Run(run.shard, run.first + first - begin, run.first + last - begin)
+
+
+def shuffled_through(items: Iterable[Item], size: int, generator: np.random.Generator) -> Iterator[Item]:
+    """Yield all items, each time one drawn from a buffer of up to ``size``, which then gets the next.
+
+    An item comes at most ``size - 1`` places early; 1 leaves the order as it is.
+    """
+    buffer: list[Item] = []
+    for item in items:
+        buffer.append(item)
+        if len(buffer) >= size:
+            yield _drawn(buffer, generator)
+    while buffer:
+        yield _drawn(buffer, generator)
+
+
+def _drawn(buffer: list[Item], generator: np.random.Generator) -> Item:
+    place = int(generator.integers(len(buffer)))
+    buffer[place], buffer[-1] = buffer[-1], buffer[place]
+    return buffer.pop()

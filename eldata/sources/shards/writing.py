@@ -8,13 +8,13 @@ import zlib
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
 
 import numpy as np
 from tqdm import tqdm
 
 from eldata.base.fields import TextFile
-from eldata.base.files import atomic_write, write_json, write_text
+from eldata.base.files import atomic_write, check_same_work, sha256_of, write_json, write_text
 from eldata.base.keywords import keywords
 from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.manifest.pairs import RENAMED, Choice
@@ -25,10 +25,9 @@ from eldata.sources.shards.tiles import grid, whole
 from eldata.sources.store.read import StoreFrames
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from fractions import Fraction
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
-    from eldata.records import PairRecord, Sensor
+    from eldata.records import PairRecord
     from eldata.sources.frames import Frame
     from eldata.sources.shards.tiles import Tile
 
@@ -49,21 +48,18 @@ class ShardReport:
     bytes: int
 
 
-@dataclass(frozen=True, slots=True)
-class _Planned:
-    """One sample to write."""
+class _Planned(NamedTuple):
+    """One sample to write: its facts, the noisy frame and its reference, their checksums, and the part of them."""
 
-    number: int
-    record: PairRecord
-    ratio: Fraction
-    sides: tuple[Frame, Frame]
+    facts: Facts
+    frames: tuple[Frame, Frame]
     sha256: tuple[str, str]
     tile: Tile
 
-    @property
-    def sensors(self) -> list[Sensor]:
-        """Of the noisy frame and its reference."""
-        return [frame.sensor for frame in self.sides if frame.sensor is not None]
+    def content(self, number: int) -> bytes:
+        """Return the sample's part of a shard."""
+        noisy, reference = (frame.mosaic[self.tile.slices] for frame in self.frames)
+        return to_bytes(key_of(number), self.facts, noisy, reference)
 
 
 def write_shards(
@@ -126,7 +122,7 @@ def write_shards(
     with tqdm(total=len(planned), desc="writing shards", unit="sample", disable=None, leave=False) as bar:
         for number, part in enumerate(parts):
             path = folder / f"shard-{number:06d}.tar"
-            samples = partial(_contents, [planned[place] for place in part])
+            samples = partial(map, lambda place: planned[place].content(place), part)
             shard = _found(path, samples()) if path.exists() else None
             resumed += shard is not None
             shards.append(shard or _written(path, samples()))
@@ -140,28 +136,24 @@ def write_shards(
 def _planned(source: StoreFrames, pairs: Sequence[PairRecord], tile: int | None, overlap: int) -> Iterator[_Planned]:
     """Yield the samples in the order of pairs and places, which numbers them."""
     digests = {frame.path: frame.sha256 for frame in source.store.frames}
-    number = 0
     for record in pairs:
         noisy, reference = source.frame(record.path), source.frame(record.reference)
         ratio = checked_ratio(record, reference, noisy)
         sums = digests[record.path], digests[record.reference]
-        sensor = noisy.sensor
-        if sensor is None:
+        if noisy.sensor is None or reference.sensor is None:
             raise DatasetError(f"{noisy.name}: is not a raw file; shards hold mosaics in DN")
-        for place in whole(sensor) if tile is None else grid(noisy.name, sensor, tile, overlap):
-            yield _Planned(number, record, ratio, (noisy, reference), sums, place)
-            number += 1
+        for place in whole(noisy.sensor) if tile is None else grid(noisy.name, noisy.sensor, tile, overlap):
+            first = Side(place.sensor(noisy.sensor), noisy.exposure)
+            second = Side(place.sensor(reference.sensor), reference.exposure)
+            facts = Facts(record, ratio, place.top, place.left, first, second)
+            yield _Planned(facts, (noisy, reference), sums, place)
 
 
 def _digest(planned: Sequence[_Planned]) -> str:
     """Return a digest of what decides the samples' bytes."""
     found = hashlib.sha256()
     for sample in planned:
-        sides = [
-            (digest, repr(sensor), repr(frame.exposure))
-            for digest, sensor, frame in zip(sample.sha256, sample.sensors, sample.sides, strict=True)
-        ]
-        found.update(repr((sample.number, sample.record, sample.tile, sides)).encode())
+        found.update(repr((sample.facts, sample.sha256)).encode())
     return f"sha256:{found.hexdigest()}"
 
 
@@ -185,69 +177,33 @@ def _begin(folder: Path, options: dict[str, Any]) -> None:
             raise EldataError(f"{folder}: holds other files, such as {there[0]}; name a new folder")
         write_json(folder / BEGUN, wanted, indent=1)
         return
-    for name, value in wanted.items():
-        if begun.data.get(name) != value:
-            found = begun.data.get(name)
-            raise ArgumentError(
-                f"{folder}: was begun with another {name.replace('_', ' ')}: expected {value}, found {found}; give the "
-                "same store and options as then, or remove the folder to start anew"
-            )
+    check_same_work(folder, begun.data, wanted)
 
 
-def _contents(samples: Sequence[_Planned]) -> Iterator[bytes]:
-    return map(_content, samples)
+def _tallied(name: str, samples: Iterable[bytes], write: Callable[[bytes], object]) -> Shard:
+    """Write the samples of a shard, one in memory at a time; return their sizes and checksums."""
+    sizes, sums, digest = [], [], hashlib.sha256()
+    for content in samples:
+        write(content)
+        sizes.append(len(content))
+        sums.append(zlib.crc32(content))
+        digest.update(content)
+    write(END)
+    digest.update(END)
+    sha256 = f"sha256:{digest.hexdigest()}"
+    return Shard(name, sum(sizes) + len(END), sha256, np.array(sizes, np.int64), np.array(sums, np.uint32))
 
 
-def _content(sample: _Planned) -> bytes:
-    tile = sample.tile
-    sides = [
-        Side(tile.sensor(sensor), frame.exposure) for sensor, frame in zip(sample.sensors, sample.sides, strict=True)
-    ]
-    facts = Facts(sample.record, sample.ratio, tile.top, tile.left, *sides)
-    noisy, reference = (frame.mosaic[tile.slices] for frame in sample.sides)
-    return to_bytes(key_of(sample.number), facts, noisy, reference)
-
-
-class _Tally:
-    """Sizes and checksums of the samples of a shard as they pass by."""
-
-    def __init__(self) -> None:
-        self._sizes: list[int] = []
-        self._crc32: list[int] = []
-        self._sha256 = hashlib.sha256()
-
-    def add(self, content: bytes) -> None:
-        self._sizes.append(len(content))
-        self._crc32.append(zlib.crc32(content))
-        self._sha256.update(content)
-
-    def shard(self, name: str) -> Shard:
-        self._sha256.update(END)
-        sizes, sums = np.array(self._sizes, dtype=np.int64), np.array(self._crc32, dtype=np.uint32)
-        return Shard(name, sum(self._sizes) + len(END), f"sha256:{self._sha256.hexdigest()}", sizes, sums)
-
-
-def _written(path: Path, samples: Iterator[bytes]) -> Shard:
-    """Write a shard, one sample in memory at a time."""
-    tally = _Tally()
+def _written(path: Path, samples: Iterable[bytes]) -> Shard:
     with atomic_write(path) as file:
-        for content in samples:
-            file.write(content)
-            tally.add(content)
-        file.write(END)
-    return tally.shard(path.name)
+        return _tallied(path.name, samples, file.write)
 
 
-def _found(path: Path, samples: Iterator[bytes]) -> Shard | None:
-    """Return a shard that was written before, if it holds these samples, byte by byte."""
-    tally = _Tally()
+def _found(path: Path, samples: Iterable[bytes]) -> Shard | None:
+    """Return a shard that was written before, if it holds these samples."""
+    shard = _tallied(path.name, samples, len)
     try:
-        with path.open("rb") as file:
-            for content in samples:
-                if file.read(len(content)) != content:
-                    return None
-                tally.add(content)
-            return tally.shard(path.name) if file.read() == END else None
+        return shard if sha256_of(path) == shard.sha256 else None
     except OSError as error:
         raise EldataError(f"cannot read {path}: {error.strerror or error}") from error
 

@@ -13,10 +13,10 @@ import h5py
 import numpy as np
 from tqdm import tqdm
 
-from eldata.base.files import inside
+from eldata.base.files import check_same_work, inside
 from eldata.base.png import read_rgb16
 from eldata.base.workers import AnyWorkers, Workers, accepts_jobs, require_files
-from eldata.errors import ArgumentError, EldataError
+from eldata.errors import EldataError
 from eldata.manifest.clip_checks import is_png
 from eldata.sources.store.format import FORMAT, chunk_shape, filters, frame_attributes, rgb_attributes, version_of
 from eldata.sources.store.journal import journaled
@@ -87,9 +87,7 @@ def build_store(
     with journaled(part) as file:
         try:
             resumed, pixel_bytes = _fill(file, source, compression, options, workers)
-            file.sync()
-            part.rename(path)
-            file.remove_journal()
+            file.finish(path)
         except OSError as error:
             raise EldataError(
                 f"cannot write {part}: {error.strerror or error}; what is finished is kept there: make room and the "
@@ -106,16 +104,17 @@ def _fill(
     workers: Workers,
 ) -> tuple[int, int]:
     """Bring the part to its end; return how many frames were there before, and the bytes of all pixels."""
-    is_new = file.is_new
+    is_new, header = file.is_new, _header(source, compression)
     store: h5py.File | None = None
     try:
         # HDF5's earliest format: later ones mark a file as open, and refuse it after a kill.
         store = h5py.File(file.path, "w" if is_new else "r+", driver="fileobj", fileobj=file, libver="earliest")
         if is_new:
-            _begin(store, source, compression)
+            _begin(store, source, header)
             _commit(store, file)
         else:
-            _check_same(file.path, store, source, compression)
+            same = ("format", "version", "files_digest", "compression")
+            check_same_work(file.path, store.attrs, {name: header[name] for name in same})
         frames = store["frames"]
         resumed = len(frames)
         waiting = source.files[resumed:]  # frames are written in order
@@ -137,62 +136,41 @@ def _fill(
         cause = file.failure
         file.failure = cause or error  # from here on nothing is written
         if store is not None:
-            _abandon(store)
+            with suppress(OSError, RuntimeError, ValueError):  # its last tables are not to be written any more
+                store.close()
         if cause is not None and cause is not error:
             raise cause from None
         raise
     return resumed, pixel_bytes
 
 
-def _begin(store: h5py.File, source: Source, compression: Compression) -> None:
+def _header(source: Source, compression: Compression) -> dict[str, Any]:
+    """Return the attributes of a store that is not complete yet."""
     from eldata import __version__
 
-    store.attrs.update(
-        {
-            "format": FORMAT,
-            "version": _version(source),
-            "written_by": f"eldata {__version__}",
-            "dataset": source.dataset,
-            "compression": compression,
-            "files_digest": source.digest,
-            "files": len(source.files),
-            "complete": False,
-        }
-    )
-    store.create_group("frames")
-    if source.manifest is not None:
-        for name, content in source.manifest_files().items():
-            store.create_dataset(f"manifest/{name}", data=np.frombuffer(content, np.uint8))
-
-
-def _version(source: Source) -> int:
-    return version_of(path for path, _ in source.files)
-
-
-def _check_same(path: Path, store: h5py.File, source: Source, compression: Compression) -> None:
-    begun = {name: store.attrs.get(name) for name in ("format", "version", "files_digest", "compression")}
-    wanted = {
+    return {
         "format": FORMAT,
-        "version": _version(source),
-        "files_digest": source.digest,
+        "version": version_of(path for path, _ in source.files),
+        "written_by": f"eldata {__version__}",
+        "dataset": source.dataset,
         "compression": compression,
+        "files_digest": source.digest,
+        "files": len(source.files),
+        "complete": False,
     }
-    for name, value in wanted.items():
-        if begun[name] != value:
-            raise ArgumentError(
-                f"{path}: was begun with another {name.replace('_', ' ')}: expected {value}, found {begun[name]}; give "
-                "the same dataset and options as then, or remove it to start anew"
-            )
+
+
+def _begin(store: h5py.File, source: Source, header: Mapping[str, Any]) -> None:
+    store.attrs.update(header)
+    store.create_group("frames")
+    if source.listing is not None:
+        for name, content in zip(("csv", "json"), source.listing, strict=True):
+            store.create_dataset(f"manifest/{name}", data=np.frombuffer(content, np.uint8))
 
 
 def _commit(store: h5py.File, file: JournaledFile) -> None:
     store.flush()
     file.commit()
-
-
-def _abandon(store: h5py.File) -> None:
-    with suppress(OSError, RuntimeError, ValueError):  # its last tables are not to be written any more
-        store.close()
 
 
 def _decoded(folder: Path, listed: tuple[str, Role]) -> tuple[NDArray[np.uint16], dict[str, str]]:

@@ -11,18 +11,15 @@ from tqdm import tqdm
 from eldata.base.workers import AnyWorkers, Workers, accepts_jobs, require_files
 from eldata.manifest.verify import DatasetReport, Problem, VerifyReport
 from eldata.sources.store.build import pixels_digest
-from eldata.sources.store.format import StoredRgb, StoreError, chunk_shape
+from eldata.sources.store.format import StoreError, chunk_shape
 from eldata.sources.store.read import PixelReader, open_store, opened
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    import numpy as np
-    from numpy.typing import NDArray
-
     from eldata.manifest.verify import Level
-    from eldata.sources.store.format import Store, StoredFrame
+    from eldata.sources.store.format import Store, StoredFrame, StoredRgb
 
 _ADVICE = "copy or pack the store again"
 
@@ -51,12 +48,12 @@ def verify_store(path: Path | str, *, level: Level = "quick", workers: AnyWorker
     workers = Workers.of(workers)
     store = open_store(path)
     problems = list(_structure(store))
-    count = len(store.frames) + len(store.rgb)
+    count = len(store.every)
     if level == "full":
         work = partial(_pixels, store.dataset, PixelReader(store.path.absolute()))
         bar = tqdm(total=count, desc=f"{store.dataset} (full)", unit="frame", disable=None, leave=False)
         with bar:
-            for found in workers.read_ahead(work, (*store.frames, *store.rgb)):
+            for found in workers.read_ahead(work, store.every):
                 bar.update()
                 problems += found
     problems.sort(key=lambda problem: problem.path)
@@ -67,13 +64,9 @@ def verify_store(path: Path | str, *, level: Level = "quick", workers: AnyWorker
 
 
 def _structure(store: Store) -> Iterator[Problem]:
-    shapes: dict[StoredFrame | StoredRgb, tuple[int, ...]] = {
-        frame: (frame.sensor.height, frame.sensor.width) for frame in store.frames
-    }
-    shapes |= {frame: (3, frame.height, frame.width) for frame in store.rgb}
     with opened(store.path) as file:
-        for frame, shape in shapes.items():
-            dataset = file["frames"][frame.key]
+        for frame in store.every:
+            dataset, shape = file["frames"][frame.key], frame.shape
             found, expected = f"{dataset.dtype} {dataset.shape}", f"uint16 {shape}"
             if found != expected:
                 yield Problem(store.dataset, frame.path, "pixels", expected, found, _ADVICE)
@@ -83,7 +76,7 @@ def _structure(store: Store) -> Iterator[Problem]:
             if written != chunks:
                 yield Problem(store.dataset, frame.path, "pixels", f"{chunks} chunks", str(written), _ADVICE)
     if store.manifest is not None:
-        held = {frame.path for frame in shapes}
+        held = {frame.path for frame in store.every}
         for record in store.manifest.records:
             if record.path in held and record.reference is not None and record.reference not in held:
                 yield Problem(store.dataset, record.path, "reference", record.reference, "nothing", _ADVICE)
@@ -92,15 +85,10 @@ def _structure(store: Store) -> Iterator[Problem]:
 def _pixels(dataset: str, reader: PixelReader, frame: StoredFrame | StoredRgb) -> list[Problem]:
     require_files(reader.path)
     try:
-        found = pixels_digest(_read(reader, frame))
+        *planes, height, width = frame.shape
+        found = pixels_digest(reader.borrow(frame.key, range(height), range(width), tuple(planes)))
     except StoreError as error:
         found = error.reason
     if found == frame.sha256:
         return []
     return [Problem(dataset, frame.path, "sha256 of the pixels", frame.sha256, found, _ADVICE)]
-
-
-def _read(reader: PixelReader, frame: StoredFrame | StoredRgb) -> NDArray[np.uint16]:
-    if isinstance(frame, StoredRgb):
-        return reader.read(frame.key, range(frame.height), range(frame.width), 3)
-    return reader.borrow(frame.key, range(frame.sensor.height), range(frame.sensor.width))

@@ -5,9 +5,9 @@ side, and of a compressed chunk only those blocks that hold wanted rows. What th
 order), HDF5 reads.
 
 Through h5py alone this file would be half as long. It stays because HDF5's bitshuffle filter believes what a chunk says
-of itself: of 22 chunks that lie, 11 ended the process (SIGSEGV), all of which are refused here. And for its time: h5py
-takes 1.6 times as long without compression, 1.06 with lz4, 1.17 with zstd, for which threads do not help it;
-imagecodecs' decoders, which are as careful, take 1.5 and 1.14 times as long (docs/training.md).
+of itself: of 22 chunks whose sizes or blocks lie, 10 ended the process (SIGSEGV); here those 22 are errors (a test has
+them). And for its time: in a DataLoader's workers h5py takes 1.4 times as much without compression, 1.25 times with lz4
+and zstd; imagecodecs' decoders, which are as careful, take 1.5 and 1.14 times as long (docs/training.md).
 """
 
 from __future__ import annotations
@@ -149,16 +149,16 @@ def _stored_rows(
     if size != table.height * row_bytes:
         raise ChunkError(f"a chunk of {size} bytes, expected {table.height * row_bytes}")
     length = (last - first) * row_bytes
-    scratch = _scratch("stored", length)
-    _read(descriptor, scratch.bytes[:length], offset + first * row_bytes)
-    return scratch.bytes[:length].view(np.uint16).reshape(last - first, table.width)
+    content = scratch("stored", length).bytes[:length]
+    _read(descriptor, content, offset + first * row_bytes)
+    return content.view(np.uint16).reshape(last - first, table.width)
 
 
 def _decoded_rows(
     descriptor: int, table: ChunkTable, decode: Decoder, offset: int, size: int, first: int, last: int
 ) -> NDArray[np.uint16]:
     """Decode the blocks of a chunk that hold its rows from ``first`` to ``last``."""
-    source = _scratch("stored", size)
+    source = scratch("stored", size)
     content = source.bytes[:size]
     _read(descriptor, content, offset)
     count = table.height * table.width
@@ -174,7 +174,7 @@ def _decoded_rows(
     is_end = last * table.width > to_block * block  # the shorter block and the rest after it
     wanted = count - from_block * block if is_end else (to_block - from_block) * block
     length = size - starts[from_block] if is_end else starts[to_block] - starts[from_block]
-    target = _scratch("decoded", count * _PIXEL_BYTES)
+    target = scratch("decoded", count * _PIXEL_BYTES)
     done = decode(source.address + starts[from_block], target.address, wanted, _PIXEL_BYTES, block)
     if done != length:
         raise ChunkError(f"a chunk that cannot be decoded ({done})")
@@ -211,7 +211,7 @@ def _read(descriptor: int, target: NDArray[np.uint8], offset: int) -> None:
         done += count
 
 
-class _Scratch:
+class Scratch:
     """Memory of a thread that is used again and again; its address is asked for once."""
 
     def __init__(self, size: int) -> None:
@@ -222,9 +222,10 @@ class _Scratch:
 _OF_THREAD = threading.local()
 
 
-def _scratch(use: str, size: int) -> _Scratch:
-    scratch: _Scratch | None = getattr(_OF_THREAD, use, None)
-    if scratch is None or scratch.bytes.size < size:
-        scratch = _Scratch(size)
-        setattr(_OF_THREAD, use, scratch)
-    return scratch
+def scratch(use: str, size: int) -> Scratch:
+    """Return this thread's memory for a use, of so many bytes or more."""
+    held: Scratch | None = getattr(_OF_THREAD, use, None)
+    if held is None or held.bytes.size < size:
+        held = Scratch(size + size % _PIXEL_BYTES)
+        setattr(_OF_THREAD, use, held)
+    return held

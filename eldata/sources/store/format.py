@@ -25,7 +25,6 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from eldata.errors import ArgumentError, FileError, check_choice
 from eldata.manifest.clip_checks import is_png
-from eldata.records import RawHeader
 from eldata.sources.file_facts import exposure_data, exposure_of, parsed, sensor_of
 
 if TYPE_CHECKING:
@@ -72,9 +71,10 @@ class StoredFrame:
     exposure: Exposure
     sha256: str
 
-    def header(self, store: Path) -> RawHeader:
-        """Return what the file said of itself; its path names store and frame, for errors."""
-        return RawHeader(store / self.path, self.sensor.make, self.sensor.model, self.exposure)
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """That of its pixels, (H, W)."""
+        return self.sensor.height, self.sensor.width
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +87,11 @@ class StoredRgb:
     height: int
     width: int
     sha256: str
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """That of its pixels, (3, H, W)."""
+        return 3, self.height, self.width
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +114,11 @@ class Store:
     manifest: Manifest | None
     frames: tuple[StoredFrame, ...]
     rgb: tuple[StoredRgb, ...] = ()
+
+    @property
+    def every(self) -> tuple[StoredFrame | StoredRgb, ...]:
+        """All frames, the mosaics first."""
+        return *self.frames, *self.rgb
 
 
 def version_of(paths: Iterable[str]) -> int:
@@ -157,35 +167,20 @@ def rgb_attributes(path: str, role: Role, sha256: str) -> dict[str, str]:
     return {"path": path, "role": role, "sha256": sha256, "kind": RGB}
 
 
-def stored_rgb(key: str, attributes: Mapping[str, Any], shape: tuple[int, ...]) -> StoredRgb:
-    """Return an RGB frame from the attributes and the shape of its HDF5 dataset.
-
-    Raises
-    ------
-    ValueError, LookupError
-        If they are not those of an RGB frame.
-    """
-    planes, height, width = shape
-    if planes != 3:
-        raise ValueError(f"an RGB frame of {planes} planes")
-    return StoredRgb(
-        key, str(attributes["path"]), attributes["role"], int(height), int(width), str(attributes["sha256"])
-    )
-
-
-def stored_frame(key: str, attributes: Mapping[str, Any]) -> StoredFrame:
-    """Return a frame from the attributes of its HDF5 dataset: the inverse of :func:`frame_attributes`.
+def stored(key: str, attributes: Mapping[str, Any], shape: tuple[int, ...]) -> StoredFrame | StoredRgb:
+    """Return a frame from the attributes and the shape of its HDF5 dataset.
 
     Raises
     ------
     ValueError, LookupError, TypeError
-        If they are not what :func:`frame_attributes` makes.
+        If they are not what :func:`frame_attributes` or :func:`rgb_attributes` makes.
     """
-    return StoredFrame(
-        key=key,
-        path=str(attributes["path"]),
-        role=attributes["role"],
-        sensor=sensor_of(parsed("attribute sensor", attributes["sensor"])),
-        exposure=exposure_of(parsed("attribute exposure", attributes["exposure"])),
-        sha256=str(attributes["sha256"]),
-    )
+    path, role, sha256 = str(attributes["path"]), attributes["role"], str(attributes["sha256"])
+    if attributes.get("kind") == RGB:
+        planes, height, width = shape
+        if planes != 3:
+            raise ValueError(f"an RGB frame of {planes} planes")
+        return StoredRgb(key, path, role, int(height), int(width), sha256)
+    sensor = sensor_of(parsed("attribute sensor", attributes["sensor"]))
+    exposure = exposure_of(parsed("attribute exposure", attributes["exposure"]))
+    return StoredFrame(key, path, role, sensor, exposure, sha256)

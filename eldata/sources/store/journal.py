@@ -12,10 +12,11 @@ to the disk yet; :func:`eldata.sources.store.verify_store` finds that by the che
 
 from __future__ import annotations
 
+import io
 import os
 import struct
-from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING
+from contextlib import ExitStack, contextmanager, suppress
+from typing import TYPE_CHECKING, Any
 
 from eldata.base.files import check_posix, try_lock
 from eldata.errors import EldataError
@@ -29,20 +30,23 @@ _RECORD = struct.Struct("<QQ")  # offset and length of the old bytes that follow
 _MAGIC = b"eldata-j"
 
 
-class JournaledFile:
+class JournaledFile(io.FileIO):
     """A file for h5py's ``fileobj`` driver; use it through :func:`journaled`.
 
     After an error it takes no more: HDF5 writes on while it closes a file, and those writes are dropped.
     """
 
-    def __init__(self, path: Path, descriptor: int) -> None:
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, "r+", opener=lambda name, _: os.open(name, os.O_RDWR | os.O_CREAT, 0o666))
         self.path = path
         self.failure: BaseException | None = None
-        self._file = descriptor
         self._journal_path = path.with_name(f"{path.name}.journal")
-        self._position = 0
-        self._committed = os.fstat(descriptor).st_size
+        self._committed = 0
         self._journal = -1
+
+    def resume(self) -> None:
+        """Undo what another writer did not commit, and begin to write."""
+        self._committed = os.fstat(self.fileno()).st_size
         if self._committed:
             self._undo()
         self._start_journal()
@@ -57,13 +61,11 @@ class JournaledFile:
         self._check_alive()
         self._start_journal()
 
-    def sync(self) -> None:
-        """Make sure that the bytes are on the disk."""
+    def finish(self, path: Path) -> None:
+        """Make sure that the bytes are on the disk, and give the file its name; it needs no journal any more."""
         self._check_alive()
-        os.fsync(self._file)
-
-    def remove_journal(self) -> None:
-        """Remove the journal of a finished file."""
+        os.fsync(self.fileno())
+        self.path.rename(path)
         self._journal_path.unlink(missing_ok=True)
 
     def release(self) -> None:
@@ -72,58 +74,28 @@ class JournaledFile:
             if self._journal_path.exists():
                 self._undo()
         finally:
-            for descriptor in (self._journal, self._file):
-                if descriptor >= 0:
-                    os.close(descriptor)
+            if self._journal >= 0:
+                os.close(self._journal)
+            self.close()
 
-    # --- what h5py calls ----------------------------------------------------------------------------------------
-
-    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Move to an offset from the start, or (as HDF5 asks for the size) from the end."""
-        self._position = offset + (os.fstat(self._file).st_size if whence == os.SEEK_END else 0)
-        return self._position
-
-    def tell(self) -> int:
-        """Return the position."""
-        return self._position
-
-    def readinto(self, buffer: memoryview) -> int:
-        """Fill a buffer from the position on."""
-        done = 0
-        while done < len(buffer):
-            count = os.preadv(self._file, [buffer[done:]], self._position)
-            if count == 0:
-                break
-            done, self._position = done + count, self._position + count
-        return done
-
-    def write(self, data: memoryview) -> int:
+    def write(self, data: Any) -> int:
         """Write at the position, after the committed bytes there have gone to the journal."""
-        if self.failure is None:
-            try:
-                self._keep_old(self._position, len(data))
-                _write_all(self._file, data, self._position)
-            except BaseException as error:
-                self.failure = error
-                raise
-        self._position += len(data)
+        position = self.tell()
+        with self._unless_failed() as is_alive:
+            if is_alive:
+                self._keep_old(position, len(data))
+                _write_all(self.fileno(), data, position)
+        self.seek(position + len(data))
         return len(data)
 
     def truncate(self, size: int | None = None) -> int:
         """Set the file's size."""
-        size = self._position if size is None else size
-        if self.failure is None:
-            try:
-                if size < self._committed:
-                    self._keep_old(size, self._committed - size)
-                os.ftruncate(self._file, size)
-            except BaseException as error:
-                self.failure = error
-                raise
+        size = self.tell() if size is None else size
+        with self._unless_failed() as is_alive:
+            if is_alive:
+                self._keep_old(size, self._committed - size)
+                os.ftruncate(self.fileno(), size)
         return size
-
-    def flush(self) -> None:
-        """Do nothing: every write has reached the operating system."""
 
     # --- the journal --------------------------------------------------------------------------------------------
 
@@ -131,9 +103,18 @@ class JournaledFile:
         if self.failure is not None:
             raise self.failure
 
+    @contextmanager
+    def _unless_failed(self) -> Iterator[bool]:
+        """Yield whether no write has failed; remember what fails inside."""
+        try:
+            yield self.failure is None
+        except BaseException as error:
+            self.failure = error
+            raise
+
     def _start_journal(self) -> None:
         """Replace the journal by an empty one: this is the moment of the commit."""
-        size = os.fstat(self._file).st_size
+        size = os.fstat(self.fileno()).st_size
         fresh = self._journal_path.with_name(f"{self._journal_path.name}.new")
         descriptor = os.open(fresh, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o666)
         try:
@@ -149,7 +130,7 @@ class JournaledFile:
     def _keep_old(self, offset: int, length: int) -> None:
         length = min(offset + length, self._committed) - offset
         if length > 0:
-            old = os.pread(self._file, length, offset)
+            old = os.pread(self.fileno(), length, offset)
             record = _RECORD.pack(offset, len(old)) + old
             _write_all(self._journal, memoryview(record), os.fstat(self._journal).st_size)
 
@@ -174,8 +155,8 @@ class JournaledFile:
                 break  # not whole: what it was to protect had not been touched yet
             records.append((offset, memoryview(journal)[at - length : at]))
         for offset, old in reversed(records):
-            _write_all(self._file, old, offset)
-        os.ftruncate(self._file, size)
+            _write_all(self.fileno(), old, offset)
+        os.ftruncate(self.fileno(), size)
 
 
 def _write_all(descriptor: int, data: memoryview, offset: int) -> None:
@@ -195,27 +176,19 @@ def journaled(path: Path) -> Iterator[JournaledFile]:
     """
     check_posix("writing a store")
     try:
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        with ExitStack() as undo:
+            file = undo.enter_context(JournaledFile(path))
+            if not (try_lock(path, file.fileno()) and _is_at(path, file.fileno())):
+                raise EldataError(f"{path}: another process is writing it; wait for that one")
+            file.resume()
+            undo.pop_all()
     except OSError as error:
         raise EldataError(f"cannot write {path}: {error.strerror}") from error
-    try:
-        file = _claimed(path, descriptor)
-    except BaseException as error:
-        os.close(descriptor)
-        if isinstance(error, OSError):
-            raise EldataError(f"cannot write {path}: {error.strerror}") from error
-        raise
     try:
         yield file
     finally:
         with suppress(OSError):  # whoever opens it next undoes the rest
             file.release()
-
-
-def _claimed(path: Path, descriptor: int) -> JournaledFile:
-    if not (try_lock(path, descriptor) and _is_at(path, descriptor)):
-        raise EldataError(f"{path}: another process is writing it; wait for that one")
-    return JournaledFile(path, descriptor)
 
 
 def _is_at(path: Path, descriptor: int) -> bool:

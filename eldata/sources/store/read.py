@@ -7,9 +7,9 @@ import os
 import tempfile
 import threading
 import weakref
-from collections import OrderedDict
 from contextlib import suppress
 from dataclasses import replace
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,19 +21,17 @@ from eldata.manifest.catalogue import load_manifest
 from eldata.manifest.pairs import choose_pairs
 from eldata.records import FrameRecord
 from eldata.sources.frames import Frame
-from eldata.sources.store.chunks import chunk_table, read_part
+from eldata.sources.store.chunks import chunk_table, read_part, scratch
 from eldata.sources.store.format import (
     COMPRESSIONS,
     FORMAT,
-    RGB,
     VERSION,
     Store,
     StoredFrame,
     StoredRgb,
     StoreError,
     filters,
-    stored_frame,
-    stored_rgb,
+    stored,
 )
 
 if TYPE_CHECKING:
@@ -64,20 +62,16 @@ def open_store(path: Path | str) -> Store:
     with opened(path) as file:
         try:
             manifest = _manifest(path, file)
-            frames, rgb = [], []
-            for key, frame in sorted(file["frames"].items()):
-                if frame.attrs.get("kind") == RGB:
-                    rgb.append(stored_rgb(key, frame.attrs, frame.shape))
-                else:
-                    frames.append(stored_frame(key, frame.attrs))
+            held = [stored(key, frame.attrs, frame.shape) for key, frame in sorted(file["frames"].items())]
             dataset, listed = str(file.attrs["dataset"]), int(file.attrs["files"])
-            compression = next(name for name in COMPRESSIONS if name == file.attrs["compression"])
-        except (OSError, RuntimeError, ValueError, LookupError, TypeError, StopIteration, EldataError) as error:
+        except (OSError, RuntimeError, ValueError, LookupError, TypeError, EldataError) as error:
             raise StoreError(path, f"is damaged ({error}); copy or pack it again") from error
-    found = len(frames) + len(rgb)
-    if found != listed:
-        raise StoreError(path, f"is damaged: expected {listed} frames, found {found}; copy or pack it again")
-    return Store(path, dataset, compression, manifest, tuple(frames), tuple(rgb))
+        compression = file.attrs["compression"]  # known: it was opened with it
+    if len(held) != listed:
+        raise StoreError(path, f"is damaged: expected {listed} frames, found {len(held)}; copy or pack it again")
+    frames = tuple(frame for frame in held if isinstance(frame, StoredFrame))
+    rgb = tuple(frame for frame in held if isinstance(frame, StoredRgb))
+    return Store(path, dataset, compression, manifest, frames, rgb)
 
 
 def opened(path: Path) -> h5py.File:
@@ -140,82 +134,55 @@ class PixelReader:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._file: h5py.File | None = None
-        self._descriptor: _Descriptor | None = None
-        self._tables: OrderedDict[str, ChunkTable | None] = OrderedDict()
+        self._opened: _Opened | None = None
         self._lock = threading.Lock()
-        self._scratch = threading.local()
         _READERS.add(self)
 
-    def read(self, key: str, rows: range, columns: range, planes: int | None = None) -> NDArray[np.uint16]:
-        """Return a part of a frame, (rows, columns) uint16 in DN, or with ``planes`` (planes, rows, columns).
+    def read(self, key: str, rows: range, columns: range, planes: tuple[int, ...] = ()) -> NDArray[np.uint16]:
+        """Return a part of a frame, (rows, columns) uint16 in DN; of several ``planes``, (planes, rows, columns).
 
         Raises
         ------
         StoreError
             If the store cannot be read.
         """
-        pixels = np.empty(_part_shape(rows, columns, planes), np.uint16)
+        pixels = np.empty((*planes, len(rows), len(columns)), np.uint16)
         self._fill(pixels, key, rows, columns)
         return pixels
 
-    def borrow(self, key: str, rows: range, columns: range, planes: int | None = None) -> NDArray[np.uint16]:
+    def borrow(self, key: str, rows: range, columns: range, planes: tuple[int, ...] = ()) -> NDArray[np.uint16]:
         """Return a part as :meth:`read` does, in memory that this thread's next call overwrites.
 
         The pages of new memory cost as much as the reading.
         """
-        shape = _part_shape(rows, columns, planes)
+        shape = *planes, len(rows), len(columns)
         size = math.prod(shape)
-        scratch = getattr(self._scratch, "pixels", None)
-        if scratch is None or scratch.size < size:
-            scratch = self._scratch.pixels = np.empty(size, np.uint16)
-        pixels: NDArray[np.uint16] = scratch[:size].reshape(shape)
+        pixels: NDArray[np.uint16] = scratch("borrowed", 2 * size).bytes.view(np.uint16)[:size].reshape(shape)
         self._fill(pixels, key, rows, columns)
         return pixels
 
     def _fill(self, pixels: NDArray[np.uint16], key: str, rows: range, columns: range) -> None:
         try:
-            descriptor, table = self._place(key)
-            if table is None:
-                self._by_hdf5(pixels, key, rows, columns)
-                return
+            with self._lock:
+                held = self._opened = self._opened or _Opened(self.path)
+                table = held.table(key)
+                if table is None:
+                    part = ..., slice(rows.start, rows.stop), slice(columns.start, columns.stop)
+                    held.file["frames"][key].read_direct(pixels, part)
+                    return
             for number, plane in enumerate(pixels[None] if pixels.ndim == 2 else pixels):
-                read_part(descriptor.number, table, number, rows, columns, plane)
+                read_part(held.number, table, number, rows, columns, plane)
         except (OSError, RuntimeError, KeyError, IndexError, ValueError) as error:
             if isinstance(error, EldataError):
                 raise
             raise StoreError(self.path, f"frame {key} is damaged ({error}); copy or pack it again") from error
 
-    def _place(self, key: str) -> tuple[_Descriptor, ChunkTable | None]:
-        with self._lock:
-            if self._file is None or self._descriptor is None:
-                self._file = opened(self.path)
-                self._descriptor = _Descriptor(self.path)
-            if key in self._tables:
-                self._tables.move_to_end(key)
-            else:
-                self._tables[key] = chunk_table(h5py.h5d.open(self._file.id, f"frames/{key}".encode()))
-                while len(self._tables) > _MOST_TABLES:
-                    self._tables.popitem(last=False)
-            return self._descriptor, self._tables[key]
-
-    def _by_hdf5(self, pixels: NDArray[np.uint16], key: str, rows: range, columns: range) -> None:
-        with self._lock:
-            if self._file is None:
-                self._file = opened(self.path)
-            # Opened for this read alone: with the dataset HDF5 frees its chunks.
-            dataset = h5py.h5d.open(self._file.id, f"frames/{key}".encode())
-            there = dataset.get_space()
-            there.select_hyperslab((*(0,) * (pixels.ndim - 2), rows.start, columns.start), pixels.shape)
-            dataset.read(h5py.h5s.create_simple(pixels.shape), there, pixels)
-
     def close(self) -> None:
         """Close the file; the next read opens it again."""
         with self._lock:
-            if self._file is not None:
-                self._file.close()
-            self._file = self._descriptor = None  # a thread that is reading holds the latter until it is done
-            self._tables.clear()
+            if self._opened is not None:
+                self._opened.file.close()
+            self._opened = None  # a thread that is reading holds its descriptor until it is done
 
     def __getstate__(self) -> dict[str, Any]:
         return {"path": self.path}
@@ -224,15 +191,21 @@ class PixelReader:
         self.__init__(state["path"])  # type: ignore[misc] # a pickled reader is a path
 
 
-class _Descriptor:
-    """An open file, closed when nobody holds it any more."""
+class _Opened:
+    """A store's file, and a descriptor of it, which is closed when nobody holds it any more."""
 
     def __init__(self, path: Path) -> None:
+        self.file = opened(path)
+        self.table = lru_cache(_MOST_TABLES)(partial(_table, self.file))
         self.number = os.open(path, os.O_RDONLY)
 
     def __del__(self) -> None:
         with suppress(AttributeError, OSError):  # it was not opened
             os.close(self.number)
+
+
+def _table(file: h5py.File, key: str) -> ChunkTable | None:
+    return chunk_table(file["frames"][key].id)
 
 
 _READERS: weakref.WeakSet[PixelReader] = weakref.WeakSet()
@@ -247,10 +220,6 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(before=_before_fork)
 
 
-def _part_shape(rows: range, columns: range, planes: int | None) -> tuple[int, ...]:
-    return (len(rows), len(columns)) if planes is None else (planes, len(rows), len(columns))
-
-
 class StoredMosaic:
     """A frame's pixels, (H, W) uint16 in DN or (3, H, W); ``mosaic[rows, columns]`` reads just that part of them."""
 
@@ -262,15 +231,11 @@ class StoredMosaic:
         self.shape = shape
 
     def __getitem__(self, part: tuple[Any, ...]) -> NDArray[np.uint16]:
-        return self._reader.read(self._key, *self._ranges(part), self._planes)
+        return self._reader.read(self._key, *self._ranges(part), self.shape[:-2])
 
     def borrow(self, part: tuple[Any, ...]) -> NDArray[np.uint16]:
         """Read a part into memory that the next call of this thread overwrites."""
-        return self._reader.borrow(self._key, *self._ranges(part), self._planes)
-
-    @property
-    def _planes(self) -> int | None:
-        return None if len(self.shape) == 2 else self.shape[0]
+        return self._reader.borrow(self._key, *self._ranges(part), self.shape[:-2])
 
     def _ranges(self, part: tuple[Any, ...]) -> tuple[range, range]:
         rows, columns = (range(*wanted.indices(side)) for wanted, side in zip(part[-2:], self.shape[-2:], strict=True))
@@ -300,8 +265,7 @@ class StoreFrames:
         self.path = self.store.path
         self.decodes_long = self.store.compression == "zstd"
         self._reader = PixelReader(self.path)
-        self._held: dict[str, StoredFrame | StoredRgb] = {frame.path: frame for frame in self.store.frames}
-        self._held |= {frame.path: frame for frame in self.store.rgb}
+        self._held = {frame.path: frame for frame in self.store.every}
 
     @property
     def records(self) -> tuple[FrameRecord, ...]:
@@ -322,10 +286,10 @@ class StoreFrames:
         if held is None:
             raise DatasetError(f"{self.path}: holds no frame {path!r}; pack the dataset again")
         name = str(self.path / held.path)
+        mosaic = StoredMosaic(self._reader, held.key, held.shape)
         if isinstance(held, StoredRgb):
-            return Frame.of_rgb(StoredMosaic(self._reader, held.key, (3, held.height, held.width)), name)
-        shape = held.sensor.height, held.sensor.width
-        return Frame.of_raw(StoredMosaic(self._reader, held.key, shape), held.sensor, name, held.exposure)
+            return Frame.of_rgb(mosaic, name)
+        return Frame.of_raw(mosaic, held.sensor, name, held.exposure)
 
     def pairs(self, choice: Choice) -> tuple[PairRecord, ...]:
         """Return the pairs that are held and chosen.

@@ -17,7 +17,7 @@ from eldata.manifest.clips import choose_clips, clips_of
 from eldata.manifest.drv import Scan, scan_raw
 from eldata.manifest.pairs import RENAMED, Choice, choose_pairs
 from eldata.manifest.patterns import expand, is_pattern
-from eldata.raw.extensions import RAW_EXTENSIONS
+from eldata.raw.extensions import raws_below
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
@@ -44,7 +44,7 @@ class Source:
     manifest
         ``None`` for a folder of clean frames.
     listing
-        The manifest's CSV and card as bytes, if it stands in no file: the files of clips, patterns expanded.
+        What the store keeps of the manifest, its CSV and its card as bytes; of clips, patterns are expanded.
     """
 
     dataset: str
@@ -60,14 +60,6 @@ class Source:
         lines += [f"{role} {path}" for path, role in self.files]
         text = "\n".join(lines)
         return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
-
-    def manifest_files(self) -> dict[str, bytes]:
-        """Return what the store keeps of the manifest: ``csv`` and ``json``; nothing if there is none."""
-        if self.manifest is None:
-            return {}
-        if self.listing is not None:
-            return dict(zip(("csv", "json"), self.listing, strict=True))
-        return {name: self.manifest.path.with_suffix(f".{name}").read_bytes() for name in ("csv", "json")}
 
 
 def source_of_dataset(
@@ -105,8 +97,7 @@ def source_of_dataset(
     """
     (chosen,) = keywords("source_of_dataset", choice, Choice, renamed=RENAMED)
     if name == _RAW_CLIPS and manifest is None:
-        published = shipped_manifest("drv")
-        folder = _folder(published, root)
+        folder = _folder(shipped_manifest("drv"), root)
         scan = scan_raw(folder)
         return _source_of_clips(scan.card, scan.records, folder, chosen, ids)
     loaded = shipped_manifest(name) if manifest is None else load_manifest(manifest)
@@ -128,7 +119,7 @@ def source_of_dataset(
             f"{packed[0]}: is a packed array, not a raw file in DN, as are {len(packed)} in all; a store holds raw "
             "files (eldata synthesize --format dng makes them)"
         )
-    return Source(name, _folder(loaded, root), tuple(files.items()), loaded)
+    return Source(name, _folder(loaded, root), tuple(files.items()), loaded, _listing(loaded))
 
 
 def _folder(manifest: Manifest, root: Path | str | None) -> Path:
@@ -167,10 +158,13 @@ def _source_of_clips(
     counts = Counter(str(row.role) for row in kept)
     listing = replace(card, counts=dict(sorted(counts.items())), subsets=())
     with tempfile.TemporaryDirectory(prefix="eldata-") as place:  # the one loader reads files
-        path = Path(place) / f"{card.name}.csv"
-        manifest = Scan(listing, kept).save(path)
-        content = path.read_bytes(), path.with_suffix(".json").read_bytes()
+        manifest = Scan(listing, kept).save(Path(place) / f"{card.name}.csv")
+        content = _listing(manifest)
     return Source(card.name, folder, tuple(files.items()), manifest, content)
+
+
+def _listing(manifest: Manifest) -> tuple[bytes, bytes]:
+    return manifest.path.read_bytes(), manifest.path.with_suffix(".json").read_bytes()
 
 
 def source_of_folder(folder: Path | str) -> Source:
@@ -182,8 +176,5 @@ def source_of_folder(folder: Path | str) -> Source:
         If it holds none.
     """
     folder = Path(folder)
-    found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in RAW_EXTENSIONS)
-    if not found:
-        raise DatasetError(f"{folder}: holds no camera raw file")
-    files: list[tuple[str, Role]] = [(path.relative_to(folder).as_posix(), "reference") for path in found]
+    files: list[tuple[str, Role]] = [(path.relative_to(folder).as_posix(), "reference") for path in raws_below(folder)]
     return Source(folder.resolve().name, folder, tuple(files))

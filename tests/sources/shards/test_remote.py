@@ -9,6 +9,7 @@ import tarfile
 import time
 import zlib
 from collections import Counter
+from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import fsspec  # type: ignore[import-untyped] # it has none
@@ -132,7 +133,7 @@ def test_waits_double(tiles: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(time, "sleep", waited.append)
     with serving(tiles) as site:
         site.failures = ["503"] * 100
-        with pytest.raises(ShardError), Forward(Folder(site.address, {}, 4, 0.25), "shard-000000.tar") as file:
+        with pytest.raises(ShardError), closing(Forward(Folder(site.address, {}, 4, 0.25), "shard-000000.tar")) as file:
             file.read(10)
     assert waited == [0.25, 0.5, 1.0]
 

@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eldata.sources.shards import splitting
-from eldata.sources.shards.shuffling import shuffled_through
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -85,7 +84,7 @@ def test_the_buffer_is_bounded_and_loses_nothing(count: int, size: int, seed: in
             yield item
 
     given_out: list[int] = []
-    for item in shuffled_through(source(), size, np.random.default_rng(seed)):
+    for item in splitting.shuffled_through(source(), size, np.random.default_rng(seed)):
         given_out.append(item)
         assert len(taken) - len(given_out) < size
         assert item - len(given_out) < size  # none comes more than size - 1 places early
@@ -96,8 +95,8 @@ def test_the_buffer_is_bounded_and_loses_nothing(count: int, size: int, seed: in
 
 def test_the_buffer_mixes() -> None:
     generator = np.random.default_rng(0)
-    mixed = list(shuffled_through(range(1000), 100, generator))
+    mixed = list(splitting.shuffled_through(range(1000), 100, generator))
     late = np.abs(np.array(mixed) - np.arange(1000))
     assert np.median(late) > 30  # an item waits 100 steps in the mean
-    assert mixed != list(shuffled_through(range(1000), 100, np.random.default_rng(1)))
-    assert mixed == list(shuffled_through(range(1000), 100, np.random.default_rng(0)))
+    assert mixed != list(splitting.shuffled_through(range(1000), 100, np.random.default_rng(1)))
+    assert mixed == list(splitting.shuffled_through(range(1000), 100, np.random.default_rng(0)))

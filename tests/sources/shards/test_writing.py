@@ -219,7 +219,7 @@ def test_other_work_is_not_mixed_in(eld: Path, tiles: Path, tmp_path: Path, monk
     monkeypatch.undo()
     before = bytes_of(folder)
     wrong: list[tuple[dict[str, Any], str]] = [
-        ({"tile": 14}, "was begun with another tile: expected 14, found 16; give the same store and options as then"),
+        ({"tile": 14}, "was begun with another tile: expected 14, found 16; give the same data and options as then"),
         ({"tile": 16, "seed": 1}, "another seed: expected 1, found 0"),
         ({"tile": 16, "cameras": ["DemoBeta"]}, "another samples: expected sha256:"),
     ]

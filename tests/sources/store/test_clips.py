@@ -57,9 +57,9 @@ def test_parts_of_rgb_frames(drv: SmallDrv, packed: Path) -> None:
     for frame in open_store(packed).rgb:
         pixels = read_rgb16(drv.data / frame.path).transpose(2, 0, 1)
         part = range(3, 290), range(200, 270)
-        np.testing.assert_array_equal(reader.read(frame.key, *part, 3), pixels[:, 3:290, 200:270])
+        np.testing.assert_array_equal(reader.read(frame.key, *part, (3,)), pixels[:, 3:290, 200:270])
         with pytest.raises(StoreError, match="is damaged"):
-            reader.read(frame.key, range(3), range(SIZE[1] + 300), 3)
+            reader.read(frame.key, range(3), range(SIZE[1] + 300), (3,))
 
 
 def test_the_manifest_lists_the_files_in_the_place_of_patterns(packed: Path) -> None:

@@ -310,7 +310,7 @@ def as_scored(prediction: NDArray[Any], rules: ScoringRules, factor: float, dtyp
     """Return a prediction clamped and multiplied as rules have it, (C, h, w); the arithmetic is float64."""
     low, high, _, final_low, final_high = rules.treatment(factor)
     result = np.empty(prediction.shape, dtype)
-    for channel, plane in enumerate(prediction):  # the float64 intermediates are 8 bytes a pixel
+    for channel, plane in enumerate(prediction):  # the float64 intermediates are 8 bytes per pixel
         result[channel] = np.clip(np.clip(plane.astype(np.float64), low, high) * factor, final_low, final_high)
     return result
 

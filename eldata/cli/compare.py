@@ -51,8 +51,6 @@ def run(arguments: argparse.Namespace) -> int:
     from eldata.evaluation.comparison_tables import format_comparison
 
     paths = [Path(name) for name in arguments.results]
-    if len(paths) < 2:
-        raise ArgumentError("a comparison needs two results or more; found 1")
     names = arguments.names or [path.stem for path in paths]
     if len(names) != len(paths):
         raise ArgumentError(f"expected one --name per file, or none; found {len(names)} for {len(paths)} files")

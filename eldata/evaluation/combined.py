@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from eldata.base.files import write_json
 from eldata.base.tables import text_table
 from eldata.evaluation.results import nothing_scored, problem_lines, write_scores
-from eldata.evaluation.scores import json_safe, mean
+from eldata.evaluation.scores import json_object, mean
 from eldata.protocols.comparability import comparability
 
 if TYPE_CHECKING:
@@ -165,7 +165,7 @@ class CombinedResult:
             "results": [result.as_dict() for result in self.results],
             "not_scored": [asdict(one) for one in self.not_scored],
         }
-        return json_safe(result)  # type: ignore[no-any-return] # a dict stays a dict
+        return json_object(result)
 
     def write_json(self, path: Path | str) -> None:
         """Write :meth:`as_dict` as JSON, whole or not at all."""

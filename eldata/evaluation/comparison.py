@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from eldata.errors import ArgumentError, EldataError
-from eldata.evaluation.scores import UnitScore, json_safe, means
+from eldata.evaluation.scores import UnitScore, json_object, means
 from eldata.evaluation.statistics import LEVEL, RESAMPLES, SEED, Difference, paired_difference
 from eldata.evaluation.table import factor_text, groups_of, short_digest
 from eldata.protocols.comparability import comparability
@@ -147,7 +147,7 @@ class Comparison:
             "common": [scores[0].path for scores in self.images],
             "groups": [asdict(group) for group in self.groups],
         }
-        return json_safe(result)  # type: ignore[no-any-return] # a dict stays a dict
+        return json_object(result)
 
 
 def compare(methods: Sequence[Method]) -> Comparison:

@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from eldata.base.tables import Strong, latex_table, markdown_table, markdown_text, text_table
-from eldata.evaluation.statistics import LEVEL, RESAMPLES, SEED
+from eldata.evaluation.statistics import FEWEST_SCENES, LEVEL, RESAMPLES, SEED
 from eldata.evaluation.table import grouped_table, short_digest
 
 if TYPE_CHECKING:
@@ -145,5 +145,5 @@ def statistics_note() -> str:
     """Return what interval and p are, in a sentence."""
     return (
         f"Interval: {LEVEL:.0%}, bootstrap over scenes ({RESAMPLES} resamples, seed {SEED}); p: signs of whole scenes "
-        "flipped, two-sided. Of fewer than 6 scenes there is no interval."
+        f"flipped, two-sided. With fewer than {FEWEST_SCENES} scenes there is no interval."
     )

@@ -35,9 +35,8 @@ Grouping = Literal["camera", "iso"]
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """Scores of one group at one factor; ``place`` is the group's among all."""
+    """Scores of one group at one factor."""
 
-    place: int
     group: str
     ratio: float | None
     scores: tuple[UnitScore, ...]
@@ -53,8 +52,7 @@ def columns_of(scores: Iterable[UnitScore], by: Grouping) -> tuple[Column, ...]:
     members: dict[tuple[str, float | None], list[UnitScore]] = defaultdict(list)
     for score in ordered:
         members[_group_of(score, by), score.ratio].append(score)
-    places = {name: place for place, name in enumerate(dict.fromkeys(name for name, _ in members))}
-    return tuple(Column(places[name], name, ratio, tuple(of)) for (name, ratio), of in members.items())
+    return tuple(Column(name, ratio, tuple(of)) for (name, ratio), of in members.items())
 
 
 def _group_of(score: UnitScore, by: Grouping) -> str:
@@ -170,14 +168,14 @@ def seen_frames(
 INTERVAL = f"{LEVEL:.0%} interval"
 """Head of a column of intervals."""
 
-TOO_FEW = f"no interval of fewer than {FEWEST_SCENES} scenes"
+TOO_FEW = f"no interval with fewer than {FEWEST_SCENES} scenes"
 
 
 def interval_note(kind: Kind) -> str:
     """Return what the intervals are, in a sentence or two."""
     return (
         f"Intervals: {LEVEL:.0%}, bootstrap over scenes, because {kind.units} of one scene err together ({RESAMPLES} "
-        f"resamples, seed {SEED}, percentiles at the level for few samples). There is none of fewer than "
+        f"resamples, seed {SEED}, percentiles at the level for few samples). There is none with fewer than "
         f"{FEWEST_SCENES} scenes. They say how far the mean would move with other scenes like these, not how "
         "exact a score is."
     )

@@ -121,7 +121,7 @@ def _image_plan(request: Request, protocol: Protocol) -> ScoringPlan:
 
 
 def _set_aside(protocol: Protocol, ratios: tuple[int | float, ...]) -> list[str]:
-    """Return what of a protocol's choice is not applied to a set of the user's own; ``ratios`` are."""
+    """Return which of a protocol's choices a set of the user's own sets aside; ``ratios`` are applied."""
     found = [f"cameras {', '.join(protocol.cameras)}"] if protocol.cameras else []
     if protocol.scenes:
         found.append(f"{len(protocol.scenes)} scenes")

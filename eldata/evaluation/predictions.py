@@ -74,7 +74,7 @@ def find_predictions(
     known
         The same of all noisy frames of the manifest.
     allow_missing
-        Whether a noisy frame without a prediction is no problem.
+        Whether noisy frames may lack a prediction.
 
     Raises
     ------

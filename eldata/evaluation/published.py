@@ -89,7 +89,7 @@ class PublishedRow:
     @property
     def place(self) -> str:
         """Camera and factor as text."""
-        return place_text(self.camera, self.ratio)
+        return f"{self.camera} {factors_text(self.ratio)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +111,8 @@ def load_published(folder: Path) -> PublishedTables:
     ManifestError
         If a file cannot be read or is malformed; the message names file, line and column.
     """
-    sources = _load_sources(folder / "sources.json")
+    top = TextFile(folder / "sources.json", ManifestError).json()
+    sources = {key: _source(key, top.inside(key)) for key in top.data}
     rows: list[PublishedRow] = []
     line_of: dict[tuple[object, ...], str] = {}
     for path in sorted(folder.glob("*.csv")):
@@ -132,11 +133,6 @@ def load_published(folder: Path) -> PublishedTables:
 def shipped_published() -> PublishedTables:
     """Return the published numbers that come with the package."""
     return load_published(shipped_folder() / "published")
-
-
-def _load_sources(path: Path) -> dict[str, PublishedSource]:
-    top = TextFile(path, ManifestError).json()
-    return {key: _source(key, top.inside(key)) for key in top.data}
 
 
 def _source(key: str, entry: Fields) -> PublishedSource:
@@ -211,11 +207,6 @@ def published_rows(
         and (camera is None or row.camera == camera)
         and (ratios is None or row.ratio in ratios)
     )
-
-
-def place_text(camera: str, ratio: float | None) -> str:
-    """Return camera and factor as text."""
-    return f"{camera} {factors_text(ratio)}"
 
 
 def factors_text(ratio: float | None) -> str:

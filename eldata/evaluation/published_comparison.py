@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from eldata.base.tables import text_table
-from eldata.evaluation.published import factors_text, load_published, place_text, shipped_published
+from eldata.evaluation.published import factors_text, load_published, shipped_published
 from eldata.evaluation.saved import saved_result
 from eldata.evaluation.table import TableRow
 from eldata.protocols.named import PROTOCOLS
@@ -110,7 +110,7 @@ def _groups(shown: list[PublishedRow], mine: EvaluationResult, name: str, tables
         entries.sort(key=lambda entry: -entry[2].psnr_db)  # at a tie yours stays first
         values = ["PSNR [dB]", "SSIM", *(["ST-RRED"] if any(row.st_rred is not None for row in rows) else [])]
         lines += [
-            f"{place_text(*place)}, {mean.pairs} pairs",
+            f"{rows[0].place}, {mean.pairs} pairs",
             text_table(
                 ("  method", "source", *values),
                 [(method, label, *_value_texts(entry)[: len(values)]) for method, label, entry in entries],

@@ -20,13 +20,7 @@ if TYPE_CHECKING:
     from eldata.records import RawFrame
 
 
-def normalised_frame(
-    frame: RawFrame,
-    levels: Levels,
-    *,
-    clip: Clip,
-    gain: float = 1.0,
-) -> NDArray[np.float32]:
+def normalised_frame(frame: RawFrame, levels: Levels, *, clip: Clip, gain: float = 1.0) -> NDArray[np.float32]:
     """Return a frame packed, normalised with a protocol's levels, clipped, amplified and clipped again.
 
     Parameters
@@ -58,7 +52,7 @@ def normalised_frame(
         return packed_frame(leveled, levels="metadata", clip=clip, gain=gain)
     cfa = frame.sensor.cfa
     black = packed_black_level_dn(cfa, frame.sensor.black_level_dn)[:, None, None]
-    white_of = packed_black_level_dn(cfa, whites)[:, None, None]  # one level a CFA channel, as of black
+    white_of = packed_black_level_dn(cfa, whites)[:, None, None]  # one level per CFA channel, like black
     if not np.all(white_of > black):
         raise ArgumentError(f"a white level of {whites} DN is not above its black level")
     low, high = (np.float32(limit) for limit in CLIP_RANGES[clip])

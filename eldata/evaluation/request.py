@@ -10,12 +10,13 @@ from eldata.base.keywords import keywords
 from eldata.base.workers import AnyWorkers, Workers
 from eldata.errors import ArgumentError
 from eldata.manifest.catalogue import Manifest, load_manifest, shipped_manifest, shipped_names
-from eldata.protocols.choosing import default_protocol, get_protocol, members_of, protocols_for
+from eldata.protocols.choosing import default_protocol, get_protocol, protocols_for
 from eldata.protocols.kinds import IMAGES, Kind
-from eldata.protocols.protocol import Protocol
 
 if TYPE_CHECKING:
     from collections.abc import Collection
+
+    from eldata.protocols.protocol import Protocol
 
 Baseline = Literal["input"]
 
@@ -123,7 +124,9 @@ def make_request(
 def _protocol(protocol: str | Path | Protocol | None, manifest: Manifest) -> Protocol:
     """Return the protocol that is meant; it has to be of what the dataset holds, images or clips."""
     default = default_protocol(manifest.name)
-    chosen = _named(protocol, manifest) if protocol is not None else default
+    if isinstance(protocol, (str, Path)):
+        protocol = get_protocol(protocol, manifest.name, own=manifest.name not in shipped_names())
+    chosen = protocol or default
     chosen.check()
     if chosen.kind is not default.kind:
         own = ", ".join(one.name for one in protocols_for(manifest.name))
@@ -132,17 +135,3 @@ def _protocol(protocol: str | Path | Protocol | None, manifest: Manifest) -> Pro
             f"{default.kind.units}; its protocols are {own}"
         )
     return chosen
-
-
-def _named(protocol: str | Path | Protocol, manifest: Manifest) -> Protocol:
-    if isinstance(protocol, Protocol):
-        return protocol
-    members = members_of(str(protocol))
-    if members and manifest.name not in shipped_names():
-        # A family's members differ in the choice of pairs, and a set of the user's own has its own.
-        return next((member for member in members if member.covers(manifest.name)), members[0])
-    if isinstance(protocol, Path):
-        from eldata.protocols.custom import load_protocol
-
-        return load_protocol(protocol)
-    return get_protocol(protocol, manifest.name)

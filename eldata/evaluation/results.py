@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from eldata.base.files import write_json, write_text
 from eldata.base.tables import latex_table, markdown_table, markdown_text, text_table
 from eldata.evaluation.pairs import name_of
-from eldata.evaluation.scores import EvaluationProblem, UnitScore, csv_number, json_safe
+from eldata.evaluation.scores import EvaluationProblem, UnitScore, csv_number, json_object
 from eldata.evaluation.table import PaperTable, TableRow, paper_table, short_digest, table_of
 from eldata.manifest.clips import ClipRecord
 from eldata.records import PairRecord
@@ -82,7 +82,6 @@ class EvaluationResult:
         units: Sequence[Pair],
         scores: Mapping[str, UnitScore],
         problems: Iterable[EvaluationProblem] = (),
-        notes: Iterable[str] = (),
     ) -> EvaluationResult:
         """Return the result of scoring these pairs or windows; ``scores`` are by their paths."""
         found = tuple(scores[unit.path] for unit in units if unit.path in scores)
@@ -94,7 +93,7 @@ class EvaluationResult:
             expected=len(units),
             missing=tuple(name_of(unit) for unit in units if unit.path not in scores),
             problems=tuple(problems),
-            notes=tuple(notes),
+            notes=(),
             units=tuple(units),
         )
 
@@ -263,7 +262,7 @@ class EvaluationResult:
             "problems": [asdict(problem) for problem in self.problems],
             "notes": list(self.notes),
         }
-        return json_safe(result)  # type: ignore[no-any-return] # a dict stays a dict
+        return json_object(result)
 
     def write_json(self, path: Path | str) -> None:
         """Write :meth:`as_dict` as JSON, whole or not at all."""

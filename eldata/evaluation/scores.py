@@ -130,12 +130,16 @@ def means(scores: Sequence[UnitScore], names: Iterable[str]) -> dict[str, float]
     return {name: mean([score.values[name] for score in scores]) for name in names}
 
 
-def json_safe(value: Any) -> Any:
+def json_object(values: dict[str, Any]) -> dict[str, Any]:
     """Return plain types as JSON has them: nan as ``None``, infinities as text."""
+    return {key: _json_safe(value) for key, value in values.items()}
+
+
+def _json_safe(value: Any) -> Any:
     if isinstance(value, dict):
-        return {key: json_safe(item) for key, item in value.items()}
+        return json_object(value)
     if isinstance(value, (list, tuple)):
-        return [json_safe(item) for item in value]
+        return [_json_safe(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None if math.isnan(value) else str(value)
     return value

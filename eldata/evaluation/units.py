@@ -54,6 +54,13 @@ class PlanScores:
     unfit: list[EvaluationProblem] = field(default_factory=list)
     without_channel_whites: list[str] = field(default_factory=list)
 
+    def add(self, others: PlanScores) -> None:
+        """Take in what other pairs scored."""
+        self.scores |= others.scores
+        self.problems += others.problems
+        self.unfit += others.unfit
+        self.without_channel_whites += others.without_channel_whites
+
 
 @dataclass(frozen=True, slots=True)
 class _Member:
@@ -73,14 +80,6 @@ class _Unit:
 
     def __str__(self) -> str:
         return self.reference
-
-
-@dataclass(frozen=True, slots=True)
-class _Outcome:
-    plan: int
-    value: UnitScore | EvaluationProblem
-    without_channel_whites: bool = False
-    unfit: bool = False
 
 
 def score_plans(
@@ -109,18 +108,12 @@ def score_plans(
     workers = request.workers
     work = partial(_score_unit, _Job(Path.cwd(), request.folder.absolute(), protocols, workers.threads_within))
     found = [PlanScores() for _ in plans]
-    for outcomes in workers.attempt(work, units, label="scoring", unit="reference"):
-        if isinstance(outcomes, Failed) and not isinstance(outcomes.error, (EldataError, OSError)):
-            outcomes.error.add_note(f"while the predictions for the reference {outcomes.unit} were scored")
-            raise outcomes.error
-        for outcome in _of_unit(outcomes.unit, outcomes.reason) if isinstance(outcomes, Failed) else outcomes:
-            place = found[outcome.plan]
-            if outcome.without_channel_whites:
-                place.without_channel_whites.append(outcome.value.path)
-            if isinstance(outcome.value, UnitScore):
-                place.scores[outcome.value.path] = outcome.value
-            else:
-                (place.unfit if outcome.unfit else place.problems).append(outcome.value)
+    for outcome in workers.attempt(work, units, label="scoring", unit="reference"):
+        if isinstance(outcome, Failed) and not isinstance(outcome.error, (EldataError, OSError)):
+            outcome.error.add_note(f"while the predictions for the reference {outcome.unit} were scored")
+            raise outcome.error
+        for plan, scores in _unusable(outcome.unit, outcome.reason) if isinstance(outcome, Failed) else outcome:
+            found[plan].add(scores)
     return found
 
 
@@ -140,13 +133,14 @@ def _units(plans: Sequence[ScoringPlan], files: Sequence[dict[str, Path]] | None
     return [_Unit(reference, tuple(sharing)) for reference, sharing in members.items()]
 
 
-def _of_unit(unit: _Unit, reason: str) -> list[_Outcome]:
-    """Return the problems of all pairs of a unit."""
-    return [_Outcome(plan, _reference_problem(member.pair, reason)) for member in unit.members for plan in member.plans]
+def _unusable(unit: _Unit, reason: str) -> list[tuple[int, PlanScores]]:
+    """Return for each plan the problem of each pair of a unit that was lost as a whole."""
+    return [(plan, _without_reference(member.pair, reason)) for member in unit.members for plan in member.plans]
 
 
-def _reference_problem(pair: Pair, reason: str) -> EvaluationProblem:
-    return EvaluationProblem(pair.path, f"its reference {pair.reference} cannot be used: {reason}")
+def _without_reference(pair: Pair, reason: str) -> PlanScores:
+    problem = EvaluationProblem(pair.path, f"its reference {pair.reference} cannot be used: {reason}")
+    return PlanScores(problems=[problem])
 
 
 # --- in a worker ------------------------------------------------------------------------------------------------------
@@ -215,21 +209,22 @@ class _Job:
     threads: int | None
 
 
-def _score_unit(job: _Job, unit: _Unit) -> list[_Outcome]:
+def _score_unit(job: _Job, unit: _Unit) -> list[tuple[int, PlanScores]]:
+    """Return what each pair of a unit scored under each of its plans."""
     path = inside(job.folder, unit.reference)
     files = [file for member in unit.members for file in member.files or ()]
     require_files(path, *(job.start / file for file in files))
     reference = _Reference(path)
-    outcomes: list[_Outcome] = []
+    found: list[tuple[int, PlanScores]] = []
     for member in unit.members:
-        scorers = [_scorer(job, member.pair, plan) for plan in member.plans]
+        scorers = [_scorer(job, member.pair, job.protocols[plan]) for plan in member.plans]
         for index, frame in enumerate(frames_of(member.pair)):
             file = None if member.files is None else member.files[index]
             shared = _Frame(job, reference, member.pair, frame, file)
             for scorer in scorers:
                 scorer.take(shared)
-        outcomes += [outcome for scorer in scorers for outcome in scorer.outcomes()]
-    return outcomes
+        found += [(plan, scorer.finished()) for plan, scorer in zip(member.plans, scorers, strict=True)]
+    return found
 
 
 class _Frame:
@@ -315,7 +310,7 @@ def as_scored(prediction: NDArray[Any], rules: ScoringRules, factor: float, dtyp
     """Return a prediction clamped and multiplied as rules have it, (C, h, w); the arithmetic is float64."""
     low, high, _, final_low, final_high = rules.treatment(factor)
     result = np.empty(prediction.shape, dtype)
-    for channel, plane in enumerate(prediction):  # the float64 intermediates are 8 bytes a pixel
+    for channel, plane in enumerate(prediction):  # the float64 intermediates are 8 bytes per pixel
         result[channel] = np.clip(np.clip(plane.astype(np.float64), low, high) * factor, final_low, final_high)
     return result
 
@@ -323,40 +318,39 @@ def as_scored(prediction: NDArray[Any], rules: ScoringRules, factor: float, dtyp
 # --- what differs between images and clips ------------------------------------------------------------------------
 
 
-def _scorer(job: _Job, pair: Pair, plan: int) -> _Scorer:
-    protocol = job.protocols[plan]
+def _scorer(job: _Job, pair: Pair, protocol: Protocol) -> _Scorer:
     if isinstance(pair, ClipRecord) and isinstance(protocol, ClipProtocol):
-        return _ClipScorer(pair, protocol, plan, job.threads)
-    return _Scorer(pair, protocol, plan)
+        return _ClipScorer(pair, protocol, job.threads)
+    return _Scorer(pair, protocol)
 
 
 class _Scorer:
     """Scores a pair under one protocol: PSNR and SSIM of its frame."""
 
-    def __init__(self, pair: Pair, protocol: Protocol, plan: int) -> None:
-        self._pair, self._protocol, self._plan = pair, protocol, plan
+    def __init__(self, pair: Pair, protocol: Protocol) -> None:
+        self._pair, self._protocol = pair, protocol
         self._frames: list[FrameScore] = []
-        self._problems: list[_Outcome] = []
+        self._found = PlanScores()
         self._bare = False
 
     def take(self, frame: _Frame) -> None:
         """Score a frame; what is wrong with it is kept."""
-        protocol, plan, path = self._protocol, self._plan, self._pair.path
+        protocol = self._protocol
         try:
             target = frame.reference.target(protocol)
             self._bare = frame.reference.lacks_channel_whites(protocol)
         except (ArgumentError, FileError) as error:
             reason = error.reason if isinstance(error, FileError) else str(error)
-            self._problems = [_Outcome(plan, _reference_problem(self._pair, reason))]
+            self._found = _without_reference(self._pair, reason)
             return
         try:
             found, prediction = frame.score(protocol, target)
         except FileError as error:
             file = frame.file if isinstance(error, PredictionError) else error.path
-            self._problems.append(_Outcome(plan, EvaluationProblem(str(file), error.reason)))
+            self._found.problems.append(EvaluationProblem(str(file), error.reason))
         except ArgumentError as error:
-            problem = EvaluationProblem(path, f"protocol {protocol.name} cannot score it: {error}")
-            self._problems = [_Outcome(plan, problem, unfit=True)]
+            problem = EvaluationProblem(self._pair.path, f"protocol {protocol.name} cannot score it: {error}")
+            self._found = PlanScores(unfit=[problem])
         else:
             self._keep(prediction, target, found)
             self._frames.append(FrameScore(frame.path, found.psnr_db, found.ssim, found.rescale))
@@ -364,9 +358,12 @@ class _Scorer:
     def _keep(self, prediction: NDArray[Any], target: NDArray[Any], found: Score) -> None:
         """Keep of a frame what metrics of the whole clip need."""
 
-    def outcomes(self) -> list[_Outcome]:
+    def finished(self) -> PlanScores:
         """Return the scores of the pair, or what is wrong with its frames."""
-        return self._problems or [_Outcome(self._plan, self._score(), without_channel_whites=self._bare)]
+        path, problems = self._pair.path, [*self._found.problems, *self._found.unfit]
+        return (
+            self._found if problems else PlanScores({path: self._score()}, without_channel_whites=[path] * self._bare)
+        )
 
     def _score(self) -> UnitScore:
         pair = self._pair
@@ -380,8 +377,8 @@ class _Scorer:
 class _ClipScorer(_Scorer):
     """Scores a window: means over its frames, and ST-RRED, for which the grey image of each frame alone is kept."""
 
-    def __init__(self, window: ClipRecord, protocol: ClipProtocol, plan: int, threads: int | None) -> None:
-        super().__init__(window, protocol, plan)
+    def __init__(self, window: ClipRecord, protocol: ClipProtocol, threads: int | None) -> None:
+        super().__init__(window, protocol)
         self._window, self._peak, self._threads = window, protocol.st_rred_peak, threads
         self._grey = self._still = np.empty(0)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eldata.errors import ArgumentError
@@ -12,7 +13,7 @@ if TYPE_CHECKING:
     from eldata.protocols.protocol import Protocol
 
 
-def get_protocol(name: str, dataset: str | None = None) -> Protocol:
+def get_protocol(name: str | Path, dataset: str | None = None, *, own: bool = False) -> Protocol:
     """Return a protocol by its name, by the path of a TOML file, or by a family's name and a dataset.
 
     Parameters
@@ -22,14 +23,17 @@ def get_protocol(name: str, dataset: str | None = None) -> Protocol:
         (:func:`eldata.protocols.load_protocol`).
     dataset
         The dataset that is to be scored, if it is known.
+    own
+        Whether it is a set of your own. A family's members differ in the choice of pairs, and such a set has its own
+        pairs: the family's first member is taken, unless another is for a dataset of this name.
 
     Raises
     ------
     ArgumentError
-        If the name is unknown, the message lists the known ones; if a family has none for the dataset; or
-        as :func:`~eldata.protocols.load_protocol`.
+        If the name is unknown (the message lists the known ones), or a family has none for the dataset; or like
+        :func:`~eldata.protocols.load_protocol`.
     """
-    if name.endswith(".toml"):
+    if isinstance(name, Path) or name.endswith(".toml"):
         from eldata.protocols.custom import load_protocol
 
         return load_protocol(name)
@@ -40,8 +44,8 @@ def get_protocol(name: str, dataset: str | None = None) -> Protocol:
         known = ", ".join((*PROTOCOLS, *FAMILIES))
         raise ArgumentError(f"no protocol is called {name!r}; known are {known}, or give a file ending in .toml")
     fitting = [protocol for protocol in members if dataset is None or protocol.covers(dataset)]
-    if len(fitting) == 1:
-        return fitting[0]
+    if own or len(fitting) == 1:
+        return (fitting or members)[0]
     names = " and ".join(f"{protocol.name} (for {protocol.dataset})" for protocol in members)
     raise ArgumentError(f"protocol {name!r} is {names}; name one of them for dataset {dataset or 'not known'!r}")
 

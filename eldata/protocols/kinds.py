@@ -52,15 +52,20 @@ class Kind:
         What tables have means of.
     values
         Every number of a score.
-    columns
-        Columns of the scores' CSV.
+    facts
+        What the scores' CSV says before them.
     """
 
     unit: str
     counted: str
     metrics: tuple[Metric, ...]
     values: tuple[str, ...]
-    columns: tuple[str, ...]
+    facts: tuple[str, ...]
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns of the scores' CSV."""
+        return (*self.facts, *self.values)
 
     @property
     def units(self) -> str:
@@ -82,15 +87,12 @@ IMAGES: Final = Kind(
     counted="pairs",
     metrics=(_PSNR, _SSIM),
     values=("psnr_db", "ssim", "rescale"),
-    columns=("path", "camera", "scene", "iso", "ratio", "psnr_db", "ssim", "rescale"),
+    facts=("path", "camera", "scene", "iso", "ratio"),
 )
 CLIPS: Final = Kind(
     unit="video",
     counted="videos",
     metrics=(_PSNR, _SSIM, _ST_RRED),
     values=("psnr_db", "ssim", "st_rred", "spatial_rred", "temporal_rred", "rescale"),
-    columns=(
-        *("scene", "split", "camera", "start", "frames"),
-        *("psnr_db", "ssim", "st_rred", "spatial_rred", "temporal_rred", "rescale"),
-    ),
+    facts=("scene", "split", "camera", "start", "frames"),
 )

@@ -164,7 +164,7 @@ def test_says_what_was_found(page: str, evaluated: EvaluationResult) -> None:
     for name in evaluated.protocol.as_dict():
         assert f"<dt>{name}</dt>" in page
     assert checker.text.count("IMG_") == len(evaluated.images) + 2 * 2 * EACH  # rows; headings and labels of sliders
-    assert "no interval of fewer than 6 scenes" in checker.text
+    assert "no interval with fewer than 6 scenes" in checker.text
 
 
 def test_every_image_has_a_row_with_what_it_sorts_by(page: str, evaluated: EvaluationResult) -> None:
@@ -207,7 +207,7 @@ def test_nothing_scored() -> None:
     data |= {"images": [], "problems": [{"path": "a", "reason": "has no prediction"}]}
     data["coverage"] = {"pairs": 12, "scored": 0, "missing": ["a"]}
     text = checked(evaluation_page([saved_result(data, "test")], NOTHING)).text
-    assert "Nothing was scored: 1 problems" in text
+    assert "Nothing was scored: 1 problem, listed below." in text
     assert "a: has no prediction" in text
     assert not re.search(r"\bnan\b", text)
 

@@ -9,6 +9,7 @@ from matplotlib.ticker import FixedLocator
 
 from eldata.reports.evaluation.plots import draw_points, drawable
 from eldata.reports.figures import drawn_axes
+from eldata.reports.html import plot_words
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -55,13 +56,9 @@ def _groups_plot(comparison: Comparison, index: int, names: tuple[str, str]) -> 
         axes.grid(visible=False, axis="y")
         axes.set_xlabel("difference of PSNR [dB]")
 
-    return drawn_axes(
-        f"gain-groups-{index}",
-        "Mean difference by group",
-        f"Mean difference of PSNR, {names[1]} minus {names[0]}, of {len(groups)} groups.",
-        f"Right of the line: {names[1]} is better. Bars are the intervals over scenes, where there are enough.",
-        draw,
-    )
+    alt = f"Mean difference of PSNR, {names[1]} minus {names[0]}, of {len(groups)} groups."
+    said = plot_words("compare")["gain-groups"]
+    return drawn_axes(f"gain-groups-{index}", said["title"], alt, said["caption"].format(other=names[1]), draw)
 
 
 def _scatter(pairings: Sequence[Pairing], names: tuple[str, str], index: int, kind: Kind) -> Plot:
@@ -74,18 +71,15 @@ def _scatter(pairings: Sequence[Pairing], names: tuple[str, str], index: int, ki
     def draw(axes: Axes, theme: Theme) -> None:
         axes.plot(limits, limits, color=theme.theory, linewidth=1)
         draw_points(axes, points, theme, alpha=0.6)
-        axes.set_xlim(*limits)
-        axes.set_ylim(*limits)
+        axes.set(xlim=limits, ylim=limits)
         axes.set_xlabel(f"{_short(names[0])} [dB]", parse_math=False)
         axes.set_ylabel(f"{_short(names[1])} [dB]", parse_math=False)
 
-    return drawn_axes(
-        f"gain-scatter-{index}",
-        f"{kind.unit.capitalize()} by {kind.unit}",
-        f"PSNR of {names[1]} against that of {names[0]} on {len(points)} {kind.units}; it is higher on {better}.",
-        f"One point per {kind.unit}. Above the line {names[1]} is better: on {better} of {len(points)} {kind.units}.",
-        draw,
-    )
+    alt = f"PSNR of {names[1]} against that of {names[0]} on {len(points)} {kind.units}; it is higher on {better}."
+    facts = {"Unit": kind.unit.capitalize(), "unit": kind.unit, "units": kind.units}
+    said = plot_words("compare")["gain-scatter"]
+    caption = said["caption"].format(**facts, other=names[1], better=better, count=len(points))
+    return drawn_axes(f"gain-scatter-{index}", said["title"].format(**facts), alt, caption, draw)
 
 
 def _by_level(pairings: Sequence[Pairing], names: tuple[str, str], index: int, kind: Kind) -> Plot:
@@ -98,13 +92,7 @@ def _by_level(pairings: Sequence[Pairing], names: tuple[str, str], index: int, k
         axes.set_xlabel(f"{_short(names[0])} [dB]", parse_math=False)
         axes.set_ylabel("difference [dB]")
 
-    return drawn_axes(
-        f"gain-level-{index}",
-        "Difference by difficulty",
-        f"Difference of PSNR, from {min(gains):.2f} to {max(gains):.2f} dB, against the PSNR of {names[0]}.",
-        (
-            f"{kind.units.capitalize()} that {names[0]} finds hard are to the left. A slope says that one method wins "
-            "where it is dark."
-        ),
-        draw,
-    )
+    alt = f"Difference of PSNR, from {min(gains):.2f} to {max(gains):.2f} dB, against the PSNR of {names[0]}."
+    said = plot_words("compare")["gain-level"]
+    caption = said["caption"].format(Units=kind.units.capitalize(), first=names[0])
+    return drawn_axes(f"gain-level-{index}", said["title"], alt, caption, draw)

@@ -71,7 +71,6 @@ def evaluation_page(results: Sequence[EvaluationResult], shown: ShownImages) -> 
         result=result,
         title=f"{_method(result)} on {result.dataset}",
         subtitle=f"Protocol {result.protocol.name} ({short_digest(result.digest)}): {result.protocol.title}",
-        outcome=_outcome(result),
         remarks=[note[:1].upper() + note[1:] for note in result.notes],
         tiles=_tiles(result),
         sections=[*sections, ("provenance", "Provenance")],
@@ -81,7 +80,7 @@ def evaluation_page(results: Sequence[EvaluationResult], shown: ShownImages) -> 
         others=[(other, table_with_intervals(other)) for other in results[1:]],
         plots=plots,
         shown=shown,
-        pictures_note=_pictures_note(result, shown),
+        each=EACH,
         error_limit=digits(shown.error_limit, 2),
         gradient=heat_gradient(),
         groups={
@@ -122,10 +121,7 @@ class Table:
 
 def number_cell(value: float, text: str, look: str = "") -> Cell:
     """Return a cell that sorts by its number; what is not known sorts last."""
-    known = (
-        "NaN" if math.isnan(value) else ("-Infinity" if value < 0 else "Infinity") if math.isinf(value) else repr(value)
-    )
-    return Cell(signed(text) if not math.isnan(value) else "–", look, known)
+    return Cell(signed(text) if not math.isnan(value) else "–", look, json.dumps(value))
 
 
 FACTS = ("ISO", "factor")
@@ -220,18 +216,6 @@ def _method(result: EvaluationResult) -> str:
     return PurePath(predictions).name or "Predictions"
 
 
-def _outcome(result: EvaluationResult) -> dict[str, str]:
-    """Return a sentence on how much was scored, and how it looks."""
-    problems = f"{len(result.problems)} problems, listed below."
-    if not result.scores:
-        return {"look": "off", "text": f"Nothing was scored: {problems}"}
-    if result.scored < result.expected:
-        return {"look": "off", "text": f"Incomplete: {result.coverage}. These means do not compare with others."}
-    if result.problems:
-        return {"look": "off", "text": f"{result.coverage}; {problems}"}
-    return {"look": "ok", "text": f"Complete: {result.coverage}."}
-
-
 def _tiles(result: EvaluationResult) -> list[tuple[str, str, str]]:
     """Return names, values and notes of what the page shows large."""
     if not result.scores:
@@ -265,31 +249,3 @@ def _facts(image: ShownImage, result: EvaluationResult) -> str:
         *([f"shown {image.brighter:g} times brighter"] if image.brighter != 1 else []),
     ]
     return ", ".join(parts)
-
-
-def _pictures_note(result: EvaluationResult, shown: ShownImages) -> str:
-    if not shown.images:
-        return ""
-    protocol = result.protocol.as_dict()
-    colours = "srgb" if protocol.get("rendering") == "libraw" else protocol.get("pixels", "packed")
-    pixels = "packed pixels" if colours == "packed" else "pixels"
-    sizes = {image.size for image in shown.images}
-    crops = any(image.whole for image in shown.images)
-    size = " or ".join(f"{columns} × {rows}" for rows, columns in sorted(sizes))
-    what = (
-        f"the centre {size} {pixels}, one to one, and below the whole, reduced, with the crop's place"
-        if crops
-        else f"the whole image, {size} {pixels}, one to one"
-    )
-    rescaled = ", rescaled and clipped" if result.rescales else ", clipped"
-    rendering = {
-        "srgb": "Reference and prediction are sRGB renderings. ",
-        "rgb": "Frames are shown as they are stored, as the authors preprocessed them. ",
-        "packed": "Pictures are rendered with the camera's white balance and colour matrix to sRGB, one pixel per "
-        "packed pixel. The input is clipped, multiplied by its factor and clipped again. ",
-    }[colours]
-    return (
-        f"Up to {EACH} of the worst and of the best by PSNR, at most one per scene: {what}. {rendering}The prediction "
-        f"is as it was scored{rescaled}. The error is absolute, the mean over channels, on one scale for all, by its "
-        "square root. JPEG: to look at, not to measure."
-    )

@@ -11,6 +11,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from eldata.evaluation.looking import columns_of, factors_of, finite_scores
 from eldata.reports.figures import MARKERS, drawn_axes, number
+from eldata.reports.html import plot_words
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -55,17 +56,17 @@ def _strips(metric: Metric, by: Grouping, scores: Sequence[UnitScore], kind: Kin
         _columns(axes, columns, metric.name, theme, means=True)
         axes.set_ylabel(metric.head)
 
+    alt = (
+        f"{metric.head} of {len(scores)} {kind.units} in {len(groups)} groups ({', '.join(groups)}), from "
+        f"{min(values):.4g} to {max(values):.4g}."
+    )
+    by_what = f"{'ISO' if by == 'iso' else by}{'' if factors_of(scores) == [None] else ' and factor'}"
+    said = plot_words("evaluation")["by-group"]
     return drawn_axes(
         f"{metric.label.lower()}-{by}",
-        f"{metric.label} by {'ISO' if by == 'iso' else by}{'' if factors_of(scores) == [None] else ' and factor'}",
-        (
-            f"{metric.head} of {len(scores)} {kind.units} in {len(groups)} groups ({', '.join(groups)}), from "
-            f"{min(values):.4g} to {max(values):.4g}."
-        ),
-        (
-            f"One point per {kind.unit}. The bar is the mean of its column with the interval over scenes, where there "
-            f"are enough.{note}"
-        ),
+        said["title"].format(metric=metric.label, groups=by_what),
+        alt,
+        said["caption"].format(unit=kind.unit, note=note),
         draw,
     )
 
@@ -79,17 +80,9 @@ def _rescaling_plot(scores: Sequence[UnitScore], kind: Kind) -> Plot:
         _factor_axis(axes, factors)
         axes.set_ylabel("rescaled by")
 
-    return drawn_axes(
-        "rescaling",
-        "Rescaling that was found",
-        f"Factor of each of {len(scores)} predictions by camera, from {min(factors):.3g} to {max(factors):.3g}.",
-        (
-            "What the protocol multiplied each prediction by. Good: near 1 (the band is 0.8 to 1.25). A column far "
-            f"from 1 is a wrong exposure or scale of all of its {kind.units}, which the score forgives and a viewer "
-            "does not."
-        ),
-        draw,
-    )
+    alt = f"Factor of each of {len(scores)} predictions by camera, from {min(factors):.3g} to {max(factors):.3g}."
+    said = plot_words("evaluation")["rescaling"]
+    return drawn_axes("rescaling", said["title"], alt, said["caption"].format(units=kind.units), draw)
 
 
 def _rescaling_scores_plot(scores: Sequence[UnitScore], kind: Kind) -> Plot:
@@ -100,19 +93,11 @@ def _rescaling_scores_plot(scores: Sequence[UnitScore], kind: Kind) -> Plot:
         _exposure_band(axes, theme, horizontal=False)
         draw_points(axes, points, theme, alpha=0.7)
         _factor_axis(axes, factors, horizontal=True)
-        axes.set_xlabel("rescaled by")
-        axes.set_ylabel("PSNR [dB]")
+        axes.set(xlabel="rescaled by", ylabel="PSNR [dB]")
 
-    return drawn_axes(
-        "rescaling-psnr",
-        "PSNR against rescaling",
-        f"PSNR of {len(scores)} {kind.units} against the factor that each prediction was multiplied by.",
-        (
-            f"Good: a narrow cloud at 1. Bad {kind.units} far from 1 were exposed wrongly, bad ones at 1 were denoised "
-            "badly."
-        ),
-        draw,
-    )
+    alt = f"PSNR of {len(scores)} {kind.units} against the factor that each prediction was multiplied by."
+    said = plot_words("evaluation")["rescaling-psnr"]
+    return drawn_axes("rescaling-psnr", said["title"], alt, said["caption"].format(units=kind.units), draw)
 
 
 def draw_points(axes: Axes, points: Sequence[tuple[float | None, float, float]], theme: Theme, *, alpha: float) -> None:
@@ -142,7 +127,7 @@ def _columns(axes: Axes, columns: Sequence[Column], field: str, theme: Theme, *,
             if column.ratio != ratio:
                 continue
             values = sorted(score.values[field] for score in column.scores)
-            middle = column.place + (index - (len(ratios) - 1) / 2) * width
+            middle = groups.index(column.group) + (index - (len(ratios) - 1) / 2) * width
             # Neighbours in value lie far apart, the same each time.
             xs += [middle + (((rank * _GOLDEN) % 1) - 0.5) * 0.6 * width for rank in range(len(values))]
             ys += values

@@ -380,7 +380,7 @@ def test_progress_of_an_older_plan_is_taken_as_far_as_it_fits(bare: Page, plan: 
     [
         (lambda _: "[", "is not JSON"),
         (lambda _: "null", "it is not the exported progress"),
-        (lambda content: json.dumps(content | {"camera": "NikonD850"}), "it is of the camera NikonD850"),
+        (lambda content: json.dumps(content | {"camera": "NikonD850"}), "it is for the camera NikonD850"),
         (lambda content: json.dumps(content | {"schema": 2}), "another version"),
         (lambda content: json.dumps(content | {"scenes": 1}), "its scenes is not a list"),
         (

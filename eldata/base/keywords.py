@@ -34,7 +34,9 @@ def keywords(owner: str, given: Mapping[str, Any], *kinds: type, renamed: Mappin
         if new in found:
             raise TypeError(f"{owner}: {new} was called {old}; give it once")
         warnings.warn(
-            f"{owner}: {old} is called {new} now; the old name goes with 0.3", DeprecationWarning, stacklevel=4
+            f"{owner}: {old} is called {new} now; the old name will be removed in version 0.3",
+            DeprecationWarning,
+            stacklevel=4,
         )
         found[new] = found.pop(old)
     known = [tuple(kind.__annotations__) for kind in kinds]

@@ -34,7 +34,7 @@ def forwarded(
             raise AttributeError(f"module {module!r} has no attribute {name!r}")
         found = getattr(import_module(new_module), new_name)
         warnings.warn(
-            f"{module}.{name} is {new_module}.{new_name} now; the old name goes with version 0.3",
+            f"{module}.{name} is {new_module}.{new_name} now; the old name will be removed in version 0.3",
             DeprecationWarning,
             stacklevel=2,
         )

@@ -194,7 +194,7 @@ def accepts_jobs(function: Callable[Given, Returned]) -> Callable[Given, Returne
                 raise ArgumentError(f"{function.__name__}: workers takes the place of jobs and executor; give it alone")
             warnings.warn(
                 f"{function.__name__}: jobs and executor are called workers now, a number or an executor; the old "
-                "names go with version 0.3",
+                "names will be removed in version 0.3",
                 DeprecationWarning,
                 stacklevel=2,
             )

@@ -212,8 +212,8 @@ class _Loader(DataLoader[Any]):
             items = len(sampler)
         if is_training and items < batch_size:
             raise ArgumentError(
-                f"{items} items for rank {rank.number} of {rank.of} are no whole batch of {batch_size}; take a smaller "
-                "batch_size, or more crops per frame"
+                f"{items} items for rank {rank.number} of {rank.of} do not fill a batch of {batch_size}; take a "
+                "smaller batch_size, or more crops per frame"
             )
         if is_training:
             left = items % batch_size

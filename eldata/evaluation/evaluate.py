@@ -130,9 +130,11 @@ def evaluate_all(
 
 
 def evaluate_video(predictions: Path | str, dataset: str = "drv", **options: Any) -> EvaluationResult:
-    """Call :func:`evaluate`, which scores clips too; this name goes with 0.3."""
+    """Call :func:`evaluate`, which scores clips too; this name will be removed in 0.3."""
     warnings.warn(
-        "eldata.evaluate scores clips too; evaluate_video goes with version 0.3", DeprecationWarning, stacklevel=2
+        "eldata.evaluate scores clips too; evaluate_video will be removed in version 0.3",
+        DeprecationWarning,
+        stacklevel=2,
     )
     return evaluate(predictions, dataset, **options)
 

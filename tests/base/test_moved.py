@@ -20,9 +20,7 @@ from eldata.base.moved import forwarded
 )
 def test_an_old_name_is_the_new_one_and_warns(old: str, new: str, names: tuple[str, ...]) -> None:
     for name in names:
-        with pytest.warns(
-            DeprecationWarning, match=f"{old}.{name} is {new}.{name} now; the old name goes with version 0.3"
-        ):
+        with pytest.warns(DeprecationWarning, match=f"{old}.{name} is {new}.{name} now; the old name will be removed"):
             found = getattr(import_module(old), name)
         assert found is getattr(import_module(new), name)
 

@@ -352,8 +352,8 @@ def test_wrong_arguments(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ({"workers": -1}, "workers must be 0 or more; found -1"),
         ({"seed": -1}, "seed must be 0 or more; found -1"),
         ({"start_method": "thread"}, "start_method must be one of 'forkserver', 'spawn', 'fork'; found 'thread'"),
-        ({"batch_size": 49}, "48 items for rank 0 of 1 are no whole batch of 49"),
-        ({"batch_size": 5, "rank": Rank(3, 10)}, "4 items for rank 3 of 10 are no whole batch of 5"),
+        ({"batch_size": 49}, "48 items for rank 0 of 1 do not fill a batch of 49"),
+        ({"batch_size": 5, "rank": Rank(3, 10)}, "4 items for rank 3 of 10 do not fill a batch of 5"),
     ]
     for options, words in wrong:
         with pytest.raises(ArgumentError, match=words):

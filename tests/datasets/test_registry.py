@@ -340,7 +340,9 @@ def test_an_unknown_argument_lists_the_known(name: str, opened: Callable[..., An
 @EVERY
 def test_the_names_of_0_1_are_understood(name: str, opened: Callable[..., Any]) -> None:
     split = next(record.split for record in shipped_manifest(name).records if record.role == "noisy")
-    with pytest.warns(DeprecationWarning, match="splits is called split now; the old name goes with 0.3"):
+    with pytest.warns(
+        DeprecationWarning, match="splits is called split now; the old name will be removed in version 0.3"
+    ):
         old = opened(name, splits=[split])
     assert old.records == opened(name, split=split).records == opened(name, split=[split]).records
     with pytest.raises(TypeError, match="split was called splits; give it once"):

@@ -23,7 +23,7 @@ def test_evaluate_video(tmp_path: Path) -> None:
     for record in DRVDataset(drv.data, split="test", frames="evaluation", manifest=drv.csv).records:
         save_clip_prediction(tmp_path / "preds", record, np.full((5, 3, 48, 56), 0.5, np.float32))
     with pytest.warns(
-        DeprecationWarning, match=r"eldata.evaluate scores clips too; evaluate_video goes with version 0\.3"
+        DeprecationWarning, match=r"eldata.evaluate scores clips too; evaluate_video will be removed in version 0\.3"
     ):
         found = evaluate_video(tmp_path / "preds", manifest=drv.csv, root=drv.root, ids=["0007"])
     assert found == evaluate(tmp_path / "preds", manifest=drv.csv, root=drv.root, ids=["0007"])

@@ -148,7 +148,7 @@ def inside(root: Path, relative: str) -> Path:
     try:
         leads_outside = not path.resolve().is_relative_to(root.resolve())
     except (OSError, RuntimeError) as error:
-        raise ManifestError(f"{path} cannot be followed ({error}); is it a loop of links?") from error
+        raise ManifestError(f"{path} cannot be followed ({error}); is it a loop of links, or too long?") from error
     if leads_outside:
         raise ManifestError(
             f"{path} leads outside of {root} through a link; move the files there, or point --root at their place"

@@ -11,11 +11,12 @@ import os
 import shutil
 import stat
 import zlib
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from typing import IO, TYPE_CHECKING, Any
 
 from eldata.base.files import check_posix, inside, try_lock
+from eldata.download.readers import BY_HAND
 from eldata.download.sizes import check_room, progress_bar
 from eldata.errors import ArchiveError, DownloadError, ManifestError
 
@@ -61,12 +62,7 @@ def unpack_archive(archive: Archive, targets: Mapping[str, str], folder: Path) -
         If the disk is full or cannot be written to, or another process is unpacking there.
     """
     members = [member for member in archive.files if member.name in targets]
-    places = {}
-    for member in members:
-        try:
-            places[member.name] = inside(folder, targets[member.name])
-        except ManifestError as error:
-            raise ArchiveError(archive.path, str(error)) from error
+    places = {member.name: _place(archive.path, member, folder, targets[member.name]) for member in members}
     result: dict[str, str] = {}
     total_bytes = sum(member.size_bytes for member in members)
     with (
@@ -75,7 +71,8 @@ def unpack_archive(archive: Archive, targets: Mapping[str, str], folder: Path) -
     ):
         to_read, missing = [], 0
         for member in members:
-            verdict = _verdict(member, places[member.name], bar)
+            with _disk_named(places[member.name], "read"):
+                verdict = _verdict(member, places[member.name], bar)
             if verdict is not None:
                 result[member.name] = verdict
                 continue
@@ -100,6 +97,20 @@ def unpack_archive(archive: Archive, targets: Mapping[str, str], folder: Path) -
         return tuple(sorted(targets[name] for name, found in result.items() if found == verdict))
 
     return Unpacked(of("written"), of("identical"), of("differing"))
+
+
+def _place(archive: Path, member: Member, folder: Path, target: str) -> Path:
+    """Return where a member goes, if it can lie there."""
+    try:
+        place = inside(folder, target)
+        with suppress(FileNotFoundError, NotADirectoryError):
+            place.lstat()
+    except ManifestError as error:
+        raise ArchiveError(archive, str(error)) from error
+    except OSError as error:  # a name or path that is too long for this disk
+        reason = f"member {member.name!r} cannot lie at {place}: {error.strerror}; {BY_HAND}"
+        raise ArchiveError(archive, reason) from error
+    return place
 
 
 def _verdict(member: Member, place: Path, bar: tqdm[Any]) -> str | None:
@@ -173,11 +184,14 @@ class _Comparison:
         self._member = member
         self._result = result
         self._bar = bar
-        self._file = place.open("rb")
+        self._place = place
+        with _disk_named(place, "read"):
+            self._file = place.open("rb")
         self._same = True
 
     def write(self, piece: bytes) -> None:
-        self._same = self._same and self._file.read(len(piece)) == piece
+        with _disk_named(self._place, "read"):
+            self._same = self._same and self._file.read(len(piece)) == piece
         self._bar.update(len(piece))
 
     def close(self) -> None:
@@ -220,10 +234,10 @@ def _remove(path: Path) -> None:
 
 
 @contextmanager
-def _disk_named(path: Path) -> Iterator[None]:
+def _disk_named(path: Path, what: str = "write") -> Iterator[None]:
     try:
         yield
     except OSError as error:
         raise DownloadError(
-            f"cannot write {path}: {error.strerror}; files unpacked before are whole, and the same command goes on"
+            f"cannot {what} {path}: {error.strerror}; files unpacked before are whole, and the same command goes on"
         ) from error

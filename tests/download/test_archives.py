@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 PACKERS: dict[str, Callable[[dict[str, bytes]], bytes]] = {
     "zip": zipped,
     "zip-stored": lambda files: zipped(files, zipfile.ZIP_STORED),
-    "zip-lzma": lambda files: zipped(files, zipfile.ZIP_LZMA),
     "tar": lambda files: tarred(files, "w:"),
     "tar.gz": tarred,
+    "tar.bz2": lambda files: tarred(files, "w:bz2"),
     "tar.xz": lambda files: tarred(files, "w:xz"),
     "7z": sevenzipped,
 }
@@ -169,7 +169,7 @@ def test_a_tar_cut_between_members(tmp_path: Path) -> None:
     refused(saved(tmp_path, content[:1024]), "end mark is missing")
 
 
-@pytest.mark.parametrize("name", ["zip", "zip-stored", "zip-lzma", "7z", "tar.gz", "tar.xz"])
+@pytest.mark.parametrize("name", ["zip", "zip-stored", "7z", "tar.gz", "tar.bz2", "tar.xz"])
 def test_a_flipped_bit_is_found(name: str, tmp_path: Path) -> None:
     content = bytearray(PACKERS[name](contents()))
     content[len(content) // 3] ^= 1
@@ -309,6 +309,11 @@ def test_a_method_that_python_does_not_know(tmp_path: Path) -> None:
     for mark, offset in ((b"PK\x03\x04", 8), (b"PK\x01\x02", 10)):
         struct.pack_into("<H", content, content.index(mark) + offset, 9)
     refused(saved(tmp_path, bytes(content)), "method 9", "by hand (7z x)")
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_methods_that_zipfile_unpacks_without_a_bound(method: int, tmp_path: Path) -> None:
+    refused(saved(tmp_path, zipped({"a": b"x"}, method)), f"method {method}", "by hand (7z x)")
 
 
 # --- bombs ------------------------------------------------------------------------------------------------------------

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
 
+_LONGEST_PATH = 4096
+
+
 def sha256_of(path: Path) -> str:
     """Return ``sha256:<hex>`` of a file's bytes, read in pieces."""
     with path.open("rb") as file:
@@ -128,6 +131,8 @@ def path_problem(relative: str) -> str | None:
         return "contains an empty, '.' or '..' part"
     if max(map(len, parts)) > 255:
         return "contains a name of more than 255 characters, which no file system has"
+    if len(relative) > _LONGEST_PATH:
+        return f"has more than {_LONGEST_PATH} characters, which no system opens"
     return None
 
 

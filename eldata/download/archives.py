@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
+from eldata.base.fields import shown
 from eldata.base.files import path_problem
 from eldata.download.readers import (
     HEAD_BYTES,
@@ -95,24 +96,25 @@ def check_members(path: Path, members: Sequence[Member]) -> None:
         name = member.stored_name
         problem = path_problem(member.name)
         if problem is not None:
-            raise ArchiveError(path, f"member {name!r} {problem}; {UNSAFE}")
+            raise ArchiveError(path, f"member {shown(name)} {problem}; {UNSAFE}")
         if member.kind == "link":
-            raise ArchiveError(path, f"member {name!r} is a link, which could lead out of the folder; {UNSAFE}")
+            raise ArchiveError(path, f"member {shown(name)} is a link, which could lead out of the folder; {UNSAFE}")
         if member.kind == "special":
-            raise ArchiveError(path, f"member {name!r} is a device or something like it; {UNSAFE}")
+            raise ArchiveError(path, f"member {shown(name)} is a device or something like it; {UNSAFE}")
         if member.kind == "folder":
             continue
         key = _as_file_systems_see(member.name)
         if key in seen:
             raise ArchiveError(
-                path, f"members {seen[key]!r} and {name!r} would be one file where case does not count; {UNSAFE}"
+                path,
+                f"members {shown(seen[key])} and {shown(name)} would be one file where case does not count; {UNSAFE}",
             )
         seen[key] = name
         for parent in PurePosixPath(key).parents:
             folders.setdefault(parent.as_posix(), name)
     for key, name in seen.items():
         if key in folders:
-            raise ArchiveError(path, f"member {name!r} is a file, and a folder of {folders[key]!r}; {UNSAFE}")
+            raise ArchiveError(path, f"member {shown(name)} is a file, and a folder of {shown(folders[key])}; {UNSAFE}")
     _check_sizes(path, members)
 
 

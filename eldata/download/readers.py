@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Protocol
 
+from eldata.base.fields import shown
 from eldata.errors import ArchiveError, EldataError
 
 if TYPE_CHECKING:
@@ -181,5 +182,5 @@ def check_size(path: Path, member: Member, size: int) -> None:
     """Refuse a member of another size than stated."""
     if size != member.size_bytes:
         raise ArchiveError(
-            path, f"member {member.name!r} should have {member.size_bytes} bytes, has {size}; {CUT_SHORT}"
+            path, f"member {shown(member.name)} should have {member.size_bytes} bytes, has {size}; {CUT_SHORT}"
         )

@@ -14,6 +14,7 @@ import time
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
+from eldata.base.fields import shown
 from eldata.download.readers import (
     BY_HAND,
     CUT_SHORT,
@@ -196,7 +197,7 @@ def _send_contents(connection: Connection, path: Path, names: Sequence[str]) -> 
     class Members(py7zr.io.WriterFactory):
         def create(self, filename: str) -> py7zr.io.Py7zIO:
             if filename not in wanted:
-                raise ValueError(f"member {filename!r} was not listed")
+                raise ValueError(f"member {shown(filename)} was not listed")
             return OneMember(filename)
 
     with _opened(connection, path) as archive:

@@ -173,7 +173,7 @@ class _Walk:
         with damage_named(self._path):
             info = tarfile.TarInfo.frombuf(block, "utf-8", "surrogateescape")
         if info.size < 0:
-            raise damaged(self._path, f"member {info.name!r} has {info.size} bytes")
+            raise damaged(self._path, f"member {shown(info.name)} has {info.size} bytes")
         return info
 
     def _payload(self, info: tarfile.TarInfo) -> bytes:
@@ -201,14 +201,14 @@ class _Walk:
         if info.type == tarfile.GNUTYPE_SPARSE or any(key.startswith("GNU.sparse.") for key in given):
             raise ArchiveError(
                 self._path,
-                f"member {given.get('GNU.sparse.name', name)!r} is stored as a sparse file, which eldata does not "
+                f"member {shown(given.get('GNU.sparse.name', name))} is stored as a sparse file, which eldata does not "
                 f"unpack; {BY_HAND}",
             )
         size = info.size
         if "size" in given:  # of what is too large for the header's own field
             text = given["size"]
             if len(text) > _MOST_DIGITS or not (text.isascii() and text.isdigit()):
-                raise damaged(self._path, f"member {name!r} has {shown(text)} bytes")
+                raise damaged(self._path, f"member {shown(name)} has {shown(text)} bytes")
             size = int(text)
         kind: Kind = "special"
         if info.issym() or info.islnk():

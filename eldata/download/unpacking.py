@@ -7,6 +7,7 @@ sign that files may be missing. The next run goes on with those, and removes the
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import stat
@@ -15,6 +16,7 @@ from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from typing import IO, TYPE_CHECKING, Any
 
+from eldata.base.fields import shown
 from eldata.base.files import check_posix, inside, try_lock
 from eldata.download.readers import BY_HAND
 from eldata.download.sizes import check_room, progress_bar
@@ -91,7 +93,9 @@ def unpack_archive(archive: Archive, targets: Mapping[str, str], folder: Path) -
             archive.deliver(to_read, receive)
     lost = [member.name for member in members if member.name not in result]
     if lost:
-        raise ArchiveError(archive.path, f"member {lost[0]!r} is listed, but did not come out of it; fetch it again")
+        raise ArchiveError(
+            archive.path, f"member {shown(lost[0])} is listed, but did not come out of it; fetch it again"
+        )
 
     def of(verdict: str) -> tuple[str, ...]:
         return tuple(sorted(targets[name] for name, found in result.items() if found == verdict))
@@ -108,7 +112,7 @@ def _place(archive: Path, member: Member, folder: Path, target: str) -> Path:
     except ManifestError as error:
         raise ArchiveError(archive, str(error)) from error
     except OSError as error:  # a name or path that is too long for this disk
-        reason = f"member {member.name!r} cannot lie at {place}: {error.strerror}; {BY_HAND}"
+        reason = f"member {shown(member.name)} cannot lie at {place}: {error.strerror}; {BY_HAND}"
         raise ArchiveError(archive, reason) from error
     return place
 
@@ -238,6 +242,7 @@ def _disk_named(path: Path, what: str = "write") -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise DownloadError(
-            f"cannot {what} {path}: {error.strerror}; files unpacked before are whole, and the same command goes on"
-        ) from error
+        advice = "files unpacked before are whole, and the same command goes on"
+        if error.errno == errno.ENAMETOOLONG:
+            advice = f"no file can have that name on this disk; {BY_HAND}"
+        raise DownloadError(f"cannot {what} {path}: {error.strerror}; {advice}") from error

@@ -8,6 +8,7 @@ import zipfile
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
+from eldata.base.fields import shown
 from eldata.download.readers import BY_HAND, CUT_SHORT, Member, clean_name, copy, damage_named
 from eldata.errors import ArchiveError
 
@@ -33,12 +34,12 @@ class ZipReader:
             infos = archive.infolist()
         for info in infos:
             if info.flag_bits & 1:
-                raise ArchiveError(path, f"member {info.filename!r} is encrypted; unpack it by hand")
+                raise ArchiveError(path, f"member {shown(info.filename)} is encrypted; unpack it by hand")
             if info.compress_type not in _METHODS:
                 raise ArchiveError(
                     path,
-                    f"member {info.filename!r} is packed by method {info.compress_type}, which eldata does not unpack; "
-                    f"{BY_HAND}",
+                    f"member {shown(info.filename)} is packed by method {info.compress_type}, which eldata does not "
+                    f"unpack; {BY_HAND}",
                 )
         return tuple(
             Member(clean_name(info.filename), info.filename, _kind(info), info.file_size, info.compress_size, info.CRC)
@@ -57,7 +58,7 @@ class ZipReader:
 
 
 def _kind(info: zipfile.ZipInfo) -> Kind:
-    if info.is_dir():
+    if info.filename.endswith("/"):  # is_dir() fails where there is no name
         return "folder"
     mode = info.external_attr >> 16
     if stat.S_ISLNK(mode):

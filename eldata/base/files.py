@@ -11,6 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING
 
+from eldata.base.visible import has_unseen
 from eldata.errors import ArgumentError, EldataError, ManifestError
 
 if TYPE_CHECKING:
@@ -56,9 +57,12 @@ def atomic_write(path: Path | str) -> Iterator[IO[bytes]]:
 
 
 def write_text(path: Path | str, text: str) -> None:
-    """Write UTF-8 text whole or not at all, with line ends as given."""
+    r"""Write UTF-8 text whole or not at all, with line ends as given.
+
+    What stands for a byte of a file name that is not UTF-8 is written as JSON has it: by its number, ``\udcff``.
+    """
     with atomic_write(path) as file:
-        file.write(text.encode())
+        file.write(text.encode("utf-8", "backslashreplace"))
 
 
 def write_json(path: Path | str, data: object, *, indent: int = 2) -> None:
@@ -120,8 +124,8 @@ def path_problem(relative: str) -> str | None:
         return "is empty"
     if "\\" in relative:
         return "contains a backslash; manifests use '/'"
-    if any(ord(character) < 32 or ord(character) == 127 for character in relative):
-        return "contains a control character"
+    if has_unseen(relative):
+        return "contains a control character, or another one that does not show"
     if relative.startswith("/"):
         return "is absolute; paths are relative to the dataset's folder"
     if ":" in relative.partition("/")[0]:

@@ -70,7 +70,7 @@ class Sink(Protocol):
         """Note that the member is complete."""
 
 
-class Source(Protocol):
+class MemberBytes(Protocol):
     """Gives one member's bytes."""
 
     def read(self, size: int, /) -> bytes:
@@ -157,7 +157,7 @@ def clean_name(stored_name: str) -> str:
     return name
 
 
-def copy(path: Path, member: Member, source: Source, sink: Sink) -> None:
+def send(path: Path, member: Member, source: MemberBytes, sink: Sink) -> None:
     """Send a member's bytes to its sink.
 
     Raises
@@ -173,7 +173,7 @@ def copy(path: Path, member: Member, source: Source, sink: Sink) -> None:
     sink.finish()
 
 
-def _piece(path: Path, source: Source, most: int) -> bytes:
+def _piece(path: Path, source: MemberBytes, most: int) -> bytes:
     with damage_named(path):
         return source.read(min(PIECE_BYTES, most))
 

@@ -25,9 +25,9 @@ from eldata.download.readers import (
     Member,
     bomb,
     clean_name,
-    copy,
     damage_named,
     damaged,
+    send,
     too_many,
 )
 from eldata.errors import ArchiveError
@@ -66,7 +66,7 @@ class TarReader:
             for entry in _Walk(path, file).entries():
                 member = wanted.get(entry.member.stored_name)
                 if member is not None and entry.member.kind == "file":
-                    copy(path, member, entry.content, receive(member))
+                    send(path, member, entry.content, receive(member))
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
 from eldata.base.fields import shown
-from eldata.download.readers import BY_HAND, CUT_SHORT, Member, clean_name, copy, damage_named
+from eldata.download.readers import BY_HAND, CUT_SHORT, Member, clean_name, damage_named, send
 from eldata.errors import ArchiveError
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ class ZipReader:
                 with damage_named(path):
                     source = archive.open(member.stored_name)
                 with source:
-                    copy(path, member, source, sink)
+                    send(path, member, source, sink)
 
 
 def _kind(info: zipfile.ZipInfo) -> Kind:

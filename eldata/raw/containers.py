@@ -72,8 +72,9 @@ def check_container(path: Path) -> None:
             end = max(sum(struct.unpack_from(">II", head, at)) for at in (_RAF_EXTENTS, 92, 100))
             tiff.require(path, size, end)
         elif head[4:12] == _CR3:
-            for _ in _boxes(path, file, 0, size):
-                pass
+            for kind, _, _ in _boxes(path, file, 0, size):
+                if kind == b"mdat":  # the pixels, which come last
+                    break
 
 
 def _block(path: Path, file: BinaryIO, offset: int, length: int) -> io.BytesIO:

@@ -234,7 +234,7 @@ def test_private_data_counts_only_with_its_own_neutral(tmp_path: Path) -> None:
         path, random_mosaic(24, 30), make_sensor(BAYER["RGGB"], 24, 30, white_balance=(2.0, 1.0, 1.5, 1.25)), EXPOSURE
     )
     assert read_raw(path).sensor.white_balance == (2.0, 1.0, 1.5, 1.25)
-    with tifffile.TiffFile(path, mode="r+b") as tiff:
+    with tifffile.TiffFile(path, mode="r+") as tiff:
         tiff.pages.first.tags[50728].overwrite((1, 4, 1, 1, 2, 3))
     assert read_raw(path).sensor.white_balance == (4.0, 1.0, 1.5, 1.0)
 
@@ -335,7 +335,7 @@ def test_each_level_of_a_large_pattern_is_looked_at_once(side: int) -> None:
     looked_at = 0
 
     class Level(Fraction):
-        def __hash__(self) -> int:
+        def __hash__(self) -> int:  # type: ignore[override] # typeshed has none for numbers
             nonlocal looked_at
             looked_at += 1
             return super().__hash__()

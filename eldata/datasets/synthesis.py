@@ -7,6 +7,7 @@ its card, and ``OUT/parameters.json`` with all that the noise was made with. ``<
 from __future__ import annotations
 
 import re
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from functools import partial
@@ -29,6 +30,8 @@ from eldata.raw.reading import read_raw
 from eldata.records import Exposure, FrameRecord, RawFrame
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from eldata.noise.profile import CameraProfile, RowChoice
 
 Format = Literal["dng", "npy"]
@@ -107,7 +110,7 @@ def synthesize(clean: Path, out: Path, recipe: Recipe, *, workers: AnyWorkers = 
     DatasetError
         If ``clean`` holds no raw file, or ``out`` holds something.
     RawFileError
-        If a clean file cannot be read, or states no ISO or exposure time.
+        If a clean file cannot be read, states no ISO or exposure time, or something that a DNG cannot hold.
     EldataError
         If a file cannot be written.
     """
@@ -172,7 +175,8 @@ def _synthesize_file(start: Path, folder: Path, recipe: Recipe, unit: tuple[int,
     scene = f"scene-{index + 1}"
     place = folder / profile.camera / scene
     place.mkdir(parents=True, exist_ok=True)
-    write_dng(place / "clean.dng", frame.mosaic, sensor, frame.exposure, compression="lossless-jpeg")
+    with _naming(path):
+        write_dng(place / "clean.dng", frame.mosaic, sensor, frame.exposure, compression="lossless-jpeg")
     base = f"{profile.camera}/{scene}"
     record = partial(FrameRecord, camera=profile.camera, scene=scene, width=sensor.width, height=sensor.height)
     reference = record(path=f"{base}/clean.dng", role="reference", iso=iso, exposure_s=exposure_s)
@@ -193,7 +197,8 @@ def _synthesize_file(start: Path, folder: Path, recipe: Recipe, unit: tuple[int,
             dn = noisy.astype(np.float64) * (range_dn / float(ratio)) + black
             mosaic = unpack(np.clip(np.rint(dn), 0, sensor.white_level_dn).astype(np.uint16), sensor.cfa)
             exposure = Exposure(noisy_iso, noisy_s, frame.exposure.f_number)
-            write_dng(place / name, mosaic, sensor, exposure, compression="lossless-jpeg")
+            with _naming(path):
+                write_dng(place / name, mosaic, sensor, exposure, compression="lossless-jpeg")
         else:
             with atomic_write(place / name) as file:
                 np.save(file, noisy, allow_pickle=False)
@@ -201,6 +206,15 @@ def _synthesize_file(start: Path, folder: Path, recipe: Recipe, unit: tuple[int,
         records.append(replace(of_copy, ratio=ratio, reference=reference.path))
         drawn.append({"path": f"{base}/{name}", "clean": str(path), "ratio": float(ratio)} | asdict(parameters))
     return _Made(tuple(records), tuple(drawn), sensor.model, len(sensor.cfa) == 2)
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Let what a DNG cannot hold name the clean file that states it, too."""
+    try:
+        yield
+    except ArgumentError as error:
+        raise RawFileError(path, f"cannot be a clean frame: {error}") from error
 
 
 def _cropped(frame: RawFrame) -> RawFrame:

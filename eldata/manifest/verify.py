@@ -373,7 +373,7 @@ def _header_findings(path: Path, record: FrameRecord, models: Sequence[str]) -> 
     except RawFileError as error:
         return [Finding(record.path, "content", "a whole raw file", error.reason, _AGAIN)], None
     findings = []
-    if not header.model:
+    if not header.model and "" not in models:  # which a card lists for files whose camera does not name itself
         findings.append(Finding(record.path, "camera", " or ".join(models), "no camera model", _NO_EXIF))
     elif header.model.casefold() not in {model.casefold() for model in models}:
         advice = "this file was taken by another camera"

@@ -8,8 +8,8 @@ CFA
     Asked of LibRaw for the visible area's own first sites. rawpy's ``raw_pattern`` counts from the corner of the
     full raw image and is out of phase where a margin is odd.
 black level
-    A DNG's own BlackLevel, exactly, at the sites of the visible area; LibRaw rounds it, and where an active area starts
-    at an odd row or column gives its pattern to the wrong channels. Else LibRaw's per-channel figure: it joins the
+    A DNG's own BlackLevel, exactly, at the sites of the visible area; LibRaw keeps its whole DN, and where an active area
+    starts at an odd row or column gives its pattern to the wrong channels. Else LibRaw's per-channel figure: it joins the
     global level and the per-channel offsets, and for bodies without a recorded level it is measured in the masked
     pixels of that very file.
 white level

@@ -8,10 +8,10 @@ CFA
     Asked of LibRaw for the visible area's own first sites. rawpy's ``raw_pattern`` counts from the corner of the
     full raw image and is out of phase where a margin is odd.
 black level
-    A DNG's own BlackLevel, exactly, at the sites of the visible area; LibRaw rounds it, and where an active area starts
-    at an odd row or column gives its pattern to the wrong channels. Else LibRaw's per-channel figure: it joins the
-    global level and the per-channel offsets, and for bodies without a recorded level it is measured in the masked
-    pixels of that very file.
+    A DNG's own BlackLevel, exactly, at the sites of the visible area; LibRaw keeps its whole DN, and where an active
+    area starts at an odd row or column gives its pattern to the wrong channels. Else LibRaw's per-channel figure: it
+    joins the global level and the per-channel offsets, and for bodies without a recorded level it is measured in the
+    masked pixels of that very file.
 white level
     LibRaw's ``white_level``: the level at which the format saturates, from the file where the file has one (DNG).
     The per-channel ``camera_white_level_per_channel`` is missing for most cameras, comes from LibRaw's table or
@@ -55,7 +55,7 @@ from eldata.errors import ArgumentError, RawFileError
 from eldata.raw.cfa import packed_channels
 from eldata.raw.containers import check_container
 from eldata.raw.exif import exif_tags, header_of
-from eldata.raw.sensor_facts import as_shot_white_balance, channel_whites, colour_matrix, dng_black_level
+from eldata.raw.sensor_facts import as_shot_multipliers, camera_matrix, channel_whites, dng_black_level
 from eldata.raw.tiff import read_directories
 from eldata.raw.unsupported import NEEDED, refuse_unsupported, unsupported_cfa
 from eldata.records import RawFrame, Sensor
@@ -124,7 +124,7 @@ def read_raw(path: Path | str) -> RawFrame:
         if not white > max(black):
             raise RawFileError(path, f"white level {white:g} DN is not above the black level {black} DN")
         whites = channel_whites(raw, index_of)
-        matrix, illuminant = colour_matrix(raw, directories)
+        matrix, illuminant = camera_matrix(raw, directories)
         sensor = Sensor(
             make=header.make,
             model=header.model,
@@ -133,7 +133,7 @@ def read_raw(path: Path | str) -> RawFrame:
             white_level_dn=white,
             height=mosaic.shape[0],
             width=mosaic.shape[1],
-            white_balance=as_shot_white_balance(path, raw, directories, tags),
+            white_balance=as_shot_multipliers(path, raw, directories, tags),
             xyz_to_camera=matrix,
             matrix_illuminant=illuminant,
         )

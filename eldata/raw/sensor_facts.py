@@ -84,7 +84,7 @@ def channel_whites(raw: rawpy.RawPy, index_of: Sequence[int]) -> tuple[float, ..
     return tuple(float(levels[index]) for index in index_of)
 
 
-def as_shot_white_balance(
+def as_shot_multipliers(
     path: Path, raw: rawpy.RawPy, directories: Sequence[Directory], tags: Mapping[str, Any]
 ) -> tuple[float, float, float, float] | None:
     """Return the multipliers of R, G1, B, G2 as shot, G1 = 1; None if they are not known.
@@ -117,7 +117,7 @@ def _private_data(tags: Mapping[str, Any]) -> bytes:
     return bytes(values) if ours else b""
 
 
-def colour_matrix(raw: rawpy.RawPy, directories: Sequence[Directory]) -> tuple[Matrix3 | None, int]:
+def camera_matrix(raw: rawpy.RawPy, directories: Sequence[Directory]) -> tuple[Matrix3 | None, int]:
     """Return the matrix from XYZ to the camera's colours, and the light that it is for; None if it is not known.
 
     Of a DNG's two matrices that for D65, else the first for another daylight, else the second: LibRaw's order.

@@ -6,7 +6,8 @@
                             bytes, sha256, and of each of its samples [bytes, crc32]; written last: without it there is
                             nothing
     shard-000000.tar        samples one after the other, three members each, named as WebDataset names them:
-      000000042.json          the record, the exposure ratio, both sensors and exposures, the place in the frame
+      000000042.json          the record, the exposure ratio, both sensors and exposures, the place in the frame; with
+                              sensor_more where a sensor states more than version 0.1 knows
       000000042.input.npy     (H, W) uint16, the noisy mosaic in DN
       000000042.target.npy    (H, W) uint16, the reference's
 

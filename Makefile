@@ -12,7 +12,7 @@ RARE := study or browser or tether or dask or kill or memory
 # would compile the package again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test test-all test-rest lint bench manifests clean
+.PHONY: help demo test test-all test-rest lint bench fuzz manifests clean
 
 help:  ## What there is to make
 	@grep -hE '^[a-z-]+:.*##' Makefile | sed 's/:.*## /\t/' | expand -t 12
@@ -42,6 +42,12 @@ test-rest: $(STAMP)
 
 bench: $(STAMP)  ## Benchmarks against the straightforward routes, about twenty minutes
 	$(BIN)/python -m benchmarks
+
+# How long it runs. For exact counts and one's own seed: .venv/bin/python -m tests.fuzz --help
+MINUTES ?= 10
+
+fuzz: $(STAMP)  ## Damaged and hostile files for so long (MINUTES=10); the failing ones go to ./fuzz-failures (Linux only)
+	$(BIN)/python -m tests.fuzz --minutes $(MINUTES)
 
 manifests: $(STAMP)  ## Write the shipped manifests again
 	$(BIN)/python -m manifests.generate

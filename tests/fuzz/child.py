@@ -12,6 +12,7 @@ import os
 import resource
 import shutil
 import sys
+import traceback
 import warnings
 from dataclasses import dataclass
 from functools import cache
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from tests.fuzz.seeds import Seed
 
 READY = b"ready"
+DEFECT = "the harness itself failed"
 _ABOVE_LIMIT = 4 << 30
 # What archives with names such as ../../outside must not make.
 _OUTSIDE = (Path("/etc/outside"), Path("/outside"))
@@ -217,4 +219,8 @@ def _forget_peak() -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    try:
+        main(sys.argv[1])
+    except Exception:  # a defect of this package, which must not pass for one of a reader
+        _dump(Path(json.loads(sys.argv[1])["work"])).write(f"{DEFECT}\n{traceback.format_exc()}")
+        sys.exit(1)

@@ -164,7 +164,7 @@ _HEADERS = ("{", "[]", "{'descr': '<f4'}", "{'shape': (1,)}", "(" * 900, "__impo
 def npy(data: bytes, random: Random, other: bytes) -> bytes:
     """A numpy header: type, order, shape, its own length and version."""
     at = data.find(b"\x93NUMPY")
-    if at < 0:
+    if at < 0 or at + 10 > len(data):
         return data
     which = random.randrange(6)
     if which == 0:
@@ -290,7 +290,7 @@ def tar_record(data: bytes, random: Random, other: bytes) -> bytes:
         if data.startswith(mark):
             try:
                 return pack(tar_record(unpack(data), random, other))
-            except (OSError, EOFError, lzma.LZMAError, zlib.error):  # changed before
+            except (OSError, ValueError, EOFError, lzma.LZMAError, zlib.error):  # changed before
                 return data
     heads = [at for at in range(0, len(data) - 511, 512) if data[at + 257 : at + 262] == b"ustar"]
     if not heads:

@@ -18,7 +18,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tests.fuzz.child import READY, Task, keep
+from tests.fuzz.child import DEFECT, READY, Task, keep
 from tests.fuzz.outcomes import FAILURES, Outcome, of_dump
 from tests.fuzz.targets import KINDS
 from tests.fuzz.trials import given_raws, save_seeds
@@ -140,7 +140,7 @@ def _one_process(task: Task, limits: Limits) -> Iterator[tuple[int, Outcome, flo
     child = subprocess.Popen(
         [sys.executable, "-m", "tests.fuzz.child", argument], stdout=subprocess.PIPE, cwd=ROOT, start_new_session=True
     )
-    number, began = task.first, False
+    number = task.first
     try:
         for line in _lines(child, limits):
             if line is None:
@@ -149,15 +149,14 @@ def _one_process(task: Task, limits: Limits) -> Iterator[tuple[int, Outcome, flo
                 yield number, outcome, limits.busy_s, 0
                 return
             answer: dict[str, Any] = json.loads(line)
-            began = True
             number = answer["number"] + 1
             yield answer["number"], Outcome(answer["word"], answer["sort"]), answer["seconds"], answer["peak"]
         if number < task.last:
             code = child.wait()
-            if not began and not (Path(task.work) / "trial.json").exists():
-                raise RuntimeError(f"a child process could not start: {argument}")
             how = signal.Signals(-code).name if code < 0 else f"exit code {code}"
             dump = (Path(task.work) / "dump.txt").read_text(encoding="utf-8", errors="replace")
+            if dump.startswith(DEFECT):
+                raise RuntimeError(dump)
             outcome = Outcome("crash", f"{how} {of_dump(dump)}".strip(), dump)
             keep(Path(task.failures), Path(task.work), outcome, number)
             yield number, outcome, 0.0, 0

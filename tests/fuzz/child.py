@@ -221,6 +221,6 @@ def _forget_peak() -> None:
 if __name__ == "__main__":
     try:
         main(sys.argv[1])
-    except Exception:  # a defect of this package, which must not pass for one of a reader
+    except Exception:  # noqa: BLE001 # a defect of this package, which must not pass for one of a reader
         _dump(Path(json.loads(sys.argv[1])["work"])).write(f"{DEFECT}\n{traceback.format_exc()}")
         sys.exit(1)

@@ -197,13 +197,13 @@ def hdf5(data: bytes, random: Random, other: bytes) -> bytes:
             shape = random.choice(((4, 30, 32), (1 << 15, 1 << 15), (4, 1 << 15, 1 << 14), (1 << 40,)))
             file.create_dataset(name, shape, "f4", chunks=(1,) * (len(shape) - 1) + (32,), compression="gzip")
         elif which == 1:
-            places = ("/etc/passwd", "../other.h5", "/dev/zero", "input.h5", ".")
-            file[name] = h5py.ExternalLink(random.choice(places), "/prediction")
+            target = random.choice(("/etc/passwd", "../other.h5", "/dev/zero", "input.h5", "."))
+            file[name] = h5py.ExternalLink(target, "/prediction")
         elif which == 2:
             file[name] = h5py.SoftLink(random.choice((f"/{name}", "/", "/x/y", ".")))
         elif which == 3:
-            places = ("/etc/passwd", "/dev/zero", "../secret", "/proc/self/environ")
-            file.create_dataset(name, (60, 64), "u2", external=[(random.choice(places), 0, 7680)])
+            target = random.choice(("/etc/passwd", "/dev/zero", "../secret", "/proc/self/environ"))
+            file.create_dataset(name, (60, 64), "u2", external=[(target, 0, 7680)])
         elif which == 4:
             layout = h5py.VirtualLayout((60, 64), "f4")
             layout[:] = h5py.VirtualSource(random.choice(("/etc/passwd", "../o.h5", ".")), "prediction", (60, 64))
@@ -410,7 +410,7 @@ def crafted_pickle(data: bytes, random: Random, other: bytes) -> bytes:
     kind = random.choice(("f8", "O8", "V8", "U1000000000", "S2000000000", "O", "i4,f4", "(1000000000,)f8", "f8" * 99))
     dtype = b"cnumpy\ndtype\n(" + f"S'{kind}'\nI{random.choice((0, 1))}\nI{random.choice((0, 1))}\ntR".encode()
     if random.random() < 0.5:  # its state, as __reduce__ gives it, with something wrong
-        state = [3, b"'<'", b"N", b"N", b"N", -1, -1, random.choice((0, 63, 2**31))]
+        state: list[int | bytes] = [3, b"'<'", b"N", b"N", b"N", -1, -1, random.choice((0, 63, 2**31))]
         at = random.randrange(len(state))
         state[at] = random.choice((-5, 2**31, 2**62, b"'x'", b"(t", b"(S'a'\nt", b"}"))
         words = b"".join(_literal(item) for item in state)

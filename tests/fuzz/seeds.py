@@ -108,7 +108,7 @@ def raws() -> list[Seed]:
         def make(
             path: Path, cfa: Any = cfa, compression: Any = compression, size: Any = size, seed: int = number
         ) -> None:
-            mosaic = _scene(*size, seed, sigma=12.0 if seed % 2 else 120.0)
+            mosaic = _scene(size[0], size[1], seed, 12.0 if seed % 2 else 120.0)
             write_dng(path, mosaic, make_sensor(cfa, *size), EXPOSURE, compression=compression)
 
         content = _made(make, "a.dng")

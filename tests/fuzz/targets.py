@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.errors import ArgumentError, FileError
+from eldata.errors import ArgumentError, FileError, ProfileError
 from tests.fuzz import bytewise, containers, seeds, tiffs, words
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ class Kind:
     own
         Changes that suit the format, by the file's suffix; the empty one is for every other.
     nameless
-        Readers that are handed no path, so that their errors cannot name it.
+        Readers that are handed no path, so that their errors cannot name it, and the file is always a file.
     truth
         What a whole file is read as, where a damaged one must not be read as anything else.
     """
@@ -84,7 +84,11 @@ def _colours(path: Path, pixels: Any) -> object:
 def _published(path: Path) -> object:
     from eldata.noise.published import profiles_from_published, read_published
 
-    return profiles_from_published("SonyA7S2", read_published(path))
+    found = read_published(path)
+    try:
+        return profiles_from_published("SonyA7S2", found)
+    except ProfileError as error:  # it is handed no path, and names the camera
+        raise FileError(path, str(error)) from error
 
 
 # --- archives, stores, shards ---------------------------------------------------------------------------------------
@@ -154,7 +158,8 @@ def _published_table(path: Path) -> object:
 def _published_sources(path: Path) -> object:
     from eldata.evaluation.published import load_published
 
-    path.rename(path.with_name("sources.json"))
+    if os.path.lexists(path):
+        path.rename(path.with_name("sources.json"))
     (path.parent / "one.csv").write_bytes(seeds.table())
     return load_published(path.parent)
 
@@ -204,7 +209,7 @@ def _mapping(path: Path) -> object:
     plan = Plan.load(seeds.BY_0_1 / "capture" / "plan.json")
     shots = [shot for _, shot in plan.shots]
     frames = [
-        ObservedFrame(Path(f"/card/DSC{number:05d}.dng"), shot.iso, shot.setting.nominal_s, None, "Mine 1")
+        ObservedFrame(Path(f"/card/DSC{number:05d}.dng"), Fraction(shot.iso), shot.setting.nominal_s, None, "Mine 1")
         for number, shot in enumerate(shots, start=1)
     ]
     return load_mapping(path, plan, Observed(tuple(frames), (), by_time=True))
@@ -237,7 +242,10 @@ def _index(path: Path) -> object:
 def _facts(path: Path) -> object:
     from eldata.sources.shards.index import parse_facts
 
-    return parse_facts(path.read_bytes())
+    try:
+        return parse_facts(path.read_bytes())
+    except (ValueError, LookupError, TypeError, ArithmeticError) as error:  # as documented: its caller names the shard
+        raise ArgumentError("not a sample's facts") from error
 
 
 def _store_attributes(path: Path) -> object:
@@ -245,7 +253,10 @@ def _store_attributes(path: Path) -> object:
 
     first, _, second = path.read_bytes().decode(errors="surrogateescape").partition("\n")
     attributes = {"path": "a", "role": "bias", "sha256": "x", "exposure": first, "sensor": second}
-    return stored("0", attributes, ())
+    try:
+        return stored("0", attributes, ())
+    except (ValueError, LookupError, TypeError) as error:  # as documented: its caller names the store
+        raise ArgumentError("not a frame's attributes") from error
 
 
 # --- the drill ------------------------------------------------------------------------------------------------------
@@ -267,7 +278,7 @@ def _drill(path: Path) -> object:
     if word == "too much":
         raise MemoryError
     if word == "exception":
-        return {}["missing"]
+        raise KeyError(word)
     if word == "message":
         raise ArgumentError("expected a number, found something else")
     if word == "two lines":

@@ -54,7 +54,7 @@ def trial(kind: str, seeds: Sequence[Seed], seed: int, number: int) -> Trial:
     if kind == "drill":
         return Trial(seeds[number % len(seeds)], seeds[number % len(seeds)].content, ())
     chosen, other = random.choice(seeds), random.choice(seeds)
-    if random.random() < _PLACE_SHARE:
+    if random.random() < _PLACE_SHARE and chosen.reader not in KINDS[kind].nameless:
         place = random.choice(PLACES)
         return Trial(chosen, b"", (place,), place)
     if chosen.pixels is not None and random.random() < _HOLE_SHARE:

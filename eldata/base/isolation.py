@@ -50,6 +50,7 @@ Result = TypeVar("Result")
 VARIABLE = "ELDATA_ISOLATE"
 """The environment variable that holds the setting, so that processes started from here have it too: 1 is on."""
 
+_CAN_ISOLATE = hasattr(os, "register_at_fork")  # a POSIX system
 _START_S = 120.0  # for a helper to start: a third of a second on an idle machine
 _GRACE_S = 5.0  # after its limit a helper whose parent is gone ends by itself
 _LARGE_BYTES = 1 << 16  # smaller arrays are pickled with the rest
@@ -84,11 +85,6 @@ class Limits:
 LIMITS = Limits()
 
 
-def can_isolate() -> bool:
-    """Return whether this system can isolate: it needs POSIX."""
-    return hasattr(os, "register_at_fork")
-
-
 def isolating() -> bool:
     """Return whether strangers' files are decoded in guarded processes.
 
@@ -117,8 +113,10 @@ def set_isolation(on: bool) -> None:
 
 
 @contextmanager
-def isolation(on: bool = True) -> Iterator[None]:
+def isolation(on: bool | None = True) -> Iterator[None]:
     """Decode the files that are read inside the block in guarded processes; or, with ``False``, in this one.
+
+    ``None`` is the default of the command line: as the environment variable says, else on where the system can.
 
     It holds for all threads, for workers that eldata starts meanwhile or sends work to, and for a DataLoader's workers
     if they are started inside the block. A file whose decoder crashes, hangs for more than a minute or needs more than
@@ -130,7 +128,7 @@ def isolation(on: bool = True) -> Iterator[None]:
         Like :func:`set_isolation`.
     """
     before = os.environ.get(VARIABLE)
-    set_isolation(on)
+    set_isolation((isolating() if before else _CAN_ISOLATE) if on is None else on)
     try:
         yield
     finally:
@@ -270,7 +268,7 @@ def _forget_all() -> None:
     _idle.clear()
 
 
-if can_isolate():
+if _CAN_ISOLATE:
     os.register_at_fork(after_in_child=_forget_all)
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.errors import RawFileError
+from eldata.raw.bounded import BoundedFile
 from eldata.raw.tiff import MAGIC, require
 from eldata.records import Exposure, RawHeader
 
@@ -50,7 +51,9 @@ def exif_tags(path: Path) -> Tags:
         else:
             return {}
         try:
-            return exifread.process_file(source, details=False, extract_thumbnail=False)
+            return exifread.process_file(BoundedFile(path, source), details=False, extract_thumbnail=False)
+        except RawFileError:
+            raise
         except Exception as error:  # exifread raises many kinds on damaged EXIF
             raise RawFileError(path, f"its EXIF cannot be read ({error}); is the file whole?") from error
 

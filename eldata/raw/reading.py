@@ -46,10 +46,12 @@ from contextlib import contextmanager
 from functools import cache
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from eldata.base.files import file_problem
+from eldata.base.isolation import LIMITS, GuardError, guarded
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw.cfa import packed_channels
 from eldata.raw.exif import check_raf, exif_tags, header_of, positive
@@ -62,9 +64,12 @@ if TYPE_CHECKING:
 
     import rawpy
 
+    from eldata.base.isolation import Limits
     from eldata.raw.exif import Tags
     from eldata.raw.tiff import Directory
     from eldata.records import Matrix3, RawHeader
+
+Result = TypeVar("Result")
 
 _D65 = 21
 
@@ -77,9 +82,13 @@ def read_header(path: Path | str) -> RawHeader:
     Raises
     ------
     RawFileError
-        If the file is missing, empty, truncated or not a raw file.
+        If the file is missing, empty, truncated or not a raw file; or, with :func:`eldata.isolation`, if its decoder
+        crashes, hangs or needs too much memory.
     """
-    path = _existing(path)
+    return guarded_file(_header, path)
+
+
+def _header(path: Path) -> RawHeader:
     read_directories(path)  # refuses a file that does not hold what it declares
     with opened_raw(path) as raw:
         return header_of(path, raw, exif_tags(path))
@@ -98,14 +107,19 @@ def read_raw(path: Path | str) -> RawFrame:
     ------
     RawFileError
         If the file is missing, empty, truncated, not a raw file, already demosaiced (an RGB raw), without a CFA or
-        with one that is neither Bayer nor X-Trans. The message names the file and the reason.
+        with one that is neither Bayer nor X-Trans; or, with :func:`eldata.isolation`, if its decoder crashes, hangs or
+        needs too much memory. The message names the file and the reason.
     """
+    return guarded_file(_decoded, path)
+
+
+def _decoded(path: Path) -> RawFrame:
     import rawpy
 
-    path = _existing(path)
     directories = read_directories(path)
     with opened_raw(path) as raw:
         tags = exif_tags(path)
+        _check_sizes(path, raw)
         raw.unpack()
         header = header_of(path, raw, tags)
         if raw.raw_type != rawpy.RawType.Flat or raw.num_colors == 1:
@@ -130,12 +144,8 @@ def read_raw(path: Path | str) -> RawFrame:
             height=mosaic.shape[0],
             width=mosaic.shape[1],
             white_balance=_white_balance(raw, tags),
-            xyz_to_camera=_xyz_to_camera(raw, tags),
+            xyz_to_camera=_xyz_to_camera(path, raw, tags),
         )
-        raw_pixels = raw.sizes.raw_height * raw.sizes.raw_width
-    size = path.stat().st_size
-    if size * 8 < raw_pixels:
-        raise RawFileError(path, f"truncated: {size} bytes cannot hold {raw_pixels} pixels")
     if min(black) > 0 and not mosaic[-1].any():
         raise RawFileError(
             path, f"truncated or damaged: its last row is all 0 DN, far below the black level {black} DN"
@@ -164,18 +174,45 @@ def _exposure_product(frame: RawFrame | RawHeader) -> Fraction:
 # --- opening --------------------------------------------------------------------------------------------------
 
 
-def _existing(path: Path | str) -> Path:
+def guarded_file(work: Callable[[Path], Result], path: Path | str, limits: Limits = LIMITS) -> Result:
+    """Return ``work(path)`` of a stranger's raw file: in a guarded process where isolation is on.
+
+    Parameters
+    ----------
+    work, limits
+        As of :func:`eldata.base.isolation.guarded`.
+
+    Raises
+    ------
+    RawFileError
+        If the path is not that of a file with something in it, or the work crashes, takes too long or needs too much
+        memory; and what ``work`` raises.
+    """
     path = Path(path)
-    if path.is_dir():
-        raise RawFileError(path, "is a folder, not a raw file")
+    problem = file_problem(path)
+    if problem is not None:
+        raise RawFileError(path, problem)
     try:
-        size = path.stat().st_size
-        path.open("rb").close()
-    except OSError as error:
-        raise RawFileError(path, f"cannot be read: {error.strerror}") from error
-    if size == 0:
-        raise RawFileError(path, "is empty (0 bytes): copy or download it again")
-    return path
+        return guarded(work, path, limits=limits)
+    except GuardError as error:
+        raise RawFileError(path, f"{error}; is the file whole, and from a camera?") from None
+    except MemoryError as error:
+        raise RawFileError(path, "needs more memory than there is; is the file whole, and from a camera?") from error
+
+
+def _check_sizes(path: Path, raw: rawpy.RawPy) -> None:
+    """Refuse impossible sizes before memory is taken for the pixels."""
+    sizes, held = raw.sizes, path.stat().st_size
+    raw_pixels = sizes.raw_height * sizes.raw_width
+    if held * 8 < raw_pixels:
+        raise RawFileError(path, f"truncated: {held} bytes cannot hold {raw_pixels} pixels")
+    inside = sizes.top_margin + sizes.height <= sizes.raw_height and sizes.left_margin + sizes.width <= sizes.raw_width
+    if not (inside and sizes.height and sizes.width):
+        raise RawFileError(
+            path,
+            f"damaged: its visible area of {sizes.height} x {sizes.width} pixels from {sizes.top_margin}, "
+            f"{sizes.left_margin} on does not lie inside its {sizes.raw_height} x {sizes.raw_width} pixels",
+        )
 
 
 @contextmanager
@@ -186,6 +223,8 @@ def opened_raw(path: Path, what: str = "decode") -> Iterator[rawpy.RawPy]:
     ------
     RawFileError
         If LibRaw does not know the file or refuses it, then or inside the block.
+    MemoryError
+        If LibRaw cannot get the memory that it needs.
     """
     import rawpy
 
@@ -197,6 +236,8 @@ def opened_raw(path: Path, what: str = "decode") -> Iterator[rawpy.RawPy]:
         raw.open_file(str(path))
         raw.set_unpack_params(shot_select=0)
         yield raw
+    except rawpy.LibRawUnsufficientMemoryError as error:
+        raise MemoryError(str(path)) from error
     except rawpy.LibRawFileUnsupportedError as error:
         raise RawFileError(path, "is not a raw file that LibRaw knows") from error
     except rawpy.LibRawError as error:
@@ -296,15 +337,15 @@ def _white_balance(raw: rawpy.RawPy, tags: Tags) -> tuple[float, float, float, f
     return tuple(round(float(value) / float(green), 6) for value in values)  # type: ignore[return-value] # of four
 
 
-def _xyz_to_camera(raw: rawpy.RawPy, tags: Tags) -> Matrix3 | None:
+def _xyz_to_camera(path: Path, raw: rawpy.RawPy, tags: Tags) -> Matrix3 | None:
     by_illuminant = {}
     for matrix_tag, illuminant_tag in (("0xC621", "0xC65A"), ("0xC622", "0xC65B")):
         matrix = tags.get(f"Image Tag {matrix_tag}")
         if matrix is not None and len(matrix.values) == 9:
-            illuminant = tags.get(f"Image Tag {illuminant_tag}")
-            by_illuminant[illuminant.values[0] if illuminant is not None else 0] = [
-                float(value) for value in matrix.values
-            ]
+            if not all(getattr(value, "den", 1) for value in matrix.values):
+                raise RawFileError(path, "damaged: its ColorMatrix has a denominator of 0, which is no number")
+            illuminant = getattr(tags.get(f"Image Tag {illuminant_tag}"), "values", None)
+            by_illuminant[illuminant[0] if illuminant else 0] = [float(value) for value in matrix.values]
     if by_illuminant:
         values = np.array(by_illuminant.get(_D65) or list(by_illuminant.values())[-1]).reshape(3, 3)
     else:

@@ -39,11 +39,13 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from eldata.base.files import check_posix
+from eldata.base.files import check_posix, file_problem
 from eldata.errors import ArgumentError, EldataError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
+
+    from eldata.errors import FileError
 
 Result = TypeVar("Result")
 
@@ -169,6 +171,41 @@ def guarded(work: Callable[..., Result], *arguments: object, limits: Limits = LI
     with suppress(IndexError, _LostError):  # an earlier file may have left it in a bad state: a new one tells
         return _idle.pop().answer(request, limits)  # type: ignore[no-any-return]
     return _Helper().answer(request, limits)  # type: ignore[no-any-return]
+
+
+def guarded_file(
+    work: Callable[[Path], Result], path: Path, error: type[FileError], *, limits: Limits = LIMITS
+) -> Result:
+    """Return ``work(path)`` of a stranger's file: from a guarded process where isolation is on.
+
+    Parameters
+    ----------
+    work
+        As of :func:`guarded`.
+    path
+        Of a regular file, links followed; nothing else is opened.
+    error
+        What is raised if the file cannot be read, or its work ends without a result.
+    limits
+        For this file.
+
+    Raises
+    ------
+    FileError
+        ``error``, with the path and the reason.
+    Exception
+        Whatever ``work`` raises, except a ``MemoryError``.
+    """
+    problem = file_problem(path)
+    if problem is not None:
+        raise error(path, problem)
+    try:
+        return guarded(work, path, limits=limits)
+    except GuardError as how:
+        raise error(path, f"{how}; is the file whole, and what it says it is?") from None
+    except MemoryError as lack:
+        reason = "needs more memory than there is; is the file whole, and what it says it is?"
+        raise error(path, reason) from lack
 
 
 # --- the parent's side ------------------------------------------------------------------------------------------------

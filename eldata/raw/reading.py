@@ -46,12 +46,11 @@ from contextlib import contextmanager
 from functools import cache
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.base.files import file_problem
-from eldata.base.isolation import LIMITS, GuardError, guarded
+from eldata.base.isolation import guarded_file
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw.cfa import packed_channels
 from eldata.raw.exif import check_raf, exif_tags, header_of, positive
@@ -64,12 +63,9 @@ if TYPE_CHECKING:
 
     import rawpy
 
-    from eldata.base.isolation import Limits
     from eldata.raw.exif import Tags
     from eldata.raw.tiff import Directory
     from eldata.records import Matrix3, RawHeader
-
-Result = TypeVar("Result")
 
 _D65 = 21
 
@@ -85,7 +81,7 @@ def read_header(path: Path | str) -> RawHeader:
         If the file is missing, empty, truncated or not a raw file; or, with :func:`eldata.isolation`, if its decoder
         crashes, hangs or needs too much memory.
     """
-    return guarded_file(_header, path)
+    return guarded_file(_header, Path(path), RawFileError)
 
 
 def _header(path: Path) -> RawHeader:
@@ -110,7 +106,7 @@ def read_raw(path: Path | str) -> RawFrame:
         with one that is neither Bayer nor X-Trans; or, with :func:`eldata.isolation`, if its decoder crashes, hangs or
         needs too much memory. The message names the file and the reason.
     """
-    return guarded_file(_decoded, path)
+    return guarded_file(_decoded, Path(path), RawFileError)
 
 
 def _decoded(path: Path) -> RawFrame:
@@ -172,32 +168,6 @@ def _exposure_product(frame: RawFrame | RawHeader) -> Fraction:
 
 
 # --- opening --------------------------------------------------------------------------------------------------
-
-
-def guarded_file(work: Callable[[Path], Result], path: Path | str, limits: Limits = LIMITS) -> Result:
-    """Return ``work(path)`` of a stranger's raw file: in a guarded process where isolation is on.
-
-    Parameters
-    ----------
-    work, limits
-        As of :func:`eldata.base.isolation.guarded`.
-
-    Raises
-    ------
-    RawFileError
-        If the path is not that of a file with something in it, or the work crashes, takes too long or needs too much
-        memory; and what ``work`` raises.
-    """
-    path = Path(path)
-    problem = file_problem(path)
-    if problem is not None:
-        raise RawFileError(path, problem)
-    try:
-        return guarded(work, path, limits=limits)
-    except GuardError as error:
-        raise RawFileError(path, f"{error}; is the file whole, and from a camera?") from None
-    except MemoryError as error:
-        raise RawFileError(path, "needs more memory than there is; is the file whole, and from a camera?") from error
 
 
 def _check_sizes(path: Path, raw: rawpy.RawPy) -> None:

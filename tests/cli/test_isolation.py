@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from eldata.base.isolation import VARIABLE, Limits
-from eldata.raw import reading
+from eldata.base.isolation import VARIABLE, Limits, guarded_file
 from tests.trees import frame
 
 if TYPE_CHECKING:
@@ -53,50 +52,48 @@ def fragile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "site" / "sitecustomize.py").write_text(SITE)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path / "site"), os.environ.get("PYTHONPATH", "")]))
     monkeypatch.delenv(VARIABLE, raising=False)
-    monkeypatch.setattr(reading.guarded_file, "__defaults__", (Limits(seconds=5),))
+    monkeypatch.setitem(guarded_file.__kwdefaults__, "limits", Limits(seconds=5))
 
 
 def doom(path: Path, fate: str) -> None:
     path.with_name(f"{path.name}.{fate}").touch()
 
 
-CRASHED = "its decoder crashed (SIGSEGV); is the file whole, and from a camera?"
-HUNG = "its decoder took more than 5 s; is the file whole, and from a camera?"
+CRASHED = "its decoder crashed (SIGSEGV); is the file whole, and what it says it is?"
+HUNG = "its decoder took more than 5 s; is the file whole, and what it says it is?"
 
 
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_verify_lists_it_and_checks_the_others(
     jobs: str, eldata: Cli, own: Tree, fragile: None, tmp_path: Path
 ) -> None:
-    doom(own.data / frame(3), "CRASH")
+    doom(own.files / frame(3), "CRASH")
     if jobs == "1":  # the limit of other processes is a minute
-        doom(own.data / frame(5), "HANG")
+        doom(own.files / frame(5), "HANG")
     report = tmp_path / "report.json"
     outcome = eldata("verify", own.manifest, "--root", own.root, "--level", "full", "--jobs", jobs, "--json", report)
     assert (outcome.code, outcome.err) == (1, "")
-    found = {problem["path"]: problem["found"] for problem in json.loads(report.read_text())["problems"]}
+    found = {problem["path"]: problem["found"] for problem in json.loads(report.read_text())["datasets"][0]["problems"]}
     assert found == {frame(3): CRASHED} | ({frame(5): HUNG} if jobs == "1" else {})
     assert "32 of 32 files checked" in outcome.out
 
 
-def test_evaluate_lists_it_and_scores_the_others(
-    eldata: Cli, own: Tree, fragile: None, predictions: Path, tmp_path: Path
-) -> None:
-    doom(own.data / frame(1), "CRASH")
-    outcome = eldata(
-        "evaluate", predictions, "--manifest", own.manifest, "--root", own.root, "--jobs", "1", "--json", tmp_path / "r"
-    )
+def test_evaluate_lists_it(eldata: Cli, own: Tree, fragile: None, predictions: Path) -> None:
+    reference = own.pairs[0].reference
+    doom(own.files / reference, "CRASH")
+    outcome = eldata("evaluate", predictions, "--manifest", own.manifest, "--root", own.root, "--jobs", "1")
     assert outcome.code == 1
-    assert f"{own.data / frame(1)}: {CRASHED}" in outcome.out + outcome.err
-    assert len(json.loads((tmp_path / "r").read_text())["images"]) > 0
+    of_it = [pair.path for pair in own.pairs if pair.reference == reference]
+    lines = [f"{path}: its reference {reference} cannot be used: {CRASHED}" for path in of_it]
+    assert outcome.out.splitlines()[:-1] == lines
 
 
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_pack_says_it_in_one_line(jobs: str, eldata: Cli, own: Tree, fragile: None, tmp_path: Path) -> None:
     """Two jobs are two threads."""
-    doom(own.data / frame(7), "CRASH")
+    doom(own.files / frame(7), "CRASH")
     folder, store = tmp_path / "frames", tmp_path / "store.h5"
-    shutil.copytree(own.data, folder)
+    shutil.copytree(own.files, folder)
     outcome = eldata("pack", folder, "-o", store, "--jobs", jobs)
     assert (outcome.code, outcome.out) == (2, "")
     assert outcome.err == f"eldata pack: {folder / frame(7)}: {CRASHED}\n"

@@ -21,10 +21,13 @@ colour matrix
 white balance
     As shot; a DNG's exactly, LibRaw's float32 to six decimals.
 time taken
-    EXIF's DateTimeOriginal and SubSecTimeOriginal.
-ISO, exposure time, aperture
-    EXIF, from the EXIF IFD or IFD0, as fractions; where a format has no EXIF that exifread can read (CR3), LibRaw's
-    float32 as the simplest fraction that rounds to it.
+    EXIF's DateTimeOriginal and SubSecTimeOriginal; ``None`` if the clock was never set.
+orientation
+    Not applied: the mosaic stands as the sensor was read out, whichever way up the camera was held, so that two
+    frames of a pair lie on each other.
+camera, ISO, exposure time, aperture
+    What the file states, exactly: EXIF, or what a format has in its place (:mod:`eldata.raw.exif`). ``None`` where it
+    states none: LibRaw's figures are not taken, because it makes some up.
 
 What LibRaw does not notice
 ---------------------------
@@ -53,8 +56,10 @@ import numpy as np
 from eldata.base.isolation import guarded_file
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw.cfa import packed_channels
-from eldata.raw.exif import check_raf, exif_tags, header_of, positive
+from eldata.raw.containers import check_container
+from eldata.raw.exif import exif_tags, header_of, positive
 from eldata.raw.tiff import ACTIVE_AREA, BLACK_DELTAS, BLACK_LEVEL, BLACK_REPEAT, read_directories
+from eldata.raw.unsupported import NEEDED, refuse_unsupported, unsupported_cfa
 from eldata.records import RawFrame, Sensor
 
 if TYPE_CHECKING:
@@ -85,9 +90,9 @@ def read_header(path: Path | str) -> RawHeader:
 
 
 def _header(path: Path) -> RawHeader:
-    read_directories(path)  # refuses a file that does not hold what it declares
-    with opened_raw(path) as raw:
-        return header_of(path, raw, exif_tags(path))
+    refuse_unsupported(path, read_directories(path))
+    with opened_raw(path):
+        return header_of(path, exif_tags(path))
 
 
 def read_raw(path: Path | str) -> RawFrame:
@@ -113,15 +118,18 @@ def _decoded(path: Path) -> RawFrame:
     import rawpy
 
     directories = read_directories(path)
+    refuse_unsupported(path, directories)
     with opened_raw(path) as raw:
         tags = exif_tags(path)
         _check_sizes(path, raw)
         raw.unpack()
-        header = header_of(path, raw, tags)
+        header = header_of(path, tags)
         if raw.raw_type != rawpy.RawType.Flat or raw.num_colors == 1:
             shape = raw.raw_image.shape
-            kind = "no colour filter array" if len(shape) == 2 else "already demosaiced (an RGB raw)"
-            raise RawFileError(path, f"{kind}: {shape} samples; a mosaic of a Bayer or X-Trans sensor is needed")
+            kind = "no colour filter array (monochrome)" if len(shape) == 2 else "already demosaiced (an RGB raw)"
+            if len(shape) == 3 and header.make == "Canon" and "Image Tag 0xC612" not in tags:  # no DNG
+                kind = "already demosaiced (Canon's sRAW or mRAW)"
+            raise RawFileError(path, f"{kind}: {shape} samples; {NEEDED}")
         cfa, index_of = _cfa(path, raw)
         mosaic = raw.raw_image_visible.copy()
         black = _dng_black_level(path, raw, directories, cfa) or tuple(
@@ -163,7 +171,7 @@ def exposure_ratio(reference: RawFrame | RawHeader, noisy: RawFrame | RawHeader)
 def _exposure_product(frame: RawFrame | RawHeader) -> Fraction:
     for name, value in (("ISO", frame.exposure.iso), ("exposure time", frame.exposure.exposure_s)):
         if value is None:
-            raise RawFileError(frame.path, f"states no {name}: neither EXIF nor IFD0 nor LibRaw has it")
+            raise RawFileError(frame.path, f"states no {name}, and an exposure ratio needs it: use the original file")
     return frame.exposure.iso * frame.exposure.exposure_s  # type: ignore[operator] # checked above
 
 
@@ -198,7 +206,7 @@ def opened_raw(path: Path, what: str = "decode") -> Iterator[rawpy.RawPy]:
     """
     import rawpy
 
-    check_raf(path)
+    check_container(path)
     _set_openmp_threads()(1)  # a setting of the calling thread, so it is made for each read
     # Not rawpy.imread: it warns in every forked process, of what the line above removes.
     raw = rawpy.RawPy()
@@ -249,15 +257,12 @@ def _cfa(path: Path, raw: rawpy.RawPy) -> tuple[tuple[tuple[int, ...], ...], tup
     elif period == 6 and set(flat) == {"R", "G", "B"}:
         ours = [["RGB".index(c) for c in row] for row in colours]
     else:
-        raise RawFileError(
-            path,
-            f"unsupported colour filter array: {period} x {period} of {''.join(flat)}; Bayer or X-Trans is needed",
-        )
+        raise RawFileError(path, unsupported_cfa(["".join(row) for row in colours]))
     rows = tuple(map(tuple, ours))
     try:
         packed_channels(rows)
     except ArgumentError as error:
-        raise RawFileError(path, f"unsupported colour filter array {rows}; Bayer or X-Trans is needed") from error
+        raise RawFileError(path, unsupported_cfa(["".join(row) for row in colours])) from error
     libraw_index = dict(zip(chain(*ours), chain(*sites), strict=True))
     return rows, tuple(libraw_index[channel] for channel in sorted(libraw_index))
 

@@ -29,10 +29,8 @@ import pickle
 import signal
 import socket
 import struct
-import subprocess
 import sys
 import threading
-import traceback
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -57,6 +55,13 @@ _START_S = 120.0  # for a helper to start: a third of a second on an idle machin
 _GRACE_S = 5.0  # after its limit a helper whose parent is gone ends by itself
 _LARGE_BYTES = 1 << 16  # smaller arrays are pickled with the rest
 _SOCKET_BYTES = 1 << 18
+# Of a helper: no threads that it does not use, and memory of one frame (of glibc) used again for the next: new pages for
+# each cost more than sending its pixels does.
+_ENVIRONMENT = {
+    "OPENBLAS_NUM_THREADS": "1",
+    "MALLOC_MMAP_THRESHOLD_": str(1 << 30),
+    "MALLOC_TRIM_THRESHOLD_": str(1 << 30),
+}
 
 
 class GuardError(EldataError):
@@ -219,9 +224,11 @@ class _Helper:
     """One guarded process, seen from its parent."""
 
     def __init__(self) -> None:
+        import subprocess
+
         self._socket, theirs = socket.socketpair()
         start = f"import sys; sys.path[:] = {sys.path!r}; from eldata.base.isolation import serve; serve()"
-        environment = os.environ | {VARIABLE: "0", "OPENBLAS_NUM_THREADS": "1"}
+        environment = os.environ | {VARIABLE: "0"} | _ENVIRONMENT
         with theirs:
             theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SOCKET_BYTES)
             self._process = subprocess.Popen(  # noqa: S603 # this interpreter
@@ -270,12 +277,14 @@ class _Helper:
 
     def end(self, *, kill: bool = True) -> int:
         """End the process and return its exit code, minus the signal if one ended it."""
+        from subprocess import TimeoutExpired
+
         _all.discard(self)
         if kill:
             self._process.kill()
         try:
             code = self._process.wait(_START_S)
-        except subprocess.TimeoutExpired:  # it has closed its socket and lives
+        except TimeoutExpired:  # it has closed its socket and lives
             self._process.kill()
             code = self._process.wait()
         self._socket.close()
@@ -437,6 +446,8 @@ def _answer(request: bytes) -> list[bytes | memoryview]:
 
 def _transportable(error: Exception) -> Exception:
     """Return an error of ours or a built-in one, with the traceback, which does not travel, as a note."""
+    import traceback
+
     told = "".join(traceback.format_exception(error))
     if type(error).__module__.partition(".")[0] not in ("eldata", "capture", "builtins"):
         base = next(kind for kind in type(error).__mro__ if kind.__module__ == "builtins")

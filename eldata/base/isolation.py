@@ -55,8 +55,8 @@ _START_S = 120.0  # for a helper to start: a third of a second on an idle machin
 _GRACE_S = 5.0  # after its limit a helper whose parent is gone ends by itself
 _LARGE_BYTES = 1 << 16  # smaller arrays are pickled with the rest
 _SOCKET_BYTES = 1 << 18
-# Of a helper: no threads that it does not use, and memory of one frame (of glibc) used again for the next: new pages for
-# each cost more than sending its pixels does.
+# Of a helper: no threads that it does not use; and one frame's memory is used again for the next (by glibc), where new
+# pages cost more than sending the pixels does.
 _ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",
     "MALLOC_MMAP_THRESHOLD_": str(1 << 30),

@@ -50,7 +50,7 @@ _MOST_ENTRIES = 1 << 12
 _MOST_VALUES = 1 << 17
 _MOST_REPEATED = 64  # rows or columns of BlackLevel's pattern: those of cameras have up to 8
 # How many numbers these tags of a mosaic hold: readers take them apart.
-_COUNTS = {WIDTH: 1, HEIGHT: 1, ACTIVE_AREA: 4, BLACK_REPEAT: 2}
+_COUNTS = {WIDTH: 1, HEIGHT: 1, ACTIVE_AREA: 4, BLACK_REPEAT: 2, CFA_REPEAT: 2}
 
 Numbers = tuple[Fraction, ...]
 

@@ -12,6 +12,7 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from eldata.errors import RawFileError
+from eldata.raw.bounded import BoundedFile
 from eldata.raw.ciff import read_crw_header
 from eldata.raw.containers import exif_blocks
 from eldata.records import Exposure, RawHeader
@@ -73,7 +74,9 @@ def _read(path: Path, block: BinaryIO, *, details: bool = False) -> Tags:
     import exifread
 
     try:
-        return exifread.process_file(block, details=details, extract_thumbnail=False)
+        return exifread.process_file(BoundedFile(path, block), details=details, extract_thumbnail=False)
+    except RawFileError:
+        raise
     except Exception as error:  # exifread raises many kinds on damaged EXIF
         raise RawFileError(path, f"its EXIF cannot be read ({error}); is the file whole?") from error
 

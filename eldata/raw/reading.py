@@ -51,6 +51,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from eldata.base.isolation import guarded_file
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw.cfa import packed_channels
 from eldata.raw.containers import check_container
@@ -77,9 +78,13 @@ def read_header(path: Path | str) -> RawHeader:
     Raises
     ------
     RawFileError
-        If the file is missing, empty, truncated or not a raw file.
+        If the file is missing, empty, truncated or not a raw file; or, with :func:`eldata.isolation`, if its decoder
+        crashes, hangs or needs too much memory.
     """
-    path = _existing(path)
+    return guarded_file(_header, Path(path), RawFileError)
+
+
+def _header(path: Path) -> RawHeader:
     refuse_unsupported(path, read_directories(path))
     with opened_raw(path):
         return header_of(path, exif_tags(path))
@@ -98,15 +103,20 @@ def read_raw(path: Path | str) -> RawFrame:
     ------
     RawFileError
         If the file is missing, empty, truncated, not a raw file, already demosaiced (an RGB raw), without a CFA or
-        with one that is neither Bayer nor X-Trans. The message names the file and the reason.
+        with one that is neither Bayer nor X-Trans; or, with :func:`eldata.isolation`, if its decoder crashes, hangs or
+        needs too much memory. The message names the file and the reason.
     """
+    return guarded_file(_decoded, Path(path), RawFileError)
+
+
+def _decoded(path: Path) -> RawFrame:
     import rawpy
 
-    path = _existing(path)
     directories = read_directories(path)
     refuse_unsupported(path, directories)
     with opened_raw(path) as raw:
         tags = exif_tags(path)
+        _check_sizes(path, raw)
         raw.unpack()
         header = header_of(path, tags)
         if raw.raw_type != rawpy.RawType.Flat or raw.num_colors == 1:
@@ -137,10 +147,6 @@ def read_raw(path: Path | str) -> RawFrame:
             xyz_to_camera=matrix,
             matrix_illuminant=illuminant,
         )
-        raw_pixels = raw.sizes.raw_height * raw.sizes.raw_width
-    size = path.stat().st_size
-    if size * 8 < raw_pixels:
-        raise RawFileError(path, f"truncated: {size} bytes cannot hold {raw_pixels} pixels")
     if min(black) > 0 and not mosaic[-1].any():
         raise RawFileError(
             path, f"truncated or damaged: its last row is all 0 DN, far below the black level {black} DN"
@@ -169,18 +175,19 @@ def _exposure_product(frame: RawFrame | RawHeader) -> Fraction:
 # --- opening --------------------------------------------------------------------------------------------------
 
 
-def _existing(path: Path | str) -> Path:
-    path = Path(path)
-    if path.is_dir():
-        raise RawFileError(path, "is a folder, not a raw file")
-    try:
-        size = path.stat().st_size
-        path.open("rb").close()
-    except OSError as error:
-        raise RawFileError(path, f"cannot be read: {error.strerror}") from error
-    if size == 0:
-        raise RawFileError(path, "is empty (0 bytes): copy or download it again")
-    return path
+def _check_sizes(path: Path, raw: rawpy.RawPy) -> None:
+    """Refuse impossible sizes before memory is taken for the pixels."""
+    sizes, held = raw.sizes, path.stat().st_size
+    raw_pixels = sizes.raw_height * sizes.raw_width
+    if held * 8 < raw_pixels:
+        raise RawFileError(path, f"truncated: {held} bytes cannot hold {raw_pixels} pixels")
+    inside = sizes.top_margin + sizes.height <= sizes.raw_height and sizes.left_margin + sizes.width <= sizes.raw_width
+    if not (inside and sizes.height and sizes.width):
+        raise RawFileError(
+            path,
+            f"damaged: its visible area of {sizes.height} x {sizes.width} pixels from {sizes.top_margin}, "
+            f"{sizes.left_margin} on does not lie inside its {sizes.raw_height} x {sizes.raw_width} pixels",
+        )
 
 
 @contextmanager
@@ -191,6 +198,8 @@ def opened_raw(path: Path, what: str = "decode") -> Iterator[rawpy.RawPy]:
     ------
     RawFileError
         If LibRaw does not know the file or refuses it, then or inside the block.
+    MemoryError
+        If LibRaw cannot get the memory that it needs.
     """
     import rawpy
 
@@ -202,6 +211,8 @@ def opened_raw(path: Path, what: str = "decode") -> Iterator[rawpy.RawPy]:
         _open(raw, path)
         raw.set_unpack_params(shot_select=0)
         yield raw
+    except rawpy.LibRawUnsufficientMemoryError as error:
+        raise MemoryError(str(path)) from error
     except rawpy.LibRawFileUnsupportedError as error:
         raise RawFileError(path, "is not a raw file that LibRaw knows") from error
     except rawpy.LibRawError as error:

@@ -73,8 +73,9 @@ def exif_tags(path: Path) -> Tags:
 def _read(path: Path, block: BinaryIO, *, details: bool = False) -> Tags:
     import exifread
 
+    source: Any = BoundedFile(path, block)  # all of a file that exifread asks for
     try:
-        return exifread.process_file(BoundedFile(path, block), details=details, extract_thumbnail=False)
+        return exifread.process_file(source, details=details, extract_thumbnail=False)
     except RawFileError:
         raise
     except Exception as error:  # exifread raises many kinds on damaged EXIF

@@ -128,10 +128,10 @@ def _fraction(tags: Tags, name: str) -> Fraction | None:
 
 def _positive_tag(tags: Tags, name: str, at: int = 0) -> Fraction | None:
     values = getattr(tags.get(name), "values", None)
-    return positive(values[at]) if values else None
+    return _positive(values[at]) if values else None
 
 
-def positive(value: Any) -> Fraction | None:
+def _positive(value: Any) -> Fraction | None:
     """Return one of exifread's numbers as a fraction, if it is a positive one."""
     numerator, denominator = getattr(value, "num", value), getattr(value, "den", 1)
     if isinstance(numerator, int) and isinstance(denominator, int) and numerator * denominator > 0:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 from datetime import datetime
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any, BinaryIO, cast
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from eldata.errors import RawFileError
 from eldata.raw.bounded import BoundedFile
@@ -73,10 +73,9 @@ def exif_tags(path: Path) -> Tags:
 def _read(path: Path, block: BinaryIO, *, details: bool = False) -> Tags:
     import exifread
 
+    source: Any = BoundedFile(path, block)  # all of a file that exifread asks for
     try:
-        return exifread.process_file(
-            cast("BinaryIO", BoundedFile(path, block)), details=details, extract_thumbnail=False
-        )
+        return exifread.process_file(source, details=details, extract_thumbnail=False)
     except RawFileError:
         raise
     except Exception as error:  # exifread raises many kinds on damaged EXIF

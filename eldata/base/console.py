@@ -11,13 +11,14 @@ import os
 import signal
 import sys
 import traceback
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 from eldata import __version__
 from eldata.base.fields import whole_of
 from eldata.base.stopping import Stopped, Stopping, exit_code, in_words, stoppable
+from eldata.base.visible import visible, visible_output
 from eldata.errors import ArgumentError, EldataError
 
 if TYPE_CHECKING:
@@ -105,13 +106,32 @@ def chosen_workers(arguments: argparse.Namespace) -> Iterator[Workers]:
         yield Workers(arguments.jobs, executor)
 
 
-_SHARED = {"root": add_root, "cameras": add_cameras, "jobs": add_jobs, "workers": add_workers, "json": add_json}
+def add_isolation(parser: argparse.ArgumentParser) -> None:
+    """Add ``--isolate`` and ``--no-isolate`` to a subcommand; :func:`run` follows them."""
+    parser.add_argument(
+        "--isolate",
+        action=argparse.BooleanOptionalAction,
+        help=(
+            "decode files in processes of their own, with limits on time and memory, so that a file whose decoder "
+            "crashes or hangs is one problem among others (default: $ELDATA_ISOLATE, else on; off on Windows)"
+        ),
+    )
+
+
+_SHARED = {
+    "root": add_root,
+    "cameras": add_cameras,
+    "jobs": add_jobs,
+    "workers": add_workers,
+    "isolation": add_isolation,
+    "json": add_json,
+}
 
 
 def add_shared(
     parser: argparse.ArgumentParser,
     run: Callable[[argparse.Namespace], int],
-    *options: Literal["root", "cameras", "jobs", "workers", "json"],
+    *options: Literal["root", "cameras", "jobs", "workers", "isolation", "json"],
     interrupted: str = "files are written whole or not at all, so none is left half",
 ) -> None:
     """Finish a subcommand: add these options and ``--debug``, and say what :func:`run` is to call.
@@ -158,19 +178,20 @@ def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:
     _occupy_closed_streams()
     stopping = Stopping(parser.prog if argv is None else None)
     arguments = argparse.Namespace(debug=False, command=parser.prog, interrupted="nothing was begun")
-    try:
-        with stoppable(stopping):
-            code = _parsed_and_run(parser, argv, arguments)
-            sys.stdout.flush()
-    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 # people see one line, --debug shows the rest
-        if arguments.debug:
-            traceback.print_exception(error)
-        # A library may have made something else of it on its way.
-        caught = error if stopping.number is None else Stopped(stopping.number)
-        code, message = _explained(caught, arguments)
-        if message:
-            with suppress(OSError):  # stderr is full or closed: the code has to do
-                print(f"{arguments.command}: {' '.join(message.split())}", file=sys.stderr)
+    with visible_output():
+        try:
+            with stoppable(stopping):
+                code = _parsed_and_run(parser, argv, arguments)
+                sys.stdout.flush()
+        except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 # people see one line, --debug shows the rest
+            if arguments.debug:
+                traceback.print_exception(error)
+            # A library may have made something else of it on its way.
+            caught = error if stopping.number is None else Stopped(stopping.number)
+            code, message = _explained(caught, arguments)
+            if message:
+                with suppress(OSError):  # stderr is full or closed: the code has to do
+                    print(f"{arguments.command}: {' '.join(visible(message).split())}", file=sys.stderr)
     return code
 
 
@@ -183,8 +204,18 @@ def _parsed_and_run(parser: argparse.ArgumentParser, argv: list[str] | None, arg
         parser.print_usage(sys.stderr)
         print(f"{parser.prog}: a command is needed; see {parser.prog} --help", file=sys.stderr)
         return UNUSABLE
-    code: int = arguments.run(arguments)
+    with _as_isolated(arguments):
+        code: int = arguments.run(arguments)
     return code
+
+
+def _as_isolated(arguments: argparse.Namespace) -> AbstractContextManager[None]:
+    """Return the isolation that a subcommand is to run under, if it has the choice."""
+    if not hasattr(arguments, "isolate"):
+        return nullcontext()
+    from eldata.base.isolation import isolation
+
+    return isolation(arguments.isolate)
 
 
 def _explained(error: BaseException, arguments: argparse.Namespace) -> tuple[int, str]:
@@ -197,10 +228,9 @@ def _explained(error: BaseException, arguments: argparse.Namespace) -> tuple[int
     if isinstance(error, BrokenPipeError):  # head, less: nothing to say, but nobody knows that all is well
         _drop_output()
         return CLOSED_PIPE, ""
-    if isinstance(error, OSError):
+    if isinstance(error, OSError) and error.filename is not None:
         _drop_output()
-        where = error.filename or "cannot write to standard output"
-        return UNUSABLE, f"{where}: {error.strerror}"
+        return UNUSABLE, f"{error.filename}: {error.strerror}"
     return UNUSABLE, f"unexpected {type(error).__name__}: {error}; --debug shows where"
 
 

@@ -14,16 +14,47 @@ from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING
 
+from eldata.base.visible import has_unseen
 from eldata.errors import ArgumentError, EldataError, ManifestError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
 
+_LONGEST_PATH = 4096
+
+
 def sha256_of(path: Path) -> str:
     """Return ``sha256:<hex>`` of a file's bytes, read in pieces."""
     with path.open("rb") as file:
         return f"sha256:{hashlib.file_digest(file, 'sha256').hexdigest()}"
+
+
+_SPECIAL = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a named pipe",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFSOCK: "a socket",
+}
+
+
+def file_problem(path: Path) -> str | None:
+    """Return why a path is not a readable file with something in it, or ``None`` if it is, once links are followed.
+
+    Ask before strangers' files are opened: a named pipe would be waited for, and a device read, for ever.
+    """
+    try:
+        found = path.stat()
+        if stat.S_ISREG(found.st_mode):
+            path.open("rb").close()
+    except OSError as error:  # a loop of links, too
+        return f"cannot be read: {error.strerror}"
+    except ValueError:
+        return "cannot be read: its name holds a NUL character"
+    if not stat.S_ISREG(found.st_mode):
+        return f"is {_SPECIAL.get(stat.S_IFMT(found.st_mode), 'something else')}, not a file"
+    return None if found.st_size else "is empty (0 bytes): copy or download it again"
 
 
 @contextmanager
@@ -134,9 +165,12 @@ def is_at(path: Path, file: os.stat_result) -> bool:
 
 
 def write_text(path: Path | str, text: str) -> None:
-    """Write UTF-8 text whole or not at all, with line ends as given."""
+    r"""Write UTF-8 text whole or not at all, with line ends as given.
+
+    What stands for a byte of a file name that is not UTF-8 is written as JSON has it: by its number, ``\udcff``.
+    """
     with atomic_write(path) as file:
-        file.write(text.encode())
+        file.write(text.encode("utf-8", "backslashreplace"))
 
 
 def write_json(path: Path | str, data: object, *, indent: int = 2) -> None:
@@ -198,8 +232,8 @@ def path_problem(relative: str) -> str | None:
         return "is empty"
     if "\\" in relative:
         return "contains a backslash; manifests use '/'"
-    if any(ord(character) < 32 or ord(character) == 127 for character in relative):
-        return "contains a control character"
+    if has_unseen(relative):
+        return "contains a control character, or another one that does not show"
     if relative.startswith("/"):
         return "is absolute; paths are relative to the dataset's folder"
     if ":" in relative.partition("/")[0]:
@@ -209,6 +243,8 @@ def path_problem(relative: str) -> str | None:
         return "contains an empty, '.' or '..' part"
     if max(map(len, parts)) > 255:
         return "contains a name of more than 255 characters, which no file system has"
+    if len(relative) > _LONGEST_PATH:
+        return f"has more than {_LONGEST_PATH} characters, which no system opens"
     return None
 
 
@@ -229,7 +265,7 @@ def inside(root: Path, relative: str) -> Path:
     try:
         leads_outside = not path.resolve().is_relative_to(root.resolve())
     except (OSError, RuntimeError) as error:
-        raise ManifestError(f"{path} cannot be followed ({error}); is it a loop of links?") from error
+        raise ManifestError(f"{path} cannot be followed ({error}); is it a loop of links, or too long?") from error
     if leads_outside:
         raise ManifestError(
             f"{path} leads outside of {root} through a link; move the files there, or point --root at their place"

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from functools import partial
@@ -33,7 +34,7 @@ from eldata.raw.reading import read_raw
 from eldata.records import Exposure, FrameRecord, RawFrame
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from eldata.noise.parameters import NoiseParameters
     from eldata.noise.profile import CameraProfile, RowChoice
@@ -119,7 +120,7 @@ def synthesize(clean: Path, out: Path, recipe: Recipe, *, workers: AnyWorkers = 
     ArgumentError
         If ``out`` was begun with another recipe or other clean files.
     RawFileError
-        If a clean file cannot be read, or states no ISO or exposure time.
+        If a clean file cannot be read, states no ISO or exposure time, or something that a DNG cannot hold.
     EldataError
         If a file cannot be written.
     """
@@ -251,7 +252,8 @@ def _synthesize_file(
     place.mkdir(parents=True, exist_ok=True)
     remove_leftovers(place)
     names = ["clean.dng"]
-    write_dng(place / "clean.dng", frame.mosaic, sensor, frame.exposure, compression="lossless-jpeg")
+    with _naming(path):
+        write_dng(place / "clean.dng", frame.mosaic, sensor, frame.exposure, compression="lossless-jpeg")
     clean = pack_normalised(frame.mosaic, sensor.cfa, sensor.black_level_dn, sensor.white_level_dn)
     black = packed_black_level_dn(sensor.cfa, sensor.black_level_dn).astype(np.float64)[:, None, None]
     range_dn = sensor.white_level_dn - float(black.mean())
@@ -266,7 +268,8 @@ def _synthesize_file(
             dn = noisy.astype(np.float64) * (range_dn / ratio) + black
             mosaic = unpack(np.clip(np.rint(dn), 0, sensor.white_level_dn).astype(np.uint16), sensor.cfa)
             exposure = Exposure(draw.iso, draw.exposure_s, frame.exposure.f_number)
-            write_dng(place / draw.name, mosaic, sensor, exposure, compression="lossless-jpeg")
+            with _naming(path):
+                write_dng(place / draw.name, mosaic, sensor, exposure, compression="lossless-jpeg")
         else:
             with atomic_write(place / draw.name) as file:
                 np.save(file, noisy, allow_pickle=False)
@@ -276,6 +279,15 @@ def _synthesize_file(
 def _has(path: Path, sha256: str) -> bool:
     """Return whether a file is there with this content."""
     return path.is_file() and sha256_of(path) == sha256
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Let what a DNG cannot hold name the clean file that states it, too."""
+    try:
+        yield
+    except ArgumentError as error:
+        raise RawFileError(path, f"cannot be a clean frame: {error}") from error
 
 
 def _cropped(frame: RawFrame) -> RawFrame:

@@ -110,7 +110,9 @@ def opened_journal(folder: Path, begun: Mapping[str, object]) -> Iterator[Synthe
         first, *rest = file.read().splitlines(keepends=True) or [b""]
         check_same_work(folder, TextFile(path, EldataError, advice, first).json().data, begun)
         whole = [line for line in rest if line.endswith(b"\n")]
-        scenes = [_scene(TextFile(f"{path}, line {n}", EldataError, advice, line).json()) for n, line in enumerate(whole, 2)]
+        scenes = [
+            _scene(TextFile(f"{path}, line {n}", EldataError, advice, line).json()) for n, line in enumerate(whole, 2)
+        ]
         file.seek(len(first) + sum(map(len, whole)))
         file.truncate()
         yield SynthesisJournal(path, file, {scene.index: scene for scene in scenes})

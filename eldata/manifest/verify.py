@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 from eldata.base.files import inside, sha256_of
+from eldata.base.visible import in_line
 from eldata.base.workers import AnyWorkers, Failed, Workers, accepts_jobs, require_files
 from eldata.errors import ArgumentError, ManifestError, RawFileError
 from eldata.manifest.catalogue import Manifest, find_manifests
@@ -35,12 +36,13 @@ from eldata.manifest.clip_checks import (
 from eldata.manifest.pairs import UNCERTAIN_ISO
 from eldata.manifest.patterns import Finding, expand, pattern_findings
 from eldata.manifest.table import number_text
+from eldata.raw.facts import raw_facts
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from eldata.manifest.card import CameraCard
-    from eldata.records import FrameRecord
+    from eldata.records import FrameRecord, RawHeader
 
 Level = Literal["quick", "metadata", "full"]
 LEVELS: tuple[Level, ...] = get_args(Level)
@@ -67,7 +69,7 @@ class Problem:
     advice: str
 
     def __str__(self) -> str:
-        return f"{self.path}: {self.field}: expected {self.expected}, found {self.found}; {self.advice}"
+        return in_line(f"{self.path}: {self.field}: expected {self.expected}, found {self.found}; {self.advice}")
 
     @classmethod
     def of(cls, dataset: str, finding: Finding) -> Problem:
@@ -77,8 +79,8 @@ class Problem:
     def format_text(self) -> str:
         """Return the problem as four lines."""
         return (
-            f"{self.path}: {self.field}\n    expected  {self.expected}\n    found     {self.found}\n"
-            f"    to do     {self.advice}"
+            f"{in_line(self.path)}: {self.field}\n    expected  {in_line(self.expected)}\n    found     "
+            f"{in_line(self.found)}\n    to do     {in_line(self.advice)}"
         )
 
 
@@ -353,27 +355,35 @@ def _check_file(folder: Path, cameras: Mapping[str, CameraCard], level: Level, r
     elif is_png(record.path):
         findings = png_findings(folder, record)
     else:
-        findings, product = _header_findings(path, record, cameras[record.camera].models)
+        decode = level == "full" and record.sha256 is None
+        findings, product = _raw_findings(path, record, cameras[record.camera].models, decode=decode)
     if level == "full" and not any(finding.field in _OF_CONTENT for finding in findings):
         if record.sha256 is not None:
             findings += _hash_findings(path, record)
         elif is_png(record.path):
             findings += png_decode_findings(folder, record)
-        elif path.suffix != ".npy":
-            findings += _decode_findings(path, record)
     return findings, product
 
 
-def _header_findings(path: Path, record: FrameRecord, models: Sequence[str]) -> Outcome:
-    """Compare a raw file's camera, ISO and exposure time with its row."""
-    from eldata.raw.reading import read_header
-
+def _raw_findings(path: Path, record: FrameRecord, models: Sequence[str], *, decode: bool) -> Outcome:
+    """Compare a raw file with its row and, if its hash is not known, decode it."""
     try:
-        header = read_header(path)
+        header, decoded = raw_facts(path, decode=decode)
     except RawFileError as error:
         return [Finding(record.path, "content", "a whole raw file", error.reason, _AGAIN)], None
+    findings, product = _header_findings(header, record, models)
+    if isinstance(decoded, str):
+        findings = [*findings, Finding(record.path, "content", "a raw file that decodes", decoded, _AGAIN)]
+    elif decoded is not None:
+        advice = "this file was taken in another mode or by another camera"
+        findings = [*findings, *size_findings(record, decoded.width, decoded.height, advice)]
+    return findings, product
+
+
+def _header_findings(header: RawHeader, record: FrameRecord, models: Sequence[str]) -> Outcome:
+    """Compare a raw file's camera, ISO and exposure time with its row."""
     findings = []
-    if not header.model:
+    if not header.model and "" not in models:  # which a card lists for files whose camera does not name itself
         findings.append(Finding(record.path, "camera", " or ".join(models), "no camera model", _NO_EXIF))
     elif header.model.casefold() not in {model.casefold() for model in models}:
         advice = "this file was taken by another camera"
@@ -400,18 +410,6 @@ def _hash_findings(path: Path, record: FrameRecord) -> list[Finding]:
         return []
     advice = _PACK_AGAIN if path.suffix == ".npy" else f"the file is damaged or another: {_AGAIN}"
     return [Finding(record.path, "sha256", record.sha256 or "", digest, advice)]
-
-
-def _decode_findings(path: Path, record: FrameRecord) -> list[Finding]:
-    """Decode a raw file whose hash is not known."""
-    from eldata.raw.reading import read_raw
-
-    try:
-        sensor = read_raw(path).sensor
-    except RawFileError as error:
-        return [Finding(record.path, "content", "a raw file that decodes", error.reason, _AGAIN)]
-    advice = "this file was taken in another mode or by another camera"
-    return size_findings(record, sensor.width, sensor.height, advice)
 
 
 def _packed_findings(path: Path, record: FrameRecord) -> list[Finding]:

@@ -117,8 +117,7 @@ def _iso(base: int, shot: tuple[int, ...]) -> Fraction | None:
     if len(shot) <= 2 or shot[2] <= 0:
         return Fraction(base) if base else None
     steps = Fraction(shot[1] + shot[2], 32) - 5  # ISO 100 is 5; the camera's own choice of ISO is a step of its own
-    iso = 100 * _power(steps)
-    return iso if steps.denominator == 1 else None
+    return 100 * _power(steps) if steps.denominator == 1 else None
 
 
 def _exposure_s(shot: tuple[int, ...]) -> Fraction | None:

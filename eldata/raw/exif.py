@@ -12,6 +12,7 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from eldata.errors import RawFileError
+from eldata.raw.bounded import BoundedFile
 from eldata.raw.ciff import read_crw_header
 from eldata.raw.containers import exif_blocks
 from eldata.records import Exposure, RawHeader
@@ -72,8 +73,11 @@ def exif_tags(path: Path) -> Tags:
 def _read(path: Path, block: BinaryIO, *, details: bool = False) -> Tags:
     import exifread
 
+    source: Any = BoundedFile(path, block)  # all of a file that exifread asks for
     try:
-        return exifread.process_file(block, details=details, extract_thumbnail=False)
+        return exifread.process_file(source, details=details, extract_thumbnail=False)
+    except RawFileError:
+        raise
     except Exception as error:  # exifread raises many kinds on damaged EXIF
         raise RawFileError(path, f"its EXIF cannot be read ({error}); is the file whole?") from error
 
@@ -123,10 +127,10 @@ def _fraction(tags: Tags, name: str) -> Fraction | None:
 
 def _positive_tag(tags: Tags, name: str, at: int = 0) -> Fraction | None:
     values = getattr(tags.get(name), "values", None)
-    return positive(values[at]) if values else None
+    return _positive(values[at]) if values else None
 
 
-def positive(value: Any) -> Fraction | None:
+def _positive(value: Any) -> Fraction | None:
     """Return one of exifread's numbers as a fraction, if it is a positive one."""
     numerator, denominator = getattr(value, "num", value), getattr(value, "den", 1)
     if isinstance(numerator, int) and isinstance(denominator, int) and numerator * denominator > 0:

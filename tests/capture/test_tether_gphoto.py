@@ -229,9 +229,9 @@ def test_canons_containers_say_which_camera_took_them(tmp_path: Path) -> None:
     """Regression: a CR3 and a CRW named none, and a session took them for another camera's."""
     write_crw(tmp_path / "a.CRW", (66, 0, 160, *[0] * 19, 192))
     observed = observe_one(tmp_path / "a.CRW")
-    assert (observed.model, observed.iso, observed.exposure_s) == ("Canon EOS D60", 100, Fraction(1, 64))
+    assert (observed.model, observed.iso, observed.exposure_s) == ("Canon EOS D60", Fraction(100), Fraction(1, 64))
     observed = observe_one(REAL_CR3)
-    assert (observed.model, observed.iso, observed.exposure_s) == ("Canon EOS R6", 25600, Fraction(1, 100))
+    assert (observed.model, observed.iso, observed.exposure_s) == ("Canon EOS R6", Fraction(25600), Fraction(1, 100))
     assert observed.taken is not None
 
 

@@ -75,7 +75,7 @@ def test_a_dangling_link(tmp_path: Path) -> None:
 
 def test_a_folder(tmp_path: Path) -> None:
     (tmp_path / "a.dng").mkdir()
-    refused(tmp_path / "a.dng", "is a folder, not a raw file")
+    refused(tmp_path / "a.dng", "is a folder, not a file")
 
 
 @pytest.mark.parametrize("name", ["a.dng", "a.RAF", "a.CR2"])

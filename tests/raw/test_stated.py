@@ -46,7 +46,7 @@ def test_a_real_cr3() -> None:
     assert header.taken == datetime(2025, 9, 6, 20, 24, 47, 720_000)  # noqa: DTZ001
 
 
-def at_box(data: bytes, kind: bytes) -> int:
+def at_box(data: bytes | bytearray, kind: bytes) -> int:
     """Where the first box of a kind begins."""
     return data.index(kind) - 4
 

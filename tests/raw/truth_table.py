@@ -88,15 +88,19 @@ def sensor_differences(frame: RawFrame, said: dict[str, Any]) -> Iterator[str]:
     pattern = said.get(f"{raw}:CFAPattern2")
     if pattern is not None and f"{raw}:ActiveArea" not in said:
         theirs = "".join(_COLOURS[int(colour)] for colour in str(pattern).split())
-        ours = "".join("RGBG"[index] for row in sensor.cfa for index in row)
-        if ours != theirs:
-            yield f"CFA: {ours}, exiftool {theirs}"
+        letters = "".join("RGBG"[index] for row in sensor.cfa for index in row)
+        if letters != theirs:
+            yield f"CFA: {letters}, exiftool {theirs}"
     black = said.get(f"{raw}:BlackLevel")
     if black is not None and sorted({*map(float, str(black).split())}) != sorted({*sensor.black_level_dn}):
         yield f"black: {sensor.black_level_dn}, exiftool {black}"
     white = said.get(f"{raw}:WhiteLevel")
     if white is not None and float(str(white).split()[0]) != sensor.white_level_dn:
         yield f"white: {sensor.white_level_dn}, exiftool {white}"
+    matrices = [said[key] for key in ("IFD0:ColorMatrix1", "IFD0:ColorMatrix2") if key in said]
+    ours = [] if sensor.xyz_to_camera is None else [value for row in sensor.xyz_to_camera for value in row]
+    if matrices and not any(np.allclose(ours, [float(text) for text in matrix.split()]) for matrix in matrices):
+        yield f"matrix: {sensor.xyz_to_camera}, exiftool {matrices}"
     neutral = said.get("IFD0:AsShotNeutral")
     if neutral is not None and sensor.white_balance is not None:
         red, green, blue = map(float, neutral.split())
@@ -123,7 +127,8 @@ def main(folders: list[str]) -> int:
     for path in paths:
         if path.suffix.lower() not in RAW_EXTENSIONS:
             continue
-        said, found = exiftool(path), []
+        said = exiftool(path)
+        found: list[str] = []
         try:
             tags = exif_tags(path)
             header = header_of(path, tags)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from eldata.sources.frames import Frame
     from eldata.sources.shards.tiles import Tile
 
-# What was begun, so that only the same work goes on in the folder; gone when the index is there.
+# What was begun, so that only the same work goes on in the folder; gone soon after the index is there.
 BEGUN = ".begun.json"
 _MOST_SHARDS = 10**6
 
@@ -166,7 +166,7 @@ def _begin(folder: Path, options: dict[str, Any]) -> None:
     except OSError as error:
         raise EldataError(f"cannot write into {folder}: {error.strerror or error}") from error
     begun = TextFile(folder / BEGUN, EldataError, "remove the folder to start again").json() if BEGUN in there else None
-    if INDEX in there:
+    if INDEX in there and begun is None:
         raise EldataError(f"{folder}: holds finished shards already; remove it, or name another folder")
     if begun is None:
         if there:

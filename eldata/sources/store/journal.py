@@ -40,7 +40,7 @@ class JournaledFile(io.FileIO):
         super().__init__(path, "r+", opener=lambda name, _: os.open(name, os.O_RDWR | os.O_CREAT, 0o666))
         self.path = path
         self.failure: BaseException | None = None
-        self._journal_path = path.with_name(f"{path.name}.journal")
+        self._journal_path = path.with_name(_journal_name(path))
         self._committed = 0
         self._journal = -1
 
@@ -189,3 +189,13 @@ def journaled(path: Path) -> Iterator[JournaledFile]:
     finally:
         with suppress(OSError):  # whoever opens it next undoes the rest
             file.release()
+
+
+def remove_stale_journal(path: Path) -> None:
+    """Remove a journal whose file has been finished and renamed: a kill between these two steps leaves it."""
+    if not path.exists():
+        path.with_name(_journal_name(path)).unlink(missing_ok=True)
+
+
+def _journal_name(path: Path) -> str:
+    return f"{path.name}.journal"

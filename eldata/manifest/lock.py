@@ -14,7 +14,7 @@ from eldata.errors import ManifestError
 from eldata.manifest.card import load_card, save_card
 from eldata.manifest.catalogue import Manifest, data_root, load_manifest
 from eldata.manifest.patterns import expand
-from eldata.manifest.table import load_records, save_records
+from eldata.manifest.table import load_table, save_records
 from eldata.manifest.verify import Problem, VerifyReport, verify
 
 if TYPE_CHECKING:
@@ -111,10 +111,10 @@ def _loaded(path: Path, root: Path | str | None) -> Manifest:
     try:
         return load_manifest(path)
     except ManifestError:
-        records, card = load_records(path), load_card(path.with_suffix(".json"))
+        (records, digest), card = load_table(path), load_card(path.with_suffix(".json"))
         if _counts(expand(records, data_root(root) / card.folder)) != card.counts:
             raise
-        return Manifest(path, replace(card, counts=_counts(records)), records, sha256_of(path))
+        return Manifest(path, replace(card, counts=_counts(records)), records, digest)
 
 
 def _counts(records: Iterable[FrameRecord]) -> dict[str, int]:

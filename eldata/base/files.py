@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import secrets
+import stat
 import sys
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
@@ -21,6 +22,33 @@ def sha256_of(path: Path) -> str:
     """Return ``sha256:<hex>`` of a file's bytes, read in pieces."""
     with path.open("rb") as file:
         return f"sha256:{hashlib.file_digest(file, 'sha256').hexdigest()}"
+
+
+_SPECIAL = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a named pipe",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFSOCK: "a socket",
+}
+
+
+def file_problem(path: Path) -> str | None:
+    """Return why a path is not a readable file with something in it, or ``None`` if it is, once links are followed.
+
+    Ask before strangers' files are opened: a named pipe would be waited for, and a device read, for ever.
+    """
+    try:
+        found = path.stat()
+        if stat.S_ISREG(found.st_mode):
+            path.open("rb").close()
+    except OSError as error:  # a loop of links, too
+        return f"cannot be read: {error.strerror}"
+    except ValueError:
+        return "cannot be read: its name holds a NUL character"
+    if not stat.S_ISREG(found.st_mode):
+        return f"is {_SPECIAL.get(stat.S_IFMT(found.st_mode), 'something else')}, not a file"
+    return None if found.st_size else "is empty (0 bytes): copy or download it again"
 
 
 @contextmanager

@@ -36,6 +36,7 @@ from typing import TYPE_CHECKING, Any, Generic, ParamSpec, Protocol, TypeVar
 
 from tqdm import tqdm
 
+from eldata.base.isolation import isolating, set_isolation
 from eldata.errors import ArgumentError, EldataError, FileError
 
 if TYPE_CHECKING:
@@ -244,14 +245,16 @@ def _dask_client(executor: Executor) -> Any:
 def _call(work: Callable[[Unit], Result], unit: Unit) -> Callable[[], Result | Failed[Unit]]:
     """Return a unit's work for another worker."""
     # Dask takes equal calls for the same one, and answers with the result that it already has.
-    return partial(_run_unit, work, unit, _here(), uuid.uuid4().hex)
+    return partial(_run_unit, work, unit, _here(), isolating(), uuid.uuid4().hex)
 
 
 def _run_unit(
-    work: Callable[[Unit], Result], unit: Unit, caller: tuple[str, int], _: str = ""
+    work: Callable[[Unit], Result], unit: Unit, caller: tuple[str, int], isolate: bool = False, _: str = ""
 ) -> Result | Failed[Unit]:
     """Return a unit's result, or its error as a value: what an executor itself raises can then be told from it."""
     try:
+        if _here() != caller:
+            set_isolation(isolate)
         return work(unit)
     except Exception as error:  # noqa: BLE001 # whatever it is, it is the unit's
         host, process = _here()

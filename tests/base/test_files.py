@@ -6,6 +6,7 @@ import errno
 import hashlib
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -16,7 +17,7 @@ from typing import IO, Any
 import pytest
 
 import eldata.base.files
-from eldata.base.files import atomic_write, inside, path_problem, sha256_of, write_text
+from eldata.base.files import atomic_write, file_problem, inside, path_problem, sha256_of, write_text
 from eldata.errors import EldataError, ManifestError
 from tests.cases import in_one_test
 from tests.waiting import PATIENCE_S
@@ -34,6 +35,37 @@ def old(tmp_path: Path) -> Path:
 def only(path: Path, content: bytes) -> bool:
     """The file has this content and its folder holds nothing else, so no ``.part`` either."""
     return path.read_bytes() == content and list(path.parent.iterdir()) == [path]
+
+
+# --- what may be opened ---------------------------------------------------------------------------------------
+
+
+def test_only_a_file_with_something_in_it_may_be_opened(tmp_path: Path) -> None:
+    """A named pipe would be waited for; none of these is opened."""
+    (tmp_path / "file").write_bytes(b"x")
+    (tmp_path / "empty").touch()
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    (tmp_path / "link").symlink_to(tmp_path / "file")
+    (tmp_path / "dangling").symlink_to(tmp_path / "nothing")
+    (tmp_path / "device").symlink_to(os.devnull)
+    os.mkfifo(tmp_path / "pipe")
+    expected = {
+        "file": None,
+        "link": None,
+        "empty": "is empty (0 bytes): copy or download it again",
+        "loop": "cannot be read: Too many levels of symbolic links",
+        "dangling": "cannot be read: No such file or directory",
+        "nothing": "cannot be read: No such file or directory",
+        "file/below": "cannot be read: Not a directory",
+        "device": "is a device, not a file",
+        "pipe": "is a named pipe, not a file",
+        ".": "is a folder, not a file",
+        "nul\0": "cannot be read: its name holds a NUL character",
+    }
+    assert {name: file_problem(tmp_path / name) for name in expected} == expected
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(tmp_path / "socket"))
+        assert file_problem(tmp_path / "socket") == "is a socket, not a file"
 
 
 # --- atomic_write -------------------------------------------------------------------------------------------

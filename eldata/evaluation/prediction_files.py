@@ -1,9 +1,9 @@
 """The array in a stranger's file: what the file declares of it is agreed to before anything is loaded.
 
 Each format says shape and type in its header, and each has ways to make a reader reserve, decompress, follow or wait
-for more than that. So each reader here looks at the header alone and hands that to a check, and then decodes into memory
-of that size and no more. What crashes or hangs in the compiled decoders of h5, TIFF and PNG is contained where isolation
-is on (:mod:`eldata.base.isolation`).
+for more than that. So each reader here looks at the header alone and hands that to a check, and then decodes into
+memory of that size and no more. What crashes or hangs in the compiled decoders of h5, TIFF and PNG is contained where
+isolation is on (:mod:`eldata.base.isolation`).
 
 npy
     The header is matched, not evaluated; the file holds as many bytes as it declares.
@@ -165,7 +165,7 @@ def _read_npz(path: Path, check: Check) -> NDArray[Any]:
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise zipfile.BadZipFile(f"compressed by method {member.compress_type}; expected numpy's savez_compressed")
         with archive.open(member) as content:
-            array = read_npy(content, member.file_size, lambda header: check(_of_npy(header)))  # type: ignore[arg-type]
+            array = read_npy(content, member.file_size, lambda header: check(_of_npy(header)))
             if content.read(1):  # at the end zipfile compares the checksum
                 raise zipfile.BadZipFile("the member goes on after its array")
             if content.tell() != member.file_size:
@@ -275,10 +275,10 @@ def _unfiltered(stored: bytes, filters: Sequence[int], mask: int, size: int, dty
     return planes.view(dtype)
 
 
-def _checked(content: bytes) -> memoryview:
+def _checked(content: bytes) -> bytes:
     import imagecodecs
 
-    body = memoryview(content)[:-_CHECKSUM_BYTES]
+    body = content[:-_CHECKSUM_BYTES]
     found = imagecodecs.h5checksum_fletcher32(body)
     if found != int.from_bytes(content[-_CHECKSUM_BYTES:], "little"):
         raise ValueError("a chunk that its checksum does not fit")
@@ -316,7 +316,7 @@ def _read_tiff(path: Path, check: Check) -> NDArray[Any]:
     import tifffile
 
     check_pages(path)
-    plain = {f"is_{kind}": False for kind in tifffile.TIFF.FILE_FLAGS - {"shaped", "uniform"}}
+    plain: dict[str, Any] = {f"is_{kind}": False for kind in tifffile.TIFF.FILE_FLAGS - {"shaped", "uniform"}}
     with tifffile.TiffFile(path, **plain) as file:
         series = file.series[0]
         check(Declared(tuple(series.shape), str(np.dtype(series.dtype))))

@@ -330,7 +330,8 @@ def _floating(array: NDArray[Any]) -> NDArray[Any]:
     kind = array.dtype.newbyteorder("=")
     if kind in (np.uint8, np.uint16):
         values = np.empty(array.shape, np.float32)
-        return np.divide(array, np.float32(np.iinfo(kind).max), out=values, dtype=np.float32)
+        np.divide(array, np.float32(np.iinfo(kind).max), out=values, dtype=np.float32)
+        return values
     return array.astype(np.float32 if kind == np.float16 else kind, order="C", copy=False)
 
 

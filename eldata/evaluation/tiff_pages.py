@@ -66,7 +66,8 @@ def check_pages(path: Path) -> None:
     size = path.stat().st_size
     with path.open("rb") as file:
         form = _Form(file.read(16))
-        at, seen, left = form.first, set(), _MOST_TAG_BYTES
+        at, left = form.first, _MOST_TAG_BYTES
+        seen: set[int] = set()
         while at:
             if at in seen or len(seen) == _MOST_PAGES:
                 raise TiffError(f"its pages go in a circle, or are more than {_MOST_PAGES}")
@@ -140,5 +141,5 @@ def _is_whole(keyframe: Any, extents: list[tuple[int, int]]) -> bool:
     if not all(offset > 0 and count > 0 for offset, count in extents):
         return False
     if keyframe.is_contiguous or len(extents) == 1 < math.prod(keyframe.chunked):
-        return sum(count for _, count in extents) >= keyframe.nbytes and int(keyframe.compression) == 1
-    return len(extents) == math.prod(keyframe.chunked)
+        return int(keyframe.compression) == 1 and sum(count for _, count in extents) >= int(keyframe.nbytes)
+    return bool(len(extents) == math.prod(keyframe.chunked))

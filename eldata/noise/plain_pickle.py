@@ -144,6 +144,7 @@ _LINES: dict[bytes, Callable[[bytes], Any]] = {
     b"S": _quoted,
     b"V": lambda line: line.decode("raw-unicode-escape"),
 }
+_INSTRUCTIONS = {known.code.encode("latin1"): known.name for known in pickletools.opcodes}
 _SMALL_TUPLES = {b")": 0, b"\x85": 1, b"\x86": 2, b"\x87": 3}
 _BYTE, _WORD = struct.Struct("<B"), struct.Struct("<I")
 
@@ -162,8 +163,7 @@ class _Machine:
         """Carry the instructions out; return what is on top of the stack at the end."""
         while (code := self._take(1)) != b".":
             if not (self._value(code) or self._container(code) or self._memory(code) or self._object(code)):
-                known = pickletools.code2op.get(code.decode("latin1"))
-                raise PlainPickleError(f"it has the instruction {known.name if known else code!r}, which is not plain")
+                raise PlainPickleError(f"it has the instruction {_INSTRUCTIONS.get(code, code)}, which is not plain")
         return self._pop()
 
     # --- instructions, in groups; each returns whether the instruction is one of them

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import zlib
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import h5py
@@ -22,12 +23,13 @@ from eldata.base.npy import NpyError, read_npy_header
 from eldata.base.png import read_png
 from eldata.errors import EldataError, PredictionError
 from eldata.evaluation.predictions import find_predictions, load_colours, load_prediction, prediction_space
+from tests.evaluation import awkward_predictions
 from tests.evaluation import hostile_predictions as hostile
+from tests.evaluation.awkward_predictions import AWKWARD
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -61,7 +63,7 @@ def test_none_takes_memory_to_speak_of(outcomes: dict[str, Any]) -> None:
 
 
 def test_no_other_file_is_shown(outcomes: dict[str, Any]) -> None:
-    assert hostile.SECRET not in json.dumps(outcomes)
+    assert hostile.ELSEWHERE not in json.dumps(outcomes)
 
 
 @pytest.mark.parametrize(
@@ -107,11 +109,17 @@ def h5(**options: Any) -> Callable[[Path, NDArray[Any]], None]:
 
 
 def tif(**options: Any) -> Callable[[Path, NDArray[Any]], None]:
-    return lambda path, array: tifffile.imwrite(path, array, photometric="minisblack", **options)
+    def save(path: Path, array: NDArray[Any]) -> None:
+        tifffile.imwrite(path, array, **({"photometric": "minisblack"} | options))
+
+    return save
 
 
 def raw_npy(header: str) -> Callable[[Path, NDArray[Any]], None]:
-    return lambda path, array: path.write_bytes(hostile.npy(header, array.astype("<f4").tobytes())) and None
+    def save(path: Path, array: NDArray[Any]) -> None:
+        path.write_bytes(hostile.npy(header, array.astype("<f4").tobytes()))
+
+    return save
 
 
 def with_more(path: Path, array: NDArray[Any]) -> None:
@@ -139,9 +147,9 @@ ODD: dict[str, Callable[[Path, NDArray[Any]], None]] = {
     "tif-zstd": tif(compression="zstd"),
     "tif-packbits": tif(compression="packbits"),
     "tif-imagej": tif(imagej=True),
-    "tif-ome": lambda path, array: tifffile.imwrite(path, array, photometric="minisblack", ome=True),
+    "tif-ome": tif(ome=True),
     "tif-big": tif(bigtiff=True, byteorder=">"),
-    "tif-planes": lambda path, array: tifffile.imwrite(path, array, photometric="rgb", planarconfig="separate"),
+    "tif-planes": tif(photometric="rgb", planarconfig="separate"),
 }
 
 
@@ -202,7 +210,7 @@ def test_headers_that_numpy_writes(kind: str, shape: tuple[int, ...], tmp_path: 
         np.save(tmp_path / "x.npy", array)
         with (tmp_path / "x.npy").open("rb") as file:
             header = read_npy_header(file)
-            assert np.lib.format.dtype_to_descr(array.dtype) == header.descr
+            assert header.descr == str(np.lib.format.dtype_to_descr(array.dtype))
             assert (header.shape, header.dtype) == (shape, array.dtype if array.dtype.kind in "fubc" else None)
             assert file.tell() == (tmp_path / "x.npy").stat().st_size - array.nbytes
 
@@ -236,13 +244,13 @@ def test_thousands_of_foreign_files_are_counted(tmp_path: Path) -> None:
 
 
 def test_folders_deeper_than_the_stack(tmp_path: Path) -> None:
-    deepest = tmp_path.joinpath(*"d" * 1500)
+    deepest = tmp_path.joinpath(*"d" * 1050)
     made = tmp_path
-    for _ in range(1500):
+    for _ in range(1050):
         made /= "d"
         made.mkdir()
     (deepest / "x.npy").touch()
-    place = f"{'d/' * 1500}x.dng"
+    place = f"{'d/' * 1050}x.dng"
     assert find_predictions(tmp_path, [place]).files == {place: deepest / "x.npy"}
     (deepest / "x.npy").unlink()
     while made != tmp_path:  # pytest's way to remove it is recursive
@@ -271,3 +279,29 @@ def test_a_folder_that_cannot_be_listed_is_an_error(tmp_path: Path, monkeypatch:
     monkeypatch.setattr("os.scandir", scandir)
     with pytest.raises(EldataError, match=r"a: cannot be read: Permission denied"):
         find_predictions(tmp_path, [])
+
+
+# --- memory -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.memory
+@pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="the peak of a process is not told here")
+@pytest.mark.parametrize("name", AWKWARD)
+def test_a_prediction_takes_less_than_three_times_its_array(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The array as it is loaded; a mosaic is packed into another, so twice is the least."""
+    (tmp_path / "small").mkdir()
+    AWKWARD[name](tmp_path / name)
+    monkeypatch.setattr(awkward_predictions, "HEIGHT", hostile.HEIGHT)
+    monkeypatch.setattr(awkward_predictions, "WIDTH", hostile.WIDTH)
+    AWKWARD[name](tmp_path / "small" / name)
+    command = [
+        sys.executable,
+        "-m",
+        "tests.evaluation.awkward_predictions",
+        *(tmp_path / name, tmp_path / "small" / name),
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert 1.9 < float(done.stdout) < 3

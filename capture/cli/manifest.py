@@ -57,7 +57,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("--allow-gaps", action="store_true", help="write the manifest even if shots are missing")
     parser.add_argument("--yes", action="store_true", help="accept what was decided, without asking")
     parser.add_argument("--replace", action="store_true", help="replace an older manifest of this name")
-    add_shared(parser, run, "jobs", "json")
+    add_shared(parser, run, "jobs", "isolation", "json")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -10,7 +10,7 @@ import argparse
 import os
 import sys
 import traceback
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
@@ -103,13 +103,32 @@ def chosen_workers(arguments: argparse.Namespace) -> Iterator[Workers]:
         yield Workers(arguments.jobs, executor)
 
 
-_SHARED = {"root": add_root, "cameras": add_cameras, "jobs": add_jobs, "workers": add_workers, "json": add_json}
+def add_isolation(parser: argparse.ArgumentParser) -> None:
+    """Add ``--isolate`` and ``--no-isolate`` to a subcommand; :func:`run` follows them."""
+    parser.add_argument(
+        "--isolate",
+        action=argparse.BooleanOptionalAction,
+        help=(
+            "decode files in processes of their own, with limits on time and memory, so that a file whose decoder "
+            "crashes or hangs is one problem among others (default: $ELDATA_ISOLATE, else on; off on Windows)"
+        ),
+    )
+
+
+_SHARED = {
+    "root": add_root,
+    "cameras": add_cameras,
+    "jobs": add_jobs,
+    "workers": add_workers,
+    "isolation": add_isolation,
+    "json": add_json,
+}
 
 
 def add_shared(
     parser: argparse.ArgumentParser,
     run: Callable[[argparse.Namespace], int],
-    *options: Literal["root", "cameras", "jobs", "workers", "json"],
+    *options: Literal["root", "cameras", "jobs", "workers", "isolation", "json"],
     interrupted: str = "files are written whole or not at all, so none is left half",
 ) -> None:
     """Finish a subcommand: add these options and ``--debug``, and say what :func:`run` is to call.
@@ -162,7 +181,8 @@ def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:
         print(f"{parser.prog}: a command is needed; see {parser.prog} --help", file=sys.stderr)
         return UNUSABLE
     try:
-        code: int = arguments.run(arguments)
+        with _as_isolated(arguments):
+            code: int = arguments.run(arguments)
         sys.stdout.flush()
     except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 # people see one line, --debug shows the rest
         if arguments.debug:
@@ -171,6 +191,15 @@ def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:
         if message:
             print(f"{arguments.command}: {' '.join(message.split())}", file=sys.stderr)
     return code
+
+
+def _as_isolated(arguments: argparse.Namespace) -> AbstractContextManager[None]:
+    """Return the isolation that a subcommand is to run under, if it has the choice."""
+    if not hasattr(arguments, "isolate"):
+        return nullcontext()
+    from eldata.base.isolation import isolation
+
+    return isolation(arguments.isolate)
 
 
 def _explained(error: BaseException, arguments: argparse.Namespace) -> tuple[int, str]:

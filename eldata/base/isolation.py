@@ -39,17 +39,20 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from eldata.base.files import check_posix
+from eldata.base.files import check_posix, file_problem
 from eldata.errors import ArgumentError, EldataError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
+
+    from eldata.errors import FileError
 
 Result = TypeVar("Result")
 
 VARIABLE = "ELDATA_ISOLATE"
 """The environment variable that holds the setting, so that processes started from here have it too: 1 is on."""
 
+_CAN_ISOLATE = hasattr(os, "register_at_fork")  # a POSIX system
 _START_S = 120.0  # for a helper to start: a third of a second on an idle machine
 _GRACE_S = 5.0  # after its limit a helper whose parent is gone ends by itself
 _LARGE_BYTES = 1 << 16  # smaller arrays are pickled with the rest
@@ -84,11 +87,6 @@ class Limits:
 LIMITS = Limits()
 
 
-def can_isolate() -> bool:
-    """Return whether this system can isolate: it needs POSIX."""
-    return hasattr(os, "register_at_fork")
-
-
 def isolating() -> bool:
     """Return whether strangers' files are decoded in guarded processes.
 
@@ -117,8 +115,10 @@ def set_isolation(on: bool) -> None:
 
 
 @contextmanager
-def isolation(on: bool = True) -> Iterator[None]:
+def isolation(on: bool | None = True) -> Iterator[None]:
     """Decode the files that are read inside the block in guarded processes; or, with ``False``, in this one.
+
+    ``None`` is the default of the command line: as the environment variable says, else on where the system can.
 
     It holds for all threads, for workers that eldata starts meanwhile or sends work to, and for a DataLoader's workers
     if they are started inside the block. A file whose decoder crashes, hangs for more than a minute or needs more than
@@ -130,7 +130,7 @@ def isolation(on: bool = True) -> Iterator[None]:
         Like :func:`set_isolation`.
     """
     before = os.environ.get(VARIABLE)
-    set_isolation(on)
+    set_isolation((isolating() if before else _CAN_ISOLATE) if on is None else on)
     try:
         yield
     finally:
@@ -171,6 +171,41 @@ def guarded(work: Callable[..., Result], *arguments: object, limits: Limits = LI
     with suppress(IndexError, _LostError):  # an earlier file may have left it in a bad state: a new one tells
         return _idle.pop().answer(request, limits)  # type: ignore[no-any-return]
     return _Helper().answer(request, limits)  # type: ignore[no-any-return]
+
+
+def guarded_file(
+    work: Callable[[Path], Result], path: Path, error: type[FileError], *, limits: Limits = LIMITS
+) -> Result:
+    """Return ``work(path)`` of a stranger's file: from a guarded process where isolation is on.
+
+    Parameters
+    ----------
+    work
+        As of :func:`guarded`.
+    path
+        Of a regular file, links followed; nothing else is opened.
+    error
+        What is raised if the file cannot be read, or its work ends without a result.
+    limits
+        For this file.
+
+    Raises
+    ------
+    FileError
+        ``error``, with the path and the reason.
+    Exception
+        Whatever ``work`` raises, except a ``MemoryError``.
+    """
+    problem = file_problem(path)
+    if problem is not None:
+        raise error(path, problem)
+    try:
+        return guarded(work, path, limits=limits)
+    except GuardError as how:
+        raise error(path, f"{how}; is the file whole, and what it says it is?") from None
+    except MemoryError as lack:
+        reason = "needs more memory than there is; is the file whole, and what it says it is?"
+        raise error(path, reason) from lack
 
 
 # --- the parent's side ------------------------------------------------------------------------------------------------
@@ -270,7 +305,7 @@ def _forget_all() -> None:
     _idle.clear()
 
 
-if can_isolate():
+if _CAN_ISOLATE:
     os.register_at_fork(after_in_child=_forget_all)
 
 

@@ -33,7 +33,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument("--per-image", type=int, default=1, metavar="N", help="noisy frames per clean one (default: 1)")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="default: %(default)s")
-    add_shared(parser, run, "workers")
+    add_shared(parser, run, "workers", "isolation")
 
 
 def _ratio(text: str) -> tuple[float, float]:

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 from eldata.base.files import inside, sha256_of
+from eldata.base.isolation import guarded_file
 from eldata.base.workers import AnyWorkers, Failed, Workers, accepts_jobs, require_files
 from eldata.errors import ArgumentError, ManifestError, RawFileError
 from eldata.manifest.catalogue import Manifest, find_manifests
@@ -353,14 +354,25 @@ def _check_file(folder: Path, cameras: Mapping[str, CameraCard], level: Level, r
     elif is_png(record.path):
         findings = png_findings(folder, record)
     else:
-        findings, product = _header_findings(path, record, cameras[record.camera].models)
+        decode = level == "full" and record.sha256 is None
+        work = partial(_raw_findings, record=record, models=cameras[record.camera].models, decode=decode)
+        try:
+            findings, product = guarded_file(work, path, RawFileError)
+        except RawFileError as error:
+            findings = [Finding(record.path, "content", "a whole raw file", error.reason, _AGAIN)]
     if level == "full" and not any(finding.field in _OF_CONTENT for finding in findings):
         if record.sha256 is not None:
             findings += _hash_findings(path, record)
         elif is_png(record.path):
             findings += png_decode_findings(folder, record)
-        elif path.suffix != ".npy":
-            findings += _decode_findings(path, record)
+    return findings, product
+
+
+def _raw_findings(path: Path, record: FrameRecord, models: Sequence[str], *, decode: bool) -> Outcome:
+    """Check a raw file's header and, if it is to be decoded and its header says no other file, its pixels."""
+    findings, product = _header_findings(path, record, models)
+    if decode and not any(finding.field in _OF_CONTENT for finding in findings):
+        findings = [*findings, *_decode_findings(path, record)]
     return findings, product
 
 

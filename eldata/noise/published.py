@@ -10,6 +10,7 @@ import io
 from pathlib import Path
 from typing import Any
 
+from eldata.base.files import file_problem
 from eldata.base.npy import read_npy_header
 from eldata.errors import ProfileError
 from eldata.noise.plain_pickle import MOST_BYTES, plain_content
@@ -27,6 +28,9 @@ def read_published(path: Path | str) -> dict[str, Any]:
         If the file is not such a pickle, or asks for anything but numpy arrays and plain types; none of it is run then.
     """
     path = Path(path)
+    problem = file_problem(path)
+    if problem is not None:
+        raise ProfileError(f"{path}: {problem}")
     try:
         with path.open("rb") as file:
             stream = io.BytesIO(file.read(2 * MOST_BYTES))
@@ -93,6 +97,6 @@ def profiles_from_published(camera: str, data: dict[str, Any], source: str = SOU
                     ),
                 )
             )
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
         raise ProfileError(f"{camera}: is not a published parameter dictionary ({error!r})") from error
     return tuple(profiles)

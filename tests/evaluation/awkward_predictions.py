@@ -16,6 +16,7 @@ import tifffile
 
 from eldata.evaluation.predictions import load_prediction
 from eldata.records import Sensor
+from tests.peak import peak_kib
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -67,19 +68,14 @@ AWKWARD: dict[str, Callable[[Path], None]] = {
 }
 
 
-def peak_bytes() -> int:
-    (line,) = (line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM"))
-    return int(line.split()[1]) << 10
-
-
 def main(path: Path, small: Path) -> None:
     """Load a small prediction of the same format, which loads libraries, and then the large one."""
     with_size = Sensor("Maker", "Model", SENSOR.cfa, SENSOR.black_level_dn, 16383.0, 64, 96, None, None)
     load_prediction(small, with_size, "metadata")
     Path("/proc/self/clear_refs").write_text("5")  # the peak starts again from what is in use now
-    before = peak_bytes()
+    before = peak_kib()
     loaded = load_prediction(path, SENSOR, "metadata")
-    print((peak_bytes() - before) / loaded.nbytes)
+    print((peak_kib() - before) * 1024 / loaded.nbytes)
 
 
 if __name__ == "__main__":

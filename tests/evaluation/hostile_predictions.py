@@ -21,6 +21,7 @@ import numpy as np
 import tifffile
 
 from eldata.records import Sensor
+from tests.peak import peak_kib
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -464,7 +465,7 @@ def main(folder: Path) -> None:
     tiff(folder / "elsewhere" / "good.tif", grey())
     for name in ("good.npy", "good.tif", "secret.h5"):  # libraries are loaded
         load_prediction(folder / "elsewhere" / name, SENSOR, "metadata")
-    before_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    before_kib = peak_kib()
     outcomes = {}
     for path in sorted(folder.iterdir()):
         if path.name == "elsewhere":
@@ -477,8 +478,7 @@ def main(folder: Path) -> None:
             outcomes[path.name] = f"refused: {error.reason}"
         except BaseException as error:  # noqa: BLE001 # whatever it is, it is what this program looks for
             outcomes[path.name] = f"{type(error).__name__}: {error}"
-    peak_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    print(json.dumps({"outcomes": outcomes, "before_kib": before_kib, "peak_kib": peak_kib}))
+    print(json.dumps({"outcomes": outcomes, "before_kib": before_kib, "peak_kib": peak_kib()}))
 
 
 if __name__ == "__main__":

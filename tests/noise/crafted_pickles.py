@@ -15,6 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.peak import peak_kib
+
 MEMORY_BYTES = 1 << 30
 """More than the libraries take at the start, and less than any of these would like."""
 
@@ -279,8 +281,7 @@ def main(folder: Path) -> None:
             outcomes[path.stem] = f"read {sorted(read_published(path))}"
         except Exception as error:  # noqa: BLE001 # whatever it is, it is what this program looks for
             outcomes[path.stem] = f"{type(error).__name__}: {error}"
-    peak_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    print(json.dumps({"outcomes": outcomes, "peak_kib": peak_kib}))
+    print(json.dumps({"outcomes": outcomes, "peak_kib": peak_kib()}))
 
 
 if __name__ == "__main__":

@@ -48,6 +48,7 @@ _CHUNK_CACHE_BYTES = 1 << 20
 _MOST_TABLES = 4096
 _MOST_MANIFEST_BYTES = 256 << 20  # what the reader of text files takes
 _MOST_CHUNK_PIXELS = 1 << 22  # ours have 256 x 256
+_MOST_PIXELS = 1 << 29  # of a frame; RGB counts three times
 
 
 def open_store(path: Path | str) -> Store:
@@ -142,11 +143,11 @@ def _check_held(group: h5py.Group, name: str) -> None:
 
 
 def _stored(key: str, frames: h5py.Group) -> StoredFrame | StoredRgb:
-    """Return a frame, whose size must be that of its pixels: they are read into memory of its size."""
+    """Return a frame, of a size that a camera has: its pixels are read into memory of that size."""
     frame = frames[key]
     held = stored(key, frame.attrs, frame.shape)
-    if frame.dtype != np.uint16 or frame.shape != held.shape:
-        raise ValueError(f"frame {key} declares {held.shape} pixels and holds {frame.dtype} {frame.shape}")
+    if not 0 < math.prod(held.shape) <= _MOST_PIXELS:
+        raise ValueError(f"frame {key} declares {held.shape} pixels")
     if frame.chunks is not None and math.prod(frame.chunks) > _MOST_CHUNK_PIXELS:
         raise ValueError(f"frame {key} has chunks of {frame.chunks} pixels")
     return held

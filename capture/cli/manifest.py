@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from eldata.base.console import OK, PROBLEMS, add_shared
 from eldata.base.files import write_json
+from eldata.base.visible import in_line
 from eldata.base.workers import Workers
 from eldata.errors import ArgumentError
 
@@ -178,7 +179,7 @@ def _warn_of_unlisted(dataset: Dataset, place: str | None) -> None:
     ]
     if beside:
         print(
-            f"{len(beside)} other raw file(s) lie in the same folders, such as {beside[0].name}: eldata verify will "
+            f"{len(beside)} other raw file(s) lie in the same folders, such as {in_line(beside[0].name)}: eldata verify will "
             "name them. --copy-to and --link-to make a folder without them"
         )
 
@@ -202,7 +203,7 @@ def format_match(plan: Plan, observed: Observed, found: Match) -> str:
         # A scene without any frame is one line, not sixteen.
         texts = list(dict.fromkeys(remark.text for remark in found.remarks if remark.kind == kind))
         lines.append(f"{kind}:")
-        lines += [f"    {text}" for text in texts]
+        lines += [f"    {in_line(text)}" for text in texts]
     total = len(observed.frames) + len(observed.unusable)
     lines.append(f"{len(found.frames)} of {len(plan.shots)} shots have a file; {total} files were given")
     return "\n".join(lines)

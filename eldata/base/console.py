@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 from eldata import __version__
 from eldata.base.fields import whole_of
+from eldata.base.visible import visible, visible_output
 from eldata.errors import ArgumentError, EldataError
 
 if TYPE_CHECKING:
@@ -167,6 +168,7 @@ def whole_number(at_least: int) -> Callable[[str], int]:
     return read
 
 
+@visible_output()
 def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:
     """Parse arguments, run the subcommand's ``run`` and return the exit code.
 
@@ -189,7 +191,7 @@ def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:
             traceback.print_exception(error)
         code, message = _explained(error, arguments)
         if message:
-            print(f"{arguments.command}: {' '.join(message.split())}", file=sys.stderr)
+            print(f"{arguments.command}: {' '.join(visible(message).split())}", file=sys.stderr)
     return code
 
 
@@ -211,10 +213,9 @@ def _explained(error: BaseException, arguments: argparse.Namespace) -> tuple[int
     if isinstance(error, BrokenPipeError):  # head, less: nothing to say, but nobody knows that all is well
         _drop_output()
         return CLOSED_PIPE, ""
-    if isinstance(error, OSError):
+    if isinstance(error, OSError) and error.filename is not None:
         _drop_output()
-        where = error.filename or "cannot write to standard output"
-        return UNUSABLE, f"{where}: {error.strerror}"
+        return UNUSABLE, f"{error.filename}: {error.strerror}"
     return UNUSABLE, f"unexpected {type(error).__name__}: {error}; --debug shows where"
 
 

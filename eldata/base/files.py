@@ -12,10 +12,14 @@ from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING
 
+from eldata.base.visible import has_unseen
 from eldata.errors import ArgumentError, EldataError, ManifestError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
+
+
+_LONGEST_PATH = 4096
 
 
 def sha256_of(path: Path) -> str:
@@ -81,9 +85,12 @@ def atomic_write(path: Path | str) -> Iterator[IO[bytes]]:
 
 
 def write_text(path: Path | str, text: str) -> None:
-    """Write UTF-8 text whole or not at all, with line ends as given."""
+    r"""Write UTF-8 text whole or not at all, with line ends as given.
+
+    What stands for a byte of a file name that is not UTF-8 is written as JSON has it: by its number, ``\udcff``.
+    """
     with atomic_write(path) as file:
-        file.write(text.encode())
+        file.write(text.encode("utf-8", "backslashreplace"))
 
 
 def write_json(path: Path | str, data: object, *, indent: int = 2) -> None:
@@ -145,8 +152,8 @@ def path_problem(relative: str) -> str | None:
         return "is empty"
     if "\\" in relative:
         return "contains a backslash; manifests use '/'"
-    if any(ord(character) < 32 or ord(character) == 127 for character in relative):
-        return "contains a control character"
+    if has_unseen(relative):
+        return "contains a control character, or another one that does not show"
     if relative.startswith("/"):
         return "is absolute; paths are relative to the dataset's folder"
     if ":" in relative.partition("/")[0]:
@@ -156,6 +163,8 @@ def path_problem(relative: str) -> str | None:
         return "contains an empty, '.' or '..' part"
     if max(map(len, parts)) > 255:
         return "contains a name of more than 255 characters, which no file system has"
+    if len(relative) > _LONGEST_PATH:
+        return f"has more than {_LONGEST_PATH} characters, which no system opens"
     return None
 
 
@@ -176,7 +185,7 @@ def inside(root: Path, relative: str) -> Path:
     try:
         leads_outside = not path.resolve().is_relative_to(root.resolve())
     except (OSError, RuntimeError) as error:
-        raise ManifestError(f"{path} cannot be followed ({error}); is it a loop of links?") from error
+        raise ManifestError(f"{path} cannot be followed ({error}); is it a loop of links, or too long?") from error
     if leads_outside:
         raise ManifestError(
             f"{path} leads outside of {root} through a link; move the files there, or point --root at their place"

@@ -14,6 +14,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 from eldata.base.files import file_problem
 from eldata.base.isolation import GuardError, guarded
+from eldata.base.visible import in_line
 from eldata.errors import FileError
 
 if TYPE_CHECKING:
@@ -185,5 +186,5 @@ def read_rgb16(path: Path) -> NDArray[np.uint16]:
     try:
         array: NDArray[np.uint16] = guarded(read_png, path)
     except (OSError, RuntimeError, ValueError, GuardError) as error:  # imagecodecs' errors are RuntimeErrors
-        raise FileError(path, f"cannot be decoded ({error}); copy or download it again") from error
+        raise FileError(path, f"cannot be decoded ({in_line(str(error))}); copy or download it again") from error
     return array

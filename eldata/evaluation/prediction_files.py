@@ -35,6 +35,7 @@ from eldata.base.files import file_problem
 from eldata.base.isolation import GuardError, guarded
 from eldata.base.npy import read_npy
 from eldata.base.png import read_png
+from eldata.base.visible import in_line
 from eldata.errors import PredictionError
 from eldata.evaluation.tiff_pages import check_pages, check_segments
 
@@ -54,6 +55,7 @@ if TYPE_CHECKING:
 _PIECE_BYTES = 1 << 20
 _MOST_NAMES = 1000  # of the arrays and groups of a file
 _NAMES_SHOWN = 6
+_LONGEST_REASON = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +97,8 @@ def read_array(path: Path, check: Check) -> NDArray[Any]:
     except GuardError as error:
         raise PredictionError(path, f"{error}; write it again") from error
     except Exception as error:  # five libraries, each with its own kinds
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        # Its first line; libpng's may be memory that is not text.
+        reason = in_line(str(error).splitlines()[0][:_LONGEST_REASON]) if str(error) else type(error).__name__
         raise PredictionError(path, f"cannot be read as {path.suffix[1:]} ({reason}); write it again") from error
     check(Declared(array.shape, str(array.dtype.newbyteorder("="))))
     return array
@@ -125,7 +128,7 @@ def _only(path: Path, names: Sequence[str]) -> str:
         return names[0]
     if names.count("prediction") == 1:
         return "prediction"
-    shown = ", ".join(name if name.isprintable() else ascii(name) for name in names[:_NAMES_SHOWN])
+    shown = ", ".join(in_line(name[:_LONGEST_REASON]) for name in names[:_NAMES_SHOWN])
     more = f" and {len(names) - _NAMES_SHOWN} more" if len(names) > _NAMES_SHOWN else ""
     raise PredictionError(path, f"expected one array, or one called 'prediction'; found {shown or 'none'}{more}")
 
@@ -188,7 +191,9 @@ def _read_h5(path: Path, check: Check) -> NDArray[Any]:
         kinds = {name: file.get(name, getclass=True, getlink=True) for name in file}
         links = [name for name, kind in kinds.items() if kind is not h5py.HardLink]
         if links:
-            raise PredictionError(path, f"{links[0]!r} is a link; expected the array itself: copy it into the file")
+            raise PredictionError(
+                path, f"{links[0][:_LONGEST_REASON]!r} is a link; expected the array itself: copy it into the file"
+            )
         held = file[_only(path, [name for name in kinds if file.get(name, getclass=True) is h5py.Dataset])]
         declared = Declared(held.shape or (), _h5_values(held.id))
         check(declared)

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 from eldata.base.files import inside, sha256_of
 from eldata.base.isolation import guarded_file
+from eldata.base.visible import in_line
 from eldata.base.workers import AnyWorkers, Failed, Workers, accepts_jobs, require_files
 from eldata.errors import ArgumentError, ManifestError, RawFileError
 from eldata.manifest.catalogue import Manifest, find_manifests
@@ -68,7 +69,7 @@ class Problem:
     advice: str
 
     def __str__(self) -> str:
-        return f"{self.path}: {self.field}: expected {self.expected}, found {self.found}; {self.advice}"
+        return in_line(f"{self.path}: {self.field}: expected {self.expected}, found {self.found}; {self.advice}")
 
     @classmethod
     def of(cls, dataset: str, finding: Finding) -> Problem:
@@ -78,8 +79,8 @@ class Problem:
     def format_text(self) -> str:
         """Return the problem as four lines."""
         return (
-            f"{self.path}: {self.field}\n    expected  {self.expected}\n    found     {self.found}\n"
-            f"    to do     {self.advice}"
+            f"{in_line(self.path)}: {self.field}\n    expected  {in_line(self.expected)}\n    found     "
+            f"{in_line(self.found)}\n    to do     {in_line(self.advice)}"
         )
 
 

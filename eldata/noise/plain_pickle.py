@@ -18,6 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eldata.base.visible import in_line
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
@@ -27,6 +29,7 @@ _MOST_VALUES = 200_000
 _DEEPEST = 32
 _MOST_DIMENSIONS = 8
 _NEWEST_PROTOCOL = 5
+_LONGEST_NAME = 100  # that a message shows
 _NUMBER_CHARACTERS = 64
 _LONGEST_INTEGER = 9  # bytes: unsigned ones of 64 bits take a ninth
 
@@ -254,7 +257,7 @@ class _Machine:
         if not (isinstance(module, str) and isinstance(name, str)):
             raise PlainPickleError("it asks for a name that is not text")
         if (module, name) not in _NAMES:
-            raise PlainPickleError(f"it asks for {_shown(f'{module}.{name}')}")
+            raise PlainPickleError(f"it asks for {in_line(f'{module}.{name}'[:_LONGEST_NAME])}")
         self._stack.append(_NAMES[module, name])
 
     # --- reading
@@ -329,11 +332,11 @@ def _made(called: _Named, arguments: tuple[Any, ...]) -> Any:
     match called, arguments:
         case _Named("_codecs.encode"), (str() as text, str() as encoding):  # how older pickles hold bytes
             if encoding != "latin1":
-                raise PlainPickleError(f"it asks for the encoding {_shown(encoding)}")
+                raise PlainPickleError(f"it asks for the encoding {in_line(encoding[:_LONGEST_NAME])}")
             return text  # taken as Latin-1 where bytes are wanted
         case _Named("numpy.dtype"), (str() as code, *_):
             if not _TYPE_CODE.fullmatch(code):
-                raise PlainPickleError(f"it has values of type {_shown(code)}; only numbers are taken")
+                raise PlainPickleError(f"it has values of type {in_line(code[:_LONGEST_NAME])}; only numbers are taken")
             return _Type(code)
         case _Named("_reconstruct"), (_Named("numpy.ndarray"), *_):
             return _Array()
@@ -422,8 +425,3 @@ class _Plain:
         self._left -= values
         if self._left < 0:
             raise PlainPickleError(f"it holds more than {_MOST_VALUES} values")
-
-
-def _shown(text: str) -> str:
-    """Return a text of the pickle for a message: short, and without anything that a terminal would act on."""
-    return text if text.isascii() and text.isprintable() and len(text) <= 100 else ascii(text[:100])

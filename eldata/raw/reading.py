@@ -211,7 +211,7 @@ def opened_raw(path: Path, what: str = "decode") -> Iterator[rawpy.RawPy]:
     # Not rawpy.imread: it warns in every forked process, of what the line above removes.
     raw = rawpy.RawPy()
     try:
-        raw.open_file(str(path))
+        _open(raw, path)
         raw.set_unpack_params(shot_select=0)
         yield raw
     except rawpy.LibRawUnsufficientMemoryError as error:
@@ -224,6 +224,14 @@ def opened_raw(path: Path, what: str = "decode") -> Iterator[rawpy.RawPy]:
         raise RawFileError(path, f"LibRaw cannot {what} it ({text}); is the file whole?") from error
     finally:
         raw.close()
+
+
+def _open(raw: rawpy.RawPy, path: Path) -> None:
+    try:
+        raw.open_file(str(path))
+    except UnicodeEncodeError:  # rawpy knows names in UTF-8 alone
+        with path.open("rb") as file:
+            raw.open_buffer(file)
 
 
 @cache

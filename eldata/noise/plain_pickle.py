@@ -34,6 +34,7 @@ _NUMBER_CHARACTERS = 64
 _LONGEST_INTEGER = 9  # bytes: unsigned ones of 64 bits take a ninth
 
 _TYPE_CODE = re.compile(r"b1|[iu][1248]|f[248]|O[48]?", re.ASCII)
+_QUOTED = re.compile(rb"""(['"])(?:[^\\]|\\[\\'"nrt]|\\x[0-9a-f]{2})*\1""", re.DOTALL)
 
 
 class PlainPickleError(ValueError):
@@ -122,9 +123,8 @@ def _number(line: bytes, kind: Callable[[str], Any]) -> Any:
 
 
 def _quoted(line: bytes) -> str:
-    line = line.strip()
-    if len(line) < 2 or line[:1] not in (b"'", b'"') or line[-1:] != line[:1]:
-        raise PlainPickleError("it holds a string without quotes")
+    if not _QUOTED.fullmatch(line):
+        raise PlainPickleError("it holds a string that is not quoted as Python 2 quotes it")
     return line[1:-1].decode("unicode_escape")
 
 

@@ -296,12 +296,8 @@ def test_a_prediction_takes_less_than_three_times_its_array(
     monkeypatch.setattr(awkward_predictions, "HEIGHT", hostile.HEIGHT)
     monkeypatch.setattr(awkward_predictions, "WIDTH", hostile.WIDTH)
     AWKWARD[name](tmp_path / "small" / name)
-    command = [
-        sys.executable,
-        "-m",
-        "tests.evaluation.awkward_predictions",
-        *(tmp_path / name, tmp_path / "small" / name),
-    ]
+    places = str(tmp_path / name), str(tmp_path / "small" / name)
+    command = [sys.executable, "-m", "tests.evaluation.awkward_predictions", *places]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 0, done.stderr[-2000:]
     assert 1.9 < float(done.stdout) < 3

@@ -414,13 +414,17 @@ def _hash_findings(path: Path, record: FrameRecord) -> list[Finding]:
 
 def _packed_findings(path: Path, record: FrameRecord) -> list[Finding]:
     """Check a packed array (a synthetic noisy frame): it has no EXIF to compare, but a header that says its shape."""
-    import numpy as np
+    from eldata.base.npy import NpyError, read_npy_header
 
     try:
-        array = np.lib.format.open_memmap(path, mode="r")  # never unpickles; fails if the file is too short
-        found = f"{array.dtype} {array.shape}"
-        good = array.ndim == 3 and array.dtype == np.float32
-    except (OSError, ValueError) as error:
+        with path.open("rb") as file:
+            header = read_npy_header(file)
+            held = path.stat().st_size - file.tell()
+        found = f"{header.dtype or header.descr} {header.shape}"
+        good = len(header.shape) == 3 and str(header.dtype) == "float32"
+        if good and held < header.value_bytes:
+            found, good = f"{found} of {header.value_bytes} bytes, {held} of which are there", False
+    except (OSError, NpyError) as error:
         found, good = str(error), False
     return [] if good else [Finding(record.path, "content", "packed float32 (C, h, w)", found, _PACK_AGAIN)]
 

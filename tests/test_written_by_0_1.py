@@ -110,9 +110,7 @@ def raw_files(files: Path, work: Path) -> Any:
     found = {}
     for path in sorted((files / "raw").glob("*.dng")):
         frame = read_raw(path)
-        sensor = asdict(frame.sensor)
-        assert sensor.pop("matrix_illuminant") == 21  # D65, which 0.1 wrote and did not read
-        found[path.name] = [digest(frame.mosaic), sensor, asdict(frame.exposure)]
+        found[path.name] = [digest(frame.mosaic), asdict(frame.sensor), asdict(frame.exposure)]
     return found
 
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal, get_args
 
 from eldata.base.tables import with_error
-from eldata.base.visible import in_line
 from eldata.manifest.verify import RATIO_TOLERANCE
 
 Verdict = Literal["keep", "look", "shoot again"]
@@ -121,9 +120,7 @@ class Measure:
         if math.isfinite(self.kind.again):
             limits.append(f"shoot again from {self.kind.again:.3g}{unit}{off}")
         found = with_error(self.value, self.standard_error)
-        return (
-            f"{in_line(self.path)}: {self.name}: {self.text}: {found}{unit} ({', '.join(limits)}); {self.kind.advice}"
-        )
+        return f"{self.path}: {self.name}: {self.text}: {found}{unit} ({', '.join(limits)}); {self.kind.advice}"
 
     def as_dict(self) -> dict[str, Any]:
         """Return the measure as plain JSON types."""
@@ -161,7 +158,7 @@ class Remark:
     verdict: Verdict
 
     def __str__(self) -> str:
-        return in_line(f"{self.path}: {self.text}")
+        return f"{self.path}: {self.text}"
 
     def as_dict(self) -> dict[str, Any]:
         """Return the remark as plain JSON types."""

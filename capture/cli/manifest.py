@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from eldata.base.console import OK, PROBLEMS, add_shared
 from eldata.base.files import write_json
-from eldata.base.visible import in_line
 from eldata.base.workers import Workers
 from eldata.errors import ArgumentError
 
@@ -132,8 +131,8 @@ def _leave_mapping(output: Path, plan: Plan, observed: Observed, found: Match) -
 
 def _write(plan: Plan, found: Match, output: Path, arguments: argparse.Namespace, workers: Workers) -> None:
     from capture.manifest import card_of, in_place, into_layout, with_hashes
-    from capture.placing import Placement, check_free, copy, link, prepare
-    from eldata.manifest.card import card_text, save_card
+    from capture.placing import Placement, check_free, copy, link
+    from eldata.manifest.card import save_card
     from eldata.manifest.table import save_records
 
     place = arguments.copy_to or arguments.link_to
@@ -150,7 +149,6 @@ def _write(plan: Plan, found: Match, output: Path, arguments: argparse.Namespace
             Placement(row.path, dataset.folder / row.record.path, row.record.sha256 or "") for row in dataset.rows
         ]
         check_free(placements)
-        prepare(placements)
         work = copy if arguments.copy_to else link
         for _ in workers.run(work, placements, label="copying" if arguments.copy_to else "linking"):
             pass
@@ -180,7 +178,7 @@ def _warn_of_unlisted(dataset: Dataset, place: str | None) -> None:
     ]
     if beside:
         print(
-            f"{len(beside)} other raw file(s) lie in the same folders, such as {in_line(beside[0].name)}: eldata verify will "
+            f"{len(beside)} other raw file(s) lie in the same folders, such as {beside[0].name}: eldata verify will "
             "name them. --copy-to and --link-to make a folder without them"
         )
 
@@ -204,7 +202,7 @@ def format_match(plan: Plan, observed: Observed, found: Match) -> str:
         # A scene without any frame is one line, not sixteen.
         texts = list(dict.fromkeys(remark.text for remark in found.remarks if remark.kind == kind))
         lines.append(f"{kind}:")
-        lines += [f"    {in_line(text)}" for text in texts]
+        lines += [f"    {text}" for text in texts]
     total = len(observed.frames) + len(observed.unusable)
     lines.append(f"{len(found.frames)} of {len(plan.shots)} shots have a file; {total} files were given")
     return "\n".join(lines)

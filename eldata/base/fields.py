@@ -28,7 +28,6 @@ from functools import cache, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeVar, overload
 
-from eldata.base.visible import has_unseen
 from eldata.errors import ArgumentError, EldataError, FileError
 
 if TYPE_CHECKING:
@@ -463,15 +462,15 @@ class Fields:
 
     # --- values -------------------------------------------------------------------------------------------------------
 
-    def text(self, name: str, *, empty: bool = False, longest: int | None = None, unseen: bool = False) -> str:
-        """Return a text; one that is blank only if ``empty``, with characters that do not show only if ``unseen``."""
+    def text(self, name: str, *, empty: bool = False, longest: int | None = None) -> str:
+        """Return a text; one that is blank only if ``empty``."""
         found = self.data.get(name, _MISSING)
         if not isinstance(found, str) or not (empty or found.strip()):
             raise self.wrong(name, "a text", found)
         if longest is not None and len(found) > longest:
             raise self.wrong(name, f"a text of at most {longest} characters", found)
-        if not unseen and has_unseen(found, lines=True):
-            raise self.wrong(name, "a text without control characters and others that do not show", found)
+        if not found.isascii() and any("\ud800" <= character <= "\udfff" for character in found):
+            raise self.wrong(name, "a text of whole Unicode characters", found)  # it could not be written or printed
         return found
 
     def choice(self, name: str, known: Collection[Value]) -> Value:

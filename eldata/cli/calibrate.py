@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 from eldata.base.console import OK, PROBLEMS, add_shared, chosen_workers, whole_number
 from eldata.base.files import write_json
-from eldata.base.visible import in_line
 
 if TYPE_CHECKING:
     import argparse
@@ -74,8 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
         return PROBLEMS
     print(f"{found.camera}: {found.profile.source}\n\n{found.format_text()}")
     if frames.skipped:
-        left = in_line(frames.skipped[0])
-        print(f"\n{len(frames.skipped)} file(s) that are not raw files were left alone, such as {left}")
+        print(f"\n{len(frames.skipped)} file(s) that are not raw files were left alone, such as {frames.skipped[0]}")
     if arguments.output:
         found.profile.save(arguments.output)
         print(f"\nprofile: {arguments.output}; look at it with eldata profile show {arguments.output}")

@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 from eldata.base.files import inside, sha256_of
-from eldata.base.visible import in_line
 from eldata.base.workers import AnyWorkers, Failed, Workers, accepts_jobs, require_files
 from eldata.errors import ArgumentError, ManifestError, RawFileError
 from eldata.manifest.catalogue import Manifest, find_manifests
@@ -68,7 +67,7 @@ class Problem:
     advice: str
 
     def __str__(self) -> str:
-        return in_line(f"{self.path}: {self.field}: expected {self.expected}, found {self.found}; {self.advice}")
+        return f"{self.path}: {self.field}: expected {self.expected}, found {self.found}; {self.advice}"
 
     @classmethod
     def of(cls, dataset: str, finding: Finding) -> Problem:
@@ -78,8 +77,8 @@ class Problem:
     def format_text(self) -> str:
         """Return the problem as four lines."""
         return (
-            f"{in_line(self.path)}: {self.field}\n    expected  {in_line(self.expected)}\n    found     "
-            f"{in_line(self.found)}\n    to do     {in_line(self.advice)}"
+            f"{self.path}: {self.field}\n    expected  {self.expected}\n    found     {self.found}\n"
+            f"    to do     {self.advice}"
         )
 
 
@@ -374,7 +373,7 @@ def _header_findings(path: Path, record: FrameRecord, models: Sequence[str]) -> 
     except RawFileError as error:
         return [Finding(record.path, "content", "a whole raw file", error.reason, _AGAIN)], None
     findings = []
-    if not header.model and "" not in models:  # which a card lists for files whose camera does not name itself
+    if not header.model:
         findings.append(Finding(record.path, "camera", " or ".join(models), "no camera model", _NO_EXIF))
     elif header.model.casefold() not in {model.casefold() for model in models}:
         advice = "this file was taken by another camera"

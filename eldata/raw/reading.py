@@ -8,27 +8,23 @@ CFA
     Asked of LibRaw for the visible area's own first sites. rawpy's ``raw_pattern`` counts from the corner of the
     full raw image and is out of phase where a margin is odd.
 black level
-    A DNG's own BlackLevel, exactly, at the sites of the visible area; LibRaw keeps its whole DN, and where an active
-    area starts at an odd row or column gives its pattern to the wrong channels. Else LibRaw's per-channel figure: it
-    joins the global level and the per-channel offsets, and for bodies without a recorded level it is measured in the
-    masked pixels of that very file.
+    A DNG's own BlackLevel, exactly, at the sites of the visible area; LibRaw rounds it, and where an active area starts
+    at an odd row or column gives its pattern to the wrong channels. Else LibRaw's per-channel figure: it joins the
+    global level and the per-channel offsets, and for bodies without a recorded level it is measured in the masked
+    pixels of that very file.
 white level
     LibRaw's ``white_level``: the level at which the format saturates, from the file where the file has one (DNG).
     The per-channel ``camera_white_level_per_channel`` is missing for most cameras, comes from LibRaw's table or
     maker notes, and even for a DNG overrides what the file says. It is kept beside, for protocols that name it.
 colour matrix
-    A DNG's own ColorMatrix, exactly (of two that for D65, else the first for another daylight, else the second, as
-    LibRaw chooses); else LibRaw's table for the model, which is for D65.
+    A DNG's own ColorMatrix (that for D65 if there are two); else LibRaw's table for the model.
 white balance
     As shot; a DNG's exactly, LibRaw's float32 to six decimals.
 time taken
-    EXIF's DateTimeOriginal and SubSecTimeOriginal; ``None`` if the clock was never set.
-orientation
-    Not applied: the mosaic stands as the sensor was read out, whichever way up the camera was held, so that two
-    frames of a pair lie on each other.
-camera, ISO, exposure time, aperture
-    What the file states, exactly: EXIF, or what a format has in its place (:mod:`eldata.raw.exif`). ``None`` where it
-    states none: LibRaw's figures are not taken, because it makes some up.
+    EXIF's DateTimeOriginal and SubSecTimeOriginal.
+ISO, exposure time, aperture
+    EXIF, from the EXIF IFD or IFD0, as fractions; where a format has no EXIF that exifread can read (CR3), LibRaw's
+    float32 as the simplest fraction that rounds to it.
 
 What LibRaw does not notice
 ---------------------------
@@ -45,28 +41,36 @@ left behind for a forked worker to wait for, and reading is safe in DataLoader w
 from __future__ import annotations
 
 import ctypes
+import io
+import math
+import struct
 from contextlib import contextmanager
+from datetime import datetime
+from fractions import Fraction
 from functools import cache
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw.cfa import packed_channels
-from eldata.raw.containers import check_container
-from eldata.raw.exif import exif_tags, header_of
-from eldata.raw.sensor_facts import as_shot_multipliers, camera_matrix, channel_whites, dng_black_level
-from eldata.raw.tiff import read_directories
-from eldata.raw.unsupported import NEEDED, refuse_unsupported, unsupported_cfa
-from eldata.records import RawFrame, Sensor
+from eldata.raw.tiff import ACTIVE_AREA, BLACK_DELTAS, BLACK_LEVEL, BLACK_REPEAT, MAGIC, read_directories, require
+from eldata.records import Exposure, RawFrame, RawHeader, Sensor
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from fractions import Fraction
+    from collections.abc import Callable, Iterator, Sequence
 
     import rawpy
 
-    from eldata.records import RawHeader
+    from eldata.raw.tiff import Directory
+    from eldata.records import Matrix3
+
+    Tags = dict[str, Any]
+
+_RAF_MAGIC = b"FUJIFILMCCD-RAW"
+_D65 = 21
 
 
 def read_header(path: Path | str) -> RawHeader:
@@ -80,9 +84,9 @@ def read_header(path: Path | str) -> RawHeader:
         If the file is missing, empty, truncated or not a raw file.
     """
     path = _existing(path)
-    refuse_unsupported(path, read_directories(path))
-    with opened_raw(path):
-        return header_of(path, exif_tags(path))
+    read_directories(path)  # refuses a file that does not hold what it declares
+    with opened_raw(path) as raw:
+        return _header(path, raw, _exif_tags(path))
 
 
 def read_raw(path: Path | str) -> RawFrame:
@@ -104,27 +108,23 @@ def read_raw(path: Path | str) -> RawFrame:
 
     path = _existing(path)
     directories = read_directories(path)
-    refuse_unsupported(path, directories)
     with opened_raw(path) as raw:
-        tags = exif_tags(path)
+        tags = _exif_tags(path)
         raw.unpack()
-        header = header_of(path, tags)
+        header = _header(path, raw, tags)
         if raw.raw_type != rawpy.RawType.Flat or raw.num_colors == 1:
             shape = raw.raw_image.shape
-            kind = "no colour filter array (monochrome)" if len(shape) == 2 else "already demosaiced (an RGB raw)"
-            if len(shape) == 3 and header.make == "Canon" and "Image Tag 0xC612" not in tags:  # no DNG
-                kind = "already demosaiced (Canon's sRAW or mRAW)"
-            raise RawFileError(path, f"{kind}: {shape} samples; {NEEDED}")
+            kind = "no colour filter array" if len(shape) == 2 else "already demosaiced (an RGB raw)"
+            raise RawFileError(path, f"{kind}: {shape} samples; a mosaic of a Bayer or X-Trans sensor is needed")
         cfa, index_of = _cfa(path, raw)
         mosaic = raw.raw_image_visible.copy()
-        black = dng_black_level(path, raw, directories, cfa) or tuple(
+        black = _dng_black_level(path, raw, directories, cfa) or tuple(
             float(raw.black_level_per_channel[index]) for index in index_of
         )
         white = float(raw.white_level)
         if not white > max(black):
             raise RawFileError(path, f"white level {white:g} DN is not above the black level {black} DN")
-        whites = channel_whites(raw, index_of)
-        matrix, illuminant = camera_matrix(raw, directories)
+        channel_whites = _channel_whites(raw, index_of)
         sensor = Sensor(
             make=header.make,
             model=header.model,
@@ -133,9 +133,8 @@ def read_raw(path: Path | str) -> RawFrame:
             white_level_dn=white,
             height=mosaic.shape[0],
             width=mosaic.shape[1],
-            white_balance=as_shot_multipliers(path, raw, directories, tags),
-            xyz_to_camera=matrix,
-            matrix_illuminant=illuminant,
+            white_balance=_white_balance(raw, tags),
+            xyz_to_camera=_xyz_to_camera(raw, tags),
         )
         raw_pixels = raw.sizes.raw_height * raw.sizes.raw_width
     size = path.stat().st_size
@@ -145,7 +144,7 @@ def read_raw(path: Path | str) -> RawFrame:
         raise RawFileError(
             path, f"truncated or damaged: its last row is all 0 DN, far below the black level {black} DN"
         )
-    return RawFrame(path, mosaic, sensor, header.exposure, whites)
+    return RawFrame(path, mosaic, sensor, header.exposure, channel_whites)
 
 
 def exposure_ratio(reference: RawFrame | RawHeader, noisy: RawFrame | RawHeader) -> Fraction:
@@ -162,7 +161,7 @@ def exposure_ratio(reference: RawFrame | RawHeader, noisy: RawFrame | RawHeader)
 def _exposure_product(frame: RawFrame | RawHeader) -> Fraction:
     for name, value in (("ISO", frame.exposure.iso), ("exposure time", frame.exposure.exposure_s)):
         if value is None:
-            raise RawFileError(frame.path, f"states no {name}, and an exposure ratio needs it: use the original file")
+            raise RawFileError(frame.path, f"states no {name}: neither EXIF nor IFD0 nor LibRaw has it")
     return frame.exposure.iso * frame.exposure.exposure_s  # type: ignore[operator] # checked above
 
 
@@ -194,12 +193,12 @@ def opened_raw(path: Path, what: str = "decode") -> Iterator[rawpy.RawPy]:
     """
     import rawpy
 
-    check_container(path)
+    _check_raf(path)
     _set_openmp_threads()(1)  # a setting of the calling thread, so it is made for each read
     # Not rawpy.imread: it warns in every forked process, of what the line above removes.
     raw = rawpy.RawPy()
     try:
-        _open(raw, path)
+        raw.open_file(str(path))
         raw.set_unpack_params(shot_select=0)
         yield raw
     except rawpy.LibRawFileUnsupportedError as error:
@@ -212,14 +211,6 @@ def opened_raw(path: Path, what: str = "decode") -> Iterator[rawpy.RawPy]:
         raw.close()
 
 
-def _open(raw: rawpy.RawPy, path: Path) -> None:
-    try:
-        raw.open_file(str(path))
-    except UnicodeEncodeError:  # rawpy knows names in UTF-8 alone
-        with path.open("rb") as file:
-            raw.open_buffer(file)
-
-
 @cache
 def _set_openmp_threads() -> Callable[[int], object]:
     """Return omp_set_num_threads of the runtime that rawpy's wheel brings; or a function that does nothing."""
@@ -229,6 +220,108 @@ def _set_openmp_threads() -> Callable[[int], object]:
     for library in sorted((package.parent / "rawpy.libs").glob("libgomp*")):
         return ctypes.CDLL(str(library)).omp_set_num_threads
     return lambda _: None
+
+
+# --- what the file declares -----------------------------------------------------------------------------------
+
+
+def _check_raf(path: Path) -> None:
+    with path.open("rb") as file:
+        head = file.read(108)
+    if head.startswith(_RAF_MAGIC) and len(head) == 108:
+        # Offset and length of the JPEG, the CFA header and the CFA data, big-endian.
+        end = max(sum(struct.unpack_from(">II", head, at)) for at in (84, 92, 100))
+        require(path, path.stat().st_size, end)
+
+
+# --- EXIF -----------------------------------------------------------------------------------------------------
+
+
+def _exif_tags(path: Path) -> Tags:
+    """Return exifread's tags; empty where the container is one that exifread does not know."""
+    import exifread
+
+    with path.open("rb") as file:
+        head = file.read(92)
+        if head.startswith(_RAF_MAGIC) and len(head) == 92:
+            # A RAF embeds a JPEG with the EXIF.
+            offset, length = struct.unpack_from(">II", head, 84)
+            file.seek(offset)
+            source: Any = io.BytesIO(file.read(length))
+        elif head.startswith(MAGIC):
+            source = file
+        else:
+            return {}
+        try:
+            return exifread.process_file(source, details=False, extract_thumbnail=False)
+        except Exception as error:  # exifread raises many kinds on damaged EXIF
+            raise RawFileError(path, f"its EXIF cannot be read ({error}); is the file whole?") from error
+
+
+def _header(path: Path, raw: rawpy.RawPy, tags: Tags) -> RawHeader:
+    return RawHeader(path, _ascii(tags, "Image Make"), _ascii(tags, "Image Model"), _exposure(tags, raw), _taken(tags))
+
+
+def _ascii(tags: Tags, name: str) -> str:
+    tag = tags.get(name)
+    return "" if tag is None else str(tag.values).strip("\0 ")
+
+
+def _taken(tags: Tags) -> datetime | None:
+    """Return DateTimeOriginal with its SubSecTime; ``None`` if the file has none, or a clock that was never set."""
+    for ifd in ("EXIF", "Image"):
+        try:
+            taken = datetime.strptime(_ascii(tags, f"{ifd} DateTimeOriginal"), "%Y:%m:%d %H:%M:%S")  # noqa: DTZ007 # as stated
+        except ValueError:
+            continue
+        digits = _ascii(tags, f"{ifd} SubSecTimeOriginal")
+        fraction = digits[:6].ljust(6, "0") if digits.isascii() and digits.isdecimal() else "0"
+        return taken.replace(microsecond=int(fraction))
+    return None
+
+
+def _exposure(tags: Tags, raw: rawpy.RawPy) -> Exposure:
+    iso = _fraction(tags, "ISOSpeedRatings")
+    if iso is None or iso == 65535:  # 16 bits: EXIF 2.3 states higher speeds elsewhere
+        for name in ("RecommendedExposureIndex", "StandardOutputSensitivity", "ISOSpeed"):
+            iso = _fraction(tags, name) or iso
+    exposure_s, f_number = _fraction(tags, "ExposureTime"), _fraction(tags, "FNumber")
+    if iso is None or exposure_s is None:  # asked only then: rawpy decodes the pixels to answer
+        iso = iso or _simplest_fraction(raw.other.iso_speed)
+        exposure_s = exposure_s or _simplest_fraction(raw.other.shutter_speed)
+        f_number = f_number or _simplest_fraction(raw.other.aperture)
+    return Exposure(iso, exposure_s, f_number)
+
+
+def _fraction(tags: Tags, name: str) -> Fraction | None:
+    """Return a tag's first value, from the EXIF IFD or else from IFD0, if it is a positive number."""
+    for ifd in ("EXIF", "Image"):
+        tag = tags.get(f"{ifd} {name}")
+        if tag is None or not tag.values:
+            continue
+        value = _positive(tag.values[0])
+        if value is not None:
+            return value
+    return None
+
+
+def _positive(value: Any) -> Fraction | None:
+    """Return one of exifread's numbers as a fraction, if it is a positive one."""
+    numerator, denominator = getattr(value, "num", value), getattr(value, "den", 1)
+    if isinstance(numerator, int) and isinstance(denominator, int) and denominator and numerator > 0:
+        return Fraction(numerator, denominator)
+    return None
+
+
+def _simplest_fraction(value: float) -> Fraction | None:
+    """Return the fraction of the smallest denominator (by powers of ten) that rounds to a float32."""
+    if not (np.isfinite(value) and value > 0):
+        return None
+    for digits in range(1, 10):
+        fraction = Fraction(value).limit_denominator(10**digits)
+        if np.float32(float(fraction)) == np.float32(value):
+            return fraction
+    return Fraction(value)
 
 
 # --- sensor ---------------------------------------------------------------------------------------------------
@@ -251,11 +344,77 @@ def _cfa(path: Path, raw: rawpy.RawPy) -> tuple[tuple[tuple[int, ...], ...], tup
     elif period == 6 and set(flat) == {"R", "G", "B"}:
         ours = [["RGB".index(c) for c in row] for row in colours]
     else:
-        raise RawFileError(path, unsupported_cfa(["".join(row) for row in colours]))
+        raise RawFileError(
+            path,
+            f"unsupported colour filter array: {period} x {period} of {''.join(flat)}; Bayer or X-Trans is needed",
+        )
     rows = tuple(map(tuple, ours))
     try:
         packed_channels(rows)
     except ArgumentError as error:
-        raise RawFileError(path, unsupported_cfa(["".join(row) for row in colours])) from error
+        raise RawFileError(path, f"unsupported colour filter array {rows}; Bayer or X-Trans is needed") from error
     libraw_index = dict(zip(chain(*ours), chain(*sites), strict=True))
     return rows, tuple(libraw_index[channel] for channel in sorted(libraw_index))
+
+
+def _dng_black_level(
+    path: Path, raw: rawpy.RawPy, directories: Sequence[Directory], cfa: tuple[tuple[int, ...], ...]
+) -> tuple[float, ...] | None:
+    """Return a DNG's BlackLevel per channel of the visible area; None if LibRaw's figure is to be taken."""
+    mosaic = next((d for d in directories if d.is_mosaic and BLACK_LEVEL in d.values), None)
+    if mosaic is None or any(tag in mosaic.values for tag in BLACK_DELTAS):  # LibRaw adds the deltas' mean
+        return None
+    rows, columns = map(int, mosaic.values.get(BLACK_REPEAT, (1, 1)))
+    pattern = mosaic.values[BLACK_LEVEL]
+    if len(pattern) != rows * columns or not pattern:
+        return None
+    # The pattern starts at the active area; LibRaw's visible area may start a pixel off it.
+    active = mosaic.values.get(ACTIVE_AREA, (0, 0))
+    top, left = raw.sizes.top_margin - int(active[0]), raw.sizes.left_margin - int(active[1])
+    levels: dict[int, set[float]] = {}
+    period = len(cfa)
+    for y in range(math.lcm(period, rows)):
+        for x in range(math.lcm(period, columns)):
+            level = pattern[(y + top) % rows * columns + (x + left) % columns]
+            levels.setdefault(cfa[y % period][x % period], set()).add(float(level))
+    if any(len(found) > 1 for found in levels.values()):
+        raise RawFileError(path, "its BlackLevel differs between sites of one colour; one level per channel is needed")
+    return tuple(levels[channel].pop() for channel in sorted(levels))
+
+
+def _channel_whites(raw: rawpy.RawPy, index_of: Sequence[int]) -> tuple[float, ...] | None:
+    levels = raw.camera_white_level_per_channel
+    if levels is None or not all(levels[index] > 0 for index in index_of):
+        return None
+    return tuple(float(levels[index]) for index in index_of)
+
+
+def _white_balance(raw: rawpy.RawPy, tags: Tags) -> tuple[float, float, float, float] | None:
+    neutral = tags.get("Image Tag 0xC628")  # a DNG's AsShotNeutral: the camera's response to white, exactly
+    response = [] if neutral is None else [_positive(value) for value in neutral.values]
+    if len(response) == 3 and response[0] and response[1] and response[2]:
+        return float(response[1] / response[0]), 1.0, float(response[1] / response[2]), 1.0
+    red, green, blue, second_green = raw.camera_whitebalance
+    if not (red > 0 and green > 0 and blue > 0):
+        return None
+    # LibRaw keeps float32: six decimals give back the number that the file states.
+    values = (red, green, blue, second_green if second_green > 0 else green)
+    return tuple(round(float(value) / float(green), 6) for value in values)  # type: ignore[return-value] # of four
+
+
+def _xyz_to_camera(raw: rawpy.RawPy, tags: Tags) -> Matrix3 | None:
+    by_illuminant = {}
+    for matrix_tag, illuminant_tag in (("0xC621", "0xC65A"), ("0xC622", "0xC65B")):
+        matrix = tags.get(f"Image Tag {matrix_tag}")
+        if matrix is not None and len(matrix.values) == 9:
+            illuminant = tags.get(f"Image Tag {illuminant_tag}")
+            by_illuminant[illuminant.values[0] if illuminant is not None else 0] = [
+                float(value) for value in matrix.values
+            ]
+    if by_illuminant:
+        values = np.array(by_illuminant.get(_D65) or list(by_illuminant.values())[-1]).reshape(3, 3)
+    else:
+        values = np.asarray(raw.rgb_xyz_matrix[:3], dtype=np.float64)
+    if not values.any():
+        return None
+    return tuple(tuple(round(float(value), 6) for value in row) for row in values)  # type: ignore[return-value] # 3x3

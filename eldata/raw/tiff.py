@@ -22,11 +22,6 @@ WIDTH, HEIGHT, COMPRESSION, PHOTOMETRIC = 256, 257, 259, 262
 ACTIVE_AREA = 50829
 BLACK_REPEAT, BLACK_LEVEL, BLACK_DELTAS = 50713, 50714, (50715, 50716)
 CFA_PHOTOMETRIC = 32803
-CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT = 33421, 33422, 50711
-
-_WHITE_LEVEL = 50717
-_LEVELS = {BLACK_LEVEL: "BlackLevel", BLACK_DELTAS[0]: "BlackLevelDeltaH", BLACK_DELTAS[1]: "BlackLevelDeltaV"}
-_LEVELS |= {_WHITE_LEVEL: "WhiteLevel"}
 
 _SUB_IFDS, _EXIF_IFD = 330, 34665
 _DATA = ((273, 279), (324, 325))  # strips, tiles: offsets and byte counts
@@ -35,7 +30,7 @@ _EXIF = {33434, 33437, 34855, 34864, 34865, 34866, 34867}
 _READ = _EXIF | {
     *(WIDTH, HEIGHT, COMPRESSION, PHOTOMETRIC),
     *(271, 272, _SUB_IFDS, _EXIF_IFD, ACTIVE_AREA, BLACK_REPEAT, BLACK_LEVEL, *BLACK_DELTAS),
-    *(_WHITE_LEVEL, 50721, 50722, 50728, 50778, 50779, CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT),
+    *(50717, 50721, 50722, 50728, 50778, 50779),
     *(tag for pair in _DATA for tag in pair),
 }
 
@@ -49,7 +44,7 @@ Numbers = tuple[Fraction, ...]
 
 @dataclass(frozen=True, slots=True)
 class Directory:
-    """The integer and fraction values of one IFD's relied-on tags, by tag; not of those that state none (0/0)."""
+    """The integer and fraction values of one IFD's relied-on tags, by tag."""
 
     values: dict[int, Numbers]
 
@@ -137,24 +132,18 @@ def _read_directory(path: Path, file: IO[bytes], size: int, order: str, at: int)
             file.seek(offset)
             data = file.read(length)
         if kind in _CODES:
-            numbers = _numbers(order, _CODES[kind], number, data)
-            if numbers is not None:
-                values[tag] = numbers
-            elif tag in _LEVELS:  # LibRaw takes such a level for 0
-                raise RawFileError(path, f"damaged: its {_LEVELS[tag]} has a denominator of 0, which is no number")
+            values[tag] = _numbers(order, _CODES[kind], number, data)
     # The pointer to the next directory may be missing at the very end of a file.
     following = struct.unpack(order + "I", table[-4:])[0] if len(table) == 12 * count + 4 else 0
     return Directory(values), following
 
 
-def _numbers(order: str, code: str, number: int, data: bytes) -> Numbers | None:
-    """Return an entry's values; ``None`` if one is a fraction over 0, which says that it is not known."""
+def _numbers(order: str, code: str, number: int, data: bytes) -> Numbers:
     flat = struct.unpack_from(f"{order}{number * len(code)}{code[0]}", data)
     if len(code) == 1:
         return tuple(map(Fraction, flat))
-    if not all(flat[1::2]):
-        return None
-    return tuple(Fraction(numerator, denominator) for numerator, denominator in zip(flat[::2], flat[1::2], strict=True))
+    pairs = zip(flat[::2], flat[1::2], strict=True)
+    return tuple(Fraction(numerator, denominator) if denominator else Fraction(0) for numerator, denominator in pairs)
 
 
 def require(path: Path, size: int, end: int) -> None:

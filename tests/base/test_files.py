@@ -11,7 +11,7 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import pytest
 
@@ -191,14 +191,16 @@ def test_a_disk_that_is_full_when_it_is_synced(old: Path, monkeypatch: pytest.Mo
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
 @pytest.mark.parametrize("size", [10, 1_000_000])
-def test_a_disk_that_is_full_when_it_is_written(size: int, old: Path) -> None:
-    with (
-        pytest.raises(EldataError, match=r"cannot write .*scores\.csv: No space left on device"),
-        atomic_write(old) as file,
-        Path("/dev/full").open("wb") as full,
-    ):
-        os.dup2(full.fileno(), file.fileno())
-        file.write(b"x" * size)
+def test_a_disk_that_is_full_when_it_is_written(size: int, old: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    really_open = Path.open
+
+    def on_full_disk(*_: object) -> IO[Any]:
+        return really_open(Path("/dev/full"), "wb")
+
+    monkeypatch.setattr(Path, "open", on_full_disk)
+    with pytest.raises(EldataError, match=r"cannot write .*scores\.csv: No space left on device"):
+        write_text(old, "x" * size)
+    monkeypatch.undo()
     assert only(old, OLD)
 
 

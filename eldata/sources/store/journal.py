@@ -18,7 +18,7 @@ import struct
 from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
-from eldata.base.files import check_posix, is_at, try_lock
+from eldata.base.files import check_posix, try_lock
 from eldata.errors import EldataError
 
 if TYPE_CHECKING:
@@ -178,7 +178,7 @@ def journaled(path: Path) -> Iterator[JournaledFile]:
     try:
         with ExitStack() as undo:
             file = undo.enter_context(JournaledFile(path))
-            if not (try_lock(path, file.fileno()) and is_at(path, os.fstat(file.fileno()))):
+            if not (try_lock(path, file.fileno()) and _is_at(path, file.fileno())):
                 raise EldataError(f"{path}: another process is writing it; wait for that one")
             file.resume()
             undo.pop_all()
@@ -189,3 +189,11 @@ def journaled(path: Path) -> Iterator[JournaledFile]:
     finally:
         with suppress(OSError):  # whoever opens it next undoes the rest
             file.release()
+
+
+def _is_at(path: Path, descriptor: int) -> bool:
+    """Return whether the file still has its name: another writer may have finished, and renamed it, before our lock."""
+    try:
+        return os.path.samestat(os.fstat(descriptor), path.stat())
+    except OSError:
+        return False

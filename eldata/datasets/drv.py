@@ -103,7 +103,7 @@ class DRVRawDataset(_Raws[ClipSample], PairedClips):
     manifest
         A manifest's CSV file, as :func:`~eldata.manifest.drv.scan_raw` saves it; then nothing is looked for.
     options
-        As of :class:`DRVDataset`; ``levels`` is ``"metadata"`` by default.
+        As for :class:`DRVDataset`; ``levels`` is ``"metadata"`` by default.
 
     Raises
     ------

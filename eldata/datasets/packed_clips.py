@@ -37,7 +37,7 @@ class PackedClips(_Packed[ClipSample], PairedClips):
     path
         The store, as ``eldata pack drv`` or ``eldata pack drv-raw`` makes it.
     options
-        As of :class:`~eldata.datasets.clips.ClipWindows`; by default ``crop=512`` and ``augment=True``.
+        As for :class:`~eldata.datasets.clips.ClipWindows`; by default ``crop=512`` and ``augment=True``.
 
     Raises
     ------

@@ -27,7 +27,7 @@ class PackedStore(SourcePairs):
     path
         The store.
     options
-        As of :class:`~eldata.datasets.base.PairDataset`: the store holds DN, so nothing of them is fixed by it. By
+        As for :class:`~eldata.datasets.base.PairDataset`: the store holds DN, so nothing of them is fixed by it. By
         default ``crop=512`` and ``augment=True``.
 
     Raises

@@ -41,35 +41,31 @@ left behind for a forked worker to wait for, and reading is safe in DataLoader w
 from __future__ import annotations
 
 import ctypes
-import io
 import math
-import struct
 from contextlib import contextmanager
-from datetime import datetime
-from fractions import Fraction
 from functools import cache
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw.cfa import packed_channels
-from eldata.raw.tiff import ACTIVE_AREA, BLACK_DELTAS, BLACK_LEVEL, BLACK_REPEAT, MAGIC, read_directories, require
-from eldata.records import Exposure, RawFrame, RawHeader, Sensor
+from eldata.raw.exif import check_raf, exif_tags, header_of, positive
+from eldata.raw.tiff import ACTIVE_AREA, BLACK_DELTAS, BLACK_LEVEL, BLACK_REPEAT, read_directories
+from eldata.records import RawFrame, Sensor
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
+    from fractions import Fraction
 
     import rawpy
 
+    from eldata.raw.exif import Tags
     from eldata.raw.tiff import Directory
-    from eldata.records import Matrix3
+    from eldata.records import Matrix3, RawHeader
 
-    Tags = dict[str, Any]
-
-_RAF_MAGIC = b"FUJIFILMCCD-RAW"
 _D65 = 21
 
 
@@ -86,7 +82,7 @@ def read_header(path: Path | str) -> RawHeader:
     path = _existing(path)
     read_directories(path)  # refuses a file that does not hold what it declares
     with opened_raw(path) as raw:
-        return _header(path, raw, _exif_tags(path))
+        return header_of(path, raw, exif_tags(path))
 
 
 def read_raw(path: Path | str) -> RawFrame:
@@ -109,9 +105,9 @@ def read_raw(path: Path | str) -> RawFrame:
     path = _existing(path)
     directories = read_directories(path)
     with opened_raw(path) as raw:
-        tags = _exif_tags(path)
+        tags = exif_tags(path)
         raw.unpack()
-        header = _header(path, raw, tags)
+        header = header_of(path, raw, tags)
         if raw.raw_type != rawpy.RawType.Flat or raw.num_colors == 1:
             shape = raw.raw_image.shape
             kind = "no colour filter array" if len(shape) == 2 else "already demosaiced (an RGB raw)"
@@ -193,7 +189,7 @@ def opened_raw(path: Path, what: str = "decode") -> Iterator[rawpy.RawPy]:
     """
     import rawpy
 
-    _check_raf(path)
+    check_raf(path)
     _set_openmp_threads()(1)  # a setting of the calling thread, so it is made for each read
     # Not rawpy.imread: it warns in every forked process, of what the line above removes.
     raw = rawpy.RawPy()
@@ -220,108 +216,6 @@ def _set_openmp_threads() -> Callable[[int], object]:
     for library in sorted((package.parent / "rawpy.libs").glob("libgomp*")):
         return ctypes.CDLL(str(library)).omp_set_num_threads
     return lambda _: None
-
-
-# --- what the file declares -----------------------------------------------------------------------------------
-
-
-def _check_raf(path: Path) -> None:
-    with path.open("rb") as file:
-        head = file.read(108)
-    if head.startswith(_RAF_MAGIC) and len(head) == 108:
-        # Offset and length of the JPEG, the CFA header and the CFA data, big-endian.
-        end = max(sum(struct.unpack_from(">II", head, at)) for at in (84, 92, 100))
-        require(path, path.stat().st_size, end)
-
-
-# --- EXIF -----------------------------------------------------------------------------------------------------
-
-
-def _exif_tags(path: Path) -> Tags:
-    """Return exifread's tags; empty where the container is one that exifread does not know."""
-    import exifread
-
-    with path.open("rb") as file:
-        head = file.read(92)
-        if head.startswith(_RAF_MAGIC) and len(head) == 92:
-            # A RAF embeds a JPEG with the EXIF.
-            offset, length = struct.unpack_from(">II", head, 84)
-            file.seek(offset)
-            source: Any = io.BytesIO(file.read(length))
-        elif head.startswith(MAGIC):
-            source = file
-        else:
-            return {}
-        try:
-            return exifread.process_file(source, details=False, extract_thumbnail=False)
-        except Exception as error:  # exifread raises many kinds on damaged EXIF
-            raise RawFileError(path, f"its EXIF cannot be read ({error}); is the file whole?") from error
-
-
-def _header(path: Path, raw: rawpy.RawPy, tags: Tags) -> RawHeader:
-    return RawHeader(path, _ascii(tags, "Image Make"), _ascii(tags, "Image Model"), _exposure(tags, raw), _taken(tags))
-
-
-def _ascii(tags: Tags, name: str) -> str:
-    tag = tags.get(name)
-    return "" if tag is None else str(tag.values).strip("\0 ")
-
-
-def _taken(tags: Tags) -> datetime | None:
-    """Return DateTimeOriginal with its SubSecTime; ``None`` if the file has none, or a clock that was never set."""
-    for ifd in ("EXIF", "Image"):
-        try:
-            taken = datetime.strptime(_ascii(tags, f"{ifd} DateTimeOriginal"), "%Y:%m:%d %H:%M:%S")  # noqa: DTZ007 # as stated
-        except ValueError:
-            continue
-        digits = _ascii(tags, f"{ifd} SubSecTimeOriginal")
-        fraction = digits[:6].ljust(6, "0") if digits.isascii() and digits.isdecimal() else "0"
-        return taken.replace(microsecond=int(fraction))
-    return None
-
-
-def _exposure(tags: Tags, raw: rawpy.RawPy) -> Exposure:
-    iso = _fraction(tags, "ISOSpeedRatings")
-    if iso is None or iso == 65535:  # 16 bits: EXIF 2.3 states higher speeds elsewhere
-        for name in ("RecommendedExposureIndex", "StandardOutputSensitivity", "ISOSpeed"):
-            iso = _fraction(tags, name) or iso
-    exposure_s, f_number = _fraction(tags, "ExposureTime"), _fraction(tags, "FNumber")
-    if iso is None or exposure_s is None:  # asked only then: rawpy decodes the pixels to answer
-        iso = iso or _simplest_fraction(raw.other.iso_speed)
-        exposure_s = exposure_s or _simplest_fraction(raw.other.shutter_speed)
-        f_number = f_number or _simplest_fraction(raw.other.aperture)
-    return Exposure(iso, exposure_s, f_number)
-
-
-def _fraction(tags: Tags, name: str) -> Fraction | None:
-    """Return a tag's first value, from the EXIF IFD or else from IFD0, if it is a positive number."""
-    for ifd in ("EXIF", "Image"):
-        tag = tags.get(f"{ifd} {name}")
-        if tag is None or not tag.values:
-            continue
-        value = _positive(tag.values[0])
-        if value is not None:
-            return value
-    return None
-
-
-def _positive(value: Any) -> Fraction | None:
-    """Return one of exifread's numbers as a fraction, if it is a positive one."""
-    numerator, denominator = getattr(value, "num", value), getattr(value, "den", 1)
-    if isinstance(numerator, int) and isinstance(denominator, int) and denominator and numerator > 0:
-        return Fraction(numerator, denominator)
-    return None
-
-
-def _simplest_fraction(value: float) -> Fraction | None:
-    """Return the fraction of the smallest denominator (by powers of ten) that rounds to a float32."""
-    if not (np.isfinite(value) and value > 0):
-        return None
-    for digits in range(1, 10):
-        fraction = Fraction(value).limit_denominator(10**digits)
-        if np.float32(float(fraction)) == np.float32(value):
-            return fraction
-    return Fraction(value)
 
 
 # --- sensor ---------------------------------------------------------------------------------------------------
@@ -391,7 +285,7 @@ def _channel_whites(raw: rawpy.RawPy, index_of: Sequence[int]) -> tuple[float, .
 
 def _white_balance(raw: rawpy.RawPy, tags: Tags) -> tuple[float, float, float, float] | None:
     neutral = tags.get("Image Tag 0xC628")  # a DNG's AsShotNeutral: the camera's response to white, exactly
-    response = [] if neutral is None else [_positive(value) for value in neutral.values]
+    response = [] if neutral is None else [positive(value) for value in neutral.values]
     if len(response) == 3 and response[0] and response[1] and response[2]:
         return float(response[1] / response[0]), 1.0, float(response[1] / response[2]), 1.0
     red, green, blue, second_green = raw.camera_whitebalance

@@ -16,7 +16,7 @@ from PIL.TiffImagePlugin import IFDRational
 from eldata.errors import RawFileError
 from eldata.raw import exposure_ratio, read_header, read_raw, write_dng
 from eldata.raw.colour import camera_to_srgb
-from eldata.raw.reading import _exif_tags, _simplest_fraction
+from eldata.raw.exif import exif_tags, simplest_fraction
 from eldata.records import Exposure
 from tests.cases import in_one_test
 from tests.raw.helpers import (
@@ -254,7 +254,7 @@ def raf_with_exif() -> bytes:
 def test_the_exif_of_a_raf_is_that_of_its_embedded_jpeg(tmp_path: Path) -> None:
     path = tmp_path / "a.RAF"
     path.write_bytes(raf_with_exif() + b"pixels would follow")
-    tags = _exif_tags(path)
+    tags = exif_tags(path)
     assert str(tags["Image Make"]) == "FUJIFILM"
     assert str(tags["Image Model"]) == "X-T2"
     shutter = tags["EXIF ExposureTime"].values[0]
@@ -294,16 +294,16 @@ def test_a_raf_without_pixels_is_not_decoded(tmp_path: Path) -> None:
 )
 def test_float32_reads_as_the_fraction_that_was_meant(fraction: Fraction) -> None:
     value = float(np.float32(float(fraction)))
-    assert _simplest_fraction(value) == fraction
+    assert simplest_fraction(value) == fraction
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
 def test_what_libraw_does_not_know_reads_as_none(value: float) -> None:
-    assert _simplest_fraction(value) is None
+    assert simplest_fraction(value) is None
 
 
 @pytest.mark.parametrize("value", np.random.default_rng(4).lognormal(0, 3, 20).astype(np.float32).tolist())
 def test_any_float32_reads_as_a_fraction_that_rounds_to_it(value: float) -> None:
-    fraction = _simplest_fraction(value)
+    fraction = simplest_fraction(value)
     assert fraction is not None
     assert np.float32(float(fraction)) == np.float32(value)

@@ -53,7 +53,7 @@ def open_store(path: Path | str) -> Store:
     Raises
     ------
     StoreError
-        If the file is missing, truncated, damaged, no store, not complete, or of a newer version.
+        If the file is missing, truncated, damaged, not a store, not complete, or of a newer version.
     ArgumentError
         If it is compressed and hdf5plugin is not installed.
     """

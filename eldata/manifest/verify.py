@@ -8,7 +8,8 @@ metadata
     Every file opens as a raw file and is not truncated; camera model, ISO and exposure time are the manifest's, and
     the exposure ratio of each noisy frame to its reference is within a tenth of the nominal one.
 full
-    Every recorded hash matches. Files without one are decoded instead, which finds less.
+    Every recorded hash matches. Files without one are decoded instead and searched for damage that shows
+    (:mod:`eldata.raw.damage`), which finds less.
 """
 
 from __future__ import annotations
@@ -355,13 +356,16 @@ def _check_file(folder: Path, cameras: Mapping[str, CameraCard], level: Level, r
     else:
         findings, product = _header_findings(path, record, cameras[record.camera].models)
     if level == "full" and not any(finding.field in _OF_CONTENT for finding in findings):
-        if record.sha256 is not None:
-            findings += _hash_findings(path, record)
-        elif is_png(record.path):
-            findings += png_decode_findings(folder, record)
-        elif path.suffix != ".npy":
-            findings += _decode_findings(path, record)
+        findings += content_findings(folder, record) if record.sha256 is None else _hash_findings(path, record)
     return findings, product
+
+
+def content_findings(folder: Path, record: FrameRecord) -> list[Finding]:
+    """Say what is wrong with the content of a file whose hash is not known: decode it and look for damage."""
+    path = folder / record.path
+    if is_png(record.path):
+        return png_decode_findings(folder, record)
+    return [] if path.suffix == ".npy" else _decode_findings(path, record)
 
 
 def _header_findings(path: Path, record: FrameRecord, models: Sequence[str]) -> Outcome:
@@ -403,11 +407,13 @@ def _hash_findings(path: Path, record: FrameRecord) -> list[Finding]:
 
 
 def _decode_findings(path: Path, record: FrameRecord) -> list[Finding]:
-    """Decode a raw file whose hash is not known."""
+    """Decode a raw file, and count its codes where it has some that can be counted."""
+    from eldata.raw.damage import check_streams
     from eldata.raw.reading import read_raw
 
     try:
         sensor = read_raw(path).sensor
+        check_streams(path)
     except RawFileError as error:
         return [Finding(record.path, "content", "a raw file that decodes", error.reason, _AGAIN)]
     advice = "this file was taken in another mode or by another camera"

@@ -51,11 +51,13 @@ _STRETCH = 64
 _LAG = 4
 _LEAST_STRETCHES = 32
 _STEP = _LEAST_STRETCHES // 2
+# 512 bytes of a code that repeats itself, of 16 bits at most, are 256 pixels.
+_SMOOTH = 4
 # Values beyond which a frame has so few pixels are where it is clipped.
 _CLIPPED_SHARE = 0.005
 
 _LEAST_ROWS = 4
-_PROBED_COLUMNS = 16
+_PROBED_COLUMNS = 8
 _LEAST_VALUES = 8
 
 
@@ -282,9 +284,10 @@ def _not_clipped(
 
 
 def _has_smooth_area(mosaic: NDArray[np.uint16]) -> bool:
-    """Whether some stretch of a row changes in equal steps: there, a code may repeat itself."""
+    """Whether some stretches in a row change in equal steps: there, a code may repeat itself."""
     stretches = _Stretches(mosaic)
-    return len(stretches.even(np.arange(stretches.count))) > 0
+    even = stretches.even(np.arange(stretches.count))
+    return bool((even[_SMOOTH - 1 :] - even[: 1 - _SMOOTH] == _SMOOTH - 1).any())
 
 
 def _repeated_rows(mosaic: NDArray[np.uint16]) -> str | None:

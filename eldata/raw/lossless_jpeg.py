@@ -120,7 +120,8 @@ class Stream:
             return at, f"has bits that are no code, after {done} of {self.samples} pixels"
         if state == TOO_SHORT:
             return at, f"ends after {done} of {self.samples} pixels"
-        if self.marker is not None and self.end - at > _MOST_SLACK:
+        padded = self.marker is None and not self.content[at:].any()
+        if self.end - at > _MOST_SLACK and not padded:
             return at, f"goes on for {self.end - at} bytes behind the last of its {self.samples} pixels"
         return None
 

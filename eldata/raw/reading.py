@@ -52,6 +52,7 @@ import numpy as np
 
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw.cfa import packed_channels
+from eldata.raw.damage import check_damage
 from eldata.raw.exif import check_raf, exif_tags, header_of, positive
 from eldata.raw.tiff import ACTIVE_AREA, BLACK_DELTAS, BLACK_LEVEL, BLACK_REPEAT, read_directories
 from eldata.records import RawFrame, Sensor
@@ -136,10 +137,7 @@ def read_raw(path: Path | str) -> RawFrame:
     size = path.stat().st_size
     if size * 8 < raw_pixels:
         raise RawFileError(path, f"truncated: {size} bytes cannot hold {raw_pixels} pixels")
-    if min(black) > 0 and not mosaic[-1].any():
-        raise RawFileError(
-            path, f"truncated or damaged: its last row is all 0 DN, far below the black level {black} DN"
-        )
+    check_damage(path, directories, mosaic, black, white)
     return RawFrame(path, mosaic, sensor, header.exposure, channel_whites)
 
 

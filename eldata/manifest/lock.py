@@ -45,9 +45,9 @@ def lock(
     A row that stands for several files (:mod:`eldata.manifest.patterns`) becomes a row for each file of this copy; then
     the card, which says how many rows there are, is written too.
 
-    The copy must pass :func:`~eldata.manifest.verify.verify` at level ``metadata`` first, files whose hash is not recorded
-    must decode and show no damage, and none may contradict a size or hash that is recorded already; with any problem
-    nothing is written.
+    The copy must pass :func:`~eldata.manifest.verify.verify` at level ``metadata`` first, files whose hash is not
+    recorded must decode and show no damage, and none may contradict a size or hash that is recorded already; with any
+    problem nothing is written.
 
     Parameters
     ----------

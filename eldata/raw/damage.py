@@ -1,20 +1,20 @@
 """Damage that decodes: files whose bytes were lost or overwritten, and which LibRaw nevertheless reads as whole frames.
 
-A download into a file of the final size that breaks off, a power loss or a bad card leave pages of 0x00 or 0xFF in place
-of data. What tells such a frame from a photograph:
+A download into a file of the final size that breaks off, a power loss or a bad card leave pages of 0x00 or 0xFF in
+place of data. What tells such a frame from a photograph:
 
 in the file's image data (:func:`data_fault`)
     Compressed data have no long runs of one byte, unless zero bits stand for "no difference" and an area is clipped. A
     lossless JPEG allows few bytes behind 0xFF, and ends with a marker.
 in the mosaic (:func:`mosaic_fault`)
-    Noise. Long runs of 0 DN under a black level above 0, or of 65535 DN far above white; pixels that follow each other
-    in exactly equal steps, or all alike though they are not clipped; rows that repeat.
+    Long runs of 0 DN under a black level above 0, or of 65535 DN far above white. The noise, which a photograph has
+    everywhere but where it is clipped: pixels that follow each other in exactly equal steps, rows that repeat.
 in the codes of a lossless JPEG (:func:`check_streams`)
     Their number: the last pixel must end where the stream ends. This finds most other damage as well, and takes as long
     as decoding, so it is made where a file is to be trusted: ``eldata lock``, ``eldata verify --level full``.
 
-Each rule is silent where a file might rightly look so. What none of them finds (bits that change values and not lengths,
-overwritten uncompressed data) only a recorded hash does. docs/reliability.md has the rates.
+Each rule is silent where a file might rightly look so. What none of them finds (bits that change values and not
+lengths, overwritten uncompressed data) only a recorded hash does. docs/raw-files.md has the rates.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.errors import RawFileError
-from eldata.raw.lossless_jpeg import Stream, find_stream
+from eldata.raw.lossless_jpeg import SOI, Stream, find_stream
 from eldata.raw.tiff import COMPRESSION, read_directories
 
 if TYPE_CHECKING:
@@ -42,23 +42,27 @@ _AGAIN = "copy or download it again"
 _LEAST_RUN = 512
 # In none of LibRaw's codes for it do zero bits stand for equal neighbours.
 _NIKON = 34713
-_UNCOMPRESSED = 1
+_UNCOMPRESSED, _JPEG = 1, 7
 
-# A stretch of one row, in which the differences of pixels 4 apart (of one colour, in whatever order the components are
-# coded) are compared. Where noise leaves half of them equal, which takes a standard deviation below 0.4 DN, 64 pixels are
-# alike with a probability of 2^-56, and 32 stretches in a row never are.
+# A stretch of one row, in which the differences of pixels 4 apart are compared: they are of one colour, in whatever
+# order the components are coded. Noise with a standard deviation of 0.5 DN leaves fewer than half of their second
+# differences zero. 20 of a stretch share no pixel, so all are zero with a probability below 2^-20; those of 32
+# stretches in a row never are. The same holds for the differences of two rows.
 _STRETCH = 64
 _LAG = 4
 _LEAST_STRETCHES = 32
 _STEP = _LEAST_STRETCHES // 2
 # 512 bytes of a code that repeats itself, of 16 bits at most, are 256 pixels.
 _SMOOTH = 4
-# Values beyond which a frame has so few pixels are where it is clipped.
+# Within a row, and from the row above of the same colours. Where rows repeat the one above they also repeat that one.
+_ROWS_APART = (0, 2)
+# Where a frame is clipped: at values beyond which so few of its pixels are, or in this part of their range.
 _CLIPPED_SHARE = 0.005
+_BRIGHT_SHARE = 0.75
 
-_LEAST_ROWS = 4
-_PROBED_COLUMNS = 8
-_LEAST_VALUES = 8
+# Of a frame with noise at most this share are stretches without noise that stand alone; of a simulated or denoised one
+# more are.
+_LONE_SHARE = 0.01
 
 
 def check_damage(
@@ -77,7 +81,7 @@ def check_damage(
     path
         The file.
     directories
-        What :func:`~eldata.raw.tiff.read_directories` found in it; its data are examined where these say where they are.
+        What :func:`~eldata.raw.tiff.read_directories` found in it: they say where its data are, which are examined too.
     mosaic
         (H, W) uint16 in DN, as decoded.
     black_dn, white_dn
@@ -129,12 +133,17 @@ def _extents(path: Path, directories: Sequence[Directory]) -> Iterator[_Extent]:
                     stream = find_stream(content)
                 except ValueError as error:
                     if directory.is_mosaic:
-                        reason = f"damaged: its image data, from byte {offset} of the file on, {error}; {_AGAIN}"
-                        raise RawFileError(path, reason) from error
+                        raise _damaged_header(path, offset, str(error)) from error
                     continue  # a preview
+                if compression == _JPEG and directory.is_mosaic and content[: len(SOI)].tobytes() != SOI:
+                    raise _damaged_header(path, offset, "does not begin as a JPEG")
                 # CR2 does not say which of its images is the mosaic; no preview is a lossless JPEG.
                 if directory.is_mosaic or stream is not None:
                     yield _Extent(content, offset, stream)
+
+
+def _damaged_header(path: Path, offset: int, what: str) -> RawFileError:
+    return RawFileError(path, f"damaged: its image data, from byte {offset} of the file on, {what}; {_AGAIN}")
 
 
 def data_fault(path: Path, directories: Sequence[Directory], mosaic: NDArray[np.uint16]) -> str | None:
@@ -168,7 +177,9 @@ def data_fault(path: Path, directories: Sequence[Directory], mosaic: NDArray[np.
         if sure or not smooth:
             first, behind = run
             value = int(extent.content[start + first])
-            return extent.say((start + first, f"has {behind - first} bytes of 0x{value:02X} in a row, which are no code"))
+            return extent.say(
+                (start + first, f"has {behind - first} bytes of 0x{value:02X} in a row, which are no code")
+            )
     return None
 
 
@@ -211,7 +222,7 @@ def mosaic_fault(mosaic: NDArray[np.uint16], black_dn: Sequence[float], white_dn
         run = long_run(pixels, (1 << 16) - 1)
         if run is not None:
             return f"{_place(mosaic, *run)} are 65535 DN, far above the white level {white_dn:g} DN"
-    return _noiseless_run(mosaic) or _repeated_rows(mosaic)
+    return _noise_fault(mosaic)
 
 
 def _place(mosaic: NDArray[np.uint16], first: int, behind: int) -> str:
@@ -228,79 +239,79 @@ class _Stretches:
         self.length = min(_STRETCH, self.width)
         self.a_row = self.width // self.length
         self.count = self.a_row * mosaic.shape[0]
+        self.some = np.sort(self.pixels[self.begin(np.arange(0, self.count, _STEP))])
 
     def begin(self, numbers: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return the position of each one's first pixel."""
         return numbers // self.a_row * self.width + numbers % self.a_row * self.length
 
-    def even(self, numbers: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return those of some stretches whose pixels change in equal steps, which may be zero."""
-        begin = self.begin(numbers)
-        for at in range(self.length - 2 * _LAG):
-            # uint16 wraps as decoders do.
-            first, second, third = (self.pixels[begin + (at + shift)] for shift in (0, _LAG, 2 * _LAG))
-            kept = second - first == third - second
+    def noiseless(self, numbers: NDArray[np.intp], rows: int) -> NDArray[np.intp]:
+        """Return those of some stretches whose pixels follow from others without noise.
+
+        ``rows`` 0: they change in equal steps, which may be zero. Else: they differ from those so many rows above by a
+        constant, which may be zero. uint16 wraps as decoders do.
+        """
+        numbers = numbers[numbers >= rows * self.a_row]
+        begin, above = self.begin(numbers), rows * self.width
+        for at in range(self.length - (1 if rows else 2 * _LAG)):
+            first, second = self.pixels[begin + at], self.pixels[begin + (at + 1 if rows else at + _LAG)]
+            if rows:
+                kept = second - first == self.pixels[begin + (at + 1 - above)] - self.pixels[begin + (at - above)]
+            else:
+                kept = second - first == self.pixels[begin + (at + 2 * _LAG)] - second
             numbers, begin = numbers[kept], begin[kept]
             if not len(numbers):
                 break
         return numbers
 
-    def values(self, numbers: NDArray[np.intp]) -> NDArray[np.uint16]:
-        """Return the pixels of some stretches, one a row."""
-        return self.pixels[self.begin(numbers)[:, None] + np.arange(self.length)]
+    def lost(self, numbers: NDArray[np.intp], rows: int) -> NDArray[np.intp]:
+        """Return those of :meth:`noiseless` that are not clipped, where pixels are rightly alike."""
+        numbers = self.noiseless(numbers, rows)
+        values = self.pixels[self.begin(numbers)[:, None] + np.arange(self.length)]
+        flat = (values[:, _LAG:] == values[:, :-_LAG]).all(axis=1)
+        margin = _CLIPPED_SHARE * len(self.some)
+        low = np.searchsorted(self.some, values.min(axis=1), "left") < margin
+        high = len(self.some) - np.searchsorted(self.some, values.max(axis=1), "right") < margin
+        # Each column may be clipped at a value of its own.
+        darkest, brightest = float(self.some[0]), float(self.some[-1])
+        bright = values.min(axis=1) >= darkest + _BRIGHT_SHARE * (brightest - darkest)
+        return numbers[~(bright | flat & (low | high))]
 
 
-def _noiseless_run(mosaic: NDArray[np.uint16]) -> str | None:
-    """Find a long run of stretches in equal steps, in a frame that has noise elsewhere; not where it is clipped."""
+def _noise_fault(mosaic: NDArray[np.uint16]) -> str | None:
+    """Find a long run of stretches without noise that are not clipped, in a frame with noise."""
     stretches = _Stretches(mosaic)
     probed = np.arange(0, stretches.count, _STEP)
-    even = stretches.even(probed)
-    if len(even) < 2 or 2 * len(even) > len(probed):  # a frame without noise is none that a camera took
-        return None
-    even = _not_clipped(stretches, probed, even)
-    for number in even[:-1][np.diff(even) == _STEP]:
-        near = np.arange(max(0, number - _LEAST_STRETCHES), min(stretches.count, number + 2 * _LEAST_STRETCHES))
-        found = _not_clipped(stretches, probed, stretches.even(near))
-        for run in np.split(found, np.flatnonzero(np.diff(found) > 1) + 1):
-            if len(run) >= _LEAST_STRETCHES:
-                row, column = divmod(int(stretches.begin(run[:1])[0]), mosaic.shape[1])
-                return (
-                    f"{len(run) * stretches.length} pixels or more, from row {row}, column {column} on, are alike or "
-                    "follow each other in equal steps, without noise"
-                )
+    for rows in _ROWS_APART:
+        # A camera may repair a row by a neighbour's; two rows and more it does not.
+        least = max(_LEAST_STRETCHES, 2 * stretches.a_row if rows else 0)
+        lost = stretches.lost(probed, rows)
+        follow = np.diff(lost) == _STEP
+        lone = len(lost) - np.count_nonzero(np.append(follow, False) | np.append(False, follow))
+        if 2 * len(lost) > len(probed) or lone > _LONE_SHARE * len(probed):
+            return None  # simulated or denoised: it has such stretches anywhere
+        behind = -1
+        for number in lost[:-1][follow]:
+            if number < behind:
+                continue
+            behind = number + 2 * least
+            near = np.arange(max(0, number - least), min(stretches.count, behind))
+            found = stretches.lost(near, rows)
+            for run in np.split(found, np.flatnonzero(np.diff(found) > 1) + 1):
+                if len(run) >= least:
+                    row, column = divmod(int(stretches.begin(run[:1])[0]), stretches.width)
+                    place = f"{len(run) * stretches.length} pixels or more, from row {row}, column {column} on,"
+                    if rows:
+                        return f"{place} repeat those {rows} rows above, noise included"
+                    return f"{place} are alike or follow each other in equal steps, without noise"
     return None
-
-
-def _not_clipped(
-    stretches: _Stretches, probed: NDArray[np.intp], even: NDArray[np.intp]
-) -> NDArray[np.intp]:
-    """Leave out stretches whose values are all at the end of the frame's range: there pixels are rightly alike."""
-    known = np.sort(stretches.pixels[stretches.begin(probed)])
-    margin = _CLIPPED_SHARE * len(known)
-    values = stretches.values(even)
-    below = np.searchsorted(known, values.min(axis=1), "left")
-    above = len(known) - np.searchsorted(known, values.max(axis=1), "right")
-    return even[(below >= margin) & (above >= margin)]
 
 
 def _has_smooth_area(mosaic: NDArray[np.uint16]) -> bool:
-    """Whether some stretches in a row change in equal steps: there, a code may repeat itself."""
+    """Whether some stretches in a row are without noise: there, a code may repeat itself."""
     stretches = _Stretches(mosaic)
-    even = stretches.even(np.arange(stretches.count))
-    return bool((even[_SMOOTH - 1 :] - even[: 1 - _SMOOTH] == _SMOOTH - 1).any())
-
-
-def _repeated_rows(mosaic: NDArray[np.uint16]) -> str | None:
-    """Find rows that each repeat the one above, or the next above of the same colours, in a frame with noise."""
-    columns = np.linspace(0, mosaic.shape[1] - 1, _PROBED_COLUMNS).astype(np.intp)
-    probes = mosaic[:, columns]
-    for apart in (1, 2):
-        alike = np.flatnonzero((probes[apart:] == probes[:-apart]).all(axis=1)) + apart
-        if 2 * len(alike) > len(mosaic):
-            continue
-        for rows in np.split(alike, np.flatnonzero(np.diff(alike) > 1) + 1):
-            if len(rows) < _LEAST_ROWS or len(np.unique(mosaic[rows[0]])) < _LEAST_VALUES:
-                continue
-            if np.array_equal(mosaic[rows], mosaic[rows - apart]):
-                return f"its rows {rows[0]} to {rows[-1]} repeat those {apart} above, noise included"
-    return None
+    for rows in _ROWS_APART:
+        found = stretches.noiseless(np.arange(stretches.count), rows)
+        if (found[_SMOOTH - 1 :] - found[: 1 - _SMOOTH] == _SMOOTH - 1).any():
+            return True
+    return False

@@ -20,7 +20,8 @@ from eldata.raw._lossless_jpeg_kernels import NO_CODE, TOO_SHORT, walk
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_SOI, _EOI = b"\xff\xd8", 0xD9
+SOI = b"\xff\xd8"
+_EOI = 0xD9
 _SOF3, _DHT, _SOS, _DRI = 0xC3, 0xC4, 0xDA, 0xDD
 _FRAMES = {*range(0xC0, 0xD0)} - {_DHT, 0xC8, 0xCC}
 _MOST_HEADER = 1 << 16
@@ -135,9 +136,9 @@ def find_stream(content: NDArray[np.uint8]) -> Stream | None:
         If it begins as a JPEG but its header is damaged; the message says how.
     """
     head = content[:_MOST_HEADER].tobytes()
-    if not head.startswith(_SOI):
+    if not head.startswith(SOI):
         return None
-    at, lossless, size, interval = len(_SOI), False, (0, 0, 0), 0
+    at, lossless, size, interval = len(SOI), False, (0, 0, 0), 0
     tables = b""
     try:
         while True:

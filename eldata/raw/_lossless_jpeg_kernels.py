@@ -23,7 +23,7 @@ def walk(
     ``interval``: samples between restart markers, 0 if there are none. Returns how it went, how many samples were
     found, and the position behind the last byte that was begun.
     """
-    at, bits, held = np.int64(start), np.uint64(0), np.int64(0)
+    at, bits, held = start, np.uint64(0), 0
     component = 0
     for done in range(samples):
         if interval and done and done % interval == 0:
@@ -33,7 +33,7 @@ def walk(
                 held -= 8
             if at + 2 > len(content) or content[at] != 0xFF or content[at + 1] & 0xF8 != 0xD0:
                 return NO_CODE, done, at
-            at, bits, held = at + 2, np.uint64(0), np.int64(0)
+            at, bits, held = at + 2, np.uint64(0), 0
         while held <= 40 and at < len(content):
             byte = content[at]
             if byte == 0xFF:
@@ -47,7 +47,7 @@ def walk(
             ahead = (bits >> np.uint64(held - 16)) & np.uint64(0xFFFF)
         else:
             ahead = (bits << np.uint64(16 - held)) & np.uint64(0xFFFF)
-        entry = np.int64(tables[component, ahead])
+        entry = int(np.int64(tables[component, ahead]))  # signed: with uint16 numba makes the sums below floats
         if entry == 0:
             return (NO_CODE if held >= 16 else TOO_SHORT), done, at - held // 8
         length, meaning = entry >> 8, entry & 255

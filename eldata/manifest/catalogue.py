@@ -67,7 +67,9 @@ def load_manifest(path: Path | str) -> Manifest:
             )
     found = Counter(record.role for record in records)
     if dict(found) != card.counts:
-        cut_off = "; was eldata lock killed here? lock again" if any(is_pattern(record.path) for record in records) else ""
+        cut_off = (
+            "; was eldata lock killed here? lock again" if any(is_pattern(record.path) for record in records) else ""
+        )
         raise ManifestError(f"{path}: the card expects {card.counts} rows per role, found {dict(found)}{cut_off}")
     return Manifest(path, card, records, digest)
 

@@ -55,6 +55,7 @@ from eldata.base.isolation import guarded_file
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw.cfa import packed_channels
 from eldata.raw.containers import check_container
+from eldata.raw.damage import check_damage
 from eldata.raw.exif import exif_tags, header_of
 from eldata.raw.sensor_facts import as_shot_multipliers, camera_matrix, channel_whites, dng_black_level
 from eldata.raw.tiff import read_directories
@@ -147,10 +148,7 @@ def _decoded(path: Path) -> RawFrame:
             xyz_to_camera=matrix,
             matrix_illuminant=illuminant,
         )
-    if min(black) > 0 and not mosaic[-1].any():
-        raise RawFileError(
-            path, f"truncated or damaged: its last row is all 0 DN, far below the black level {black} DN"
-        )
+    check_damage(path, directories, mosaic, black, white)
     return RawFrame(path, mosaic, sensor, header.exposure, whites)
 
 

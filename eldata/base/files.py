@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
+import re
 import secrets
+import stat
 import sys
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
@@ -27,12 +30,40 @@ def sha256_of(path: Path) -> str:
         return f"sha256:{hashlib.file_digest(file, 'sha256').hexdigest()}"
 
 
+_SPECIAL = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a named pipe",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFSOCK: "a socket",
+}
+
+
+def file_problem(path: Path) -> str | None:
+    """Return why a path is not a readable file with something in it, or ``None`` if it is, once links are followed.
+
+    Ask before strangers' files are opened: a named pipe would be waited for, and a device read, for ever.
+    """
+    try:
+        found = path.stat()
+        if stat.S_ISREG(found.st_mode):
+            path.open("rb").close()
+    except OSError as error:  # a loop of links, too
+        return f"cannot be read: {error.strerror}"
+    except ValueError:
+        return "cannot be read: its name holds a NUL character"
+    if not stat.S_ISREG(found.st_mode):
+        return f"is {_SPECIAL.get(stat.S_IFMT(found.st_mode), 'something else')}, not a file"
+    return None if found.st_size else "is empty (0 bytes): copy or download it again"
+
+
 @contextmanager
 def atomic_write(path: Path | str) -> Iterator[IO[bytes]]:
     """Write a file whole or not at all: a temporary file in the same folder, synced, then renamed.
 
     Whatever happens before the rename (an error, a full disk, Ctrl-C, kill -9) leaves an older ``path`` as it
-    was, and all but the kill also remove the temporary file, which is hidden and ends in ``.part``.
+    was, and all but the kill also remove the temporary file, which is hidden and ends in ``.part``. What a kill
+    left is removed when the file is written again; :func:`remove_leftovers` does it for a whole folder.
 
     Raises
     ------
@@ -40,20 +71,97 @@ def atomic_write(path: Path | str) -> Iterator[IO[bytes]]:
         If the operating system refuses; the message names the file and its reason.
     """
     path = Path(path)
-    temporary = path.parent / f".{path.name}.{secrets.token_hex(8)}.part"
     try:
-        with temporary.open("xb") as file:
+        with temporary_file(path) as (file, temporary):
             yield file
             file.flush()
             os.fsync(file.fileno())
-        temporary.replace(path)
+            if sys.platform == "win32":
+                file.close()  # an open file cannot be renamed there
+            temporary.replace(path)
     except OSError as error:
-        if error.filename is not None and Path(error.filename) != temporary:
+        if error.filename is not None and _LEFTOVER.fullmatch(Path(error.filename).name) is None:
             raise  # of another file, in the caller's block
         raise EldataError(f"cannot write {path}: {error.strerror or error}") from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
+
+
+_MOST_TRIES = 20
+_LEFTOVER = re.compile(r"\..+\.(eldata|[0-9a-f]{16})\.part", re.DOTALL)
+
+
+@contextmanager
+def temporary_file(path: Path) -> Iterator[tuple[IO[bytes], Path]]:
+    """Yield a new file beside ``path`` and its path, to be renamed; it is removed unless that was done.
+
+    Its lock, held as long as it is open, tells it from what a dead process left; that is removed first. Where another
+    process writes to the same ``path``, it gets a name of its own. Without locks (Windows, some network disks) nothing of
+    others is removed.
+
+    Raises
+    ------
+    OSError
+        If it cannot be made.
+    """
+    for unique in ("eldata", *(secrets.token_hex(8) for _ in range(_MOST_TRIES))):
+        temporary = path.with_name(f".{path.name}.{unique}.part")
+        _remove_if_dead(temporary)
+        try:
+            file = temporary.open("xb")
+        except FileExistsError:
+            continue  # a live one, or somebody else's
+        with file:
+            made = os.fstat(file.fileno())
+            try:
+                # In the moment before it is locked another process may take it for dead.
+                if can_lock(file.fileno()) is False or not is_at(temporary, made):
+                    continue
+                yield file, temporary
+                return
+            finally:
+                with suppress(OSError):
+                    if is_at(temporary, made):
+                        temporary.unlink()
+    raise OSError(errno.EBUSY, "other processes take away what is written", str(temporary))
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove what dead processes that were writing files left in a folder: see :func:`temporary_file`.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be read.
+    """
+    for name in os.listdir(folder):  # noqa: PTH208 # a folder may hold very many names
+        if _LEFTOVER.fullmatch(name) is not None:
+            _remove_if_dead(folder / name)
+
+
+def _remove_if_dead(temporary: Path) -> None:
+    with suppress(OSError):  # it is not there, or not ours
+        flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+        descriptor = os.open(temporary, flags)
+        try:
+            if can_lock(descriptor) and stat.S_ISREG(os.fstat(descriptor).st_mode):
+                temporary.unlink()
+        finally:
+            os.close(descriptor)
+
+
+def can_lock(descriptor: int) -> bool | None:
+    """Lock an open file like :func:`try_lock`, but return ``None`` where there are no locks: on Windows, some disks."""
+    try:
+        return try_lock(Path(), descriptor)
+    except (ImportError, EldataError):
+        return None
+
+
+def is_at(path: Path, file: os.stat_result) -> bool:
+    """Return whether a file still has its name: another process may have removed or renamed it."""
+    try:
+        return os.path.samestat(file, path.stat())
+    except OSError:
+        return False
 
 
 def write_text(path: Path | str, text: str) -> None:
@@ -70,8 +178,8 @@ def write_json(path: Path | str, data: object, *, indent: int = 2) -> None:
     write_text(path, json_text(data, indent=indent))
 
 
-def json_text(data: object, *, indent: int = 2) -> str:
-    """Return plain types as the text of a JSON file; only finite numbers are allowed."""
+def json_text(data: object, *, indent: int | None = 2) -> str:
+    """Return plain types as the text of a JSON file, on one line if ``indent`` is ``None``; all numbers are finite."""
     return json.dumps(data, indent=indent, ensure_ascii=False, allow_nan=False) + "\n"
 
 

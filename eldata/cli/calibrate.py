@@ -40,7 +40,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="ISO",
         help="only this ISO; may be repeated",
     )
-    add_shared(parser, run, "root", "workers", "json")
+    add_shared(parser, run, "root", "workers", "isolation", "json")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from eldata.errors import ManifestError
 from eldata.manifest.card import Card, load_card, save_card
+from eldata.manifest.patterns import is_pattern
 from eldata.manifest.table import load_table, save_records
 
 if TYPE_CHECKING:
@@ -66,7 +67,10 @@ def load_manifest(path: Path | str) -> Manifest:
             )
     found = Counter(record.role for record in records)
     if dict(found) != card.counts:
-        raise ManifestError(f"{path}: the card expects {card.counts} rows per role, found {dict(found)}")
+        cut_off = (
+            "; was eldata lock killed here? lock again" if any(is_pattern(record.path) for record in records) else ""
+        )
+        raise ManifestError(f"{path}: the card expects {card.counts} rows per role, found {dict(found)}{cut_off}")
     return Manifest(path, card, records, digest)
 
 

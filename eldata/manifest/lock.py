@@ -10,15 +10,17 @@ from typing import TYPE_CHECKING
 
 from eldata.base.files import sha256_of
 from eldata.base.workers import AnyWorkers, Failed, Workers, accepts_jobs, require_files
-from eldata.manifest.card import save_card
-from eldata.manifest.catalogue import load_manifest
+from eldata.errors import ManifestError
+from eldata.manifest.card import load_card, save_card
+from eldata.manifest.catalogue import Manifest, data_root, load_manifest
 from eldata.manifest.patterns import expand
-from eldata.manifest.table import save_records
-from eldata.manifest.verify import Problem, VerifyReport, verify
+from eldata.manifest.table import load_table, save_records
+from eldata.manifest.verify import Problem, VerifyReport, content_findings, verify
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Iterable
 
+    from eldata.manifest.patterns import Finding
     from eldata.records import FrameRecord
 
 
@@ -44,8 +46,9 @@ def lock(
     A row that stands for several files (:mod:`eldata.manifest.patterns`) becomes a row for each file of this copy; then
     the card, which says how many rows there are, is written too.
 
-    The copy must pass :func:`~eldata.manifest.verify.verify` at level ``metadata`` first, and may not contradict a size
-    or hash that is recorded already; with any problem nothing is written.
+    The copy must pass :func:`~eldata.manifest.verify.verify` at level ``metadata`` first, files whose hash is not
+    recorded must decode and show no damage, and none may contradict a size or hash that is recorded already; with any
+    problem nothing is written.
 
     Parameters
     ----------
@@ -65,7 +68,7 @@ def lock(
     EldataError
         If it cannot be written.
     """
-    loaded = load_manifest(manifest)
+    loaded = _loaded(Path(manifest), root)
     workers = Workers.of(workers)
     checks = verify([loaded], root, dataset=loaded.name, cameras=cameras, level="metadata", workers=workers)
     if checks.problems:
@@ -74,16 +77,18 @@ def lock(
     listed = expand(loaded.records, folder)
     chosen = [record for record in listed if not cameras or record.camera in cameras]
     locked: dict[str, FrameRecord] = {}
-    unread: list[Problem] = []
+    unfit: list[Problem] = []
     label = f"{loaded.name} (hashing)"
     for outcome in workers.attempt(partial(_locked, folder.absolute()), chosen, label=label):
         if isinstance(outcome, Failed):
             advice = "make it readable where the hash is taken, and lock again"
-            unread.append(Problem(loaded.name, outcome.unit.path, "sha256", "a hash", outcome.reason, advice))
+            unfit.append(Problem(loaded.name, outcome.unit.path, "sha256", "a hash", outcome.reason, advice))
         else:
-            locked[outcome.path] = outcome
-    if unread:
-        return LockReport(checks, tuple(unread), 0)
+            record, findings = outcome
+            locked[record.path] = record
+            unfit += [Problem.of(loaded.name, finding) for finding in findings]
+    if unfit:
+        return LockReport(checks, tuple(unfit), 0)
     problems = tuple(
         Problem(
             loaded.name,
@@ -98,14 +103,31 @@ def lock(
     )
     if problems:
         return LockReport(checks, problems, 0)
-    counts = dict(sorted(Counter(str(record.role) for record in listed).items()))
+    counts = _counts(listed)
     if counts != loaded.card.counts:
         save_card(Path(manifest).with_suffix(".json"), replace(loaded.card, counts=counts))
     save_records(Path(manifest), [locked.get(record.path, record) for record in listed])
     return LockReport(checks, (), len(chosen))
 
 
-def _locked(folder: Path, record: FrameRecord) -> FrameRecord:
+def _loaded(path: Path, root: Path | str | None) -> Manifest:
+    """Load a manifest; also one whose card was written by a lock that was killed before it wrote the rows."""
+    try:
+        return load_manifest(path)
+    except ManifestError:
+        (records, digest), card = load_table(path), load_card(path.with_suffix(".json"))
+        if _counts(expand(records, data_root(root) / card.folder)) != card.counts:
+            raise
+        return Manifest(path, replace(card, counts=_counts(records)), records, digest)
+
+
+def _counts(records: Iterable[FrameRecord]) -> dict[str, int]:
+    return dict(sorted(Counter(str(record.role) for record in records).items()))
+
+
+def _locked(folder: Path, record: FrameRecord) -> tuple[FrameRecord, list[Finding]]:
     path = folder / record.path
     require_files(path)
-    return replace(record, size_bytes=path.stat().st_size, sha256=sha256_of(path))
+    # A hash of a damaged file would make the damage official.
+    findings = content_findings(folder, record) if record.sha256 is None else []
+    return replace(record, size_bytes=path.stat().st_size, sha256=sha256_of(path)), findings

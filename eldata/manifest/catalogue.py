@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections import Counter
 from dataclasses import dataclass
@@ -48,8 +49,8 @@ def data_root(root: Path | str | None = None) -> Path:
     return Path(os.environ.get(ROOT_VARIABLE) or "data")
 
 
-def load_manifest(path: Path | str) -> Manifest:
-    """Load a manifest: ``<name>.csv`` and the card ``<name>.json`` beside it.
+def load_manifest(path: Path | str, contents: tuple[bytes, bytes] | None = None) -> Manifest:
+    """Load a manifest: ``<name>.csv`` and the card ``<name>.json`` beside it; or their ``contents``, if these are given.
 
     Raises
     ------
@@ -57,8 +58,9 @@ def load_manifest(path: Path | str) -> Manifest:
         If either is malformed, a row's camera is not on the card, or the card expects another number of rows.
     """
     path = Path(path)
-    records = load_records(path)
-    card = load_card(path.with_suffix(".json"))
+    rows, facts = contents or (None, None)
+    records = load_records(path, rows)
+    card = load_card(path.with_suffix(".json"), facts)
     for record in records:
         if record.camera not in card.cameras:
             raise ManifestError(
@@ -69,7 +71,8 @@ def load_manifest(path: Path | str) -> Manifest:
     if dict(found) != card.counts:
         cut_off = "; was eldata lock killed here? lock again" if any(is_pattern(record.path) for record in records) else ""
         raise ManifestError(f"{path}: the card expects {card.counts} rows per role, found {dict(found)}{cut_off}")
-    return Manifest(path, card, records, sha256_of(path))
+    digest = sha256_of(path) if rows is None else f"sha256:{hashlib.sha256(rows).hexdigest()}"
+    return Manifest(path, card, records, digest)
 
 
 def save_manifest(path: Path | str, card: Card, records: Iterable[FrameRecord]) -> Manifest:

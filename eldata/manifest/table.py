@@ -35,8 +35,8 @@ def number_text(value: Fraction) -> str:
     return f"{text[:-digits]}.{text[-digits:]}" if digits else text
 
 
-def load_records(path: Path) -> tuple[FrameRecord, ...]:
-    """Read a manifest's rows.
+def load_records(path: Path, content: bytes | None = None) -> tuple[FrameRecord, ...]:
+    """Read a manifest's rows, from its ``content`` if that is given.
 
     Raises
     ------
@@ -44,7 +44,7 @@ def load_records(path: Path) -> tuple[FrameRecord, ...]:
         If the file cannot be read or a row is malformed; the message names file, line and column, what was expected
         and what was found.
     """
-    return _parse(TextFile(path, ManifestError, largest_bytes=_LARGEST_BYTES))
+    return _parse(TextFile(path, ManifestError, content=content, largest_bytes=_LARGEST_BYTES))
 
 
 def _parse(file: TextFile) -> tuple[FrameRecord, ...]:
@@ -71,6 +71,19 @@ def save_records(path: Path, records: Iterable[FrameRecord]) -> None:
     Raises
     ------
     ManifestError
+        Like :func:`table_text`.
+    EldataError
+        If it cannot be written.
+    """
+    write_text(path, table_text(path, records))
+
+
+def table_text(path: Path, records: Iterable[FrameRecord]) -> str:
+    """Return a manifest's rows, sorted by path, as they are written to ``path``.
+
+    Raises
+    ------
+    ManifestError
         If :func:`load_records` would refuse a row.
     """
     ordered = tuple(sorted(records, key=lambda record: record.path))
@@ -81,7 +94,7 @@ def save_records(path: Path, records: Iterable[FrameRecord]) -> None:
     for record, read_back in zip(ordered, _parse(TextFile(path, ManifestError, content=text.getvalue())), strict=True):
         if record != read_back:
             raise ManifestError(f"{path}, row {record.path!r}: cannot be written as text and read back the same")
-    write_text(path, text.getvalue())
+    return text.getvalue()
 
 
 def _text(value: object) -> str:

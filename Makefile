@@ -12,16 +12,20 @@ RARE := study or browser or tether or dask or kill or memory
 # would compile the package again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test test-all test-rest lint bench manifests clean
+.PHONY: help demo test test-all test-rest lint bench fuzz licences lock test-lowest test-newest manifests clean
 
 help:  ## What there is to make
 	@grep -hE '^[a-z-]+:.*##' Makefile | sed 's/:.*## /\t/' | expand -t 12
 
-$(STAMP): pyproject.toml constraints.txt
+# Every package but torch by its hash, and none is built here (.ci/uv.toml says why torch is apart). An editable package has
+# no hash: eldata itself comes last, with the locked build backend.
+$(STAMP): pyproject.toml constraints.txt requirements-dev.txt
 	$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed" if sys.version_info < (3, 11) else 0)'
 	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --no-deps --require-hashes --only-binary :all: --requirement requirements-dev.txt
 	$(BIN)/pip install --quiet --constraint constraints.txt torch==2.13.0
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	$(BIN)/pip install --quiet --no-deps --no-build-isolation --editable .
+	$(BIN)/pip check --quiet
 	touch $@
 
 demo: $(STAMP)  ## The whole path on simulated raw files, into ./eldata-demo
@@ -43,8 +47,38 @@ test-rest: $(STAMP)
 bench: $(STAMP)  ## Benchmarks against the straightforward routes, about twenty minutes
 	$(BIN)/python -m benchmarks
 
+lock:  ## Resolve requirements-dev.txt again: what pyproject.toml asks for now; newer releases with UPGRADE=--upgrade
+	$(PYTHON) -m venv .venv-lock
+	.venv-lock/bin/pip install --quiet uv==0.13.9
+	.venv-lock/bin/uv pip compile --quiet --config-file .ci/uv.toml --constraint constraints.txt $(UPGRADE) \
+	  --output-file requirements-dev.txt pyproject.toml
+	rm -rf .venv-lock
+
+licences: $(STAMP)  ## Write docs/licences.md again
+	$(BIN)/python .ci/licences.py > docs/licences.md
+
+# As the weekly jobs of these names do, but with the torch of constraints.txt: another one may bring gigabytes of GPU libraries.
+test-lowest:  ## The quick tests with the oldest releases that pyproject.toml allows
+	$(PYTHON) -m venv --clear .venv-lowest
+	$(PYTHON) .ci/lowest.py | sed "s/^torch==.*/$$(grep ^torch== constraints.txt)/" > .venv-lowest/lowest.txt
+	.venv-lowest/bin/pip install --quiet --constraint .venv-lowest/lowest.txt torch
+	.venv-lowest/bin/pip install --quiet --constraint .venv-lowest/lowest.txt --editable '.[dev]'
+	.venv-lowest/bin/pytest -n auto --dist worksteal -m 'not ($(RARE))'
+
+test-newest:  ## The quick tests with the newest releases
+	$(PYTHON) -m venv --clear .venv-newest
+	.venv-newest/bin/pip install --quiet "$$(grep ^torch== constraints.txt)"
+	.venv-newest/bin/pip install --quiet --upgrade --upgrade-strategy only-if-needed --editable '.[dev]'
+	.venv-newest/bin/pytest -n auto --dist worksteal -m 'not ($(RARE))'
+
+# How long it runs. For exact counts and one's own seed: .venv/bin/python -m tests.fuzz --help
+MINUTES ?= 10
+
+fuzz: $(STAMP)  ## Damaged and hostile files for so long (MINUTES=10); the failing ones go to ./fuzz-failures (Linux only)
+	$(BIN)/python -m tests.fuzz --minutes $(MINUTES)
+
 manifests: $(STAMP)  ## Write the shipped manifests again
 	$(BIN)/python -m manifests.generate
 
 clean:  ## Remove what make made
-	rm -rf $(VENV) eldata-demo .mypy_cache .ruff_cache .pytest_cache
+	rm -rf $(VENV) .venv-lock .venv-lowest .venv-newest eldata-demo fuzz-failures .mypy_cache .ruff_cache .pytest_cache

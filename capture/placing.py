@@ -7,14 +7,13 @@ that leads out of its folder is how a manifest from a stranger would reach other
 from __future__ import annotations
 
 import os
-import secrets
 import shutil
-from contextlib import suppress
+import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from capture.capture_errors import MappingError
-from eldata.base.files import sha256_of
+from eldata.base.files import remove_leftovers, sha256_of, temporary_file
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -48,6 +47,13 @@ def check_free(placements: Iterable[Placement]) -> None:
             )
 
 
+def prepare(placements: Iterable[Placement]) -> None:
+    """Make the folders of the targets, and remove from them what a run that was killed left."""
+    for folder in sorted({placement.target.parent for placement in placements}):
+        folder.mkdir(parents=True, exist_ok=True)
+        remove_leftovers(folder)
+
+
 def copy(placement: Placement) -> None:
     """Copy a file, whole or not at all, unless its target holds the same content already.
 
@@ -60,22 +66,20 @@ def copy(placement: Placement) -> None:
     if _holds(placement):
         return
     target.parent.mkdir(parents=True, exist_ok=True)
-    temporary = target.parent / f".{target.name}.{secrets.token_hex(8)}.part"
     try:
-        with source.open("rb") as reading, temporary.open("xb") as writing:
+        with source.open("rb") as reading, temporary_file(target) as (writing, temporary):
             shutil.copyfileobj(reading, writing, _PIECE)
             writing.flush()
             os.fsync(writing.fileno())
             seen = os.fstat(reading.fileno())
-        if sha256_of(temporary) != placement.sha256:
-            raise MappingError(f"{source} changed while it was being copied; run this again")
-        os.utime(temporary, ns=(seen.st_atime_ns, seen.st_mtime_ns))
-        rename_to_new(temporary, target)
+            if sha256_of(temporary) != placement.sha256:
+                raise MappingError(f"{source} changed while it was being copied; run this again")
+            os.utime(temporary, ns=(seen.st_atime_ns, seen.st_mtime_ns))
+            if sys.platform == "win32":
+                writing.close()  # an open file cannot be renamed there
+            rename_to_new(temporary, target)
     except FileExistsError:
         raise _occupied(target) from None
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
 
 
 def link(placement: Placement) -> None:

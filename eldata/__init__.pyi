@@ -1,3 +1,4 @@
+from .base.isolation import isolation as isolation
 from .calibration import calibrate as calibrate
 from .datasets import CalibrationFrames as CalibrationFrames
 from .datasets import DRVDataset as DRVDataset

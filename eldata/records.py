@@ -1,28 +1,76 @@
 """Frozen records that every part of the package speaks in. Units stand in the field names.
 
-Numbers that EXIF states as fractions stay :class:`fractions.Fraction`; "not known" is ``None``.
+Numbers that EXIF states as fractions stay :class:`fractions.Fraction`, those that arrays are computed with floats that
+know their fraction (:class:`ExactFloat`); "not known" is ``None``.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
     from datetime import datetime
-    from fractions import Fraction
     from pathlib import Path
 
     import numpy as np
     from numpy.typing import NDArray
 
+_Record = TypeVar("_Record", "FrameRecord", "PairRecord")
+
 Role = Literal["reference", "noisy", "bias", "flat"]
 Matrix3 = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+
+D65 = 21  # as EXIF numbers sources of light
+
+
+class ExactFloat(float):
+    """The float nearest to a fraction, which it knows: computes like any float, and is written to files exactly.
+
+    It equals, prints and rounds as that float; arithmetic gives plain floats. :func:`exact_fraction` tells the
+    fraction, :func:`exact_number` makes one where a plain float would not do.
+    """
+
+    __slots__ = ("fraction",)
+    fraction: Fraction
+
+    def __new__(cls, fraction: Fraction) -> Self:
+        """Return the nearest float; OverflowError if there is none."""
+        number = super().__new__(cls, fraction)
+        number.fraction = fraction
+        return number
+
+    def __reduce__(self) -> tuple[type[ExactFloat], tuple[Fraction]]:
+        return ExactFloat, (self.fraction,)  # for copies and other processes
+
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
+        # numpy lets a float32 array stay one beside a plain float, but not beside an object of a subclass.
+        plain = (float(value) if isinstance(value, ExactFloat) else value for value in inputs)
+        return getattr(ufunc, method)(*plain, **options)
+
+
+def exact_number(fraction: Fraction) -> float:
+    """Return a float from which :func:`exact_fraction` gives this fraction back: a plain one if it can."""
+    number = float(fraction)
+    return number if exact_fraction(number) == fraction else ExactFloat(fraction)
+
+
+def exact_fraction(number: float) -> Fraction:
+    """Return the fraction that a finite number stands for.
+
+    That of an :class:`ExactFloat`; of any other float the decimal number that it prints as: 2.1 is 21/10.
+    """
+    return number.fraction if isinstance(number, ExactFloat) else Fraction(repr(float(number)))
 
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
     """What a raw file says about the sensor that took it.
+
+    Levels, white balance and matrix are floats that keep the file's fractions (:func:`exact_fraction`).
 
     Attributes
     ----------
@@ -40,8 +88,10 @@ class Sensor:
     white_balance
         Camera white balance: multipliers of R, G1, B, G2, with G1 = 1.
     xyz_to_camera
-        Matrix from CIE XYZ (D65) to the camera's R, G, B, as a DNG's ColorMatrix
+        Matrix from CIE XYZ to the camera's R, G, B, as a DNG's ColorMatrix
         (:func:`eldata.raw.colour.camera_to_srgb` turns it into one to sRGB).
+    matrix_illuminant
+        The light that the matrix was made for, as EXIF numbers it (LightSource): 21 is D65, 0 not stated.
     """
 
     make: str
@@ -53,6 +103,7 @@ class Sensor:
     width: int
     white_balance: tuple[float, float, float, float] | None = None
     xyz_to_camera: Matrix3 | None = None
+    matrix_illuminant: int = D65
 
     @property
     def cfa_pattern(self) -> NDArray[np.uint8]:
@@ -130,6 +181,17 @@ class FrameRecord:
     size_bytes: int | None = None
     sha256: str | None = None
     flags: tuple[str, ...] = ()
+
+
+def from_columns(kind: type[_Record], columns: Mapping[str, Sequence[object]]) -> list[_Record]:
+    """Return frozen records with slots, given all values of each field, which are not checked.
+
+    A million records take seconds by their own ``__init__``, which has to get each value past a frozen class's guard.
+    """
+    records = [object.__new__(kind) for _ in next(iter(columns.values()))]
+    for name in kind.__slots__:  # type: ignore[attr-defined] # dataclass(slots=True) makes them
+        deque(map(getattr(kind, name).__set__, records, columns[name]), maxlen=0)
+    return records
 
 
 @dataclass(frozen=True, slots=True)

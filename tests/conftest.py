@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,10 @@ if TYPE_CHECKING:
 # A run that was started in the background of a shell ignores Ctrl-C, and so would every process that tests start.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# Commands decode in processes of their own by default. Tests of something else replace parts of decoders in this one,
+# and run hundreds of commands, each of which would wait for such a process to start.
+os.environ["ELDATA_ISOLATE"] = "0"
 
 
 @pytest.fixture(scope="session")

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).parents[1]
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 FORMS = sorted(path for path in (ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml") if path.name != "config.yml")
-PROSE = ["README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "CODE_OF_CONDUCT.md", "docs/migrating.md"]
+PROSE = ["README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "CODE_OF_CONDUCT.md"]
+PROSE += ["docs/migrating.md", "docs/reliability.md", "docs/licences.md"]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 
 
@@ -252,6 +253,16 @@ def test_links_lead_somewhere(name: str) -> None:
         assert not anchor or anchor in anchors(target), link
 
 
+def test_every_test_that_the_page_on_reliability_names_is_there() -> None:
+    page = (ROOT / "docs" / "reliability.md").read_text(encoding="utf-8")
+    rows = [line for line in page.splitlines() if line.startswith("| ") and "::" in line]
+    assert len(rows) > 40
+    assert [row for row in rows if not re.search(r"`tests/\S+\.py::test_\w+`", row)] == []
+    named = set(re.findall(r"`(tests/\S+\.py)::(test_\w+)`", page))
+    for file, test in sorted(named):
+        assert f"\ndef {test}(" in (ROOT / file).read_text(encoding="utf-8"), f"{file}::{test}"
+
+
 def test_the_source_archive_holds_what_its_tests_read(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", str(tmp_path)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S)
@@ -260,6 +271,7 @@ def test_the_source_archive_holds_what_its_tests_read(tmp_path: Path) -> None:
     with tarfile.open(built) as archive:
         held = {name.partition("/")[2] for name in archive.getnames()}
     files = [*PROSE, "CITATION.cff", "LICENSE", "Makefile", "constraints.txt", "pyproject.toml"]
+    files += ["requirements-dev.txt", ".ci/uv.toml", ".ci/licences.py"]
     files += [".pre-commit-config.yaml", ".ci/run", ".ci/lowest.py", ".ci/release.py", "tests/conftest.py"]
     files += [path.relative_to(ROOT).as_posix() for path in [*WORKFLOWS, *FORMS]]
     assert [name for name in files if name not in held] == []

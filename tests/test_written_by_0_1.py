@@ -110,7 +110,9 @@ def raw_files(files: Path, work: Path) -> Any:
     found = {}
     for path in sorted((files / "raw").glob("*.dng")):
         frame = read_raw(path)
-        found[path.name] = [digest(frame.mosaic), asdict(frame.sensor), asdict(frame.exposure)]
+        sensor = asdict(frame.sensor)
+        assert sensor.pop("matrix_illuminant") == 21  # D65, which 0.1 wrote and did not read
+        found[path.name] = [digest(frame.mosaic), sensor, asdict(frame.exposure)]
     return found
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal, get_args
 
 from eldata.base.tables import with_error
+from eldata.base.visible import in_line
 from eldata.manifest.verify import RATIO_TOLERANCE
 
 Verdict = Literal["keep", "look", "shoot again"]
@@ -120,7 +121,9 @@ class Measure:
         if math.isfinite(self.kind.again):
             limits.append(f"shoot again from {self.kind.again:.3g}{unit}{off}")
         found = with_error(self.value, self.standard_error)
-        return f"{self.path}: {self.name}: {self.text}: {found}{unit} ({', '.join(limits)}); {self.kind.advice}"
+        return (
+            f"{in_line(self.path)}: {self.name}: {self.text}: {found}{unit} ({', '.join(limits)}); {self.kind.advice}"
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """Return the measure as plain JSON types."""
@@ -158,7 +161,7 @@ class Remark:
     verdict: Verdict
 
     def __str__(self) -> str:
-        return f"{self.path}: {self.text}"
+        return in_line(f"{self.path}: {self.text}")
 
     def as_dict(self) -> dict[str, Any]:
         """Return the remark as plain JSON types."""

@@ -35,7 +35,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     add_cameras(parser)
     add_jobs(parser)
     parser.add_argument("--sheet", metavar="FILE", help="write a contact sheet, an HTML page that needs no network")
-    add_shared(parser, run, "json")
+    add_shared(parser, run, "isolation", "json")
 
 
 def run(arguments: argparse.Namespace) -> int:

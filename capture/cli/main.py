@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING
 
-from eldata.base.console import command_line, run
+from eldata.base.stopping import exit_when_told
 
+TYPE_CHECKING = False  # typing takes as long to import as all else that comes before Ctrl-C is handled
 if TYPE_CHECKING:
     import argparse
 
@@ -15,11 +15,17 @@ _COMMANDS = ("protocol", "camera", "plan", "checklist", "run", "manifest", "chec
 
 def parser() -> argparse.ArgumentParser:
     """Return the command's argument parser."""
+    from eldata.base.console import command_line
+
     return command_line("capture", "Photograph scenes for a low-light denoising dataset.", "capture.cli", _COMMANDS)
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command ``capture``; return its exit code (:mod:`eldata.base.console`)."""
+    if argv is None:  # a program of its own, and not a call from one
+        exit_when_told("capture")  # before the imports, which take most of the time of a short command
+    from eldata.base.console import run
+
     return run(parser(), argv)
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from eldata.base.console import OK, PROBLEMS, add_shared
 from eldata.base.files import write_json
+from eldata.base.visible import in_line
 from eldata.base.workers import Workers
 from eldata.errors import ArgumentError
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from capture.matching import Match
     from capture.observed import Observed
     from capture.plan import Plan
+    from eldata.manifest.card import Card
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -57,7 +59,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("--allow-gaps", action="store_true", help="write the manifest even if shots are missing")
     parser.add_argument("--yes", action="store_true", help="accept what was decided, without asking")
     parser.add_argument("--replace", action="store_true", help="replace an older manifest of this name")
-    add_shared(parser, run, "jobs", "json")
+    add_shared(parser, run, "jobs", "isolation", "json")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -131,29 +133,32 @@ def _leave_mapping(output: Path, plan: Plan, observed: Observed, found: Match) -
 
 def _write(plan: Plan, found: Match, output: Path, arguments: argparse.Namespace, workers: Workers) -> None:
     from capture.manifest import card_of, in_place, into_layout, with_hashes
-    from capture.placing import Placement, check_free, copy, link
+    from capture.placing import Placement, check_free, copy, link, prepare
     from eldata.manifest.card import save_card
     from eldata.manifest.table import save_records
 
     place = arguments.copy_to or arguments.link_to
     dataset = in_place(plan, found) if place is None else into_layout(plan, found, Path(place).absolute())
     card_path = output.with_suffix(".json")
-    if not arguments.replace:
-        for path in (output, card_path):
-            if path.exists():
-                raise ArgumentError(f"{path} is there already: give another name, or --replace it")
+    if output.exists() and not arguments.replace:
+        raise ArgumentError(f"{output} is there already: give another name, or --replace it")
     dataset = with_hashes(dataset, workers)
     records = [row.record for row in dataset.rows]
+    card = card_of(plan, output.stem, dataset.folder.name, records)
+    # The manifest comes last: this very card without one is what a killed run left.
+    if card_path.exists() and not arguments.replace and not _is_card(card_path, card):
+        raise ArgumentError(f"{card_path} is there already: give another name, or --replace it")
     if place is not None:
         placements = [
             Placement(row.path, dataset.folder / row.record.path, row.record.sha256 or "") for row in dataset.rows
         ]
         check_free(placements)
+        prepare(placements)
         work = copy if arguments.copy_to else link
         for _ in workers.run(work, placements, label="copying" if arguments.copy_to else "linking"):
             pass
     output.parent.mkdir(parents=True, exist_ok=True)
-    save_card(card_path, card_of(plan, output.stem, dataset.folder.name, records))
+    save_card(card_path, card)
     save_records(output, records)
     print()
     for remark in dataset.remarks:
@@ -162,6 +167,16 @@ def _write(plan: Plan, found: Match, output: Path, arguments: argparse.Namespace
     print(f"card: {card_path}; fill in its licence and homepage before you give the set to others")
     print(f"check it with: eldata verify {output} --root {dataset.folder.parent} --level full")
     _warn_of_unlisted(dataset, place)
+
+
+def _is_card(path: Path, card: Card) -> bool:
+    from eldata.errors import ManifestError
+    from eldata.manifest.card import load_card
+
+    try:
+        return load_card(path) == card
+    except ManifestError:
+        return False
 
 
 def _warn_of_unlisted(dataset: Dataset, place: str | None) -> None:
@@ -178,8 +193,8 @@ def _warn_of_unlisted(dataset: Dataset, place: str | None) -> None:
     ]
     if beside:
         print(
-            f"{len(beside)} other raw file(s) lie in the same folders, such as {beside[0].name}: eldata verify will "
-            "name them. --copy-to and --link-to make a folder without them"
+            f"{len(beside)} other raw file(s) lie in the same folders, such as {in_line(beside[0].name)}: eldata "
+            "verify will name them. --copy-to and --link-to make a folder without them"
         )
 
 
@@ -202,7 +217,7 @@ def format_match(plan: Plan, observed: Observed, found: Match) -> str:
         # A scene without any frame is one line, not sixteen.
         texts = list(dict.fromkeys(remark.text for remark in found.remarks if remark.kind == kind))
         lines.append(f"{kind}:")
-        lines += [f"    {text}" for text in texts]
+        lines += [f"    {in_line(text)}" for text in texts]
     total = len(observed.frames) + len(observed.unusable)
     lines.append(f"{len(found.frames)} of {len(plan.shots)} shots have a file; {total} files were given")
     return "\n".join(lines)

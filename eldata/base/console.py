@@ -1,21 +1,24 @@
 """What every command line of this distribution shares: one clear line for an error, exit codes, no traceback.
 
-Exit codes: 0 all well; 1 problems were found and listed; 2 wrong usage or unusable input; 130 interrupted; 141 the
-reader of the output left before its end.
+Exit codes: 0 all well; 1 problems were found and listed; 2 wrong usage or unusable input; 129, 130 and 143 the terminal
+was closed, Ctrl-C, SIGTERM; 141 the reader of the output left before its end.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import signal
 import sys
 import traceback
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 from eldata import __version__
 from eldata.base.fields import whole_of
+from eldata.base.stopping import Stopped, Stopping, exit_code, in_words, stoppable
+from eldata.base.visible import visible, visible_output
 from eldata.errors import ArgumentError, EldataError
 
 if TYPE_CHECKING:
@@ -23,7 +26,7 @@ if TYPE_CHECKING:
 
     from eldata.base.workers import Workers
 
-OK, PROBLEMS, UNUSABLE, INTERRUPTED, CLOSED_PIPE = 0, 1, 2, 130, 141
+OK, PROBLEMS, UNUSABLE, CLOSED_PIPE = 0, 1, 2, 141
 
 
 class Parser(argparse.ArgumentParser):
@@ -103,13 +106,32 @@ def chosen_workers(arguments: argparse.Namespace) -> Iterator[Workers]:
         yield Workers(arguments.jobs, executor)
 
 
-_SHARED = {"root": add_root, "cameras": add_cameras, "jobs": add_jobs, "workers": add_workers, "json": add_json}
+def add_isolation(parser: argparse.ArgumentParser) -> None:
+    """Add ``--isolate`` and ``--no-isolate`` to a subcommand; :func:`run` follows them."""
+    parser.add_argument(
+        "--isolate",
+        action=argparse.BooleanOptionalAction,
+        help=(
+            "decode files in processes of their own, with limits on time and memory, so that a file whose decoder "
+            "crashes or hangs is one problem among others (default: $ELDATA_ISOLATE, else on; off on Windows)"
+        ),
+    )
+
+
+_SHARED = {
+    "root": add_root,
+    "cameras": add_cameras,
+    "jobs": add_jobs,
+    "workers": add_workers,
+    "isolation": add_isolation,
+    "json": add_json,
+}
 
 
 def add_shared(
     parser: argparse.ArgumentParser,
     run: Callable[[argparse.Namespace], int],
-    *options: Literal["root", "cameras", "jobs", "workers", "json"],
+    *options: Literal["root", "cameras", "jobs", "workers", "isolation", "json"],
     interrupted: str = "files are written whole or not at all, so none is left half",
 ) -> None:
     """Finish a subcommand: add these options and ``--debug``, and say what :func:`run` is to call.
@@ -151,26 +173,49 @@ def whole_number(at_least: int) -> Callable[[str], int]:
 def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:
     """Parse arguments, run the subcommand's ``run`` and return the exit code.
 
-    A subcommand is set up by :func:`add_shared`. What it raises becomes one line on stderr.
+    A subcommand is set up by :func:`add_shared`. What it raises, and what ends it from outside, becomes one line on stderr.
     """
+    _occupy_closed_streams()
+    stopping = Stopping(parser.prog if argv is None else None)
+    arguments = argparse.Namespace(debug=False, command=parser.prog, interrupted="nothing was begun")
+    with visible_output():
+        try:
+            with stoppable(stopping):
+                code = _parsed_and_run(parser, argv, arguments)
+                sys.stdout.flush()
+        except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 # people see one line, --debug shows the rest
+            if arguments.debug:
+                traceback.print_exception(error)
+            # A library may have made something else of it on its way.
+            caught = error if stopping.number is None else Stopped(stopping.number)
+            code, message = _explained(caught, arguments)
+            if message:
+                with suppress(OSError):  # stderr is full or closed: the code has to do
+                    print(f"{arguments.command}: {' '.join(visible(message).split())}", file=sys.stderr)
+    return code
+
+
+def _parsed_and_run(parser: argparse.ArgumentParser, argv: list[str] | None, arguments: argparse.Namespace) -> int:
     try:
-        arguments = parser.parse_args(argv)
+        parser.parse_args(argv, arguments)
     except SystemExit as leaving:  # argparse has said why
         return leaving.code if isinstance(leaving.code, int) else UNUSABLE
     if not hasattr(arguments, "run"):
         parser.print_usage(sys.stderr)
         print(f"{parser.prog}: a command is needed; see {parser.prog} --help", file=sys.stderr)
         return UNUSABLE
-    try:
+    with _as_isolated(arguments):
         code: int = arguments.run(arguments)
-        sys.stdout.flush()
-    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 # people see one line, --debug shows the rest
-        if arguments.debug:
-            traceback.print_exception(error)
-        code, message = _explained(error, arguments)
-        if message:
-            print(f"{arguments.command}: {' '.join(message.split())}", file=sys.stderr)
     return code
+
+
+def _as_isolated(arguments: argparse.Namespace) -> AbstractContextManager[None]:
+    """Return the isolation that a subcommand is to run under, if it has the choice."""
+    if not hasattr(arguments, "isolate"):
+        return nullcontext()
+    from eldata.base.isolation import isolation
+
+    return isolation(arguments.isolate)
 
 
 def _explained(error: BaseException, arguments: argparse.Namespace) -> tuple[int, str]:
@@ -178,14 +223,14 @@ def _explained(error: BaseException, arguments: argparse.Namespace) -> tuple[int
     if isinstance(error, EldataError):
         return UNUSABLE, str(error)
     if isinstance(error, KeyboardInterrupt):
-        return INTERRUPTED, f"interrupted; {arguments.interrupted.format_map(vars(arguments))}"
+        number = error.number if isinstance(error, Stopped) else signal.SIGINT
+        return exit_code(number), f"{in_words(number)}; {arguments.interrupted.format_map(vars(arguments))}"
     if isinstance(error, BrokenPipeError):  # head, less: nothing to say, but nobody knows that all is well
         _drop_output()
         return CLOSED_PIPE, ""
-    if isinstance(error, OSError):
+    if isinstance(error, OSError) and error.filename is not None:
         _drop_output()
-        where = error.filename or "cannot write to standard output"
-        return UNUSABLE, f"{where}: {error.strerror}"
+        return UNUSABLE, f"{error.filename}: {error.strerror}"
     return UNUSABLE, f"unexpected {type(error).__name__}: {error}; --debug shows where"
 
 
@@ -193,3 +238,22 @@ def _drop_output() -> None:
     # Or the interpreter would try to flush once more at its end, and complain.
     with suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _occupy_closed_streams() -> None:
+    """Give standard streams that were closed at the start (``>&-``) their places back.
+
+    Or the next file that is opened would take them, and get what a library prints. Writing to standard output is still
+    the error that it is on a full disk; standard error goes nowhere, standard input is empty.
+    """
+    for number, (name, flags) in enumerate((("stdin", os.O_RDONLY), ("stdout", os.O_RDONLY), ("stderr", os.O_WRONLY))):
+        if getattr(sys, name) is not None:
+            continue
+        try:
+            os.fstat(number)
+        except OSError:
+            taken = os.open(os.devnull, flags)
+            if taken != number:
+                os.dup2(taken, number)
+                os.close(taken)
+        setattr(sys, name, open(number, "w" if number else "r", closefd=False))  # noqa: PTH123, SIM115 # for good

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
+import re
 import secrets
+import stat
 import sys
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING
 
+from eldata.base.visible import has_unseen
 from eldata.errors import ArgumentError, EldataError, ManifestError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
+
+
+_LONGEST_PATH = 4096
 
 
 def sha256_of(path: Path) -> str:
@@ -23,12 +30,40 @@ def sha256_of(path: Path) -> str:
         return f"sha256:{hashlib.file_digest(file, 'sha256').hexdigest()}"
 
 
+_SPECIAL = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a named pipe",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFSOCK: "a socket",
+}
+
+
+def file_problem(path: Path) -> str | None:
+    """Return why a path is not a readable file with something in it, or ``None`` if it is, once links are followed.
+
+    Ask before strangers' files are opened: a named pipe would be waited for, and a device read, for ever.
+    """
+    try:
+        found = path.stat()
+        if stat.S_ISREG(found.st_mode):
+            path.open("rb").close()
+    except OSError as error:  # a loop of links, too
+        return f"cannot be read: {error.strerror}"
+    except ValueError:
+        return "cannot be read: its name holds a NUL character"
+    if not stat.S_ISREG(found.st_mode):
+        return f"is {_SPECIAL.get(stat.S_IFMT(found.st_mode), 'something else')}, not a file"
+    return None if found.st_size else "is empty (0 bytes): copy or download it again"
+
+
 @contextmanager
 def atomic_write(path: Path | str) -> Iterator[IO[bytes]]:
     """Write a file whole or not at all: a temporary file in the same folder, synced, then renamed.
 
     Whatever happens before the rename (an error, a full disk, Ctrl-C, kill -9) leaves an older ``path`` as it
-    was, and all but the kill also remove the temporary file, which is hidden and ends in ``.part``.
+    was, and all but the kill also remove the temporary file, which is hidden and ends in ``.part``. What a kill
+    left is removed when the file is written again; :func:`remove_leftovers` does it for a whole folder.
 
     Raises
     ------
@@ -36,26 +71,106 @@ def atomic_write(path: Path | str) -> Iterator[IO[bytes]]:
         If the operating system refuses; the message names the file and its reason.
     """
     path = Path(path)
-    temporary = path.parent / f".{path.name}.{secrets.token_hex(8)}.part"
     try:
-        with temporary.open("xb") as file:
+        with temporary_file(path) as (file, temporary):
             yield file
             file.flush()
             os.fsync(file.fileno())
-        temporary.replace(path)
+            if sys.platform == "win32":
+                file.close()  # an open file cannot be renamed there
+            temporary.replace(path)
     except OSError as error:
-        if error.filename is not None and Path(error.filename) != temporary:
+        if error.filename is not None and _LEFTOVER.fullmatch(Path(error.filename).name) is None:
             raise  # of another file, in the caller's block
         raise EldataError(f"cannot write {path}: {error.strerror or error}") from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
+
+
+_MOST_TRIES = 20
+_LEFTOVER = re.compile(r"\..+\.(eldata|[0-9a-f]{16})\.part", re.DOTALL)
+
+
+@contextmanager
+def temporary_file(path: Path) -> Iterator[tuple[IO[bytes], Path]]:
+    """Yield a new file beside ``path`` and its path, to be renamed; it is removed unless that was done.
+
+    Its lock, held as long as it is open, tells it from what a dead process left; that is removed first. Where another
+    process writes to the same ``path``, it gets a name of its own. Without locks (Windows, some network disks) nothing of
+    others is removed.
+
+    Raises
+    ------
+    OSError
+        If it cannot be made.
+    """
+    for unique in ("eldata", *(secrets.token_hex(8) for _ in range(_MOST_TRIES))):
+        temporary = path.with_name(f".{path.name}.{unique}.part")
+        _remove_if_dead(temporary)
+        try:
+            file = temporary.open("xb")
+        except FileExistsError:
+            continue  # a live one, or somebody else's
+        with file:
+            made = os.fstat(file.fileno())
+            try:
+                # In the moment before it is locked another process may take it for dead.
+                if can_lock(file.fileno()) is False or not is_at(temporary, made):
+                    continue
+                yield file, temporary
+                return
+            finally:
+                with suppress(OSError):
+                    if is_at(temporary, made):
+                        temporary.unlink()
+    raise OSError(errno.EBUSY, "other processes take away what is written", str(temporary))
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove what dead processes that were writing files left in a folder: see :func:`temporary_file`.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be read.
+    """
+    for name in os.listdir(folder):  # noqa: PTH208 # a folder may hold very many names
+        if _LEFTOVER.fullmatch(name) is not None:
+            _remove_if_dead(folder / name)
+
+
+def _remove_if_dead(temporary: Path) -> None:
+    with suppress(OSError):  # it is not there, or not ours
+        flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+        descriptor = os.open(temporary, flags)
+        try:
+            if can_lock(descriptor) and stat.S_ISREG(os.fstat(descriptor).st_mode):
+                temporary.unlink()
+        finally:
+            os.close(descriptor)
+
+
+def can_lock(descriptor: int) -> bool | None:
+    """Lock an open file like :func:`try_lock`, but return ``None`` where there are no locks: on Windows, some disks."""
+    try:
+        return try_lock(Path(), descriptor)
+    except (ImportError, EldataError):
+        return None
+
+
+def is_at(path: Path, file: os.stat_result) -> bool:
+    """Return whether a file still has its name: another process may have removed or renamed it."""
+    try:
+        return os.path.samestat(file, path.stat())
+    except OSError:
+        return False
 
 
 def write_text(path: Path | str, text: str) -> None:
-    """Write UTF-8 text whole or not at all, with line ends as given."""
+    r"""Write UTF-8 text whole or not at all, with line ends as given.
+
+    What stands for a byte of a file name that is not UTF-8 is written as JSON has it: by its number, ``\udcff``.
+    """
     with atomic_write(path) as file:
-        file.write(text.encode())
+        file.write(text.encode("utf-8", "backslashreplace"))
 
 
 def write_json(path: Path | str, data: object, *, indent: int = 2) -> None:
@@ -63,8 +178,8 @@ def write_json(path: Path | str, data: object, *, indent: int = 2) -> None:
     write_text(path, json_text(data, indent=indent))
 
 
-def json_text(data: object, *, indent: int = 2) -> str:
-    """Return plain types as the text of a JSON file; only finite numbers are allowed."""
+def json_text(data: object, *, indent: int | None = 2) -> str:
+    """Return plain types as the text of a JSON file, on one line if ``indent`` is ``None``; all numbers are finite."""
     return json.dumps(data, indent=indent, ensure_ascii=False, allow_nan=False) + "\n"
 
 
@@ -117,8 +232,8 @@ def path_problem(relative: str) -> str | None:
         return "is empty"
     if "\\" in relative:
         return "contains a backslash; manifests use '/'"
-    if any(ord(character) < 32 or ord(character) == 127 for character in relative):
-        return "contains a control character"
+    if has_unseen(relative):
+        return "contains a control character, or another one that does not show"
     if relative.startswith("/"):
         return "is absolute; paths are relative to the dataset's folder"
     if ":" in relative.partition("/")[0]:
@@ -128,6 +243,8 @@ def path_problem(relative: str) -> str | None:
         return "contains an empty, '.' or '..' part"
     if max(map(len, parts)) > 255:
         return "contains a name of more than 255 characters, which no file system has"
+    if len(relative) > _LONGEST_PATH:
+        return f"has more than {_LONGEST_PATH} characters, which no system opens"
     return None
 
 
@@ -148,7 +265,7 @@ def inside(root: Path, relative: str) -> Path:
     try:
         leads_outside = not path.resolve().is_relative_to(root.resolve())
     except (OSError, RuntimeError) as error:
-        raise ManifestError(f"{path} cannot be followed ({error}); is it a loop of links?") from error
+        raise ManifestError(f"{path} cannot be followed ({error}); is it a loop of links, or too long?") from error
     if leads_outside:
         raise ManifestError(
             f"{path} leads outside of {root} through a link; move the files there, or point --root at their place"

@@ -9,12 +9,9 @@ do not pile up; else 64.
 from __future__ import annotations
 
 import copy
-import multiprocessing
 import os
-import signal
 import socket
 import sys
-import threading
 import traceback
 import uuid
 import warnings
@@ -29,13 +26,15 @@ from concurrent.futures import (
     wait,
 )
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial, wraps
 from typing import TYPE_CHECKING, Any, Generic, ParamSpec, Protocol, TypeVar
 
 from tqdm import tqdm
 
+from eldata.base.isolation import isolating, set_isolation
+from eldata.base.lifeline import Lifeline, begin, interruptible
 from eldata.errors import ArgumentError, EldataError, FileError
 
 if TYPE_CHECKING:
@@ -244,14 +243,16 @@ def _dask_client(executor: Executor) -> Any:
 def _call(work: Callable[[Unit], Result], unit: Unit) -> Callable[[], Result | Failed[Unit]]:
     """Return a unit's work for another worker."""
     # Dask takes equal calls for the same one, and answers with the result that it already has.
-    return partial(_run_unit, work, unit, _here(), uuid.uuid4().hex)
+    return partial(_run_unit, work, unit, _here(), isolating(), uuid.uuid4().hex)
 
 
 def _run_unit(
-    work: Callable[[Unit], Result], unit: Unit, caller: tuple[str, int], _: str = ""
+    work: Callable[[Unit], Result], unit: Unit, caller: tuple[str, int], isolate: bool = False, _: str = ""
 ) -> Result | Failed[Unit]:
     """Return a unit's result, or its error as a value: what an executor itself raises can then be told from it."""
     try:
+        if _here() != caller:
+            set_isolation(isolate)
         return work(unit)
     except Exception as error:  # noqa: BLE001 # whatever it is, it is the unit's
         host, process = _here()
@@ -300,6 +301,9 @@ class _Pool(Protocol):
     def is_loss(self, error: BaseException) -> bool:
         """Whether a future's error means that the unit's worker was lost, and the unit may be run again."""
 
+    def drop(self, future: Future[Any]) -> None:
+        """Forget a unit whose result nobody wants any more."""
+
     def renew(self) -> None:
         """Replace lost workers, if that is up to us."""
 
@@ -316,8 +320,10 @@ def _outcomes(
         own = _Own(min(workers.jobs, len(units)))
         try:
             yield from _in_order(work, units, own)
-        finally:
             own.end()
+        except BaseException:  # an error, Ctrl-C, or a consumer that has enough
+            own.abandon()
+            raise
     else:
         for unit in units:
             yield _run_unit(work, unit, _here())
@@ -357,7 +363,7 @@ def _in_order(
             del found
     finally:
         for _, future in waiting:
-            future.cancel()
+            pool.drop(future)
 
 
 def _alone(unit: Unit, call: Callable[[], Any], pool: _Pool) -> Any:
@@ -366,7 +372,7 @@ def _alone(unit: Unit, call: Callable[[], Any], pool: _Pool) -> Any:
     try:
         error = _error_of(future)
     except BaseException:  # Ctrl-C
-        future.cancel()
+        pool.drop(future)
         raise
     if error is None:
         return future.result()
@@ -440,6 +446,9 @@ class _Lent:
         scheduler = sys.modules.get("distributed.scheduler")
         return scheduler is not None and isinstance(error, scheduler.KilledWorker)
 
+    def drop(self, future: Future[Any]) -> None:
+        future.cancel()
+
     def renew(self) -> None:
         """Do nothing: its workers are the caller's."""
 
@@ -455,24 +464,25 @@ class _Own:
 
     def __init__(self, jobs: int) -> None:
         self._jobs = jobs
+        self._lifeline = Lifeline()
         self._pool = self._new()
 
     def _new(self) -> ProcessPoolExecutor:
-        return ProcessPoolExecutor(self._jobs, mp_context=multiprocessing.get_context("spawn"))
+        line = self._lifeline
+        return ProcessPoolExecutor(self._jobs, mp_context=line.context, initializer=begin, initargs=line.arguments)
 
     def window(self) -> int:
         return _PER_WORKER * self._jobs + 1
 
-    def submit(self, call: Callable[[], Any]) -> Future[Any]:
+    def submit(self, unit: Callable[[], Any]) -> Future[Any]:
         try:
-            return self._start(call)
+            return self._start(unit)
         except BrokenProcessPool:
             self.renew()
-            return self._start(call)
+            return self._start(unit)
 
-    def _start(self, call: Callable[[], Any]) -> Future[Any]:
-        with _workers_without_ctrl_c():  # each submission may start a process
-            return self._pool.submit(call)
+    def _start(self, unit: Callable[[], Any]) -> Future[Any]:
+        return self._pool.submit(interruptible, unit)
 
     def is_loss(self, error: BaseException) -> bool:
         return isinstance(error, BrokenProcessPool)
@@ -500,21 +510,15 @@ class _Own:
             "try fewer --jobs"
         )
 
+    def drop(self, future: Future[Any]) -> None:
+        """Do nothing: :meth:`abandon` does, in the one thread where that cannot meet the loss of a worker."""
+
     def end(self) -> None:
+        """End processes that have nothing to do."""
+        self._pool.shutdown(wait=True)
+        self._lifeline.cut()
+
+    def abandon(self) -> None:
+        """End the processes in the middle of their work: nobody wants the results."""
+        self._lifeline.cut()
         self._pool.shutdown(wait=True, cancel_futures=True)
-
-
-@contextmanager
-def _workers_without_ctrl_c() -> Iterator[None]:
-    """Let processes that start inside the block ignore Ctrl-C from their first instruction on.
-
-    It reaches the whole process group; the parent ends the pool and says so once.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield  # only the main thread may set signals
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from eldata.base.console import OK, PROBLEMS, add_shared, chosen_workers, whole_number
 from eldata.base.files import write_json
+from eldata.base.visible import in_line
 
 if TYPE_CHECKING:
     import argparse
@@ -39,7 +40,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="ISO",
         help="only this ISO; may be repeated",
     )
-    add_shared(parser, run, "root", "workers", "json")
+    add_shared(parser, run, "root", "workers", "isolation", "json")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -73,7 +74,8 @@ def run(arguments: argparse.Namespace) -> int:
         return PROBLEMS
     print(f"{found.camera}: {found.profile.source}\n\n{found.format_text()}")
     if frames.skipped:
-        print(f"\n{len(frames.skipped)} file(s) that are not raw files were left alone, such as {frames.skipped[0]}")
+        left = in_line(frames.skipped[0])
+        print(f"\n{len(frames.skipped)} file(s) that are not raw files were left alone, such as {left}")
     if arguments.output:
         found.profile.save(arguments.output)
         print(f"\nprofile: {arguments.output}; look at it with eldata profile show {arguments.output}")

@@ -94,7 +94,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "--compare", action="store_true", help="show the result among the published numbers that compare with it"
     )
-    add_shared(parser, run)
+    add_shared(parser, run, "isolation")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -24,7 +24,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         ),
     )
     parser.add_argument("manifest", metavar="MANIFEST", help="the manifest's CSV file, which is changed")
-    add_shared(parser, run, "root", "cameras", "workers", "json")
+    add_shared(parser, run, "root", "cameras", "workers", "isolation", "json")
 
 
 def run(arguments: argparse.Namespace) -> int:

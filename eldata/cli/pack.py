@@ -43,7 +43,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="lossless; lz4 and zstd need the extra eldata[compression] (default: %(default)s)",
     )
     kept = "the finished frames are kept in {out}.part, and the same command goes on"
-    add_shared(parser, run, "workers", interrupted=kept)
+    add_shared(parser, run, "workers", "isolation", interrupted=kept)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -46,7 +46,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run_show(arguments: argparse.Namespace) -> int:
     """Show and test one profile."""
-    from eldata.base.tables import text_table
+    from eldata.base.tables import one_line, text_table
     from eldata.noise.diagnostics import diagnose, sample_parameters
     from eldata.noise.findings import parameter_rows
     from eldata.noise.profile import CameraProfile
@@ -55,10 +55,10 @@ def run_show(arguments: argparse.Namespace) -> int:
     parameters = sample_parameters(profile, arguments.seed, iso=arguments.iso, gain_dn_per_e=arguments.gain)
     diagnostics = diagnose(profile, parameters, spec=arguments.model, seed=arguments.seed)
 
-    print(_printable(profile.camera))
+    print(one_line(profile.camera))
     low, high = profile.gain_range_dn_per_e
     facts = [
-        ("source", _printable(profile.source)),
+        ("source", one_line(profile.source)),
         ("gain", f"{low:.4g} to {high:.4g} DN/e-"),
         ("ISO", "not known" if profile.iso_range is None else "{:g} to {:g}".format(*profile.iso_range)),
         *(
@@ -66,7 +66,7 @@ def run_show(arguments: argparse.Namespace) -> int:
             for name, level in (("black", profile.black_level_dn), ("white", profile.white_level_dn))
             if level is not None
         ),
-        *(("note", _printable(note)) for note in profile.notes),
+        *(("note", one_line(note)) for note in profile.notes),
     ]
     for name, text in facts:
         print(f"  {name:<8}{text}")
@@ -115,8 +115,3 @@ def run_list(arguments: argparse.Namespace) -> int:
         ]
         write_json(arguments.json, listed)
     return OK
-
-
-def _printable(text: str) -> str:
-    """Return a profile's text on one line, without what would control a terminal."""
-    return "".join(character if character.isprintable() else "?" for character in " ".join(text.split()))

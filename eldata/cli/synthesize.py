@@ -14,7 +14,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="make noisy raw files from clean ones, with a manifest",
         description=(
             "Make noisy exposures of a folder of clean raw files with a camera's calibrated noise. OUT gets the clean "
-            "and noisy frames, a manifest that eldata verify and the datasets read, and every parameter drawn."
+            "and noisy frames, a manifest that eldata verify and the datasets read, and every parameter drawn. Work that "
+            "was interrupted, even by kill -9, goes on if the command is repeated."
         ),
     )
     parser.add_argument("clean", metavar="CLEAN", help="folder of clean raw files")
@@ -33,7 +34,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument("--per-image", type=int, default=1, metavar="N", help="noisy frames per clean one (default: 1)")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="default: %(default)s")
-    add_shared(parser, run, "workers")
+    kept = "{out} is an unfinished run: the finished frames are kept, and the same command goes on"
+    add_shared(parser, run, "workers", "isolation", interrupted=kept)
 
 
 def _ratio(text: str) -> tuple[float, float]:

@@ -39,7 +39,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("--dataset", metavar="N", help="only the dataset of this name, which must be there")
     add_cameras(parser)
     parser.add_argument("--level", choices=LEVELS, default="quick", help="how deep to look (default: %(default)s)")
-    add_shared(parser, run, "workers", "json")
+    add_shared(parser, run, "workers", "isolation", "json")
 
 
 def run(arguments: argparse.Namespace) -> int:

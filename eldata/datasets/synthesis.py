@@ -1,12 +1,15 @@
 """A folder of clean raw files to a tree of noisy ones, with a manifest: synthetic pairs on disk.
 
 ``OUT/data/<name>/<camera>/scene-<n>/clean.dng`` and ``noisy-<k>.dng`` (or ``.npy``), ``OUT/manifests/<name>.csv`` with
-its card, and ``OUT/parameters.json`` with all that the noise was made with. ``<name>`` is OUT's own name.
+its card, and ``OUT/parameters.json`` with all that the noise was made with. ``<name>`` is OUT's own name. Until all is
+written, ``OUT/.begun.jsonl`` says that the run is unfinished.
 """
 
 from __future__ import annotations
 
+import hashlib
 import re
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from functools import partial
@@ -15,9 +18,11 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from eldata.base.files import atomic_write, write_json
+from eldata import __version__
+from eldata.base.files import atomic_write, json_text, remove_leftovers, sha256_of, write_json
 from eldata.base.workers import AnyWorkers, Workers, accepts_jobs, require_files
 from eldata.datasets.clean import RawFiles
+from eldata.datasets.synthesis_journal import CleanFacts, WrittenScene, opened_journal
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError, check_choice
 from eldata.manifest.card import CameraCard, Card
 from eldata.manifest.catalogue import Manifest, save_manifest
@@ -29,6 +34,9 @@ from eldata.raw.reading import read_raw
 from eldata.records import Exposure, FrameRecord, RawFrame
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from eldata.noise.parameters import NoiseParameters
     from eldata.noise.profile import CameraProfile, RowChoice
 
 Format = Literal["dng", "npy"]
@@ -90,12 +98,15 @@ class Recipe:
 def synthesize(clean: Path, out: Path, recipe: Recipe, *, workers: AnyWorkers = 1) -> Manifest:
     """Write a noisy tree for a folder of clean raw files; return its manifest.
 
+    Whatever ends the work (an error, a full disk, Ctrl-C, kill -9) leaves whole files, and the same call goes on: scenes
+    whose files still have the hashes that they were written with are kept. Until all is written there is no manifest.
+
     Parameters
     ----------
     clean
         Folder, searched through for camera raws; each must state its ISO and exposure time.
     out
-        A new or empty folder.
+        A new or empty folder, or one in which the same work was begun.
     recipe
         The noise.
     workers
@@ -105,25 +116,73 @@ def synthesize(clean: Path, out: Path, recipe: Recipe, *, workers: AnyWorkers = 
     Raises
     ------
     DatasetError
-        If ``clean`` holds no raw file, or ``out`` holds something.
+        If ``clean`` holds no raw file, or ``out`` holds something else.
+    ArgumentError
+        If ``out`` was begun with another recipe or other clean files.
     RawFileError
-        If a clean file cannot be read, or states no ISO or exposure time.
+        If a clean file cannot be read, states no ISO or exposure time, or something that a DNG cannot hold.
     EldataError
         If a file cannot be written.
     """
     workers = Workers.of(workers)
     paths = RawFiles(clean).paths
     name = re.sub(r"[^\w.+-]", "-", out.resolve().name) or "synthetic"
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise DatasetError(f"{out}: holds something already; give a new folder")
-    try:
-        for folder in (out / "manifests", out / "data" / name):
-            folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise EldataError(f"cannot make {error.filename}: {error.strerror}") from error
-    work = partial(_synthesize_file, Path.cwd(), (out / "data" / name).absolute(), recipe)
-    made = list(workers.run(work, list(enumerate(paths)), label="synthesizing"))
-    records = [record for item in made for record in item.records]
+    data = out / "data" / name
+    if out.exists() and not out.is_dir():
+        raise DatasetError(f"{out}: is not a folder; give a new one")
+    with opened_journal(out, _begun(recipe, paths)) as journal:
+        try:
+            for folder in (out / "manifests", data):
+                folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise EldataError(f"cannot make {error.filename}: {error.strerror}") from error
+        scenes: list[WrittenScene] = []
+        work = partial(_synthesize_file, Path.cwd(), data.absolute(), recipe)
+        units = [(index, path, journal.written.get(index)) for index, path in enumerate(paths)]
+        for scene in workers.run(work, units, label="synthesizing"):
+            journal.add(scene)
+            scenes.append(scene)
+        manifest = _write_tables(out, name, recipe, paths, scenes)
+        journal.finish()
+    return manifest
+
+
+def _begun(recipe: Recipe, paths: Sequence[Path]) -> dict[str, object]:
+    """Return what decides the content of every file, as plain types."""
+    clean = [(str(path), status.st_size, status.st_mtime_ns) for path in paths for status in [path.stat()]]
+    options = asdict(recipe) | {"ratio": list(recipe.ratio), "profile": recipe.profile.camera}
+    return options | {
+        "written_by": f"eldata {__version__}",
+        "digest_of_the_profile": _digest(asdict(recipe.profile)),
+        "digest_of_the_clean_files": _digest(clean),
+    }
+
+
+def _digest(what: object) -> str:
+    return f"sha256:{hashlib.sha256(json_text(what).encode()).hexdigest()}"
+
+
+def _write_tables(
+    out: Path, name: str, recipe: Recipe, paths: Sequence[Path], scenes: Sequence[WrittenScene]
+) -> Manifest:
+    """Write the parameters, the card and the manifest, which comes last."""
+    records: list[FrameRecord] = []
+    drawn: list[dict[str, Any]] = []
+    for path, scene in zip(paths, scenes, strict=True):
+        base = f"{recipe.profile.camera}/scene-{scene.index + 1}"
+        clean = scene.clean
+        record = partial(
+            FrameRecord, camera=recipe.profile.camera, scene=f"scene-{scene.index + 1}", width=clean.width,
+            height=clean.height,
+        )  # fmt: skip
+        reference = record(path=f"{base}/clean.dng", role="reference", iso=clean.iso, exposure_s=clean.exposure_s)
+        records.append(reference)
+        for copy in range(recipe.per_image):
+            draw = _Draw.of(recipe, clean, scene.index, copy)
+            of_copy = record(path=f"{base}/{draw.name}", role="noisy", iso=draw.iso, exposure_s=draw.exposure_s)
+            records.append(replace(of_copy, ratio=draw.ratio, reference=reference.path))
+            parameters = asdict(draw.parameters)
+            drawn.append({"path": of_copy.path, "clean": str(path), "ratio": float(draw.ratio)} | parameters)
     roles = [record.role for record in records]
     card = Card(
         name=name,
@@ -133,8 +192,8 @@ def synthesize(clean: Path, out: Path, recipe: Recipe, *, workers: AnyWorkers = 
         citation="none: made by eldata synthesize",
         licence="that of the clean frames",
         homepage="made by eldata synthesize",
-        cfa="bayer" if all(item.bayer for item in made) else "xtrans",
-        cameras={recipe.profile.camera: CameraCard(tuple(sorted({item.model for item in made})))},
+        cfa="bayer" if all(scene.clean.is_bayer for scene in scenes) else "xtrans",
+        cameras={recipe.profile.camera: CameraCard(tuple(sorted({scene.clean.model for scene in scenes})))},
         counts={role: roles.count(role) for role in sorted(set(roles))},
         sources=(f"noise model {recipe.spec}, profile {recipe.profile.camera}: {recipe.profile.source}",),
     )
@@ -145,22 +204,42 @@ def synthesize(clean: Path, out: Path, recipe: Recipe, *, workers: AnyWorkers = 
         "seed": recipe.seed,
         "ratio": list(recipe.ratio),
         "format": recipe.format,
-        "frames": [frame for item in made for frame in item.parameters],
+        "frames": drawn,
     }
     write_json(out / "parameters.json", parameters, indent=1)
     return save_manifest(out / "manifests" / f"{name}.csv", card, records)
 
 
 @dataclass(frozen=True, slots=True)
-class _Made:
-    records: tuple[FrameRecord, ...]
-    parameters: tuple[dict[str, Any], ...]
-    model: str
-    bayer: bool
+class _Draw:
+    """One noisy copy: what is drawn for it, from (seed, place of the file, number of the copy) alone."""
+
+    name: str
+    parameters: NoiseParameters
+    ratio: Fraction
+    iso: Fraction
+    exposure_s: Fraction
+    generator: np.random.Generator
+
+    @classmethod
+    def of(cls, recipe: Recipe, clean: CleanFacts, index: int, copy: int) -> _Draw:
+        """Draw it; the generator goes on to the noise."""
+        generator = np.random.default_rng([recipe.seed, index, copy])
+        parameters = recipe.profile.sample(generator, iso=recipe.iso, row=recipe.row)
+        low, high = recipe.ratio
+        ratio = Fraction(round(float(generator.uniform(low, high)) * 100), 100)
+        iso = _iso_of(recipe.profile, parameters.gain_dn_per_e, clean.iso)
+        exposure_s = (clean.iso * clean.exposure_s / (iso * ratio)).limit_denominator(2**31)
+        return cls(f"noisy-{copy + 1}.{recipe.format}", parameters, ratio, iso, exposure_s, generator)
 
 
-def _synthesize_file(start: Path, folder: Path, recipe: Recipe, unit: tuple[int, Path]) -> _Made:
-    index, path = unit
+def _synthesize_file(
+    start: Path, folder: Path, recipe: Recipe, unit: tuple[int, Path, WrittenScene | None]
+) -> WrittenScene:
+    index, path, before = unit
+    place = folder / recipe.profile.camera / f"scene-{index + 1}"
+    if before is not None and all(_has(place / name, sha256) for name, sha256 in before.sha256.items()):
+        return before
     require_files(start / path)
     frame = _cropped(read_raw(start / path))
     iso, exposure_s = frame.exposure.iso, frame.exposure.exposure_s
@@ -168,39 +247,47 @@ def _synthesize_file(start: Path, folder: Path, recipe: Recipe, unit: tuple[int,
         raise RawFileError(
             path, f"states no {'ISO' if iso is None else 'exposure time'}, which the noisy frame's follows"
         )
-    sensor, profile = frame.sensor, recipe.profile
-    scene = f"scene-{index + 1}"
-    place = folder / profile.camera / scene
+    sensor = frame.sensor
+    facts = CleanFacts(iso, exposure_s, sensor.width, sensor.height, sensor.model, len(sensor.cfa) == 2)
     place.mkdir(parents=True, exist_ok=True)
-    write_dng(place / "clean.dng", frame.mosaic, sensor, frame.exposure, compression="lossless-jpeg")
-    base = f"{profile.camera}/{scene}"
-    record = partial(FrameRecord, camera=profile.camera, scene=scene, width=sensor.width, height=sensor.height)
-    reference = record(path=f"{base}/clean.dng", role="reference", iso=iso, exposure_s=exposure_s)
+    remove_leftovers(place)
+    names = ["clean.dng"]
+    with _naming(path):
+        write_dng(place / "clean.dng", frame.mosaic, sensor, frame.exposure, compression="lossless-jpeg")
     clean = pack_normalised(frame.mosaic, sensor.cfa, sensor.black_level_dn, sensor.white_level_dn)
     black = packed_black_level_dn(sensor.cfa, sensor.black_level_dn).astype(np.float64)[:, None, None]
     range_dn = sensor.white_level_dn - float(black.mean())
-    records, drawn = [reference], []
     for copy in range(recipe.per_image):
-        generator = np.random.default_rng([recipe.seed, index, copy])
-        parameters = profile.sample(generator, iso=recipe.iso, row=recipe.row)
-        low, high = recipe.ratio
-        ratio = Fraction(round(float(generator.uniform(low, high)) * 100), 100)
-        noisy = recipe.model()(clean, parameters=parameters, ratio=float(ratio), range_dn=range_dn, generator=generator)
-        noisy_iso = _iso_of(profile, parameters.gain_dn_per_e, iso)
-        noisy_s = (iso * exposure_s / (noisy_iso * ratio)).limit_denominator(2**31)
-        name = f"noisy-{copy + 1}.{recipe.format}"
+        draw = _Draw.of(recipe, facts, index, copy)
+        ratio = float(draw.ratio)
+        noisy = recipe.model()(
+            clean, parameters=draw.parameters, ratio=ratio, range_dn=range_dn, generator=draw.generator
+        )
+        names.append(draw.name)
         if recipe.format == "dng":
-            dn = noisy.astype(np.float64) * (range_dn / float(ratio)) + black
+            dn = noisy.astype(np.float64) * (range_dn / ratio) + black
             mosaic = unpack(np.clip(np.rint(dn), 0, sensor.white_level_dn).astype(np.uint16), sensor.cfa)
-            exposure = Exposure(noisy_iso, noisy_s, frame.exposure.f_number)
-            write_dng(place / name, mosaic, sensor, exposure, compression="lossless-jpeg")
+            exposure = Exposure(draw.iso, draw.exposure_s, frame.exposure.f_number)
+            with _naming(path):
+                write_dng(place / draw.name, mosaic, sensor, exposure, compression="lossless-jpeg")
         else:
-            with atomic_write(place / name) as file:
+            with atomic_write(place / draw.name) as file:
                 np.save(file, noisy, allow_pickle=False)
-        of_copy = record(path=f"{base}/{name}", role="noisy", iso=noisy_iso, exposure_s=noisy_s)
-        records.append(replace(of_copy, ratio=ratio, reference=reference.path))
-        drawn.append({"path": f"{base}/{name}", "clean": str(path), "ratio": float(ratio)} | asdict(parameters))
-    return _Made(tuple(records), tuple(drawn), sensor.model, len(sensor.cfa) == 2)
+    return WrittenScene(index, facts, {name: sha256_of(place / name) for name in names})
+
+
+def _has(path: Path, sha256: str) -> bool:
+    """Return whether a file is there with this content."""
+    return path.is_file() and sha256_of(path) == sha256
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Let what a DNG cannot hold name the clean file that states it, too."""
+    try:
+        yield
+    except ArgumentError as error:
+        raise RawFileError(path, f"cannot be a clean frame: {error}") from error
 
 
 def _cropped(frame: RawFrame) -> RawFrame:

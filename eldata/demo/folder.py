@@ -6,7 +6,7 @@ import shutil
 from collections import Counter
 from typing import TYPE_CHECKING
 
-from eldata.base.files import write_text
+from eldata.base.files import remove_leftovers, write_text
 from eldata.errors import EldataError
 from eldata.manifest.card import CameraCard, Card
 
@@ -53,6 +53,8 @@ def prepare_folder(folder: Path) -> None:
         If it holds something that no demo made, or cannot be written.
     """
     marker = folder / _MARKER
+    if folder.is_dir():
+        remove_leftovers(folder)  # of a demo that was killed before it had marked the folder
     if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not marker.is_file())):
         raise EldataError(f"{folder}: holds something else; give a new folder")
     try:

@@ -7,20 +7,30 @@ from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
+from eldata.base.fields import shown
 from eldata.base.files import path_problem
-from eldata.download.readers import HEAD_BYTES, archive_format, looks_like, reader_of
-from eldata.errors import ArchiveError
+from eldata.download.readers import (
+    HEAD_BYTES,
+    MOST_EXPANSION,
+    MOST_MEMBERS,
+    UNSAFE,
+    archive_format,
+    bomb,
+    looks_like,
+    too_many,
+)
+from eldata.download.seven_zip_reader import SevenZipReader
+from eldata.download.tar_reader import TarReader
+from eldata.download.zip_reader import ZipReader
+from eldata.errors import ArchiveError, DownloadError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from eldata.download.readers import Member, Reader, Sink
+    from eldata.download.readers import Format, Member, Reader, Sink
 
-# Zip's deflate reaches 1000:1 on zeros; raw files of dark scenes shrink to a third, never to a hundredth.
-MOST_EXPANSION = 100
 SURELY_HARMLESS_BYTES = 64 * 2**20
-MOST_MEMBERS = 500_000  # ten times as many as the largest of the known datasets has
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +72,7 @@ def open_archive(path: Path) -> Archive:
     if found is None:
         raise ArchiveError(path, f"is not a zip, tar or 7z archive but {looks_like(head)}; save the archive itself")
     reader = reader_of(found, path)
-    members = reader.members(path)
+    members = reader.members(path, _most_bytes(path))
     check_members(path, members)
     files = tuple(member for member in members if member.kind == "file")
     if not files:
@@ -78,33 +88,33 @@ def check_members(path: Path, members: Sequence[Member]) -> None:
     ArchiveError
         See :func:`open_archive`.
     """
-    unsafe = "it was not made by the publisher; do not unpack it"
     if len(members) > MOST_MEMBERS:
-        raise ArchiveError(path, f"lists {len(members)} members; {unsafe}")
+        raise too_many(path, len(members))
     seen: dict[str, str] = {}
     folders: dict[str, str] = {}
     for member in members:
         name = member.stored_name
         problem = path_problem(member.name)
         if problem is not None:
-            raise ArchiveError(path, f"member {name!r} {problem}; {unsafe}")
+            raise ArchiveError(path, f"member {shown(name)} {problem}; {UNSAFE}")
         if member.kind == "link":
-            raise ArchiveError(path, f"member {name!r} is a link, which could lead out of the folder; {unsafe}")
+            raise ArchiveError(path, f"member {shown(name)} is a link, which could lead out of the folder; {UNSAFE}")
         if member.kind == "special":
-            raise ArchiveError(path, f"member {name!r} is a device or something like it; {unsafe}")
+            raise ArchiveError(path, f"member {shown(name)} is a device or something like it; {UNSAFE}")
         if member.kind == "folder":
             continue
         key = _as_file_systems_see(member.name)
         if key in seen:
             raise ArchiveError(
-                path, f"members {seen[key]!r} and {name!r} would be one file where case does not count; {unsafe}"
+                path,
+                f"members {shown(seen[key])} and {shown(name)} would be one file where case does not count; {UNSAFE}",
             )
         seen[key] = name
         for parent in PurePosixPath(key).parents:
             folders.setdefault(parent.as_posix(), name)
     for key, name in seen.items():
         if key in folders:
-            raise ArchiveError(path, f"member {name!r} is a file, and a folder of {folders[key]!r}; {unsafe}")
+            raise ArchiveError(path, f"member {shown(name)} is a file, and a folder of {shown(folders[key])}; {UNSAFE}")
     _check_sizes(path, members)
 
 
@@ -118,9 +128,32 @@ def _check_sizes(path: Path, members: Sequence[Member]) -> None:
     if packed > size:  # members that share their bytes: a bomb that every ratio of one member misses
         raise ArchiveError(path, f"its members claim {packed} bytes of a file of {size}; it is damaged or a zip bomb")
     unpacked = sum(member.size_bytes for member in members)
-    if unpacked > max(SURELY_HARMLESS_BYTES, MOST_EXPANSION * size):
-        raise ArchiveError(
-            path,
-            f"would expand from {size} to {unpacked} bytes, more than {MOST_EXPANSION}-fold, as photographs never do; "
-            "it is damaged or a zip bomb",
-        )
+    if unpacked > _most_bytes(path):
+        raise bomb(path, str(unpacked))
+
+
+def _most_bytes(path: Path) -> int:
+    """Return how many bytes may come out of an archive."""
+    return max(SURELY_HARMLESS_BYTES, MOST_EXPANSION * path.stat().st_size)
+
+
+def reader_of(name: Format, path: Path) -> Reader:
+    """Return the reader of a format.
+
+    Raises
+    ------
+    DownloadError
+        If it needs a package that is not installed.
+    """
+    if name == "zip":
+        return ZipReader()
+    if name == "tar":
+        return TarReader()
+    try:
+        import py7zr  # noqa: F401 # is it installed?
+    except ImportError as error:
+        raise DownloadError(
+            f"{path} is a 7z archive, which needs the package py7zr: pip install 'eldata[7z]'; or unpack it by hand "
+            "(7z x) and run eldata verify"
+        ) from error
+    return SevenZipReader()

@@ -7,15 +7,18 @@ sign that files may be missing. The next run goes on with those, and removes the
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import stat
 import zlib
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from typing import IO, TYPE_CHECKING, Any
 
+from eldata.base.fields import shown
 from eldata.base.files import check_posix, inside, try_lock
+from eldata.download.readers import BY_HAND
 from eldata.download.sizes import check_room, progress_bar
 from eldata.errors import ArchiveError, DownloadError, ManifestError
 
@@ -61,12 +64,7 @@ def unpack_archive(archive: Archive, targets: Mapping[str, str], folder: Path) -
         If the disk is full or cannot be written to, or another process is unpacking there.
     """
     members = [member for member in archive.files if member.name in targets]
-    places = {}
-    for member in members:
-        try:
-            places[member.name] = inside(folder, targets[member.name])
-        except ManifestError as error:
-            raise ArchiveError(archive.path, str(error)) from error
+    places = {member.name: _place(archive.path, member, folder, targets[member.name]) for member in members}
     result: dict[str, str] = {}
     total_bytes = sum(member.size_bytes for member in members)
     with (
@@ -75,7 +73,8 @@ def unpack_archive(archive: Archive, targets: Mapping[str, str], folder: Path) -
     ):
         to_read, missing = [], 0
         for member in members:
-            verdict = _verdict(member, places[member.name], bar)
+            with _disk_named(places[member.name], "read"):
+                verdict = _verdict(member, places[member.name], bar)
             if verdict is not None:
                 result[member.name] = verdict
                 continue
@@ -94,12 +93,28 @@ def unpack_archive(archive: Archive, targets: Mapping[str, str], folder: Path) -
             archive.deliver(to_read, receive)
     lost = [member.name for member in members if member.name not in result]
     if lost:
-        raise ArchiveError(archive.path, f"member {lost[0]!r} is listed, but did not come out of it; fetch it again")
+        raise ArchiveError(
+            archive.path, f"member {shown(lost[0])} is listed, but did not come out of it; fetch it again"
+        )
 
     def of(verdict: str) -> tuple[str, ...]:
         return tuple(sorted(targets[name] for name, found in result.items() if found == verdict))
 
     return Unpacked(of("written"), of("identical"), of("differing"))
+
+
+def _place(archive: Path, member: Member, folder: Path, target: str) -> Path:
+    """Return where a member goes, if it can lie there."""
+    try:
+        place = inside(folder, target)
+        with suppress(FileNotFoundError, NotADirectoryError):
+            place.lstat()
+    except ManifestError as error:
+        raise ArchiveError(archive, str(error)) from error
+    except OSError as error:  # a name or path that is too long for this disk
+        reason = f"member {shown(member.name)} cannot lie at {place}: {error.strerror}; {BY_HAND}"
+        raise ArchiveError(archive, reason) from error
+    return place
 
 
 def _verdict(member: Member, place: Path, bar: tqdm[Any]) -> str | None:
@@ -173,11 +188,14 @@ class _Comparison:
         self._member = member
         self._result = result
         self._bar = bar
-        self._file = place.open("rb")
+        self._place = place
+        with _disk_named(place, "read"):
+            self._file = place.open("rb")
         self._same = True
 
     def write(self, piece: bytes) -> None:
-        self._same = self._same and self._file.read(len(piece)) == piece
+        with _disk_named(self._place, "read"):
+            self._same = self._same and self._file.read(len(piece)) == piece
         self._bar.update(len(piece))
 
     def close(self) -> None:
@@ -220,10 +238,11 @@ def _remove(path: Path) -> None:
 
 
 @contextmanager
-def _disk_named(path: Path) -> Iterator[None]:
+def _disk_named(path: Path, what: str = "write") -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise DownloadError(
-            f"cannot write {path}: {error.strerror}; files unpacked before are whole, and the same command goes on"
-        ) from error
+        advice = "files unpacked before are whole, and the same command goes on"
+        if error.errno == errno.ENAMETOOLONG:
+            advice = f"no file can have that name on this disk; {BY_HAND}"
+        raise DownloadError(f"cannot {what} {path}: {error.strerror}; {advice}") from error

@@ -77,7 +77,10 @@ def _result(top: Fields) -> EvaluationResult:
         table=_table(top, kind, scores, expected),
         expected=expected,
         missing=coverage.texts("missing"),
-        problems=tuple(EvaluationProblem(one.text("path"), one.text("reason")) for one in top.objects("problems")),
+        problems=tuple(
+            EvaluationProblem(one.text("path", unseen=True), one.text("reason", unseen=True))  # of any file's name
+            for one in top.objects("problems")
+        ),
         notes=top.texts("notes"),
         source=str(top.file.name),
     )

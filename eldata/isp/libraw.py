@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args, overload
 
 import numpy as np
 
+from eldata.base.isolation import Limits, guarded_file
 from eldata.errors import ArgumentError, RawFileError
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
 Bits = Literal[8, 16]
 
 # The tile of LibRaw's Markesteijn demosaicing, which refuses a smaller picture as an input/output error.
 _LEAST_XTRANS_SIDE = 512
+# Six times the pixels of a mosaic are in memory, and demosaicing takes longer than decoding.
+_LIMITS = Limits(seconds=300.0, memory_bytes=4 << 30)
 
 
 @overload
@@ -51,14 +54,17 @@ def render_libraw(path: Path | str, *, bits: Bits = 8) -> NDArray[np.uint8] | ND
     ArgumentError
         If ``bits`` is neither 8 nor 16.
     """
-    from eldata.raw.reading import opened_raw, read_raw
-
     if bits not in get_args(Bits):
         raise ArgumentError(f"bits must be 8 or 16; found {bits!r}")
+    return guarded_file(partial(_rendered, bits=bits), Path(path), RawFileError, limits=_LIMITS)
+
+
+def _rendered(path: Path, *, bits: Bits) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    from eldata.raw.reading import opened_raw, read_raw
+
     # Decoded first for its checks, which LibRaw lacks. It also leaves this thread's OpenMP at one thread: a pool, which
     # demosaicing would start, makes workers forked later hang (eldata.raw.reading).
     frame = read_raw(path)
-    path = frame.path
     if frame.sensor.white_balance is None:
         raise RawFileError(path, "states no as-shot white balance; LibRaw would put one of its own in its place")
     if frame.sensor.xyz_to_camera is None:

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.files import sha256_of
 from eldata.errors import ManifestError
 from eldata.manifest.card import Card, load_card, save_card
-from eldata.manifest.table import load_records, save_records
+from eldata.manifest.patterns import is_pattern
+from eldata.manifest.table import load_table, save_records
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -56,18 +56,22 @@ def load_manifest(path: Path | str) -> Manifest:
         If either is malformed, a row's camera is not on the card, or the card expects another number of rows.
     """
     path = Path(path)
-    records = load_records(path)
+    records, digest = load_table(path)
     card = load_card(path.with_suffix(".json"))
-    for record in records:
-        if record.camera not in card.cameras:
+    unknown = {record.camera for record in records} - card.cameras.keys()
+    for record in records if unknown else ():
+        if record.camera in unknown:
             raise ManifestError(
                 f"{path}, {record.path}: camera {record.camera!r} is not on the card, which has "
                 f"{', '.join(card.cameras)}"
             )
     found = Counter(record.role for record in records)
     if dict(found) != card.counts:
-        raise ManifestError(f"{path}: the card expects {card.counts} rows per role, found {dict(found)}")
-    return Manifest(path, card, records, sha256_of(path))
+        cut_off = (
+            "; was eldata lock killed here? lock again" if any(is_pattern(record.path) for record in records) else ""
+        )
+        raise ManifestError(f"{path}: the card expects {card.counts} rows per role, found {dict(found)}{cut_off}")
+    return Manifest(path, card, records, digest)
 
 
 def save_manifest(path: Path | str, card: Card, records: Iterable[FrameRecord]) -> Manifest:

@@ -10,14 +10,15 @@ from typing import TYPE_CHECKING
 
 from eldata.base.files import sha256_of
 from eldata.base.workers import AnyWorkers, Failed, Workers, accepts_jobs, require_files
-from eldata.manifest.card import save_card
-from eldata.manifest.catalogue import load_manifest
+from eldata.errors import ManifestError
+from eldata.manifest.card import load_card, save_card
+from eldata.manifest.catalogue import Manifest, data_root, load_manifest
 from eldata.manifest.patterns import expand
-from eldata.manifest.table import save_records
+from eldata.manifest.table import load_table, save_records
 from eldata.manifest.verify import Problem, VerifyReport, content_findings, verify
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Iterable
 
     from eldata.manifest.patterns import Finding
     from eldata.records import FrameRecord
@@ -67,7 +68,7 @@ def lock(
     EldataError
         If it cannot be written.
     """
-    loaded = load_manifest(manifest)
+    loaded = _loaded(Path(manifest), root)
     workers = Workers.of(workers)
     checks = verify([loaded], root, dataset=loaded.name, cameras=cameras, level="metadata", workers=workers)
     if checks.problems:
@@ -102,11 +103,26 @@ def lock(
     )
     if problems:
         return LockReport(checks, problems, 0)
-    counts = dict(sorted(Counter(str(record.role) for record in listed).items()))
+    counts = _counts(listed)
     if counts != loaded.card.counts:
         save_card(Path(manifest).with_suffix(".json"), replace(loaded.card, counts=counts))
     save_records(Path(manifest), [locked.get(record.path, record) for record in listed])
     return LockReport(checks, (), len(chosen))
+
+
+def _loaded(path: Path, root: Path | str | None) -> Manifest:
+    """Load a manifest; also one whose card was written by a lock that was killed before it wrote the rows."""
+    try:
+        return load_manifest(path)
+    except ManifestError:
+        (records, digest), card = load_table(path), load_card(path.with_suffix(".json"))
+        if _counts(expand(records, data_root(root) / card.folder)) != card.counts:
+            raise
+        return Manifest(path, replace(card, counts=_counts(records)), records, digest)
+
+
+def _counts(records: Iterable[FrameRecord]) -> dict[str, int]:
+    return dict(sorted(Counter(str(record.role) for record in records).items()))
 
 
 def _locked(folder: Path, record: FrameRecord) -> tuple[FrameRecord, list[Finding]]:

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 from eldata.base.files import inside, sha256_of
+from eldata.base.visible import in_line
 from eldata.base.workers import AnyWorkers, Failed, Workers, accepts_jobs, require_files
 from eldata.errors import ArgumentError, ManifestError, RawFileError
 from eldata.manifest.catalogue import Manifest, find_manifests
@@ -36,12 +37,13 @@ from eldata.manifest.clip_checks import (
 from eldata.manifest.pairs import UNCERTAIN_ISO
 from eldata.manifest.patterns import Finding, expand, pattern_findings
 from eldata.manifest.table import number_text
+from eldata.raw.facts import raw_facts
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from eldata.manifest.card import CameraCard
-    from eldata.records import FrameRecord
+    from eldata.records import FrameRecord, RawHeader, Sensor
 
 Level = Literal["quick", "metadata", "full"]
 LEVELS: tuple[Level, ...] = get_args(Level)
@@ -68,7 +70,7 @@ class Problem:
     advice: str
 
     def __str__(self) -> str:
-        return f"{self.path}: {self.field}: expected {self.expected}, found {self.found}; {self.advice}"
+        return in_line(f"{self.path}: {self.field}: expected {self.expected}, found {self.found}; {self.advice}")
 
     @classmethod
     def of(cls, dataset: str, finding: Finding) -> Problem:
@@ -78,8 +80,8 @@ class Problem:
     def format_text(self) -> str:
         """Return the problem as four lines."""
         return (
-            f"{self.path}: {self.field}\n    expected  {self.expected}\n    found     {self.found}\n"
-            f"    to do     {self.advice}"
+            f"{in_line(self.path)}: {self.field}\n    expected  {in_line(self.expected)}\n    found     "
+            f"{in_line(self.found)}\n    to do     {in_line(self.advice)}"
         )
 
 
@@ -354,30 +356,54 @@ def _check_file(folder: Path, cameras: Mapping[str, CameraCard], level: Level, r
     elif is_png(record.path):
         findings = png_findings(folder, record)
     else:
-        findings, product = _header_findings(path, record, cameras[record.camera].models)
+        decode = level == "full" and record.sha256 is None
+        findings, product = _raw_findings(path, record, cameras[record.camera].models, decode=decode)
     if level == "full" and not any(finding.field in _OF_CONTENT for finding in findings):
-        findings += content_findings(folder, record) if record.sha256 is None else _hash_findings(path, record)
+        if record.sha256 is not None:
+            findings += _hash_findings(path, record)
+        elif is_png(record.path):
+            findings += png_decode_findings(folder, record)
     return findings, product
 
 
 def content_findings(folder: Path, record: FrameRecord) -> list[Finding]:
-    """Say what is wrong with the content of a file whose hash is not known: decode it and look for damage."""
+    """Decode one file, as level ``full`` does where no hash is recorded; say what is wrong with its content."""
     path = folder / record.path
+    if path.suffix == ".npy":
+        return []
     if is_png(record.path):
         return png_decode_findings(folder, record)
-    return [] if path.suffix == ".npy" else _decode_findings(path, record)
-
-
-def _header_findings(path: Path, record: FrameRecord, models: Sequence[str]) -> Outcome:
-    """Compare a raw file's camera, ISO and exposure time with its row."""
-    from eldata.raw.reading import read_header
-
     try:
-        header = read_header(path)
+        _, decoded = raw_facts(path, decode=True)
+    except RawFileError as error:
+        decoded = error.reason
+    return _decoded_findings(record, decoded)
+
+
+def _raw_findings(path: Path, record: FrameRecord, models: Sequence[str], *, decode: bool) -> Outcome:
+    """Compare a raw file with its row and, if its hash is not known, decode it."""
+    try:
+        header, decoded = raw_facts(path, decode=decode)
     except RawFileError as error:
         return [Finding(record.path, "content", "a whole raw file", error.reason, _AGAIN)], None
+    findings, product = _header_findings(header, record, models)
+    return [*findings, *_decoded_findings(record, decoded)], product
+
+
+def _decoded_findings(record: FrameRecord, decoded: Sensor | str | None) -> list[Finding]:
+    """Say what is wrong with a raw file, given its sensor or why it does not decode."""
+    if isinstance(decoded, str):
+        return [Finding(record.path, "content", "a raw file that decodes", decoded, _AGAIN)]
+    if decoded is None:
+        return []
+    advice = "this file was taken in another mode or by another camera"
+    return size_findings(record, decoded.width, decoded.height, advice)
+
+
+def _header_findings(header: RawHeader, record: FrameRecord, models: Sequence[str]) -> Outcome:
+    """Compare a raw file's camera, ISO and exposure time with its row."""
     findings = []
-    if not header.model:
+    if not header.model and "" not in models:  # which a card lists for files whose camera does not name itself
         findings.append(Finding(record.path, "camera", " or ".join(models), "no camera model", _NO_EXIF))
     elif header.model.casefold() not in {model.casefold() for model in models}:
         advice = "this file was taken by another camera"
@@ -406,29 +432,19 @@ def _hash_findings(path: Path, record: FrameRecord) -> list[Finding]:
     return [Finding(record.path, "sha256", record.sha256 or "", digest, advice)]
 
 
-def _decode_findings(path: Path, record: FrameRecord) -> list[Finding]:
-    """Decode a raw file, and count its codes where it has some that can be counted."""
-    from eldata.raw.damage import check_streams
-    from eldata.raw.reading import read_raw
-
-    try:
-        sensor = read_raw(path).sensor
-        check_streams(path)
-    except RawFileError as error:
-        return [Finding(record.path, "content", "a raw file that decodes", error.reason, _AGAIN)]
-    advice = "this file was taken in another mode or by another camera"
-    return size_findings(record, sensor.width, sensor.height, advice)
-
-
 def _packed_findings(path: Path, record: FrameRecord) -> list[Finding]:
     """Check a packed array (a synthetic noisy frame): it has no EXIF to compare, but a header that says its shape."""
-    import numpy as np
+    from eldata.base.npy import NpyError, read_npy_header
 
     try:
-        array = np.lib.format.open_memmap(path, mode="r")  # never unpickles; fails if the file is too short
-        found = f"{array.dtype} {array.shape}"
-        good = array.ndim == 3 and array.dtype == np.float32
-    except (OSError, ValueError) as error:
+        with path.open("rb") as file:
+            header = read_npy_header(file)
+            held = path.stat().st_size - file.tell()
+        found = f"{header.dtype or header.descr} {header.shape}"
+        good = len(header.shape) == 3 and str(header.dtype) == "float32"
+        if good and held < header.value_bytes:
+            found, good = f"{found} of {header.value_bytes} bytes, {held} of which are there", False
+    except (OSError, NpyError) as error:
         found, good = str(error), False
     return [] if good else [Finding(record.path, "content", "packed float32 (C, h, w)", found, _PACK_AGAIN)]
 

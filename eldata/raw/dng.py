@@ -7,8 +7,8 @@ stands in an EXIF IFD of its own, where cameras put it: LibRaw ignores an ISO th
 from __future__ import annotations
 
 import io
+import math
 import struct
-from fractions import Fraction
 from functools import partial
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -18,9 +18,15 @@ from eldata.base.files import atomic_write
 from eldata.errors import ArgumentError, check_choice
 from eldata.raw.cfa import packed_black_level_dn
 from eldata.raw.damage import mosaic_fault
+from eldata.raw.neutrals import neutral_of, private_data
+from eldata.raw.rationals import RATIONAL, SRATIONAL, nearest_fraction
+from eldata.raw.sensor_facts import AS_SHOT_NEUTRAL, COLOUR_MATRICES, PRIVATE_DATA
+from eldata.records import exact_fraction
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
     from datetime import datetime
+    from fractions import Fraction
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -30,24 +36,22 @@ if TYPE_CHECKING:
 Compression = Literal["none", "lossless-jpeg"]
 Entry = tuple[int, str, int, object, bool]  # as tifffile's extratags: code, type, count, value, on every page
 
-_MAX_LONG = 2**32 - 1
 _COMPRESSION_JPEG = 7
 _PHOTOMETRIC_CFA = 32803
 _EXIF_IFD = 34665
 _EXIF_IFD_PLACEHOLDER = 34664  # an unassigned tag that sorts to the same place
-_ILLUMINANT_D65 = 21
 _LEAST_SIDE = 22
 
 
 def _rational(value: Fraction, name: str) -> tuple[int, int]:
-    if value <= 0 or value.numerator > _MAX_LONG or value.denominator > _MAX_LONG:
-        raise ArgumentError(f"{name} = {value} does not fit an EXIF fraction (positive, 32 bits each part)")
-    return value.numerator, value.denominator
+    if not 1 <= value * RATIONAL <= RATIONAL**2:
+        raise ArgumentError(f"{name} = {value}: expected a number from 1 / (2^32 - 1) to 2^32 - 1, as EXIF holds")
+    nearest = nearest_fraction(value, RATIONAL)
+    return nearest.numerator, nearest.denominator
 
 
-def _decimal(value: float) -> Fraction:
-    """Return the decimal number that a float was written as: 2.1 becomes 21/10."""
-    return Fraction(repr(float(value)))
+def _parts(values: Iterable[Fraction]) -> tuple[int, ...]:
+    return tuple(part for value in values for part in (value.numerator, value.denominator))
 
 
 def _exif_entries(exposure: Exposure, taken: datetime | None) -> list[tuple[int, int, int, bytes]]:
@@ -58,7 +62,7 @@ def _exif_entries(exposure: Exposure, taken: datetime | None) -> list[tuple[int,
     if exposure.f_number is not None:
         entries.append((33437, 5, 1, struct.pack("<II", *_rational(exposure.f_number, "f_number"))))
     if exposure.iso is not None:
-        if exposure.iso.denominator != 1 or not 0 < exposure.iso <= _MAX_LONG:
+        if exposure.iso.denominator != 1 or not 0 < exposure.iso <= RATIONAL:
             raise ArgumentError(f"iso = {exposure.iso} is not a positive whole number of 32 bits")
         iso = int(exposure.iso)
         entries.append((34855, 3, 1, struct.pack("<H", min(iso, 65535))))
@@ -68,7 +72,9 @@ def _exif_entries(exposure: Exposure, taken: datetime | None) -> list[tuple[int,
     entries.append((36864, 7, 4, b"0232"))
     if taken is not None:
         entries.append((36867, 2, 20, taken.strftime("%Y:%m:%d %H:%M:%S\0").encode()))
-        entries.append((37521, 2, 4, f"{taken.microsecond // 1000:03d}\0".encode()))
+        digits = f"{taken.microsecond:06d}"
+        parts = (digits[:3] if digits.endswith("000") else digits).encode() + b"\0"
+        entries.append((37521, 2, len(parts), parts))
     return sorted(entries)
 
 
@@ -88,42 +94,70 @@ def _ifd_bytes(entries: list[tuple[int, int, int, bytes]], offset: int) -> bytes
 
 def _check_sensor(sensor: Sensor) -> None:
     """Refuse what the format, or LibRaw when it reads the file, cannot hold."""
-    channels = packed_black_level_dn(sensor.cfa, sensor.black_level_dn)  # refuses CFA and number of levels
-    if len(sensor.black_level_dn) == 3 and len(set(sensor.black_level_dn)) > 1:
-        raise ArgumentError(f"black_level_dn {sensor.black_level_dn}: LibRaw keeps one level for X-Trans")
-    for name, level in (("black_level_dn", channels), ("white_level_dn", sensor.white_level_dn)):
-        levels = np.atleast_1d(level)
-        if not (np.all(levels == np.rint(levels)) and np.all((levels >= 0) & (levels <= 65535))):
-            raise ArgumentError(f"{name} {level}: expected whole numbers from 0 to 65535; LibRaw keeps no other levels")
-    if not sensor.white_level_dn > max(sensor.black_level_dn):
-        raise ArgumentError(
-            f"white_level_dn {sensor.white_level_dn} must lie above black_level_dn {sensor.black_level_dn}"
-        )
+    packed_black_level_dn(sensor.cfa, sensor.black_level_dn)  # refuses CFA and number of levels
+    white = sensor.white_level_dn
+    if not all(0 <= level <= 65535 for level in sensor.black_level_dn):
+        raise ArgumentError(f"black_level_dn {sensor.black_level_dn}: expected numbers from 0 to 65535")
+    if not (0 <= white <= 65535 and white == int(white)):
+        raise ArgumentError(f"white_level_dn {white}: expected a whole number from 0 to 65535, as a DNG holds")
+    if not white > max(sensor.black_level_dn):
+        raise ArgumentError(f"white_level_dn {white} must lie above black_level_dn {sensor.black_level_dn}")
     if min(sensor.height, sensor.width) < _LEAST_SIDE:
         raise ArgumentError(
             f"{sensor.height} x {sensor.width} pixels: LibRaw reads no raw image under {_LEAST_SIDE} pixels per side"
         )
-    if sensor.white_balance is not None and not all(0 < value < np.inf for value in sensor.white_balance):
-        raise ArgumentError(f"white_balance {sensor.white_balance}: expected positive multipliers")
-    if sensor.xyz_to_camera is not None and not np.all(np.isfinite(sensor.xyz_to_camera)):
-        raise ArgumentError(f"xyz_to_camera {sensor.xyz_to_camera}: expected finite numbers")
-    for text in (sensor.make, sensor.model):
+    if sensor.white_balance is not None and not all(map(math.isfinite, sensor.white_balance)):
+        raise ArgumentError(f"white_balance {sensor.white_balance}: expected finite multipliers")
+    numbers = () if sensor.xyz_to_camera is None else [value for row in sensor.xyz_to_camera for value in row]
+    if not all(abs(value) <= SRATIONAL for value in numbers):
+        raise ArgumentError(f"xyz_to_camera {sensor.xyz_to_camera}: expected finite numbers of up to 31 bits")
+    if not 0 <= sensor.matrix_illuminant < 1 << 16:
+        raise ArgumentError(f"matrix_illuminant {sensor.matrix_illuminant}: expected a whole number of 16 bits")
+    for name, text in (("make", sensor.make), ("model", sensor.model)):
         if not text.isascii() or text != text.strip():
-            raise ArgumentError(f"{text!r}: expected ASCII text without spaces at its ends")
+            raise ArgumentError(f"{name} {text!r}: expected ASCII text without spaces at its ends")
+
+
+def _black_tag(sensor: Sensor) -> Entry:
+    black = [nearest_fraction(exact_fraction(sensor.black_level_dn[index]), RATIONAL) for index in _sites(sensor)]
+    if all(level.denominator == 1 for level in black):
+        return (50714, "I", len(black), tuple(map(int, black)), True)
+    return (50714, "2I", len(black), _parts(black), True)
+
+
+def _sites(sensor: Sensor) -> list[int]:
+    return [index for row in sensor.cfa for index in row]
+
+
+def _colour_tags(sensor: Sensor) -> list[Entry]:
+    tags: list[Entry] = []
+    if sensor.xyz_to_camera is not None:
+        matrix = [nearest_fraction(exact_fraction(value), SRATIONAL) for row in sensor.xyz_to_camera for value in row]
+        of_matrix, of_illuminant = COLOUR_MATRICES[0]
+        tags.append((of_matrix, "2i", 9, _parts(matrix), True))
+        if sensor.matrix_illuminant:  # 0 is what stands for a tag that is not there
+            tags.append((of_illuminant, "H", 1, sensor.matrix_illuminant, True))
+    if sensor.white_balance is not None:
+        red, green, blue, second_green = map(exact_fraction, sensor.white_balance)
+        balance = red, green, blue, second_green
+        tags.append((AS_SHOT_NEUTRAL, "2I", 3, _parts(neutral_of(balance)), True))
+        private = private_data(balance)
+        if private:
+            tags.append((PRIVATE_DATA, "B", len(private), private, True))
+    return tags
 
 
 def _sensor_tags(sensor: Sensor) -> list[Entry]:
     rows, columns = len(sensor.cfa), len(sensor.cfa[0])
     # A DNG's CFAPattern names colours: red 0, green 1, blue 2; which green is which follows from the place.
-    colours = bytes({3: 1}.get(index, index) for row in sensor.cfa for index in row)
-    black = [int(sensor.black_level_dn[index]) for row in sensor.cfa for index in row]
+    colours = bytes({3: 1}.get(index, index) for index in _sites(sensor))
     tags: list[Entry] = [
         (33421, "H", 2, (rows, columns), True),
         (33422, "B", rows * columns, colours, True),
         (50706, "B", 4, bytes((1, 4, 0, 0)), True),
         (50707, "B", 4, bytes((1, 1, 0, 0)), True),
         (50713, "H", 2, (rows, columns), True),
-        (50714, "I", len(black), tuple(black), True),
+        _black_tag(sensor),
         (50717, "I", 1, int(sensor.white_level_dn), True),
     ]
     for code, text in (
@@ -133,18 +167,7 @@ def _sensor_tags(sensor: Sensor) -> list[Entry]:
     ):
         if text:
             tags.append((code, "s", 0, text, True))
-    if sensor.xyz_to_camera is not None:
-        matrix = [_decimal(round(value, 6)) for row in sensor.xyz_to_camera for value in row]
-        tags.append((50721, "2i", 9, tuple(n for f in matrix for n in (f.numerator, f.denominator)), True))
-        tags.append((50778, "H", 1, _ILLUMINANT_D65, True))
-    if sensor.white_balance is not None:
-        red, green, blue, second_green = sensor.white_balance
-        if green != second_green:
-            raise ArgumentError(f"white_balance {sensor.white_balance}: a DNG holds one multiplier for both greens")
-        neutral = [_decimal(green) / _decimal(value) for value in (red, green, blue)]
-        parts = [n for f in neutral for n in _rational(f, "white_balance")]
-        tags.append((50728, "2I", 3, tuple(parts), True))
-    return tags
+    return tags + _colour_tags(sensor)
 
 
 def write_dng(
@@ -158,8 +181,12 @@ def write_dng(
 ) -> None:
     """Write a mosaic as a DNG, whole or not at all.
 
-    :func:`eldata.raw.read_raw` gives back the same mosaic, sensor and exposure (matrix and white balance to six
-    decimals; a sensor without a matrix gets that of LibRaw's table if LibRaw knows the model).
+    :func:`eldata.raw.read_raw` gives back the same mosaic, sensor and exposure (a sensor without a matrix gets that of
+    LibRaw's table if LibRaw knows the model). Numbers are written as the fractions that they stand for
+    (:func:`eldata.records.exact_fraction`). One that the fields of TIFF, two whole numbers of 32 bits, cannot hold
+    becomes the nearest that they can (:func:`eldata.raw.rationals.nearest_fraction`), off by less than one part in four
+    billion (of matrices, which have signs, two billion); but white balance is kept exactly, and so are greens that
+    differ, for which a DNG has no field: see :mod:`eldata.raw.neutrals`.
 
     Parameters
     ----------
@@ -168,25 +195,37 @@ def write_dng(
     mosaic
         (H, W) uint16 in DN, H and W as the sensor record says.
     sensor
-        Bayer or X-Trans. LibRaw keeps whole black levels only, so a fraction of a DN is refused.
+        Bayer or X-Trans. Black levels from 0 to 65535, fractions too; a whole white level.
     exposure
         Fields that are ``None`` are left out of the file. ISO must be a whole number.
     compression
         ``"none"``, or ``"lossless-jpeg"`` (smaller on disk, several times slower to decode).
     taken
-        When, by the camera's clock; kept to the millisecond.
+        When, by the camera's clock; to the microsecond.
 
     Raises
     ------
     ArgumentError
-        If a field does not fit the format.
+        If a field does not fit the format: it is zero, negative, infinite or too large; the message names file and
+        field.
     EldataError
         If the file cannot be written.
     """
+    check_choice("compression", compression, get_args(Compression))
+    try:
+        content = _encoded(mosaic, sensor, exposure, compression, taken)
+    except ArgumentError as error:
+        raise ArgumentError(f"{path}: {error}") from error
+    with atomic_write(path) as file:
+        file.write(content.getbuffer())
+
+
+def _encoded(
+    mosaic: NDArray[np.uint16], sensor: Sensor, exposure: Exposure, compression: Compression, taken: datetime | None
+) -> io.BytesIO:
     import imagecodecs
     import tifffile
 
-    check_choice("compression", compression, get_args(Compression))
     _check_sensor(sensor)
     if mosaic.dtype != np.uint16 or mosaic.shape != (sensor.height, sensor.width):
         raise ArgumentError(
@@ -215,8 +254,7 @@ def write_dng(
         else:
             write(whole)
     _append_exif(buffer, exposure, taken)
-    with atomic_write(path) as file:
-        file.write(buffer.getbuffer())
+    return buffer
 
 
 def _append_exif(buffer: io.BytesIO, exposure: Exposure, taken: datetime | None) -> None:

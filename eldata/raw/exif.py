@@ -1,122 +1,138 @@
-"""What a raw file says of its camera and exposure: EXIF by exifread, and what of LibRaw's figures stands in for it."""
+"""What a raw file states of its camera and exposure, exactly. What it does not state is ``None``: nothing is guessed.
+
+LibRaw's figures are not taken, because LibRaw makes some up: 1 s at f/1 from an APEX value of 0, an ISO from its own
+table of models, float32 for a fraction, the rounded step of a CRW for its time. Asking it would also decode the pixels.
+"""
 
 from __future__ import annotations
 
-import io
-import struct
+from dataclasses import replace
 from datetime import datetime
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from eldata.errors import RawFileError
-from eldata.raw.tiff import MAGIC, require
+from eldata.raw.bounded import BoundedFile
+from eldata.raw.ciff import read_crw_header
+from eldata.raw.containers import exif_blocks
 from eldata.records import Exposure, RawHeader
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    import rawpy
-
 Tags = dict[str, Any]
 
-_RAF_MAGIC = b"FUJIFILMCCD-RAW"
+_FIRST_YEAR = 1990  # no camera wrote raw files before: such a time is that of a clock that was never set
+_SENSITIVITIES = {  # by EXIF's SensitivityType, which says which of them the ISO repeats
+    Fraction(2): "RecommendedExposureIndex",
+    Fraction(1): "Tag 0x8831",  # StandardOutputSensitivity, which exifread has no name for
+    Fraction(3): "ISOSpeed",
+}
+_ISO_BEYOND_16_BITS = 65535  # what EXIF 2.3 puts in 16 bits where the speed is stated elsewhere
 
 
-def check_raf(path: Path) -> None:
-    """Raise a RawFileError if a RAF lacks data that it declares."""
-    with path.open("rb") as file:
-        head = file.read(108)
-    if head.startswith(_RAF_MAGIC) and len(head) == 108:
-        # Offset and length of the JPEG, the CFA header and the CFA data, big-endian.
-        end = max(sum(struct.unpack_from(">II", head, at)) for at in (84, 92, 100))
-        require(path, path.stat().st_size, end)
+def header_of(path: Path, tags: Tags) -> RawHeader:
+    """Return camera, exposure and time as the file, whose EXIF tags these are, states them.
+
+    Raises
+    ------
+    RawFileError
+        If the file is a CRW whose records are damaged.
+    """
+    crw = read_crw_header(path)
+    if crw is not None:
+        return replace(crw, taken=_of_a_set_clock(crw.taken))
+    make, model = _text(tags, "Image Make"), _text(tags, "Image Model")
+    if not make and not model:
+        model = _text(tags, "Image Tag 0xC614")  # a DNG's UniqueCameraModel
+    exposure = Exposure(_iso(tags), _fraction(tags, "ExposureTime"), _fraction(tags, "FNumber"))
+    return RawHeader(path, make, model, exposure, _taken(tags))
 
 
 def exif_tags(path: Path) -> Tags:
-    """Return exifread's tags; empty where the container is one that exifread does not know."""
+    """Return exifread's tags, named by the IFD that they stand in; empty where the file has no EXIF.
+
+    Raises
+    ------
+    RawFileError
+        If EXIF or what contains it is damaged.
+    """
+    tags: Tags = {}
+    for ifd, block in exif_blocks(path):
+        found = _read(path, block)
+        if ifd is None:
+            tags |= found
+        else:
+            tags |= {f"{ifd} {name.removeprefix('Image ')}": tag for name, tag in found.items()}
+    if _text(tags, "Image Make").upper().startswith("NIKON") and _iso(tags) is None:
+        for _, block in exif_blocks(path):  # the first Nikons state it in their own tags alone
+            tags |= _read(path, block, details=True)
+    return tags
+
+
+def _read(path: Path, block: BinaryIO, *, details: bool = False) -> Tags:
     import exifread
 
-    with path.open("rb") as file:
-        head = file.read(92)
-        if head.startswith(_RAF_MAGIC) and len(head) == 92:
-            # A RAF embeds a JPEG with the EXIF.
-            offset, length = struct.unpack_from(">II", head, 84)
-            file.seek(offset)
-            source: Any = io.BytesIO(file.read(length))
-        elif head.startswith(MAGIC):
-            source = file
-        else:
-            return {}
-        try:
-            return exifread.process_file(source, details=False, extract_thumbnail=False)
-        except Exception as error:  # exifread raises many kinds on damaged EXIF
-            raise RawFileError(path, f"its EXIF cannot be read ({error}); is the file whole?") from error
+    source: Any = BoundedFile(path, block)  # all of a file that exifread asks for
+    try:
+        return exifread.process_file(source, details=details, extract_thumbnail=False)
+    except RawFileError:
+        raise
+    except Exception as error:  # exifread raises many kinds on damaged EXIF
+        raise RawFileError(path, f"its EXIF cannot be read ({error}); is the file whole?") from error
 
 
-def header_of(path: Path, raw: rawpy.RawPy, tags: Tags) -> RawHeader:
-    """Return camera, exposure and time from a file's tags, or else from LibRaw."""
-    return RawHeader(path, _ascii(tags, "Image Make"), _ascii(tags, "Image Model"), _exposure(tags, raw), _taken(tags))
-
-
-def _ascii(tags: Tags, name: str) -> str:
-    tag = tags.get(name)
-    return "" if tag is None else str(tag.values).strip("\0 ")
+def _text(tags: Tags, name: str) -> str:
+    values = getattr(tags.get(name), "values", "")
+    return values.partition("\0")[0].strip() if isinstance(values, str) else ""
 
 
 def _taken(tags: Tags) -> datetime | None:
     """Return DateTimeOriginal with its SubSecTime; ``None`` if the file has none, or a clock that was never set."""
     for ifd in ("EXIF", "Image"):
         try:
-            taken = datetime.strptime(_ascii(tags, f"{ifd} DateTimeOriginal"), "%Y:%m:%d %H:%M:%S")  # noqa: DTZ007 # as stated
+            taken = datetime.strptime(_text(tags, f"{ifd} DateTimeOriginal"), "%Y:%m:%d %H:%M:%S")  # noqa: DTZ007 # as stated
         except ValueError:
             continue
-        digits = _ascii(tags, f"{ifd} SubSecTimeOriginal")
+        digits = _text(tags, f"{ifd} SubSecTimeOriginal")
         fraction = digits[:6].ljust(6, "0") if digits.isascii() and digits.isdecimal() else "0"
-        return taken.replace(microsecond=int(fraction))
+        return _of_a_set_clock(taken.replace(microsecond=int(fraction)))
     return None
 
 
-def _exposure(tags: Tags, raw: rawpy.RawPy) -> Exposure:
-    iso = _fraction(tags, "ISOSpeedRatings")
-    if iso is None or iso == 65535:  # 16 bits: EXIF 2.3 states higher speeds elsewhere
-        for name in ("RecommendedExposureIndex", "StandardOutputSensitivity", "ISOSpeed"):
-            iso = _fraction(tags, name) or iso
-    exposure_s, f_number = _fraction(tags, "ExposureTime"), _fraction(tags, "FNumber")
-    if iso is None or exposure_s is None:  # asked only then: rawpy decodes the pixels to answer
-        iso = iso or simplest_fraction(raw.other.iso_speed)
-        exposure_s = exposure_s or simplest_fraction(raw.other.shutter_speed)
-        f_number = f_number or simplest_fraction(raw.other.aperture)
-    return Exposure(iso, exposure_s, f_number)
+def _of_a_set_clock(taken: datetime | None) -> datetime | None:
+    return taken if taken is not None and taken.year >= _FIRST_YEAR else None
+
+
+def _iso(tags: Tags) -> Fraction | None:
+    stated = _fraction(tags, "ISOSpeedRatings")
+    if stated is not None and stated != _ISO_BEYOND_16_BITS:
+        return stated
+    first = _SENSITIVITIES.get(_fraction(tags, "SensitivityType") or Fraction(0))
+    for name in (first, *_SENSITIVITIES.values()):
+        iso = None if name is None else _fraction(tags, name)
+        if iso is not None:
+            return iso
+    if "Image Tag 0x0001" in tags:  # IFD0 of a Panasonic (PanasonicRawVersion): its own two tags of the ISO
+        iso = _positive_tag(tags, "Image Tag 0x0037") or _positive_tag(tags, "Image Tag 0x0017")
+        if iso != _ISO_BEYOND_16_BITS:
+            return iso
+    return _positive_tag(tags, "MakerNote ISOSetting", at=-1)  # Nikon's
 
 
 def _fraction(tags: Tags, name: str) -> Fraction | None:
     """Return a tag's first value, from the EXIF IFD or else from IFD0, if it is a positive number."""
-    for ifd in ("EXIF", "Image"):
-        tag = tags.get(f"{ifd} {name}")
-        if tag is None or not tag.values:
-            continue
-        value = positive(tag.values[0])
-        if value is not None:
-            return value
-    return None
+    return _positive_tag(tags, f"EXIF {name}") or _positive_tag(tags, f"Image {name}")
 
 
-def positive(value: Any) -> Fraction | None:
+def _positive_tag(tags: Tags, name: str, at: int = 0) -> Fraction | None:
+    values = getattr(tags.get(name), "values", None)
+    return _positive(values[at]) if values else None
+
+
+def _positive(value: Any) -> Fraction | None:
     """Return one of exifread's numbers as a fraction, if it is a positive one."""
     numerator, denominator = getattr(value, "num", value), getattr(value, "den", 1)
-    if isinstance(numerator, int) and isinstance(denominator, int) and denominator and numerator > 0:
+    if isinstance(numerator, int) and isinstance(denominator, int) and numerator * denominator > 0:
         return Fraction(numerator, denominator)
     return None
-
-
-def simplest_fraction(value: float) -> Fraction | None:
-    """Return the fraction of the smallest denominator (by powers of ten) that rounds to a float32."""
-    if not (np.isfinite(value) and value > 0):
-        return None
-    for digits in range(1, 10):
-        fraction = Fraction(value).limit_denominator(10**digits)
-        if np.float32(float(fraction)) == np.float32(value):
-            return fraction
-    return Fraction(value)

@@ -8,29 +8,34 @@ CFA
     Asked of LibRaw for the visible area's own first sites. rawpy's ``raw_pattern`` counts from the corner of the
     full raw image and is out of phase where a margin is odd.
 black level
-    A DNG's own BlackLevel, exactly, at the sites of the visible area; LibRaw rounds it, and where an active area starts
-    at an odd row or column gives its pattern to the wrong channels. Else LibRaw's per-channel figure: it joins the
-    global level and the per-channel offsets, and for bodies without a recorded level it is measured in the masked
-    pixels of that very file.
+    A DNG's own BlackLevel, exactly, at the sites of the visible area; LibRaw keeps its whole DN, and where an active
+    area starts at an odd row or column gives its pattern to the wrong channels. Else LibRaw's per-channel figure: it
+    joins the global level and the per-channel offsets, and for bodies without a recorded level it is measured in the
+    masked pixels of that very file.
 white level
     LibRaw's ``white_level``: the level at which the format saturates, from the file where the file has one (DNG).
     The per-channel ``camera_white_level_per_channel`` is missing for most cameras, comes from LibRaw's table or
     maker notes, and even for a DNG overrides what the file says. It is kept beside, for protocols that name it.
 colour matrix
-    A DNG's own ColorMatrix (that for D65 if there are two); else LibRaw's table for the model.
+    A DNG's own ColorMatrix, exactly (of two that for D65, else the first for another daylight, else the second, as
+    LibRaw chooses); else LibRaw's table for the model, which is for D65.
 white balance
     As shot; a DNG's exactly, LibRaw's float32 to six decimals.
 time taken
-    EXIF's DateTimeOriginal and SubSecTimeOriginal.
-ISO, exposure time, aperture
-    EXIF, from the EXIF IFD or IFD0, as fractions; where a format has no EXIF that exifread can read (CR3), LibRaw's
-    float32 as the simplest fraction that rounds to it.
+    EXIF's DateTimeOriginal and SubSecTimeOriginal; ``None`` if the clock was never set.
+orientation
+    Not applied: the mosaic stands as the sensor was read out, whichever way up the camera was held, so that two
+    frames of a pair lie on each other.
+camera, ISO, exposure time, aperture
+    What the file states, exactly: EXIF, or what a format has in its place (:mod:`eldata.raw.exif`). ``None`` where it
+    states none: LibRaw's figures are not taken, because it makes some up.
 
 What LibRaw does not notice
 ---------------------------
 LibRaw opens some truncated files as whole frames. So the extents that a TIFF-based or RAF file declares must lie
-inside it, the file must hold at least one bit per pixel (no lossless code is shorter), and the last row must not
-be empty. Damage inside compressed data shows in no field: only a recorded hash finds it (``eldata lock``).
+inside it, and the file must hold at least one bit per pixel (no lossless code is shorter). It also decodes files that
+lost a part of their data, which are searched for what shows (:mod:`eldata.raw.damage`); only a recorded hash finds the
+rest (``eldata lock``).
 
 Fork and threads
 ----------------
@@ -41,33 +46,30 @@ left behind for a forked worker to wait for, and reading is safe in DataLoader w
 from __future__ import annotations
 
 import ctypes
-import math
 from contextlib import contextmanager
 from functools import cache
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
+from eldata.base.isolation import guarded_file
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw.cfa import packed_channels
+from eldata.raw.containers import check_container
 from eldata.raw.damage import check_damage
-from eldata.raw.exif import check_raf, exif_tags, header_of, positive
-from eldata.raw.tiff import ACTIVE_AREA, BLACK_DELTAS, BLACK_LEVEL, BLACK_REPEAT, read_directories
+from eldata.raw.exif import exif_tags, header_of
+from eldata.raw.sensor_facts import as_shot_multipliers, camera_matrix, channel_whites, dng_black_level
+from eldata.raw.tiff import read_directories
+from eldata.raw.unsupported import NEEDED, refuse_unsupported, unsupported_cfa
 from eldata.records import RawFrame, Sensor
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator
     from fractions import Fraction
 
     import rawpy
 
-    from eldata.raw.exif import Tags
-    from eldata.raw.tiff import Directory
-    from eldata.records import Matrix3, RawHeader
-
-_D65 = 21
+    from eldata.records import RawHeader
 
 
 def read_header(path: Path | str) -> RawHeader:
@@ -78,12 +80,16 @@ def read_header(path: Path | str) -> RawHeader:
     Raises
     ------
     RawFileError
-        If the file is missing, empty, truncated or not a raw file.
+        If the file is missing, empty, truncated or not a raw file; or, with :func:`eldata.isolation`, if its decoder
+        crashes, hangs or needs too much memory.
     """
-    path = _existing(path)
-    read_directories(path)  # refuses a file that does not hold what it declares
-    with opened_raw(path) as raw:
-        return header_of(path, raw, exif_tags(path))
+    return guarded_file(_header, Path(path), RawFileError)
+
+
+def _header(path: Path) -> RawHeader:
+    refuse_unsupported(path, read_directories(path))
+    with opened_raw(path):
+        return header_of(path, exif_tags(path))
 
 
 def read_raw(path: Path | str) -> RawFrame:
@@ -99,29 +105,38 @@ def read_raw(path: Path | str) -> RawFrame:
     ------
     RawFileError
         If the file is missing, empty, truncated, not a raw file, already demosaiced (an RGB raw), without a CFA or
-        with one that is neither Bayer nor X-Trans. The message names the file and the reason.
+        with one that is neither Bayer nor X-Trans; or, with :func:`eldata.isolation`, if its decoder crashes, hangs or
+        needs too much memory. The message names the file and the reason.
     """
+    return guarded_file(_decoded, Path(path), RawFileError)
+
+
+def _decoded(path: Path) -> RawFrame:
     import rawpy
 
-    path = _existing(path)
     directories = read_directories(path)
+    refuse_unsupported(path, directories)
     with opened_raw(path) as raw:
         tags = exif_tags(path)
+        _check_sizes(path, raw)
         raw.unpack()
-        header = header_of(path, raw, tags)
+        header = header_of(path, tags)
         if raw.raw_type != rawpy.RawType.Flat or raw.num_colors == 1:
             shape = raw.raw_image.shape
-            kind = "no colour filter array" if len(shape) == 2 else "already demosaiced (an RGB raw)"
-            raise RawFileError(path, f"{kind}: {shape} samples; a mosaic of a Bayer or X-Trans sensor is needed")
+            kind = "no colour filter array (monochrome)" if len(shape) == 2 else "already demosaiced (an RGB raw)"
+            if len(shape) == 3 and header.make == "Canon" and "Image Tag 0xC612" not in tags:  # no DNG
+                kind = "already demosaiced (Canon's sRAW or mRAW)"
+            raise RawFileError(path, f"{kind}: {shape} samples; {NEEDED}")
         cfa, index_of = _cfa(path, raw)
         mosaic = raw.raw_image_visible.copy()
-        black = _dng_black_level(path, raw, directories, cfa) or tuple(
+        black = dng_black_level(path, raw, directories, cfa) or tuple(
             float(raw.black_level_per_channel[index]) for index in index_of
         )
         white = float(raw.white_level)
         if not white > max(black):
             raise RawFileError(path, f"white level {white:g} DN is not above the black level {black} DN")
-        channel_whites = _channel_whites(raw, index_of)
+        whites = channel_whites(raw, index_of)
+        matrix, illuminant = camera_matrix(raw, directories)
         sensor = Sensor(
             make=header.make,
             model=header.model,
@@ -130,15 +145,12 @@ def read_raw(path: Path | str) -> RawFrame:
             white_level_dn=white,
             height=mosaic.shape[0],
             width=mosaic.shape[1],
-            white_balance=_white_balance(raw, tags),
-            xyz_to_camera=_xyz_to_camera(raw, tags),
+            white_balance=as_shot_multipliers(path, raw, directories, tags),
+            xyz_to_camera=matrix,
+            matrix_illuminant=illuminant,
         )
-        raw_pixels = raw.sizes.raw_height * raw.sizes.raw_width
-    size = path.stat().st_size
-    if size * 8 < raw_pixels:
-        raise RawFileError(path, f"truncated: {size} bytes cannot hold {raw_pixels} pixels")
     check_damage(path, directories, mosaic, black, white)
-    return RawFrame(path, mosaic, sensor, header.exposure, channel_whites)
+    return RawFrame(path, mosaic, sensor, header.exposure, whites)
 
 
 def exposure_ratio(reference: RawFrame | RawHeader, noisy: RawFrame | RawHeader) -> Fraction:
@@ -155,25 +167,26 @@ def exposure_ratio(reference: RawFrame | RawHeader, noisy: RawFrame | RawHeader)
 def _exposure_product(frame: RawFrame | RawHeader) -> Fraction:
     for name, value in (("ISO", frame.exposure.iso), ("exposure time", frame.exposure.exposure_s)):
         if value is None:
-            raise RawFileError(frame.path, f"states no {name}: neither EXIF nor IFD0 nor LibRaw has it")
+            raise RawFileError(frame.path, f"states no {name}, and an exposure ratio needs it: use the original file")
     return frame.exposure.iso * frame.exposure.exposure_s  # type: ignore[operator] # checked above
 
 
 # --- opening --------------------------------------------------------------------------------------------------
 
 
-def _existing(path: Path | str) -> Path:
-    path = Path(path)
-    if path.is_dir():
-        raise RawFileError(path, "is a folder, not a raw file")
-    try:
-        size = path.stat().st_size
-        path.open("rb").close()
-    except OSError as error:
-        raise RawFileError(path, f"cannot be read: {error.strerror}") from error
-    if size == 0:
-        raise RawFileError(path, "is empty (0 bytes): copy or download it again")
-    return path
+def _check_sizes(path: Path, raw: rawpy.RawPy) -> None:
+    """Refuse impossible sizes before memory is taken for the pixels."""
+    sizes, held = raw.sizes, path.stat().st_size
+    raw_pixels = sizes.raw_height * sizes.raw_width
+    if held * 8 < raw_pixels:
+        raise RawFileError(path, f"truncated: {held} bytes cannot hold {raw_pixels} pixels")
+    inside = sizes.top_margin + sizes.height <= sizes.raw_height and sizes.left_margin + sizes.width <= sizes.raw_width
+    if not (inside and sizes.height and sizes.width):
+        raise RawFileError(
+            path,
+            f"damaged: its visible area of {sizes.height} x {sizes.width} pixels from {sizes.top_margin}, "
+            f"{sizes.left_margin} on does not lie inside its {sizes.raw_height} x {sizes.raw_width} pixels",
+        )
 
 
 @contextmanager
@@ -184,17 +197,21 @@ def opened_raw(path: Path, what: str = "decode") -> Iterator[rawpy.RawPy]:
     ------
     RawFileError
         If LibRaw does not know the file or refuses it, then or inside the block.
+    MemoryError
+        If LibRaw cannot get the memory that it needs.
     """
     import rawpy
 
-    check_raf(path)
+    check_container(path)
     _set_openmp_threads()(1)  # a setting of the calling thread, so it is made for each read
     # Not rawpy.imread: it warns in every forked process, of what the line above removes.
     raw = rawpy.RawPy()
     try:
-        raw.open_file(str(path))
+        _open(raw, path)
         raw.set_unpack_params(shot_select=0)
         yield raw
+    except rawpy.LibRawUnsufficientMemoryError as error:
+        raise MemoryError(str(path)) from error
     except rawpy.LibRawFileUnsupportedError as error:
         raise RawFileError(path, "is not a raw file that LibRaw knows") from error
     except rawpy.LibRawError as error:
@@ -203,6 +220,14 @@ def opened_raw(path: Path, what: str = "decode") -> Iterator[rawpy.RawPy]:
         raise RawFileError(path, f"LibRaw cannot {what} it ({text}); is the file whole?") from error
     finally:
         raw.close()
+
+
+def _open(raw: rawpy.RawPy, path: Path) -> None:
+    try:
+        raw.open_file(str(path))
+    except UnicodeEncodeError:  # rawpy knows names in UTF-8 alone
+        with path.open("rb") as file:
+            raw.open_buffer(file)
 
 
 @cache
@@ -236,77 +261,11 @@ def _cfa(path: Path, raw: rawpy.RawPy) -> tuple[tuple[tuple[int, ...], ...], tup
     elif period == 6 and set(flat) == {"R", "G", "B"}:
         ours = [["RGB".index(c) for c in row] for row in colours]
     else:
-        raise RawFileError(
-            path,
-            f"unsupported colour filter array: {period} x {period} of {''.join(flat)}; Bayer or X-Trans is needed",
-        )
+        raise RawFileError(path, unsupported_cfa(["".join(row) for row in colours]))
     rows = tuple(map(tuple, ours))
     try:
         packed_channels(rows)
     except ArgumentError as error:
-        raise RawFileError(path, f"unsupported colour filter array {rows}; Bayer or X-Trans is needed") from error
+        raise RawFileError(path, unsupported_cfa(["".join(row) for row in colours])) from error
     libraw_index = dict(zip(chain(*ours), chain(*sites), strict=True))
     return rows, tuple(libraw_index[channel] for channel in sorted(libraw_index))
-
-
-def _dng_black_level(
-    path: Path, raw: rawpy.RawPy, directories: Sequence[Directory], cfa: tuple[tuple[int, ...], ...]
-) -> tuple[float, ...] | None:
-    """Return a DNG's BlackLevel per channel of the visible area; None if LibRaw's figure is to be taken."""
-    mosaic = next((d for d in directories if d.is_mosaic and BLACK_LEVEL in d.values), None)
-    if mosaic is None or any(tag in mosaic.values for tag in BLACK_DELTAS):  # LibRaw adds the deltas' mean
-        return None
-    rows, columns = map(int, mosaic.values.get(BLACK_REPEAT, (1, 1)))
-    pattern = mosaic.values[BLACK_LEVEL]
-    if len(pattern) != rows * columns or not pattern:
-        return None
-    # The pattern starts at the active area; LibRaw's visible area may start a pixel off it.
-    active = mosaic.values.get(ACTIVE_AREA, (0, 0))
-    top, left = raw.sizes.top_margin - int(active[0]), raw.sizes.left_margin - int(active[1])
-    levels: dict[int, set[float]] = {}
-    period = len(cfa)
-    for y in range(math.lcm(period, rows)):
-        for x in range(math.lcm(period, columns)):
-            level = pattern[(y + top) % rows * columns + (x + left) % columns]
-            levels.setdefault(cfa[y % period][x % period], set()).add(float(level))
-    if any(len(found) > 1 for found in levels.values()):
-        raise RawFileError(path, "its BlackLevel differs between sites of one colour; one level per channel is needed")
-    return tuple(levels[channel].pop() for channel in sorted(levels))
-
-
-def _channel_whites(raw: rawpy.RawPy, index_of: Sequence[int]) -> tuple[float, ...] | None:
-    levels = raw.camera_white_level_per_channel
-    if levels is None or not all(levels[index] > 0 for index in index_of):
-        return None
-    return tuple(float(levels[index]) for index in index_of)
-
-
-def _white_balance(raw: rawpy.RawPy, tags: Tags) -> tuple[float, float, float, float] | None:
-    neutral = tags.get("Image Tag 0xC628")  # a DNG's AsShotNeutral: the camera's response to white, exactly
-    response = [] if neutral is None else [positive(value) for value in neutral.values]
-    if len(response) == 3 and response[0] and response[1] and response[2]:
-        return float(response[1] / response[0]), 1.0, float(response[1] / response[2]), 1.0
-    red, green, blue, second_green = raw.camera_whitebalance
-    if not (red > 0 and green > 0 and blue > 0):
-        return None
-    # LibRaw keeps float32: six decimals give back the number that the file states.
-    values = (red, green, blue, second_green if second_green > 0 else green)
-    return tuple(round(float(value) / float(green), 6) for value in values)  # type: ignore[return-value] # of four
-
-
-def _xyz_to_camera(raw: rawpy.RawPy, tags: Tags) -> Matrix3 | None:
-    by_illuminant = {}
-    for matrix_tag, illuminant_tag in (("0xC621", "0xC65A"), ("0xC622", "0xC65B")):
-        matrix = tags.get(f"Image Tag {matrix_tag}")
-        if matrix is not None and len(matrix.values) == 9:
-            illuminant = tags.get(f"Image Tag {illuminant_tag}")
-            by_illuminant[illuminant.values[0] if illuminant is not None else 0] = [
-                float(value) for value in matrix.values
-            ]
-    if by_illuminant:
-        values = np.array(by_illuminant.get(_D65) or list(by_illuminant.values())[-1]).reshape(3, 3)
-    else:
-        values = np.asarray(raw.rgb_xyz_matrix[:3], dtype=np.float64)
-    if not values.any():
-        return None
-    return tuple(tuple(round(float(value), 6) for value in row) for row in values)  # type: ignore[return-value] # 3x3

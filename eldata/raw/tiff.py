@@ -1,7 +1,8 @@
 """The directories of a TIFF-based raw file, and whether the file holds what they declare.
 
 exifread and LibRaw read past the end of a cut-off file without a word; this walker does not. It reads tables and the
-few tags that this package relies on, no pixels.
+few tags that this package relies on, no pixels. What a file may make it read is bounded for the whole walk: directories
+may share their entries, and values their bytes, so that a small file can declare work for hours.
 """
 
 from __future__ import annotations
@@ -22,6 +23,11 @@ WIDTH, HEIGHT, COMPRESSION, PHOTOMETRIC = 256, 257, 259, 262
 ACTIVE_AREA = 50829
 BLACK_REPEAT, BLACK_LEVEL, BLACK_DELTAS = 50713, 50714, (50715, 50716)
 CFA_PHOTOMETRIC = 32803
+CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT = 33421, 33422, 50711
+
+_WHITE_LEVEL = 50717
+_LEVELS = {BLACK_LEVEL: "BlackLevel", BLACK_DELTAS[0]: "BlackLevelDeltaH", BLACK_DELTAS[1]: "BlackLevelDeltaV"}
+_LEVELS |= {_WHITE_LEVEL: "WhiteLevel"}
 
 _SUB_IFDS, _EXIF_IFD = 330, 34665
 _DATA = ((273, 279), (324, 325))  # strips, tiles: offsets and byte counts
@@ -30,21 +36,28 @@ _EXIF = {33434, 33437, 34855, 34864, 34865, 34866, 34867}
 _READ = _EXIF | {
     *(WIDTH, HEIGHT, COMPRESSION, PHOTOMETRIC),
     *(271, 272, _SUB_IFDS, _EXIF_IFD, ACTIVE_AREA, BLACK_REPEAT, BLACK_LEVEL, *BLACK_DELTAS),
-    *(50717, 50721, 50722, 50728, 50778, 50779),
+    *(_WHITE_LEVEL, 50721, 50722, 50728, 50778, 50779, CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT),
     *(tag for pair in _DATA for tag in pair),
 }
 
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4}
 _CODES = {1: "B", 3: "H", 4: "I", 5: "II", 6: "b", 8: "h", 9: "i", 10: "ii", 13: "I"}
-_MOST_DIRECTORIES = 64  # a file with more is damaged, or made to keep a reader busy
-_MOST_VALUES = 1 << 20
+# Of all directories together; a file with more is damaged, or made to keep a reader busy. Cameras write some hundred
+# entries. The values are those of the tags above: two for each strip or tile, of which 150 megapixels in rows or in
+# tiles of 128 x 128 pixels have 20,000.
+_MOST_DIRECTORIES = 64
+_MOST_ENTRIES = 1 << 12
+_MOST_VALUES = 1 << 17
+_MOST_REPEATED = 64  # rows or columns of BlackLevel's pattern: those of cameras have up to 8
+# How many numbers these tags of a mosaic hold: readers take them apart.
+_COUNTS = {WIDTH: 1, HEIGHT: 1, ACTIVE_AREA: 4, BLACK_REPEAT: 2, CFA_REPEAT: 2}
 
 Numbers = tuple[Fraction, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Directory:
-    """The integer and fraction values of one IFD's relied-on tags, by tag."""
+    """The integer and fraction values of one IFD's relied-on tags, by tag; not of those that state none (0/0)."""
 
     values: dict[int, Numbers]
 
@@ -84,6 +97,7 @@ def read_directories(path: Path) -> tuple[Directory, ...]:
         if head[:4] not in MAGIC or len(head) < 8:
             return ()
         order = "<" if head[:2] == b"II" else ">"
+        budget = _Budget(path, {"directories": _MOST_DIRECTORIES, "entries": _MOST_ENTRIES, "values": _MOST_VALUES})
         waiting = [struct.unpack(order + "I", head[4:])[0]]
         seen: set[int] = set()
         found: list[Directory] = []
@@ -91,29 +105,67 @@ def read_directories(path: Path) -> tuple[Directory, ...]:
             at = waiting.pop()
             if at == 0 or at in seen:
                 continue
+            if at < 0:
+                raise RawFileError(path, f"damaged: it declares a directory at byte {at}")
             seen.add(at)
-            if len(seen) > _MOST_DIRECTORIES:
-                raise RawFileError(path, f"damaged: it declares more than {_MOST_DIRECTORIES} directories")
-            directory, following = _read_directory(path, file, size, order, at)
+            budget.spend("directories", 1)
+            directory, following = _read_directory(path, file, size, order, at, budget)
             found.append(directory)
             waiting.append(following)
             for tag in (_SUB_IFDS, _EXIF_IFD):
                 waiting += map(int, directory.values.get(tag, ()))
+    for directory in found:
+        _check_mosaic(path, directory)
     # The raw image alone where it is marked as such: some cameras declare previews that they do not write.
     images = [directory for directory in found if directory.is_mosaic] or found
     require(path, size, max((sum(extent) for directory in images for extent in directory.extents), default=0))
-    for directory in found:
-        held = sum(count for _, count in directory.extents)
-        # No lossless code takes less than one bit per pixel.
-        if directory.is_mosaic and held * 8 < directory.pixels:
-            raise RawFileError(path, f"truncated: its image data, {held} bytes, cannot hold {directory.pixels} pixels")
     return tuple(found)
 
 
-def _read_directory(path: Path, file: IO[bytes], size: int, order: str, at: int) -> tuple[Directory, int]:
+@dataclass(frozen=True, slots=True)
+class _Budget:
+    """What may still be read of a file."""
+
+    path: Path
+    left: dict[str, int]
+
+    def spend(self, what: str, count: int) -> None:
+        self.left[what] -= count
+        if self.left[what] < 0:
+            raise RawFileError(
+                self.path, f"damaged, or made to keep a reader busy: its directories declare far too many {what}"
+            )
+
+
+def _check_mosaic(path: Path, directory: Directory) -> None:
+    """Refuse a mosaic of which numbers that are relied on are missing or impossible, or that has too little data."""
+    if not directory.is_mosaic:
+        return
+    for tag, count in _COUNTS.items():
+        values = directory.values.get(tag)
+        if values is not None and (len(values) != count or min(values) < 0):
+            shown = ", ".join(map(str, values[:5]))
+            raise RawFileError(path, f"damaged: expected {count} numbers from 0 on as its tag {tag}; found {shown}")
+    repeat = directory.values.get(BLACK_REPEAT, (1, 1))
+    if not 1 <= min(repeat) <= max(repeat) <= _MOST_REPEATED:
+        raise RawFileError(
+            path,
+            f"damaged: its BlackLevel repeats every {repeat[0]} x {repeat[1]} pixels; expected 1 to {_MOST_REPEATED} "
+            "either way",
+        )
+    held = sum(count for _, count in directory.extents)
+    # No lossless code takes less than one bit per pixel.
+    if held * 8 < directory.pixels:
+        raise RawFileError(path, f"truncated: its image data, {held} bytes, cannot hold {directory.pixels} pixels")
+
+
+def _read_directory(
+    path: Path, file: IO[bytes], size: int, order: str, at: int, budget: _Budget
+) -> tuple[Directory, int]:
     require(path, size, at + 2)
     file.seek(at)
     count = struct.unpack(order + "H", file.read(2))[0]
+    budget.spend("entries", count)
     require(path, size, at + 2 + 12 * count)
     table = file.read(12 * count + 4)
     values: dict[int, Numbers] = {}
@@ -127,23 +179,30 @@ def _read_directory(path: Path, file: IO[bytes], size: int, order: str, at: int)
         if length > 4:
             offset = struct.unpack(order + "I", data)[0]
             require(path, size, offset + length)
-            if kind not in _CODES or number > _MOST_VALUES:
-                continue
+        if kind not in _CODES:
+            continue
+        budget.spend("values", number)
+        if length > 4:
             file.seek(offset)
             data = file.read(length)
-        if kind in _CODES:
-            values[tag] = _numbers(order, _CODES[kind], number, data)
+        numbers = _numbers(order, _CODES[kind], number, data)
+        if numbers is not None:
+            values[tag] = numbers
+        elif tag in _LEVELS:  # LibRaw takes such a level for 0
+            raise RawFileError(path, f"damaged: its {_LEVELS[tag]} has a denominator of 0, which is no number")
     # The pointer to the next directory may be missing at the very end of a file.
     following = struct.unpack(order + "I", table[-4:])[0] if len(table) == 12 * count + 4 else 0
     return Directory(values), following
 
 
-def _numbers(order: str, code: str, number: int, data: bytes) -> Numbers:
+def _numbers(order: str, code: str, number: int, data: bytes) -> Numbers | None:
+    """Return an entry's values; ``None`` if one is a fraction over 0, which says that it is not known."""
     flat = struct.unpack_from(f"{order}{number * len(code)}{code[0]}", data)
     if len(code) == 1:
         return tuple(map(Fraction, flat))
-    pairs = zip(flat[::2], flat[1::2], strict=True)
-    return tuple(Fraction(numerator, denominator) if denominator else Fraction(0) for numerator, denominator in pairs)
+    if not all(flat[1::2]):
+        return None
+    return tuple(Fraction(numerator, denominator) for numerator, denominator in zip(flat[::2], flat[1::2], strict=True))
 
 
 def require(path: Path, size: int, end: int) -> None:

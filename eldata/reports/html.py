@@ -17,6 +17,7 @@ import jinja2
 from eldata import __version__
 from eldata.base.fields import TextFile
 from eldata.base.tables import with_error
+from eldata.base.visible import visible
 from eldata.errors import EldataError
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ def _environment(templates: Path) -> jinja2.Environment:
         loader=jinja2.FileSystemLoader(templates),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
+        finalize=_seen,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
@@ -49,6 +51,12 @@ def _environment(templates: Path) -> jinja2.Environment:
     filters = (svg_uri, png_uri, typeset, signed, prose)
     environment.filters |= {function.__name__: function for function in filters}
     return environment
+
+
+def _seen(value: object) -> object:
+    """Return what is put in a page with only characters that show."""
+    # Of what is markup already, autoescape and our own filters have made every part.
+    return visible(value) if isinstance(value, str) and not hasattr(value, "__html__") else value
 
 
 def svg_uri(svg: bytes) -> str:

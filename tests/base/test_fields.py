@@ -265,7 +265,10 @@ def test_every_error_names_the_field_what_was_expected_and_found() -> None:
         (lambda: top.text("text"), "field text: expected a text, found ' '"),
         (lambda: top.text("none"), "field none: expected a text, found null"),
         (lambda: top.text("absent"), "field absent: expected a text, found nothing"),
-        (lambda: top.text("half"), "field half: expected a text of whole Unicode characters, found '\\ud800'"),
+        (
+            lambda: top.text("half"),
+            "field half: expected a text without control characters and others that do not show, found '\\ud800'",
+        ),
         (lambda: top.text("long", longest=99), "field long: expected a text of at most 99 characters, found 'xxx"),
         (lambda: top.texts("list"), "field list[1]: expected a text, found 5"),
         (lambda: top.texts("text"), "field text: expected a list of texts, found ' '"),

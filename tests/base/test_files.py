@@ -6,17 +6,18 @@ import errno
 import hashlib
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import pytest
 
 import eldata.base.files
-from eldata.base.files import atomic_write, inside, path_problem, sha256_of, write_text
+from eldata.base.files import atomic_write, file_problem, inside, path_problem, sha256_of, write_text
 from eldata.errors import EldataError, ManifestError
 from tests.cases import in_one_test
 from tests.waiting import PATIENCE_S
@@ -34,6 +35,37 @@ def old(tmp_path: Path) -> Path:
 def only(path: Path, content: bytes) -> bool:
     """The file has this content and its folder holds nothing else, so no ``.part`` either."""
     return path.read_bytes() == content and list(path.parent.iterdir()) == [path]
+
+
+# --- what may be opened ---------------------------------------------------------------------------------------
+
+
+def test_only_a_file_with_something_in_it_may_be_opened(tmp_path: Path) -> None:
+    """A named pipe would be waited for; none of these is opened."""
+    (tmp_path / "file").write_bytes(b"x")
+    (tmp_path / "empty").touch()
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    (tmp_path / "link").symlink_to(tmp_path / "file")
+    (tmp_path / "dangling").symlink_to(tmp_path / "nothing")
+    (tmp_path / "device").symlink_to(os.devnull)
+    os.mkfifo(tmp_path / "pipe")
+    expected = {
+        "file": None,
+        "link": None,
+        "empty": "is empty (0 bytes): copy or download it again",
+        "loop": "cannot be read: Too many levels of symbolic links",
+        "dangling": "cannot be read: No such file or directory",
+        "nothing": "cannot be read: No such file or directory",
+        "file/below": "cannot be read: Not a directory",
+        "device": "is a device, not a file",
+        "pipe": "is a named pipe, not a file",
+        ".": "is a folder, not a file",
+        "nul\0": "cannot be read: its name holds a NUL character",
+    }
+    assert {name: file_problem(tmp_path / name) for name in expected} == expected
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(tmp_path / "socket"))
+        assert file_problem(tmp_path / "socket") == "is a socket, not a file"
 
 
 # --- atomic_write -------------------------------------------------------------------------------------------
@@ -191,16 +223,14 @@ def test_a_disk_that_is_full_when_it_is_synced(old: Path, monkeypatch: pytest.Mo
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
 @pytest.mark.parametrize("size", [10, 1_000_000])
-def test_a_disk_that_is_full_when_it_is_written(size: int, old: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    really_open = Path.open
-
-    def on_full_disk(*_: object) -> IO[Any]:
-        return really_open(Path("/dev/full"), "wb")
-
-    monkeypatch.setattr(Path, "open", on_full_disk)
-    with pytest.raises(EldataError, match=r"cannot write .*scores\.csv: No space left on device"):
-        write_text(old, "x" * size)
-    monkeypatch.undo()
+def test_a_disk_that_is_full_when_it_is_written(size: int, old: Path) -> None:
+    with (
+        pytest.raises(EldataError, match=r"cannot write .*scores\.csv: No space left on device"),
+        atomic_write(old) as file,
+        Path("/dev/full").open("wb") as full,
+    ):
+        os.dup2(full.fileno(), file.fileno())
+        file.write(b"x" * size)
     assert only(old, OLD)
 
 

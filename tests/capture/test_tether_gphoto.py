@@ -16,6 +16,7 @@ import pytest
 
 from capture.camera import CameraDescription, Shutter
 from capture.cli import main
+from capture.observed import observe_one
 from capture.plan import make_plan
 from capture.protocol import CaptureProtocol
 from capture.shots import Shot
@@ -27,11 +28,13 @@ from capture.tether.preparing import model_problem
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure
 from tests.capture.simulated import CAMERA, SENSOR
+from tests.raw.crw import write_crw
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+REAL_CR3 = Path(__file__).parents[1] / "raw" / "real" / "canon-eos-r6.cr3"
 DETECTED = """\
 Model                          Port            
 ----------------------------------------------------------
@@ -220,6 +223,16 @@ def test_a_frame_of_another_camera_or_none_at_all(tmp_path: Path) -> None:
     )
     write_dng(tmp_path / "none.DNG", mosaic, SENSOR, Exposure(Fraction(100)))
     assert "states no exposure time" in (look(tmp_path / "none.DNG", shot, CAMERA).problem or "")
+
+
+def test_canons_containers_say_which_camera_took_them(tmp_path: Path) -> None:
+    """Regression: a CR3 and a CRW named none, and a session took them for another camera's."""
+    write_crw(tmp_path / "a.CRW", (66, 0, 160, *[0] * 19, 192))
+    observed = observe_one(tmp_path / "a.CRW")
+    assert (observed.model, observed.iso, observed.exposure_s) == ("Canon EOS D60", Fraction(100), Fraction(1, 64))
+    observed = observe_one(REAL_CR3)
+    assert (observed.model, observed.iso, observed.exposure_s) == ("Canon EOS R6", Fraction(25600), Fraction(1, 100))
+    assert observed.taken is not None
 
 
 def camera_of_dng() -> CameraDescription:

@@ -116,7 +116,7 @@ def test_files(profile: Cli) -> None:
 def test_a_profile_of_ones_own(profile: Cli) -> None:
     mine = replace(
         CameraProfile.load("SonyA7S2"),
-        camera="<script>\x1b[31m Mine",
+        camera="<script>\n Mine",
         iso_range=None,
         black_level_dn=512.0,
         white_level_dn=16383.0,
@@ -124,11 +124,18 @@ def test_a_profile_of_ones_own(profile: Cli) -> None:
     mine.save("mine.json")
     done = profile("show", "mine.json", "--gain", "1.5", "--model", "P*+G")
     assert done.code == 0
-    assert done.out.startswith("<script>?[31m Mine\n")
-    assert "\x1b" not in done.out
+    assert done.out.startswith("<script> Mine\n")
     assert "  ISO     not known" in done.out
     assert "  black   512 DN" in done.out
     assert "model P*+G, seed 0" in done.out
+
+
+def test_a_profile_that_would_steer_the_terminal_is_refused(profile: Cli) -> None:
+    replace(CameraProfile.load("SonyA7S2"), camera="\x1b[31m Mine").save("mine.json")
+    done = profile("show", "mine.json")
+    assert done.code == 2
+    assert "field camera: expected a text without control characters" in done.err
+    assert "found '\\x1b[31m Mine'" in done.err
 
 
 def test_list(profile: Cli) -> None:

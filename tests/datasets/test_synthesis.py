@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
@@ -12,13 +13,15 @@ import pytest
 
 from eldata.cli.main import main
 from eldata.datasets.base import PairDataset
+from eldata.datasets.packed_store import PackedStore
 from eldata.datasets.synthesis import Recipe, synthesize
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.manifest import verify
 from eldata.noise import CameraProfile, NoiseModel, NoiseParameters
 from eldata.raw import read_raw, write_dng
 from eldata.raw.cfa import XTRANS_CFA, pack, pack_normalised
-from eldata.records import Exposure, Sensor
+from eldata.records import Exposure, Sensor, exact_fraction
+from tests.raw.helpers import write_plain_dng
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -186,3 +189,68 @@ def test_command(clean: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
         assert main(["synthesize", str(clean), "-o", str(tmp_path / "new"), *wrong]) == 2
         assert capsys.readouterr().err.count("\n") == 1
     assert not (tmp_path / "new").exists()
+
+
+# --- foreign files ------------------------------------------------------------------------------------------
+
+
+# Regression: "white_balance = 10000000000000000/20263670885562943 does not fit an EXIF fraction", and no file. The
+# neutral, levels, matrix and light are those of a GoPro Fusion's DNG (Apache-2.0 or MIT, github.com/gopro/gpr).
+def test_a_foreign_dng_makes_the_whole_journey(tmp_path: Path) -> None:
+    (tmp_path / "clean").mkdir()
+    matrix = (10344, -4210, -620, -2315, 10625, 1948, 93, 1058, 5541)
+    write_plain_dng(
+        tmp_path / "clean" / "a.dng",
+        np.random.default_rng(0).integers(2000, 9000, (64, 96), dtype=np.uint16),
+        ("RG", "GB"),
+        (33434, "2I", 1, (1, 3413), True),
+        (34855, "H", 1, 100, True),
+        (50713, "H", 2, (2, 2), True),
+        (50714, "2I", 4, (1023, 4, 256, 1, 511, 2, 1025, 4), True),
+        (50721, "2i", 9, tuple(part for value in matrix for part in (value, 10**4)), True),
+        (50728, "2I", 3, (493494, 10**6, 1, 1, 606815, 10**6), True),
+        (50778, "H", 1, 23, True),
+    )
+    source = read_raw(tmp_path / "clean" / "a.dng").sensor
+    assert main(["synthesize", str(tmp_path / "clean"), "-o", str(tmp_path / "own"), "--camera", "SonyA7S2"]) == 0
+    manifest, data = tmp_path / "own" / "manifests" / "own.csv", tmp_path / "own" / "data"
+    assert main(["verify", str(manifest), "--root", str(data), "--level", "full", "--jobs", "1"]) == 0
+    for name in ("clean", "noisy-1"):
+        found = read_raw(data / "own" / "SonyA7S2" / "scene-1" / f"{name}.dng").sensor
+        assert found == source
+        assert [exact_fraction(value) for value in found.white_balance or ()] == [
+            Fraction(10**6, 493494),
+            1,
+            Fraction(10**6, 606815),
+            1,
+        ]
+        assert [exact_fraction(level) for level in found.black_level_dn] == [255.75, 256, 256.25, 255.5]
+        assert found.matrix_illuminant == 23
+    arguments = ["--manifest", str(manifest), "--root", str(data), "--baseline", "input", "--protocol", "eld"]
+    assert main(["evaluate", *arguments, "--jobs", "1"]) == 0
+    assert main(["pack", "own", "--manifest", str(manifest), "--root", str(data), "-o", str(tmp_path / "s.h5")]) == 0
+    sample = PackedStore(tmp_path / "s.h5", crop=16, levels="metadata")[0]
+    assert sample["input"].shape == (4, 16, 16)
+
+
+def test_what_cannot_be_written_names_the_clean_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "clean").mkdir()
+    write_plain_dng(
+        tmp_path / "clean" / "a.dng",
+        np.full((64, 96), 4000, np.uint16),
+        ("RG", "GB"),
+        (33434, "2I", 1, (1, 30), True),
+        (34855, "H", 1, 100, True),
+        (50728, "2I", 3, (1, 100, 1, 100, 42949673, 1), True),
+    )
+    assert main(["synthesize", str(tmp_path / "clean"), "-o", str(tmp_path / "own"), "--camera", "SonyA7S2"]) == 2
+    message = capsys.readouterr().err
+    assert re.search(r"clean/a\.dng: cannot be a clean frame: .*clean\.dng: white_balance \(.*\): expected", message)
+
+
+def test_a_camera_without_a_name_passes_its_own_check(tmp_path: Path) -> None:
+    (tmp_path / "clean").mkdir()
+    nameless = replace(sensor(64, 96), make="", model="")
+    write_dng(tmp_path / "clean" / "a.dng", np.full((64, 96), 4000, np.uint16), nameless, EXPOSURE)
+    manifest = synthesize(tmp_path / "clean", tmp_path / "own", Recipe(SONY, ratio=(100, 100)))
+    assert verify(manifest.path, tmp_path / "own" / "data", level="metadata").problems == ()

@@ -151,7 +151,7 @@ def write_plain_dng(
     make: str = "Acme",
     model: str = "Nocturne 1",
     photometric: int = 32803,
-    white: int = 16000,
+    white: int | None = 16000,
     **options: Any,
 ) -> None:
     """Write a DNG with tifffile and nothing of the package: no EXIF IFD, no colour, no black level."""
@@ -161,9 +161,10 @@ def write_plain_dng(
         (50706, "B", 4, bytes((1, 4, 0, 0)), True),
         (50707, "B", 4, bytes((1, 1, 0, 0)), True),
         (50708, "s", 0, f"{make} {model}", True),
-        (50717, "I", 1, white, True),
         *tags,
     ]
+    if white is not None:
+        all_tags.append((50717, "I", 1, white, True))
     if pattern is not None:
         rows, columns = len(pattern), len(pattern[0])
         colours = bytes("RGB".index(letter) for row in pattern for letter in row)

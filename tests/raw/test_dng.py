@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -301,13 +302,32 @@ def test_camera_to_srgb_is_what_libraw_computes(matrix: Any, tmp_path: Path) -> 
         ({}, Exposure(exposure_s=Fraction(-1, 30)), "exposure_s = -1/30"),
         ({}, Exposure(exposure_s=Fraction(1, 2**32)), "exposure_s = 1/4294967296"),
         ({}, Exposure(f_number=Fraction(2**32)), "f_number = 4294967296"),
-        ({"black_level_dn": (512.5,) * 4}, EXPOSURE, "black_level_dn .*: expected whole numbers"),
+        (
+            {"black_level_dn": (65535.5,) * 4, "white_level_dn": 65536.0},
+            EXPOSURE,
+            "black_level_dn .*: expected numbers",
+        ),
         ({"black_level_dn": (-1.0,) * 4}, EXPOSURE, "black_level_dn"),
         ({"white_level_dn": 15871.5}, EXPOSURE, "white_level_dn 15871.5"),
         ({"white_level_dn": 65536.0}, EXPOSURE, "white_level_dn 65536"),
         ({"white_level_dn": 0.0}, EXPOSURE, "white_level_dn 0.0 must lie above"),
         ({"make": "Zorki-Ж"}, EXPOSURE, "Zorki-Ж"),
-        ({"white_balance": (2.0, 1.0, 1.5, 1.1)}, EXPOSURE, "one multiplier for both greens"),
+        ({"white_balance": (-2.0, 1.0, 1.5, 1.1)}, EXPOSURE, "white_balance .*: expected positive multipliers"),
+        (
+            {"white_balance": (2.0, 1.0, 2.0**33, 1.0)},
+            EXPOSURE,
+            "white_balance .*: expected multipliers within 32 bits",
+        ),
+        (
+            {"white_balance": (2.0, 1.0, 2.0**-33, 1.0)},
+            EXPOSURE,
+            "white_balance .*: expected multipliers within 32 bits",
+        ),
+        ({"white_balance": (2.0, 0.0, 2.0, 1.0)}, EXPOSURE, "white_balance .*: expected positive multipliers"),
+        ({"xyz_to_camera": ((1.0, 0.0, 0.0), (0.0, float("inf"), 0.0), (0.0, 0.0, 1.0))}, EXPOSURE, "xyz_to_camera"),
+        ({"xyz_to_camera": ((1.0, 0.0, 0.0), (0.0, -(2.0**31), 0.0), (0.0, 0.0, 1.0))}, EXPOSURE, "xyz_to_camera"),
+        ({"matrix_illuminant": 65536}, EXPOSURE, "matrix_illuminant 65536"),
+        ({"model": "Nocturne "}, EXPOSURE, "model 'Nocturne '"),
         ({"height": 61}, EXPOSURE, r"expected a uint16 mosaic of 61 x 64 pixels .* found uint16 \(60, 64\)"),
         ({"cfa": ((0, 1), (1, 2))}, EXPOSURE, "unsupported CFA"),
     ],
@@ -316,7 +336,7 @@ def test_camera_to_srgb_is_what_libraw_computes(matrix: Any, tmp_path: Path) -> 
 def test_what_does_not_fit_is_refused_and_nothing_is_written(
     fields: dict[str, Any], exposure: Exposure, words: str, tmp_path: Path
 ) -> None:
-    with pytest.raises(ArgumentError, match=words):
+    with pytest.raises(ArgumentError, match=f"{re.escape(str(tmp_path / 'a.dng'))}: .*{words}"):
         write_dng(tmp_path / "a.dng", random_mosaic(60, 64), make_sensor(**fields), exposure)
     assert list(tmp_path.iterdir()) == []
 
@@ -344,11 +364,10 @@ def test_senseless_levels_are_refused(fields: dict[str, Any], tmp_path: Path) ->
 
 
 # Regression: written without a word, then refused by read_raw, which is documented to give it back.
-@pytest.mark.parametrize("reason", ["white = black", "X-Trans black by colour", "21 rows"])
+@pytest.mark.parametrize("reason", ["white = black", "21 rows"])
 def test_what_read_raw_would_refuse_is_not_written(reason: str, tmp_path: Path) -> None:
     sensor = {
         "white = black": make_sensor(white_level_dn=514.0),
-        "X-Trans black by colour": make_sensor(xtrans_at(0, 0), black_level_dn=(256.0, 257.0, 256.0)),
         "21 rows": make_sensor(height=21),
     }[reason]
     with pytest.raises(ArgumentError):

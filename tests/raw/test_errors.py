@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import imagecodecs
 import numpy as np
 import pytest
+import rawpy
 import tifffile
 from PIL import Image
 
@@ -19,6 +20,7 @@ from tests.raw.helpers import (
     EXPOSURE,
     XTRANS,
     Cfa,
+    Tag,
     black_levels,
     letters,
     make_sensor,
@@ -73,7 +75,7 @@ def test_a_dangling_link(tmp_path: Path) -> None:
 
 def test_a_folder(tmp_path: Path) -> None:
     (tmp_path / "a.dng").mkdir()
-    refused(tmp_path / "a.dng", "is a folder, not a raw file")
+    refused(tmp_path / "a.dng", "is a folder, not a file")
 
 
 @pytest.mark.parametrize("name", ["a.dng", "a.RAF", "a.CR2"])
@@ -92,7 +94,7 @@ def test_a_text_file_named_dng(text: str, tmp_path: Path) -> None:
 def test_an_ordinary_image_named_as_a_raw_file(kind: str, tmp_path: Path) -> None:
     pixels = (random_mosaic(64, 3 * 64) >> 8).astype(np.uint8).reshape(64, 64, 3)
     Image.fromarray(pixels).save(tmp_path / "a.ARW", kind)
-    refused(tmp_path / "a.ARW", "not a raw file that LibRaw knows")
+    refused(tmp_path / "a.ARW", "is a JPEG picture" if kind == "JPEG" else "not a raw file that LibRaw knows")
 
 
 @pytest.mark.parametrize("content", [b"\0" * 5000, b"\xff" * 5000, b"II*\0" * 1000, b"MM\0*" * 1000, b"II*\0"])
@@ -255,19 +257,6 @@ def test_a_monochrome_dng(pattern: tuple[str, str] | None, tmp_path: Path) -> No
     refused(tmp_path / "a.dng", "no colour filter array", [read_raw])
 
 
-def test_a_cmyg_dng(tmp_path: Path) -> None:
-    # CFAPlaneColor names the planes cyan (3), magenta (4), yellow (5) and green (1).
-    write_plain_dng(
-        tmp_path / "a.dng",
-        random_mosaic(64, 66),
-        None,
-        (33421, "H", 2, (2, 2), True),
-        (33422, "B", 4, bytes((3, 4, 5, 1)), True),
-        (50710, "B", 4, bytes((3, 4, 5, 1)), True),
-    )
-    refused(tmp_path / "a.dng", "unsupported colour filter array", [read_raw])
-
-
 # Regression: the greens side by side or in one column, and any 6 x 6 of R, G and B, are taken for Bayer
 # and X-Trans; of "RB", "GG" the record even has a CFA without channel 1 and three black levels.
 @pytest.mark.parametrize(
@@ -288,6 +277,75 @@ def test_a_cmyg_dng(tmp_path: Path) -> None:
 def test_other_patterns_of_red_green_and_blue(pattern: tuple[str, ...], tmp_path: Path) -> None:
     write_plain_dng(tmp_path / "a.dng", random_mosaic(66, 72), pattern)
     refused(tmp_path / "a.dng", "unsupported colour filter array", [read_raw])
+
+
+def in_blocks(side: int, rows: tuple[str, str] = ("RG", "GB")) -> list[str]:
+    return ["".join(colour * side for colour in row) for row in rows for _ in range(side)]
+
+
+NAMED = {
+    "quad-Bayer": (in_blocks(2), r"quad-Bayer \(blocks of 2 x 2 sites of one colour\), 4 x 4 sites of BGR"),
+    "quad-Bayer from green": (in_blocks(2, ("GR", "BG")), "quad-Bayer"),
+    "nona-Bayer": (in_blocks(3), r"nona-Bayer \(blocks of 3 x 3 sites of one colour\), 6 x 6 sites of BGR"),
+    "nona-Bayer from blue": (in_blocks(3, ("BG", "GR")), "nona-Bayer"),
+    "hexadeca-Bayer": (in_blocks(4), "hexadeca-Bayer"),
+    # Regression: LibRaw takes the first four colours of the next for the pattern, so it was read as Bayer.
+    "four columns": (["RGGB", "RGGB", "GRBG", "BGGR"], "4 x 4 sites of BGR"),
+}
+
+
+@pytest.mark.parametrize(("pattern", "words"), NAMED.values(), ids=NAMED)
+def test_a_colour_filter_array_by_name(pattern: list[str], words: str, tmp_path: Path) -> None:
+    write_plain_dng(tmp_path / "a.dng", random_mosaic(72, 72), pattern)
+    refused(tmp_path / "a.dng", f"unsupported colour filter array: {words}")
+
+
+def test_the_first_colours_of_a_larger_pattern_are_no_bayer(tmp_path: Path) -> None:
+    write_plain_dng(tmp_path / "a.dng", random_mosaic(72, 72), NAMED["four columns"][0])
+    with rawpy.imread(str(tmp_path / "a.dng")) as raw:
+        assert raw.raw_pattern is not None
+        assert raw.raw_pattern.tolist() == [[0, 1], [3, 2]]  # the trap is set
+
+
+@pytest.mark.parametrize(
+    ("numbers", "words"), [((3, 4, 5, 1), r"CYGM \(cyan.*2 x 2 sites of CGMY"), ((0, 1, 6, 2), r"RGBW \(with white")]
+)
+def test_other_colours_by_name(numbers: tuple[int, ...], words: str, tmp_path: Path) -> None:
+    """LibRaw calls any four colours CYGM."""
+    planes = bytes(numbers)
+    tags: list[Tag] = [(33421, "H", 2, (2, 2), True), (33422, "B", 4, planes, True), (50710, "B", 4, planes, True)]
+    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), None, *tags)
+    refused(tmp_path / "a.dng", words)
+
+
+@pytest.mark.parametrize("layout", [2, 4])
+def test_staggered_rows_are_no_bayer(layout: int, tmp_path: Path) -> None:
+    """Regression: but for layout 2 LibRaw ignores it, and the mosaic was read as if its rows were straight."""
+    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), ("RG", "GB"), (50711, "H", 1, layout, True))
+    refused(tmp_path / "a.dng", f"its CFALayout is {layout} ")
+
+
+@pytest.mark.parametrize(("compression", "words"), [(9, "is a GPR .*gpr_tools -i"), (52546, "JPEG XL")])
+def test_compressions_that_libraw_cannot_decode(compression: int, words: str, tmp_path: Path) -> None:
+    path = tmp_path / "GOPR0001.GPR"
+    write_plain_dng(path, random_mosaic(64, 66))
+    entry = struct.pack("<HHI", 259, 3, 1)
+    path.write_bytes(path.read_bytes().replace(entry + b"\1\0", entry + struct.pack("<H", compression)))
+    refused(path, words)
+
+
+@pytest.mark.parametrize(("head", "words"), [(b"FOVb", "is a Sigma X3F: .*Foveon"), (b"PK\3\4", "Capture One's EIP")])
+def test_containers_that_are_known_not_to_work(head: bytes, words: str, tmp_path: Path) -> None:
+    (tmp_path / "a.X3F").write_bytes(head + bytes(1000))
+    refused(tmp_path / "a.X3F", words)
+
+
+@pytest.mark.parametrize("tag", ["BlackLevel", "WhiteLevel", "BlackLevelDeltaH"])
+def test_a_level_over_0_is_refused_and_not_taken_for_0(tag: str, tmp_path: Path) -> None:
+    number = {"BlackLevel": 50714, "WhiteLevel": 50717, "BlackLevelDeltaH": 50715}[tag]
+    tags: list[Tag] = [(number, "2I", 1, (512, 0), True)]
+    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), ("RG", "GB"), *tags, white=None)
+    refused(tmp_path / "a.dng", f"its {tag} has a denominator of 0")
 
 
 @pytest.mark.parametrize("size", [6, 2])

@@ -16,7 +16,7 @@ from PIL.TiffImagePlugin import IFDRational
 from eldata.errors import RawFileError
 from eldata.raw import exposure_ratio, read_header, read_raw, write_dng
 from eldata.raw.colour import camera_to_srgb
-from eldata.raw.exif import exif_tags, simplest_fraction
+from eldata.raw.exif import exif_tags
 from eldata.records import Exposure
 from tests.cases import in_one_test
 from tests.raw.helpers import (
@@ -283,27 +283,3 @@ def test_a_raf_without_pixels_is_not_decoded(tmp_path: Path) -> None:
     for read in (read_raw, read_header):
         with pytest.raises(RawFileError, match=r"a\.RAF"):
             read(tmp_path / "a.RAF")
-
-
-# --- LibRaw's float32 as a fraction -------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "fraction",
-    [Fraction(n, d) for n, d in ((1, 250), (1, 3), (1, 8000), (30, 1), (5, 2), (2, 5), (1, 32000), (13, 10), (400, 1))],
-)
-def test_float32_reads_as_the_fraction_that_was_meant(fraction: Fraction) -> None:
-    value = float(np.float32(float(fraction)))
-    assert simplest_fraction(value) == fraction
-
-
-@pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
-def test_what_libraw_does_not_know_reads_as_none(value: float) -> None:
-    assert simplest_fraction(value) is None
-
-
-@pytest.mark.parametrize("value", np.random.default_rng(4).lognormal(0, 3, 20).astype(np.float32).tolist())
-def test_any_float32_reads_as_a_fraction_that_rounds_to_it(value: float) -> None:
-    fraction = simplest_fraction(value)
-    assert fraction is not None
-    assert np.float32(float(fraction)) == np.float32(value)

@@ -6,7 +6,8 @@
                             bytes, sha256, and of each of its samples [bytes, crc32]; written last: without it there is
                             nothing
     shard-000000.tar        samples one after the other, three members each, named as WebDataset names them:
-      000000042.json          the record, the exposure ratio, both sensors and exposures, the place in the frame
+      000000042.json          the record, the exposure ratio, both sensors and exposures, the place in the frame; with
+                              sensor_more where a sensor states more than version 0.1 knows
       000000042.input.npy     (H, W) uint16, the noisy mosaic in DN
       000000042.target.npy    (H, W) uint16, the reference's
 
@@ -27,7 +28,7 @@ import numpy as np
 from eldata.base.fields import TextFile
 from eldata.errors import FileError
 from eldata.records import PairRecord
-from eldata.sources.file_facts import exact, exposure_data, exposure_of, parsed, sensor_of
+from eldata.sources.file_facts import exact, exposure_data, exposure_of, more_of_sensor, parsed, sensor_data, sensor_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -40,6 +41,7 @@ FORMAT = "eldata-shards"
 VERSION = 1
 INDEX = "index.json"
 KEY_DIGITS = 9
+_MOST_SAMPLE_BYTES = 1 << 30  # two frames of 250 megapixels
 
 _SHARD_NAME = re.compile(r"shard-\d{6}\.tar", re.ASCII)
 
@@ -174,6 +176,8 @@ def _shard(data: Mapping[str, Any]) -> Shard:
     shard = Shard(name, int(data["bytes"]), str(data["sha256"]), pairs[:, 0], pairs[:, 1].astype(np.uint32))
     if (pairs < 0).any() or (pairs[:, 1] >= 1 << 32).any() or not 0 <= pairs[:, 0].sum() <= shard.bytes:
         raise ValueError(f"sizes of {name}")
+    if pairs[:, 0].max(initial=0) > _MOST_SAMPLE_BYTES:
+        raise ValueError(f"a sample of {pairs[:, 0].max()} bytes in {name}")
     return shard
 
 
@@ -184,10 +188,7 @@ def facts_text(facts: Facts) -> str:
     """Return a sample's facts as JSON; fractions as text, so that they stay exact."""
     fields = asdict(facts.record).items()
     record = {name: str(value) if isinstance(value, Fraction) else value for name, value in fields}
-    sides = {
-        name: {"sensor": asdict(side.sensor), "exposure": exposure_data(side.exposure)}
-        for name, side in (("input", facts.input), ("target", facts.target))
-    }
+    sides = {name: _side_data(side) for name, side in (("input", facts.input), ("target", facts.target))}
     data = {"record": record, "ratio": str(facts.ratio), "top": facts.top, "left": facts.left, **sides}
     return json.dumps(data, ensure_ascii=False, sort_keys=True)
 
@@ -214,8 +215,14 @@ def parse_facts(content: bytes) -> Facts:
     return Facts(pair, ratio, int(data["top"]), int(data["left"]), **sides)
 
 
+def _side_data(side: Side) -> dict[str, Any]:
+    more = more_of_sensor(side.sensor)
+    data = {"sensor": sensor_data(side.sensor), "exposure": exposure_data(side.exposure)}
+    return data | {"sensor_more": more} if more else data
+
+
 def _side(data: Mapping[str, Any]) -> Side:
-    sensor = sensor_of(data["sensor"])
+    sensor = sensor_of(data["sensor"], data.get("sensor_more", {}))
     if not np.isfinite(np.array([*sensor.black_level_dn, sensor.white_level_dn], dtype=np.float64)).all():
         raise ValueError("a level is not finite")
     return Side(sensor, exposure_of(data["exposure"]))

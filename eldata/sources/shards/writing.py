@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import re
 import zlib
 from dataclasses import dataclass
 from functools import partial
@@ -15,7 +14,7 @@ from tqdm import tqdm
 
 from eldata import __version__
 from eldata.base.fields import TextFile
-from eldata.base.files import atomic_write, check_same_work, sha256_of, write_json, write_text
+from eldata.base.files import atomic_write, check_same_work, remove_leftovers, sha256_of, write_json, write_text
 from eldata.base.keywords import keywords
 from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.manifest.pairs import RENAMED, Choice
@@ -32,9 +31,8 @@ if TYPE_CHECKING:
     from eldata.sources.frames import Frame
     from eldata.sources.shards.tiles import Tile
 
-# What was begun, so that only the same work goes on in the folder; gone when the index is there.
+# What was begun, so that only the same work goes on in the folder; gone soon after the index is there.
 BEGUN = ".begun.json"
-_LEFT_OVER = re.compile(r"\.(shard-\d{6}\.tar|index\.json|\.begun\.json)\.[0-9a-f]{16}\.part")
 _MOST_SHARDS = 10**6
 
 
@@ -163,15 +161,12 @@ def _begin(folder: Path, options: dict[str, Any]) -> None:
     wanted = {"format": FORMAT, "version": VERSION, "written_by": f"eldata {__version__}", **options}
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        remove_leftovers(folder)
         there = sorted(path.name for path in folder.iterdir())
-        for name in there:
-            if _LEFT_OVER.fullmatch(name):
-                (folder / name).unlink()
-        there = [name for name in there if not _LEFT_OVER.fullmatch(name)]
     except OSError as error:
         raise EldataError(f"cannot write into {folder}: {error.strerror or error}") from error
     begun = TextFile(folder / BEGUN, EldataError, "remove the folder to start again").json() if BEGUN in there else None
-    if INDEX in there:
+    if INDEX in there and begun is None:
         raise EldataError(f"{folder}: holds finished shards already; remove it, or name another folder")
     if begun is None:
         if there:

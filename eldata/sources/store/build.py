@@ -20,7 +20,7 @@ from eldata.base.workers import AnyWorkers, Workers, accepts_jobs, require_files
 from eldata.errors import EldataError
 from eldata.manifest.clip_checks import is_png
 from eldata.sources.store.format import FORMAT, chunk_shape, filters, frame_attributes, rgb_attributes, version_of
-from eldata.sources.store.journal import journaled
+from eldata.sources.store.journal import journaled, remove_stale_journal
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -82,9 +82,10 @@ def build_store(
     path = Path(path)
     workers = Workers.of(workers)
     options = filters(compression)
-    if path.exists():
-        raise EldataError(f"{path}: is there already; remove it, or name another file")
     part = path.with_name(f"{path.name}.part")
+    if path.exists():
+        remove_stale_journal(part)
+        raise EldataError(f"{path}: is there already; remove it, or name another file")
     with journaled(part) as file:
         try:
             resumed, pixel_bytes = _fill(file, source, compression, options, workers)

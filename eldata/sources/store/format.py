@@ -6,7 +6,8 @@
     /manifest/csv       the manifest's bytes, uint8; its digest is that of the file (not in a store of clean frames)
     /manifest/json      the dataset card's bytes, uint8
     /frames/<n>         one file's visible mosaic, (H, W) uint16 in DN, in chunks of 256 x 256
-                        attributes path, role, sha256 (of the pixels), sensor and exposure (JSON)
+                        attributes path, role, sha256 (of the pixels), sensor and exposure (JSON), and sensor_more
+                        (JSON) where the sensor states more than version 0.1 knows
                         or, from version 2 on, a 16-bit RGB frame, (3, H, W) uint16, in chunks of 1 x 256 x 256
                         attributes path, role, sha256, kind = "rgb"
 
@@ -20,12 +21,12 @@ would need two for, and nothing of the visible area is lost.
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from eldata.errors import ArgumentError, FileError, check_choice
 from eldata.manifest.clip_checks import is_png
-from eldata.sources.file_facts import exposure_data, exposure_of, parsed, sensor_of
+from eldata.sources.file_facts import exposure_data, exposure_of, more_of_sensor, parsed, sensor_data, sensor_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -153,11 +154,13 @@ def filters(compression: Compression) -> Mapping[str, Any]:
 
 def frame_attributes(path: str, role: Role, frame: RawFrame, sha256: str) -> dict[str, str]:
     """Return the attributes of a frame's HDF5 dataset."""
+    more = more_of_sensor(frame.sensor)
     return {
         "path": path,
         "role": role,
         "sha256": sha256,
-        "sensor": json.dumps(asdict(frame.sensor)),
+        "sensor": json.dumps(sensor_data(frame.sensor)),
+        **({"sensor_more": json.dumps(more)} if more else {}),
         "exposure": json.dumps(exposure_data(frame.exposure)),
     }
 
@@ -181,6 +184,7 @@ def stored(key: str, attributes: Mapping[str, Any], shape: tuple[int, ...]) -> S
         if planes != 3:
             raise ValueError(f"an RGB frame of {planes} planes")
         return StoredRgb(key, path, role, int(height), int(width), sha256)
-    sensor = sensor_of(parsed("attribute sensor", attributes["sensor"]))
+    more = parsed("attribute sensor_more", attributes["sensor_more"]) if "sensor_more" in attributes else {}
+    sensor = sensor_of(parsed("attribute sensor", attributes["sensor"]), more)
     exposure = exposure_of(parsed("attribute exposure", attributes["exposure"]))
     return StoredFrame(key, path, role, sensor, exposure, sha256)

@@ -18,7 +18,7 @@ import struct
 from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
-from eldata.base.files import check_posix, try_lock
+from eldata.base.files import check_posix, is_at, try_lock
 from eldata.errors import EldataError
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ class JournaledFile(io.FileIO):
         super().__init__(path, "r+", opener=lambda name, _: os.open(name, os.O_RDWR | os.O_CREAT, 0o666))
         self.path = path
         self.failure: BaseException | None = None
-        self._journal_path = path.with_name(f"{path.name}.journal")
+        self._journal_path = path.with_name(_journal_name(path))
         self._committed = 0
         self._journal = -1
 
@@ -178,7 +178,7 @@ def journaled(path: Path) -> Iterator[JournaledFile]:
     try:
         with ExitStack() as undo:
             file = undo.enter_context(JournaledFile(path))
-            if not (try_lock(path, file.fileno()) and _is_at(path, file.fileno())):
+            if not (try_lock(path, file.fileno()) and is_at(path, os.fstat(file.fileno()))):
                 raise EldataError(f"{path}: another process is writing it; wait for that one")
             file.resume()
             undo.pop_all()
@@ -191,9 +191,11 @@ def journaled(path: Path) -> Iterator[JournaledFile]:
             file.release()
 
 
-def _is_at(path: Path, descriptor: int) -> bool:
-    """Return whether the file still has its name: another writer may have finished, and renamed it, before our lock."""
-    try:
-        return os.path.samestat(os.fstat(descriptor), path.stat())
-    except OSError:
-        return False
+def remove_stale_journal(path: Path) -> None:
+    """Remove a journal whose file has been finished and renamed: a kill between these two steps leaves it."""
+    if not path.exists():
+        path.with_name(_journal_name(path)).unlink(missing_ok=True)
+
+
+def _journal_name(path: Path) -> str:
+    return f"{path.name}.journal"

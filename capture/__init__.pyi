@@ -1,0 +1,14 @@
+from .calibration import CalibrationPlan as CalibrationPlan
+from .calibration import plan_calibration as plan_calibration
+from .camera import CameraDescription as CameraDescription
+from .camera import Shutter as Shutter
+from .camera import ShutterTime as ShutterTime
+from .plan import Plan as Plan
+from .plan import ScenePlan as ScenePlan
+from .plan import make_plan as make_plan
+from .protocol import PAPER as PAPER
+from .protocol import PROTOCOLS as PROTOCOLS
+from .protocol import RELEASED as RELEASED
+from .protocol import CaptureProtocol as CaptureProtocol
+from .protocol import ProtocolFrame as ProtocolFrame
+from .shots import Shot as Shot

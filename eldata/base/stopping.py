@@ -1,0 +1,197 @@
+"""How a program and its workers end when they are told to: Ctrl-C, SIGTERM, and SIGHUP of a terminal that is closed.
+
+A command line goes through three stages. While it imports and parses, :func:`exit_when_told` ends it on the spot: there is
+nothing to tidy. While its work runs, :func:`stoppable` raises :class:`Stopped` in it, which unwinds: files that are half
+written are removed, workers end. Afterwards it ends on the spot again.
+
+What this module and the entry points import decides how soon the first stage begins: neither ``typing`` nor
+``threading``, which would take as long as all the rest.
+"""
+
+from __future__ import annotations
+
+import _thread
+import os
+import signal
+import sys
+import time
+from contextlib import contextmanager
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from types import FrameType
+    from typing import Any, NoReturn
+
+_WORDS = {
+    name: words
+    for name, words in (("SIGINT", "interrupted"), ("SIGTERM", "terminated"), ("SIGHUP", "ended with its terminal"))
+    if hasattr(signal, name)  # Windows has no SIGHUP
+}
+SIGNALS = tuple(getattr(signal, name) for name in _WORDS)
+"""The signals by which people, schedulers and terminals ask a process to end."""
+
+_SAME_EVENT_S = 1.0  # timeout(1) sends SIGTERM twice at once, to its child and to the child's group
+
+
+class Stopped(KeyboardInterrupt):  # noqa: N818 # no error, like its base
+    """This process was told to end. What handles Ctrl-C handles it."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
+
+
+def exit_code(number: int) -> int:
+    """Return the exit code of a program that a signal ended, as shells have it: 130, 143, 129."""
+    return 128 + number
+
+
+def in_words(number: int) -> str:
+    """Return what a signal did, such as ``"interrupted"``."""
+    return _WORDS[signal.Signals(number).name]
+
+
+def exit_when_told(program: str) -> None:
+    """End this process at once, with one line, when it is told to from here on: where there is nothing to tidy.
+
+    For programs only, not for what others may import. A signal that is ignored, as under ``nohup``, stays so.
+    """
+
+    def leave(number: int, _: FrameType | None) -> None:
+        _exit(number, program)
+
+    for its in _ours():
+        signal.signal(its, leave)
+
+
+def _exit(number: int, program: str) -> NoReturn:
+    try:
+        os.write(2, f"{program}: {in_words(number)}\n".encode())
+    finally:  # whether or not anybody sees it
+        os._exit(exit_code(number))
+
+
+def _ours() -> Iterator[int]:
+    """Yield the signals whose handling is ours to choose: not those that somebody ignores or handles already."""
+    for number in SIGNALS if _in_main_thread() else ():
+        handler = signal.getsignal(number)
+        if handler in (signal.SIG_DFL, signal.default_int_handler) or getattr(handler, "__module__", "") == __name__:
+            yield number
+
+
+def _in_main_thread() -> bool:
+    """Whether this is the thread that handles signals, and the only one that may set how."""
+    threading = sys.modules.get("threading")  # if nothing has imported it, there is one thread
+    return threading is None or threading.current_thread() is threading.main_thread()
+
+
+class Stopping:
+    """Whether this process has been told to end, and by what.
+
+    If it is told again, more than a second later, it ends at once: ``program`` is what it then calls itself. With ``None``,
+    where the process is not ours to end, :class:`Stopped` is raised again.
+    """
+
+    def __init__(self, program: str | None) -> None:
+        self.number: int | None = None
+        self._program = program
+        self._since = 0.0
+        self._again = False
+
+    def told(self, number: int, _: FrameType | None) -> None:
+        """Handle a signal: the first unwinds; a later one is impatience, and ends a program at once."""
+        if self.number is None:
+            self.number, self._since = number, time.monotonic()
+        elif self._again:
+            self._again = False
+        elif time.monotonic() - self._since < _SAME_EVENT_S:
+            return
+        elif self._program is not None:
+            _exit(self.number, self._program)
+        raise Stopped(self.number)
+
+    def after(self, before: Any) -> Any:
+        """Return what handles a signal once the work is over: of a program something that ends it, else what did before."""
+        program = self._program
+        if program is None:
+            return before
+
+        def leave(number: int, _: FrameType | None) -> None:
+            if self.number is None or time.monotonic() - self._since > _SAME_EVENT_S:
+                _exit(self.number or number, program)
+
+        return leave
+
+    def lost(self, unraisable: Any) -> bool:
+        """Raise again what was raised where Python drops exceptions, such as in ``__del__``; return whether it was that."""
+        if not isinstance(unraisable.exc_value, Stopped):
+            return False
+        self._again = True
+        _thread.interrupt_main(unraisable.exc_value.number)
+        return True
+
+
+_current: Stopping | None = None
+
+
+def is_stopping() -> bool:
+    """Return whether the command that runs in this process has been told to end, so that whoever tidies is to be quick."""
+    return _current is not None and _current.number is not None
+
+
+@contextmanager
+def stoppable(state: Stopping) -> Iterator[None]:
+    """Raise :class:`Stopped` in the block when the process is told to end, and again at its end if that was lost.
+
+    In threads other than the main one, and for signals that somebody else handles or ignores, nothing changes.
+    """
+    global _current  # noqa: PLW0603 # signals are the process's
+    outer = _current
+    before = {number: signal.getsignal(number) for number in _ours()}
+    hook = sys.unraisablehook
+
+    def watching(unraisable: Any) -> None:
+        if not state.lost(unraisable):
+            hook(unraisable)
+
+    try:
+        _current = state
+        if before:
+            sys.unraisablehook = watching
+        for number in before:
+            signal.signal(number, state.told)
+        yield
+        if state.number is not None:
+            raise Stopped(state.number)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, state.after(handler))
+        sys.unraisablehook = hook
+        _current = outer
+
+
+@contextmanager
+def held() -> Iterator[None]:
+    """Put off the signals of :data:`SIGNALS` to the end of the block, where half the work would be worse than none.
+
+    For moments such as the start of a process, of which nobody would know if an exception came in between.
+    """
+    arrived: list[int] = []
+
+    def note(number: int, _: FrameType | None) -> None:
+        arrived.append(number)
+
+    before: dict[int, Any] = {}
+    try:
+        for number in SIGNALS if _in_main_thread() else ():
+            handler = signal.getsignal(number)
+            if callable(handler):
+                before[number] = handler
+                signal.signal(number, note)
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for number in arrived:
+            before[number](number, None)

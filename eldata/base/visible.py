@@ -1,0 +1,105 @@
+"""Characters that nobody sees or that steer a terminal: found, and shown by their numbers on all that is printed.
+
+File names and metadata come from strangers: an escape sequence in one repaints the screen, a mark that turns the
+direction of writing makes ``gpj.exe`` of ``exe.jpg``, and a byte that is not UTF-8 cannot be printed at all.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import sys
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from typing import TYPE_CHECKING, Any, Final, TextIO
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+# Unicode's control characters (C0, DEL, C1), its line and paragraph separators, what it calls Bidi_Control, and
+# surrogates, by which Python stands for bytes that are not UTF-8.
+_UNSEEN: Final = "\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff"
+_IN_TEXT: Final = re.compile(f"[{_UNSEEN}]")
+_IN_LINE: Final = re.compile(f"[{_UNSEEN}\t\n]")
+_SHORT: Final = {"\t": "\\t", "\n": "\\n", "\r": "\\r"}
+
+
+def has_unseen(text: str, *, lines: bool = False) -> bool:
+    """Return whether a text has characters that do not show; with ``lines``, it may have tabs and several lines."""
+    return (_IN_TEXT if lines else _IN_LINE).search(text) is not None
+
+
+def visible(text: str) -> str:
+    r"""Return a text with each character that does not show as its number, such as ``\x1b``; lines and tabs stay."""
+    return _IN_TEXT.sub(_number, text)
+
+
+def in_line(text: str) -> str:
+    """Return a text as one line, with each character that does not show, line ends and tabs too, as its number."""
+    return _IN_LINE.sub(_number, text)
+
+
+def _number(found: re.Match[str]) -> str:
+    character = found[0]
+    code = ord(character)
+    return _SHORT.get(character) or (f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}")
+
+
+@contextmanager
+def visible_output() -> Iterator[None]:
+    """Print nothing to standard output and standard error but what shows, in an encoding that they have."""
+    with (
+        redirect_stdout(_screen(sys.stdout, "standard output")),
+        redirect_stderr(_screen(sys.stderr, "standard error")),
+    ):
+        yield
+
+
+def _screen(stream: TextIO | None, name: str) -> Any:
+    return stream if stream is None or isinstance(stream, _Screen) else _Screen(stream, name)
+
+
+class _Screen(io.TextIOBase):
+    """A stream that shows what would not be seen, and names itself where it cannot be written to."""
+
+    def __init__(self, stream: TextIO, name: str) -> None:
+        self._stream = stream
+        self._name = name
+
+    def write(self, text: str) -> int:
+        # Progress bars begin again at the line's start: the only use of standard error for that.
+        start = "\r" if text.startswith("\r") and self._name == "standard error" else ""
+        shown = visible(text[len(start) :])
+        if not shown.isascii():
+            encoding = self.encoding
+            shown = shown.encode(encoding, "backslashreplace").decode(encoding)
+        self._named(lambda: self._stream.write(start + shown))
+        return len(text)
+
+    def flush(self) -> None:
+        self._named(self._stream.flush)
+
+    def _named(self, call: Callable[[], object]) -> None:
+        try:
+            call()
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, f"cannot write to {self._name}") from error
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override] # a stream's own is writable, and nobody writes it
+        return getattr(self._stream, "encoding", None) or "utf-8"
+
+    @property
+    def errors(self) -> str | None:  # type: ignore[override]
+        return self._stream.errors
+
+    def isatty(self) -> bool:
+        return self._stream.isatty()
+
+    def fileno(self) -> int:
+        return self._stream.fileno()
+
+    def writable(self) -> bool:
+        return True
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)

@@ -1,0 +1,46 @@
+"""What a raw file says, and whether it decodes, without its pixels.
+
+Light: where isolation is on, numpy and the decoder are loaded only by the process that decodes.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from eldata.base.isolation import guarded_file
+from eldata.errors import RawFileError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from eldata.records import RawHeader, Sensor
+
+
+def raw_facts(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | str | None]:
+    """Return a raw file's header and, if it is to be decoded, its sensor, or why it does not decode or is damaged.
+
+    For files that are to be trusted: their codes are counted too, where that can be done
+    (:func:`eldata.raw.damage.check_streams`).
+
+    Raises
+    ------
+    RawFileError
+        Like :func:`eldata.raw.read_header`.
+    """
+    return guarded_file(partial(_facts, decode=decode), path, RawFileError)
+
+
+def _facts(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | str | None]:
+    from eldata.raw.damage import check_streams
+    from eldata.raw.reading import read_header, read_raw
+
+    header = read_header(path)
+    if not decode:
+        return header, None
+    try:
+        sensor = read_raw(path).sensor
+        check_streams(path)
+        return header, sensor
+    except RawFileError as error:
+        return header, error.reason

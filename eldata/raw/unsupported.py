@@ -1,0 +1,105 @@
+"""Raw files that this package cannot use, by name and with what to do: said before LibRaw misreads or refuses them.
+
+LibRaw takes the first colours of a declared pattern for the whole pattern: a pattern of 4 x 4 may come out as Bayer.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from eldata.errors import RawFileError
+from eldata.raw import tiff
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from eldata.raw.tiff import Directory
+
+NEEDED = "a mosaic of a Bayer or X-Trans sensor is needed"
+
+_BY_HEAD = {
+    b"FOVb": f"is a Sigma X3F: its Foveon sensor has no colour filter array; {NEEDED}",
+    b"\xff\xd8\xff": "is a JPEG picture whatever its name says: use the raw file that the camera wrote with it",
+    b"PK\x03\x04": "is a ZIP archive (Capture One's EIP is one): unpack it and use the raw file inside",
+}
+_BY_COMPRESSION = {
+    9: "is a GPR (GoPro, VC-5 compression), which LibRaw cannot decode: convert it to DNG with GoPro's gpr_tools "
+    "(gpr_tools -i NAME.GPR -o NAME.DNG; github.com/gopro/gpr)",
+    52546: "is a DNG with JPEG XL compression (DNG 1.7), which LibRaw cannot decode: convert it to one with lossless "
+    "JPEG compression (Adobe DNG Converter, compatibility 1.6 or earlier)",
+}
+_COLOURS = "RGBCMYW"  # of a DNG's CFAPattern, by number
+_BLOCKS = {2: "quad-Bayer", 3: "nona-Bayer", 4: "hexadeca-Bayer"}
+_LAYOUT_RECTANGULAR = 1
+
+
+def refuse_unsupported(path: Path, directories: Sequence[Directory]) -> None:
+    """Refuse a file that is known not to work, from its first bytes and its directories (of a TIFF-based file).
+
+    Raises
+    ------
+    RawFileError
+        If the file is of a kind, a compression or a colour filter array that cannot be used; it says which.
+    """
+    with path.open("rb") as file:
+        head = file.read(4)
+    for magic, reason in _BY_HEAD.items():
+        if head.startswith(magic):
+            raise RawFileError(path, reason)
+    for directory in directories:
+        if not directory.is_mosaic:
+            continue
+        values = directory.values
+        for compression in map(int, values.get(tiff.COMPRESSION, ())):
+            if compression in _BY_COMPRESSION:
+                raise RawFileError(path, _BY_COMPRESSION[compression])
+        layout = next(iter(values.get(tiff.CFA_LAYOUT, ())), _LAYOUT_RECTANGULAR)
+        if layout != _LAYOUT_RECTANGULAR:
+            raise RawFileError(
+                path,
+                f"unsupported colour filter array: its CFALayout is {layout} (staggered rows or columns, such as a "
+                f"Super CCD's); {NEEDED}",
+            )
+        rows, columns = map(int, values.get(tiff.CFA_REPEAT, (2, 2)))
+        colours = values.get(tiff.CFA_PATTERN, ())
+        if len(colours) != rows * columns or not all(0 <= colour < len(_COLOURS) for colour in colours):
+            continue  # LibRaw's word counts
+        letters = "".join(_COLOURS[int(colour)] for colour in colours)
+        pattern = [letters[columns * y : columns * (y + 1)] for y in range(rows)]
+        if (rows, columns) not in {(2, 2), (6, 6)} or not set(letters) <= set("RGB") or _kind(pattern):
+            raise RawFileError(path, unsupported_cfa(pattern))
+
+
+def unsupported_cfa(rows: Sequence[str]) -> str:
+    """Return why a colour filter array, one period of it in letters by row, cannot be used."""
+    size, colours = f"{len(rows)} x {len(rows[0]) if rows else 0}", "".join(sorted(set("".join(rows))))
+    return f"unsupported colour filter array: {_kind(rows)}{size} sites of {colours}; {NEEDED}"
+
+
+def _kind(rows: Sequence[str]) -> str:
+    """Return the name of an unsupported colour filter array with a comma behind it; nothing if it has none."""
+    colours = set("".join(rows))
+    for side, name in _BLOCKS.items():
+        if len(rows) == 2 * side and all(len(row) == 2 * side for row in rows) and _is_bayer_of_blocks(rows, side):
+            return f"{name} (blocks of {side} x {side} sites of one colour), "
+    if colours == set("CYGM"):
+        return "CYGM (cyan, yellow, green, magenta), "
+    if "W" in colours:
+        return "RGBW (with white sites), "
+    if "E" in colours:
+        return "RGBE (with emerald sites), "
+    if len(rows) == 4 and rows[0] == rows[2] != rows[1] == rows[3] and rows[0] == rows[1][2:] + rows[1][:2]:
+        return "a Super CCD (turned by 45 degrees), "
+    return ""
+
+
+def _is_bayer_of_blocks(rows: Sequence[str], side: int) -> bool:
+    blocks = [
+        [{rows[y][x] for y in range(top, top + side) for x in range(left, left + side)} for left in (0, side)]
+        for top in (0, side)
+    ]
+    if any(len(block) != 1 for row in blocks for block in row):
+        return False
+    (a, b), (c, d) = ((min(block) for block in row) for row in blocks)
+    return (a == d == "G" and {b, c} == {"R", "B"}) or (b == c == "G" and {a, d} == {"R", "B"})

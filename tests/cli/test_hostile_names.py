@@ -1,0 +1,150 @@
+"""Names that would steer a terminal: no command prints one as it is, or fails to print it, in any encoding."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+
+import capture.cli
+import eldata.cli.main
+from eldata.base.visible import has_unseen
+from tests.capture.simulated import plan_of, shoot, whole_plan
+from tests.evaluation.helpers import Tree, place
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+# Escape sequences of 7 and 8 bits, a turn of direction, DEL, a line separator, a return, a byte that is not UTF-8.
+STEERS = "x\x1b[31m\x9b2J\u202e\u2066\x7f\u2028\r\udcff"
+# What a stranger names may be on two lines as well; the user's own folder is not a stranger's.
+STRANGE = f"{STEERS}\nall well"
+
+
+@pytest.fixture
+def encoding() -> str:
+    """One that can hold all that must not be printed."""
+    return "utf-8"
+
+
+@pytest.fixture
+def run(encoding: str, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[int, str]]:
+    """Run a command line in this process, with streams that refuse what their encoding lacks."""
+
+    def call(*arguments: str | Path) -> tuple[int, str]:
+        streams = [io.BytesIO(), io.BytesIO()]
+        wrapped = [io.TextIOWrapper(written, encoding=encoding, errors="strict") for written in streams]
+        for name, stream in zip(("stdout", "stderr"), wrapped, strict=True):
+            monkeypatch.setattr(sys, name, stream)
+        program, *rest = map(str, arguments)
+        code = (eldata.cli.main.main if program == "eldata" else capture.cli.main)(rest)
+        monkeypatch.undo()
+        for stream in wrapped:
+            stream.flush()
+        text = "".join(written.getvalue().decode(encoding) for written in streams)
+        assert not has_unseen(text, lines=True), text
+        assert "\nall well" not in text, text
+        assert "--debug shows where" not in text, text
+        assert "Traceback" not in text, text
+        return code, text
+
+    return call
+
+
+@pytest.fixture
+def place_for_all(tmp_path: Path) -> Path:
+    folder = tmp_path / STEERS
+    folder.mkdir()
+    return folder
+
+
+def test_sets_and_predictions(run: Callable[..., tuple[int, str]], demo_tree: Path, place_for_all: Path) -> None:
+    tree = Tree(demo_tree).copy(place_for_all / "tree")
+    where = ("--root", tree.root)
+    scene = next(path for path in tree.files.glob("*/*") if path.is_dir())
+    stray = scene / f"{STRANGE}.dng"
+    shutil.copy(next(scene.glob("*.dng")), stray)
+    for level in ("quick", "full"):
+        code, text = run(
+            "eldata", "verify", tree.manifest, *where, "--level", level, "--jobs", "1", "--json", place_for_all / "v"
+        )
+        assert code == 1
+        assert "x\\x1b[31m\\x9b2J\\u202e\\u2066\\x7f\\u2028\\r\\udcff\\nall well.dng" in text
+    assert json.loads((place_for_all / "v").read_text())["ok"] is False
+    assert run("eldata", "lock", tree.manifest, *where, "--jobs", "1")[0] == 1
+    stray.unlink()
+    predictions = place_for_all / "predictions"
+    place(predictions, Tree(demo_tree))  # the test's own reader knows plain names alone
+    strange = predictions / f"{STRANGE}.npy"
+    shutil.copy(next(predictions.rglob("*.npy")), strange)
+    saved = [place_for_all / f"{name}.json" for name in "ab"]
+    more = ("--manifest", tree.manifest, *where, "--jobs", "1", "--html", place_for_all / "page.html")
+    code, text = run("eldata", "evaluate", predictions, *more, "--json", saved[0])
+    assert code == 1
+    assert "\\nall well.npy: is the prediction of no noisy frame" in text
+    strange.rename(strange.with_suffix(".dng"))  # of a raw file, which nothing reads as one
+    run("eldata", "evaluate", predictions, *more)
+    strange.with_suffix(".dng").unlink()
+    for path in saved:
+        code, text = run("eldata", "evaluate", predictions, *more, "--csv", place_for_all / "s.csv", "--json", path)
+        assert code == 0, text
+    run("eldata", "evaluate", predictions, "--manifest", tree.manifest, *where, "--protocol", "all", "--jobs", "1")
+    code, text = run("eldata", "compare", *saved, "--html", place_for_all / "compared.html")
+    assert code == 0, text
+    for page in ("page.html", "compared.html"):
+        assert not has_unseen((place_for_all / page).read_text(encoding="utf-8"), lines=True)
+    store = place_for_all / "store.h5"
+    packed = run("eldata", "pack", "eld-demo", "--manifest", tree.manifest, *where, "-o", store, "--jobs", "1")
+    assert packed[0] == 0, packed[1]
+    assert run("eldata", "verify", store, "--level", "full", "--jobs", "1")[0] == 0
+    assert run("eldata", "shard", store, "-o", place_for_all / "shards", "--tile", "8")[0] == 0
+    assert run("eldata", "verify", place_for_all / "shards" / "index.json")[0] == 0
+    clean = tree.files
+    made = run("eldata", "synthesize", clean, "-o", place_for_all / "made", "--camera", "NikonD850", "--jobs", "1")
+    assert made[0] in (0, 2), made[1]
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])
+def test_words_of_the_command_line_and_of_files(run: Callable[..., tuple[int, str]], place_for_all: Path) -> None:
+    """Unknown names, and files that are wrong in a field with such a name."""
+    bad = place_for_all / "bad"
+    for text in (json.dumps({STRANGE: STRANGE}), json.dumps([STRANGE]), f'"{STRANGE}'):
+        bad.write_text(text, encoding="utf-8", errors="backslashreplace")
+        for command in ("profile show", "protocols", "compare", "evaluate --manifest", "verify", "lock"):
+            words = command.split()
+            end = [bad, bad] if command == "compare" else [bad]
+            run("eldata", words[0], *(["preds"] if words[0] == "evaluate" else []), *words[1:], *end)
+        for command in ("plan", "checklist", "check"):
+            run("capture", command, bad)
+    for arguments in (
+        ("info", STRANGE),
+        ("download", STRANGE),
+        ("protocols", STRANGE),
+        (STRANGE,),
+        ("verify", STRANGE),
+    ):
+        assert run("eldata", *arguments)[0] == 2
+    for root in (place_for_all, place_for_all / "none"):
+        run("eldata", "info", "--root", root)
+        run("eldata", "info", "eld", "--root", root)
+        run("eldata", "download", "eld", "--root", root)
+        run("eldata", "download", "eld", "--root", root, "--from", place_for_all / "none.zip")
+
+
+def test_capture(run: Callable[..., tuple[int, str]], place_for_all: Path) -> None:
+    plan = plan_of("4", "1", factors=(100,))
+    plan.save(place_for_all / "plan.json")
+    files = shoot(place_for_all / "card", whole_plan(plan), times=True)
+    shutil.copy(files[0], files[0].with_name(f"{STRANGE}.dng"))
+    output = place_for_all / "manifests" / "mine.csv"
+    more = ("--copy-to", place_for_all / "data" / "mine", "--jobs", "1", "--yes")
+    run("capture", "manifest", place_for_all / "plan.json", place_for_all / "card", "-o", output, *more)
+    (place_for_all / "card" / f"{STRANGE}.dng").unlink(missing_ok=True)
+    run("capture", "manifest", place_for_all / "plan.json", place_for_all / "card", "-o", output, *more)
+    run("capture", "checklist", place_for_all / "plan.json", "-o", place_for_all / "list.html")
+    run("capture", "check", output, "--root", place_for_all / "none")

@@ -1,0 +1,389 @@
+"""What is fuzzed: kinds of input, the readers of each, as a command of ours would call them, and what changes it."""
+
+from __future__ import annotations
+
+import os
+import signal
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eldata.errors import ArgumentError, FileError, ProfileError
+from tests.fuzz import bytewise, containers, seeds, tiffs, words
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from numpy.typing import NDArray
+
+    from tests.fuzz.bytewise import Change
+    from tests.fuzz.seeds import Seed
+
+    Reader = Callable[[Path], object]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of input.
+
+    Attributes
+    ----------
+    seeds
+        The good files that are changed.
+    readers
+        What reads a file, by :attr:`Seed.reader`.
+    own
+        Changes that suit the format, by the file's suffix; the empty one is for every other.
+    nameless
+        Readers that are handed no path, so that their errors cannot name it, and the file is always a file.
+    truth
+        What a whole file is read as, where a damaged one must not be read as anything else.
+    """
+
+    seeds: Callable[[], list[Seed]]
+    readers: Mapping[str, Reader]
+    own: Mapping[str, tuple[Change, ...]]
+    nameless: frozenset[str] = frozenset()
+    truth: Callable[[object], NDArray[Any]] | None = None
+
+
+# --- raws ---------------------------------------------------------------------------------------------------------
+
+
+def _read_raw(path: Path) -> object:
+    from eldata.raw.reading import read_header, read_raw
+
+    read_header(path)
+    return read_raw(path)
+
+
+def _mosaic(frame: Any) -> NDArray[Any]:
+    mosaic: NDArray[Any] = frame.mosaic
+    return mosaic
+
+
+# --- predictions --------------------------------------------------------------------------------------------------
+
+
+def _prediction(path: Path) -> object:
+    from eldata.evaluation.predictions import load_prediction
+
+    return np.array(load_prediction(path, seeds.SENSOR, "metadata"))  # pages of a mapped file are read here
+
+
+def _colours(path: Path, pixels: Any) -> object:
+    from eldata.evaluation.predictions import load_colours
+
+    return np.array(load_colours(path, (3, seeds.SENSOR.height, seeds.SENSOR.width), pixels))
+
+
+def _published(path: Path) -> object:
+    from eldata.noise.published import profiles_from_published, read_published
+
+    found = read_published(path)
+    try:
+        return profiles_from_published("SonyA7S2", found)
+    except ProfileError as error:  # it is handed no path, and names the camera
+        raise FileError(path, str(error)) from error
+
+
+# --- archives, stores, shards ---------------------------------------------------------------------------------------
+
+
+def _archive(path: Path) -> object:
+    from eldata.download.archives import open_archive
+    from eldata.download.unpacking import unpack_archive
+
+    archive = open_archive(path)
+    return unpack_archive(archive, {member.name: member.name for member in archive.files}, path.parent / "unpacked")
+
+
+def _store(path: Path) -> object:
+    from eldata.sources.store.read import StoreFrames
+
+    source = StoreFrames(path)
+    for held in source.store.every:
+        np.array(source.frame(held.path).mosaic)
+    return source
+
+
+def _shard(path: Path) -> object:
+    from eldata.sources.shards.reading import verify_shards
+
+    (path.parent / "index.json").write_bytes((seeds.BY_0_1 / "shards" / "whole" / "index.json").read_bytes())
+    problems = verify_shards(str(path.parent))
+    if problems:  # listed, as a command lists them
+        raise FileError(path, problems[0])
+    return problems
+
+
+# --- text ---------------------------------------------------------------------------------------------------------
+
+
+def _manifest(path: Path) -> object:
+    from eldata.manifest.table import load_records
+
+    return load_records(path)
+
+
+def _card(path: Path) -> object:
+    from eldata.manifest.card import load_card
+
+    return load_card(path)
+
+
+def _profile(path: Path) -> object:
+    from eldata.noise.profile import CameraProfile
+
+    return CameraProfile.load(path)
+
+
+def _protocol(path: Path) -> object:
+    from eldata.protocols.custom import load_protocol
+
+    return load_protocol(path)
+
+
+def _published_table(path: Path) -> object:
+    from eldata.evaluation.published import load_published
+
+    (path.parent / "sources.json").write_bytes(seeds.SOURCES)
+    return load_published(path.parent)
+
+
+def _published_sources(path: Path) -> object:
+    from eldata.evaluation.published import load_published
+
+    if os.path.lexists(path):
+        path.rename(path.with_name("sources.json"))
+    (path.parent / "one.csv").write_bytes(seeds.table())
+    return load_published(path.parent)
+
+
+def _result(path: Path) -> object:
+    from eldata.evaluation.saved import load_results
+
+    return load_results(path)
+
+
+def _response(path: Path, name: str) -> object:
+    from eldata.isp import response_files
+
+    return getattr(response_files, name)(path)
+
+
+def _scenes(path: Path) -> object:
+    from manifests.sid_scenes import load_scenes
+
+    return load_scenes(path)
+
+
+def _camera(path: Path) -> object:
+    from capture.camera import CameraDescription
+
+    return CameraDescription.load(path)
+
+
+def _plan(path: Path) -> object:
+    from capture.plan import Plan
+
+    return Plan.load(path)
+
+
+def _progress(path: Path) -> object:
+    from capture.checklist_progress import load_progress
+    from capture.plan import Plan
+
+    return load_progress(path, Plan.load(seeds.BY_0_1 / "capture" / "plan.json"))
+
+
+def _mapping(path: Path) -> object:
+    from capture.mapping import load_mapping
+    from capture.observed import Observed, ObservedFrame
+    from capture.plan import Plan
+
+    plan = Plan.load(seeds.BY_0_1 / "capture" / "plan.json")
+    shots = [shot for _, shot in plan.shots]
+    frames = [
+        ObservedFrame(Path(f"/card/DSC{number:05d}.dng"), Fraction(shot.iso), shot.setting.nominal_s, None, "Mine 1")
+        for number, shot in enumerate(shots, start=1)
+    ]
+    return load_mapping(path, plan, Observed(tuple(frames), (), by_time=True))
+
+
+def _journal(path: Path) -> object:
+    from capture.tether.journal import Journal
+
+    return Journal(path, writable=False)
+
+
+def _scheduler(path: Path) -> object:
+    from eldata.base.clusters import _scheduler
+
+    return _scheduler(str(path))
+
+
+def _seconds(path: Path) -> object:
+    from capture.exact import parse_seconds
+
+    return parse_seconds(path.read_bytes().decode(errors="surrogateescape"))
+
+
+def _index(path: Path) -> object:
+    from eldata.sources.shards.index import parse_index
+
+    return parse_index("index.json", path.read_bytes())
+
+
+def _facts(path: Path) -> object:
+    from eldata.sources.shards.index import parse_facts
+
+    try:
+        return parse_facts(path.read_bytes())
+    except (ValueError, LookupError, TypeError, ArithmeticError) as error:  # as documented: its caller names the shard
+        raise ArgumentError("not a sample's facts") from error
+
+
+def _store_attributes(path: Path) -> object:
+    from eldata.sources.store.format import stored
+
+    first, _, second = path.read_bytes().decode(errors="surrogateescape").partition("\n")
+    attributes = {"path": "a", "role": "bias", "sha256": "x", "exposure": first, "sensor": second}
+    try:
+        return stored("0", attributes, ())
+    except (ValueError, LookupError, TypeError) as error:  # as documented: its caller names the store
+        raise ArgumentError("not a frame's attributes") from error
+
+
+# --- the drill ------------------------------------------------------------------------------------------------------
+
+
+def _drill(path: Path) -> object:
+    """Do what the file says: what the tests of this package find in it, readers must never do."""
+    word = path.read_text(encoding="utf-8")
+    if word == "crash":
+        os.kill(os.getpid(), signal.SIGSEGV)
+    if word == "exit":
+        os._exit(0)
+    while word == "hang":
+        pass
+    if word == "wait":
+        signal.pause()
+    if word == "memory":
+        return np.ones(1 << 27, dtype=np.uint8)
+    if word == "too much":
+        raise MemoryError
+    if word == "exception":
+        raise KeyError(word)
+    if word == "message":
+        raise ArgumentError("expected a number, found something else")
+    if word == "two lines":
+        raise FileError(path, "one\ntwo")
+    if word == "refused":
+        raise FileError(path, "expected something else")
+    if word == "escaped":
+        (path.parent.parent / "outside").touch()
+    return np.zeros(3, np.uint16) if word == "silent" else Fraction(1)
+
+
+_DRILL_WORDS = (
+    *("crash", "exit", "hang", "wait", "memory", "too much", "exception", "message", "two lines", "refused", "escaped"),
+    "read",
+)
+
+
+def _drill_seeds() -> list[Seed]:
+    return [seeds.Seed(f"{word}.txt", "drill", word.encode()) for word in _DRILL_WORDS]
+
+
+def _unchanged(data: bytes, random: object, other: bytes) -> bytes:
+    return data
+
+
+# --- all ----------------------------------------------------------------------------------------------------------
+
+_TIFF = (*tiffs.CHANGES, containers.jpeg)
+_WHOLE_NPY = (containers.npy, containers.npy)
+
+KINDS: dict[str, Kind] = {
+    "raws": Kind(
+        seeds.raws,
+        {"raw": _read_raw},
+        {
+            "": (*_TIFF, *_TIFF, *_TIFF, containers.jpeg_end, tiffs.crowded),
+            ".cr3": (containers.boxes, containers.boxes, containers.boxes, *tiffs.CHANGES),
+            ".crw": (containers.heap, containers.heap),
+            ".raf": (containers.raf, containers.raf, containers.jpeg),
+        },
+        truth=_mosaic,
+    ),
+    "texts": Kind(
+        seeds.texts,
+        {
+            "manifest": _manifest,
+            "card": _card,
+            "profile": _profile,
+            "protocol": _protocol,
+            "result": _result,
+            "published": _published_table,
+            "sources": _published_sources,
+            "scenes": _scenes,
+            "camera": _camera,
+            "plan": _plan,
+            "progress": _progress,
+            "mapping": _mapping,
+            "journal": _journal,
+            "scheduler": _scheduler,
+            "seconds": _seconds,
+            "index": _index,
+            "facts": _facts,
+            "store": _store_attributes,
+            **{
+                name: partial(_response, name=name)
+                for name in ("read_response_table", "read_published_response", "read_dorf", "read_curve_model")
+            },
+        },
+        {"": (*words.CHANGES, *words.CHANGES, words.encoded)},
+        nameless=frozenset(("seconds", "index", "facts", "store")),
+    ),
+    "archives": Kind(
+        seeds.archives,
+        {"archive": _archive},
+        {
+            ".zip": (containers.zip_record, containers.zip_record, containers.named),
+            ".7z": (containers.sevenzip, containers.sevenzip),
+            "": (containers.tar_record, containers.tar_record, containers.named),
+        },
+    ),
+    "predictions": Kind(
+        seeds.predictions,
+        {"raw": _prediction, "srgb": partial(_colours, pixels="srgb"), "rgb": partial(_colours, pixels="rgb")},
+        {
+            ".npy": _WHOLE_NPY,
+            ".npz": (containers.zip_record, *_WHOLE_NPY),
+            ".h5": (containers.hdf5,),
+            ".png": (containers.png, containers.png, containers.png_bomb),
+            "": (*tiffs.CHANGES, tiffs.crowded),
+        },
+    ),
+    "pickles": Kind(
+        seeds.pickles,
+        {"published": _published},
+        {"": (*(containers.pickle_opcode,) * 4, *(containers.crafted_pickle,) * 3, containers.npy)},
+    ),
+    "stores": Kind(seeds.stores, {"store": _store}, {}),
+    "shards": Kind(seeds.shards, {"shard": _shard}, {".tar": (containers.tar_record, containers.npy)}),
+    "drill": Kind(_drill_seeds, {"drill": _drill}, {"": (_unchanged,)}),
+}
+
+
+def changes_of(kind: Kind, name: str) -> tuple[Change, ...]:
+    """What may be done to a file of this name: half of it suits the format, half knows nothing of it."""
+    own = kind.own.get(Path(name).suffix.lower(), kind.own.get("", ()))
+    if own == (_unchanged,):
+        return own
+    return (*bytewise.CHANGES, *own * max(1, len(bytewise.CHANGES) // max(1, len(own))))

@@ -1,0 +1,386 @@
+"""Neutrals, matrices and levels stay the fractions that a file states, from file to file."""
+
+from __future__ import annotations
+
+import copy
+import itertools
+import json
+import pickle
+from dataclasses import fields
+from fractions import Fraction
+from math import lcm
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import rawpy
+import tifffile
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from eldata.errors import ArgumentError, RawFileError
+from eldata.raw import pack_normalised, read_raw, write_dng
+from eldata.raw.colour import camera_to_srgb
+from eldata.raw.neutrals import neutral_of, private_data, white_balance_of
+from eldata.raw.rationals import RATIONAL, SRATIONAL, nearest_fraction
+from eldata.raw.sensor_facts import dng_black_level
+from eldata.raw.tiff import ACTIVE_AREA, BLACK_LEVEL, BLACK_REPEAT, PHOTOMETRIC, Directory
+from eldata.records import ExactFloat, Sensor, exact_fraction, exact_number
+from tests.raw.helpers import (
+    BAYER,
+    CFAS,
+    EXPOSURE,
+    letters,
+    make_sensor,
+    random_mosaic,
+    reference_pack,
+    write_plain_dng,
+    xtrans_at,
+)
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.raw.helpers import Tag
+
+ONE_FILE = settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+# What cameras and converters use, and anything that 32 bits can hold.
+DENOMINATORS = (100, 1024, 4096, 10**4, 10**6)
+parts = st.integers(1, RATIONAL)
+plain_rationals = st.builds(lambda n, d: (n, d), st.integers(1, 10**7), st.sampled_from(DENOMINATORS))
+any_rationals = st.builds(lambda n, d: (n, d), parts, parts)
+neutrals = st.tuples(*[st.one_of(plain_rationals, any_rationals)] * 3).filter(
+    lambda values: all(1 < 2**32 * Fraction(*value) / Fraction(*values[1]) < 2**64 for value in values)
+)
+blacks = st.builds(lambda n, d: (n % (4000 * d), d), parts, st.one_of(st.sampled_from(DENOMINATORS), parts))
+signed = st.integers(-SRATIONAL, SRATIONAL)
+entries = st.one_of(
+    st.builds(lambda n, d: (n, d), st.integers(-30000, 30000), st.sampled_from(DENOMINATORS)),
+    st.builds(lambda n, d: (n, d), signed, st.integers(1, SRATIONAL)),
+)
+matrices = st.lists(entries, min_size=9, max_size=9).filter(lambda values: any(n for n, _ in values))
+multipliers = st.builds(Fraction, st.integers(1, 10**19), st.integers(1, 10**19)).filter(lambda m: 2**-30 < m < 2**30)
+
+Parts = tuple[int, int]
+
+
+def exactly(value: Any) -> Any:
+    """A field of a sensor, its floats as the fractions that they stand for."""
+    if isinstance(value, tuple):
+        return tuple(map(exactly, value))
+    return exact_fraction(value) if isinstance(value, float) else value
+
+
+def stated(sensor: Sensor) -> dict[str, Any]:
+    return {one.name: exactly(getattr(sensor, one.name)) for one in fields(sensor)}
+
+
+def rational_tag(code: int, values: list[Parts], kind: str = "2I") -> Tag:
+    return code, kind, len(values), tuple(part for value in values for part in value), True
+
+
+def neutral_tag(*values: Parts) -> Tag:
+    return rational_tag(50728, list(values))
+
+
+# --- the number ---------------------------------------------------------------------------------------------
+
+
+THIRD = ExactFloat(Fraction(1, 3))
+
+
+def test_it_is_a_float_for_whoever_computes_with_it() -> None:
+    assert THIRD == 1 / 3
+    assert repr(THIRD) == repr(1 / 3)
+    assert json.dumps([THIRD]) == json.dumps([1 / 3])
+    assert type(THIRD * 2) is float
+    assert np.array([THIRD, 2.0]).dtype == np.float64
+    for ones in (np.ones(2, np.float32), np.float32(1), np.ones(2, np.uint16)):
+        for ours, plain in ((ones * THIRD, ones * (1 / 3)), (THIRD - ones, 1 / 3 - ones)):
+            assert ours.dtype == plain.dtype
+            np.testing.assert_array_equal(ours, plain, strict=True)
+
+
+def test_copies_know_their_fraction() -> None:
+    for other in (copy.copy(THIRD), copy.deepcopy(THIRD), pickle.loads(pickle.dumps(THIRD))):
+        assert other.fraction == Fraction(1, 3)
+
+
+@given(st.fractions(min_value=-(10**12), max_value=10**12))
+def test_a_fraction_comes_back_from_its_number(fraction: Fraction) -> None:
+    number = exact_number(fraction)
+    assert number == float(fraction)
+    assert exact_fraction(number) == fraction
+
+
+@pytest.mark.parametrize(
+    ("number", "fraction"), [(2.1, Fraction(21, 10)), (512.0, Fraction(512)), (1e-7, "1/10000000")]
+)
+def test_a_plain_float_stands_for_the_decimal_that_it_prints_as(number: float, fraction: Any) -> None:
+    assert exact_fraction(number) == Fraction(fraction)
+    assert type(exact_number(Fraction(fraction))) is float
+
+
+# --- rounding to what a field can hold ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("largest", [3, 7, 16, 31])
+def test_the_nearest_of_all_fractions_is_found(largest: int) -> None:
+    every = [Fraction(n, d) for n in range(largest + 1) for d in range(1, largest + 1)]
+    generator = np.random.default_rng(largest)
+    for numerator, denominator in generator.integers(1, 10**6, (150, 2)).tolist():
+        value = Fraction(numerator, denominator)
+        if value > largest:
+            with pytest.raises(ValueError, match="beyond"):
+                nearest_fraction(value, largest)
+            continue
+        found = nearest_fraction(value, largest)
+        assert found in every
+        assert abs(found - value) == min(abs(one - value) for one in every)
+        assert nearest_fraction(-value, largest) == -found
+
+
+@given(st.fractions(min_value=Fraction(1, RATIONAL), max_value=RATIONAL))
+def test_rounding_is_off_by_less_than_one_part_in_four_billion(value: Fraction) -> None:
+    found = nearest_fraction(value, RATIONAL)
+    assert max(found.numerator, found.denominator) <= RATIONAL
+    assert found == value or abs(found / value - 1) < Fraction(1, RATIONAL - 1)
+
+
+# --- from a foreign file to ours and back -------------------------------------------------------------------
+
+
+@given(
+    name=st.sampled_from([*BAYER, "xtrans-00", "xtrans-25"]),
+    neutral=neutrals,
+    black=st.lists(blacks, min_size=4, max_size=4),
+    matrix=matrices,
+    illuminant=st.sampled_from([0, 1, 3, 17, 21, 23, 255]),
+)
+@ONE_FILE
+def test_what_a_foreign_dng_states_comes_back_to_the_last_digit(
+    name: str, neutral: tuple[Parts, ...], black: list[Parts], matrix: list[Parts], illuminant: int, tmp_path: Path
+) -> None:
+    cfa = CFAS[name]
+    at_sites = [black[index] for row in cfa for index in row]
+    write_plain_dng(
+        tmp_path / "foreign.dng",
+        random_mosaic(24, 30),
+        letters(cfa),
+        (50713, "H", 2, (len(cfa), len(cfa)), True),
+        rational_tag(50714, at_sites),
+        rational_tag(50721, matrix, "2i"),
+        neutral_tag(*neutral),
+        *([(50778, "H", 1, illuminant, True)] if illuminant else []),
+    )
+    frame = read_raw(tmp_path / "foreign.dng")
+    found = stated(frame.sensor)
+    red, green, blue = (Fraction(*value) for value in neutral)
+    assert found["white_balance"] == (green / red, 1, green / blue, 1)
+    assert found["black_level_dn"] == tuple(Fraction(*value) for value in black[: 4 if len(cfa) == 2 else 3])
+    assert sum(found["xyz_to_camera"], ()) == tuple(Fraction(*value) for value in matrix)
+    assert found["matrix_illuminant"] == illuminant
+
+    write_dng(tmp_path / "ours.dng", frame.mosaic, frame.sensor, EXPOSURE)
+    again = read_raw(tmp_path / "ours.dng")
+    assert stated(again.sensor) == found
+    np.testing.assert_array_equal(again.mosaic, frame.mosaic)
+    with tifffile.TiffFile(tmp_path / "ours.dng") as tiff:  # the same neutral, up to a common factor
+        flat = tiff.pages.first.tags[50728].value
+    written = [Fraction(*flat[at : at + 2]) for at in (0, 2, 4)]
+    for ours, theirs in ((written[0] / written[1], red / green), (written[2] / written[1], blue / green)):
+        assert abs(ours / theirs - 1) < Fraction(1, RATIONAL - 1)
+
+
+@given(red=multipliers, blue=multipliers, second=multipliers, name=st.sampled_from(["RGGB", "BGGR", "xtrans-00"]))
+@ONE_FILE
+def test_any_multipliers_come_back_and_greens_may_differ(
+    red: Fraction, blue: Fraction, second: Fraction, name: str, tmp_path: Path
+) -> None:
+    balance = tuple(map(exact_number, (red, Fraction(1), blue, second)))
+    sensor = make_sensor(CFAS[name], 24, 30, white_balance=balance)
+    write_dng(tmp_path / "a.dng", random_mosaic(24, 30), sensor, EXPOSURE)
+    assert stated(read_raw(tmp_path / "a.dng").sensor) == stated(sensor)
+
+
+def test_private_data_is_written_where_the_neutral_does_not_do_and_only_there() -> None:
+    one = Fraction(1)
+    assert private_data((Fraction(21, 10), one, Fraction(3, 2), one)) == b""
+    # Each response has its own denominator: over green's, their parts would take up to 40 bits.
+    red, green, blue = Fraction(493499, 10**6), Fraction(1046527, 2**20), Fraction(599998, 999999)
+    written = neutral_of((green / red, one, green / blue, one))
+    assert (written[0] / written[1], written[2] / written[1]) == (red / green, blue / green)
+    assert written[1] != 1
+    assert max(max(value.numerator, value.denominator) for value in written) < 2**32 <= (green / red).denominator
+    assert private_data((green / red, one, green / blue, one)) == b""
+    held = private_data((Fraction(21, 10), one, Fraction(3, 2), Fraction(1024, 1023)))
+    assert held == b"eldata\0white_balance 21/10 1 3/2 1024/1023\0"
+
+
+def test_libraw_gives_both_greens_the_first(tmp_path: Path) -> None:
+    for second in (1.0, 1.25):
+        sensor = make_sensor(BAYER["GRBG"], 24, 30, white_balance=(2.1, 1.0, 1.6, second))
+        write_dng(tmp_path / "a.dng", random_mosaic(24, 30), sensor, EXPOSURE)
+        with rawpy.imread(str(tmp_path / "a.dng")) as raw:
+            assert raw.camera_whitebalance[:3] == pytest.approx([2.1, 1.0, 1.6])
+
+
+# A program that sets another white balance changes AsShotNeutral and leaves what it does not know as it was.
+def test_private_data_counts_only_with_its_own_neutral(tmp_path: Path) -> None:
+    path = tmp_path / "a.dng"
+    write_dng(
+        path, random_mosaic(24, 30), make_sensor(BAYER["RGGB"], 24, 30, white_balance=(2.0, 1.0, 1.5, 1.25)), EXPOSURE
+    )
+    assert read_raw(path).sensor.white_balance == (2.0, 1.0, 1.5, 1.25)
+    with tifffile.TiffFile(path, mode="r+") as tiff:
+        tiff.pages.first.tags[50728].overwrite((1, 4, 1, 1, 2, 3))
+    assert read_raw(path).sensor.white_balance == (4.0, 1.0, 1.5, 1.0)
+
+
+@pytest.mark.parametrize(
+    "text", [b"2 1 1.5", b"2 1 1.5 x", b"2 1 1.5 0", b"2 1 1.5 " + b"9" * 50, b"\xff", b"2 1 3/0 1"]
+)
+def test_damaged_private_data_is_named(text: bytes, tmp_path: Path) -> None:
+    path, ours = tmp_path / "a.dng", b"eldata\0white_balance " + text + b"\0"
+    tags: tuple[Tag, ...] = (neutral_tag((1, 2), (1, 1), (2, 3)), (50740, "B", len(ours), ours, True))
+    write_plain_dng(path, random_mosaic(24, 30), ("RG", "GB"), *tags)
+    with pytest.raises(RawFileError, match=r"a\.dng: the white balance in its DNGPrivateData is damaged: expected"):
+        read_raw(path)
+
+
+@pytest.mark.parametrize("kind", ["B", "H", "s", "d", "long"])
+def test_private_data_of_others_is_passed_over(kind: str, tmp_path: Path) -> None:
+    values: dict[str, Tag] = {
+        "B": (50740, "B", 6, b"Adobe\0", True),
+        "H": (50740, "H", 3, (600, 7, 65535), True),
+        "s": (50740, "s", 0, "eldata", True),
+        "d": (50740, "d", 2, (0.5, -1.0), True),
+        "long": (50740, "B", 70000, bytes(range(250)) * 280, True),
+    }
+    write_plain_dng(
+        tmp_path / "a.dng", random_mosaic(24, 30), ("RG", "GB"), neutral_tag((1, 2), (1, 1), (2, 3)), values[kind]
+    )
+    assert read_raw(tmp_path / "a.dng").sensor.white_balance == (2.0, 1.0, 1.5, 1.0)
+
+
+def test_more_digits_than_private_data_holds_are_refused() -> None:
+    with pytest.raises(ArgumentError, match=r"white_balance \(.*\): expected fractions of up to 40 digits"):
+        private_data((Fraction(10**41 + 1, 10**41), Fraction(1), Fraction(2), Fraction(1)))
+    with pytest.raises(ArgumentError, match="expected 4 multipliers, found 3"):
+        white_balance_of((Fraction(1), Fraction(1), Fraction(1)), b"eldata\0white_balance 2 1 1\0")
+
+
+# --- black levels -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["GBRG", "xtrans-13"])
+def test_pixels_are_normalised_with_a_fraction_of_a_dn(name: str, tmp_path: Path) -> None:
+    cfa, mosaic = CFAS[name], random_mosaic(60, 66)
+    levels = (1023 / 4, 256.125, 255.5, 254.0)[: 4 if len(cfa) == 2 else 3]
+    write_dng(tmp_path / "a.dng", mosaic, make_sensor(cfa, 60, 66, black_level_dn=levels), EXPOSURE)
+    frame = read_raw(tmp_path / "a.dng")
+    assert frame.sensor.black_level_dn == levels
+    colours = (0, 1, 2, 3) if len(cfa) == 2 else (0, 1, 2, 0, 2, 1, 1, 1, 1)
+    black = np.array([levels[colour] for colour in colours])[:, None, None]
+    expected = (reference_pack(mosaic, cfa) - black) / (15871.0 - black)
+    found = pack_normalised(frame.mosaic, cfa, frame.sensor.black_level_dn, frame.sensor.white_level_dn, clip="none")
+    np.testing.assert_allclose(found, expected, atol=2e-7)
+
+
+@given(
+    name=st.sampled_from(["RGGB", "GBRG", "xtrans-00", "xtrans-31"]),
+    repeat=st.tuples(st.integers(1, 8), st.integers(1, 8)),
+    margins=st.tuples(*[st.integers(0, 7)] * 4),
+    seed=st.integers(0, 10**6),
+)
+@settings(deadline=None, max_examples=300)
+def test_a_pattern_of_levels_is_laid_over_the_cfa_pixel_by_pixel(
+    name: str, repeat: tuple[int, int], margins: tuple[int, int, int, int], seed: int
+) -> None:
+    cfa, (rows, columns) = CFAS[name], repeat
+    period, generator = len(cfa), np.random.default_rng(seed)
+    active, visible = margins[:2], (margins[0] + margins[2] % 2, margins[1] + margins[3] % 2)
+    top, left = visible[0] - active[0], visible[1] - active[1]
+    # Levels that often agree within a colour: that of the colour at one of the sites that the pattern's place meets.
+    pattern = [
+        Fraction(500 + cfa[(y - top) % period][(x - left) % period]) if generator.random() < 0.95 else Fraction(9)
+        for y, x in itertools.product(range(rows), range(columns))
+    ]
+    naive: dict[int, set[Fraction]] = {}
+    for y, x in itertools.product(range(lcm(period, rows)), range(lcm(period, columns))):
+        level = pattern[(y + top) % rows * columns + (x + left) % columns]
+        naive.setdefault(cfa[y % period][x % period], set()).add(level)
+    raw: Any = SimpleNamespace(sizes=SimpleNamespace(top_margin=visible[0], left_margin=visible[1]))
+    directory = Directory(
+        {
+            PHOTOMETRIC: (Fraction(32803),),
+            BLACK_REPEAT: tuple(map(Fraction, repeat)),
+            BLACK_LEVEL: tuple(pattern),
+            ACTIVE_AREA: tuple(map(Fraction, (*active, 60, 60))),
+        }
+    )
+    path: Any = "a.dng"
+    if any(len(levels) > 1 for levels in naive.values()):
+        with pytest.raises(RawFileError, match=r"a\.dng: its BlackLevel differs between sites of one colour"):
+            dng_black_level(path, raw, [directory], cfa)
+    else:
+        assert dng_black_level(path, raw, [directory], cfa) == tuple(float(*naive[index]) for index in sorted(naive))
+
+
+# Regression: 23 s for a file of 4 MB, each of whose levels was looked at for every site of the CFA.
+@pytest.mark.parametrize("side", [211, 210])
+def test_each_level_of_a_large_pattern_is_looked_at_once(side: int) -> None:
+    looked_at = 0
+
+    class Level(Fraction):
+        def __hash__(self) -> int:  # type: ignore[override] # typeshed has none for numbers
+            nonlocal looked_at
+            looked_at += 1
+            return super().__hash__()
+
+    raw: Any = SimpleNamespace(sizes=SimpleNamespace(top_margin=0, left_margin=0))
+    values = {PHOTOMETRIC: (Fraction(32803),), BLACK_REPEAT: (Fraction(side),) * 2}
+    path: Any = "a.dng"
+    directory = Directory(values | {BLACK_LEVEL: tuple(Level(300) for _ in range(side * side))})
+    assert dng_black_level(path, raw, [directory], xtrans_at(0, 0)) == (300.0,) * 3
+    assert looked_at <= side * side
+
+
+@pytest.mark.parametrize(
+    "tag",
+    [(50713, "H", 1, 2, True), (50713, "H", 3, (1, 1, 1), True), (50829, "I", 1, 0, True)],
+    ids=["1", "3", "area"],
+)
+def test_numbers_that_are_missing_are_named(tag: Tag, tmp_path: Path) -> None:
+    write_plain_dng(tmp_path / "a.dng", random_mosaic(24, 30), ("RG", "GB"), (50714, "H", 1, 5, True), tag)
+    with pytest.raises(RawFileError, match=r"a\.dng: "):
+        read_raw(tmp_path / "a.dng")
+
+
+# --- two matrices -------------------------------------------------------------------------------------------
+
+
+MATRICES = (
+    ((0.6612, -0.1321, -0.0534), (-0.5041, 1.3012, 0.2217), (-0.1034, 0.2159, 0.6105)),
+    ((1.0405, -0.3755, -0.127), (-0.5461, 1.3787, 0.1793), (-0.104, 0.2015, 0.6785)),
+)
+
+
+@pytest.mark.parametrize(
+    "illuminants",
+    [pair for pair in itertools.permutations((1, 3, 4, 17, 20, 21, 22, 23), 2) if set(pair) & {17, 21, 23, 3}],
+)
+def test_of_two_matrices_that_is_taken_which_libraw_takes(illuminants: tuple[int, int], tmp_path: Path) -> None:
+    tags: list[Tag] = [(50778 + at, "H", 1, light, True) for at, light in enumerate(illuminants)]
+    for at, matrix in enumerate(MATRICES):
+        entries = [(round(value * 10**4), 10**4) for row in matrix for value in row]
+        tags.append(rational_tag(50721 + at, entries, "2i"))
+    write_plain_dng(tmp_path / "a.dng", random_mosaic(24, 30), ("RG", "GB"), *tags)
+    sensor = read_raw(tmp_path / "a.dng").sensor
+    with rawpy.imread(str(tmp_path / "a.dng")) as raw:
+        libraw = raw.color_matrix[:, :3].astype(np.float64)
+    taken = [at for at, matrix in enumerate(MATRICES) if np.allclose(camera_to_srgb(matrix), libraw, atol=2e-6)]
+    assert [sensor.xyz_to_camera] == [MATRICES[at] for at in taken]
+    assert [sensor.matrix_illuminant] == [illuminants[at] for at in taken]

@@ -1,0 +1,231 @@
+"""Small files made to keep a reader busy, to fill its memory, or to bring it to an error of its own.
+
+Each is refused by one error that names it. A reader without bounds takes minutes or gigabytes for some: pytest's own
+limit on time, or the machine, would end those tests.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import struct
+from typing import TYPE_CHECKING
+
+import pytest
+
+from eldata.base.isolation import isolation
+from eldata.errors import RawFileError
+from eldata.isp.libraw import render_libraw
+from eldata.raw import read_header, read_raw, write_dng
+from eldata.raw.exif import exif_tags
+from eldata.raw.tiff import read_directories
+from tests.cases import in_one_test
+from tests.raw.helpers import (
+    BAYER,
+    EXPOSURE,
+    Tag,
+    black_levels,
+    make_sensor,
+    random_mosaic,
+    write_plain_dng,
+)
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+Entry = tuple[int, int, int, int]  # tag, kind, count, value or offset
+
+
+def refused(path: Path, reason: str) -> None:
+    for read in (read_raw, read_header):
+        with pytest.raises(RawFileError, match=reason) as caught:
+            read(path)
+        assert caught.value.path == path
+        assert "\n" not in str(caught.value)
+
+
+def directory(*entries: Entry, following: int = 0) -> bytes:
+    return (
+        struct.pack("<H", len(entries))
+        + b"".join(struct.pack("<HHII", *e) for e in entries)
+        + struct.pack("<I", following)
+    )
+
+
+# --- the walk over all directories ------------------------------------------------------------------------------------
+
+
+def test_directories_that_share_their_entries(tmp_path: Path) -> None:
+    """4 MB: each of sixty directories begins within the first one, and each entry has the same half million values."""
+    path = tmp_path / "a.dng"
+    values = 1 << 19
+    entries: list[Entry] = [(50714, 3, values, 100_000)] * 2000
+    first = directory((330, 4, 60, 60_000), *entries)
+    content = bytearray(100_000 + 8 * values)
+    content[:8] = b"II*\0" + struct.pack("<I", 8)
+    content[8 : 8 + len(first)] = first
+    struct.pack_into("<60I", content, 60_000, *(20_000 + 2 * number for number in range(60)))
+    path.write_bytes(content)
+    refused(path, "made to keep a reader busy: its directories declare far too many values")
+
+
+def test_more_entries_than_any_camera_writes(tmp_path: Path) -> None:
+    path = tmp_path / "a.dng"
+    path.write_bytes(b"II*\0" + struct.pack("<I", 8) + directory(*[(270, 2, 4, 0)] * 5000))
+    refused(path, "far too many entries")
+
+
+def test_more_directories_than_any_camera_writes(tmp_path: Path) -> None:
+    path = tmp_path / "a.dng"
+    chain = [directory(following=8 + 6 * (number + 1)) for number in range(100)]
+    path.write_bytes(b"II*\0" + struct.pack("<I", 8) + b"".join(chain) + directory())
+    refused(path, "far too many directories")
+
+
+def test_values_that_only_exifread_reads(tmp_path: Path) -> None:
+    """It reads each of the 999 values of each of four thousand entries, by two calls: seven seconds."""
+    path = tmp_path / "a.dng"
+    path.write_bytes(b"II*\0" + struct.pack("<I", 8) + directory(*[(60_000, 3, 999, 8)] * 4000))
+    assert read_directories(path)[0].values == {}
+    with pytest.raises(RawFileError, match="made to keep a reader busy: its EXIF declares far too much"):
+        exif_tags(path)
+
+
+def test_bytes_that_only_exifread_reads(tmp_path: Path) -> None:
+    """It reads a text of many megabytes again for each entry that points to it."""
+    path = tmp_path / "a.dng"
+    length = 1 << 22
+    content = b"II*\0" + struct.pack("<I", 8) + directory(*[(60_000, 2, length, 8)] * 4000)
+    path.write_bytes(content.ljust(length + 8, b"x"))
+    with pytest.raises(RawFileError, match="made to keep a reader busy: its EXIF declares far too much"):
+        exif_tags(path)
+
+
+@in_one_test("size,reason", [(1021, "far too many values"), (200, "its BlackLevel repeats every 200 x 200 pixels")])
+def test_a_pattern_of_black_levels_larger_than_any_cameras(size: int, reason: str, tmp_path: Path) -> None:
+    levels = [[512] * size] * size
+    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), ("RG", "GB"), *black_levels(levels))
+    refused(tmp_path / "a.dng", reason)
+
+
+@in_one_test(
+    "tags",
+    [
+        ((50713, "H", 1, 2, True), (50714, "H", 2, (1, 2), True)),
+        ((50713, "H", 2, (0, 0), True), (50714, "H", 1, 1, True)),
+        ((50829, "I", 2, (0, 0), True),),
+        ((33421, "H", 1, 2, True),),
+        ((50829, "i", 4, (-8, -8, 60, 60), True),),
+    ],
+)
+def test_numbers_that_are_missing_or_impossible(tags: tuple[Tag, ...], tmp_path: Path) -> None:
+    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), None, *tags)
+    refused(tmp_path / "a.dng", "damaged: ")
+
+
+def test_a_directory_before_the_files_begin(tmp_path: Path) -> None:
+    path = tmp_path / "a.dng"
+    path.write_bytes(b"II*\0" + struct.pack("<I", 8) + directory((330, 9, 1, (1 << 32) - 5)))
+    refused(path, "it declares a directory at byte -5")
+
+
+@in_one_test(
+    "tags",
+    [
+        ((50721, "2i", 9, (1, 0) * 9, True), (50778, "H", 1, 21, True)),  # a matrix of 1/0
+        ((50721, "2i", 9, (1, 2) * 9, True), (50778, "B", 0, b"", True)),  # an illuminant of no values
+        ((50728, "2I", 3, (1, 0) * 3, True),),  # AsShotNeutral of 1/0
+    ],
+)
+def test_colours_that_are_no_numbers(tags: tuple[Tag, ...], tmp_path: Path) -> None:
+    """Regression: ZeroDivisionError and IndexError. Refused, or not known, but no error of another kind."""
+    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), ("RG", "GB"), *tags)
+    try:
+        sensor = read_raw(tmp_path / "a.dng").sensor
+    except RawFileError:
+        return
+    for known in (sensor.white_balance, sensor.xyz_to_camera):
+        assert known is None or "1, 0" not in str(known)
+
+
+# --- sizes ------------------------------------------------------------------------------------------------------------
+
+
+def test_more_pixels_than_the_file_can_hold(tmp_path: Path) -> None:
+    """60,000 x 60,000 pixels, whose strips all lie in the same few bytes: LibRaw would take 7 GB for them."""
+    path = tmp_path / "a.dng"
+    write_plain_dng(path, random_mosaic(64, 66), ("RG", "GB"))
+    content = bytearray(path.read_bytes())
+    (first,) = struct.unpack_from("<I", content, 4)
+    (count,) = struct.unpack_from("<H", content, first)
+    places = {struct.unpack_from("<H", content, first + 2 + 12 * i)[0]: first + 2 + 12 * i for i in range(count)}
+    for tag in (256, 257, 278):
+        struct.pack_into("<HII", content, places[tag] + 2, 4, 1, 60_000)
+    path.write_bytes(content)
+    refused(path, r"cannot hold 3600000000 pixels")
+    strips, end = 60_000, len(content)
+    for tag, place in ((273, end), (279, end + 4 * strips)):
+        struct.pack_into("<HII", content, places[tag] + 2, 4, strips, place)
+    struct.pack_into("<I", content, places[278] + 8, 1)
+    content += struct.pack(f"<{2 * strips}I", *[8] * strips, *[end - 8] * strips)
+    path.write_bytes(content)
+    assert read_directories(path)[0].pixels == 3_600_000_000
+    with pytest.raises(RawFileError, match=r"cannot hold 3600000000 pixels|LibRaw cannot decode it"):
+        read_raw(path)
+
+
+def test_memory_that_there_is_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def starve(_: Path) -> None:
+        raise MemoryError
+
+    path = tmp_path / "a.dng"
+    write_plain_dng(path, random_mosaic(64, 66))
+    monkeypatch.setattr("eldata.raw.reading.read_directories", starve)
+    refused(path, "needs more memory than there is; is the file whole, and what it says it is?")
+
+
+# --- what is no file --------------------------------------------------------------------------------------------------
+
+
+def test_what_is_no_file_is_not_opened(tmp_path: Path) -> None:
+    """A named pipe would be waited for, and a device read, without end."""
+    if not hasattr(os, "mkfifo"):
+        pytest.skip("this system has no named pipes")
+    os.mkfifo(tmp_path / "pipe.dng")
+    (tmp_path / "device.dng").symlink_to("/dev/zero")
+    (tmp_path / "loop.dng").symlink_to("loop.dng")
+    refused(tmp_path / "pipe.dng", "is a named pipe, not a file")
+    refused(tmp_path / "device.dng", "is a device, not a file")
+    refused(tmp_path / "loop.dng", "cannot be read: Too many levels of symbolic links")
+    with pytest.raises(RawFileError, match="is a named pipe, not a file"):
+        render_libraw(tmp_path / "pipe.dng")
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(tmp_path / "socket.dng"))
+        refused(tmp_path / "socket.dng", "is a socket, not a file")
+
+
+# --- in a process of its own ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="isolation needs a POSIX system")
+def test_isolation_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither frames nor errors."""
+    monkeypatch.chdir(tmp_path)
+    good, bad = tmp_path / "a.dng", tmp_path / "b.dng"
+    mosaic = random_mosaic(120, 132)
+    write_dng(good, mosaic, make_sensor(BAYER["GRBG"], 120, 132), EXPOSURE)
+    bad.write_bytes(good.read_bytes()[:-400])
+    direct, header = read_raw("a.dng"), read_header("a.dng")
+    with pytest.raises(RawFileError) as refusal:
+        read_raw("b.dng")
+    with isolation():
+        isolated = read_raw("a.dng")
+        assert read_header("a.dng") == header
+        with pytest.raises(RawFileError) as again:
+            read_raw("b.dng")
+        rendered = render_libraw("a.dng")
+    assert (isolated.mosaic == direct.mosaic).all()
+    assert isolated.mosaic.flags.writeable
+    assert (isolated.path, isolated.sensor, isolated.exposure) == (direct.path, direct.sensor, direct.exposure)
+    assert str(again.value) == str(refusal.value)
+    assert (rendered == render_libraw("a.dng")).all()

@@ -367,17 +367,26 @@ def _check_file(folder: Path, cameras: Mapping[str, CameraCard], level: Level, r
 
 
 def content_findings(folder: Path, record: FrameRecord) -> list[Finding]:
-    """Decode one file, as level ``full`` does where no hash is recorded; say what is wrong with its content."""
+    """Say what is wrong with the content of a file whose hash is not known: decode it and look for damage."""
     path = folder / record.path
-    if path.suffix == ".npy":
-        return []
     if is_png(record.path):
         return png_decode_findings(folder, record)
+    if path.suffix == ".npy":
+        return []
     try:
         _, decoded = raw_facts(path, decode=True)
     except RawFileError as error:
-        decoded = error.reason
+        return [Finding(record.path, "content", "a whole raw file", error.reason, _AGAIN)]
     return _decoded_findings(record, decoded)
+
+
+def _decoded_findings(record: FrameRecord, decoded: Sensor | str | None) -> list[Finding]:
+    if isinstance(decoded, str):
+        return [Finding(record.path, "content", "a raw file that decodes", decoded, _AGAIN)]
+    if decoded is None:
+        return []
+    advice = "this file was taken in another mode or by another camera"
+    return size_findings(record, decoded.width, decoded.height, advice)
 
 
 def _raw_findings(path: Path, record: FrameRecord, models: Sequence[str], *, decode: bool) -> Outcome:
@@ -388,16 +397,6 @@ def _raw_findings(path: Path, record: FrameRecord, models: Sequence[str], *, dec
         return [Finding(record.path, "content", "a whole raw file", error.reason, _AGAIN)], None
     findings, product = _header_findings(header, record, models)
     return [*findings, *_decoded_findings(record, decoded)], product
-
-
-def _decoded_findings(record: FrameRecord, decoded: Sensor | str | None) -> list[Finding]:
-    """Say what is wrong with a raw file, given its sensor or why it does not decode."""
-    if isinstance(decoded, str):
-        return [Finding(record.path, "content", "a raw file that decodes", decoded, _AGAIN)]
-    if decoded is None:
-        return []
-    advice = "this file was taken in another mode or by another camera"
-    return size_findings(record, decoded.width, decoded.height, advice)
 
 
 def _header_findings(header: RawHeader, record: FrameRecord, models: Sequence[str]) -> Outcome:

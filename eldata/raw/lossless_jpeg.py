@@ -15,8 +15,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.raw._lossless_jpeg_kernels import NO_CODE, TOO_SHORT, walk
-
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -114,6 +112,8 @@ class Stream:
 
         Takes about as long as decoding.
         """
+        from eldata.raw._lossless_jpeg_kernels import NO_CODE, TOO_SHORT, walk  # numba takes long to load
+
         tables = np.stack([code.table() for code in self.codes])
         interval = self.restart_interval * len(self.codes)
         state, done, at = walk(self.content[: self.end], self.start, tables, self.samples, interval)

@@ -267,7 +267,11 @@ class Bench:
 
     def _spawned(self, log: Path, jobs: int) -> int:
         command = [sys.executable, "-m", f"{self.case.program}.cli.main", *self.case.command(jobs)]
-        environment = os.environ | {"PYTHONPATH": str(ROOT), "TMPDIR": str(self.folder / ".tmp"), "KILLS": str(self.base)}
+        environment = os.environ | {
+            "PYTHONPATH": str(ROOT),
+            "TMPDIR": str(self.folder / ".tmp"),
+            "KILLS": str(self.base),
+        }
         with log.open("wb") as said:
             process = subprocess.Popen(
                 command, cwd=self.folder, env=environment, stdin=subprocess.DEVNULL, stdout=said, stderr=said,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections import Counter
 from dataclasses import dataclass
@@ -49,7 +48,7 @@ def data_root(root: Path | str | None = None) -> Path:
 
 
 def load_manifest(path: Path | str, contents: tuple[bytes, bytes] | None = None) -> Manifest:
-    """Load a manifest: ``<name>.csv`` and the card ``<name>.json`` beside it; or their ``contents``, if these are given.
+    """Load a manifest: ``<name>.csv`` and the card ``<name>.json`` beside it; or their ``contents``, if given.
 
     Raises
     ------

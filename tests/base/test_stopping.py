@@ -200,7 +200,9 @@ def test_before_ctrl_c_is_handled_little_is_imported() -> None:
     """What comes before cannot be answered in one line: Python's own start, and these modules."""
     for program in COMMANDS:
         code = f"import sys; before = set(sys.modules); import {program}.cli.main; print(*sorted(set(sys.modules) - before))"
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S, check=True)
+        done = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S, check=True
+        )
         loaded = done.stdout.split()
         ours = {name for name in loaded if name.split(".")[0] in COMMANDS}
         stage = {"eldata", "eldata.base", "eldata.base.stopping", f"{program}", f"{program}.cli", f"{program}.cli.main"}

@@ -43,6 +43,8 @@ _LEAST_RUN = 512
 # In none of LibRaw's codes for it do zero bits stand for equal neighbours.
 _NIKON = 34713
 _UNCOMPRESSED, _JPEG = 1, 7
+# Two directories may describe the same image; a file with more is made to keep a reader busy.
+_MOST_SHARED = 4
 
 # A stretch of one row, in which the differences of pixels 4 apart are compared: they are of one colour, in whatever
 # order the components are coded. Noise with a standard deviation of 0.5 DN leaves fewer than half of their second
@@ -120,6 +122,7 @@ class _Extent:
 
 def _extents(path: Path, directories: Sequence[Directory]) -> Iterator[_Extent]:
     """Yield the compressed strips and tiles of the raw image."""
+    left = _MOST_SHARED * path.stat().st_size
     with path.open("rb") as file:
         for directory in directories:
             compression = int(next(iter(directory.values.get(COMPRESSION, ())), _UNCOMPRESSED))
@@ -127,6 +130,9 @@ def _extents(path: Path, directories: Sequence[Directory]) -> Iterator[_Extent]:
             if compression == _UNCOMPRESSED or held >= 2 * directory.pixels > 0:
                 continue
             for offset, count in directory.extents:
+                left -= count
+                if left < 0:
+                    raise RawFileError(path, f"damaged: its image data share the same bytes; {_AGAIN}")
                 file.seek(offset)
                 content = np.frombuffer(file.read(count), np.uint8)
                 try:

@@ -33,8 +33,9 @@ camera, ISO, exposure time, aperture
 What LibRaw does not notice
 ---------------------------
 LibRaw opens some truncated files as whole frames. So the extents that a TIFF-based or RAF file declares must lie
-inside it, the file must hold at least one bit per pixel (no lossless code is shorter), and the last row must not
-be empty. Damage inside compressed data shows in no field: only a recorded hash finds it (``eldata lock``).
+inside it, and the file must hold at least one bit per pixel (no lossless code is shorter). It also decodes files that
+lost a part of their data, which are searched for what shows (:mod:`eldata.raw.damage`); only a recorded hash finds the
+rest (``eldata lock``).
 
 Fork and threads
 ----------------

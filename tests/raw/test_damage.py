@@ -6,6 +6,7 @@ the figures of ``python -m tests.raw.damaging``.
 
 from __future__ import annotations
 
+from fractions import Fraction
 from typing import TYPE_CHECKING, Literal
 
 import imagecodecs
@@ -16,7 +17,7 @@ from eldata.demo.tree import make_tree
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw import read_raw, write_dng
 from eldata.raw.damage import check_streams, data_fault, long_run, mosaic_fault
-from eldata.raw.tiff import read_directories
+from eldata.raw.tiff import Directory, read_directories
 from tests.cases import in_one_test
 from tests.raw.damaging import HARMS, PAGE, Whole, rates
 from tests.raw.helpers import BAYER, EXPOSURE, SOME_CFAS, make_sensor, random_mosaic, write_plain_dng, xtrans_at
@@ -361,3 +362,15 @@ def test_what_reading_refuses_is_not_written(tmp_path: Path) -> None:
 
 def test_every_kind_of_damage_has_a_rate() -> None:
     assert set(LOST) < set(HARMS)
+
+
+def test_strips_that_share_their_bytes_are_not_read_for_ever(tmp_path: Path) -> None:
+    """2,000 strips of one megabyte in a file of little more."""
+    path, strip = tmp_path / "a.dng", bytes(imagecodecs.ljpeg_encode(random_mosaic(900, 1200), bitspersample=16))
+    write_plain_dng(path, iter([strip]), shape=(900, 1200), dtype=np.uint16, compression=7, rowsperstrip=900)
+    ((offset, count),) = (extent for found in read_directories(path) for extent in found.extents)
+    shared = Directory(
+        {259: (Fraction(7),), 262: (Fraction(32803),), 273: (Fraction(offset),) * 2000, 279: (Fraction(count),) * 2000}
+    )
+    with pytest.raises(RawFileError, match="its image data share the same bytes"):
+        data_fault(path, [shared], random_mosaic(22, 22))

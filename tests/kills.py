@@ -11,7 +11,7 @@ otherwise. What a trial demands:
   blocks otherwise when a file is opened twice.)
 
 Commands run in forks of this process, which has imported all that they need: the whole time of a fork is work. Every
-twentieth is a process of its own with two workers, where the command has any. Of the others each second one is ended some time
+twentieth is a process of its own, with two workers where the command has any, and with guarded processes that decode. Of the others each second one is ended some time
 after its begin, drawn over the time that the command takes; the rest by themselves, before a step that changes a folder (a
 file that is opened to be written, renamed, linked or removed, a new folder), drawn over the steps of the command: the moments
 that matter may be a thousandth of its time.
@@ -220,8 +220,13 @@ class Bench:
                 os.kill(pid, number)
         _, status = os.waitpid(pid, 0)
         seconds = time.monotonic() - begun
-        until(lambda: not in_session(pid), "the end of every process of a command")
+        until(lambda: not marked(self.mark), "the end of every process of a command")
         return Run(os.waitstatus_to_exitcode(status), log.read_text(encoding="utf-8"), seconds)
+
+    @property
+    def mark(self) -> str:
+        """Stands in the environment of each process that the command starts."""
+        return f"KILLS={self.base}"
 
     def steps(self) -> int:
         """Run the command; return its number of steps."""
@@ -241,6 +246,7 @@ class Bench:
         steps = Steps(number, step)
         try:
             os.setsid()
+            os.environ |= {"KILLS": str(self.base), "ELDATA_ISOLATE": "0"}
             os.chdir(self.folder)
             tempfile.tempdir = str(self.folder / ".tmp")
             written = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
@@ -261,7 +267,11 @@ class Bench:
 
     def _spawned(self, log: Path, jobs: int) -> int:
         command = [sys.executable, "-m", f"{self.case.program}.cli.main", *self.case.command(jobs)]
-        environment = os.environ | {"PYTHONPATH": str(ROOT), "TMPDIR": str(self.folder / ".tmp")}
+        environment = os.environ | {
+            "PYTHONPATH": str(ROOT),
+            "TMPDIR": str(self.folder / ".tmp"),
+            "KILLS": str(self.base),
+        }
         with log.open("wb") as said:
             process = subprocess.Popen(
                 command, cwd=self.folder, env=environment, stdin=subprocess.DEVNULL, stdout=said, stderr=said,
@@ -297,15 +307,13 @@ def digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def in_session(session: int) -> list[int]:
-    """The processes of a session that are not zombies."""
+def marked(mark: str) -> list[int]:
+    """The processes that have a text in their environment, zombies left out: those have none any more."""
     found = []
-    for stat in Path("/proc").glob("[0-9]*/stat"):
+    for environment in Path("/proc").glob("[0-9]*/environ"):
         with suppress(OSError):
-            text = stat.read_text(encoding="utf-8", errors="replace")
-            state, _, _, of = text.rpartition(")")[2].split()[:4]
-            if int(of) == session and state not in "ZX":
-                found.append(int(stat.parent.name))
+            if mark.encode() in environment.read_bytes():
+                found.append(int(environment.parent.name))
     return found
 
 
@@ -332,13 +340,12 @@ def leftovers(bench: Bench) -> list[str]:
 def trials(name: str, base: Path, count: int, number: int, seed: int) -> tuple[Counter[str], list[str]]:
     """Kill a command so many times; return what was counted, and what was wrong."""
     bench = Bench(CASES[name], base)
-    jobs_known = any(JOBS in argument for argument in bench.case.arguments)
     bench.begin()
     os.chdir(bench.folder)
     main_of(bench.case.program)(bench.case.command(1))  # what is imported and compiled now, forks have
     os.chdir(base)
     undisturbed: dict[int, list[float]] = {1: [], 2: []}
-    for jobs in (1, 1, 1, 2) if jobs_known else (1, 1, 1):
+    for jobs in (1, 1, 1, 2):
         bench.begin()
         bench.first = bench.contents()
         run = bench.run(jobs=jobs)
@@ -355,7 +362,7 @@ def trials(name: str, base: Path, count: int, number: int, seed: int) -> tuple[C
     generator = random.Random(f"{name} {seed}")
     while counted["kills"] < count and counted["runs"] < 20 * count + 100 and len(wrong) < 20:
         counted["runs"] += 1
-        jobs = 2 if jobs_known and counted["kills"] % WITH_WORKERS == WITH_WORKERS - 1 else 1
+        jobs = 2 if counted["kills"] % WITH_WORKERS == WITH_WORKERS - 1 else 1
         after_s = generator.uniform(0.0, statistics.median(undisturbed[jobs]))
         step = generator.randint(1, steps) if jobs == 1 and counted["kills"] % 2 else 0
         bench.begin()
@@ -368,6 +375,7 @@ def trials(name: str, base: Path, count: int, number: int, seed: int) -> tuple[C
         wrong += [f"{name}, {jobs} jobs, {moment}: {text}" for text in found]
     if counted["kills"] < count:
         wrong.append(f"{name}: only {counted['kills']} kills in {counted['runs']} runs")
+    counted["ms undisturbed"] = round(1000 * statistics.median(undisturbed[1]))
     return counted, wrong
 
 

@@ -27,6 +27,7 @@ from typing import IO, TYPE_CHECKING, Final
 from capture.capture_errors import CameraLostError, GphotoError
 from eldata.base.fields import TextFile
 from eldata.base.files import check_posix
+from eldata.base.stopping import held
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -181,25 +182,13 @@ class Gphoto:
             with tempfile.TemporaryFile() as file:
                 return self._run(arguments, folder=folder, limit_s=limit_s, log=file)
         limit_s = self.timeout_s if limit_s is None else limit_s
-        environment = {name: value for name, value in os.environ.items() if name not in ("LANGUAGE", "LC_MESSAGES")}
         begun = log.seek(0, os.SEEK_END)
+        process: subprocess.Popen[bytes] | None = None
         try:
-            process = subprocess.Popen(  # noqa: S603 # arguments as a list, no shell
-                self.command(*arguments),
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                cwd=folder,
-                env=environment | {"LC_ALL": "C", "LANG": "C"},
-                # A group of its own: it can be ended with all that it started, and Ctrl-C does not end it half-way.
-                start_new_session=True,
-                pass_fds=self.inherited,
-            )
-        except OSError as error:
-            raise GphotoError(f"{self.program} cannot be run ({error.strerror}); {INSTALL}") from error
-        if self.started is not None:
-            self.started(process.pid)
-        try:
+            with held():  # a process that nobody knows of yet could not be ended
+                process = self._start(arguments, folder, log)
+            if self.started is not None:
+                self.started(process.pid)
             code = process.wait(limit_s)
         except subprocess.TimeoutExpired:
             _end(process)
@@ -216,9 +205,28 @@ class Gphoto:
             raise explained(arguments[0], output)
         return output
 
+    def _start(self, arguments: list[str], folder: Path | None, log: IO[bytes]) -> subprocess.Popen[bytes]:
+        environment = {name: value for name, value in os.environ.items() if name not in ("LANGUAGE", "LC_MESSAGES")}
+        try:
+            return subprocess.Popen(  # noqa: S603 # arguments as a list, no shell
+                self.command(*arguments),
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                cwd=folder,
+                env=environment | {"LC_ALL": "C", "LANG": "C"},
+                # A group of its own: it can be ended with all that it started, and Ctrl-C does not end it half-way.
+                start_new_session=True,
+                pass_fds=self.inherited,
+            )
+        except OSError as error:
+            raise GphotoError(f"{self.program} cannot be run ({error.strerror}); {INSTALL}") from error
 
-def _end(process: subprocess.Popen[bytes]) -> None:
+
+def _end(process: subprocess.Popen[bytes] | None) -> None:
     """End a process and all that it started: first with the interrupt that lets it close the camera's session."""
+    if process is None:  # it was not started
+        return
     for number in (signal.SIGINT, signal.SIGKILL):
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(process.pid, number)

@@ -48,6 +48,11 @@ class Lifeline:
     """
 
     def __init__(self) -> None:
+        if sys.platform != "win32":
+            with held(), _blocked():
+                # Of multiprocessing, it ignores Ctrl-C and SIGTERM and would die of SIGHUP, with many words. Its start
+                # also ends the blocking, and would do so while a worker starts.
+                resource_tracker.ensure_running()
         self._ours, self._theirs = socket.socketpair()
         self.context = _Spawning()
 
@@ -78,11 +83,8 @@ class _Worker(SpawnProcess):
     """A process in which signals wait until :func:`begin` has said what they do."""
 
     def start(self) -> None:
-        with held():  # or nobody would know of a process that was half started
-            if sys.platform != "win32":
-                resource_tracker.ensure_running()  # its start would end the blocking
-            with _blocked():
-                super().start()
+        with held(), _blocked():  # or nobody would know of a process that was half started
+            super().start()
 
 
 class _Spawning(SpawnContext):

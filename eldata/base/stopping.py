@@ -128,16 +128,13 @@ class Stopping:
         if not isinstance(unraisable.exc_value, Stopped):
             return False
         self._again = True
-        _thread.interrupt_main(unraisable.exc_value.number)
+        _thread.start_new_thread(_again_soon, (unraisable.exc_value.number,))
         return True
 
 
-_current: Stopping | None = None
-
-
-def is_stopping() -> bool:
-    """Return whether the command that runs in this process has been told to end, so that whoever tidies is to be quick."""
-    return _current is not None and _current.number is not None
+def _again_soon(number: int) -> None:
+    time.sleep(0.01)  # or it would be raised in the hook, and dropped again
+    _thread.interrupt_main(number)
 
 
 @contextmanager
@@ -146,8 +143,6 @@ def stoppable(state: Stopping) -> Iterator[None]:
 
     In threads other than the main one, and for signals that somebody else handles or ignores, nothing changes.
     """
-    global _current  # noqa: PLW0603 # signals are the process's
-    outer = _current
     before = {number: signal.getsignal(number) for number in _ours()}
     hook = sys.unraisablehook
 
@@ -156,7 +151,6 @@ def stoppable(state: Stopping) -> Iterator[None]:
             hook(unraisable)
 
     try:
-        _current = state
         if before:
             sys.unraisablehook = watching
         for number in before:
@@ -168,7 +162,6 @@ def stoppable(state: Stopping) -> Iterator[None]:
         for number, handler in before.items():
             signal.signal(number, state.after(handler))
         sys.unraisablehook = hook
-        _current = outer
 
 
 @contextmanager

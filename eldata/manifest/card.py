@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING
 
 from eldata.base.fields import Fields, TextFile, names_of, shown
-from eldata.base.files import path_problem, write_json
+from eldata.base.files import json_text, path_problem, write_text
 from eldata.errors import ArgumentError, ManifestError
 from eldata.manifest.subsets import Subset
 
@@ -92,17 +92,17 @@ class Card:
     sources: tuple[str, ...] = field(default=())
 
 
-def load_card(path: Path) -> Card:
-    """Read a dataset card.
+def load_card(path: Path, content: bytes | None = None) -> Card:
+    """Read a dataset card, from its ``content`` if that is given.
 
     Raises
     ------
     ManifestError
         If the file cannot be read or a field is missing, unknown or of the wrong kind; the message names it.
     """
-    if not path.exists():
+    if content is None and not path.exists():
         raise ManifestError(f"{path}: is missing; a manifest needs its dataset card")
-    top = TextFile(path, ManifestError).json()
+    top = TextFile(path, ManifestError, content=content).json()
     top.only(names_of(Card))
     cameras, counts = top.inside("cameras"), top.inside("counts")
     subsets = tuple(map(_subset, top.objects("subsets", missing_ok=True)))
@@ -168,4 +168,9 @@ def _subset(entry: Fields) -> Subset:
 
 def save_card(path: Path, card: Card) -> None:
     """Write a dataset card as JSON, whole or not at all."""
-    write_json(path, asdict(card))
+    write_text(path, card_text(card))
+
+
+def card_text(card: Card) -> str:
+    """Return a dataset card as it is written."""
+    return json_text(asdict(card))

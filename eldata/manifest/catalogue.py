@@ -47,8 +47,8 @@ def data_root(root: Path | str | None = None) -> Path:
     return Path(os.environ.get(ROOT_VARIABLE) or "data")
 
 
-def load_manifest(path: Path | str) -> Manifest:
-    """Load a manifest: ``<name>.csv`` and the card ``<name>.json`` beside it.
+def load_manifest(path: Path | str, contents: tuple[bytes, bytes] | None = None) -> Manifest:
+    """Load a manifest: ``<name>.csv`` and the card ``<name>.json`` beside it; or their ``contents``, if given.
 
     Raises
     ------
@@ -56,8 +56,9 @@ def load_manifest(path: Path | str) -> Manifest:
         If either is malformed, a row's camera is not on the card, or the card expects another number of rows.
     """
     path = Path(path)
-    records, digest = load_table(path)
-    card = load_card(path.with_suffix(".json"))
+    rows, facts = contents or (None, None)
+    records, digest = load_table(path, rows)
+    card = load_card(path.with_suffix(".json"), facts)
     unknown = {record.camera for record in records} - card.cameras.keys()
     for record in records if unknown else ():
         if record.camera in unknown:

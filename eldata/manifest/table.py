@@ -49,9 +49,12 @@ def load_records(path: Path) -> tuple[FrameRecord, ...]:
     return load_table(path)[0]
 
 
-def load_table(path: Path) -> tuple[tuple[FrameRecord, ...], str]:
-    """Read a manifest's rows as :func:`load_records` does, and ``sha256:<hex>`` of the bytes that they stand in."""
-    file = TextFile(path, ManifestError, largest_bytes=_LARGEST_BYTES).loaded()
+def load_table(path: Path, content: bytes | None = None) -> tuple[tuple[FrameRecord, ...], str]:
+    """Read a manifest's rows as :func:`load_records` does, and ``sha256:<hex>`` of the bytes that they stand in.
+
+    They are read from ``content``, if that is given.
+    """
+    file = TextFile(path, ManifestError, content=content, largest_bytes=_LARGEST_BYTES).loaded()
     content = file.content if isinstance(file.content, bytes) else b""
     return _parse(file), f"sha256:{hashlib.sha256(content).hexdigest()}"
 
@@ -156,6 +159,19 @@ def save_records(path: Path, records: Iterable[FrameRecord]) -> None:
     Raises
     ------
     ManifestError
+        Like :func:`table_text`.
+    EldataError
+        If it cannot be written.
+    """
+    write_text(path, table_text(path, records))
+
+
+def table_text(path: Path, records: Iterable[FrameRecord]) -> str:
+    """Return a manifest's rows, sorted by path, as they are written to ``path``.
+
+    Raises
+    ------
+    ManifestError
         If :func:`load_records` would refuse a row.
     """
     ordered = tuple(sorted(records, key=attrgetter("path")))
@@ -163,7 +179,7 @@ def save_records(path: Path, records: Iterable[FrameRecord]) -> None:
     for record, read_back in zip(ordered, _parse(TextFile(path, ManifestError, content=text)), strict=True):
         if record != read_back:
             raise ManifestError(f"{path}, row {record.path!r}: cannot be written as text and read back the same")
-    write_text(path, text)
+    return text
 
 
 def _text(value: object) -> str:

@@ -292,6 +292,60 @@ def test_ctrl_c_ends_everything_and_is_told_once(tmp_path: Path) -> None:
     assert errors.decode().count("KeyboardInterrupt") == 1, errors.decode()
 
 
+ORPHANED = """
+import ctypes, sys, time
+from eldata.base.workers import Workers
+
+def python(unit):
+    while True:
+        time.sleep(0.01)
+
+def released(unit):
+    ctypes.CDLL(None).sleep(10**6)  # a long call into C, other threads run
+
+def kept(unit):
+    ctypes.PyDLL(None).sleep(10**6)  # one that keeps the interpreter's lock: nothing else runs in that worker
+
+def said(unit):
+    print("begun", flush=True)
+    return globals()[sys.argv[1]](unit)
+
+if __name__ == "__main__":
+    list(Workers(2).run(said, [1, 2]))
+"""
+
+
+@pytest.mark.kill
+@pytest.mark.parametrize(
+    ("work", "number"),
+    [
+        ("python", signal.SIGKILL),
+        ("released", signal.SIGKILL),
+        pytest.param("kept", signal.SIGKILL, marks=pytest.mark.skipif(sys.platform != "linux", reason="Linux can")),
+        ("python", signal.SIGTERM),
+    ],
+)
+def test_workers_end_with_their_parent(work: str, number: int, tmp_path: Path) -> None:
+    """However it ends, and whatever they do. Only the parent gets the signal, as from kill or a scheduler."""
+    script = tmp_path / "work.py"
+    script.write_text(ORPHANED, encoding="utf-8")
+    with subprocess.Popen(
+        [sys.executable, str(script), work],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    ) as child:
+        assert child.stdout is not None
+        try:
+            assert [child.stdout.readline() for _ in range(2)] == [b"begun\n"] * 2
+            child.send_signal(number)
+            assert child.wait(PATIENCE_S) == -number
+            until(lambda: not alive_in_group(child.pid), "the end of the workers")
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(child.pid, signal.SIGKILL)
+
+
 def alive_in_group(group: int) -> list[str]:
     """Command names of a process group's members that are not zombies."""
     names = []

@@ -17,6 +17,7 @@ import psutil  # type: ignore[import-untyped,unused-ignore] # types-psutil may b
 import pytest
 
 from eldata.manifest.card import load_card, save_card
+from eldata.manifest.catalogue import load_manifest
 from eldata.manifest.eld import EldCamera, eld_records
 from eldata.manifest.table import save_records
 from tests.evaluation.helpers import Tree
@@ -171,14 +172,22 @@ def disturbed(
     pytest.fail(f"the command ended before anything was done to it, {ATTEMPTS} times")
 
 
-def interrupted(command: list[str | Path], delay_s: float) -> tuple[int, str, str]:
-    """Send Ctrl-C to the process group once its workers run, as a terminal does; nothing may be left of it."""
+def interrupted(
+    command: list[str | Path], delay_s: float, number: int = signal.SIGINT, *, alone: bool = False
+) -> tuple[int, str, str]:
+    """Send a signal to the process group once its workers run, as a terminal does with Ctrl-C, or to the process alone.
+
+    Nothing may be left of it.
+    """
     family: list[psutil.Process] = []
 
     def interrupt(process: subprocess.Popen[str]) -> None:
         with contextlib.suppress(psutil.NoSuchProcess):
             family[:] = [psutil.Process(process.pid), *psutil.Process(process.pid).children(recursive=True)]
-        os.killpg(process.pid, signal.SIGINT)
+        if alone:
+            process.send_signal(number)
+        else:
+            os.killpg(process.pid, number)
 
     outcome = disturbed(command, delay_s, interrupt)
     _, alive = psutil.wait_procs(family, timeout=PATIENCE_S)
@@ -201,23 +210,44 @@ def test_ctrl_c_ends_verify_with_one_line(delay_s: float, long_tree: Tree) -> No
     assert "Traceback" not in err
 
 
+@pytest.fixture(scope="module")
+def long_evaluation(long_tree: Tree, tmp_path_factory: pytest.TempPathFactory) -> list[str | Path]:
+    """The noisy frames as they are, as DNG predictions: their evaluation takes long enough to be ended in its middle."""
+    folder = tmp_path_factory.mktemp("long-predictions")
+    for record in load_manifest(long_tree.manifest).records:
+        if record.role == "noisy":
+            link = folder / record.path
+            link.parent.mkdir(parents=True, exist_ok=True)
+            link.symlink_to(long_tree.files / record.path)
+    return ["evaluate", folder, "--manifest", long_tree.manifest, "--root", long_tree.root, "--jobs", "2"]
+
+
 @pytest.mark.kill
-def test_ctrl_c_ends_evaluate_with_one_line(long_tree: Tree, tmp_path: Path) -> None:
-    for record in sorted(long_tree.files.glob("*/*/IMG_*.dng")):
-        link = tmp_path / "preds" / record.relative_to(long_tree.files)
-        link.parent.mkdir(parents=True, exist_ok=True)
-        link.symlink_to(record)  # a noisy frame as it is, as a DNG prediction
-    for number in (1, 6, 11, 16):
-        for path in (tmp_path / "preds").glob(f"*/*/IMG_{number:04d}.dng"):
-            path.unlink()
-    command: list[str | Path] = ["evaluate", tmp_path / "preds", "--manifest", long_tree.manifest]
-    command += ["--root", long_tree.root, "--jobs", "2", "--csv", tmp_path / "scores.csv"]
-    code, out, err = interrupted(command, 0.3)
-    assert code == 130
-    assert (out, err.count("\n")) == ("", 1)
-    assert "interrupted" in err
-    assert not (tmp_path / "scores.csv").exists()
-    assert not list(tmp_path.glob(".*"))
+@pytest.mark.parametrize("delay_s", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize(
+    ("number", "alone", "word"),
+    [
+        (signal.SIGINT, False, "interrupted; "),
+        (signal.SIGTERM, True, "terminated; "),  # from kill, or a scheduler
+        (signal.SIGTERM, False, "terminated; "),  # from timeout
+        (signal.SIGHUP, False, "ended with its terminal; "),
+    ],
+)
+def test_evaluate_ends_with_one_line(
+    number: signal.Signals, alone: bool, word: str, delay_s: float, long_evaluation: list[str | Path], tmp_path: Path
+) -> None:
+    csv = tmp_path / "scores.csv"
+    code, out, err = interrupted([*long_evaluation, "--csv", csv], delay_s, number, alone=alone)
+    assert code == 128 + number
+    assert (out, err.count("\n")) == ("", 1), err
+    assert f"eldata evaluate: {word}" in err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.kill
+def test_workers_end_with_a_killed_evaluation(long_evaluation: list[str | Path]) -> None:
+    code, _, _ = interrupted(long_evaluation, 0.5, signal.SIGKILL, alone=True)
+    assert code == -signal.SIGKILL
 
 
 @pytest.mark.kill

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import tempfile
 import threading
 import weakref
 from contextlib import suppress
@@ -156,11 +155,8 @@ def _stored(key: str, frames: h5py.Group) -> StoredFrame | StoredRgb:
 def _manifest(path: Path, file: h5py.File) -> Manifest | None:
     if "manifest" not in file:
         return None
-    with tempfile.TemporaryDirectory(prefix="eldata-") as folder:  # the one loader reads files
-        csv = Path(folder) / "manifest.csv"
-        for suffix in ("csv", "json"):
-            csv.with_suffix(f".{suffix}").write_bytes(file[f"manifest/{suffix}"][:].tobytes())
-        return replace(load_manifest(csv), path=path)
+    rows, card = (file[f"manifest/{name}"][:].tobytes() for name in ("csv", "json"))
+    return replace(load_manifest(path / "manifest.csv", (rows, card)), path=path)
 
 
 class PixelReader:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import tempfile
 from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,12 +10,14 @@ from typing import TYPE_CHECKING, Unpack
 
 from eldata.base.keywords import keywords
 from eldata.errors import ArgumentError, DatasetError
+from eldata.manifest.card import card_text
 from eldata.manifest.catalogue import Manifest, load_manifest, shipped_manifest
 from eldata.manifest.clip_checks import is_png
 from eldata.manifest.clips import choose_clips, clips_of
-from eldata.manifest.drv import Scan, scan_raw
+from eldata.manifest.drv import scan_raw
 from eldata.manifest.pairs import RENAMED, Choice, select_pairs
 from eldata.manifest.patterns import expand, is_pattern
+from eldata.manifest.table import table_text
 from eldata.raw.extensions import raws_below
 
 if TYPE_CHECKING:
@@ -157,9 +158,9 @@ def _source_of_clips(
     kept = tuple(row for row in rows if row.path in files)
     counts = Counter(str(row.role) for row in kept)
     listing = replace(card, counts=dict(sorted(counts.items())), subsets=())
-    with tempfile.TemporaryDirectory(prefix="eldata-") as place:  # the one loader reads files
-        manifest = Scan(listing, kept).save(Path(place) / f"{card.name}.csv")
-        content = _listing(manifest)
+    path = Path(f"{card.name}.csv")  # what messages call it
+    content = table_text(path, kept).encode(), card_text(listing).encode()
+    manifest = load_manifest(path, content)
     return Source(card.name, folder, tuple(files.items()), manifest, content)
 
 

@@ -205,7 +205,6 @@ class Gphoto:
             raise explained(arguments[0], output)
         return output
 
-
     def _start(self, arguments: list[str], folder: Path | None, log: IO[bytes]) -> subprocess.Popen[bytes]:
         environment = {name: value for name, value in os.environ.items() if name not in ("LANGUAGE", "LC_MESSAGES")}
         try:

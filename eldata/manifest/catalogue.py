@@ -50,7 +50,7 @@ def data_root(root: Path | str | None = None) -> Path:
 
 
 def load_manifest(path: Path | str, contents: tuple[bytes, bytes] | None = None) -> Manifest:
-    """Load a manifest: ``<name>.csv`` and the card ``<name>.json`` beside it; or their ``contents``, if these are given.
+    """Load a manifest: ``<name>.csv`` and the card ``<name>.json`` beside it; or their ``contents``, if given.
 
     Raises
     ------
@@ -69,7 +69,9 @@ def load_manifest(path: Path | str, contents: tuple[bytes, bytes] | None = None)
             )
     found = Counter(record.role for record in records)
     if dict(found) != card.counts:
-        cut_off = "; was eldata lock killed here? lock again" if any(is_pattern(record.path) for record in records) else ""
+        cut_off = (
+            "; was eldata lock killed here? lock again" if any(is_pattern(record.path) for record in records) else ""
+        )
         raise ManifestError(f"{path}: the card expects {card.counts} rows per role, found {dict(found)}{cut_off}")
     digest = sha256_of(path) if rows is None else f"sha256:{hashlib.sha256(rows).hexdigest()}"
     return Manifest(path, card, records, digest)

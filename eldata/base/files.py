@@ -94,8 +94,8 @@ def temporary_file(path: Path) -> Iterator[tuple[IO[bytes], Path]]:
     """Yield a new file beside ``path`` and its path, to be renamed; it is removed unless that was done.
 
     Its lock, held as long as it is open, tells it from what a dead process left; that is removed first. Where another
-    process writes to the same ``path``, it gets a name of its own. Without locks (Windows, some network disks) nothing of
-    others is removed.
+    process writes to the same ``path``, it gets a name of its own. Without locks (Windows, some network disks) nothing
+    of others is removed.
 
     Raises
     ------

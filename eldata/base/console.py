@@ -173,7 +173,7 @@ def whole_number(at_least: int) -> Callable[[str], int]:
 def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:
     """Parse arguments, run the subcommand's ``run`` and return the exit code.
 
-    A subcommand is set up by :func:`add_shared`. What it raises, and what ends it from outside, becomes one line on stderr.
+    A subcommand is set up by :func:`add_shared`. What it raises, and what ends it from outside, is one line on stderr.
     """
     _occupy_closed_streams()
     stopping = Stopping(parser.prog if argv is None else None)
@@ -256,4 +256,4 @@ def _occupy_closed_streams() -> None:
             if taken != number:
                 os.dup2(taken, number)
                 os.close(taken)
-        setattr(sys, name, open(number, "w" if number else "r", closefd=False))  # noqa: PTH123, SIM115 # for good
+        setattr(sys, name, open(number, "w" if number else "r", closefd=False))  # noqa: SIM115 # for good

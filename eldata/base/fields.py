@@ -310,7 +310,7 @@ class TextFile:
         file.text("CSV")  # before the first row is judged
         reader = _csv_reader(file.content)
         try:
-            header = next(reader, [])
+            header: list[str] = next(reader, [])
             if header != list(columns):
                 found = shown(",".join(header), longest=400)
                 raise self.problem(f"expected the columns {','.join(columns)}; found {found}", "line 1")

@@ -94,8 +94,8 @@ def temporary_file(path: Path) -> Iterator[tuple[IO[bytes], Path]]:
     """Yield a new file beside ``path`` and its path, to be renamed; it is removed unless that was done.
 
     Its lock, held as long as it is open, tells it from what a dead process left; that is removed first. Where another
-    process writes to the same ``path``, it gets a name of its own. Without locks (Windows, some network disks) nothing of
-    others is removed.
+    process writes to the same ``path``, it gets a name of its own. Without locks (Windows, some network disks) nothing
+    of others is removed.
 
     Raises
     ------
@@ -167,7 +167,7 @@ def is_at(path: Path, file: os.stat_result) -> bool:
 def write_text(path: Path | str, text: str) -> None:
     r"""Write UTF-8 text whole or not at all, with line ends as given.
 
-    What stands for a byte of a file name that is not UTF-8 is written as JSON has it: by its number, ``\udcff``.
+    What stands for a byte of a file name that is not UTF-8 is written by its number, ``\udcff``.
     """
     with atomic_write(path) as file:
         file.write(text.encode("utf-8", "backslashreplace"))
@@ -179,8 +179,12 @@ def write_json(path: Path | str, data: object, *, indent: int = 2) -> None:
 
 
 def json_text(data: object, *, indent: int | None = 2) -> str:
-    """Return plain types as the text of a JSON file, on one line if ``indent`` is ``None``; all numbers are finite."""
-    return json.dumps(data, indent=indent, ensure_ascii=False, allow_nan=False) + "\n"
+    r"""Return plain types as the text of a JSON file, on one line if ``indent`` is ``None``; all numbers are finite.
+
+    What stands for a byte of a file name that is not UTF-8 becomes a number, ``\udcff``, which JSON reads back the same.
+    """
+    text = json.dumps(data, indent=indent, ensure_ascii=False, allow_nan=False)
+    return text.encode("utf-8", "backslashreplace").decode() + "\n"
 
 
 def check_same_work(place: Path, begun: Mapping[str, object], wanted: Mapping[str, object]) -> None:

@@ -6,12 +6,10 @@ clips, train.py, test_video.py and test_image.py.
 
 from __future__ import annotations
 
-import csv
-import io
 from collections import Counter
 from typing import TYPE_CHECKING
 
-from eldata.base.fields import TextFile
+from eldata.base.fields import TextFile, csv_text
 from eldata.base.files import write_text
 from eldata.errors import ManifestError
 from eldata.manifest.card import CameraCard, Card, Download
@@ -60,10 +58,7 @@ def splits_from_lists(lists: Mapping[str, Path]) -> dict[str, str]:
 
 def save_splits(path: Path, split_of: Mapping[str, str]) -> None:
     """Write the table of clips."""
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerows([_COLUMNS, *split_of.items()])
-    write_text(path, text.getvalue())
+    write_text(path, csv_text(_COLUMNS, split_of.items()))
 
 
 def load_splits(path: Path) -> dict[str, str]:

@@ -14,15 +14,13 @@ lists, README, test_Sony.py and test_Fuji.py.
 
 from __future__ import annotations
 
-import csv
-import io
 import re
 from collections import Counter
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from eldata.base.fields import TextFile
+from eldata.base.fields import TextFile, csv_text
 from eldata.base.files import write_text
 from eldata.errors import ManifestError
 from eldata.manifest.pairs import UNCERTAIN_ISO
@@ -180,12 +178,10 @@ def load_scenes(path: Path) -> tuple[SidScene, ...]:
 
 def save_scenes(path: Path, scenes: Iterable[SidScene]) -> None:
     """Write a table of scenes, whole or not at all."""
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(_COLUMNS)
-    for item in scenes:
-        writer.writerow((item.scene, item.iso, item.long, *(item.shots.get(name, 0) for name in SHORT_EXPOSURES)))
-    write_text(path, text.getvalue())
+    rows = (
+        (item.scene, item.iso, item.long, *(item.shots.get(name, 0) for name in SHORT_EXPOSURES)) for item in scenes
+    )
+    write_text(path, csv_text(_COLUMNS, rows))
 
 
 def scenes_from_lists(camera: SidCamera, lists: Iterable[Path]) -> tuple[SidScene, ...]:

@@ -51,7 +51,7 @@ NAMESAKES = [
     (package, name)
     for package in PACKAGES
     for name, module in promised(package).items()
-    if (ROOT / Path(*package.split(".")) / f"{name}.py").exists() or module.endswith(f".{name}")
+    if (ROOT / Path(*package.split(".")) / f"{name}.py").exists() or module == f"{package}.{name}"
 ]
 
 

@@ -193,8 +193,8 @@ def _warn_of_unlisted(dataset: Dataset, place: str | None) -> None:
     ]
     if beside:
         print(
-            f"{len(beside)} other raw file(s) lie in the same folders, such as {in_line(beside[0].name)}: eldata verify will "
-            "name them. --copy-to and --link-to make a folder without them"
+            f"{len(beside)} other raw file(s) lie in the same folders, such as {in_line(beside[0].name)}: eldata "
+            "verify will name them. --copy-to and --link-to make a folder without them"
         )
 
 

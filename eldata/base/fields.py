@@ -22,9 +22,10 @@ import reprlib
 import sys
 import tomllib
 from collections import Counter
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 from functools import cache, lru_cache
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeVar, overload
 
@@ -32,7 +33,7 @@ from eldata.base.visible import has_unseen
 from eldata.errors import ArgumentError, EldataError, FileError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
 Value = TypeVar("Value")
 Number = TypeVar("Number", int, float, Fraction)
@@ -214,13 +215,23 @@ class TextFile:
         EldataError
             The file's, if it cannot be read, is too large, or is not UTF-8.
         """
-        content = self._read() if self.content is None else self.content
+        content = self.loaded().content
         if isinstance(content, str):
             return content
         try:
-            return content.decode("utf-8-sig")
+            return (content or b"").decode("utf-8-sig")
         except UnicodeDecodeError as error:
             raise self.problem(f"is not {kind}: its byte {error.start} is not UTF-8") from error
+
+    def loaded(self) -> TextFile:
+        """Return the file with its content at hand, to be read more than once.
+
+        Raises
+        ------
+        EldataError
+            The file's, if it cannot be read or is too large.
+        """
+        return self if self.content is not None else replace(self, content=self._read())
 
     def _read(self) -> bytes:
         try:
@@ -295,7 +306,9 @@ class TextFile:
         EldataError
             The file's, as :meth:`text` raises it; or if it is not CSV, has other columns, or a row of another length.
         """
-        reader = csv.reader(io.StringIO(self.text("CSV"), newline=""), strict=True)
+        file = self.loaded()
+        file.text("CSV")  # before the first row is judged
+        reader = _csv_reader(file.content)
         try:
             header = next(reader, [])
             if header != list(columns):
@@ -305,9 +318,71 @@ class TextFile:
                 if len(cells) != len(header):
                     reason = f"expected {len(header)} fields, found {len(cells)}"
                     raise self.problem(reason, f"line {reader.line_num}")
-                yield TextRow(self, dict(zip(header, cells, strict=True)), f"line {reader.line_num}")
+                texts = map(text_of_cell, cells)
+                yield TextRow(self, dict(zip(header, texts, strict=True)), f"line {reader.line_num}")
         except csv.Error as error:
             raise self.problem(f"is not CSV ({error})", f"line {reader.line_num}") from error
+
+    def columns(self, columns: Sequence[str], rows_at_once: int = 1024) -> Iterator[list[tuple[str, ...]]]:
+        """Yield the columns of some rows at a time, of a file such as :meth:`rows` reads; for millions of rows.
+
+        What is wrong with the file raises a ``ValueError`` that does not say where: read it by :meth:`rows` then, which
+        does.
+        """
+        file = self.loaded()
+        reader = _csv_reader(file.content)
+        quoted = _may_have_quoted_cells(file.content)
+        try:
+            if next(reader, []) != list(columns):
+                raise ValueError(columns)
+            while rows := list(islice(reader, rows_at_once)):
+                found = list(zip(*rows, strict=True))
+                if len(found) != len(columns):
+                    raise ValueError(columns)
+                yield [tuple(map(text_of_cell, cells)) for cells in found] if quoted else found
+        except csv.Error as error:
+            raise ValueError(columns) from error
+
+
+# --- cells of CSV files -------------------------------------------------------------------------------------------
+
+
+# What makes a spreadsheet take a cell for a formula (OWASP, "CSV Injection"), after any apostrophes.
+_FORMULA: Final = re.compile(r"'*[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
+
+
+def cell_of_text(text: str) -> str:
+    """Return a text as a cell that no spreadsheet runs as a formula: an apostrophe goes before such a one.
+
+    :func:`text_of_cell` undoes it: one apostrophe is taken from any cell in which apostrophes stand before such a sign.
+    Texts that begin with an apostrophe and go on otherwise stay as they are.
+    """
+    return f"'{text}" if _FORMULA.match(text) else text
+
+
+def text_of_cell(cell: str) -> str:
+    """Return the text that :func:`cell_of_text` made a cell of; a formula that nobody quoted is that text."""
+    return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell
+
+
+def _csv_reader(content: str | bytes | None) -> Any:
+    """Return a reader of rows; it decodes bytes as it comes to them, for there may be many."""
+    if isinstance(content, bytes):
+        return csv.reader(io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig", newline=""), strict=True)
+    return csv.reader(io.StringIO(content or "", newline=""), strict=True)
+
+
+def _may_have_quoted_cells(content: str | bytes | None) -> bool:
+    return ("'" in content) if isinstance(content, str) else b"'" in (content or b"")
+
+
+def csv_text(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Return a CSV file: texts by :func:`cell_of_text`, numbers as they are, ``None`` as an empty cell."""
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows([cell_of_text(cell) if isinstance(cell, str) else cell for cell in row] for row in rows)
+    return text.getvalue()
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -1,18 +1,24 @@
 """PNG files as DRV and predictions have them: up to 16 bits per sample. The one PNG reader of this package.
 
-imagecodecs (libpng) reads 16-bit RGB, which Pillow does not. Samples come as the file has them, in the order R, G, B,
-without gamma or colour management; OpenCV, which the DRV code uses, returns the same samples as B, G, R.
+The header is looked at first, and only chunks that are pixels are handed on: a kilobyte of compressed text or profile
+can stand for megabytes. imagecodecs (libpng) reads 16-bit RGB, which Pillow does not. Samples come as the file has
+them, in the order R, G, B, without gamma or colour management; OpenCV, which the DRV code uses, returns the same
+samples as B, G, R.
 """
 
 from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
+from eldata.base.files import file_problem
+from eldata.base.isolation import GuardError, guarded
+from eldata.base.visible import in_line
 from eldata.errors import FileError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     import numpy as np
@@ -22,6 +28,12 @@ _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _HEADER_BYTES = 26
 _END = b"\0\0\0\0IEND\xaeB`\x82"
 _COLOURS = {0: "grey", 2: "RGB", 3: "palette", 4: "grey with alpha", 6: "RGB with alpha"}
+_CHANNELS = {"grey": (), "grey with alpha": (2,), "RGB with alpha": (4,)}  # the others have three
+
+# What pixels are made of; texts, profiles and times are passed over, in which little can stand for gigabytes.
+_OF_PIXELS = (b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND")
+_HEADER_LENGTH = 13
+_MOST_PIXELS = 100_000_000  # of a frame that is read without knowing its size: the largest sensors with room for RGB
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +48,16 @@ class PngHeader:
     def __str__(self) -> str:
         return f"{self.bit_depth}-bit {self.colour}"
 
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """That of its pixels: (H, W) or (H, W, channels)."""
+        return self.height, self.width, *_CHANNELS.get(self.colour, (3,))
+
+    @property
+    def values(self) -> str:
+        """The type of its samples when decoded: ``uint8`` or ``uint16``."""
+        return "uint16" if self.bit_depth == 16 else "uint8"
+
 
 def read_png_header(path: Path) -> PngHeader:
     """Read a PNG's header without decoding its pixels.
@@ -45,6 +67,9 @@ def read_png_header(path: Path) -> PngHeader:
     FileError
         If the file cannot be read, is not a PNG, or does not end like one: it is truncated.
     """
+    problem = file_problem(path)
+    if problem is not None:
+        raise FileError(path, problem)
     try:
         with path.open("rb") as file:
             head = file.read(_HEADER_BYTES)
@@ -53,31 +78,90 @@ def read_png_header(path: Path) -> PngHeader:
             tail = file.read()
     except OSError as error:
         raise FileError(path, f"cannot be read: {error.strerror}") from error
-    if size == 0:
-        raise FileError(path, "is empty (0 bytes): copy or download it again")
     if not head.startswith(_SIGNATURE) or len(head) < _HEADER_BYTES:
         raise FileError(path, "is not a PNG file")
     if tail != _END:
         raise FileError(path, f"does not end as a PNG does ({size} bytes): truncated? copy or download it again")
-    width, height, bit_depth, colour = struct.unpack_from(">IIBB", head, 16)
+    return _header(head[16:])
+
+
+def _header(content: bytes) -> PngHeader:
+    width, height, bit_depth, colour = struct.unpack_from(">IIBB", content)
     return PngHeader(width, height, bit_depth, _COLOURS.get(colour, f"colour type {colour}"))
 
 
-def decode_png(content: bytes) -> NDArray[Any]:
-    """Decode a PNG file's bytes: (H, W) or (H, W, channels), uint8 or uint16. Raises what imagecodecs raises."""
+def read_png(path: Path, check: Callable[[PngHeader], None] | None = None) -> NDArray[Any]:
+    """Decode a PNG file: (H, W) or (H, W, channels), uint8 or uint16.
+
+    Parameters
+    ----------
+    path
+        The file.
+    check
+        Is called with the header before anything is decoded, and raises if that is not what is wanted.
+
+    Raises
+    ------
+    ValueError
+        If it is not a PNG file, is truncated, or holds more compressed data than its pixels can need.
+    OSError, RuntimeError
+        If it cannot be read or decoded.
+    """
     import imagecodecs
 
+    with path.open("rb") as file:
+        content = _pixel_chunks(file, path.stat().st_size, check)
     array: NDArray[Any] = imagecodecs.png_decode(content)
     return array
+
+
+def _pixel_chunks(file: IO[bytes], size: int, check: Callable[[PngHeader], None] | None) -> bytearray:
+    """Return a PNG file without the chunks that are not pixels."""
+    if file.read(len(_SIGNATURE)) != _SIGNATURE:
+        raise ValueError("is not a PNG file")
+    content, most, kind, kinds = bytearray(_SIGNATURE), 0, b"", set()
+    while kind != b"IEND":
+        head = file.read(8)
+        if len(head) < 8:
+            raise ValueError("ends without its last chunk: truncated?")
+        length, kind = struct.unpack(">I4s", head)
+        rest = length + 4  # and the checksum
+        if file.tell() + rest > size:
+            raise ValueError("a chunk goes beyond the end of the file: truncated?")
+        if (kind == b"IHDR") != (not most) or (kind == b"IHDR" and length != _HEADER_LENGTH):
+            raise ValueError("does not begin with one header")
+        if kind not in _OF_PIXELS:
+            file.seek(rest, 1)
+            continue
+        body = file.read(rest)
+        kinds.add(kind)
+        if kind == b"IHDR":
+            header = _header(body)
+            if check is not None:
+                check(header)
+            most = _most_compressed_bytes(header)
+        content += head + body
+        if len(content) > most:
+            raise ValueError(f"more compressed data than {header.width} x {header.height} pixels can need")
+    if b"IDAT" not in kinds:
+        raise ValueError("has no pixels")
+    return content
+
+
+def _most_compressed_bytes(header: PngHeader) -> int:
+    """Return a generous bound: deflate adds a few bytes per 16 kB that do not compress, chunks 12 each."""
+    channels = header.shape[2] if len(header.shape) == 3 else 1
+    samples = header.height * (header.width * channels * header.bit_depth // 8 + 16)
+    return samples + samples // 8 + (1 << 16)
 
 
 def rgb_frame(path: Path) -> NDArray[np.float32]:
     """Read a 16-bit RGB PNG as a frame, (3, h, w) float32: its samples / 65535. Raises like :func:`read_rgb16`."""
     import numpy as np
 
-    pixels = np.ascontiguousarray(read_rgb16(path).transpose(2, 0, 1)).astype(np.float32)
-    pixels /= np.float32(65535)
-    return pixels
+    samples = read_rgb16(path).transpose(2, 0, 1)
+    pixels = np.empty(samples.shape, np.float32)
+    return np.divide(samples, np.float32(65535), out=pixels, dtype=np.float32)
 
 
 def read_rgb16(path: Path) -> NDArray[np.uint16]:
@@ -96,8 +180,11 @@ def read_rgb16(path: Path) -> NDArray[np.uint16]:
     header = read_png_header(path)
     if (header.bit_depth, header.colour) != (16, "RGB"):
         raise FileError(path, f"expected a 16-bit RGB PNG, found {header}")
+    if header.width * header.height > _MOST_PIXELS:
+        found = f"{header.width} x {header.height}"
+        raise FileError(path, f"expected up to {_MOST_PIXELS // 1_000_000} megapixels, found {found}; is it damaged?")
     try:
-        array: NDArray[np.uint16] = decode_png(path.read_bytes())
-    except (OSError, RuntimeError, ValueError) as error:  # imagecodecs' errors are RuntimeErrors
-        raise FileError(path, f"cannot be decoded ({error}); copy or download it again") from error
+        array: NDArray[np.uint16] = guarded(read_png, path)
+    except (OSError, RuntimeError, ValueError, GuardError) as error:  # imagecodecs' errors are RuntimeErrors
+        raise FileError(path, f"cannot be decoded ({in_line(str(error))}); copy or download it again") from error
     return array

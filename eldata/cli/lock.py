@@ -19,7 +19,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="record sizes and hashes of a trusted copy in a manifest",
         description=(
             "Record the size and SHA-256 of every file of a copy that you trust in its manifest. The copy must pass "
-            "eldata verify --level metadata first; with any problem the manifest stays as it is."
+            "eldata verify --level metadata first, and files without a recorded hash must decode and show no damage; "
+            "with any problem the manifest stays as it is."
         ),
     )
     parser.add_argument("manifest", metavar="MANIFEST", help="the manifest's CSV file, which is changed")

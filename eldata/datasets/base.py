@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, Unpack, g
 
 import numpy as np
 
-from eldata.base.files import inside
+from eldata.base.files import file_problem, inside
+from eldata.base.npy import NpyError, read_npy
 from eldata.base.tables import frame_of
 from eldata.datasets.choices import Options, Representation, understood
 from eldata.datasets.crops import Crop
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import torch
 
+    from eldata.base.npy import NpyHeader
     from eldata.manifest.card import Card
     from eldata.records import PairRecord
     from eldata.sources.frames import FrameSource
@@ -329,13 +331,21 @@ def _manifest(manifest: Path | str) -> Manifest:
 
 def _packed_noisy(path: Path, record: PairRecord, target: Frame) -> Frame:
     """Read a packed, amplified noisy frame, as a mosaic like its reference's."""
-    try:
-        packed = np.load(path, allow_pickle=False)
-    except (OSError, ValueError) as error:
-        raise DatasetError(f"{path}: cannot be read as a packed array ({error})") from error
     shape = packed_shape(target.shape, target.cfa)
-    if packed.shape != shape or packed.dtype != np.float32:
-        raise DatasetError(f"{path}: expected float32 {shape} like its reference, found {packed.dtype} {packed.shape}")
+
+    def check(header: NpyHeader) -> None:
+        if header.shape != shape or header.dtype != np.float32:
+            found = f"{header.dtype or header.descr} {header.shape}"
+            raise DatasetError(f"{path}: expected float32 {shape} like its reference, found {found}")
+
+    problem = file_problem(path)
+    if problem is not None:
+        raise DatasetError(f"{path}: {problem}")
+    try:
+        with path.open("rb") as file:
+            packed = read_npy(file, path.stat().st_size, check)
+    except (OSError, NpyError) as error:
+        raise DatasetError(f"{path}: cannot be read as a packed array ({error})") from error
     mosaic = np.zeros(target.shape, np.float32)
     mosaic[packed_area(target.shape, target.cfa).slices] = unpack(packed, target.cfa)
     levels = (0.0,) * len(target.black_level_dn)

@@ -7,7 +7,7 @@ packed (C, h, w) or a mosaic (H, W); float in [0, 1] of the reference's normalis
 
 from __future__ import annotations
 
-import zipfile
+import os
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,20 +15,21 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from eldata.base.files import atomic_write
-from eldata.base.png import decode_png
+from eldata.base.files import atomic_write, file_problem
 from eldata.errors import ArgumentError, EldataError, PredictionError, RawFileError
 from eldata.evaluation.pairs import place_of
+from eldata.evaluation.prediction_files import declared_array, read_array
 from eldata.evaluation.references import normalised_frame
 from eldata.evaluation.scores import EvaluationProblem
 from eldata.raw.cfa import pack, packed_shape
 from eldata.raw.levels import with_levels
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Iterable, Iterator
 
     from numpy.typing import NDArray
 
+    from eldata.evaluation.prediction_files import Declared
     from eldata.manifest.clips import ClipRecord
     from eldata.protocols.protocol import Levels, Space
     from eldata.records import Sensor
@@ -38,6 +39,10 @@ EXTENSIONS = (".npy", ".npz", ".h5", ".tif", ".tiff", ".png", ".dng")
 # A prediction near [0, 1] has next to nothing above 2, even where it is an amplified noisy frame with hot pixels.
 _SCALE_LIMIT = 2.0
 _SCALE_SHARE = 1e-3
+
+_MOST_MARGIN = 2  # pixels of a DNG, over those of the mosaic: it may have masked borders
+_MOST_EXTRA = 100  # files of no noisy frame that are named one by one
+_MOST_SHOWN = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,27 +89,58 @@ def find_predictions(
     if not folder.is_dir():
         raise EldataError(f"{folder}: there is no such folder of predictions")
     by_stem: dict[str, list[str]] = {}
-    for path in sorted(folder.rglob("*")):
-        relative = path.relative_to(folder)
-        if path.suffix.lower() in EXTENSIONS and not any(part.startswith(".") for part in relative.parts):
-            by_stem.setdefault(relative.with_suffix("").as_posix(), []).append(relative.as_posix())
+    for name in sorted(_candidates(folder)):
+        by_stem.setdefault(_stem(name), []).append(name)
     files: dict[str, Path] = {}
     several, missing = [], []
+    place_of_stem: dict[str, str] = {}
     for place in places:
-        found = by_stem.pop(_stem(place), [])
-        if len(found) == 1:
+        stem = _stem(place)
+        found = by_stem.pop(stem, [])
+        if place_of_stem.setdefault(stem, place) != place:
+            reason = f"its prediction would lie where that of {place_of_stem[stem]} does; give the frames other names"
+            several.append(EvaluationProblem(place, reason))
+        elif len(found) == 1:
             files[place] = folder / found[0]
         elif found:
-            reason = f"expected one prediction, found {len(found)}: {', '.join(found)}; keep one"
+            reason = f"expected one prediction, found {len(found)}: {', '.join(found[:_MOST_SHOWN])}; keep one"
             several.append(EvaluationProblem(place, reason))
         elif not allow_missing:
             reason = "has no prediction; add it, or score the rest with --allow-missing"
             missing.append(EvaluationProblem(place, reason))
     known_stems = {_stem(path) for path in known}
-    reason = "is the prediction of no noisy frame in the manifest; rename it or move it away"
-    extra = [EvaluationProblem(name, reason) for stem, of in by_stem.items() if stem not in known_stems for name in of]
+    strange = [name for stem, names in by_stem.items() if stem not in known_stems for name in names]
     unscored = sum(len(names) for stem, names in by_stem.items() if stem in known_stems)
-    return FoundPredictions(files, (*several, *extra, *missing), unscored)
+    return FoundPredictions(files, (*several, *_extra(folder, strange), *missing), unscored)
+
+
+def _candidates(folder: Path) -> Iterator[str]:
+    """Yield what could be predictions, relative to a folder; hidden files and folders, and linked folders, are not."""
+    waiting = [""]
+    while waiting:  # not recursive: folders may lie deeper than Python's stack
+        below = waiting.pop()
+        try:
+            entries = list(os.scandir(folder / below))
+        except OSError as error:
+            raise EldataError(f"{folder / below}: cannot be read: {error.strerror}") from error
+        for entry in entries:
+            if entry.name.startswith("."):
+                continue
+            name = f"{below}{entry.name}"
+            if Path(entry.name).suffix.lower() in EXTENSIONS:
+                yield name
+            if entry.is_dir(follow_symlinks=False):
+                waiting.append(f"{name}/")
+
+
+def _extra(folder: Path, names: list[str]) -> list[EvaluationProblem]:
+    """Name the predictions of no noisy frame; of very many only the first."""
+    reason = "is the prediction of no noisy frame in the manifest; rename it or move it away"
+    problems = [EvaluationProblem(name, reason) for name in names[:_MOST_EXTRA]]
+    if len(names) > _MOST_EXTRA:
+        more = f"{len(names) - _MOST_EXTRA} more files are predictions of no noisy frame; is it the right folder?"
+        problems.append(EvaluationProblem(str(folder), more))
+    return problems
 
 
 def _stem(path: str) -> str:
@@ -182,7 +218,9 @@ def load_prediction(path: Path, sensor: Sensor, levels: Levels) -> NDArray[np.fl
     """
     if path.suffix.lower() == ".dng":
         return _from_dng(path, sensor, levels)
-    values = _packed(path, _values(path, _read_array(path)), sensor)
+    values = _floating(read_array(path, partial(_check_raw, path, sensor)))
+    if values.ndim == 2:
+        values = pack(values, sensor.cfa)
     leveled = with_levels(sensor, "metadata" if levels == "metadata-per-channel" else levels)
     span = leveled.white_level_dn - max(leveled.black_level_dn)
     _check_values(path, values, f"divide by {span:g} (white - black) or 255")
@@ -214,29 +252,15 @@ def load_colours(
     PredictionError
         Like :func:`load_prediction`.
     """
-    rendering, height, width = pixels == "srgb", *shape[1:]
+    rendering = pixels == "srgb"
     if path.suffix.lower() == ".dng":
         advice = "a rendering in sRGB, found a DNG; save an RGB PNG of 8 or 16 bits"
         if not rendering:
             advice = "an RGB frame, found a DNG; save npy (3, h, w) or a 16-bit RGB PNG"
         raise PredictionError(path, f"expected {advice}")
-    array = _read_array(path)
-    values = (
-        array.astype(np.float32) / np.float32(255) if rendering and array.dtype == np.uint8 else _values(path, array)
-    )
-    channels_last = values.shape == (height, width, 3)
-    if channels_last and (rendering or path.suffix.lower() == ".png"):
-        values = np.ascontiguousarray(values.transpose(2, 0, 1))
+    values = _floating(read_array(path, partial(_check_colours, path, shape, rendering=rendering)))
     if values.shape != shape:
-        expected = f"({height}, {width}, 3) or {shape}" if rendering else f"shape {shape} (R, G, B)"
-        hint = f"{'render' if rendering else 'predict'} the whole frame, in the reference's orientation"
-        if channels_last:
-            hint = "it is channels-last: transpose(2, 0, 1) it"
-        elif rendering and values.ndim == 3 and 4 in (values.shape[0], values.shape[-1]):
-            hint = "packed raw, or with alpha? this protocol takes renderings in sRGB"
-        elif rendering and values.ndim == 2:
-            hint = "one grey channel? this protocol takes renderings in sRGB"
-        raise PredictionError(path, f"expected {expected}, found {values.shape}; {hint}")
+        values = np.ascontiguousarray(values.transpose(2, 0, 1))
     _check_values(path, values, "divide by 65535 or 255")
     return values
 
@@ -251,40 +275,64 @@ def prediction_space(path: Path) -> Space:
     """
     if path.suffix.lower() == ".dng":
         return "raw"
-    shape = _read_array(path).shape
+    shape = declared_array(path).shape
     return "srgb" if len(shape) == 3 and 3 in (shape[0], shape[-1]) else "raw"
 
 
-def _values(path: Path, array: NDArray[Any]) -> NDArray[Any]:
-    """Return a file's array as float32 or float64, uint16 as [0, 1]."""
-    if array.dtype == np.uint16:
-        values: NDArray[Any] = array.astype(np.float32) / np.float32(65535)
-    elif array.dtype in (np.float16, np.float32, np.float64):
-        values = array.astype(np.float32) if array.dtype == np.float16 else array
-    else:
-        raise PredictionError(
-            path, f"expected float in [0, 1] or uint16 with 65535 = 1.0, found {array.dtype}; convert it"
-        )
-    return np.ascontiguousarray(values)
-
-
-def _packed(path: Path, values: NDArray[Any], sensor: Sensor) -> NDArray[Any]:
+def _check_raw(path: Path, sensor: Sensor, declared: Declared) -> None:
+    """Refuse what is neither packed nor a mosaic like the reference, of numbers that have a scale."""
+    _check_type(path, declared)
     mosaic_shape = (sensor.height, sensor.width)
     shape = packed_shape(mosaic_shape, sensor.cfa)
-    if values.shape == shape:
-        return values
-    if values.shape == mosaic_shape:
-        return pack(values, sensor.cfa)
+    if declared.shape in (shape, mosaic_shape):
+        return
     hint = "predict the whole frame, in the reference's orientation"
-    if values.ndim == 3 and path.suffix.lower() == ".png":
+    if len(declared.shape) == 3 and path.suffix.lower() == ".png":
         hint = "a PNG holds the mosaic as one grey channel: eldata.raw.unpack() it first"
-    elif values.shape == (*shape[1:], shape[0]):
+    elif declared.shape == (*shape[1:], shape[0]):
         hint = "it is channels-last: transpose(2, 0, 1) it"
-    elif values.ndim == 4 and values.shape[0] == 1:
+    elif len(declared.shape) == 4 and declared.shape[0] == 1:
         hint = "drop the batch dimension: save prediction[0]"
     raise PredictionError(
-        path, f"expected shape {shape} (packed) or {mosaic_shape} (mosaic), found {values.shape}; {hint}"
+        path, f"expected shape {shape} (packed) or {mosaic_shape} (mosaic), found {declared.shape}; {hint}"
     )
+
+
+def _check_colours(path: Path, shape: tuple[int, int, int], declared: Declared, *, rendering: bool) -> None:
+    """Refuse what is not a rendering, or not a frame, of the reference's size."""
+    if not (rendering and declared.values == "uint8"):
+        _check_type(path, declared)
+    _, height, width = shape
+    found = declared.shape
+    channels_last = found == (height, width, 3)
+    if found == shape or (channels_last and (rendering or path.suffix.lower() == ".png")):
+        return
+    expected = f"({height}, {width}, 3) or {shape}" if rendering else f"shape {shape} (R, G, B)"
+    hint = f"{'render' if rendering else 'predict'} the whole frame, in the reference's orientation"
+    if channels_last:
+        hint = "it is channels-last: transpose(2, 0, 1) it"
+    elif rendering and len(found) == 3 and 4 in (found[0], found[-1]):
+        hint = "packed raw, or with alpha? this protocol takes renderings in sRGB"
+    elif rendering and len(found) == 2:
+        hint = "one grey channel? this protocol takes renderings in sRGB"
+    raise PredictionError(path, f"expected {expected}, found {found}; {hint}")
+
+
+def _check_type(path: Path, declared: Declared) -> None:
+    if declared.values not in ("uint16", "float16", "float32", "float64"):
+        raise PredictionError(
+            path, f"expected float in [0, 1] or uint16 with 65535 = 1.0, found {declared.values}; convert it"
+        )
+
+
+def _floating(array: NDArray[Any]) -> NDArray[Any]:
+    """Return an array as float32 or float64 with full scale at 1, in this machine's byte order, row after row."""
+    kind = array.dtype.newbyteorder("=")
+    if kind in (np.uint8, np.uint16):
+        values = np.empty(array.shape, np.float32)
+        np.divide(array, np.float32(np.iinfo(kind).max), out=values, dtype=np.float32)
+        return values
+    return array.astype(np.float32 if kind == np.float16 else kind, order="C", copy=False)
 
 
 def _check_values(path: Path, values: NDArray[Any], cure: str) -> None:
@@ -310,8 +358,19 @@ def _check_values(path: Path, values: NDArray[Any], cure: str) -> None:
 
 def _from_dng(path: Path, sensor: Sensor, levels: Levels) -> NDArray[np.float32]:
     from eldata.raw.reading import read_raw
+    from eldata.raw.tiff import read_directories
 
+    problem = file_problem(path)
+    if problem is not None:
+        raise PredictionError(path, problem)
     try:
+        pixels = max((directory.pixels for directory in read_directories(path)), default=0)
+        if pixels > _MOST_MARGIN * sensor.height * sensor.width:
+            raise PredictionError(
+                path,
+                f"expected a mosaic of {sensor.height} x {sensor.width} pixels like the reference, found one of "
+                f"{pixels} pixels",
+            )
         frame = read_raw(path)
     except RawFileError as error:
         raise PredictionError(path, f"{error.reason}; write it again, for example with eldata.raw.write_dng") from error
@@ -322,59 +381,3 @@ def _from_dng(path: Path, sensor: Sensor, levels: Levels) -> NDArray[np.float32]
             f"found {frame.mosaic.shape[0]} x {frame.mosaic.shape[1]} with {frame.sensor.cfa}",
         )
     return normalised_frame(frame, levels, clip="none")
-
-
-# --- file formats ---------------------------------------------------------------------------------------------
-
-
-def _read_array(path: Path) -> NDArray[Any]:
-    """Return a file's array, in this machine's byte order."""
-    readers: dict[str, Callable[[Path], NDArray[Any]]] = {
-        ".npy": partial(np.lib.format.open_memmap, mode="r"),  # never unpickles
-        ".npz": _read_npz,
-        ".h5": _read_h5,
-        ".png": lambda path: decode_png(path.read_bytes()),
-    }
-    try:
-        array = np.asarray(readers.get(path.suffix.lower(), _read_tiff)(path))
-        return array.astype(array.dtype.newbyteorder("="), copy=False)
-    except PredictionError:
-        raise
-    except Exception as error:  # five libraries, each with its own kinds
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise PredictionError(path, f"cannot be read as {path.suffix[1:]} ({reason}); write it again") from error
-
-
-def _read_npz(path: Path) -> NDArray[Any]:
-    if not zipfile.is_zipfile(path):
-        raise PredictionError(path, "is not a whole npz archive; write it again")
-    with np.load(path, allow_pickle=False) as archive:
-        array: NDArray[Any] = archive[_only(path, list(archive.files))]
-    return array
-
-
-def _read_h5(path: Path) -> NDArray[Any]:
-    import h5py
-
-    with h5py.File(path, "r") as file:
-        names = [name for name, item in file.items() if isinstance(item, h5py.Dataset)]
-        array: NDArray[Any] = file[_only(path, names)][()]
-    return array
-
-
-def _only(path: Path, names: list[str]) -> str:
-    """Return the name of a file's one array, or ``prediction`` among several."""
-    if len(names) == 1:
-        return names[0]
-    if "prediction" in names:
-        return "prediction"
-    raise PredictionError(
-        path, f"expected one array, or one called 'prediction'; found {', '.join(names) if names else 'none'}"
-    )
-
-
-def _read_tiff(path: Path) -> NDArray[Any]:
-    import tifffile
-
-    array: NDArray[Any] = tifffile.imread(path)
-    return array

@@ -6,11 +6,10 @@ printed, saved, compared and shown as a page.
 
 from __future__ import annotations
 
-import csv
-import io
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+from eldata.base.fields import csv_text
 from eldata.base.files import write_json, write_text
 from eldata.base.tables import latex_table, markdown_table, markdown_text, text_table
 from eldata.evaluation.pairs import name_of
@@ -276,15 +275,12 @@ class EvaluationResult:
 def write_scores(results: Sequence[EvaluationResult], path: Path | str, *, named: bool = False) -> None:
     """Write the scores of results of one kind as CSV, whole or not at all; ``named``: the protocol comes first."""
     columns = results[0].kind.columns
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow((*(("protocol",) if named else ()), *columns))
-    for result in results:
-        first = (result.protocol.name,) if named else ()
-        for score in result.scores:
-            row = score.row(result.kind)
-            writer.writerow((*first, *(csv_number(row[name]) for name in columns)))
-    write_text(path, text.getvalue())
+    rows = (
+        (*((result.protocol.name,) if named else ()), *(csv_number(row[name]) for name in columns))
+        for result in results
+        for row in (score.row(result.kind) for score in result.scores)
+    )
+    write_text(path, csv_text((*(("protocol",) if named else ()), *columns), rows))
 
 
 def problem_lines(problems: Sequence[EvaluationProblem]) -> list[str]:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.files import sha256_of
 from eldata.errors import ManifestError
 from eldata.manifest.card import Card, load_card, save_card
 from eldata.manifest.patterns import is_pattern
-from eldata.manifest.table import load_records, save_records
+from eldata.manifest.table import load_table, save_records
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -59,10 +57,11 @@ def load_manifest(path: Path | str, contents: tuple[bytes, bytes] | None = None)
     """
     path = Path(path)
     rows, facts = contents or (None, None)
-    records = load_records(path, rows)
+    records, digest = load_table(path, rows)
     card = load_card(path.with_suffix(".json"), facts)
-    for record in records:
-        if record.camera not in card.cameras:
+    unknown = {record.camera for record in records} - card.cameras.keys()
+    for record in records if unknown else ():
+        if record.camera in unknown:
             raise ManifestError(
                 f"{path}, {record.path}: camera {record.camera!r} is not on the card, which has "
                 f"{', '.join(card.cameras)}"
@@ -73,7 +72,6 @@ def load_manifest(path: Path | str, contents: tuple[bytes, bytes] | None = None)
             "; was eldata lock killed here? lock again" if any(is_pattern(record.path) for record in records) else ""
         )
         raise ManifestError(f"{path}: the card expects {card.counts} rows per role, found {dict(found)}{cut_off}")
-    digest = sha256_of(path) if rows is None else f"sha256:{hashlib.sha256(rows).hexdigest()}"
     return Manifest(path, card, records, digest)
 
 

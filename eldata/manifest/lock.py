@@ -14,12 +14,13 @@ from eldata.errors import ManifestError
 from eldata.manifest.card import load_card, save_card
 from eldata.manifest.catalogue import Manifest, data_root, load_manifest
 from eldata.manifest.patterns import expand
-from eldata.manifest.table import load_records, save_records
-from eldata.manifest.verify import Problem, VerifyReport, verify
+from eldata.manifest.table import load_table, save_records
+from eldata.manifest.verify import Problem, VerifyReport, content_findings, verify
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
 
+    from eldata.manifest.patterns import Finding
     from eldata.records import FrameRecord
 
 
@@ -45,8 +46,9 @@ def lock(
     A row that stands for several files (:mod:`eldata.manifest.patterns`) becomes a row for each file of this copy; then
     the card, which says how many rows there are, is written too.
 
-    The copy must pass :func:`~eldata.manifest.verify.verify` at level ``metadata`` first, and may not contradict a size
-    or hash that is recorded already; with any problem nothing is written.
+    The copy must pass :func:`~eldata.manifest.verify.verify` at level ``metadata`` first, files whose hash is not
+    recorded must decode and show no damage, and none may contradict a size or hash that is recorded already; with any
+    problem nothing is written.
 
     Parameters
     ----------
@@ -75,16 +77,18 @@ def lock(
     listed = expand(loaded.records, folder)
     chosen = [record for record in listed if not cameras or record.camera in cameras]
     locked: dict[str, FrameRecord] = {}
-    unread: list[Problem] = []
+    unfit: list[Problem] = []
     label = f"{loaded.name} (hashing)"
     for outcome in workers.attempt(partial(_locked, folder.absolute()), chosen, label=label):
         if isinstance(outcome, Failed):
             advice = "make it readable where the hash is taken, and lock again"
-            unread.append(Problem(loaded.name, outcome.unit.path, "sha256", "a hash", outcome.reason, advice))
+            unfit.append(Problem(loaded.name, outcome.unit.path, "sha256", "a hash", outcome.reason, advice))
         else:
-            locked[outcome.path] = outcome
-    if unread:
-        return LockReport(checks, tuple(unread), 0)
+            record, findings = outcome
+            locked[record.path] = record
+            unfit += [Problem.of(loaded.name, finding) for finding in findings]
+    if unfit:
+        return LockReport(checks, tuple(unfit), 0)
     problems = tuple(
         Problem(
             loaded.name,
@@ -111,17 +115,19 @@ def _loaded(path: Path, root: Path | str | None) -> Manifest:
     try:
         return load_manifest(path)
     except ManifestError:
-        records, card = load_records(path), load_card(path.with_suffix(".json"))
+        (records, digest), card = load_table(path), load_card(path.with_suffix(".json"))
         if _counts(expand(records, data_root(root) / card.folder)) != card.counts:
             raise
-        return Manifest(path, replace(card, counts=_counts(records)), records, sha256_of(path))
+        return Manifest(path, replace(card, counts=_counts(records)), records, digest)
 
 
 def _counts(records: Iterable[FrameRecord]) -> dict[str, int]:
     return dict(sorted(Counter(str(record.role) for record in records).items()))
 
 
-def _locked(folder: Path, record: FrameRecord) -> FrameRecord:
+def _locked(folder: Path, record: FrameRecord) -> tuple[FrameRecord, list[Finding]]:
     path = folder / record.path
     require_files(path)
-    return replace(record, size_bytes=path.stat().st_size, sha256=sha256_of(path))
+    # A hash of a damaged file would make the damage official.
+    findings = content_findings(folder, record) if record.sha256 is None else []
+    return replace(record, size_bytes=path.stat().st_size, sha256=sha256_of(path)), findings

@@ -10,7 +10,7 @@ from eldata.base.fields import names_of
 from eldata.base.keywords import keywords
 from eldata.errors import ArgumentError
 from eldata.manifest.subsets import find_subset
-from eldata.records import PairRecord
+from eldata.records import PairRecord, from_columns
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -95,11 +95,12 @@ def select_pairs(
     ManifestError
         If the subset has another number of pairs than its card says.
     """
-    pairs = [
-        PairRecord(**{name: getattr(record, name) for name in _OF_PAIRS})
+    noisy = [
+        record
         for record in records
         if record.role == "noisy" and record.reference is not None and record.ratio is not None
     ]
+    pairs = from_columns(PairRecord, {name: list(map(attrgetter(name), noisy)) for name in _OF_PAIRS})
     (choice,) = keywords("select_pairs", choice, Choice, renamed=RENAMED)
     subset = choice.get("subset")
     chosen = pairs if subset is None else find_subset(subsets, subset).choose(pairs)
@@ -138,7 +139,8 @@ def narrowed(
         kept = [item for item in kept if of(item) in values]
     flags = set(wanted.get("flag") or ())
     _check_known(what, "flag", flags, (flag for item in every for flag in item.flags))
-    kept = [item for item in kept if not flags & set(item.flags)]
+    if flags:
+        kept = [item for item in kept if not flags & set(item.flags)]
     if not kept:
         raise ArgumentError(f"no {what} has all of the wanted cameras, scenes, ISOs, ratios, splits and flags together")
     return kept

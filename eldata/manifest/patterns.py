@@ -12,6 +12,7 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from itertools import pairwise
+from operator import attrgetter
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
@@ -68,13 +69,15 @@ def expand(records: Iterable[FrameRecord], folder: Path) -> tuple[FrameRecord, .
     """
     rows = tuple(records)
     files = {row.path: matching(folder, row.path) for row in rows if is_pattern(row.path)}
+    if not files:
+        return tuple(sorted(rows, key=attrgetter("path")))
     only = {pattern: found[0] for pattern, found in files.items() if len(found) == 1}
     expanded = [
         replace(row, path=path, reference=None if row.reference is None else only.get(row.reference, row.reference))
         for row in rows
         for path in files.get(row.path) or (row.path,)
     ]
-    return tuple(sorted(expanded, key=lambda row: row.path))
+    return tuple(sorted(expanded, key=attrgetter("path")))
 
 
 def pattern_findings(records: Iterable[FrameRecord], folder: Path) -> list[Finding]:

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-import csv
-import io
+import gc
+import hashlib
 import re
+from contextlib import contextmanager
 from fractions import Fraction
-from typing import TYPE_CHECKING, get_args
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, get_args
 
-from eldata.base.fields import TextFile, TextRow, names_of, shown
+from eldata.base.fields import TextFile, TextRow, csv_text, names_of, shown
 from eldata.base.files import path_problem, write_text
 from eldata.errors import ArgumentError, ManifestError
-from eldata.records import FrameRecord, Role
+from eldata.records import FrameRecord, Role, from_columns
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable, Iterator, Sequence
     from pathlib import Path
 
 COLUMNS = names_of(FrameRecord)
@@ -35,8 +37,8 @@ def number_text(value: Fraction) -> str:
     return f"{text[:-digits]}.{text[-digits:]}" if digits else text
 
 
-def load_records(path: Path, content: bytes | None = None) -> tuple[FrameRecord, ...]:
-    """Read a manifest's rows, from its ``content`` if that is given.
+def load_records(path: Path) -> tuple[FrameRecord, ...]:
+    """Read a manifest's rows.
 
     Raises
     ------
@@ -44,14 +46,34 @@ def load_records(path: Path, content: bytes | None = None) -> tuple[FrameRecord,
         If the file cannot be read or a row is malformed; the message names file, line and column, what was expected
         and what was found.
     """
-    return _parse(TextFile(path, ManifestError, content=content, largest_bytes=_LARGEST_BYTES))
+    return load_table(path)[0]
+
+
+def load_table(path: Path, content: bytes | None = None) -> tuple[tuple[FrameRecord, ...], str]:
+    """Read a manifest's rows as :func:`load_records` does, and ``sha256:<hex>`` of the bytes that they stand in.
+
+    They are read from ``content``, if that is given.
+    """
+    file = TextFile(path, ManifestError, content=content, largest_bytes=_LARGEST_BYTES).loaded()
+    content = file.content if isinstance(file.content, bytes) else b""
+    return _parse(file), f"sha256:{hashlib.sha256(content).hexdigest()}"
 
 
 def _parse(file: TextFile) -> tuple[FrameRecord, ...]:
+    """Return the rows, sorted by path: by columns, which is fast; if something is wrong, by rows, to say where."""
+    try:
+        with _no_search_for_cycles():
+            records = _by_columns(file)
+    except (ManifestError, ValueError):
+        records = _by_rows(file)
+    return tuple(sorted(records, key=attrgetter("path")))
+
+
+def _by_rows(file: TextFile) -> list[FrameRecord]:
     records: list[FrameRecord] = []
     places: dict[str, str] = {}
     for row in file.rows(COLUMNS):
-        record = _record(row)
+        record = FrameRecord(**{name: read(row, name) for name, read in _READ.items()})
         key = record.path.casefold()  # two names that one file system would hold as one file
         if key in places:
             raise row.problem("path", f"{shown(record.path)} stands in {places[key]} already")
@@ -62,7 +84,73 @@ def _parse(file: TextFile) -> tuple[FrameRecord, ...]:
         if record.reference is not None and role_of.get(record.reference) != "reference":
             row = TextRow(file, {}, place)
             raise row.wrong("reference", "the path of a row with role reference", record.reference)
-    return tuple(sorted(records, key=lambda record: record.path))
+    return records
+
+
+# --- by columns -------------------------------------------------------------------------------------------------------
+
+
+# Cells that need no closer look, of the columns in which nearly all differ. Of a plain path no part begins with a dot.
+_PLAIN_PATH = re.compile(
+    r"[A-Za-z0-9_ ()+-][A-Za-z0-9_ ()+.-]{0,254}(?:/[A-Za-z0-9_ ()+-][A-Za-z0-9_ ()+.-]{0,254}){0,15}"
+)
+_PLAIN: dict[str, tuple[re.Pattern[str], Callable[[str], object]]] = {
+    "path": (_PLAIN_PATH, str),
+    "size_bytes": (re.compile(r"(?:[0-9]{1,18})?"), lambda cell: int(cell) if cell else None),
+    "sha256": (re.compile(rf"(?:{_SHA256.pattern})?"), lambda cell: cell or None),
+}
+_MOST_KEPT = 2**16
+
+
+def _by_columns(file: TextFile) -> list[FrameRecord]:
+    """Return the rows of a table in which nothing is wrong; anything else raises an error that does not say where."""
+    known = {name: _Known(file, name) for name in COLUMNS}
+    records: list[FrameRecord] = []
+    # Of names that one file system would hold as one file, the hashes: those of a million names are small.
+    keys: set[int] = set()
+    to_be_references: set[object] = set()
+    are_references: set[object] = set()
+    for columns in file.columns(COLUMNS):
+        values: dict[str, Sequence[object]] = {}
+        for name, cells in zip(COLUMNS, columns, strict=True):
+            plain, value_of = _PLAIN.get(name, (None, None))
+            if plain is None or value_of is None or not all(map(plain.fullmatch, cells)):
+                value_of = known[name].__getitem__
+            values[name] = list(map(value_of, cells))
+        records += from_columns(FrameRecord, values)
+        keys.update(map(hash, map(str.casefold, columns[0])))
+        to_be_references.update(values["reference"])
+        pairs = zip(values["path"], values["role"], strict=True)
+        are_references.update(path for path, role in pairs if role == "reference")
+    if len(keys) < len(records) or not to_be_references <= are_references | {None}:
+        raise ValueError(COLUMNS)
+    return records
+
+
+@contextmanager
+def _no_search_for_cycles() -> Iterator[None]:
+    """Keep the interpreter from searching millions of new objects, none of them part of a cycle, again and again."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
+class _Known(dict[str, Any]):
+    """What cells of one column hold, by their text: most columns have few texts."""
+
+    def __init__(self, file: TextFile, name: str) -> None:
+        self._file = file
+        self._name = name
+
+    def __missing__(self, text: str) -> object:
+        if len(self) >= _MOST_KEPT:
+            self.clear()
+        value = self[text] = _READ[self._name](TextRow(self._file, {self._name: text}), self._name)
+        return value
 
 
 def save_records(path: Path, records: Iterable[FrameRecord]) -> None:
@@ -86,15 +174,12 @@ def table_text(path: Path, records: Iterable[FrameRecord]) -> str:
     ManifestError
         If :func:`load_records` would refuse a row.
     """
-    ordered = tuple(sorted(records, key=lambda record: record.path))
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    writer.writerows([_text(getattr(record, column)) for column in COLUMNS] for record in ordered)
-    for record, read_back in zip(ordered, _parse(TextFile(path, ManifestError, content=text.getvalue())), strict=True):
+    ordered = tuple(sorted(records, key=attrgetter("path")))
+    text = csv_text(COLUMNS, ([_text(getattr(record, column)) for column in COLUMNS] for record in ordered))
+    for record, read_back in zip(ordered, _parse(TextFile(path, ManifestError, content=text)), strict=True):
         if record != read_back:
             raise ManifestError(f"{path}, row {record.path!r}: cannot be written as text and read back the same")
-    return text.getvalue()
+    return text
 
 
 def _text(value: object) -> str:
@@ -105,26 +190,7 @@ def _text(value: object) -> str:
     return "" if value is None else str(value)
 
 
-def _record(row: TextRow) -> FrameRecord:
-    flags = row.data["flags"].split(";") if row.data["flags"] else ()
-    if not all(map(_NAME.fullmatch, flags)):
-        raise row.wrong("flags", "a ;-separated list of words", row.data["flags"])
-    return FrameRecord(
-        path=row.parsed("path", _path),
-        role=row.choice("role", ROLES),
-        camera=row.parsed("camera", _name),
-        scene=row.optional("scene", row.parsed, "", parse=_name),
-        split=row.optional("split", row.parsed, "", parse=_name),
-        iso=row.optional("iso", row.fraction, above=0),
-        exposure_s=row.optional("exposure_s", row.fraction, above=0),
-        ratio=row.optional("ratio", row.fraction, above=0),
-        reference=row.optional("reference", row.parsed, parse=_path),
-        width=row.optional("width", row.whole),
-        height=row.optional("height", row.whole),
-        size_bytes=row.optional("size_bytes", row.whole),
-        sha256=row.optional("sha256", row.parsed, parse=_sha256),
-        flags=tuple(flags),
-    )
+# --- cells ------------------------------------------------------------------------------------------------------------
 
 
 def _path(text: str) -> str:
@@ -144,3 +210,29 @@ def _sha256(text: str) -> str:
     if not _SHA256.fullmatch(text):
         raise ArgumentError(f"expected sha256: and 64 hexadecimal digits, found {shown(text)}")
     return text
+
+
+def _flags(row: TextRow, name: str) -> tuple[str, ...]:
+    flags = row.data[name].split(";") if row.data[name] else ()
+    if not all(map(_NAME.fullmatch, flags)):
+        raise row.wrong(name, "a ;-separated list of words", row.data[name])
+    return tuple(flags)
+
+
+# How each column is read, in the order in which a row's problems are looked for.
+_READ: dict[str, Callable[[TextRow, str], Any]] = {
+    "flags": _flags,
+    "path": lambda row, name: row.parsed(name, _path),
+    "role": lambda row, name: row.choice(name, ROLES),
+    "camera": lambda row, name: row.parsed(name, _name),
+    "scene": lambda row, name: row.optional(name, row.parsed, "", parse=_name),
+    "split": lambda row, name: row.optional(name, row.parsed, "", parse=_name),
+    "iso": lambda row, name: row.optional(name, row.fraction, above=0),
+    "exposure_s": lambda row, name: row.optional(name, row.fraction, above=0),
+    "ratio": lambda row, name: row.optional(name, row.fraction, above=0),
+    "reference": lambda row, name: row.optional(name, row.parsed, parse=_path),
+    "width": lambda row, name: row.optional(name, row.whole),
+    "height": lambda row, name: row.optional(name, row.whole),
+    "size_bytes": lambda row, name: row.optional(name, row.whole),
+    "sha256": lambda row, name: row.optional(name, row.parsed, parse=_sha256),
+}

@@ -8,7 +8,8 @@ metadata
     Every file opens as a raw file and is not truncated; camera model, ISO and exposure time are the manifest's, and
     the exposure ratio of each noisy frame to its reference is within a tenth of the nominal one.
 full
-    Every recorded hash matches. Files without one are decoded instead, which finds less.
+    Every recorded hash matches. Files without one are decoded instead and searched for damage that shows
+    (:mod:`eldata.raw.damage`), which finds less.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from eldata.manifest.card import CameraCard
-    from eldata.records import FrameRecord, RawHeader
+    from eldata.records import FrameRecord, RawHeader, Sensor
 
 Level = Literal["quick", "metadata", "full"]
 LEVELS: tuple[Level, ...] = get_args(Level)
@@ -365,6 +366,29 @@ def _check_file(folder: Path, cameras: Mapping[str, CameraCard], level: Level, r
     return findings, product
 
 
+def content_findings(folder: Path, record: FrameRecord) -> list[Finding]:
+    """Say what is wrong with the content of a file whose hash is not known: decode it and look for damage."""
+    path = folder / record.path
+    if is_png(record.path):
+        return png_decode_findings(folder, record)
+    if path.suffix == ".npy":
+        return []
+    try:
+        _, decoded = raw_facts(path, decode=True)
+    except RawFileError as error:
+        return [Finding(record.path, "content", "a whole raw file", error.reason, _AGAIN)]
+    return _decoded_findings(record, decoded)
+
+
+def _decoded_findings(record: FrameRecord, decoded: Sensor | str | None) -> list[Finding]:
+    if isinstance(decoded, str):
+        return [Finding(record.path, "content", "a raw file that decodes", decoded, _AGAIN)]
+    if decoded is None:
+        return []
+    advice = "this file was taken in another mode or by another camera"
+    return size_findings(record, decoded.width, decoded.height, advice)
+
+
 def _raw_findings(path: Path, record: FrameRecord, models: Sequence[str], *, decode: bool) -> Outcome:
     """Compare a raw file with its row and, if its hash is not known, decode it."""
     try:
@@ -372,12 +396,7 @@ def _raw_findings(path: Path, record: FrameRecord, models: Sequence[str], *, dec
     except RawFileError as error:
         return [Finding(record.path, "content", "a whole raw file", error.reason, _AGAIN)], None
     findings, product = _header_findings(header, record, models)
-    if isinstance(decoded, str):
-        findings = [*findings, Finding(record.path, "content", "a raw file that decodes", decoded, _AGAIN)]
-    elif decoded is not None:
-        advice = "this file was taken in another mode or by another camera"
-        findings = [*findings, *size_findings(record, decoded.width, decoded.height, advice)]
-    return findings, product
+    return [*findings, *_decoded_findings(record, decoded)], product
 
 
 def _header_findings(header: RawHeader, record: FrameRecord, models: Sequence[str]) -> Outcome:
@@ -414,13 +433,17 @@ def _hash_findings(path: Path, record: FrameRecord) -> list[Finding]:
 
 def _packed_findings(path: Path, record: FrameRecord) -> list[Finding]:
     """Check a packed array (a synthetic noisy frame): it has no EXIF to compare, but a header that says its shape."""
-    import numpy as np
+    from eldata.base.npy import NpyError, read_npy_header
 
     try:
-        array = np.lib.format.open_memmap(path, mode="r")  # never unpickles; fails if the file is too short
-        found = f"{array.dtype} {array.shape}"
-        good = array.ndim == 3 and array.dtype == np.float32
-    except (OSError, ValueError) as error:
+        with path.open("rb") as file:
+            header = read_npy_header(file)
+            held = path.stat().st_size - file.tell()
+        found = f"{header.dtype or header.descr} {header.shape}"
+        good = len(header.shape) == 3 and str(header.dtype) == "float32"
+        if good and held < header.value_bytes:
+            found, good = f"{found} of {header.value_bytes} bytes, {held} of which are there", False
+    except (OSError, NpyError) as error:
         found, good = str(error), False
     return [] if good else [Finding(record.path, "content", "packed float32 (C, h, w)", found, _PACK_AGAIN)]
 

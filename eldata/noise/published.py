@@ -1,45 +1,22 @@
 """Importing the camera parameters that the ELD authors published (``<camera>_params.npy``).
 
-Such a file is a pickle, and unpickling runs code of the file's choice. The unpickler here admits numpy arrays and plain
-types alone; anything else is refused by name before it is called.
+Such a file is a pickle, and unpickling runs code of the file's choice. It is not unpickled: see
+:mod:`eldata.noise.plain_pickle`.
 """
 
 from __future__ import annotations
 
 import io
-import pickle
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from eldata.base.files import file_problem
+from eldata.base.npy import read_npy_header
 from eldata.errors import ProfileError
+from eldata.noise.plain_pickle import MOST_BYTES, plain_content
 from eldata.noise.profile import CameraProfile, LogLogFit, ProfileRow
 
 SOURCE = "ELD repository (Vandermode/ELD, MIT licence), commit 53d5408, camera_params"
-
-_ALLOWED = {
-    ("numpy", "dtype"),
-    ("numpy", "ndarray"),
-    ("numpy.core.numeric", "_frombuffer"),
-    ("numpy._core.numeric", "_frombuffer"),
-    *((f"numpy.{core}.multiarray", name) for core in ("core", "_core") for name in ("_reconstruct", "scalar")),
-}
-
-
-class _PlainUnpickler(pickle.Unpickler):  # find_class below admits no code of the file's choice
-    def find_class(self, module: str, name: str) -> Any:
-        if (module, name) == ("_codecs", "encode"):  # how older pickles hold the bytes of an array
-            return _latin1
-        if (module, name) not in _ALLOWED:
-            raise pickle.UnpicklingError(f"it asks for {module}.{name}")
-        return super().find_class(module.replace("numpy.core.", "numpy._core."), name)
-
-
-def _latin1(text: str, encoding: str) -> bytes:
-    if encoding != "latin1":
-        raise pickle.UnpicklingError(f"it asks for the encoding {encoding}")
-    return text.encode("latin1")
 
 
 def read_published(path: Path | str) -> dict[str, Any]:
@@ -51,35 +28,24 @@ def read_published(path: Path | str) -> dict[str, Any]:
         If the file is not such a pickle, or asks for anything but numpy arrays and plain types; none of it is run then.
     """
     path = Path(path)
+    problem = file_problem(path)
+    if problem is not None:
+        raise ProfileError(f"{path}: {problem}")
     try:
-        data = path.read_bytes()
+        with path.open("rb") as file:
+            stream = io.BytesIO(file.read(2 * MOST_BYTES))
     except OSError as error:
         raise ProfileError(f"{path}: cannot be read: {error.strerror}") from error
-    stream = io.BytesIO(data)
     try:
-        version = np.lib.format.read_magic(stream)
-        reader = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, _, dtype = reader(stream)
-        holds_object = dtype == np.dtype(object) and shape == ()
-        content = _PlainUnpickler(stream, encoding="latin1").load() if holds_object else None
-        plain = _plain(content.item() if isinstance(content, np.ndarray) and content.shape == () else content)
-    except Exception as error:  # whatever a foreign pickle provokes
+        header = read_npy_header(stream)
+        if header.descr.lstrip("|") != "O" or header.shape:
+            raise ProfileError(f"{path}: expected a dictionary, found an array of {header.values} {header.shape}")
+        plain = plain_content(stream.read())
+    except ValueError as error:
         raise ProfileError(f"{path}: is not a published parameter file ({error}); none of it was run") from error
     if not isinstance(plain, dict):
         raise ProfileError(f"{path}: expected a dictionary, found {type(plain).__name__}")
     return plain
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, np.generic):
-        return value.item()
-    return value
 
 
 def profiles_from_published(camera: str, data: dict[str, Any], source: str = SOURCE) -> tuple[CameraProfile, ...]:
@@ -131,6 +97,6 @@ def profiles_from_published(camera: str, data: dict[str, Any], source: str = SOU
                     ),
                 )
             )
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
         raise ProfileError(f"{camera}: is not a published parameter dictionary ({error!r})") from error
     return tuple(profiles)

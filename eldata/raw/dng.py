@@ -17,6 +17,7 @@ import numpy as np
 from eldata.base.files import atomic_write
 from eldata.errors import ArgumentError, check_choice
 from eldata.raw.cfa import packed_black_level_dn
+from eldata.raw.damage import mosaic_fault
 from eldata.raw.neutrals import neutral_of, private_data
 from eldata.raw.rationals import RATIONAL, SRATIONAL, nearest_fraction
 from eldata.raw.sensor_facts import AS_SHOT_NEUTRAL, COLOUR_MATRICES, PRIVATE_DATA
@@ -231,10 +232,9 @@ def _encoded(
             f"expected a uint16 mosaic of {sensor.height} x {sensor.width} pixels as the sensor record says; "
             f"found {mosaic.dtype} {mosaic.shape}"
         )
-    if min(sensor.black_level_dn) > 0 and not mosaic[-1].any():
-        raise ArgumentError(
-            "the last row is all 0 DN although black is above it: readers take that for a truncated file"
-        )
+    fault = mosaic_fault(mosaic, sensor.black_level_dn, sensor.white_level_dn)
+    if fault is not None:
+        raise ArgumentError(f"{fault}: reading takes that for a damaged file")
 
     whole = np.ascontiguousarray(mosaic)
     buffer = io.BytesIO()

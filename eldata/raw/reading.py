@@ -33,8 +33,9 @@ camera, ISO, exposure time, aperture
 What LibRaw does not notice
 ---------------------------
 LibRaw opens some truncated files as whole frames. So the extents that a TIFF-based or RAF file declares must lie
-inside it, the file must hold at least one bit per pixel (no lossless code is shorter), and the last row must not
-be empty. Damage inside compressed data shows in no field: only a recorded hash finds it (``eldata lock``).
+inside it, and the file must hold at least one bit per pixel (no lossless code is shorter). It also decodes files that
+lost a part of their data, which are searched for what shows (:mod:`eldata.raw.damage`); only a recorded hash finds the
+rest (``eldata lock``).
 
 Fork and threads
 ----------------
@@ -55,6 +56,7 @@ from eldata.base.isolation import guarded_file
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw.cfa import packed_channels
 from eldata.raw.containers import check_container
+from eldata.raw.damage import check_damage
 from eldata.raw.exif import exif_tags, header_of
 from eldata.raw.sensor_facts import as_shot_multipliers, camera_matrix, channel_whites, dng_black_level
 from eldata.raw.tiff import read_directories
@@ -147,10 +149,7 @@ def _decoded(path: Path) -> RawFrame:
             xyz_to_camera=matrix,
             matrix_illuminant=illuminant,
         )
-    if min(black) > 0 and not mosaic[-1].any():
-        raise RawFileError(
-            path, f"truncated or damaged: its last row is all 0 DN, far below the black level {black} DN"
-        )
+    check_damage(path, directories, mosaic, black, white)
     return RawFrame(path, mosaic, sensor, header.exposure, whites)
 
 

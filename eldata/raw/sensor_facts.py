@@ -47,12 +47,10 @@ def dng_black_level(
     mosaic = next((d for d in directories if d.is_mosaic and BLACK_LEVEL in d.values), None)
     if mosaic is None or any(tag in mosaic.values for tag in BLACK_DELTAS):  # LibRaw adds the deltas' mean
         return None
-    repeat, pattern = mosaic.values.get(BLACK_REPEAT, (1, 1)), mosaic.values[BLACK_LEVEL]
+    rows, columns = map(int, mosaic.values.get(BLACK_REPEAT, (1, 1)))
+    pattern = mosaic.values[BLACK_LEVEL]
     # The pattern starts at the active area; LibRaw's visible area may start a pixel off it.
     active = mosaic.values.get(ACTIVE_AREA, (0, 0))
-    if len(repeat) != 2 or len(active) < 2:
-        raise RawFileError(path, "damaged: expected two numbers of BlackLevelRepeatDim and four of ActiveArea")
-    rows, columns = map(int, repeat)
     if len(pattern) != rows * columns or not pattern:
         return None
     top, left = raw.sizes.top_margin - int(active[0]), raw.sizes.left_margin - int(active[1])

@@ -127,11 +127,8 @@ def test_files_that_are_no_raw_files_are_mentioned(eldata: Cli, tree: FrameTree)
     (tree.camera / "bias" / "ISO100" / "IMG_0001.JPG\nall\x1b[31m well").write_bytes(b"x")
     outcome = eldata("calibrate", tree.root, "--iso", "100")
     assert outcome.code == 0
-    assert (
-        f"1 file(s) that are not raw files were left alone, such as {CAMERA}/bias/ISO100/IMG_0001.JPG"
-        + (r"\nall\x1b[31m well")
-        in outcome.out
-    )
+    left = rf"{CAMERA}/bias/ISO100/IMG_0001.JPG\nall\x1b[31m well"
+    assert f"1 file(s) that are not raw files were left alone, such as {left}\n" in outcome.out
 
 
 # --- problems -------------------------------------------------------------------------------------------------------

@@ -52,7 +52,7 @@ def fragile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "site" / "sitecustomize.py").write_text(SITE)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path / "site"), os.environ.get("PYTHONPATH", "")]))
     monkeypatch.delenv(VARIABLE, raising=False)
-    monkeypatch.setitem(guarded_file.__kwdefaults__, "limits", Limits(seconds=5))
+    monkeypatch.setattr(guarded_file, "__kwdefaults__", {"limits": Limits(seconds=5)})
 
 
 def doom(path: Path, fate: str) -> None:

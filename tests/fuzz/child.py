@@ -6,11 +6,13 @@ It answers with one line of JSON per trial, on what was its standard output: the
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import faulthandler
 import json
 import os
 import resource
 import shutil
+import signal
 import sys
 import traceback
 import warnings
@@ -61,6 +63,7 @@ def main(argument: str) -> None:
     task = Task(**json.loads(argument))
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     _be_silent(Path(task.work))
+    _end_with_parent()
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     seeds = load_seeds(Path(task.seeds))
     _warm_up(task, seeds)
@@ -80,6 +83,11 @@ def _be_silent(work: Path) -> None:
         os.dup2(null, descriptor)
     faulthandler.enable(_dump(work))
     warnings.simplefilter("ignore")
+
+
+def _end_with_parent() -> None:
+    """Nothing that hangs may outlive a run that was killed (prctl(2), PR_SET_PDEATHSIG)."""
+    ctypes.CDLL(None).prctl(1, signal.SIGKILL)
 
 
 @cache

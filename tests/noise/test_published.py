@@ -209,7 +209,7 @@ def test_objects_of_other_classes_are_refused(value: object, protocol: int, tmp_
 GOOD = npy(held(PLAIN, 4))
 
 
-@in_one_test("length", sorted({0, 1, 5, 6, 8, 10, 60, *range(128, len(GOOD), 37), len(GOOD) - 1}))
+@in_one_test("length", sorted({1, 5, 6, 8, 10, 60, *range(128, len(GOOD), 37), len(GOOD) - 1}))
 def test_a_truncated_file(length: int, tmp_path: Path) -> None:
     with pytest.raises(ProfileError, match=r"Camera_params\.npy: is not a published parameter file"):
         read_published(file_of(tmp_path, GOOD[:length]))
@@ -265,8 +265,10 @@ def test_a_content_that_holds_itself(tmp_path: Path) -> None:
 def test_a_missing_file(tmp_path: Path) -> None:
     with pytest.raises(ProfileError, match=r"none_params\.npy: cannot be read: No such file"):
         read_published(tmp_path / "none_params.npy")
-    with pytest.raises(ProfileError, match=r"cannot be read: Is a directory"):
+    with pytest.raises(ProfileError, match=r"is a folder, not a file"):
         read_published(tmp_path)
+    with pytest.raises(ProfileError, match=r"is empty \(0 bytes\)"):
+        read_published(file_of(tmp_path, b""))
 
 
 # --- profiles -------------------------------------------------------------------------------------------------------

@@ -41,6 +41,7 @@ FORMAT = "eldata-shards"
 VERSION = 1
 INDEX = "index.json"
 KEY_DIGITS = 9
+_MOST_SAMPLE_BYTES = 1 << 30  # two frames of 250 megapixels
 
 _SHARD_NAME = re.compile(r"shard-\d{6}\.tar", re.ASCII)
 
@@ -175,6 +176,8 @@ def _shard(data: Mapping[str, Any]) -> Shard:
     shard = Shard(name, int(data["bytes"]), str(data["sha256"]), pairs[:, 0], pairs[:, 1].astype(np.uint32))
     if (pairs < 0).any() or (pairs[:, 1] >= 1 << 32).any() or not 0 <= pairs[:, 0].sum() <= shard.bytes:
         raise ValueError(f"sizes of {name}")
+    if pairs[:, 0].max(initial=0) > _MOST_SAMPLE_BYTES:
+        raise ValueError(f"a sample of {pairs[:, 0].max()} bytes in {name}")
     return shard
 
 

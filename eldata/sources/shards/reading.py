@@ -96,7 +96,7 @@ def _checked(folder: Folder, shard: Shard) -> set[int]:
         for content, sample in _each(file, shard, 0, len(shard)):
             digest.update(content)
             numbers.add(sample.number)
-        end = file.read_all()
+        end = file.read_rest(len(END))
         if end != END:
             raise ShardError(file.place, f"does not end after its {len(shard)} samples; copy it again")
         digest.update(end)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 # What is fetched at once: as much as a few samples, so that a connection's latency does not count.
 _BLOCK_BYTES = 8 << 20
+_MOST_INDEX_BYTES = 256 << 20  # what the reader of text files takes
 _LOCAL = ("file", "local", "memory")
 
 
@@ -71,7 +72,9 @@ class Folder:
             As :meth:`file_system` does.
         """
         with closing(Forward(self, INDEX)) as file:
-            content = file.read_all()
+            content = file.read_rest(_MOST_INDEX_BYTES)
+        if len(content) > _MOST_INDEX_BYTES:
+            raise ShardError(self.place(INDEX), f"has more than {_MOST_INDEX_BYTES >> 20} MiB; is it an index?")
         return parse_index(self.place(INDEX), content)
 
 
@@ -115,11 +118,18 @@ class Forward:
             count -= len(piece)
         return b"".join(pieces)
 
-    def read_all(self) -> bytes:
-        """Return all the rest; raises like :meth:`read`."""
-        pieces = []
-        while piece := self._piece(_BLOCK_BYTES):
+    def read_rest(self, most: int) -> bytes:
+        """Return the rest, of more than ``most`` bytes one more: an address could go on sending for ever.
+
+        Raises
+        ------
+        ShardError
+            Like :meth:`read`.
+        """
+        pieces, left = [], most + 1
+        while left and (piece := self._piece(min(left, _BLOCK_BYTES))):
             pieces.append(piece)
+            left -= len(piece)
         return b"".join(pieces)
 
     def _piece(self, most: int) -> bytes:

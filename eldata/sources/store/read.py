@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import h5py
 import numpy as np
 
+from eldata.base.files import file_problem
 from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.manifest.catalogue import load_manifest
 from eldata.manifest.pairs import select_pairs
@@ -44,6 +45,9 @@ if TYPE_CHECKING:
 _CHUNK_CACHE_BYTES = 1 << 20
 # Frames whose chunks' places are kept: 3 kB each at 12 megapixels. To look them up takes a millisecond.
 _MOST_TABLES = 4096
+_MOST_MANIFEST_BYTES = 256 << 20  # what the reader of text files takes
+_MOST_CHUNK_PIXELS = 1 << 22  # ours have 256 x 256
+_MOST_PIXELS = 1 << 29  # of a frame; RGB counts three times
 
 
 def open_store(path: Path | str) -> Store:
@@ -59,8 +63,9 @@ def open_store(path: Path | str) -> Store:
     path = Path(path)
     with opened(path) as file:
         try:
+            keys = _frame_keys(file)
             manifest = _manifest(path, file)
-            held = [stored(key, frame.attrs, frame.shape) for key, frame in sorted(file["frames"].items())]
+            held = [_stored(key, file["frames"]) for key in sorted(keys)]
             dataset, listed = str(file.attrs["dataset"]), int(file.attrs["files"])
         except (OSError, RuntimeError, ValueError, LookupError, TypeError, EldataError) as error:
             raise StoreError(path, f"is damaged ({error}); copy or pack it again") from error
@@ -74,10 +79,9 @@ def open_store(path: Path | str) -> Store:
 
 def opened(path: Path) -> h5py.File:
     """Open a store's HDF5 file for reading; raises like :func:`open_store`."""
-    try:
-        path.open("rb").close()
-    except OSError as error:
-        raise StoreError(path, f"cannot be read: {error.strerror}") from error
+    problem = file_problem(path)
+    if problem is not None:
+        raise StoreError(path, problem)
     if not h5py.is_hdf5(path):
         raise StoreError(path, "is not an HDF5 file; eldata pack makes stores")
     try:
@@ -110,6 +114,42 @@ def _check_header(path: Path, attributes: dict[str, Any]) -> None:
     if compression is None:
         raise StoreError(path, f"has the unknown compression {attributes.get('compression')!r}; is it damaged?")
     filters(compression)  # HDF5 must know it before it reads, in each process
+
+
+def _frame_keys(file: h5py.File) -> list[str]:
+    """Return the names of a store's frames, none of which is a link: that could lead to another file."""
+    for name in ("frames", "manifest"):
+        _check_held(file, name)
+    if "manifest" in file:
+        for name in file["manifest"]:
+            _check_held(file["manifest"], name)
+            if file["manifest"][name].size > _MOST_MANIFEST_BYTES:
+                raise ValueError(f"manifest/{name} declares {file['manifest'][name].size} bytes")
+    for key in file["frames"]:
+        _check_held(file["frames"], key)
+    return list(file["frames"])
+
+
+def _check_held(group: h5py.Group, name: str) -> None:
+    """Refuse what is not in this file itself: links, and data sets whose pixels lie in other files."""
+    if name in group and group.get(name, getclass=True, getlink=True) is not h5py.HardLink:
+        raise ValueError(f"{name!r} is a link")
+    if group.get(name, getclass=True) is not h5py.Dataset:
+        return
+    properties = group[name].id.get_create_plist()
+    if properties.get_layout() == h5py.h5d.VIRTUAL or properties.get_external_count():
+        raise ValueError(f"the pixels of {name!r} lie in other files")
+
+
+def _stored(key: str, frames: h5py.Group) -> StoredFrame | StoredRgb:
+    """Return a frame, of a size that a camera has: its pixels are read into memory of that size."""
+    frame = frames[key]
+    held = stored(key, frame.attrs, frame.shape)
+    if not 0 < math.prod(held.shape) <= _MOST_PIXELS:
+        raise ValueError(f"frame {key} declares {held.shape} pixels")
+    if frame.chunks is not None and math.prod(frame.chunks) > _MOST_CHUNK_PIXELS:
+        raise ValueError(f"frame {key} has chunks of {frame.chunks} pixels")
+    return held
 
 
 def _manifest(path: Path, file: h5py.File) -> Manifest | None:

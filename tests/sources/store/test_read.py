@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pickle
 import shutil
 import threading
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
@@ -19,6 +20,9 @@ from eldata.sources.store import open_store, verify_store
 from eldata.sources.store.format import StoreError
 from eldata.sources.store.read import PixelReader, StoredMosaic
 from tests.sources.store.helpers import Packed, pack_folder, write_clean
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 # Python 3.12 and later warn of any fork in a process that has threads.
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
@@ -48,7 +52,9 @@ def refused(path: Path, reason: str) -> None:
 
 def test_a_missing_store(tmp_path: Path) -> None:
     refused(tmp_path / "store.h5", "cannot be read: No such file or directory")
-    refused(tmp_path, "cannot be read: Is a directory")
+    refused(tmp_path, "is a folder, not a file")
+    os.mkfifo(tmp_path / "pipe.h5")
+    refused(tmp_path / "pipe.h5", "is a named pipe, not a file")
 
 
 @pytest.mark.parametrize("share", [0.02, 0.3, 0.7, 0.999])
@@ -64,8 +70,48 @@ def test_foreign_files(tmp_path: Path) -> None:
     with h5py.File(hdf5, "w") as file:
         file["x"] = np.zeros(3)
     refused(text, "is not an HDF5 file; eldata pack makes stores")
-    refused(empty, "is not an HDF5 file; eldata pack makes stores")
+    refused(empty, r"is empty \(0 bytes\)")
     refused(hdf5, "is an HDF5 file, but not a store of eldata")
+
+
+def test_other_files_are_not_followed(own: Path, tmp_path: Path) -> None:
+    """Links and pixels outside of the file, frames and chunks that no camera and no packing makes."""
+    whole = own.read_bytes()
+
+    def spoilt(change: Callable[[h5py.File], None], reason: str) -> None:
+        own.write_bytes(whole)
+        with h5py.File(own, "r+") as file:
+            change(file)
+        refused(own, f"is damaged .*{reason}")
+
+    def another(file: h5py.File, **options: Any) -> None:
+        frame = file["frames/000000"]
+        attributes = dict(frame.attrs)
+        del file["frames/000000"]
+        made = file["frames"].create_dataset("000000", frame.shape, np.uint16, **options)
+        made.attrs.update(attributes)
+
+    def linked(file: h5py.File) -> None:
+        del file["frames/000000"]
+        file["frames/000000"] = h5py.ExternalLink("other.h5", "x")
+
+    def linked_group(file: h5py.File) -> None:
+        file["manifest"] = h5py.SoftLink("/frames")
+
+    def huge(file: h5py.File) -> None:
+        sensor = json.loads(file["frames/000000"].attrs["sensor"]) | {"height": 1 << 20, "width": 1 << 20}
+        file["frames/000000"].attrs["sensor"] = json.dumps(sensor)
+
+    def huge_manifest(file: h5py.File) -> None:
+        file.create_dataset("manifest/csv", (1 << 40,), np.uint8, chunks=(1 << 20,))
+
+    outside = [(str(tmp_path / "other.bin"), 0, h5py.h5f.UNLIMITED)]
+    spoilt(linked, "'000000' is a link")
+    spoilt(linked_group, "'manifest' is a link")
+    spoilt(lambda file: another(file, external=outside), "the pixels of '000000' lie in other files")
+    spoilt(lambda file: another(file, chunks=(4096, 4096), maxshape=(None, None)), r"chunks of \(4096, 4096\)")
+    spoilt(huge, r"frame 000000 declares \(1048576, 1048576\) pixels")
+    spoilt(huge_manifest, "manifest/csv declares 1099511627776 bytes")
 
 
 def test_a_newer_store(own: Path) -> None:

@@ -1,0 +1,334 @@
+"""The array in a stranger's file: what the file declares of it is agreed to before anything is loaded.
+
+Each format says shape and type in its header, and each has ways to make a reader reserve, decompress, follow or wait
+for more than that. So each reader here looks at the header alone and hands that to a check, and then decodes into
+memory of that size and no more. What crashes or hangs in the compiled decoders of h5, TIFF and PNG is contained where
+isolation is on (:mod:`eldata.base.isolation`).
+
+npy
+    The header is matched, not evaluated; the file holds as many bytes as it declares.
+npz
+    So does the member. Members are stored or deflated; no more is decompressed than is declared.
+h5
+    One data set of numbers in the file itself: no links, no external or virtual storage, every chunk written. Filters
+    are gzip, lzf, shuffle and Fletcher's checksum, which are undone here: HDF5's believe what a chunk says of itself.
+tif, tiff
+    A short chain of pages, whose strips or tiles are all there and inside the file, without compression or with a
+    lossless one. Formats within TIFF that refer to other files are taken for plain TIFF.
+png
+    Size and depth from the header; no more compressed data than such pixels can need.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import zipfile
+import zlib
+from dataclasses import dataclass
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eldata.base.files import file_problem
+from eldata.base.isolation import GuardError, guarded
+from eldata.base.npy import read_npy
+from eldata.base.png import read_png
+from eldata.base.visible import in_line
+from eldata.errors import PredictionError
+from eldata.evaluation.tiff_pages import check_pages, check_segments
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    import h5py
+    from numpy.typing import NDArray
+
+    from eldata.base.npy import NpyHeader
+    from eldata.base.png import PngHeader
+
+    Check = Callable[["Declared"], None]
+    Reader = Callable[[Path, Check], NDArray[Any]]
+
+_PIECE_BYTES = 1 << 20
+_MOST_NAMES = 1000  # of the arrays and groups of a file
+_NAMES_SHOWN = 6
+_LONGEST_REASON = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Declared:
+    """What a file says of its array: the shape, and the type of its values as numpy calls it, such as ``float32``."""
+
+    shape: tuple[int, ...]
+    values: str
+
+
+class _EnoughError(Exception):
+    """Raised by a check that only wanted to know."""
+
+
+def read_array(path: Path, check: Check) -> NDArray[Any]:
+    """Return a file's array, in the file's byte order and order of values.
+
+    Parameters
+    ----------
+    path
+        npy, npz, h5, png; anything else is taken for TIFF.
+    check
+        Raises :class:`PredictionError` if what the file declares, or then holds, is not what is wanted. It must be
+        picklable: it may be called in another process.
+
+    Raises
+    ------
+    PredictionError
+        What ``check`` raises; or if the file cannot be read.
+    """
+    kind = path.suffix.lower().removeprefix(".")
+    problem = file_problem(path)
+    if problem is not None:
+        raise PredictionError(path, problem)
+    try:
+        array = _read_here(kind, path, check) if kind in _IN_PYTHON else guarded(_read_here, kind, path, check)
+    except (PredictionError, _EnoughError):
+        raise
+    except GuardError as error:
+        raise PredictionError(path, f"{error}; write it again") from error
+    except Exception as error:  # five libraries, each with its own kinds
+        # Its first line; libpng's may be memory that is not text.
+        reason = in_line(str(error).splitlines()[0][:_LONGEST_REASON]) if str(error) else type(error).__name__
+        raise PredictionError(path, f"cannot be read as {path.suffix[1:]} ({reason}); write it again") from error
+    check(Declared(array.shape, str(array.dtype.newbyteorder("="))))
+    return array
+
+
+def declared_array(path: Path) -> Declared:
+    """Return what a file declares; raises like :func:`read_array`."""
+    try:
+        read_array(path, _enough)
+    except _EnoughError as told:
+        declared: Declared = told.args[0]
+        return declared
+    raise PredictionError(path, "declares no array")
+
+
+def _enough(declared: Declared) -> None:
+    raise _EnoughError(declared)
+
+
+def _read_here(kind: str, path: Path, check: Check) -> NDArray[Any]:
+    return _READERS.get(kind, _read_tiff)(path, check)
+
+
+def _only(path: Path, names: Sequence[str]) -> str:
+    """Return the name of a file's one array, or ``prediction`` among several."""
+    if len(names) == 1:
+        return names[0]
+    if names.count("prediction") == 1:
+        return "prediction"
+    shown = ", ".join(in_line(name[:_LONGEST_REASON]) for name in names[:_NAMES_SHOWN])
+    more = f" and {len(names) - _NAMES_SHOWN} more" if len(names) > _NAMES_SHOWN else ""
+    raise PredictionError(path, f"expected one array, or one called 'prediction'; found {shown or 'none'}{more}")
+
+
+# --- npy and npz --------------------------------------------------------------------------------------------------
+
+
+def _read_npy(path: Path, check: Check) -> NDArray[Any]:
+    with path.open("rb") as file:
+        return read_npy(file, path.stat().st_size, lambda header: check(_of_npy(header)))
+
+
+def _of_npy(header: NpyHeader) -> Declared:
+    return Declared(header.shape, header.values)
+
+
+class _SmallReads(io.BufferedReader):
+    """A file of which no part is read that is larger than a member's piece, such as an endless list of members."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        if size is None or size < 0:
+            at = self.tell()
+            size = self.seek(0, io.SEEK_END) - at
+            self.seek(at)
+        if size > _PIECE_BYTES:
+            raise zipfile.BadZipFile(f"its list of members takes {size} bytes")
+        return super().read(size)
+
+
+def _read_npz(path: Path, check: Check) -> NDArray[Any]:
+    if not zipfile.is_zipfile(path):
+        raise PredictionError(path, "is not a whole npz archive; write it again")
+    with _SmallReads(path.open("rb", buffering=0)) as file, zipfile.ZipFile(file) as archive:
+        members = archive.infolist()
+        names = [member.filename.removesuffix(".npy") for member in members]
+        member = members[names.index(_only(path, names))]
+        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise zipfile.BadZipFile(f"compressed by method {member.compress_type}; expected numpy's savez_compressed")
+        with archive.open(member) as content:
+            array = read_npy(content, member.file_size, lambda header: check(_of_npy(header)))
+            if content.read(1):  # at the end zipfile compares the checksum
+                raise zipfile.BadZipFile("the member goes on after its array")
+            if content.tell() != member.file_size:
+                raise zipfile.BadZipFile(f"a member of {content.tell()} bytes that declares {member.file_size}")
+    return array
+
+
+# --- h5 -----------------------------------------------------------------------------------------------------------
+
+_SHUFFLE, _DEFLATE, _FLETCHER, _LZF = 2, 1, 3, 32000
+_CHECKSUM_BYTES = 4
+
+
+def _read_h5(path: Path, check: Check) -> NDArray[Any]:
+    import h5py
+
+    with h5py.File(path, "r") as file:
+        if len(file) > _MOST_NAMES:
+            raise PredictionError(path, f"expected one array, or one called 'prediction'; found {len(file)} items")
+        kinds = {name: file.get(name, getclass=True, getlink=True) for name in file}
+        links = [name for name, kind in kinds.items() if kind is not h5py.HardLink]
+        if links:
+            raise PredictionError(
+                path, f"{links[0][:_LONGEST_REASON]!r} is a link; expected the array itself: copy it into the file"
+            )
+        held = file[_only(path, [name for name in kinds if file.get(name, getclass=True) is h5py.Dataset])]
+        declared = Declared(held.shape or (), _h5_values(held.id))
+        check(declared)
+        return _h5_array(held.id)
+
+
+def _h5_values(dataset: h5py.h5d.DatasetID) -> str:
+    """Return the type of a data set's values; what is not a number is not made into a type of numpy."""
+    import h5py
+
+    stored = dataset.get_type()
+    if dataset.get_space().get_simple_extent_type() != h5py.h5s.SIMPLE:
+        return "a data set that is not an array"
+    if stored.get_class() not in (h5py.h5t.INTEGER, h5py.h5t.FLOAT):
+        return "values that are not numbers"
+    return str(stored.dtype.newbyteorder("="))
+
+
+def _h5_array(dataset: h5py.h5d.DatasetID) -> NDArray[Any]:
+    import h5py
+
+    properties = dataset.get_create_plist()
+    array: NDArray[Any] = np.empty(dataset.shape, dataset.dtype)
+    layout = properties.get_layout()
+    if layout == h5py.h5d.CHUNKED:
+        _read_chunks(dataset, properties, array)
+        return array
+    if layout not in (h5py.h5d.CONTIGUOUS, h5py.h5d.COMPACT) or properties.get_external_count():
+        raise ValueError("its values lie in other files")
+    if dataset.get_storage_size() != array.nbytes:
+        raise ValueError("its values were never written")
+    dataset.read(h5py.h5s.ALL, h5py.h5s.ALL, array)
+    return array
+
+
+def _read_chunks(dataset: h5py.h5d.DatasetID, properties: h5py.h5p.PropDCID, array: NDArray[Any]) -> None:
+    """Fill an array from the chunks that HDF5 finds; filters are undone here, within the size of a chunk."""
+    filters = [properties.get_filter(number)[0] for number in range(properties.get_nfilters())]
+    unknown = [number for number in filters if number not in (_SHUFFLE, _DEFLATE, _FLETCHER, _LZF)]
+    if unknown:
+        raise ValueError(f"HDF5's filter {unknown[0]}; expected gzip, lzf, shuffle, fletcher32 or none")
+    sides = properties.get_chunk()
+    chunk_bytes = math.prod(sides) * array.dtype.itemsize
+    if chunk_bytes > max(2 * array.nbytes, _PIECE_BYTES):
+        raise ValueError(f"chunks of {chunk_bytes} bytes for an array of {array.nbytes}")
+    starts = [range(0, length, side) for length, side in zip(array.shape, sides, strict=True)]
+    expected, found = math.prod(map(len, starts)), dataset.get_num_chunks()
+    if found != expected:
+        raise ValueError(f"{found} of its {expected} chunks were written")
+    for start in product(*starts):
+        stored_bytes = dataset.get_chunk_info_by_coord(start).size
+        if stored_bytes > 2 * chunk_bytes + _PIECE_BYTES:
+            raise ValueError(f"a chunk of {stored_bytes} bytes, expected up to {chunk_bytes}")
+        mask, stored = dataset.read_direct_chunk(start)
+        chunk = _unfiltered(stored, filters, mask, chunk_bytes, array.dtype).reshape(sides)
+        part = tuple(slice(at, at + side) for at, side in zip(start, sides, strict=True))
+        target = array[part]
+        target[...] = chunk[tuple(slice(length) for length in target.shape)]
+
+
+def _unfiltered(stored: bytes, filters: Sequence[int], mask: int, size: int, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Undo the filters of a chunk that its mask does not except, last to first."""
+    import imagecodecs
+
+    content: Any = stored
+    shuffled = False
+    for place, number in reversed(list(enumerate(filters))):
+        if mask >> place & 1:
+            continue
+        if number == _FLETCHER:
+            content = _checked(content)
+        elif number == _DEFLATE:
+            content = _inflated(content, size)
+        elif number == _LZF:
+            content = imagecodecs.lzf_decode(content, out=size)
+        else:
+            shuffled = True  # it stands first, so it comes last here
+    if len(content) != size:
+        raise ValueError(f"a chunk of {len(content)} bytes, expected {size}")
+    planes = np.frombuffer(content, np.uint8)
+    if shuffled:
+        planes = planes.reshape(dtype.itemsize, -1).T
+        return np.ascontiguousarray(planes).reshape(-1).view(dtype)
+    return planes.view(dtype)
+
+
+def _checked(content: bytes) -> bytes:
+    import imagecodecs
+
+    body = content[:-_CHECKSUM_BYTES]
+    found = imagecodecs.h5checksum_fletcher32(body)
+    if found != int.from_bytes(content[-_CHECKSUM_BYTES:], "little"):
+        raise ValueError("a chunk that its checksum does not fit")
+    return body
+
+
+def _inflated(content: bytes | memoryview, size: int) -> NDArray[np.uint8]:
+    """Return deflated bytes as they were, ``size`` of them and no more."""
+    target = np.empty(size, np.uint8)
+    stream, done = zlib.decompressobj(), 0
+    view = memoryview(content)
+    for start in range(0, len(view), _PIECE_BYTES >> 4):
+        piece = stream.decompress(view[start : start + (_PIECE_BYTES >> 4)], size - done + 1)
+        if done + len(piece) > size:
+            raise ValueError(f"a chunk that expands beyond its {size} bytes")
+        target[done : done + len(piece)] = np.frombuffer(piece, np.uint8)
+        done += len(piece)
+    if done < size or not stream.eof:
+        raise ValueError(f"a chunk that ends after {done} of its {size} bytes")
+    return target
+
+
+# --- pictures -----------------------------------------------------------------------------------------------------
+
+
+def _read_png(path: Path, check: Check) -> NDArray[Any]:
+    return read_png(path, lambda header: check(_of_png(header)))
+
+
+def _of_png(header: PngHeader) -> Declared:
+    return Declared(header.shape, header.values)
+
+
+def _read_tiff(path: Path, check: Check) -> NDArray[Any]:
+    import tifffile
+
+    check_pages(path)
+    plain: dict[str, Any] = {f"is_{kind}": False for kind in tifffile.TIFF.FILE_FLAGS - {"shaped", "uniform"}}
+    with tifffile.TiffFile(path, **plain) as file:
+        series = file.series[0]
+        check(Declared(tuple(series.shape), str(np.dtype(series.dtype))))
+        check_segments(series, path.stat().st_size)
+        array: NDArray[Any] = series.asarray(maxworkers=1, buffersize=16 * _PIECE_BYTES)
+    return array
+
+
+_READERS: dict[str, Reader] = {"npy": _read_npy, "npz": _read_npz, "h5": _read_h5, "png": _read_png}
+_IN_PYTHON = ("npy", "npz")

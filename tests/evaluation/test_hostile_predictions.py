@@ -1,0 +1,303 @@
+"""Strangers' predictions: each that asks for too much is refused by name, and costs neither memory nor other files."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import subprocess
+import sys
+import zlib
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import imagecodecs
+import numpy as np
+import pytest
+import tifffile
+
+from eldata.base.isolation import isolation
+from eldata.base.npy import NpyError, read_npy_header
+from eldata.base.png import read_png
+from eldata.errors import EldataError, PredictionError
+from eldata.evaluation.predictions import find_predictions, load_colours, load_prediction, prediction_space
+from tests.evaluation import awkward_predictions
+from tests.evaluation import hostile_predictions as hostile
+from tests.evaluation.awkward_predictions import AWKWARD
+from tests.waiting import PATIENCE_S
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+MOST_KIB = 32 << 10
+"""More than a frame of 25 kB and what libraries allocate once, far less than the 64 MiB that each bomb expands to."""
+
+
+@pytest.fixture(scope="module")
+def outcomes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """What became of each prediction, in a process of its own."""
+    folder = tmp_path_factory.mktemp("hostile")
+    names = hostile.write_all(folder)
+    command = [sys.executable, "-m", "tests.evaluation.hostile_predictions", str(folder)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    assert done.returncode == 0, done.stderr[-2000:]  # the last name is the file that it ended with
+    found: dict[str, Any] = json.loads(done.stdout)
+    assert sorted(found["outcomes"]) == names
+    return found
+
+
+def test_every_one_is_refused_in_one_line(outcomes: dict[str, Any]) -> None:
+    assert len(outcomes["outcomes"]) > 120
+    for name, outcome in outcomes["outcomes"].items():
+        assert outcome.startswith("refused: "), f"{name}: {outcome}"
+        assert outcome.isprintable(), name
+        assert 25 < len(outcome) < 300, outcome
+
+
+def test_none_takes_memory_to_speak_of(outcomes: dict[str, Any]) -> None:
+    assert outcomes["peak_kib"] - outcomes["before_kib"] < MOST_KIB
+
+
+def test_no_other_file_is_shown(outcomes: dict[str, Any]) -> None:
+    assert hostile.ELSEWHERE not in json.dumps(outcomes)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("shape-of-terabytes.npy", ["(4, 32, 48) (packed) or (64, 96) (mosaic)", "found (4, 1000000, 1000000)"]),
+        (
+            "type-of-records.npy",
+            ["expected float in [0, 1] or uint16", "[('a', '<f4', (1000000, 1000000))]", "convert"],
+        ),
+        ("right-shape-and-one-byte-less.npy", ["declares 24576 bytes of values and has 24575", "write it again"]),
+        ("named-pipe.npy", ["is a named pipe, not a file"]),
+        ("link-to-a-device.h5", ["is a device, not a file"]),
+        ("folder.tif", ["is a folder, not a file"]),
+        ("bomb-after-the-array.npz", ["goes on after its array"]),
+        ("fill-values-of-gigabytes.h5", ["found (4, 30000, 30000)", "whole frame"]),
+        ("right-shape-half-written.h5", ["2 of its 4 chunks were written"]),
+        ("external-link.h5", ["'prediction' is a link", "copy it into the file"]),
+        ("external-storage.h5", ["lie in other files"]),
+        ("virtual.h5", ["lie in other files"]),
+        ("chunk-that-is-a-bomb.h5", ["expands beyond its 24576 bytes"]),
+        ("checksum.h5", ["checksum does not fit"]),
+        ("30000-by-30000.png", ["found (30000, 30000)"]),
+        ("30000-by-30000.tif", ["found (30000, 30000)"]),
+        ("pages-in-a-circle.tif", ["go in a circle"]),
+        ("strips-missing.tif", ["strips or tiles are missing"]),
+    ],
+)
+def test_what_is_wrong_is_said(name: str, words: list[str], outcomes: dict[str, Any]) -> None:
+    for word in words:
+        assert word in outcomes["outcomes"][name]
+
+
+# --- what is odd and good ---------------------------------------------------------------------------------------------
+
+
+def h5(**options: Any) -> Callable[[Path, NDArray[Any]], None]:
+    def save(path: Path, array: NDArray[Any]) -> None:
+        with h5py.File(path, "w") as file:
+            file.create_dataset("anything", data=array, **options)
+
+    return save
+
+
+def tif(**options: Any) -> Callable[[Path, NDArray[Any]], None]:
+    def save(path: Path, array: NDArray[Any]) -> None:
+        tifffile.imwrite(path, array, **({"photometric": "minisblack"} | options))
+
+    return save
+
+
+def raw_npy(header: str) -> Callable[[Path, NDArray[Any]], None]:
+    def save(path: Path, array: NDArray[Any]) -> None:
+        path.write_bytes(hostile.npy(header, array.astype("<f4").tobytes()))
+
+    return save
+
+
+def with_more(path: Path, array: NDArray[Any]) -> None:
+    np.save(path, array)
+    path.write_bytes(path.read_bytes() + b"more")
+
+
+ODD: dict[str, Callable[[Path, NDArray[Any]], None]] = {
+    "npy-of-python-2": raw_npy("{'descr': '<f4', 'fortran_order': False, 'shape': (4L, 32L, 48L), }"),
+    "npy-of-another-writer": raw_npy('{"shape":(4,32,48),"fortran_order":False,"descr":"<f4"}'),
+    "npy-with-more-after-it": with_more,
+    "h5-gzip": h5(compression="gzip"),
+    "h5-gzip-shuffle-checksum": h5(compression="gzip", shuffle=True, fletcher32=True, chunks=(3, 5, 7)),
+    "h5-lzf": h5(compression="lzf", chunks=(3, 32, 7)),
+    "h5-lzf-shuffle": h5(compression="lzf", shuffle=True),
+    "h5-checksum": h5(fletcher32=True),
+    "h5-shuffle": h5(shuffle=True, chunks=(1, 32, 48)),
+    "h5-chunks": h5(chunks=(4, 10, 10), maxshape=(None, None, None)),
+    "h5-chunks-beyond-its-sides": h5(chunks=(5, 40, 50), maxshape=(None, None, None), compression="gzip"),
+    "tif-pages": tif(metadata=None),
+    "tif-tiles": tif(tile=(32, 64), compression="zlib"),
+    "tif-strips": tif(rowsperstrip=5, compression="zlib", predictor=True),
+    "tif-lzw": tif(compression="lzw"),
+    "tif-lzma": tif(compression="lzma"),
+    "tif-zstd": tif(compression="zstd"),
+    "tif-packbits": tif(compression="packbits"),
+    "tif-imagej": tif(imagej=True),
+    "tif-ome": tif(ome=True),
+    "tif-big": tif(bigtiff=True, byteorder=">"),
+    "tif-planes": tif(photometric="rgb", planarconfig="separate"),
+}
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_odd_files_are_read_as_they_were(name: str, tmp_path: Path) -> None:
+    path = tmp_path / f"x.{name.partition('-')[0]}"
+    ODD[name](path, hostile.good())
+    assert np.array_equal(load_prediction(path, hostile.SENSOR, "metadata"), hostile.good())
+    assert prediction_space(path) == "raw"
+
+
+def test_what_is_not_pixels_is_passed_over(tmp_path: Path) -> None:
+    """Compressed text that libpng would expand, and a gamma and a profile, which change no sample."""
+    text = hostile.chunk(b"zTXt", b"Comment\0\0" + zlib.compress(bytes(7 << 20), 9))
+    gamma = hostile.chunk(b"gAMA", (45455).to_bytes(4, "big"))
+    path = tmp_path / "x.png"
+    path.write_bytes(hostile.png(hostile.header(), gamma, *[text] * 50, hostile.PIXELS))
+    assert np.array_equal(read_png(path), hostile.grey())
+
+
+def test_pngs_of_every_kind_are_decoded_as_the_library_does(tmp_path: Path) -> None:
+    generator = np.random.default_rng(8)
+    for dtype in (np.uint8, np.uint16):
+        for channels in ((), (2,), (3,), (4,)):
+            content = imagecodecs.png_encode(generator.integers(0, 255, (7, 9, *channels)).astype(dtype))
+            (tmp_path / "x.png").write_bytes(content)
+            assert np.array_equal(read_png(tmp_path / "x.png"), imagecodecs.png_decode(content))
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_integers_become_the_same_floats_as_by_division(bits: int, tmp_path: Path) -> None:
+    codes = np.arange(2**bits, dtype=f"uint{bits}")
+    codes = np.resize(codes, (256, 256, 3))
+    np.save(tmp_path / "x.npy", codes)
+    found = load_colours(tmp_path / "x.npy", (3, 256, 256), "srgb")
+    assert np.array_equal(found, (codes.astype(np.float32) / np.float32(2**bits - 1)).transpose(2, 0, 1))
+
+
+@pytest.mark.parametrize("name", ["h5-gzip-shuffle-checksum", "tif-strips", "tif-planes"])
+def test_a_guarded_process_reads_the_same(name: str, tmp_path: Path) -> None:
+    path = tmp_path / f"x.{name.partition('-')[0]}"
+    ODD[name](path, hostile.good())
+    with isolation():
+        assert np.array_equal(load_prediction(path, hostile.SENSOR, "metadata"), hostile.good())
+        assert prediction_space(path) == "raw"
+        with pytest.raises(PredictionError, match=r"expected \(5, 5, 3\) or \(3, 5, 5\), found"):
+            load_colours(path, (3, 5, 5), "srgb")
+
+
+# --- headers ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("shape", [(), (0,), (5,), (4, 32, 48), (1,) * 12])
+@pytest.mark.parametrize("kind", ["<f4", ">f8", "<u2", "|b1", "|u1", "<c16", "<U7", "|S3", "<M8[us]", "|V9"])
+def test_headers_that_numpy_writes(kind: str, shape: tuple[int, ...], tmp_path: Path) -> None:
+    for order in "CF":
+        array = np.zeros(shape, kind, order=order)  # type: ignore[call-overload] # of either order
+        np.save(tmp_path / "x.npy", array)
+        with (tmp_path / "x.npy").open("rb") as file:
+            header = read_npy_header(file)
+            assert header.descr == str(np.lib.format.dtype_to_descr(array.dtype))
+            assert (header.shape, header.dtype) == (shape, array.dtype if array.dtype.kind in "fubc" else None)
+            assert file.tell() == (tmp_path / "x.npy").stat().st_size - array.nbytes
+
+
+def test_a_changed_header_is_an_error_or_a_header() -> None:
+    """5,000 trials with up to three changed bytes."""
+    generator = np.random.default_rng(9)
+    whole = hostile.npy(hostile.described(str(hostile.PACKED)))
+    read = 0
+    for _ in range(5000):
+        content = bytearray(whole)
+        for place in generator.integers(0, len(content), generator.integers(1, 4)):
+            content[place] = generator.integers(0, 256)
+        with suppress(NpyError):
+            read_npy_header(io.BytesIO(content))
+            read += 1
+    assert 0 < read < 4000
+
+
+# --- finding ----------------------------------------------------------------------------------------------------------
+
+
+def test_thousands_of_foreign_files_are_counted(tmp_path: Path) -> None:
+    for number in range(3000):
+        (tmp_path / f"{number:04d}.npy").touch()
+    found = find_predictions(tmp_path, ["a/b.dng"], ["a/b.dng"])
+    assert [problem.path for problem in found.problems[:2]] == ["0000.npy", "0001.npy"]
+    assert len(found.problems) == 102  # and one that is missing
+    assert found.problems[100].path == str(tmp_path)
+    assert "2900 more files" in found.problems[100].reason
+
+
+def test_folders_deeper_than_the_stack(tmp_path: Path) -> None:
+    deepest = tmp_path.joinpath(*"d" * 1050)
+    made = tmp_path
+    for _ in range(1050):
+        made /= "d"
+        made.mkdir()
+    (deepest / "x.npy").touch()
+    place = f"{'d/' * 1050}x.dng"
+    assert find_predictions(tmp_path, [place]).files == {place: deepest / "x.npy"}
+    (deepest / "x.npy").unlink()
+    while made != tmp_path:  # pytest's way to remove it is recursive
+        made.rmdir()
+        made = made.parent
+
+
+def test_frames_that_share_a_place_are_named(tmp_path: Path) -> None:
+    (tmp_path / "one.npy").touch()
+    found = find_predictions(tmp_path, ["one.ARW", "one.dng"])
+    assert found.files == {"one.ARW": tmp_path / "one.npy"}
+    assert [(problem.path, "where that of one.ARW does" in problem.reason) for problem in found.problems] == [
+        ("one.dng", True)
+    ]
+
+
+def test_a_folder_that_cannot_be_listed_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a").mkdir()
+    genuine = os.scandir
+
+    def scandir(path: Path) -> Any:
+        if path.name == "a":
+            raise PermissionError(13, "Permission denied", str(path))
+        return genuine(path)
+
+    monkeypatch.setattr("os.scandir", scandir)
+    with pytest.raises(EldataError, match=r"a: cannot be read: Permission denied"):
+        find_predictions(tmp_path, [])
+
+
+# --- memory -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.memory
+@pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="the peak of a process is not told here")
+@pytest.mark.parametrize("name", AWKWARD)
+def test_a_prediction_takes_less_than_three_times_its_array(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The array as it is loaded; a mosaic is packed into another, so twice is the least."""
+    (tmp_path / "small").mkdir()
+    AWKWARD[name](tmp_path / name)
+    monkeypatch.setattr(awkward_predictions, "HEIGHT", hostile.HEIGHT)
+    monkeypatch.setattr(awkward_predictions, "WIDTH", hostile.WIDTH)
+    AWKWARD[name](tmp_path / "small" / name)
+    places = str(tmp_path / name), str(tmp_path / "small" / name)
+    command = [sys.executable, "-m", "tests.evaluation.awkward_predictions", *places]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert 1.9 < float(done.stdout) < 3

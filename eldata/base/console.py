@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 from eldata import __version__
 from eldata.base.fields import whole_of
-from eldata.base.stopping import Stopped, Stopping, exit_code, what_it_did, stoppable
+from eldata.base.stopping import Stopped, Stopping, exit_code, stoppable, what_it_did
 from eldata.base.visible import visible, visible_output
 from eldata.errors import ArgumentError, EldataError
 

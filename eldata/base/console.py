@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 from eldata import __version__
 from eldata.base.fields import whole_of
-from eldata.base.stopping import Stopped, Stopping, exit_code, stoppable, what_happened
+from eldata.base.stopping import Stopped, Stopping, exit_code, stoppable, what_it_did
 from eldata.base.visible import visible, visible_output
 from eldata.errors import ArgumentError, EldataError
 
@@ -224,7 +224,7 @@ def _explained(error: BaseException, arguments: argparse.Namespace) -> tuple[int
         return UNUSABLE, str(error)
     if isinstance(error, KeyboardInterrupt):
         number = error.number if isinstance(error, Stopped) else signal.SIGINT
-        return exit_code(number), f"{what_happened(number)}; {arguments.interrupted.format_map(vars(arguments))}"
+        return exit_code(number), f"{what_it_did(number)}; {arguments.interrupted.format_map(vars(arguments))}"
     if isinstance(error, BrokenPipeError):  # head, less: nothing to say, but nobody knows that all is well
         _drop_output()
         return CLOSED_PIPE, ""

@@ -47,7 +47,7 @@ def exit_code(number: int) -> int:
     return 128 + number
 
 
-def what_happened(number: int) -> str:
+def what_it_did(number: int) -> str:
     """Return what a signal did, such as ``"interrupted"``."""
     return _WORDS[signal.Signals(number).name]
 
@@ -67,7 +67,7 @@ def exit_when_told(program: str) -> None:
 
 def _exit(number: int, program: str) -> NoReturn:
     try:
-        os.write(2, f"{program}: {what_happened(number)}\n".encode())
+        os.write(2, f"{program}: {what_it_did(number)}\n".encode())
     finally:  # whether or not anybody sees it
         os._exit(exit_code(number))
 

@@ -47,7 +47,7 @@ def check_free(placements: Iterable[Placement]) -> None:
             )
 
 
-def prepare(placements: Iterable[Placement]) -> None:
+def make_folders(placements: Iterable[Placement]) -> None:
     """Make the folders of the targets, and remove from them what a run that was killed left."""
     for folder in sorted({placement.target.parent for placement in placements}):
         folder.mkdir(parents=True, exist_ok=True)

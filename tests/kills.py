@@ -1,20 +1,20 @@
 """Kills commands at random moments, runs them again, and compares what is there with what an undisturbed run leaves.
 
-``python -m tests.kills --trials 200`` does it for each command; names choose some, ``--signal TERM`` or ``INT`` ends them
-otherwise. What a trial demands:
+``python -m tests.kills --trials 200`` does it for each command; names choose some, ``--signal TERM`` or ``INT`` ends
+them otherwise. What a trial demands:
 
 - after the kill, each file with a name of its own is whole: the one of before, or the undisturbed run's;
 - no process of it is left, of its workers neither;
 - after SIGTERM and Ctrl-C: exit code 143 or 130, one line, and no temporary file;
 - the same command then ends well, or says that all is there already; and the folder holds what it holds after an
-  undisturbed run, to the bit, and nothing else. (HDF5 stores are compared by all that is in them: the library numbers its
-  blocks otherwise when a file is opened twice.)
+  undisturbed run, to the bit, and nothing else. (HDF5 stores are compared by all that is in them: the library numbers
+  its blocks otherwise when a file is opened twice.)
 
 Commands run in forks of this process, which has imported all that they need: the whole time of a fork is work. Every
-twentieth is a process of its own, with two workers where the command has any, and with guarded processes that decode. Of the others each second one is ended some time
-after its begin, drawn over the time that the command takes; the rest by themselves, before a step that changes a folder (a
-file that is opened to be written, renamed, linked or removed, a new folder), drawn over the steps of the command: the moments
-that matter may be a thousandth of its time.
+twentieth is a process of its own, with two workers where the command has any, and with guarded processes that decode.
+Of the others each second one is ended some time after its begin, drawn over the time that the command takes; the rest
+by themselves, before a step that changes a folder (a file that is opened to be written, renamed, linked or removed, a
+new folder), drawn over the steps of the command: the moments that matter may be a thousandth of its time.
 """
 
 from __future__ import annotations
@@ -25,14 +25,13 @@ import os
 import random
 import shutil
 import signal
-import statistics
 import subprocess
 import sys
 import tempfile
 import time
 import traceback
 from collections import Counter
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
@@ -40,10 +39,10 @@ from typing import TYPE_CHECKING, NoReturn
 import numpy as np
 
 from eldata.base.stopping import exit_code
-from tests.waiting import until
+from tests.waiting import PATIENCE_S, until
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
 ROOT = Path(__file__).parents[1]
 WITH_WORKERS = 20  # each so-manyth trial has two worker processes
@@ -59,12 +58,12 @@ class Case:
     """A command: what it reads (``inputs``, made once), what is in its folder at first, and its arguments there."""
 
     program: str
-    arguments: tuple[str, ...]
+    arguments: str
     inputs: Callable[[Path], None]
-    begin: Callable[[Path, Path], None] = lambda inputs, folder: None
+    begin: Callable[[Path, Path], None] | None = None
 
     def command(self, jobs: int) -> list[str]:
-        return [argument.format(jobs=jobs) for argument in self.arguments]
+        return self.arguments.replace(JOBS, str(jobs)).split()
 
 
 def demo_tree(folder: Path) -> None:
@@ -118,42 +117,29 @@ def manifests(inputs: Path, folder: Path) -> None:
 
 ELD = "--root ../inputs/tree/data --manifest ../inputs/tree/manifests/eld-demo.csv"
 CASES = {
-    name: Case(*rest)
-    for name, *rest in (
-        ("pack", "eldata", f"pack eld-demo -o store.h5 {ELD} --jobs {JOBS}".split(), demo_tree),
-        (
-            "lock",
-            "eldata",
-            f"lock manifests/eld-demo.csv --root ../inputs/tree/data --jobs {JOBS}".split(),
-            demo_tree,
-            manifests,
-        ),
-        (
-            "synthesize",
-            "eldata",
-            f"synthesize ../inputs/clean -o set --camera SonyA7S2 --per-image 2 --jobs {JOBS}".split(),
-            clean_raws,
-        ),
-        (
-            "evaluate",
-            "eldata",
-            f"evaluate ../inputs/preds {ELD} --csv s.csv --json s.json --html s.html --jobs {JOBS}".split(),
-            predictions,
-        ),
-        ("shard", "eldata", "shard ../inputs/eld.h5 -o shards --tile 16 --samples-per-shard 20".split(), store),
-        (
-            "calibrate",
-            "eldata",
-            f"calibrate ../inputs/frames/data/calibration -o p.json --json d.json --jobs {JOBS}".split(),
-            calibration_frames,
-        ),
-        (
-            "capture-manifest",
-            "capture",
-            f"manifest ../inputs/plan.json ../inputs/card -o manifests/mine.csv --copy-to data/mine --jobs {JOBS}".split(),
-            memory_card,
-        ),
-    )
+    "pack": Case("eldata", f"pack eld-demo -o store.h5 {ELD} --jobs {JOBS}", demo_tree),
+    "lock": Case(
+        "eldata", f"lock manifests/eld-demo.csv --root ../inputs/tree/data --jobs {JOBS}", demo_tree, manifests
+    ),
+    "synthesize": Case(
+        "eldata", f"synthesize ../inputs/clean -o set --camera SonyA7S2 --per-image 2 --jobs {JOBS}", clean_raws
+    ),
+    "evaluate": Case(
+        "eldata",
+        f"evaluate ../inputs/preds {ELD} --csv s.csv --json s.json --html s.html --jobs {JOBS}",
+        predictions,
+    ),
+    "shard": Case("eldata", "shard ../inputs/eld.h5 -o shards --tile 16 --samples-per-shard 20", store),
+    "calibrate": Case(
+        "eldata",
+        f"calibrate ../inputs/frames/data/calibration -o p.json --json d.json --jobs {JOBS}",
+        calibration_frames,
+    ),
+    "capture-manifest": Case(
+        "capture",
+        f"manifest ../inputs/plan.json ../inputs/card -o manifests/mine.csv --copy-to data/mine --jobs {JOBS}",
+        memory_card,
+    ),
 }
 
 
@@ -191,12 +177,31 @@ class Bench:
 
     case: Case
     base: Path
-    expected: dict[str, str] = field(default_factory=dict)
     first: dict[str, str] = field(default_factory=dict)
+    expected: dict[str, str] = field(default_factory=dict)
+    seconds: dict[int, float] = field(default_factory=dict)
+    steps: int = 0
 
-    def __post_init__(self) -> None:
+    def prepare(self) -> list[str]:
+        """Make the inputs, run the command undisturbed, in several ways; return what is wrong already."""
         (self.base / "inputs").mkdir()
         self.case.inputs(self.base / "inputs")
+        self.begin()
+        self.first = self.contents()
+        os.chdir(self.folder)
+        main_of(self.case.program)(self.case.command(1))  # what is imported and compiled now, forks have
+        os.chdir(self.base)
+        self.expected = self.contents()
+        for jobs, number in ((1, 0), (1, -1), (2, 0)):
+            self.begin()
+            run = self.run(jobs=jobs, number=number, step=number)
+            if run.code != 0:
+                return [f"undisturbed: exit code {run.code}: {run.said}"]
+            if self.contents() != self.expected:
+                return [f"undisturbed runs differ: {different(self)}"]
+            self.seconds[jobs] = run.seconds
+        self.steps = int((self.base / "steps").read_text(encoding="utf-8"))
+        return []
 
     @property
     def folder(self) -> Path:
@@ -207,7 +212,8 @@ class Bench:
         shutil.rmtree(self.folder, ignore_errors=True)
         self.folder.mkdir()
         (self.folder / ".tmp").mkdir()  # for temporary files, which are to be gone as well
-        self.case.begin(self.base / "inputs", self.folder)
+        if self.case.begin is not None:
+            self.case.begin(self.base / "inputs", self.folder)
 
     def run(self, *, jobs: int = 1, number: int = 0, after_s: float = 0.0, step: int = 0) -> Run:
         """Run the command; send it a signal some time after its begin, or before a step, counted from 1."""
@@ -227,11 +233,6 @@ class Bench:
     def mark(self) -> str:
         """Stands in the environment of each process that the command starts."""
         return f"KILLS={self.base}"
-
-    def steps(self) -> int:
-        """Run the command; return its number of steps."""
-        self.run(number=-1, step=-1)
-        return int((self.base / "steps").read_text(encoding="utf-8"))
 
     def _forked(self, log: Path, number: int, step: int) -> int:
         sys.stdout.flush()
@@ -267,14 +268,10 @@ class Bench:
 
     def _spawned(self, log: Path, jobs: int) -> int:
         command = [sys.executable, "-m", f"{self.case.program}.cli.main", *self.case.command(jobs)]
-        environment = os.environ | {
-            "PYTHONPATH": str(ROOT),
-            "TMPDIR": str(self.folder / ".tmp"),
-            "KILLS": str(self.base),
-        }
+        ours = {"PYTHONPATH": str(ROOT), "TMPDIR": str(self.folder / ".tmp"), "KILLS": str(self.base)}
         with log.open("wb") as said:
             process = subprocess.Popen(
-                command, cwd=self.folder, env=environment, stdin=subprocess.DEVNULL, stdout=said, stderr=said,
+                command, cwd=self.folder, env=os.environ | ours, stdin=subprocess.DEVNULL, stdout=said, stderr=said,
                 start_new_session=True,
             )  # fmt: skip
         process.returncode = 0  # it is waited for above
@@ -337,50 +334,29 @@ def leftovers(bench: Bench) -> list[str]:
     return [name for name in bench.contents() if name.endswith(".part") and Path(name).name.startswith(".")]
 
 
-def trials(name: str, base: Path, count: int, number: int, seed: int) -> tuple[Counter[str], list[str]]:
-    """Kill a command so many times; return what was counted, and what was wrong."""
-    bench = Bench(CASES[name], base)
-    bench.begin()
-    os.chdir(bench.folder)
-    main_of(bench.case.program)(bench.case.command(1))  # what is imported and compiled now, forks have
-    os.chdir(base)
-    undisturbed: dict[int, list[float]] = {1: [], 2: []}
-    for jobs in (1, 1, 1, 2):
-        bench.begin()
-        bench.first = bench.contents()
-        run = bench.run(jobs=jobs)
-        if run.code != 0:
-            return Counter(), [f"undisturbed: exit code {run.code}: {run.said}"]
-        undisturbed[jobs].append(run.seconds)
-        if bench.expected and bench.contents() != bench.expected:
-            return Counter(), [f"two undisturbed runs differ: {different(bench)}"]
-        bench.expected = bench.contents()
-    bench.begin()
-    steps = bench.steps()
+def trials(bench: Bench, count: int, number: int, generator: random.Random) -> tuple[Counter[str], list[str]]:
+    """End a command so many times; return what was counted, and what was wrong."""
     counted: Counter[str] = Counter()
     wrong: list[str] = []
-    generator = random.Random(f"{name} {seed}")
-    while counted["kills"] < count and counted["runs"] < 20 * count + 100 and len(wrong) < 20:
+    while counted["ended"] < count and counted["runs"] < 20 * count + 100 and len(wrong) < 20:
         counted["runs"] += 1
-        jobs = 2 if counted["kills"] % WITH_WORKERS == WITH_WORKERS - 1 else 1
-        after_s = generator.uniform(0.0, statistics.median(undisturbed[jobs]))
-        step = generator.randint(1, steps) if jobs == 1 and counted["kills"] % 2 else 0
+        jobs = 2 if counted["ended"] % WITH_WORKERS == WITH_WORKERS - 1 else 1
+        after_s = generator.uniform(0.0, bench.seconds[jobs])
+        step = generator.randint(1, bench.steps) if jobs == 1 and counted["ended"] % 2 else 0
         bench.begin()
         run = bench.run(jobs=jobs, number=number, after_s=after_s, step=step)
         if run.code == 0:
             continue  # it was faster this time
-        found = list(wrong_of(bench, run, number, counted, jobs))
-        counted["kills"] += 1
-        moment = f"before step {step} of {steps}" if step else f"after {after_s:.3f} s"
-        wrong += [f"{name}, {jobs} jobs, {moment}: {text}" for text in found]
-    if counted["kills"] < count:
-        wrong.append(f"{name}: only {counted['kills']} kills in {counted['runs']} runs")
-    counted["ms undisturbed"] = round(1000 * statistics.median(undisturbed[1]))
+        counted["ended"] += 1
+        moment = f"before step {step} of {bench.steps}" if step else f"after {after_s:.3f} s"
+        wrong += [f"{jobs} jobs, {moment}: {text}" for text in wrong_of(bench, run, number, counted, jobs)]
+    if counted["ended"] < count:
+        wrong.append(f"ended only {counted['ended']} times")
     return counted, wrong
 
 
 def wrong_of(bench: Bench, run: Run, number: int, counted: Counter[str], jobs: int) -> list[str]:
-    """What is wrong after a kill, and after the same command was run again."""
+    """What is wrong after a signal, and after the same command was run again."""
     wrong = []
     dirty, temporary = half_written(bench), leftovers(bench)
     counted["left unfinished work"] += bench.contents() not in (bench.first, bench.expected)
@@ -413,38 +389,56 @@ def different(bench: Bench) -> list[str]:
     return sorted(name for name in found.keys() | bench.expected.keys() if found.get(name) != bench.expected.get(name))
 
 
+def in_a_process(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run this program: its forks need a process without threads."""
+    command = [sys.executable, "-m", "tests.kills", *arguments]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=2 * PATIENCE_S)
+
+
 def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.kills", description="Kill commands at random moments.")
     parser.add_argument("commands", nargs="*", metavar="COMMAND", help=f"of {', '.join(CASES)} (default: all)")
-    parser.add_argument("--trials", type=int, default=200)
-    parser.add_argument("--signal", choices=("KILL", "TERM", "INT", "HUP"), default="KILL")
+    parser.add_argument("--trials", type=int, default=200, help="of each signal (default: %(default)s)")
+    parser.add_argument("--signal", nargs="+", choices=("KILL", "TERM", "INT", "HUP"), default=["KILL"], dest="signals")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args(argv)
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
-    number = signal.Signals[f"SIG{arguments.signal}"]
     failed = False
     for name in arguments.commands or CASES:
         with tempfile.TemporaryDirectory() as folder:
-            begun = time.monotonic()
-            devnull = os.open(os.devnull, os.O_WRONLY)
-            shown = os.dup(1)
-            os.dup2(devnull, 1)  # of the commands that run here
-            try:
-                counted, wrong = trials(name, Path(folder), arguments.trials, number, arguments.seed)
-                sys.stdout.flush()
-            finally:
-                os.chdir(ROOT)
-                os.dup2(shown, 1)
-        failed |= bool(wrong)
-        rest = ", ".join(f"{value} {key}" for key, value in counted.items() if key not in ("kills", "runs"))
-        print(
-            f"{name}: {counted['kills']} times {number.name} in {counted['runs']} runs ({rest}); {len(wrong)} wrong; "
-            f"seed {arguments.seed}; {time.monotonic() - begun:.0f} s",
-            flush=True,
-        )
+            bench = Bench(CASES[name], Path(folder))
+            with no_output():
+                wrong = bench.prepare()
+            for word in arguments.signals if not wrong else ():
+                number = signal.Signals[f"SIG{word}"]
+                generator = random.Random(f"{name} {arguments.seed}")  # noqa: S311 # moments, no secrets
+                begun = time.monotonic()
+                counted, found = trials(bench, arguments.trials, number, generator)
+                rest = ", ".join(f"{value} {key}" for key, value in counted.items() if key not in ("ended", "runs"))
+                print(
+                    f"{name}: {counted['ended']} times {number.name} in {counted['runs']} runs ({rest}); "
+                    f"{len(found)} wrong; seed {arguments.seed}; {time.monotonic() - begun:.0f} s",
+                    flush=True,
+                )
+                wrong += found
         for text in wrong:
-            print(f"  {text}", flush=True)
+            print(f"  {name}: {text}", flush=True)
+        failed |= bool(wrong)
     return int(failed)
+
+
+@contextmanager
+def no_output() -> Iterator[None]:
+    """Show nothing of what is printed: commands that run here print their results."""
+    sys.stdout.flush()
+    shown, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    try:
+        yield
+        sys.stdout.flush()
+    finally:
+        os.chdir(ROOT)
+        os.dup2(shown, 1)
 
 
 if __name__ == "__main__":

@@ -133,7 +133,7 @@ def _leave_mapping(output: Path, plan: Plan, observed: Observed, found: Match) -
 
 def _write(plan: Plan, found: Match, output: Path, arguments: argparse.Namespace, workers: Workers) -> None:
     from capture.manifest import card_of, in_place, into_layout, with_hashes
-    from capture.placing import Placement, check_free, copy, link, prepare
+    from capture.placing import Placement, check_free, copy, link, make_folders
     from eldata.manifest.card import save_card
     from eldata.manifest.table import save_records
 
@@ -153,7 +153,7 @@ def _write(plan: Plan, found: Match, output: Path, arguments: argparse.Namespace
             Placement(row.path, dataset.folder / row.record.path, row.record.sha256 or "") for row in dataset.rows
         ]
         check_free(placements)
-        prepare(placements)
+        make_folders(placements)
         work = copy if arguments.copy_to else link
         for _ in workers.run(work, placements, label="copying" if arguments.copy_to else "linking"):
             pass

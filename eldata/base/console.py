@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 from eldata import __version__
 from eldata.base.fields import whole_of
-from eldata.base.stopping import Stopped, Stopping, exit_code, in_words, stoppable
+from eldata.base.stopping import Stopped, Stopping, exit_code, stoppable, what_it_did
 from eldata.base.visible import visible, visible_output
 from eldata.errors import ArgumentError, EldataError
 
@@ -173,7 +173,7 @@ def whole_number(at_least: int) -> Callable[[str], int]:
 def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:
     """Parse arguments, run the subcommand's ``run`` and return the exit code.
 
-    A subcommand is set up by :func:`add_shared`. What it raises, and what ends it from outside, becomes one line on stderr.
+    A subcommand is set up by :func:`add_shared`. What it raises, and what ends it from outside, is one line on stderr.
     """
     _occupy_closed_streams()
     stopping = Stopping(parser.prog if argv is None else None)
@@ -224,7 +224,7 @@ def _explained(error: BaseException, arguments: argparse.Namespace) -> tuple[int
         return UNUSABLE, str(error)
     if isinstance(error, KeyboardInterrupt):
         number = error.number if isinstance(error, Stopped) else signal.SIGINT
-        return exit_code(number), f"{in_words(number)}; {arguments.interrupted.format_map(vars(arguments))}"
+        return exit_code(number), f"{what_it_did(number)}; {arguments.interrupted.format_map(vars(arguments))}"
     if isinstance(error, BrokenPipeError):  # head, less: nothing to say, but nobody knows that all is well
         _drop_output()
         return CLOSED_PIPE, ""
@@ -256,4 +256,4 @@ def _occupy_closed_streams() -> None:
             if taken != number:
                 os.dup2(taken, number)
                 os.close(taken)
-        setattr(sys, name, open(number, "w" if number else "r", closefd=False))  # noqa: PTH123, SIM115 # for good
+        setattr(sys, name, open(number, "w" if number else "r", closefd=False))  # noqa: SIM115 # for good

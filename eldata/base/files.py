@@ -86,7 +86,7 @@ def atomic_write(path: Path | str) -> Iterator[IO[bytes]]:
 
 
 _MOST_TRIES = 20
-_LEFTOVER = re.compile(r"\..+\.(eldata|[0-9a-f]{16})\.part", re.DOTALL)
+_LEFTOVER = re.compile(r"\..*\.(eldata|[0-9a-f]{16})\.part", re.DOTALL)
 
 
 @contextmanager
@@ -94,8 +94,8 @@ def temporary_file(path: Path) -> Iterator[tuple[IO[bytes], Path]]:
     """Yield a new file beside ``path`` and its path, to be renamed; it is removed unless that was done.
 
     Its lock, held as long as it is open, tells it from what a dead process left; that is removed first. Where another
-    process writes to the same ``path``, it gets a name of its own. Without locks (Windows, some network disks) nothing of
-    others is removed.
+    process writes to the same ``path``, it gets a name of its own. Without locks (Windows, some network disks) nothing
+    of others is removed.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def temporary_file(path: Path) -> Iterator[tuple[IO[bytes], Path]]:
         If it cannot be made.
     """
     for unique in ("eldata", *(secrets.token_hex(8) for _ in range(_MOST_TRIES))):
-        temporary = path.with_name(f".{path.name}.{unique}.part")
+        temporary = path.parent / f".{path.name}.{unique}.part"  # of any path, also of one without a name
         _remove_if_dead(temporary)
         try:
             file = temporary.open("xb")
@@ -181,7 +181,7 @@ def write_json(path: Path | str, data: object, *, indent: int = 2) -> None:
 def json_text(data: object, *, indent: int | None = 2) -> str:
     r"""Return plain types as the text of a JSON file, on one line if ``indent`` is ``None``; all numbers are finite.
 
-    What stands for a byte of a file name that is not UTF-8 becomes a number, ``\udcff``, which JSON reads back the same.
+    What stands for a byte of a file name that is not UTF-8 becomes a number, ``\udcff``, which JSON reads back.
     """
     text = json.dumps(data, indent=indent, ensure_ascii=False, allow_nan=False)
     return text.encode("utf-8", "backslashreplace").decode() + "\n"

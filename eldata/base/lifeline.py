@@ -2,8 +2,8 @@
 
 Parent and workers hold the two ends of a pair of sockets. The parent's end is closed by :meth:`Lifeline.cut`, or by the
 system if the parent is killed; a thread of each worker waits for that. A worker without work then ends at once. In one
-that works, :class:`~eldata.base.stopping.Stopped` is raised, so that a half-written file is removed; if a long call into
-C does not let that happen within five seconds, it ends nevertheless.
+that works, :class:`~eldata.base.stopping.Stopped` is raised, so that a half-written file is removed; if a long call
+into C does not let that happen within five seconds, it ends nevertheless.
 
 A library that keeps the interpreter's lock for long could keep that thread from running. On Linux the kernel therefore
 kills workers whose parent is gone; :class:`Lifeline` says when that is safe.
@@ -41,10 +41,10 @@ _LOOK_S = 1.0  # how often a worker looks for its parent, should another process
 
 
 class Lifeline:
-    """The parent's end, which is cut when no worker is wanted any more, and the ``context`` of the pool that starts them.
+    """The parent's end, cut when no worker is wanted any more, and the ``context`` of the pool that starts them.
 
-    A worker that the kernel is to kill with its parent is in fact killed with the *thread* that started it, so the kernel
-    is asked only where that is the main thread.
+    A worker that the kernel is to kill with its parent is in fact killed with the *thread* that started it, so the
+    kernel is asked only where that is the main thread.
     """
 
     def __init__(self) -> None:
@@ -101,7 +101,7 @@ class _Spawning(SpawnContext):
 
 @contextmanager
 def _blocked() -> Iterator[None]:
-    """Block the signals of a stop in this thread, and from their first instruction on in processes that start inside."""
+    """Block the signals of a stop in this thread, and from the first instruction on in processes started inside."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -122,7 +122,7 @@ class _Worked:
     told = False
 
 
-def begin(lifeline: socket.socket, by_main_thread: bool) -> None:  # noqa: FBT001 # as a pool passes it
+def begin(lifeline: socket.socket, by_main_thread: bool) -> None:  # as a pool passes it
     """Begin a worker's life: from here on it ends with its parent. Ctrl-C and its like are the parent's to answer."""
     parent = multiprocessing.parent_process()
     watched: list[Any] = [lifeline]

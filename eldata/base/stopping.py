@@ -1,8 +1,8 @@
 """How a program and its workers end when they are told to: Ctrl-C, SIGTERM, and SIGHUP of a terminal that is closed.
 
-A command line goes through three stages. While it imports and parses, :func:`exit_when_told` ends it on the spot: there is
-nothing to tidy. While its work runs, :func:`stoppable` raises :class:`Stopped` in it, which unwinds: files that are half
-written are removed, workers end. Afterwards it ends on the spot again.
+A command line goes through three stages. While it imports and parses, :func:`exit_when_told` ends it on the spot:
+there is nothing to tidy. While its work runs, :func:`stoppable` raises :class:`Stopped` in it, which unwinds: files
+that are half written are removed, workers end. Afterwards it ends on the spot again.
 
 What this module and the entry points import decides how soon the first stage begins: neither ``typing`` nor
 ``threading``, which would take as long as all the rest.
@@ -34,8 +34,8 @@ SIGNALS = tuple(getattr(signal, name) for name in _WORDS)
 _SAME_EVENT_S = 1.0  # timeout(1) sends SIGTERM twice at once, to its child and to the child's group
 
 
-class Stopped(KeyboardInterrupt):  # noqa: N818 # no error, like its base
-    """This process was told to end. What handles Ctrl-C handles it."""
+class Stopped(KeyboardInterrupt):  # no error, like its base
+    """The process was told to end. What handles Ctrl-C handles it."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
@@ -47,7 +47,7 @@ def exit_code(number: int) -> int:
     return 128 + number
 
 
-def in_words(number: int) -> str:
+def what_it_did(number: int) -> str:
     """Return what a signal did, such as ``"interrupted"``."""
     return _WORDS[signal.Signals(number).name]
 
@@ -67,7 +67,7 @@ def exit_when_told(program: str) -> None:
 
 def _exit(number: int, program: str) -> NoReturn:
     try:
-        os.write(2, f"{program}: {in_words(number)}\n".encode())
+        os.write(2, f"{program}: {what_it_did(number)}\n".encode())
     finally:  # whether or not anybody sees it
         os._exit(exit_code(number))
 
@@ -89,8 +89,8 @@ def _in_main_thread() -> bool:
 class Stopping:
     """Whether this process has been told to end, and by what.
 
-    If it is told again, more than a second later, it ends at once: ``program`` is what it then calls itself. With ``None``,
-    where the process is not ours to end, :class:`Stopped` is raised again.
+    If it is told again, more than a second later, it ends at once: ``program`` is what it then calls itself. With
+    ``None``, where the process is not ours to end, :class:`Stopped` is raised again.
     """
 
     def __init__(self, program: str | None) -> None:
@@ -112,7 +112,7 @@ class Stopping:
         raise Stopped(self.number)
 
     def after(self, before: Any) -> Any:
-        """Return what handles a signal once the work is over: of a program something that ends it, else what did before."""
+        """Return what handles a signal once the work is over: of a program what ends it, else what did before."""
         program = self._program
         if program is None:
             return before
@@ -124,7 +124,7 @@ class Stopping:
         return leave
 
     def lost(self, unraisable: Any) -> bool:
-        """Raise again what was raised where Python drops exceptions, such as in ``__del__``; return whether it was that."""
+        """Raise again what was raised where Python drops exceptions, as in ``__del__``; return whether it was that."""
         if not isinstance(unraisable.exc_value, Stopped):
             return False
         self._again = True
@@ -134,7 +134,7 @@ class Stopping:
 
 def _again_soon(number: int) -> None:
     time.sleep(0.01)  # or it would be raised in the hook, and dropped again
-    _thread.interrupt_main(number)
+    _thread.interrupt_main(signal.Signals(number))
 
 
 @contextmanager

@@ -14,8 +14,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="make noisy raw files from clean ones, with a manifest",
         description=(
             "Make noisy exposures of a folder of clean raw files with a camera's calibrated noise. OUT gets the clean "
-            "and noisy frames, a manifest that eldata verify and the datasets read, and every parameter drawn. Work that "
-            "was interrupted, even by kill -9, goes on if the command is repeated."
+            "and noisy frames, a manifest that eldata verify and the datasets read, and every parameter drawn. Work "
+            "that was interrupted, even by kill -9, goes on if the command is repeated."
         ),
     )
     parser.add_argument("clean", metavar="CLEAN", help="folder of clean raw files")

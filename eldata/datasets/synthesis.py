@@ -98,8 +98,8 @@ class Recipe:
 def synthesize(clean: Path, out: Path, recipe: Recipe, *, workers: AnyWorkers = 1) -> Manifest:
     """Write a noisy tree for a folder of clean raw files; return its manifest.
 
-    Whatever ends the work (an error, a full disk, Ctrl-C, kill -9) leaves whole files, and the same call goes on: scenes
-    whose files still have the hashes that they were written with are kept. Until all is written there is no manifest.
+    Whatever ends the work (an error, a full disk, Ctrl-C, kill -9) leaves whole files, and the same call goes on:
+    scenes whose files still have the hashes that they were written with are kept. The manifest comes last.
 
     Parameters
     ----------

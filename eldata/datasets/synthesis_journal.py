@@ -1,7 +1,8 @@
 """What a run of :func:`~eldata.datasets.synthesis.synthesize` has finished, so that the same call goes on after a kill.
 
-``OUT/.begun.jsonl`` is there from the first file to the last: its first line says what was begun, each other which scene is
-whole, with the hashes of its files. Lines are only appended; a last one without its end was being written, and is cut off.
+``OUT/.begun.jsonl`` is there from the first file to the last: its first line says what was begun, each other which
+scene is whole, with the hashes of its files. Lines are only appended; a last one without its end was being written, and
+is cut off.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from typing import IO
 import pytest
 
 import eldata.base.files
-from eldata.base.files import atomic_write, file_problem, inside, path_problem, sha256_of, write_text
+from eldata.base.files import atomic_write, file_problem, inside, path_problem, remove_leftovers, sha256_of, write_text
 from eldata.errors import EldataError, ManifestError
 from tests.cases import in_one_test
 from tests.waiting import PATIENCE_S
@@ -156,13 +156,85 @@ def test_kill_9_in_the_middle_leaves_the_old_file_intact(old: Path) -> None:
     done = subprocess.run([sys.executable, "-c", KILLED, str(old)], timeout=PATIENCE_S, env=env)
     assert done.returncode == -signal.SIGKILL
     assert old.read_bytes() == OLD
-    # What is left behind is hidden, and it does not stand in the next writer's way.
+    # What is left behind is hidden, and the next writer of the file removes it.
     (left,) = set(old.parent.iterdir()) - {old}
     assert left.name.startswith(".")
     assert left.name.endswith(".part")
     with atomic_write(old) as file:
         file.write(NEW)
-    assert old.read_bytes() == NEW
+    assert only(old, NEW)
+
+
+def leftovers(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir() if path.name.endswith(".part")}
+
+
+def test_what_is_being_written_is_not_a_leftover(old: Path) -> None:
+    """Two writers of one file, and somebody who tidies: neither takes the other's away, and the last one wins."""
+    with atomic_write(old) as first:
+        first.write(b"first")
+        with atomic_write(old) as second:
+            second.write(b"second")
+            assert len(leftovers(old.parent)) == 2
+            remove_leftovers(old.parent)
+            assert len(leftovers(old.parent)) == 2
+        assert old.read_bytes() == b"second"
+    assert only(old, b"first")
+
+
+def test_leftovers_of_a_folder_are_removed_and_nothing_else(tmp_path: Path) -> None:
+    dead = [".a.csv.eldata.part", ".b.csv.0123456789abcdef.part", "..begun.json.eldata.part"]
+    others = ["a.csv", "a.csv.part", ".a.csv.part", ".a.csv.123.part", "store.h5.part", ".eldata.part", "c.eldata.part"]
+    for name in dead + others:
+        (tmp_path / name).write_bytes(OLD)
+    (tmp_path / ".folder.eldata.part").mkdir()
+    (tmp_path / ".link.eldata.part").symlink_to(tmp_path / "a.csv")
+    remove_leftovers(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
+        [*others, ".folder.eldata.part", ".link.eldata.part"]
+    )
+
+
+@pytest.mark.parametrize("kind", ["folder", "link", "pipe"])
+def test_what_is_not_ours_in_the_place_of_a_temporary_file_stays(kind: str, old: Path) -> None:
+    """A link there could lead the content elsewhere, and a pipe would be waited for."""
+    there = old.with_name(f".{old.name}.eldata.part")
+    elsewhere = old.with_name("elsewhere")
+    if kind == "folder":
+        there.mkdir()
+    elif kind == "link":
+        there.symlink_to(elsewhere)
+    else:
+        os.mkfifo(there)
+    write_text(old, "new")
+    assert old.read_text(encoding="utf-8") == "new"
+    assert {path.name for path in old.parent.iterdir()} == {old.name, there.name}
+
+
+def test_many_processes_that_write_one_file(old: Path) -> None:
+    """Each of them at some time takes another's temporary file for dead, in the moment before it is locked, or not."""
+    code = (
+        "import sys; from eldata.base.files import write_text\n"
+        "for number in range(100): write_text(sys.argv[1], sys.argv[2] * 1000)\n"
+    )
+    writers = [subprocess.Popen([sys.executable, "-c", code, str(old), letter]) for letter in "abcd"]
+    assert [writer.wait(PATIENCE_S) for writer in writers] == [0] * 4
+    assert only(old, old.read_bytes()[:1] * 1000)
+
+
+def test_on_a_disk_without_locks_nothing_of_others_is_removed(old: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fcntl = pytest.importorskip("fcntl")
+
+    def refuse(*_: object) -> None:
+        raise OSError(37, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    left = old.with_name(f".{old.name}.eldata.part")
+    left.write_bytes(OLD)
+    write_text(old, "new")
+    remove_leftovers(old.parent)
+    assert old.read_text(encoding="utf-8") == "new"
+    assert leftovers(old.parent) == {left.name}
 
 
 def test_a_missing_folder_is_named(tmp_path: Path) -> None:
@@ -224,13 +296,13 @@ def test_a_disk_that_is_full_when_it_is_synced(old: Path, monkeypatch: pytest.Mo
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
 @pytest.mark.parametrize("size", [10, 1_000_000])
 def test_a_disk_that_is_full_when_it_is_written(size: int, old: Path) -> None:
-    with (
-        pytest.raises(EldataError, match=r"cannot write .*scores\.csv: No space left on device"),
-        atomic_write(old) as file,
-        Path("/dev/full").open("wb") as full,
-    ):
-        os.dup2(full.fileno(), file.fileno())
-        file.write(b"x" * size)
+    def write() -> None:
+        with atomic_write(old) as file, Path("/dev/full").open("wb") as full:
+            os.dup2(full.fileno(), file.fileno())
+            file.write(b"x" * size)
+
+    with pytest.raises(EldataError, match=r"cannot write .*scores\.csv: No space left on device"):
+        write()
     assert only(old, OLD)
 
 

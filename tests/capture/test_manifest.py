@@ -345,9 +345,26 @@ def test_after_a_kill_the_same_command_goes_on(small: Field) -> None:
     placed = small.data / "AcmeNocturne/scene-1/IMG_0001.dng"
     placed.parent.mkdir(parents=True)
     shutil.copy(small.files[0], placed)
-    (placed.parent / ".IMG_0002.dng.0123.part").write_bytes(b"half")
+    for number in ("eldata", "0123456789abcdef"):
+        (placed.parent / f".IMG_0001.dng.{number}.part").write_bytes(b"half")
     assert small.copy() == 0
     assert small.problems() == []
+    assert not list(small.data.rglob(".*"))
+
+
+def test_a_kill_between_card_and_manifest(small: Field, capsys: pytest.CaptureFixture[str]) -> None:
+    """The card alone is what such a run left; another one, perhaps filled in, is not touched."""
+    assert small.copy() == 0
+    card, rows = small.csv.with_suffix(".json"), small.csv.read_bytes()
+    small.csv.unlink()
+    assert small.copy() == 0
+    assert small.csv.read_bytes() == rows
+    small.csv.unlink()
+    card.write_text(card.read_text().replace('"licence": "not stated"', '"licence": "CC0"'))
+    capsys.readouterr()
+    assert small.copy() == 2
+    assert f"{card} is there already: give another name, or --replace it" in capsys.readouterr().err
+    assert '"licence": "CC0"' in card.read_text()
 
 
 def test_several_processes(small: Field) -> None:

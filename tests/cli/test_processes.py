@@ -212,7 +212,7 @@ def test_ctrl_c_ends_verify_with_one_line(delay_s: float, long_tree: Tree) -> No
 
 @pytest.fixture(scope="module")
 def long_evaluation(long_tree: Tree, tmp_path_factory: pytest.TempPathFactory) -> list[str | Path]:
-    """The noisy frames as they are, as DNG predictions: their evaluation takes long enough to be ended in its middle."""
+    """The noisy frames as they are, as DNG predictions: scoring them takes long enough to be ended in its middle."""
     folder = tmp_path_factory.mktemp("long-predictions")
     for record in load_manifest(long_tree.manifest).records:
         if record.role == "noisy":

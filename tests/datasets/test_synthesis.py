@@ -11,16 +11,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from eldata.base.files import try_lock
 from eldata.cli.main import main
+from eldata.datasets import synthesis
 from eldata.datasets.base import PairDataset
 from eldata.datasets.packed_store import PackedStore
 from eldata.datasets.synthesis import Recipe, synthesize
-from eldata.errors import ArgumentError, DatasetError, RawFileError
+from eldata.datasets.synthesis_journal import NAME
+from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError
 from eldata.manifest import verify
 from eldata.noise import CameraProfile, NoiseModel, NoiseParameters
 from eldata.raw import read_raw, write_dng
 from eldata.raw.cfa import XTRANS_CFA, pack, pack_normalised
-from eldata.records import Exposure, Sensor, exact_fraction
+from eldata.records import Exposure, RawFrame, Sensor, exact_fraction
 from tests.raw.helpers import write_plain_dng
 
 if TYPE_CHECKING:
@@ -112,6 +115,115 @@ def test_files_depend_on_the_seed_alone(clean: Path, tmp_path: Path) -> None:
     noisy = [name for name in one if "noisy" in name]
     assert len(noisy) == 2
     assert all(one[name] != other[name] for name in noisy)
+
+
+# --- interruptions ------------------------------------------------------------------------------------------------
+
+
+class EndedError(Exception):
+    pass
+
+
+def everything(out: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(out)): path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()}
+
+
+@pytest.fixture
+def unfinished(clean: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, dict[str, bytes]]:
+    """A run that ended in its second scene, and what an undisturbed one leaves."""
+    whole, out = tmp_path / "whole" / "set", tmp_path / "ended" / "set"
+    for folder in (whole, out):
+        folder.parent.mkdir()
+    synthesize(clean, whole, Recipe(SONY, per_image=2))
+    real = write_dng
+
+    def ending(path: Path, *rest: Any, **options: Any) -> None:
+        if path.match("scene-2/noisy-2.dng"):
+            raise EndedError
+        real(path, *rest, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(synthesis, "write_dng", ending)
+        with pytest.raises(EndedError):
+            synthesize(clean, out, Recipe(SONY, per_image=2))
+    return out, everything(whole)
+
+
+def test_an_ended_run_goes_on(
+    unfinished: tuple[Path, dict[str, bytes]], clean: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, whole = unfinished
+    assert sorted(path.name for path in out.iterdir()) == [NAME, "data", "manifests"], "no manifest yet, no parameters"
+    assert not list((out / "manifests").iterdir())
+    decoded: list[str] = []
+
+    def reading(path: Path) -> RawFrame:
+        decoded.append(path.name)
+        return read_raw(path)
+
+    monkeypatch.setattr(synthesis, "read_raw", reading)
+    with (out / NAME).open("ab") as journal:
+        journal.write(b'{"scene": 1, "cle')  # a kill in the middle of a line
+    half = out / "data" / "set" / "SonyA7S2" / "scene-2" / ".noisy-2.dng.eldata.part"
+    half.write_bytes(b"half")
+    synthesize(clean, out, Recipe(SONY, per_image=2))
+    assert decoded == ["b.dng"], "the first scene was whole"
+    assert everything(out) == whole
+
+
+@pytest.mark.parametrize("damage", ["changed", "gone"])
+def test_a_finished_scene_that_is_not_whole_any_more_is_made_again(
+    damage: str, unfinished: tuple[Path, dict[str, bytes]], clean: Path
+) -> None:
+    out, whole = unfinished
+    path = out / "data" / "set" / "SonyA7S2" / "scene-1" / "noisy-1.dng"
+    if damage == "gone":
+        path.unlink()
+    else:
+        content = path.read_bytes()
+        path.write_bytes(content[:-9] + bytes(9))
+    synthesize(clean, out, Recipe(SONY, per_image=2), workers=2)
+    assert everything(out) == whole
+
+
+def test_only_the_same_work_goes_on(unfinished: tuple[Path, dict[str, bytes]], clean: Path) -> None:
+    out, _ = unfinished
+    before = everything(out)
+    for recipe, words in (
+        (Recipe(SONY), "was begun with another per image: expected 1, found 2; give the same data and options as then"),
+        (Recipe(SONY, per_image=2, seed=5), "another seed: expected 5, found 0"),
+        (Recipe(SONY, per_image=2, ratio=(100, 200)), "another ratio"),
+        (Recipe(replace(SONY, source="changed"), per_image=2), "another digest of the profile"),
+    ):
+        with pytest.raises(ArgumentError, match=words):
+            synthesize(clean, out, recipe)
+    write_flat(clean / "c.dng")
+    with pytest.raises(ArgumentError, match="another digest of the clean files"):
+        synthesize(clean, out, Recipe(SONY, per_image=2))
+    assert everything(out) == before
+
+
+def test_two_runs_at_a_time(unfinished: tuple[Path, dict[str, bytes]], clean: Path) -> None:
+    out, whole = unfinished
+    with (out / NAME).open("rb") as held:
+        assert try_lock(out, held)
+        with pytest.raises(EldataError, match="set: another process is writing it; wait for that one"):
+            synthesize(clean, out, Recipe(SONY, per_image=2))
+    synthesize(clean, out, Recipe(SONY, per_image=2))
+    assert everything(out) == whole
+
+
+def test_a_journal_that_is_damaged_is_named(unfinished: tuple[Path, dict[str, bytes]], clean: Path) -> None:
+    out, _ = unfinished
+    first = (out / NAME).read_bytes().splitlines(keepends=True)[0]
+    for content, words in (
+        (b"", "is not JSON"),
+        (first + b"[]\n", r"line 2: expected an object, found \[\]; remove .*set to start again"),
+        (first + b'{"scene": 0}\n', "line 2, field clean: expected an object, found nothing"),
+    ):
+        (out / NAME).write_bytes(content)
+        with pytest.raises(EldataError, match=words):
+            synthesize(clean, out, Recipe(SONY, per_image=2))
 
 
 def test_npy_is_the_models_output(clean: Path, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import sys
 from collections import Counter
 from dataclasses import replace
 from fractions import Fraction
@@ -17,7 +18,7 @@ from eldata.base.png import read_png, read_png_header, read_rgb16, rgb_frame
 from eldata.download.card_downloads import archive_name, choose_parts, holds
 from eldata.errors import ArgumentError, DatasetError, FileError, ManifestError
 from eldata.manifest.card import load_card, save_card
-from eldata.manifest.catalogue import shipped_folder, shipped_manifest
+from eldata.manifest.catalogue import load_manifest, shipped_folder, shipped_manifest
 from eldata.manifest.clips import FRAME_RANGES, Clip, choose_clips, clips_of, frame_range, windows
 from eldata.manifest.drv import UNUSED, scan_preprocessed, scan_raw
 from eldata.manifest.lock import lock
@@ -398,6 +399,26 @@ def test_flipped_bits_show_at_level_full(drv: SmallDrv) -> None:
     (drv.data / FRAME).write_bytes(content)
     assert found(drv, "metadata") == []
     assert found(drv, "full") == [(FRAME, "content")]
+
+
+def test_a_lock_that_was_killed_between_card_and_rows_goes_on(drv: SmallDrv, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The card says how many rows there will be, and the rows are still patterns."""
+
+    def killed(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sys.modules["eldata.manifest.lock"], "save_records", killed)
+        with pytest.raises(KeyboardInterrupt):
+            lock(drv.csv, drv.root)
+    with pytest.raises(ManifestError, match=r"the card expects .* found .*; was eldata lock killed here\? lock again"):
+        load_manifest(drv.csv)
+    assert lock(drv.csv, drv.root).files_locked == 20
+    assert len(load_manifest(drv.csv).records) == 20
+    other = drv.csv.with_suffix(".json")
+    other.write_text(other.read_text(encoding="utf-8").replace('"noisy": ', '"noisy": 1'), encoding="utf-8")
+    with pytest.raises(ManifestError, match="the card expects"):
+        lock(drv.csv, drv.root)
 
 
 def test_locking_lists_the_files(drv: SmallDrv) -> None:

@@ -181,6 +181,6 @@ def test_a_kill_while_writing_leaves_the_manifest(tree: Tree, moment: str) -> No
     assert done.returncode == -signal.SIGKILL, done.stderr.decode()
     assert tree.csv.read_bytes() == before
     assert len(load_records(tree.csv)) == 32
-    # What the kill left behind is in nobody's way.
     assert lock(tree.csv, tree.root).files_locked == 32
+    assert sorted(path.name for path in tree.csv.parent.iterdir()) == [tree.csv.name, f"{tree.csv.stem}.json"]
     assert verify(tree.csv.parent, tree.root, level="full").ok

@@ -211,6 +211,24 @@ def test_after_a_kill_what_was_half_goes_and_what_is_damaged_is_written_anew(
     assert bytes_of(folder) == bytes_of(tiles)
 
 
+def test_after_a_kill_between_the_last_two_steps(
+    eld: Path, tiles: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The index is there, and still what was begun."""
+    folder = tmp_path / "shards"
+
+    def killed(_: Path) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(type(folder), "unlink", killed)
+        with pytest.raises(KeyboardInterrupt):
+            write_shards(eld, folder, tile=16, samples_per_shard=50)
+    assert {INDEX, BEGUN} <= set(bytes_of(folder))
+    assert write_shards(eld, folder, tile=16, samples_per_shard=50).resumed == 3
+    assert bytes_of(folder) == bytes_of(tiles)
+
+
 def test_other_work_is_not_mixed_in(eld: Path, tiles: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "shards"
     monkeypatch.setattr(writing, "index_text", None)

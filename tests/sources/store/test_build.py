@@ -347,6 +347,15 @@ def test_a_part_without_its_journal(clean: Packed, tmp_path: Path) -> None:
     build_store(clean.source, tmp_path / "store.h5")
 
 
+def test_a_journal_that_a_kill_left_beside_a_finished_store_is_removed(clean: Packed, tmp_path: Path) -> None:
+    store, left = tmp_path / "store.h5", tmp_path / "store.h5.part.journal"
+    build_store(clean.source, store)
+    left.write_bytes(b"of the last commit")
+    with pytest.raises(EldataError, match="is there already"):
+        build_store(clean.source, store)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["store.h5"]
+
+
 def test_a_stale_journal_does_no_harm(clean: Packed, tmp_path: Path) -> None:
     """As a kill between the last two steps leaves it."""
     begun(tmp_path, clean).unlink()

@@ -307,7 +307,7 @@ def kept(unit):
     ctypes.PyDLL(None).sleep(10**6)  # one that keeps the interpreter's lock: nothing else runs in that worker
 
 def said(unit):
-    os.write(1, b"begun\n")
+    os.write(1, b"begun\\n")
     return globals()[sys.argv[1]](unit)
 
 if __name__ == "__main__":

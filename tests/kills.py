@@ -189,7 +189,9 @@ class Bench:
         self.begin()
         self.first = self.contents()
         os.chdir(self.folder)
+        os.environ["ELDATA_ISOLATE"] = "0"  # so that it is this process that imports what decoding needs
         main_of(self.case.program)(self.case.command(1))  # what is imported and compiled now, forks have
+        del os.environ["ELDATA_ISOLATE"]
         os.chdir(self.base)
         self.expected = self.contents()
         for jobs, number in ((1, 0), (1, -1), (2, 0)):
@@ -372,7 +374,7 @@ def wrong_of(bench: Bench, run: Run, number: int, counted: Counter[str], jobs: i
         if run.code != exit_code(number) and not early:
             wrong.append(f"exit code {run.code}: {run.said}")
         if run.said.count("\n") != 1 and not early:
-            wrong.append(f"said {run.said!r}")
+            wrong.append(f"said {run.said[-1000:]!r}")
         if temporary:
             wrong.append(f"left {temporary}")
     again = bench.run(jobs=jobs)

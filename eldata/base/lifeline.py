@@ -144,11 +144,14 @@ def interruptible(unit: Callable[[], Result]) -> Result:
     """Return what a unit of work returns, unless the worker is told to end meanwhile."""
     _Worked.busy = True
     try:
-        return unit()
+        result = unit()
     except Stopped as stopped:
         os._exit(exit_code(stopped.number))
     finally:
         _Worked.busy = False
+    if _Worked.told:  # a library made another error of it, or none
+        os._exit(exit_code(signal.SIGTERM))
+    return result
 
 
 def _end(number: int, frame: FrameType | None) -> None:

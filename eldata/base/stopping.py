@@ -137,14 +137,27 @@ def _again_soon(number: int) -> None:
     _thread.interrupt_main(signal.Signals(number))
 
 
+_current: Stopping | None = None
+
+
+def raise_if_told() -> None:
+    """Raise :class:`Stopped` again if the command that runs has been told to end, and a library made nothing of it.
+
+    For the seams of long work: an import that is interrupted may end in any other error, or in none.
+    """
+    if _current is not None and _current.number is not None and _in_main_thread():
+        raise Stopped(_current.number)
+
+
 @contextmanager
 def stoppable(state: Stopping) -> Iterator[None]:
     """Raise :class:`Stopped` in the block when the process is told to end, and again at its end if that was lost.
 
     In threads other than the main one, and for signals that somebody else handles or ignores, nothing changes.
     """
+    global _current  # noqa: PLW0603 # signals are the process's
     before = {number: signal.getsignal(number) for number in _ours()}
-    hook = sys.unraisablehook
+    hook, outer = sys.unraisablehook, _current
 
     def watching(unraisable: Any) -> None:
         if not state.lost(unraisable):
@@ -152,6 +165,7 @@ def stoppable(state: Stopping) -> Iterator[None]:
 
     try:
         if before:
+            _current = state
             sys.unraisablehook = watching
         for number in before:
             signal.signal(number, state.told)
@@ -162,6 +176,7 @@ def stoppable(state: Stopping) -> Iterator[None]:
         for number, handler in before.items():
             signal.signal(number, state.after(handler))
         sys.unraisablehook = hook
+        _current = outer
 
 
 @contextmanager

@@ -35,6 +35,7 @@ from tqdm import tqdm
 
 from eldata.base.isolation import isolating, set_isolation
 from eldata.base.lifeline import Lifeline, begin, interruptible
+from eldata.base.stopping import raise_if_told
 from eldata.errors import ArgumentError, EldataError, FileError
 
 if TYPE_CHECKING:
@@ -250,11 +251,13 @@ def _run_unit(
     work: Callable[[Unit], Result], unit: Unit, caller: tuple[str, int], isolate: bool = False, _: str = ""
 ) -> Result | Failed[Unit]:
     """Return a unit's result, or its error as a value: what an executor itself raises can then be told from it."""
+    raise_if_told()
     try:
         if _here() != caller:
             set_isolation(isolate)
         return work(unit)
     except Exception as error:  # noqa: BLE001 # whatever it is, it is the unit's
+        raise_if_told()
         host, process = _here()
         if (host, process) == caller:
             return Failed(unit, error)

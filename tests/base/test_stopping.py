@@ -63,6 +63,35 @@ def test_what_a_library_swallowed_is_raised_at_the_end(number: int) -> None:
     assert state.number == number
 
 
+@pytest.mark.kill
+def test_what_an_import_makes_of_it_is_not_a_units_error(tmp_path: Path) -> None:
+    """Enumerations wrap what is raised while they are made: as units' errors, files would be listed as problems."""
+    (tmp_path / "wrapping.py").write_text(
+        "import os, signal\n"
+        "try:\n"
+        "    os.kill(os.getpid(), signal.SIGTERM)\n"
+        "except BaseException:\n"
+        "    raise RuntimeError('Error calling __set_name__')\n"
+    )
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[1])\n"
+        "from eldata.base.stopping import Stopped, Stopping, stoppable\n"
+        "from eldata.base.workers import Workers\n"
+        "def work(unit):\n"
+        "    print(unit, flush=True)\n"
+        "    import wrapping\n"
+        "try:\n"
+        "    with stoppable(Stopping(None)):\n"
+        "        list(Workers().attempt(work, [1, 2, 3]))\n"
+        "except Stopped as stopped:\n"
+        "    print('stopped by', stopped.number)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, timeout=PATIENCE_S
+    )
+    assert (done.stdout, done.stderr) == ("1\nstopped by 15\n", "")
+
+
 def test_what_python_drops_is_raised_again() -> None:
     class Careless:
         def __del__(self) -> None:

@@ -220,6 +220,7 @@ class Bench:
     def run(self, *, jobs: int = 1, number: int = 0, after_s: float = 0.0, step: int = 0) -> Run:
         """Run the command; send it a signal some time after its begin, or before a step, counted from 1."""
         log = self.base / "log"
+        log.write_bytes(b"")
         begun = time.monotonic()
         pid = self._forked(log, number, step) if jobs == 1 else self._spawned(log, jobs)
         if number and not step:

@@ -15,9 +15,12 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-# A run that was started in the background of a shell ignores Ctrl-C, and so would every process that tests start.
+# A run that was started in the background of a shell ignores Ctrl-C, one under nohup the end of its terminal, and so
+# would every process that tests start.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 # A machine may be busy: how long an example takes to make or to try says nothing.
 settings.register_profile("eldata", deadline=None, suppress_health_check=[HealthCheck.too_slow])

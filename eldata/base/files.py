@@ -10,10 +10,11 @@ import re
 import secrets
 import stat
 import sys
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING
 
+from eldata.base.stopping import held
 from eldata.base.visible import has_unseen
 from eldata.errors import ArgumentError, EldataError, ManifestError
 
@@ -105,22 +106,22 @@ def temporary_file(path: Path) -> Iterator[tuple[IO[bytes], Path]]:
     for unique in ("eldata", *(secrets.token_hex(8) for _ in range(_MOST_TRIES))):
         temporary = path.parent / f".{path.name}.{unique}.part"  # of any path, also of one without a name
         _remove_if_dead(temporary)
-        try:
-            file = temporary.open("xb")
-        except FileExistsError:
-            continue  # a live one, or somebody else's
-        with file:
-            made = os.fstat(file.fileno())
-            try:
-                # In the moment before it is locked another process may take it for dead.
-                if can_lock(file.fileno()) is False or not is_at(temporary, made):
+        with ExitStack() as ends:
+            with held():  # a signal in between would leave a file that nobody knows of
+                try:
+                    file = ends.enter_context(temporary.open("xb"))
+                except FileExistsError:
+                    continue  # a live one, or somebody else's
+                made = os.fstat(file.fileno())
+                ends.callback(_remove_if_at, temporary, made)
+                if can_lock(file.fileno()) is False:
+                    # Another process took it for dead in the moment before, and will remove it.
+                    ends.pop_all()
+                    file.close()
                     continue
+            if is_at(temporary, made):
                 yield file, temporary
                 return
-            finally:
-                with suppress(OSError):
-                    if is_at(temporary, made):
-                        temporary.unlink()
     raise OSError(errno.EBUSY, "other processes take away what is written", str(temporary))
 
 
@@ -137,12 +138,20 @@ def remove_leftovers(folder: Path) -> None:
             _remove_if_dead(folder / name)
 
 
+def _remove_if_at(temporary: Path, file: os.stat_result) -> None:
+    with suppress(OSError):
+        if is_at(temporary, file):
+            temporary.unlink()
+
+
 def _remove_if_dead(temporary: Path) -> None:
     with suppress(OSError):  # it is not there, or not ours
         flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
         descriptor = os.open(temporary, flags)
         try:
-            if can_lock(descriptor) and stat.S_ISREG(os.fstat(descriptor).st_mode):
+            found = os.fstat(descriptor)
+            # Its owner may have renamed it meanwhile, and another live process have made a new one of its name.
+            if stat.S_ISREG(found.st_mode) and can_lock(descriptor) and is_at(temporary, found):
                 temporary.unlink()
         finally:
             os.close(descriptor)

@@ -14,6 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING
 
+from eldata.base.stopping import held
 from eldata.base.visible import has_unseen
 from eldata.errors import ArgumentError, EldataError, ManifestError
 
@@ -105,19 +106,22 @@ def temporary_file(path: Path) -> Iterator[tuple[IO[bytes], Path]]:
     for unique in ("eldata", *(secrets.token_hex(8) for _ in range(_MOST_TRIES))):
         temporary = path.with_name(f".{path.name}.{unique}.part")
         _remove_if_dead(temporary)
+        made: os.stat_result | None = None
         try:
-            file = temporary.open("xb")
-        except FileExistsError:
-            continue  # a live one, or somebody else's
-        with file:
-            made = os.fstat(file.fileno())
-            try:
+            with held():  # a file that nobody knows of yet would stay
+                file = temporary.open("xb")
+                made = os.fstat(file.fileno())
+            with file:
                 # In the moment before it is locked another process may take it for dead.
-                if can_lock(file.fileno()) is False or not is_at(temporary, made):
-                    continue
-                yield file, temporary
-                return
-            finally:
+                if can_lock(file.fileno()) is not False and is_at(temporary, made):
+                    yield file, temporary
+                    return
+        except FileExistsError:
+            if made is not None:
+                raise  # in the caller's block
+            # A live one, or somebody else's.
+        finally:
+            if made is not None:
                 with suppress(OSError):
                     if is_at(temporary, made):
                         temporary.unlink()

@@ -23,6 +23,7 @@ NAMES = (
     *("decode", "packing", "dataset_item", "metrics", "evaluation", "noise", "synthetic_pairs", "calibration"),
     "store",
     "streaming",
+    "manifest",
 )
 
 _PACKAGES = ("eldata", "numpy", "numba", "rawpy", "torch", "scikit-image")

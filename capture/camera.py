@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 from capture.capture_errors import CameraError, naming
 from capture.exact import ExactNumber, as_exact, parse_seconds
-from eldata.base.fields import Fields, TextFile
+from eldata.base.fields import Fields, TextFile, shown
 from eldata.base.files import write_json
 from eldata.errors import ArgumentError
 from eldata.raw.extensions import RAW_EXTENSIONS
@@ -246,7 +246,7 @@ class CameraDescription:
         if self.raw_extension.lower() not in RAW_EXTENSIONS:
             raise CameraError(
                 f"raw_extension of {self.name}: expected a raw file's, with the dot, such as .ARW or .CR2; found "
-                f"{self.raw_extension!r}"
+                f"{shown(self.raw_extension)}"
             )
         if not self.isos or any(low >= high for low, high in pairwise(self.isos)):
             raise CameraError(f"isos of {self.name}: expected one or more, rising; found {list(self.isos)}")

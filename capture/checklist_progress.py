@@ -198,7 +198,7 @@ def _shots(fields: Fields, name: str, expected: Sequence[ChecklistRow]) -> tuple
 
 
 def _words(fields: Fields, name: str) -> str:
-    found = fields.text(name, empty=True, longest=LONGEST_TEXT)
+    found = fields.text(name, empty=True, longest=LONGEST_TEXT, unseen=True)
     if any(unicodedata.category(character) == "Cc" for character in found):
         raise fields.wrong(name, "a text without control characters", found)
     return found.strip()

@@ -324,7 +324,11 @@ def _load(path: Path) -> Plan:
 def _scene(fields: Fields, camera: CameraDescription, protocol: CaptureProtocol) -> ScenePlan:
     fields.only(("name", "metered_s", "notes", "shots"))
     scene = plan_scene(
-        camera, protocol, fields.text("name"), fields.parsed("metered_s", parse_seconds), fields.texts("notes")
+        camera,
+        protocol,
+        fields.text("name"),
+        fields.parsed("metered_s", parse_seconds),
+        fields.texts("notes", unseen=True),
     )
     _check_shots(fields, scene.shots)
     return scene

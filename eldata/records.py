@@ -189,7 +189,7 @@ def from_columns(kind: type[_Record], columns: Mapping[str, Sequence[object]]) -
     A million records take seconds by their own ``__init__``, which has to get each value past a frozen class's guard.
     """
     records = [object.__new__(kind) for _ in next(iter(columns.values()))]
-    for name in kind.__slots__:  # type: ignore[attr-defined] # dataclass(slots=True) makes them
+    for name in kind.__slots__:  # dataclass(slots=True) makes them
         deque(map(getattr(kind, name).__set__, records, columns[name]), maxlen=0)
     return records
 

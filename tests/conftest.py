@@ -7,6 +7,7 @@ import signal
 from typing import TYPE_CHECKING
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from tests.shared import made_once
 
@@ -17,6 +18,10 @@ if TYPE_CHECKING:
 # A run that was started in the background of a shell ignores Ctrl-C, and so would every process that tests start.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# A machine may be busy: how long an example takes to make or to try says nothing.
+settings.register_profile("eldata", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("eldata")
 
 # Commands decode in processes of their own by default. Tests of something else replace parts of decoders in this one,
 # and run hundreds of commands, each of which would wait for such a process to start.

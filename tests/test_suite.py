@@ -23,10 +23,10 @@ def test_make_leaves_out_what_carries_a_mark() -> None:
 
 
 CLOCKS = {"monotonic", "monotonic_ns", "perf_counter", "perf_counter_ns", "process_time", "time_ns"}
-# The last two look at clocks to end what hangs; no test of theirs asks how long anything took.
+# The last ones look at clocks to end what hangs and to choose moments; no test of theirs asks how long anything took.
 MAY_WAIT = {
     *("tests/waiting.py", "tests/capture/checklist_browser.py", "tests/fuzz/__main__.py", "tests/fuzz/running.py"),
-    "tests/kills.py",  # to draw moments; nothing is judged by them
+    "tests/kills.py",
 }
 
 

@@ -44,6 +44,7 @@ LARGEST_FILE_BYTES: Final = 256 << 20
 _MOST_DIGITS: Final = 40
 _LARGEST_FLOAT: Final = sys.float_info.max
 _LONGEST_SHOWN: Final = 80
+_ROWS_AT_ONCE: Final = 1024
 _WHOLE: Final = re.compile(rf"[0-9]{{1,{_MOST_DIGITS}}}")
 _DECIMAL: Final = re.compile(r"[+-]?(?:[0-9]{1,40}(?:\.[0-9]{0,40})?|\.[0-9]{1,40})(?:[eE][+-]?[0-9]{1,4})?")
 
@@ -310,7 +311,7 @@ class TextFile:
         file.text("CSV")  # before the first row is judged
         reader = _csv_reader(file.content)
         try:
-            header = next(reader, [])
+            header: list[str] = next(reader, [])
             if header != list(columns):
                 found = shown(",".join(header), longest=400)
                 raise self.problem(f"expected the columns {','.join(columns)}; found {found}", "line 1")
@@ -323,7 +324,7 @@ class TextFile:
         except csv.Error as error:
             raise self.problem(f"is not CSV ({error})", f"line {reader.line_num}") from error
 
-    def columns(self, columns: Sequence[str], rows_at_once: int = 1024) -> Iterator[list[tuple[str, ...]]]:
+    def columns(self, columns: Sequence[str]) -> Iterator[list[tuple[str, ...]]]:
         """Yield the columns of some rows at a time, of a file such as :meth:`rows` reads; for millions of rows.
 
         What is wrong with the file raises a ``ValueError`` that does not say where: read it by :meth:`rows` then, which
@@ -335,7 +336,7 @@ class TextFile:
         try:
             if next(reader, []) != list(columns):
                 raise ValueError(columns)
-            while rows := list(islice(reader, rows_at_once)):
+            while rows := list(islice(reader, _ROWS_AT_ONCE)):
                 found = list(zip(*rows, strict=True))
                 if len(found) != len(columns):
                     raise ValueError(columns)

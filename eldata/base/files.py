@@ -87,7 +87,7 @@ def atomic_write(path: Path | str) -> Iterator[IO[bytes]]:
 
 
 _MOST_TRIES = 20
-_LEFTOVER = re.compile(r"\..+\.(eldata|[0-9a-f]{16})\.part", re.DOTALL)
+_LEFTOVER = re.compile(r"\..*\.(eldata|[0-9a-f]{16})\.part", re.DOTALL)
 
 
 @contextmanager
@@ -104,7 +104,7 @@ def temporary_file(path: Path) -> Iterator[tuple[IO[bytes], Path]]:
         If it cannot be made.
     """
     for unique in ("eldata", *(secrets.token_hex(8) for _ in range(_MOST_TRIES))):
-        temporary = path.with_name(f".{path.name}.{unique}.part")
+        temporary = path.parent / f".{path.name}.{unique}.part"  # of any path, also of one without a name
         _remove_if_dead(temporary)
         made: os.stat_result | None = None
         try:
@@ -171,7 +171,7 @@ def is_at(path: Path, file: os.stat_result) -> bool:
 def write_text(path: Path | str, text: str) -> None:
     r"""Write UTF-8 text whole or not at all, with line ends as given.
 
-    What stands for a byte of a file name that is not UTF-8 is written as JSON has it: by its number, ``\udcff``.
+    What stands for a byte of a file name that is not UTF-8 is written by its number, ``\udcff``.
     """
     with atomic_write(path) as file:
         file.write(text.encode("utf-8", "backslashreplace"))
@@ -183,8 +183,12 @@ def write_json(path: Path | str, data: object, *, indent: int = 2) -> None:
 
 
 def json_text(data: object, *, indent: int | None = 2) -> str:
-    """Return plain types as the text of a JSON file, on one line if ``indent`` is ``None``; all numbers are finite."""
-    return json.dumps(data, indent=indent, ensure_ascii=False, allow_nan=False) + "\n"
+    r"""Return plain types as the text of a JSON file, on one line if ``indent`` is ``None``; all numbers are finite.
+
+    What stands for a byte of a file name that is not UTF-8 becomes a number, ``\udcff``, which JSON reads back.
+    """
+    text = json.dumps(data, indent=indent, ensure_ascii=False, allow_nan=False)
+    return text.encode("utf-8", "backslashreplace").decode() + "\n"
 
 
 def check_same_work(place: Path, begun: Mapping[str, object], wanted: Mapping[str, object]) -> None:

@@ -414,6 +414,19 @@ def _listen(parent: socket.socket, requests: SimpleQueue[bytes]) -> None:
             os._exit(0)
 
 
+def limit_memory(most_bytes: int) -> None:
+    """Let this process have so many bytes of memory and no more: what asks for more gets a ``MemoryError``.
+
+    Without effect on systems that know no such limit (Windows, macOS).
+    """
+    try:
+        import resource
+    except ImportError:
+        return
+    with suppress(ValueError, OSError):  # a lower limit holds already
+        resource.setrlimit(resource.RLIMIT_DATA, (most_bytes, resource.getrlimit(resource.RLIMIT_DATA)[1]))
+
+
 def _answer(request: bytes) -> list[bytes | memoryview]:
     """Do the work; return whether it returned with what it returned or raised, pickled, and the large arrays in it."""
     import resource
@@ -423,7 +436,7 @@ def _answer(request: bytes) -> list[bytes | memoryview]:
     answer: tuple[bool, Any]
     try:
         folder, limits, work, arguments = ForkingPickler.loads(request)  # the parent's own: no stranger's
-        resource.setrlimit(resource.RLIMIT_DATA, (limits.memory_bytes, most))
+        limit_memory(limits.memory_bytes)
         # The thread that listens needs Python's lock, which hanging work may hold; this does not.
         signal.setitimer(signal.ITIMER_REAL, limits.seconds + _GRACE_S)
         if folder is not None:

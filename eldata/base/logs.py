@@ -11,9 +11,10 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def quiet(level: int, *loggers: str) -> Iterator[None]:
-    """Keep what loggers of libraries report below a level from stderr."""
-    handlers = [handler for name in loggers for handler in logging.getLogger(name).handlers]
+def quiet(level: int, *loggers: str | logging.Logger) -> Iterator[None]:
+    """Keep what loggers of libraries report below a level from stderr; a name finds those that are registered."""
+    known = [logging.getLogger(one) if isinstance(one, str) else one for one in loggers]
+    handlers = [handler for logger in known for handler in logger.handlers]
     before = [handler.level for handler in handlers]
     for handler in handlers:
         handler.setLevel(max(level, handler.level))

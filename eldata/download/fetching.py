@@ -101,12 +101,14 @@ class Fetcher:
             If it cannot be fetched: the server refuses, sends something else, or cannot be reached; the disk is full;
             or the file is not the expected one. The message says what is kept and how to go on.
         """
+        from pooch import get_logger
+
         target = Path(archives.path, name)
         there = target.exists()
         if there and size_bytes is not None and (found_bytes := target.stat().st_size) != size_bytes:
             raise DownloadError(f"{target}: expected {size_bytes} bytes, found {found_bytes}; {_MOVE_AWAY}")
         fetched = passed = False
-        with ExitStack() as held, quiet(logging.WARNING, "pooch"):  # which says on stderr what it fetches
+        with ExitStack() as held, quiet(logging.WARNING, get_logger()):  # which says on stderr what it fetches
 
             def downloader(address: str, temporary: str, _: Pooch) -> None:
                 nonlocal fetched

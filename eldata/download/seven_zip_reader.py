@@ -15,6 +15,7 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 from eldata.base.fields import shown
+from eldata.base.isolation import limit_memory
 from eldata.download.readers import (
     BY_HAND,
     CUT_SHORT,
@@ -124,7 +125,7 @@ def _serve(connection: Connection, name: str, names: list[str] | None) -> None:
     """Send what is asked for, and an end or what is wrong."""
     from pathlib import Path
 
-    _limit_memory()
+    limit_memory(_MOST_MEMORY_BYTES)
     path = Path(name)
     with suppress(ConnectionError):  # nobody is interested any more
         try:
@@ -134,15 +135,6 @@ def _serve(connection: Connection, name: str, names: list[str] | None) -> None:
             connection.send(("problem", error.reason))
         else:
             connection.send(("end", None))
-
-
-def _limit_memory() -> None:
-    try:
-        import resource
-    except ImportError:  # Windows
-        return
-    with suppress(ValueError, OSError):  # a lower limit holds already, or the system has none
-        resource.setrlimit(resource.RLIMIT_AS, (_MOST_MEMORY_BYTES, _MOST_MEMORY_BYTES))
 
 
 def _send_members(connection: Connection, path: Path) -> None:

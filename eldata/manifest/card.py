@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from eldata.base.fields import Fields, TextFile, names_of, shown
 from eldata.base.files import json_text, path_problem, write_text
+from eldata.base.visible import has_unseen
 from eldata.errors import ArgumentError, ManifestError
 from eldata.manifest.subsets import Subset
 
@@ -118,7 +119,7 @@ def load_card(path: Path, content: bytes | None = None) -> Card:
         licence=top.text("licence", empty=True),
         homepage=top.text("homepage", empty=True),
         cfa=top.choice("cfa", ("bayer", "xtrans")),
-        cameras={name: _camera(cameras.inside(name)) for name in cameras.data},
+        cameras={name: _camera(cameras, name) for name in cameras.data},
         counts={role: counts.whole(role) for role in counts.data},
         downloads=tuple(map(_download, top.objects("downloads", missing_ok=True))),
         subsets=subsets,
@@ -133,7 +134,10 @@ def _folder(found: object) -> str:
     return found
 
 
-def _camera(entry: Fields) -> CameraCard:
+def _camera(cameras: Fields, name: str) -> CameraCard:
+    if has_unseen(name):
+        raise cameras.problem(name, "has characters in its name that do not show")
+    entry = cameras.inside(name)
     entry.only(names_of(CameraCard))
     return CameraCard(entry.texts("models", empty=True))
 

@@ -138,8 +138,8 @@ def narrowed(
         _check_known(what, kind, values, map(of, every))
         kept = [item for item in kept if of(item) in values]
     flags = set(wanted.get("flag") or ())
-    _check_known(what, "flag", flags, (flag for item in every for flag in item.flags))
     if flags:
+        _check_known(what, "flag", flags, (flag for item in every for flag in item.flags))
         kept = [item for item in kept if not flags & set(item.flags)]
     if not kept:
         raise ArgumentError(f"no {what} has all of the wanted cameras, scenes, ISOs, ratios, splits and flags together")

@@ -61,19 +61,24 @@ def load_table(path: Path, content: bytes | None = None) -> tuple[tuple[FrameRec
 
 def _parse(file: TextFile) -> tuple[FrameRecord, ...]:
     """Return the rows, sorted by path: by columns, which is fast; if something is wrong, by rows, to say where."""
+    records: list[FrameRecord] = []
     try:
         with _no_search_for_cycles():
-            records = _by_columns(file)
+            _by_columns(file, records)
     except (ManifestError, ValueError):
-        records = _by_rows(file)
+        records = _by_rows(file, records)
     return tuple(sorted(records, key=attrgetter("path")))
 
 
-def _by_rows(file: TextFile) -> list[FrameRecord]:
+def _by_rows(file: TextFile, begun: Sequence[FrameRecord] = ()) -> list[FrameRecord]:
+    """Return the rows in order, or say what is wrong first; those ``begun`` with are right by themselves."""
     records: list[FrameRecord] = []
     places: dict[str, str] = {}
     for row in file.rows(COLUMNS):
-        record = FrameRecord(**{name: read(row, name) for name, read in _READ.items()})
+        if len(records) < len(begun):
+            record = begun[len(records)]
+        else:
+            record = FrameRecord(**{name: read(row, name) for name, read in _READ.items()})
         key = record.path.casefold()  # two names that one file system would hold as one file
         if key in places:
             raise row.problem("path", f"{shown(record.path)} stands in {places[key]} already")
@@ -102,10 +107,12 @@ _PLAIN: dict[str, tuple[re.Pattern[str], Callable[[str], object]]] = {
 _MOST_KEPT = 2**16
 
 
-def _by_columns(file: TextFile) -> list[FrameRecord]:
-    """Return the rows of a table in which nothing is wrong; anything else raises an error that does not say where."""
+def _by_columns(file: TextFile, records: list[FrameRecord]) -> None:
+    """Add the rows of a table in which nothing is wrong; anything else raises an error that does not say where.
+
+    What was added until then is right by itself.
+    """
     known = {name: _Known(file, name) for name in COLUMNS}
-    records: list[FrameRecord] = []
     # Of names that one file system would hold as one file, the hashes: those of a million names are small.
     keys: set[int] = set()
     to_be_references: set[object] = set()
@@ -124,7 +131,6 @@ def _by_columns(file: TextFile) -> list[FrameRecord]:
         are_references.update(path for path, role in pairs if role == "reference")
     if len(keys) < len(records) or not to_be_references <= are_references | {None}:
         raise ValueError(COLUMNS)
-    return records
 
 
 @contextmanager

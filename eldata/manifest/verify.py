@@ -382,7 +382,8 @@ def content_findings(folder: Path, record: FrameRecord) -> list[Finding]:
 
 def _decoded_findings(record: FrameRecord, decoded: Sensor | str | None) -> list[Finding]:
     if isinstance(decoded, str):
-        return [Finding(record.path, "content", "a raw file that decodes", decoded, _AGAIN)]
+        found = decoded.removesuffix(f"; {_AGAIN}")
+        return [Finding(record.path, "content", "a raw file that decodes", found, _AGAIN)]
     if decoded is None:
         return []
     advice = "this file was taken in another mode or by another camera"

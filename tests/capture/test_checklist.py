@@ -24,6 +24,7 @@ from capture.checklist import (
 )
 from capture.checklist_content import every_item, rows
 from capture.cli import main
+from eldata.base.visible import visible
 from tests.capture.checklist_plans import HOSTILE, PLANS, plan_of, small
 from tests.reports.pages import assert_well_formed, checked
 from tests.waiting import PATIENCE_S
@@ -77,7 +78,7 @@ def test_page_allows_its_own_script_and_style_alone(page: str) -> None:
 
 
 def test_hostile_notes_stay_text(page: str) -> None:
-    assert HOSTILE in checked(page).text
+    assert visible(HOSTILE) in checked(page).text
     assert page.count("<script") == 2
     assert "<img" not in page
 

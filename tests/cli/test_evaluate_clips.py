@@ -241,13 +241,13 @@ def test_the_manifest_is_read_once(
     from eldata.manifest import catalogue, table
 
     read: list[Path] = []
-    genuine = table.load_records
+    genuine = table.load_table
 
-    def load(path: Path) -> object:
+    def load(path: Path, content: bytes | None = None) -> object:
         read.append(path)
-        return genuine(path)
+        return genuine(path, content)
 
-    monkeypatch.setattr(catalogue, "load_records", load)
+    monkeypatch.setattr(catalogue, "load_table", load)
     run(eldata, drv, predictions, *CHOSEN, "--html", tmp_path / "a.html", "--compare")
     assert [path for path in read if path == drv.csv] == [drv.csv]
 

@@ -92,21 +92,25 @@ def plain_sevenzip(files: dict[str, bytes]) -> bytes:
 # --- damage -----------------------------------------------------------------------------------------------------------
 
 
+OUTER: dict[str, tuple[Callable[[bytes], bytes], Callable[[bytes], bytes]]] = {
+    "tar.gz": (gzip.decompress, gzip.compress),
+    "tar.bz2": (bz2.decompress, bz2.compress),
+    "tar.xz": (lzma.decompress, lzma.compress),
+}
+
+
 def damaged_archive(kind: str, content: bytes, seed: int) -> bytes:
     """Sound content with one to four seeded changes; half the time with the checksums of headers made right again."""
     rng = random.Random(seed)  # noqa: S311 # to be repeated
-    outer = {"tar.gz": (gzip.decompress, gzip.compress), "tar.bz2": (bz2.decompress, bz2.compress)}.get(
-        kind, (lzma.decompress, lzma.compress) if kind == "tar.xz" else None
-    )
-    inside = outer is not None and rng.random() < 0.5
-    if outer is not None and inside:
+    outer = OUTER.get(kind) if rng.random() < 0.5 else None
+    if outer is not None:
         content = outer[0](content)
     data = bytearray(content)
     for _ in range(rng.randint(1, 4)):
         data = _changed(rng, data, kind)
     if rng.random() < 0.5:
         data = _repaired(kind, data)
-    return outer[1](bytes(data)) if outer is not None and inside else bytes(data)
+    return outer[1](bytes(data)) if outer is not None else bytes(data)
 
 
 def _place(rng: random.Random, data: bytearray, kind: str) -> int:

@@ -122,7 +122,6 @@ def test_the_good_files_are_good(kind: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.study
-@pytest.mark.xfail(strict=False, reason="until every reader's gate is in")
 def test_a_seeded_pass_over_every_reader(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A small part of what docs/reliability.md reports: 0 crashes, hangs, tracebacks, silent pixels."""
     counts = [f"--{kind}={count // 2}" for kind, count in ROUND.items()]

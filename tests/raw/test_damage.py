@@ -114,12 +114,12 @@ def test_what_only_a_hash_finds(photographs: dict[str, list[Path]], tmp_path: Pa
 @pytest.mark.study
 @pytest.mark.parametrize("harm", LOST)
 def test_lost_pages_of_a_demo_are_noticed_on_reading(harm: str, tmp_path: Path) -> None:
-    """2,000 trials of each damage and no miss: the rate of misses is below 0.15 %."""
+    """1,000 trials of each damage and no miss: the rate of misses is below 0.3 %."""
     make_tree(tmp_path, scenes=1)
     paths = sorted((tmp_path / "data").rglob("*.dng"))
-    counts = rates(paths, harm, 2000, 2, tmp_path)
+    counts = rates(paths, harm, 1000, 2, tmp_path)
     assert set(counts) <= {"read", "harmless"}, counts
-    assert counts["harmless"] < 20
+    assert counts["harmless"] < 10
 
 
 @pytest.mark.study

@@ -148,7 +148,7 @@ CASES = {
 
 @dataclass
 class Run:
-    """A run of a command in its folder: how it ended, negative by a signal, and what it printed."""
+    """A run of a command in its folder: how it ended, negative by a signal, and what it said on standard error."""
 
     code: int
     said: str
@@ -247,16 +247,17 @@ class Bench:
 
     def _be(self, log: Path, number: int, step: int) -> NoReturn:
         code = 99
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # as before Python's start
         steps = Steps(number, step)
         try:
             os.setsid()
             os.environ |= {"KILLS": str(self.base), "ELDATA_ISOLATE": "0"}
             os.chdir(self.folder)
             tempfile.tempdir = str(self.folder / ".tmp")
-            written = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
-            os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-            os.dup2(written, 1)
-            os.dup2(written, 2)
+            nowhere = os.open(os.devnull, os.O_RDWR)
+            os.dup2(nowhere, 0)
+            os.dup2(nowhere, 1)
+            os.dup2(os.open(log, os.O_WRONLY), 2)
             sys.argv = [self.case.program, *self.case.command(1)]
             sys.addaudithook(steps.see)
             code = main_of(self.case.program)(None)
@@ -270,13 +271,19 @@ class Bench:
             os._exit(code)
 
     def _spawned(self, log: Path, jobs: int) -> int:
-        command = [sys.executable, "-m", f"{self.case.program}.cli.main", *self.case.command(jobs)]
+        code = f"import sys; from {self.case.program}.cli.main import main; sys.exit(main())"
+        command = [sys.executable, "-c", code, *self.case.command(jobs)]
         ours = {"PYTHONPATH": str(ROOT), "TMPDIR": str(self.folder / ".tmp"), "KILLS": str(self.base)}
         with log.open("wb") as said:
             process = subprocess.Popen(
-                command, cwd=self.folder, env=os.environ | ours, stdin=subprocess.DEVNULL, stdout=said, stderr=said,
+                command,
+                cwd=self.folder,
+                env=os.environ | ours,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=said,
                 start_new_session=True,
-            )  # fmt: skip
+            )
         process.returncode = 0  # it is waited for above
         return process.pid
 

@@ -92,9 +92,12 @@ def opened(path: Path) -> h5py.File:
         raise StoreError(path, f"{reason} ({error}); copy or pack it again") from error
     try:
         _check_header(path, dict(file.attrs))
-    except BaseException:  # Ctrl-C too: the caller gets no file that it could close
+    except BaseException as error:  # Ctrl-C too: the caller gets no file that it could close
         file.close()
-        raise
+        if isinstance(error, EldataError) or not isinstance(error, Exception):
+            raise
+        # HDF5 looks at what it reads while it reads it, and h5py raises many kinds.
+        raise StoreError(path, f"is damaged ({error}); copy or pack it again") from error
     return file
 
 

@@ -29,27 +29,16 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
     from eldata.base.tables import text_table
-    from eldata.download.overview import overview
-    from eldata.manifest.catalogue import data_root, shipped_manifest, shipped_names
+    from eldata.download.overview import overview_of
+    from eldata.manifest.catalogue import carded_names, data_root
 
-    names = shipped_names() if arguments.dataset is None else (arguments.dataset,)
-    found = [overview(shipped_manifest(name), arguments.root) for name in names]
+    names = carded_names() if arguments.dataset is None else (arguments.dataset,)
+    found = [overview_of(name, arguments.root) for name in names]
     if arguments.dataset is not None:
         print(found[0].format_text())
     else:
         header = ("name", "title", "files", "size", f"in {data_root(arguments.root)}", "licence")
-        rows = [
-            (
-                one.manifest.name,
-                one.manifest.card.title,
-                one.presence.count_text,
-                one.size,
-                str(one.presence),
-                one.manifest.card.licence,
-            )
-            for one in found
-        ]
-        print(text_table(header, rows, left=(0, 1, 4, 5)))
+        print(text_table(header, [one.row for one in found], left=(0, 1, 4, 5)))
         print("\neldata info NAME shows one: addresses, citation, known defects")
     if arguments.json:
         write_json(arguments.json, {"datasets": [one.as_dict() for one in found]})

@@ -21,6 +21,7 @@ from .loading import describe as describe
 from .loading import evaluation_loader as evaluation_loader
 from .loading import set_epoch as set_epoch
 from .loading import training_loader as training_loader
+from .lrd import LRDDataset as LRDDataset
 from .packed_clips import PackedClips as PackedClips
 from .packed_clips import PackedUnpairedClips as PackedUnpairedClips
 from .packed_store import PackedStore as PackedStore

@@ -26,6 +26,7 @@ _ENTRIES: dict[str, tuple[str, dict[str, str]]] = {
     "sid-sony": ("eldata.datasets.sid:SIDDataset", {"camera": "sony"}),
     "sid-fuji": ("eldata.datasets.sid:SIDDataset", {"camera": "fuji"}),
     "drv": ("eldata.datasets.drv:DRVDataset", {}),
+    "lrd": ("eldata.datasets.lrd:LRDDataset", {}),
 }
 
 

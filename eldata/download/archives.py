@@ -8,7 +8,7 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
 from eldata.base.fields import shown
-from eldata.base.files import path_problem
+from eldata.base.files import file_problem, path_problem
 from eldata.download.readers import (
     HEAD_BYTES,
     MOST_EXPANSION,
@@ -63,6 +63,9 @@ def open_archive(path: Path) -> Archive:
     DownloadError
         If the package that reads the format is missing; the message says how to go on.
     """
+    problem = file_problem(path)
+    if problem is not None:
+        raise ArchiveError(path, problem)
     try:
         with path.open("rb") as file:
             head = file.read(HEAD_BYTES)

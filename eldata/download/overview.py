@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 from eldata.download.card_downloads import archive_size
 from eldata.download.unpacking import STAGING
-from eldata.manifest.catalogue import data_root
+from eldata.manifest.catalogue import data_root, shipped_card, shipped_manifest, shipped_names
 from eldata.manifest.patterns import is_pattern, matching
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-    from eldata.manifest.card import Download
+    from eldata.manifest.card import Card, Download
     from eldata.manifest.catalogue import Manifest
     from eldata.records import FrameRecord
 
@@ -73,17 +73,14 @@ class Overview:
         """The command that checks the files."""
         manifest = os.path.relpath(self.manifest.path)
         shown = manifest if not manifest.startswith("..") else str(self.manifest.path)
-        return f"eldata verify {shlex.quote(shown)} --root {shlex.quote(str(self.root))} --level metadata"
+        level = "quick" if self.manifest.card.unreadable else "metadata"
+        return f"eldata verify {shlex.quote(shown)} --root {shlex.quote(str(self.root))} --level {level}"
 
     @property
-    def size(self) -> str:
-        """The size of the archives, as far as it is known."""
-        first_of: dict[str, str] = {}
-        for download in self.manifest.card.downloads:
-            if size := archive_size(download):
-                first_of.setdefault(download.part, size)
-        named = {part: size for part, size in first_of.items() if part} or first_of  # no mirrors beside them
-        return " + ".join(named.values()) or "not known"
+    def row(self) -> tuple[str, ...]:
+        """Its line in the table of all: name, title, files, size, what is there, licence."""
+        card = self.manifest.card
+        return card.name, card.title, self.presence.count_text, _size(card), str(self.presence), card.licence
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as plain JSON types."""
@@ -104,10 +101,7 @@ class Overview:
         lines = [
             f"{card.name}: {card.title} (manifest version {card.version})",
             "",
-            *_wrapped(f"licence    {card.licence}", " " * 11),
-            *_wrapped(f"citation   {card.citation}", " " * 11),
-            f"homepage   {card.homepage}",
-            *_wrapped(f"cameras    {', '.join(card.cameras)}", " " * 11),
+            *_facts(card),
             f"files      {self.presence.count_text}: {counts}{patterns}",
             f"folder     {self.folder} ({self.presence})",
             f"such as    {self.folder / self.manifest.records[0].path}",
@@ -120,13 +114,7 @@ class Overview:
             counted = "clips" if any(is_pattern(record.path) for record in self.manifest.records) else "pairs"
             for subset in card.subsets:
                 lines += _wrapped(f"    {subset.name}: {subset.title} ({subset.pairs} {counted})", " " * 8)
-        for title, texts in (("known defects", card.known_defects), ("sources", card.sources)):
-            if texts:
-                lines += ["", title]
-                for text in texts:
-                    lines += _wrapped(f"    - {text}", " " * 6)
-        lines += ["", "next", f"    {self.next_command}"]
-        return "\n".join(lines)
+        return "\n".join([*lines, *_remarks(card), "", "next", f"    {self.next_command}"])
 
     @property
     def next_command(self) -> str:
@@ -139,6 +127,81 @@ class Overview:
     def download_command(self) -> str:
         """The command that says where to get the files."""
         return f"eldata download {self.manifest.name} --root {shlex.quote(str(self.root))}"
+
+
+@dataclass(frozen=True, slots=True)
+class CardAlone:
+    """What is known about a set whose files no public text lists: its ``card``."""
+
+    card: Card
+
+    @property
+    def row(self) -> tuple[str, ...]:
+        """Its line in the table of all: name, title, files, size, what is there, licence."""
+        return self.card.name, self.card.title, "not listed", _size(self.card), "card alone", self.card.licence
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON types; what only a manifest knows is ``None``."""
+        card = asdict(self.card)
+        nothing = dict.fromkeys(("manifest", "folder_on_disk", "presence", "verify"))
+        return card | nothing | {"places": card["downloads"]}
+
+    def format_text(self) -> str:
+        """Return it as text for one dataset."""
+        lines = [
+            f"{self.card.name}: {self.card.title} (card version {self.card.version})",
+            "",
+            *_facts(self.card),
+            "files      no public text lists them: eldata has this card alone",
+            "",
+            "where to get it",
+            *format_downloads(self.card.downloads),
+            *_remarks(self.card),
+            "",
+            "next",
+            '    list your copy in a manifest of your own: docs/adding-a-dataset.md, "Your own files"',
+        ]
+        return "\n".join(lines)
+
+
+def _facts(card: Card) -> list[str]:
+    facts = (
+        ("licence", card.licence),
+        ("citation", card.citation),
+        ("homepage", card.homepage),
+        ("cameras", ", ".join(card.cameras)),
+        ("CFA", "bayer and xtrans" if card.cfa == "both" else card.cfa),
+        ("levels", card.levels),
+        ("contents", card.contents),
+    )
+    return [line for name, text in facts if text for line in _wrapped(f"{name:<11}{text}", " " * 11)]
+
+
+def _remarks(card: Card) -> list[str]:
+    cannot = (f"{card.unreadable}; names and sizes are checked (eldata verify --level quick)",)
+    lines = []
+    for title, texts in (
+        ("eldata cannot load it yet", cannot if card.unreadable else ()),
+        ("how it is scored", card.scored),
+        ("known defects", card.known_defects),
+        ("not known", card.unknown),
+        ("sources", card.sources),
+    ):
+        if texts:
+            lines += ["", title]
+            for text in texts:
+                lines += _wrapped(f"    - {text}", " " * 6)
+    return lines
+
+
+def _size(card: Card) -> str:
+    """Return the size of the archives, as far as it is known."""
+    first_of: dict[str, str] = {}
+    for download in card.downloads:
+        if size := archive_size(download):
+            first_of.setdefault(download.part, size)
+    named = {part: size for part, size in first_of.items() if part} or first_of  # no mirrors beside them
+    return " + ".join(named.values()) or "not known"
 
 
 def _wrapped(text: str, indent: str) -> list[str]:
@@ -179,3 +242,15 @@ def _is_there(path: Path) -> bool:
 def overview(manifest: Manifest, root: Path | str | None = None) -> Overview:
     """Return what is known about a dataset, and how much of it lies below ``root``."""
     return Overview(manifest, data_root(root), presence_of(manifest.folder(root), manifest.records))
+
+
+def overview_of(name: str, root: Path | str | None = None) -> Overview | CardAlone:
+    """Return what is known about a dataset by its name.
+
+    Raises
+    ------
+    ManifestError
+        If the name is unknown; the message lists the known ones.
+    """
+    card = shipped_card(name)
+    return overview(shipped_manifest(name), root) if name in shipped_names() else CardAlone(card)

@@ -1,8 +1,10 @@
 from .card import Card as Card
 from .card import load_card as load_card
 from .catalogue import Manifest as Manifest
+from .catalogue import carded_names as carded_names
 from .catalogue import find_manifests as find_manifests
 from .catalogue import load_manifest as load_manifest
+from .catalogue import shipped_card as shipped_card
 from .catalogue import shipped_manifest as shipped_manifest
 from .catalogue import shipped_names as shipped_names
 from .lock import lock as lock

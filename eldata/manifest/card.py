@@ -50,7 +50,10 @@ class Download:
 
 @dataclass(frozen=True, slots=True)
 class CameraCard:
-    """How a dataset's camera names itself in EXIF: any of ``models`` (makers sell one body under several names)."""
+    """How a dataset's camera names itself in EXIF: any of ``models`` (makers sell one body under several names).
+
+    None at all: no public text says, and no file's camera is checked.
+    """
 
     models: tuple[str, ...]
 
@@ -66,15 +69,23 @@ class Card:
     folder
         The dataset's folder below the data root; the manifest's paths start there.
     cfa
-        ``bayer`` or ``xtrans``.
+        ``bayer``, ``xtrans``, or ``both``: files of either.
     cameras
         EXIF identity of each camera in the manifest.
     counts
-        Expected number of rows per role.
+        Expected number of rows per role. A card without a manifest has none.
     subsets
         Named choices of pairs. ``eldata evaluate`` scores the first one by default.
     known_defects, sources
         What is wrong with the published files, and where this card's facts come from.
+    contents, levels
+        What the set holds, and its black and white levels, in words, as far as a public text says.
+    scored
+        How published code scores it, and what of that no protocol of eldata's can say.
+    unknown
+        What no public text says.
+    unreadable
+        Why eldata cannot load the files yet; empty: it can.
     """
 
     name: str
@@ -91,6 +102,19 @@ class Card:
     subsets: tuple[Subset, ...] = ()
     known_defects: tuple[str, ...] = ()
     sources: tuple[str, ...] = field(default=())
+    contents: str = ""
+    levels: str = ""
+    scored: tuple[str, ...] = ()
+    unknown: tuple[str, ...] = ()
+    unreadable: str = ""
+
+    def check_readable(self) -> None:
+        """Raise :class:`ManifestError` if eldata cannot load the set's files yet."""
+        if self.unreadable:
+            raise ManifestError(
+                f"eldata cannot load {self.name} yet: {self.unreadable}; eldata info {self.name} says more, and "
+                "eldata verify --level quick checks names and sizes"
+            )
 
 
 def load_card(path: Path, content: bytes | None = None) -> Card:
@@ -118,13 +142,18 @@ def load_card(path: Path, content: bytes | None = None) -> Card:
         citation=top.text("citation", empty=True),
         licence=top.text("licence", empty=True),
         homepage=top.text("homepage", empty=True),
-        cfa=top.choice("cfa", ("bayer", "xtrans")),
+        cfa=top.choice("cfa", ("bayer", "xtrans", "both")),
         cameras={name: _camera(cameras, name) for name in cameras.data},
         counts={role: counts.whole(role) for role in counts.data},
         downloads=tuple(map(_download, top.objects("downloads", missing_ok=True))),
         subsets=subsets,
         known_defects=top.texts("known_defects", missing_ok=True, empty=True),
         sources=top.texts("sources", missing_ok=True, empty=True),
+        contents=top.optional("contents", top.text, "", empty=True),
+        levels=top.optional("levels", top.text, "", empty=True),
+        scored=top.texts("scored", missing_ok=True, empty=True),
+        unknown=top.texts("unknown", missing_ok=True, empty=True),
+        unreadable=top.optional("unreadable", top.text, "", empty=True),
     )
 
 

@@ -102,16 +102,41 @@ def shipped_names() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in shipped_folder().glob("*.csv")))
 
 
-def shipped_manifest(name: str) -> Manifest:
-    """Load a shipped manifest by its dataset's name.
+def carded_names() -> tuple[str, ...]:
+    """Return the names of the sets with a shipped card: those of the manifests, and some whose files no text lists."""
+    return tuple(sorted(path.stem for path in shipped_folder().glob("*.json")))
+
+
+def shipped_card(name: str) -> Card:
+    """Load a shipped card by its dataset's name.
 
     Raises
     ------
     ManifestError
         If the name is unknown; the message lists the known ones.
     """
+    if name not in carded_names():
+        raise ManifestError(f"no dataset is called {name!r}; known are {', '.join(carded_names())}")
+    return load_card(shipped_folder() / f"{name}.json")
+
+
+def shipped_manifest(name: str) -> Manifest:
+    """Load a shipped manifest by its dataset's name.
+
+    Raises
+    ------
+    ManifestError
+        If the name is unknown; the message lists the known ones. If the set has a card alone, the message says so.
+    """
+    if name in carded_names() and name not in shipped_names():
+        raise ManifestError(
+            f"eldata knows {name!r} by its card alone, since no public text lists its files: eldata info {name} says "
+            "what is known; list your copy in a manifest of your own (docs/adding-a-dataset.md)"
+        )
     if name not in shipped_names():
-        raise ManifestError(f"no dataset is called {name!r}; known are {', '.join(shipped_names())}")
+        parts = [one for one in shipped_names() if name and one.startswith(f"{name}-")]
+        meant = f"it is {' and '.join(parts)}: name one" if parts else f"known are {', '.join(shipped_names())}"
+        raise ManifestError(f"no dataset is called {name!r}; {meant}")
     return load_manifest(shipped_folder() / f"{name}.csv")
 
 

@@ -219,6 +219,12 @@ def _verify_dataset(
             advice = f"see {manifest.card.homepage}, or name the folder above it with --root"
             problems.append(Problem(manifest.name, str(folder), "folder", "the dataset's files", "nothing", advice))
         return DatasetReport(manifest.name, needed, True, manifest.card.homepage, len(records), 0, 0, tuple(problems))
+    if manifest.card.unreadable and level != "quick":
+        advice = f"check names and sizes with --level quick; eldata info {manifest.name} says more"
+        unread = Problem(
+            manifest.name, str(folder), "level", "files that eldata can load", manifest.card.unreadable, advice
+        )
+        return DatasetReport(manifest.name, folder, False, manifest.card.homepage, len(records), 0, 0, (unread,))
     found, present = check_files(manifest, folder, records, level=level, workers=workers)
     listed = expand(records, folder)
     hashed = sum(record.sha256 is not None for record in present) if level == "full" else 0
@@ -403,7 +409,9 @@ def _raw_findings(path: Path, record: FrameRecord, models: Sequence[str], *, dec
 def _header_findings(header: RawHeader, record: FrameRecord, models: Sequence[str]) -> Outcome:
     """Compare a raw file's camera, ISO and exposure time with its row."""
     findings = []
-    if not header.model and "" not in models:  # which a card lists for files whose camera does not name itself
+    if not models:
+        pass  # no public text says how the camera names itself
+    elif not header.model and "" not in models:  # which a card lists for files whose camera does not name itself
         findings.append(Finding(record.path, "camera", " or ".join(models), "no camera model", _NO_EXIF))
     elif header.model.casefold() not in {model.casefold() for model in models}:
         advice = "this file was taken by another camera"

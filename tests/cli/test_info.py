@@ -7,7 +7,7 @@ import pytest
 
 from eldata.manifest import catalogue
 from eldata.manifest.card import Download
-from eldata.manifest.catalogue import shipped_manifest, shipped_names
+from eldata.manifest.catalogue import carded_names, shipped_card, shipped_manifest, shipped_names
 from tests.cli.test_usage import assert_one_line
 from tests.download.helpers import contents, file_names, make_shelf
 
@@ -38,16 +38,21 @@ def put(folder: Path, count: int) -> None:
 def test_the_table_has_every_shipped_dataset(eldata: Cli) -> None:
     outcome = eldata("info")
     assert (outcome.code, outcome.err) == (0, "")
-    header, rule, *rows = outcome.out.splitlines()[: 2 + len(shipped_names())]
+    header, rule, *rows = outcome.out.splitlines()[: 2 + len(carded_names())]
     assert header.split() == ["name", "title", "files", "size", "in", "data", "licence"]
     assert set(rule) == {"-", " "}
-    assert tuple(row.split()[0] for row in rows) == shipped_names()
-    for row, name in zip(rows, shipped_names(), strict=True):
+    assert tuple(row.split()[0] for row in rows) == carded_names()
+    for row, name in zip(rows, carded_names(), strict=True):
+        card = shipped_card(name)
+        assert card.title in row
+        assert card.licence in row
+        if name not in shipped_names():
+            assert "not listed" in row
+            assert "card alone" in row
+            continue
         manifest = shipped_manifest(name)
-        assert manifest.card.title in row
         patterns = any("*" in record.path for record in manifest.records)
         assert f" {len(manifest.records)}{'+' if patterns else ''} " in row
-        assert manifest.card.licence in row
         assert "absent" in row
 
 
@@ -96,14 +101,54 @@ def test_the_next_command_is_to_verify_what_is_there(eldata: Cli, small: Path) -
     assert file_names()[0] in verified.out
 
 
-@pytest.mark.parametrize("name", shipped_names())
-def test_every_shipped_dataset_has_its_page(name: str, eldata: Cli) -> None:
+@pytest.mark.parametrize("name", carded_names())
+def test_every_dataset_has_its_page(name: str, eldata: Cli) -> None:
     outcome = eldata("info", name)
     assert (outcome.code, outcome.err) == (0, "")
-    card = shipped_manifest(name).card
+    card = shipped_card(name)
     for place in card.downloads:
         assert place.address in outcome.out
-    assert card.citation in " ".join(outcome.out.split())
+    shown = " ".join(outcome.out.split())
+    texts = (card.citation, card.licence, card.contents, card.levels, card.unreadable, *card.scored, *card.unknown)
+    for text in (*texts, *card.known_defects, *card.sources):
+        assert text in shown
+    assert f"CFA {card.cfa}" in shown or card.cfa == "both"
+
+
+def test_a_set_with_a_card_alone(eldata: Cli, tmp_path: Path) -> None:
+    outcome = eldata("info", "rawnind", "--json", tmp_path / "x.json")
+    for words in (
+        "rawnind: Raw Natural Image Noise Dataset (RawNIND) (card version 1.0)",
+        "CFA        bayer and xtrans",
+        "files      no public text lists them: eldata has this card alone",
+        "\nnot known\n    - ",
+        '\nnext\n    list your copy in a manifest of your own: docs/adding-a-dataset.md, "Your own files"\n',
+    ):
+        assert words in outcome.out
+    (dataset,) = json.loads((tmp_path / "x.json").read_text())["datasets"]
+    assert dataset["name"] == "rawnind"
+    assert (dataset["manifest"], dataset["presence"], dataset["verify"]) == (None, None, None)
+    assert_one_line(eldata("download", "rawnind"), "by its card alone", "eldata info rawnind")
+    assert_one_line(eldata("evaluate", tmp_path, "--dataset", "rawnind"), "by its card alone", "eldata info rawnind")
+
+
+def test_a_set_that_cannot_be_loaded(eldata: Cli, tmp_path: Path) -> None:
+    for record in shipped_manifest("sidd").records:
+        path = tmp_path / "SIDD" / record.path
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"bytes")
+    page = eldata("info", "sidd", "--root", tmp_path).out
+    assert "\neldata cannot load it yet\n    - its files are normalised arrays in MATLAB's format" in page
+    next_line = page.splitlines()[-1]
+    assert next_line.endswith("--level quick")
+    verified = eldata(*next_line.split()[1:])
+    assert (verified.code, verified.err) == (0, "")
+    assert "sidd: 640 of 640 files checked (quick)" in verified.out
+    deeper = eldata(*next_line.split()[1:-1], "metadata")
+    assert deeper.code == 1
+    assert "expected  files that eldata can load" in deeper.out
+    refused = eldata("evaluate", tmp_path, "--dataset", "sidd", "--root", tmp_path)
+    assert_one_line(refused, "eldata cannot load sidd yet", "eldata info sidd", "--level quick")
 
 
 @pytest.mark.parametrize(("name", "counted"), [("sid-sony", "(129 pairs)"), ("drv", "(129 clips)")])

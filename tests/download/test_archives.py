@@ -124,7 +124,6 @@ def test_no_file_in_it(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"", ["empty file"]),
         (b"\0" * 5000, ["nothing but zeros"]),
         (b"\n <!DOCTYPE html><html>Virus scan warning", ["web page", "Google Drive"]),
         (b"Rar!\x1a\x07\x01\x00" + b"x" * 600, ["RAR", "unrar"]),
@@ -137,7 +136,8 @@ def test_what_is_not_an_archive_is_named(content: bytes, words: list[str], tmp_p
 
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
     refused(tmp_path / "none.zip", "cannot be read", "No such file")
-    refused(tmp_path, "cannot be read")
+    refused(tmp_path, "is a folder, not a file")
+    refused(saved(tmp_path, b""), "is empty (0 bytes)")
 
 
 def test_seven_zip_without_its_reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from eldata.evaluation.published import (
     COLUMNS,
+    NOISY_INPUT,
     PublishedRow,
     load_published,
     published_rows,
@@ -29,13 +30,16 @@ CAMERAS = {
     "sid-sony": {"SonyA7S2"},
     "sid-fuji": {"FujifilmXT2"},
     "drv-raw": {"SonyRX100M6"},
+    "eld-dynamic": {"SonyRX100M6"},
 }
 RATIOS: dict[str, set[float | None]] = {
     "eld": {100, 200},
     "sid-sony": {100, 250, 300, None},
     "sid-fuji": {100, 250, 300},
     "drv-raw": {None},
+    "eld-dynamic": {None},
 }
+CLIPS = {"drv-raw", "eld-dynamic"}
 
 
 @cache
@@ -66,7 +70,7 @@ def test_they_do_not_pass_for_manifests() -> None:
 
 
 def test_the_counts() -> None:
-    """Per table: cameras x factors x methods, counted by hand."""
+    """Per table: cameras x factors x methods, counted by hand in the public text."""
     found = Counter((row.source, row.table, row.dataset) for row in ROWS)
     assert found == {
         ("wei2021", "2", "sid-sony"): 3 * 12,
@@ -75,20 +79,117 @@ def test_the_counts() -> None:
         ("wei2021", "5", "sid-sony"): 3 * 5,
         ("wei2021", "6", "sid-sony"): 3 * 6,
         ("wei2021", "7", "drv-raw"): 6,
+        ("wei2021", "8", "eld-dynamic"): 5,
         ("feng2022", "corrected", "eld"): 2 * 5,
         ("feng2022", "corrected", "sid-sony"): 3 * 5,
-        ("feng2022", "uncorrected", "eld"): 5,
-        ("feng2022", "uncorrected", "sid-sony"): 5,
+        ("feng2022", "uncorrected", "eld"): 2 * 5,
+        ("feng2022", "uncorrected", "sid-sony"): 3 * 5,
+        ("feng2022", "log ELD", "eld"): 2 * 2,  # the network and its input
+        ("feng2022", "log ELD", "sid-sony"): 3 * 2,
+        ("feng2022", "log Paired", "eld"): 2,
+        ("feng2022", "log Paired", "sid-sony"): 3,
+        ("feng2022", "log PMN", "eld"): 2,
+        ("feng2022", "log PMN", "sid-sony"): 3,
         ("feng2024", "log", "eld"): 2,
         ("feng2024", "log", "sid-sony"): 3,
-        ("li2025", "1", "eld"): 2 * 7,
-        ("li2025", "1", "sid-sony"): 3 * 7,
+        ("feng2024", "results", "eld"): 2 * (6 - 3),  # three methods repeat the logs
+        ("feng2024", "results", "sid-sony"): 3 * (6 - 3),
+        ("feng2023", "results", "eld"): 2 * (9 - 4),  # four repeat earlier tables
+        ("feng2023", "results", "sid-sony"): 3 * (9 - 4),
+        ("feng2023", "log PNNP", "eld"): 2,
+        ("feng2023", "log PNNP", "sid-sony"): 3,
+        ("feng2023", "log PMN+PNNP", "eld"): 2,
+        ("feng2023", "log PMN+PNNP", "sid-sony"): 3,
+        ("li2025", "1", "eld"): 2 * (11 - 7),  # seven repeat earlier tables
+        ("li2025", "1", "sid-sony"): 3 * (11 - 7),
+        ("wang2023", "4", "sid-sony"): 3 * 4 * 2,
+        ("wang2023", "5", "sid-sony"): 3 * 2 * 3 * 2,
         ("jin2023", "1", "eld"): 1,
+        ("jin2023", "1", "sid-sony"): 1,
         ("chen2018", "3", "sid-sony"): 1,
         ("chen2018-retests", "issue 45", "sid-sony"): 2,
         ("chen2018-retests", "issue 52", "sid-sony"): 1,
         ("chen2018-retests", "issue 120", "sid-sony"): 1,
     }
+
+
+# Averages over the factors as the tables print them: PSNR and SSIM of ELD Sony (60 pairs), then of SID Sony (129).
+AVERAGES = [
+    ("feng2024", "results", "noisy input", (28.38, 0.3826), (24.81, 0.3793)),
+    ("feng2024", "results", "P-G", (40.12, 0.8274), (34.52, 0.7666)),
+    ("feng2024", "results", "SFRN", (45.38, 0.9722), (39.82, 0.9349)),
+    ("feng2022", "log ELD", "ELD", (44.44, 0.9649), (39.05, 0.9303)),
+    ("feng2022", "log Paired", "Paired data", (43.22, 0.9479), (39.32, 0.9374)),
+    ("feng2024", "log", "PMN (TPAMI)", (45.92, 0.9763), (40.59, 0.9465)),
+    ("feng2023", "results", "NoiseFlow", (41.90, 0.8924), (37.09, 0.8750)),
+    ("feng2023", "results", "Starlight", (42.33, 0.9098), (36.33, 0.8494)),
+    ("feng2023", "results", "LLD", (44.93, 0.9712), (39.56, 0.9348)),
+    ("feng2023", "results", "LRD", (45.04, 0.9753), (40.24, 0.9378)),
+    ("feng2023", "results", "PNNP", (46.39, 0.9834), (40.83, 0.9479)),
+    ("li2025", "1", "LLD", (45.85, 0.9815), (40.52, 0.9471)),
+    ("li2025", "1", "SFRN", (45.51, 0.9790), (40.14, 0.9438)),
+    ("li2025", "1", "Li et al.", (46.43, 0.9834), (40.85, 0.9478)),
+]
+
+
+@in_one_test("source, table, method, on_eld, on_sid", AVERAGES)
+def test_the_rows_average_to_what_their_table_prints(
+    source: str, table: str, method: str, on_eld: tuple[float, float], on_sid: tuple[float, float]
+) -> None:
+    """A check of every digit that was read from an image, and of the number of pairs behind each factor.
+
+    Each row is rounded to half of its last digit and so is the average, so they differ by one whole last digit at most.
+    """
+    for dataset, printed in (("eld", on_eld), ("sid-sony", on_sid)):
+        rows = [
+            row for row in published_rows(dataset) if (row.source, row.table, row.method) == (source, table, method)
+        ]
+        counts = [row.pairs or 0 for row in rows]
+        assert sum(counts) == {"eld": 60, "sid-sony": 129}[dataset]
+        for values, average, last_digit in zip(
+            ([row.psnr_db for row in rows], [row.ssim or 0.0 for row in rows]), printed, (0.01, 0.0001), strict=True
+        ):
+            mean = sum(count * value for count, value in zip(counts, values, strict=True)) / sum(counts)
+            assert abs(mean - average) <= 1.001 * last_digit
+
+
+def test_the_readme_of_pmn_and_its_logs() -> None:
+    """They agree to the digits that the README prints but in two places, and there the row says so."""
+    logs = {"ELD": "log ELD", "Paired data": "log Paired", "PMN": "log PMN"}
+    apart = set()
+    readme = [row for row in ROWS if (row.source, row.table) == ("feng2022", "corrected") and row.method in logs]
+    assert len(readme) == 3 * 5
+    for row in readme:
+        log = only(
+            ROWS, source="feng2022", table=logs[row.method], dataset=row.dataset, ratio=row.ratio, method=row.method
+        )
+        assert row.psnr_db == log.psnr_db
+        assert row.ssim is not None
+        assert log.ssim is not None
+        if abs(row.ssim - log.ssim) > 0.0005 + 1e-9:
+            apart.add((row.method, row.dataset, row.ratio, row.ssim, log.ssim))
+            assert f"{log.ssim:.4f}" in row.note
+    assert apart == {("ELD", "sid-sony", 100, 0.963, 0.953), ("PMN", "eld", 200, 0.973, 0.9708)}
+
+
+def test_the_noisy_input() -> None:
+    """Of the logs without correction; less its dark shading it is better everywhere, as PNNP's logs have it."""
+    found = {
+        (row.dataset, row.ratio): (row.psnr_db, row.ssim)
+        for row in ROWS
+        if row.method == NOISY_INPUT and row.protocols in (("eld-uncorrected",), ("sid-uncorrected",))
+    }
+    assert found == {
+        ("eld", 100): (30.98, 0.4878),
+        ("eld", 200): (25.95, 0.2195),
+        ("sid-sony", 100): (29.21, 0.5213),
+        ("sid-sony", 250): (23.77, 0.3286),
+        ("sid-sony", 300): (22.26, 0.2691),
+    }
+    for (dataset, ratio), (psnr_db, ssim) in found.items():
+        without = only(ROWS, dataset=dataset, ratio=ratio, method="noisy input less dark shading")
+        assert without.psnr_db > psnr_db
+        assert (without.ssim or 0) > (ssim or 1)
 
 
 def test_every_source_and_table_is_used() -> None:
@@ -118,7 +219,7 @@ def test_each_row_is_of_what_eldata_knows(row: PublishedRow) -> None:
         assert row.dataset == protocol.dataset or row.dataset.startswith(f"{protocol.dataset}-")
     assert 10 < row.psnr_db < 50
     assert row.ssim is None or 0.2 < row.ssim < 1
-    assert (row.st_rred is not None) == (row.dataset == "drv-raw")
+    assert (row.st_rred is not None) == (row.dataset in CLIPS)
     assert row.st_rred is None or 0 < row.st_rred < 10
 
 
@@ -171,13 +272,24 @@ BY_HAND = [
     ("wei2021", "7", "drv-raw", "SonyRX100M6", None, "VBM4D", 33.29, 0.804),
     ("feng2022", "corrected", "eld", "SonyA7S2", 200, "SFRN", 44.10, 0.964),
     ("feng2022", "corrected", "sid-sony", "SonyA7S2", 300, "PMN", 37.77, 0.934),
-    ("feng2022", "corrected", "sid-sony", "SonyA7S2", 100, "ELD", 41.95, 0.9530),
-    ("feng2022", "uncorrected", "sid-sony", "SonyA7S2", 300, "P-G", 28.53, None),
-    ("feng2022", "uncorrected", "eld", "SonyA7S2", 100, "PMN", 45.94, None),
+    ("feng2022", "corrected", "sid-sony", "SonyA7S2", 100, "ELD", 41.95, 0.963),
+    ("feng2022", "log ELD", "sid-sony", "SonyA7S2", 100, "ELD", 41.95, 0.9530),
+    ("feng2022", "uncorrected", "sid-sony", "SonyA7S2", 300, "P-G", 28.53, 0.667),
+    ("feng2022", "uncorrected", "sid-sony", "SonyA7S2", 100, "SFRN", 41.38, 0.949),
+    ("feng2022", "uncorrected", "eld", "SonyA7S2", 100, "PMN", 45.94, 0.984),
+    ("feng2022", "uncorrected", "eld", "SonyA7S2", 200, "Paired data", 41.54, 0.918),
+    ("feng2022", "log PMN", "sid-sony", "SonyA7S2", 300, "PMN", 37.77, 0.9341),
+    ("feng2024", "results", "eld", "SonyA7S2", 200, "SFRN", 44.38, 0.9651),
+    ("feng2023", "results", "sid-sony", "SonyA7S2", 250, "LRD", 40.69, 0.9406),
+    ("feng2023", "log PMN+PNNP", "eld", "SonyA7S2", 100, "PMN + PNNP", 47.13, 0.9872),
+    ("wang2023", "4", "sid-sony", "SonyA7S2", 300, "PMN + ExposureDiffusion", 37.27, 0.888),
+    ("wang2023", "5", "sid-sony", "SonyA7S2", 250, "ELD, NAFNet-1", 32.34, 0.726),
+    ("wei2021", "8", "eld-dynamic", "SonyRX100M6", None, "FastDVDnet, ELD on dynamic clips", 37.48, 0.940),
     ("feng2024", "log", "sid-sony", "SonyA7S2", 250, "PMN (TPAMI)", 41.04, 0.9471),
-    ("li2025", "1", "eld", "SonyA7S2", 100, "PNNP", 47.31, 0.9877),
+    ("feng2023", "results", "eld", "SonyA7S2", 100, "PNNP", 47.31, 0.9877),
     ("li2025", "1", "sid-sony", "SonyA7S2", 300, "LED", 36.67, 0.9147),
     ("jin2023", "1", "eld", "SonyA7S2", 200, "ELD", 42.54, None),
+    ("jin2023", "1", "sid-sony", "SonyA7S2", 100, "LED", 41.98, 0.9539),
     ("chen2018", "3", "sid-sony", "SonyA7S2", None, "SID", 28.88, 0.787),
 ]
 
@@ -207,6 +319,7 @@ def test_st_rred_of_the_static_clips() -> None:
         "G+P": 0.467,
         "ELD": 0.407,
     }
+    assert [row.st_rred for row in published_rows("eld-dynamic")] == [0.482, 0.230, 5.746, 5.373, 0.224]
 
 
 def test_which_protocol_is_which() -> None:
@@ -214,19 +327,27 @@ def test_which_protocol_is_which() -> None:
     assert {row.protocols for row in published_rows("sid-sony") if row.table == "2"} == {("sid-tpami",)}
     assert {row.protocols for row in published_rows("eld") if row.source == "wei2021"} == {("eld",)}
     assert {row.subset for row in published_rows("sid-sony", "sid")} == {"eval-first"}
-    assert only(ROWS, source="jin2023").protocols == ("led-eld",)
+    assert [row.protocols for row in ROWS if row.source == "jin2023"] == [("led-eld",), ("led-sid",)]
+    assert {(row.protocols, row.subset) for row in ROWS if row.source == "wang2023"} == {(("eld-cvpr20",), "indoor-15")}
     assert only(ROWS, source="chen2018").protocols == ("sid2018",)
     uncertain = {(row.source, row.table) for row in ROWS if not row.protocols}
-    assert uncertain == {
-        *product(["wei2021"], ["4", "5", "6", "7"]),
+    whole = {
+        *product(["wei2021"], ["4", "5", "6", "7", "8"]),
         *product(["chen2018-retests"], ["issue 45", "issue 52", "issue 120"]),
+    }
+    assert uncertain == {*whole, ("feng2024", "results"), ("feng2023", "results"), ("li2025", "1")}
+    single = {(row.source, row.method) for row in ROWS if not row.protocols and (row.source, row.table) not in whole}
+    assert single == {
+        ("feng2024", NOISY_INPUT),
+        *product(["feng2023"], ["Starlight", "LLD"]),
+        *product(["li2025"], ["LED", "LLD"]),
     }
 
 
 def test_rows_by_what_they_are_of() -> None:
     rows = published_rows("eld", "eld", camera="NikonD850", ratios=[200])
     assert [row.method for row in rows] == ["BM3D", "A-BM3D", "Noise2Noise", "Paired data", "Noiseflow", "G+P", "ELD"]
-    assert published_rows("sid-sony", subset="test-first") == (only(ROWS, source="chen2018"),)
+    assert [row.method for row in published_rows("sid-sony", subset="test-first")] == ["LED", "SID"]
     assert published_rows("sid-fuji", "sid-tpami") == ()
     assert published_rows("nowhere") == ()
 

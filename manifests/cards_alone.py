@@ -1,0 +1,171 @@
+"""Sets with a card alone: no public text lists their files.
+
+Sources stand on each card.
+"""
+
+from __future__ import annotations
+
+from eldata.manifest.card import CameraCard, Card, Download
+
+_AIM_CODE = "starter kit (SonyResearch/AIM2025_Denoise_Challenge), commit 5d6531d"
+_AIM_PAPER = "arXiv 2510.06601"
+
+AIM25 = Card(
+    name="aim25",
+    title="AIM 2025 Challenge on Real-World Raw Image Denoising",
+    version="1.0",
+    folder="AIM25",
+    citation="AIM 2025 Challenge on Real-World RAW Image Denoising, arXiv 2510.06601, 2025",
+    licence="for the challenge and research, no commercial use (page of the challenge); MIT for the starter kit's code",
+    homepage="https://github.com/SonyResearch/AIM2025_Denoise_Challenge",
+    cfa="bayer",
+    cameras={name: CameraCard(()) for name in ("Canon70D", "SonyA6700", "SonyA7R4", "SonyZVE10M2")},
+    counts={},
+    downloads=(
+        Download("https://www.codabench.org/competitions/8529/", notes="the challenge's page: registration is needed"),
+    ),
+    known_defects=(
+        (
+            "The paper's abstract speaks of five cameras; the starter kit and the page of the challenge have four. The "
+            "page has gains 10, 100 and 200 of the paired scenes, the paper 100 and 200; of those in the wild 10 to "
+            "200, the paper 10 to 100."
+        ),
+        (
+            "LibRaw's visible area is not what is scored: the starter kit has an area of each camera's whole mosaic "
+            "(camera_config.yaml, valid_roi), 3670 x 5496 of the Canon from row 38 and column 72."
+        ),
+    ),
+    sources=(
+        (
+            f"{_AIM_CODE}, README, datasets/, save_for_stage1_submission.py, save_for_stage2_submission.py, "
+            "utils/utils.py, index.html (page of the challenge): layout, names, levels, areas, scores, licence"
+        ),
+        f"{_AIM_PAPER} and its summaries: scenes, ISOs, gains, metrics",
+    ),
+    contents=(
+        "ELD's design. Paired: 10 indoor scenes a camera, ISO 800, 1600 and 3200, digital gains 100 and 200, a long "
+        "exposure of base ISO; names <camera>/test_data/paired_input/scene<n>_iso<iso>_dgain<gain>.{ARW,CR2}. In the "
+        "wild: 40 scenes a camera without reference, 10 for validation and 30 for testing, ISO 800, 1250, 1600, 3200 "
+        "and 6400. Also 50 dark frames of each ISO, dark shading and system gains"
+    ),
+    levels="LibRaw's white level; the mean of LibRaw's black levels for all channels (the starter kit)",
+    scored=(
+        (
+            f"{_AIM_CODE}: the prediction, already multiplied by the gain and clipped to [0, 1], as 16-bit integers. "
+            "Development: PSNR and SSIM (scikit-image) of the central 512 x 512 packed pixels."
+        ),
+        (
+            "Ranking: ranks in PSNR and SSIM on the whole raw frame, LPIPS on a simple sRGB rendering, and ARNIQA and "
+            "TOPIQ on renderings of the scenes without reference."
+        ),
+        (
+            "No protocol of eldata's: the scored area, one black level for all channels, and LPIPS, ARNIQA and TOPIQ "
+            "cannot be said by one."
+        ),
+    ),
+    unknown=(
+        "Which numbers the scenes have, and which are in which phase: so eldata cannot list the files.",
+        "Whether the references were published after the challenge; the starter kit says that they are not.",
+        "How the Sony files name their cameras, and the ISO and exposure of the references.",
+    ),
+)
+
+LLD = Card(
+    name="lld",
+    title="Low-light denoising dataset LLD, with dark and flat-field frames",
+    version="1.0",
+    folder="LLD",
+    citation=(
+        "Y. Cao, M. Liu, S. Liu, X. Wang, L. Lei and W. Zuo, Physics-Guided ISO-Dependent Sensor Noise Modeling for "
+        "Extreme Low-Light Photography, IEEE/CVF Conference on Computer Vision and Pattern Recognition, 2023"
+    ),
+    licence="none stated",
+    homepage="https://github.com/happycaoyue/LLD",
+    cfa="bayer",
+    cameras={"SonyA7S2": CameraCard(()), "NikonD850": CameraCard(())},
+    counts={},
+    downloads=(Download("https://pan.baidu.com/s/1eLKzjOSDCR4NNLcvbyenEQ?pwd=WAXY", notes="Baidu, of the authors"),),
+    known_defects=(
+        (
+            "Two users found bias frames (BiasFrame_ET_1_30) and flat-field frames in the download, but no pairs "
+            "(issue 2, without an answer)."
+        ),
+        "The published code tests on ELD and SID alone; none reads LLD.",
+    ),
+    sources=(
+        "LLD repository, commit 85afa0b and branch master, README: cameras, contents, download; Codes: no loader",
+        "LLD repository, issue 2: what the download holds",
+        "SonyResearch/raw_image_denoising, issue 5: used for dark frames of the A7S II",
+    ),
+    contents=(
+        "Pairs of noisy (high ISO, short exposure) and clean (low ISO, long exposure) frames, dark frames and "
+        "flat-field frames over a range of ISOs, of a Sony A7S II and a Nikon D850"
+    ),
+    scored=("No code that scores on it was published, so eldata has no protocol.",),
+    unknown=(
+        "Names, formats and numbers of the files, scenes, ISOs and ratios: the paper's supplement was not read.",
+        "Levels: those that the files state.",
+    ),
+)
+
+RAWNIND = Card(
+    name="rawnind",
+    title="Raw Natural Image Noise Dataset (RawNIND)",
+    version="1.0",
+    folder="RawNIND",
+    citation=(
+        "B. Brummer and C. De Vleeschouwer, Learning Joint Denoising, Demosaicing, and Compression from the Raw "
+        "Natural Image Noise Dataset, arXiv 2501.08924, 2025; data: doi:10.14428/DVN/DEQCIM"
+    ),
+    licence="CC BY-SA 4.0 for the set; some scenes have permissions of their own (pages of the set)",
+    homepage="https://doi.org/10.14428/DVN/DEQCIM",
+    cfa="both",
+    cameras={},
+    counts={},
+    downloads=(
+        Download(
+            "https://dataverse.uclouvain.be/dataset.xhtml?persistentId=doi:10.14428/DVN/DEQCIM",
+            notes="2845 files, one by one; the code's README has a command that fetches all",
+            about="120 GB",
+        ),
+    ),
+    known_defects=(
+        (
+            "References and noisy frames need aligning, masks and gains, which the authors' code computes; it leaves "
+            "out about 2 % of the images each for a mask that is too large or an alignment that failed."
+        ),
+        "A scene may have several references; which one a noisy frame is compared with is the code's choice.",
+    ),
+    sources=(
+        (
+            "RawNIND repository (trougnouf/rawnind_jddc), commit 4d455aa, src/rawnind/README.md, "
+            "datasets/RawNIND/organize_files.sh, src/rawnind/libs/rawds.py, src/rawnind/config/test_reserve.yaml: "
+            "layout, names, test scenes, thresholds"
+        ),
+        "Metadata of the set on Dataverse, version 1: number of files, citation",
+        "Public code that fetches the set: its licence and its size, 120.17 GB",
+    ),
+    contents=(
+        "Raw files of many cameras, Bayer and X-Trans, several ISOs of each scene; names such as "
+        "Bayer_TEST_7D-2_GT_ISO100_sha1=<hash>.cr2: filter array, scene, GT for references, ISO, and the file's SHA-1. "
+        "The code's layout: src/<Bayer or X-Trans>/<scene>/, references below gt/"
+    ),
+    levels="those of each file",
+    scored=(
+        (
+            "The authors' code compares linear Rec. 2020 RGB, or renderings of each scene by darktable, after "
+            "alignment and gain matching, by MS-SSIM and others; 10 scenes are reserved for tests, and 6 of a camera "
+            "that is not trained on."
+        ),
+        "No protocol of eldata's: alignment, masks, RGB of raw predictions and MS-SSIM cannot be said by one.",
+    ),
+    unknown=(
+        (
+            "The list of files is Dataverse's answer to a program, not a text that eldata was made from: so it has no "
+            "manifest. Every name carries its SHA-1, with which a copy can be checked."
+        ),
+        "How many scenes and cameras there are: the paper was not read.",
+    ),
+)
+
+CARDS_ALONE = (AIM25, LLD, RAWNIND)

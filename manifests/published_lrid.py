@@ -1,0 +1,229 @@
+"""The published Low-light Raw Image Denoising set (LRID): its bursts, rows and card.
+
+Noisy frames are ``<part>/6400/<gain>/<scene>/<number>_exp-<ns>_iso-6400_<time>_orientation_<degrees>_camera-0.dng``,
+ten in a burst; the reference of a scene is ``<part>/npy/GT_align_ours/<scene>.npy``, fused from frames of ISO 100. The
+gain is the exposure ratio.
+
+Sources: H. Feng et al., "Learnability Enhancement for Low-Light Raw Image Denoising: A Data Perspective", TPAMI 2024;
+the PMN repository's branch TPAMI: infos, README, get_dataset_infos.py, data_process/phone_datasets.py, trainer_LRID.py.
+"""
+
+from __future__ import annotations
+
+import pickletools
+import re
+from collections import Counter, defaultdict
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+from eldata.base.fields import TextFile, csv_text
+from eldata.base.files import write_text
+from eldata.errors import ManifestError
+from eldata.manifest.card import CameraCard, Card, Download
+from eldata.records import FrameRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+CAMERA = "IMX686"
+ISO, REFERENCE_ISO = Fraction(6400), Fraction(100)
+NANOSECONDS = 10**9
+
+# Parts of the set, each with the scenes that the published code scores (PhoneBase_Dataset.data_split) and the name of
+# their split; the rest is for training.
+SCORED = {
+    "indoor_x5": ("eval", (4, 14, 25, 41, 44, 51, 52, 53, 58)),
+    "indoor_x3": ("", ()),
+    "outdoor_x3": ("test", (9, 21, 22, 32, 44, 51)),
+}
+
+_COLUMNS = ("part", "scene", "gain", "exposure_ns", "orientation", "frames")
+_NOISY = re.compile(
+    r".*[\\/](\w+)[\\/]6400[\\/](\d+)[\\/](\d{3})[\\/](\d{6})_exp-(\d+)_iso-6400_([\d_]+)_orientation_(\d+)_camera-0\.dng"
+)
+_REFERENCE = re.compile(r".*[\\/](\w+)[\\/]npy[\\/]GT_align_ours[\\/](\d{3})\.npy")
+
+
+@dataclass(frozen=True, slots=True)
+class Burst:
+    """The noisy frames of one scene and gain.
+
+    A frame is its number and its time as in the name: ``005062@2022_08_17_05_33_48_461_9688422862537``.
+    """
+
+    part: str
+    scene: str
+    gain: int
+    exposure_ns: int
+    orientation: int
+    frames: tuple[str, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The frames' paths."""
+        folder = f"{self.part}/6400/{self.gain}/{self.scene}"
+        return tuple(
+            f"{folder}/{number}_exp-{self.exposure_ns}_iso-6400_{time}_orientation_{self.orientation}_camera-0.dng"
+            for number, _, time in (frame.partition("@") for frame in self.frames)
+        )
+
+
+def lrid_records(bursts: Iterable[Burst]) -> tuple[FrameRecord, ...]:
+    """Return the rows of the set, sorted by path."""
+    rows: dict[str, FrameRecord] = {}
+    for burst in bursts:
+        scene = f"{burst.part}-{burst.scene}"
+        name, scored = SCORED[burst.part]
+        split = name if int(burst.scene) in scored else "train"
+        reference = f"{burst.part}/npy/GT_align_ours/{burst.scene}.npy"
+        rows[reference] = FrameRecord(reference, "reference", CAMERA, scene, split, REFERENCE_ISO)
+        exposure_s = Fraction(burst.exposure_ns, NANOSECONDS)
+        for path in burst.names:
+            rows[path] = FrameRecord(
+                path, "noisy", CAMERA, scene, split, ISO, exposure_s, Fraction(burst.gain), reference=reference
+            )
+    return tuple(sorted(rows.values(), key=lambda row: row.path))
+
+
+def bursts_from_infos(folder: Path) -> tuple[Burst, ...]:
+    """Condense the published info files (``indoor_x5_short.info`` and so on) to a table of bursts.
+
+    They are pickles, which are not run: the paths are among their texts.
+
+    Raises
+    ------
+    ManifestError
+        If the frames of a burst differ in what a burst has once, or scenes and references are not the same.
+    """
+    bursts = []
+    for part in SCORED:
+        found: dict[tuple[str, int], list[tuple[str, int, int]]] = defaultdict(list)
+        for match in _matches(folder / f"{part}_short.info", _NOISY):
+            frame = f"{match[4]}@{match[6]}"
+            found[match[3], int(match[2])].append((frame, int(match[5]), int(match[7])))
+        references = {match[2] for match in _matches(folder / f"{part}_GT_align_ours.info", _REFERENCE)}
+        if references != {scene for scene, _ in found}:
+            raise ManifestError(f"{folder}: the references of {part} are not those of its scenes")
+        for (scene, gain), frames in sorted(found.items()):
+            facts = {(exposure_ns, orientation) for _, exposure_ns, orientation in frames}
+            if len(facts) != 1:
+                raise ManifestError(f"{folder}: {part}, gain {gain}, scene {scene}: frames differ: {sorted(facts)}")
+            ((exposure_ns, orientation),) = facts
+            bursts.append(Burst(part, scene, gain, exposure_ns, orientation, tuple(sorted(f for f, _, _ in frames))))
+    return tuple(bursts)
+
+
+def _matches(path: Path, pattern: re.Pattern[str]) -> list[re.Match[str]]:
+    texts = (argument for _, argument, _ in pickletools.genops(path.read_bytes()) if isinstance(argument, str))
+    return [match for text in texts if (match := pattern.fullmatch(text))]
+
+
+def save_bursts(path: Path, bursts: Iterable[Burst]) -> None:
+    """Write a table of bursts, whole or not at all."""
+    rows = ((b.part, b.scene, b.gain, b.exposure_ns, b.orientation, ";".join(b.frames)) for b in bursts)
+    write_text(path, csv_text(_COLUMNS, rows))
+
+
+def load_bursts(path: Path) -> tuple[Burst, ...]:
+    """Read a table of bursts.
+
+    Raises
+    ------
+    ManifestError
+        If it cannot be read, has other columns, or has a number that is not one.
+    """
+    return tuple(
+        Burst(
+            row.text("part"),
+            row.text("scene"),
+            row.whole("gain"),
+            row.whole("exposure_ns"),
+            row.whole("orientation"),
+            tuple(row.text("frames").split(";")),
+        )
+        for row in TextFile(path, ManifestError).rows(_COLUMNS)
+    )
+
+
+_CODE = "PMN repository, branch TPAMI, commit 9f985ba"
+
+
+def published_lrid(bursts: Iterable[Burst]) -> tuple[Card, tuple[FrameRecord, ...]]:
+    """Return card and rows of the published set, in the simplified form that is for training and evaluation."""
+    records = lrid_records(bursts)
+    card = Card(
+        name="lrid",
+        title="Low-light Raw Image Denoising dataset (LRID)",
+        version="1.0",
+        folder="LRID",
+        citation=(
+            "H. Feng, L. Wang, Y. Wang, H. Fan and H. Huang, Learnability Enhancement for Low-Light Raw Image "
+            "Denoising: A Data Perspective, IEEE Transactions on Pattern Analysis and Machine Intelligence, 2024"
+        ),
+        licence="CC BY-NC 4.0 (README of the set on Hugging Face)",
+        homepage="https://github.com/megvii-research/PMN/tree/TPAMI",
+        cfa="bayer",
+        cameras={CAMERA: CameraCard(())},
+        counts=dict(sorted(Counter(str(record.role) for record in records).items())),
+        downloads=(
+            Download(
+                "https://pan.baidu.com/s/1fXlb-Q_ofHOtVOufe5cwDg?pwd=vmcl",
+                notes="folder LRID; all raws, with the frames of ISO 100, are LRID_raw, 523 GB",
+                about="185.1 GB",
+            ),
+            Download("https://huggingface.co/datasets/hansen97/LRID", notes="the full set, by the authors"),
+            Download(
+                "https://huggingface.co/datasets/hansen97/LRID_simplified",
+                notes="the first frame of each burst alone, by the authors",
+            ),
+        ),
+        known_defects=(
+            (
+                "The burst indoor_x5/6400/4/024 is listed with 8 frames, 001434 and 001435 being left out; the "
+                "published script leaves out files that it cannot read. If they are there, verify names them as not "
+                "listed."
+            ),
+            (
+                "outdoor_x5 (7 scenes) was abandoned by the authors; it is in LRID_raw alone, and not listed here. "
+                "Dark frames (bias, bias-hot), frames of ISO 100 and metadata are not listed either."
+            ),
+            (
+                "In some scenes the sensor was in a hot mode with other dark frames: PhoneBase_Dataset.hot_check names "
+                "the scenes."
+            ),
+            "No checksums were published: eldata lock cannot record them before eldata can load the references.",
+        ),
+        sources=(
+            f"{_CODE}, infos/*.info: every file, exposure and ISO; README: layout, sizes",
+            (
+                f"{_CODE}, data_process/phone_datasets.py: levels, size, scenes that are scored; trainer_LRID.py, "
+                "utils.py: scores"
+            ),
+            "PMN repository, issue 20: RGGB",
+            "README of hansen97/LRID and hansen97/LRID_simplified on Hugging Face: licence",
+        ),
+        contents=(
+            "139 scenes of a phone's IMX686, 60 indoor (gains 1, 2, 4, 8, 16), 57 outdoor and 22 indoor with an ND "
+            "filter (gains 1, 2, 4), ten DNG frames of ISO 6400 for each gain, RGGB, 4624 x 3472; references in .npy, "
+            "fused and aligned from 25 frames of ISO 100"
+        ),
+        levels="black 64, white 1023 for every file (the published code; 10 bits)",
+        scored=(
+            (
+                f"{_CODE}, trainer_LRID.py: the first frame of each burst of 9 indoor_x5 scenes (split eval) and 6 "
+                "outdoor_x3 scenes (split test), each gain by itself; reference clipped to [0, 1], the input not; "
+                "prediction clipped to [0, 1], whole frame, no scalar, PSNR and SSIM by scikit-image on packed values. "
+                "The authors' own input has dark shading subtracted."
+            ),
+            "No protocol of eldata's: levels 64 and 1023 for every file cannot be said by one.",
+        ),
+        unknown=(
+            "The data type of the references' arrays, which are mosaics in DN.",
+            "How the files name the phone's model: eldata does not check it.",
+            "Whether LRID_simplified has the same folders and names.",
+        ),
+        unreadable="references are mosaics in .npy, of a data type that no public text states, and without levels",
+    )
+    return card, records

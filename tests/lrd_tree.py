@@ -1,0 +1,52 @@
+"""LRD's files on disk: the published names, with small DNG files inside, made from seeds."""
+
+from __future__ import annotations
+
+import os
+import zlib
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from eldata.raw.dng import write_dng
+from eldata.records import Exposure, Sensor
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from eldata.manifest.catalogue import Manifest
+    from eldata.records import FrameRecord
+
+# Sixteen bits, as the published code has it, but another white level than its 65535: a test sees which was taken.
+SENSOR = Sensor("Maker", "Drone", ((0, 1), (3, 2)), (4095.0, 4096.0, 4098.0, 4096.0), 65000.0, 40, 48)
+
+
+def mosaic_of(record: FrameRecord) -> NDArray[np.uint16]:
+    """Pixels of a frame, (H, W) in DN: a reference spans all levels, a noisy frame lies below it by its ratio."""
+    generator = np.random.default_rng(zlib.crc32(record.path.encode()))
+    top = 65536 if record.role == "reference" else 4090 + 60000 // int(record.ratio or 1)
+    return generator.integers(4000, top, (SENSOR.height, SENSOR.width), dtype=np.uint16)
+
+
+def write_frames(folder: Path, records: Iterable[FrameRecord]) -> None:
+    """Write frames below the dataset's folder, each with pixels of its own."""
+    for record in records:
+        path = folder / record.path
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_dng(path, mosaic_of(record), SENSOR, Exposure(record.iso, record.exposure_s))
+
+
+def build_lrd_tree(manifest: Manifest, folder: Path) -> None:
+    """Write every file of LRD; equal exposures are one file under several names (hard links): faster."""
+    made: dict[Exposure, Path] = {}
+    for record in manifest.records:
+        exposure = Exposure(record.iso, record.exposure_s)
+        if exposure not in made:
+            write_frames(folder, [record])
+            made[exposure] = folder / record.path
+            continue
+        (folder / record.path).parent.mkdir(parents=True, exist_ok=True)
+        os.link(made[exposure], folder / record.path)

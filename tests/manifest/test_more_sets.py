@@ -1,0 +1,319 @@
+"""LRID, SIDD and CRVD, which have a manifest but cannot be loaded yet, and the sets that have a card alone."""
+
+from __future__ import annotations
+
+import pickle
+import re
+from collections import Counter
+from dataclasses import replace
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from eldata import evaluate
+from eldata.datasets import PairDataset
+from eldata.errors import ManifestError
+from eldata.manifest.card import Card, card_text, load_card, save_card
+from eldata.manifest.catalogue import (
+    Manifest,
+    carded_names,
+    save_manifest,
+    shipped_card,
+    shipped_folder,
+    shipped_manifest,
+    shipped_names,
+)
+from eldata.manifest.lock import lock
+from eldata.manifest.pairs import select_pairs
+from eldata.manifest.table import save_records
+from eldata.manifest.verify import verify
+from eldata.sources.store.sources import source_of_dataset
+from manifests.cards_alone import CARDS_ALONE
+from manifests.published_crvd import published_crvd
+from manifests.published_lrid import Burst, bursts_from_infos, load_bursts, published_lrid, save_bursts
+from manifests.published_sidd import load_instances, published_sidd
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from eldata.records import FrameRecord
+
+FACTS = shipped_folder() / "facts"
+UNREADABLE = ("lrid", "sidd", "crvd")
+ALONE = ("aim25", "lld", "rawnind")
+
+
+def published(name: str) -> tuple[Card, tuple[FrameRecord, ...]]:
+    if name == "lrid":
+        return published_lrid(load_bursts(FACTS / "lrid.csv"))
+    return published_sidd(load_instances(FACTS / "sidd.csv")) if name == "sidd" else published_crvd()
+
+
+@pytest.mark.parametrize("name", UNREADABLE)
+def test_committed_files_are_what_the_generator_writes(name: str, tmp_path: Path) -> None:
+    card, records = published(name)
+    save_records(tmp_path / f"{name}.csv", records)
+    save_card(tmp_path / f"{name}.json", card)
+    for file in (f"{name}.csv", f"{name}.json"):
+        assert (tmp_path / file).read_bytes() == (shipped_folder() / file).read_bytes(), f"run make manifests ({file})"
+
+
+# --- LRID -------------------------------------------------------------------------------------------------------------
+
+# Scenes and gains of infos/<part>_short.info and <part>_GT_align_ours.info; ten frames each, but eight of one burst.
+LRID = {"indoor_x5": (60, (1, 2, 4, 8, 16)), "outdoor_x3": (57, (1, 2, 4)), "indoor_x3": (22, (1, 2, 4))}
+
+
+def test_lrid_has_the_files_of_the_info_files() -> None:
+    records = shipped_manifest("lrid").records
+    for part, (scenes, gains) in LRID.items():
+        of_part = [record for record in records if record.path.startswith(f"{part}/")]
+        references = [record for record in of_part if record.role == "reference"]
+        assert [record.path for record in references] == [
+            f"{part}/npy/GT_align_ours/{number:03d}.npy" for number in range(scenes)
+        ]
+        found = Counter((record.ratio, record.scene) for record in of_part if record.role == "noisy")
+        expected = {(Fraction(gain), f"{part}-{number:03d}"): 10 for gain in gains for number in range(scenes)}
+        if part == "indoor_x5":
+            expected[Fraction(4), "indoor_x5-024"] = 8
+        assert found == expected
+    assert Counter(record.role for record in records) == {"noisy": 3000 + 1710 + 660 - 2, "reference": 139}
+    assert not [record for record in records if "outdoor_x5" in record.path], "which the authors abandoned"
+
+
+def test_lrid_states_what_its_names_do() -> None:
+    name = "005062_exp-8000000_iso-6400_2022_08_17_05_33_48_461_9688422862537_orientation_0_camera-0.dng"
+    by_path = {record.path: record for record in shipped_manifest("lrid").records}
+    first = by_path[f"indoor_x5/6400/1/000/{name}"]
+    assert (first.iso, first.exposure_s, first.ratio) == (Fraction(6400), Fraction(1, 125), Fraction(1))
+    for record in by_path.values():
+        if record.role == "noisy":
+            part, iso, gain, scene, file = record.path.split("/")
+            stated = re.search(r"_exp-(\d+)_iso-(\d+)_", file)
+            assert stated is not None
+            assert record.exposure_s == Fraction(int(stated[1]), 10**9)
+            assert record.iso == int(stated[2]) == int(iso)
+            assert (record.scene, record.ratio) == (f"{part}-{scene}", Fraction(gain))
+            assert record.reference == f"{part}/npy/GT_align_ours/{scene}.npy"
+
+
+def test_lrid_splits_are_the_scenes_that_the_published_code_scores() -> None:
+    records = shipped_manifest("lrid").records
+    scored = {split: {r.scene for r in records if r.split == split} for split in ("eval", "test")}
+    assert scored["eval"] == {f"indoor_x5-{number:03d}" for number in (4, 14, 25, 41, 44, 51, 52, 53, 58)}
+    assert scored["test"] == {f"outdoor_x3-{number:03d}" for number in (9, 21, 22, 32, 44, 51)}
+    assert {record.split for record in records} == {"eval", "test", "train"}
+
+
+def info_files(folder: Path, change: Any = None) -> Path:
+    """Info files in the form of the published ones, pickles with more in them than paths."""
+    for part in LRID:
+        scenes = ("000", "001")
+        shorts: dict[int, list[dict[str, Any]]] = {}
+        for gain in (1, 2):
+            shorts[gain] = [
+                {
+                    "scene": scene,
+                    "dgain": gain,
+                    "ISO": 6400,
+                    "data": [
+                        f"E:/datasets/LRID\\{part}\\6400\\{gain}\\{scene}\\{gain}{scene}{shot}0_exp-{40000000 // gain}_"
+                        f"iso-6400_2022_08_20_23_41_54_31{shot}_33417423630756{shot}_orientation_180_camera-0.dng"
+                        for shot in range(2)
+                    ],
+                    "metadata": [{"ISO": 6400, "ExposureTime": 0.04, "name": "x", "time": "2022-08-20"}] * 2,
+                }
+                for scene in scenes
+            ]
+        references = [
+            {"name": f"{part}_gt_{scene}", "data": f"E:/datasets/LRID\\{part}\\npy\\GT_align_ours\\{scene}.npy"}
+            for scene in scenes
+        ]
+        if change is not None:
+            change(shorts, references)
+        folder.mkdir(exist_ok=True)
+        (folder / f"{part}_short.info").write_bytes(pickle.dumps(shorts, protocol=4))
+        (folder / f"{part}_GT_align_ours.info").write_bytes(pickle.dumps(references, protocol=4))
+    return folder
+
+
+def test_lrid_bursts_from_info_files(tmp_path: Path) -> None:
+    found = bursts_from_infos(info_files(tmp_path / "infos"))
+    assert len(found) == 3 * 2 * 2
+    frames = ("200100@2022_08_20_23_41_54_310_334174236307560", "200110@2022_08_20_23_41_54_311_334174236307561")
+    assert found[3] == Burst("indoor_x5", "001", 2, 20000000, 180, frames)
+    assert found[3].names[0] == (
+        "indoor_x5/6400/2/001/200100_exp-20000000_iso-6400_2022_08_20_23_41_54_310_334174236307560_orientation_180_"
+        "camera-0.dng"
+    )
+    save_bursts(tmp_path / "facts.csv", found)
+    assert load_bursts(tmp_path / "facts.csv") == found
+
+
+def test_an_info_file_is_not_run(tmp_path: Path) -> None:
+    class Harmful:
+        def __reduce__(self) -> tuple[Any, ...]:
+            return (tmp_path.joinpath("ran").touch, ())
+
+    def add(shorts: dict[int, Any], references: list[Any]) -> None:
+        shorts[1][0]["metadata"].append(Harmful())
+
+    assert len(bursts_from_infos(info_files(tmp_path / "infos", add))) == 12
+    assert not (tmp_path / "ran").exists()
+
+
+def test_info_files_that_the_table_could_not_say(tmp_path: Path) -> None:
+    def other_exposure(shorts: dict[int, Any], references: list[Any]) -> None:
+        data = shorts[1][0]["data"]
+        data[0] = data[0].replace("exp-40000000", "exp-50000000")
+
+    def lost_reference(shorts: dict[int, Any], references: list[Any]) -> None:
+        references.pop()
+
+    with pytest.raises(ManifestError, match="indoor_x5, gain 1, scene 000: frames differ"):
+        bursts_from_infos(info_files(tmp_path / "infos", other_exposure))
+    with pytest.raises(ManifestError, match="the references of indoor_x5 are not those of its scenes"):
+        bursts_from_infos(info_files(tmp_path / "infos", lost_reference))
+
+
+# --- SIDD -------------------------------------------------------------------------------------------------------------
+
+
+def test_sidd_has_the_counts_of_its_readme() -> None:
+    """320 image pairs, 160 scene instances, two images of each; ten scenes, five phones."""
+    records = shipped_manifest("sidd").records
+    assert Counter(record.role for record in records) == {"noisy": 320, "reference": 320}
+    assert len({record.path.split("/")[2] for record in records}) == 160
+    assert {record.scene for record in records} == {f"{number:03d}" for number in range(1, 11)}
+    assert len({record.camera for record in records}) == 5
+
+
+def test_sidd_names_say_what_the_readme_says_they_do() -> None:
+    """The ReadMe's example: instance 52, scene 2, Galaxy S6 Edge, ISO 1600, 1/1000 s."""
+    by_path = {record.path: record for record in shipped_manifest("sidd").records}
+    folder = "SIDD_Medium_Raw/Data/0052_002_S6_01600_01000_5500_N"
+    record = by_path[f"{folder}/0052_NOISY_RAW_011.MAT"]
+    assert (record.camera, record.scene) == ("GalaxyS6Edge", "002")
+    assert (record.iso, record.exposure_s) == (Fraction(1600), Fraction(1, 1000))
+    assert record.reference == f"{folder}/0052_GT_RAW_011.MAT"
+    assert record.ratio == 1
+
+
+def test_sidd_subsets_of_sfrn() -> None:
+    manifest = shipped_manifest("sidd")
+    for phone in ("S6", "GP", "IP"):
+        pairs = select_pairs(manifest.records, manifest.card.subsets, subset=f"sfrn-{phone.lower()}")
+        instances = {pair.path.split("/")[2] for pair in pairs}
+        assert {instance.split("_")[2] for instance in instances} == {phone}
+        assert {instance.split("_")[1] for instance in instances} == {"002", "003", "005"}
+        assert len(pairs) == 2 * len(instances)
+
+
+def test_a_sidd_name_of_another_form(tmp_path: Path) -> None:
+    (tmp_path / "sidd.csv").write_text("instance\n0001_001_S7_00100_00060_3200_L\n")
+    with pytest.raises(ManifestError, match="not the name of a scene instance of SIDD: '0001_001_S7"):
+        load_instances(tmp_path / "sidd.csv")
+
+
+# --- CRVD -------------------------------------------------------------------------------------------------------------
+
+
+def test_crvd_has_55_groups_of_seven_frames() -> None:
+    """The abstract's 55 groups; 7 frames and 10 noisy shots in the loops of the published code."""
+    manifest = shipped_manifest("crvd")
+    noisy = [record for record in manifest.records if record.role == "noisy"]
+    groups = Counter((record.scene, record.iso) for record in noisy)
+    assert len(groups) == 55
+    assert set(groups.values()) == {70}
+    assert Counter(record.role for record in manifest.records) == {"noisy": 3850, "reference": 385}
+    assert {record.scene for record in noisy if record.split == "test"} == {f"scene{number}" for number in range(7, 12)}
+    first = select_pairs(manifest.records, manifest.card.subsets, subset="test-first")
+    assert len(first) == 5 * 5 * 7
+    assert first[0].path.endswith("_noisy0.tiff")
+    assert first[0].reference.startswith("indoor_raw_gt/")
+    assert first[0].reference.endswith("_clean_and_slightly_denoised.tiff")
+
+
+# --- what cannot be loaded says so ------------------------------------------------------------------------------------
+
+
+@pytest.fixture(params=UNREADABLE)
+def one_scene(request: pytest.FixtureRequest, tmp_path: Path) -> Manifest:
+    """A manifest of one scene's files, with a few bytes in each."""
+    name = request.param
+    shipped = shipped_manifest(name)
+    records = [record for record in shipped.records if record.scene == shipped.records[0].scene]
+    card = replace(shipped.card, counts=dict(Counter(str(record.role) for record in records)), subsets=())
+    for record in records:
+        path = shipped.folder(tmp_path) / record.path
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"bytes")
+    used = {record.camera: card.cameras[record.camera] for record in records}
+    return save_manifest(tmp_path / f"{name}.csv", replace(card, cameras=used), records)
+
+
+def test_names_are_verified_and_deeper_levels_say_what_is_missing(one_scene: Manifest, tmp_path: Path) -> None:
+    assert verify([one_scene], tmp_path, level="quick").ok
+    (one_scene.folder(tmp_path) / one_scene.records[0].path).unlink()
+    (lost,) = verify([one_scene], tmp_path, level="quick").problems
+    assert lost.path == one_scene.records[0].path
+    for level in ("metadata", "full"):
+        (problem,) = verify([one_scene, shipped_manifest("eld")], tmp_path, level=level).problems
+        assert (problem.field, problem.found) == ("level", one_scene.card.unreadable)
+        assert "--level quick" in problem.advice
+
+
+def test_a_set_that_cannot_be_loaded_is_refused_by_name(one_scene: Manifest, tmp_path: Path) -> None:
+    name = one_scene.name
+    message = f"eldata cannot load {name} yet: .*; eldata info {name} says more"
+    with pytest.raises(ManifestError, match=message):
+        evaluate(tmp_path, name, root=tmp_path)
+    with pytest.raises(ManifestError, match=message):
+        evaluate(tmp_path, manifest=one_scene.path, root=tmp_path)
+    with pytest.raises(ManifestError, match=message):
+        PairDataset(one_scene.folder(tmp_path), name)
+    with pytest.raises(ManifestError, match=message):
+        source_of_dataset(name, root=tmp_path)
+    before = one_scene.path.read_bytes()
+    report = lock(one_scene.path, tmp_path)
+    assert (report.files_locked, [problem.field for problem in report.problems]) == (0, ["level"])
+    assert one_scene.path.read_bytes() == before
+
+
+# --- cards alone ------------------------------------------------------------------------------------------------------
+
+
+def test_every_set_has_a_card_and_some_have_it_alone() -> None:
+    assert set(carded_names()) - set(shipped_names()) == set(ALONE)
+    assert [card.name for card in CARDS_ALONE] == list(ALONE)
+    for card in CARDS_ALONE:
+        assert (shipped_folder() / f"{card.name}.json").read_text(encoding="utf-8") == card_text(card)
+        assert shipped_card(card.name) == card
+        for text in (card.title, card.licence, card.citation, card.contents):
+            assert text
+        assert card.homepage.startswith("https://")
+        for texts in (card.sources, card.known_defects, card.unknown, card.scored, card.downloads):
+            assert texts
+        assert card.counts == {}
+
+
+@pytest.mark.parametrize("name", ALONE)
+def test_a_set_without_a_manifest_is_told_from_an_unknown_one(name: str, tmp_path: Path) -> None:
+    for use in (lambda: shipped_manifest(name), lambda: evaluate(tmp_path, name), lambda: PairDataset(tmp_path, name)):
+        with pytest.raises(ManifestError, match=f"knows '{name}' by its card alone.*eldata info {name}"):
+            use()
+    with pytest.raises(ManifestError, match="no dataset is called 'lrb'; known are aim25, crvd, drv"):
+        shipped_card("lrb")
+
+
+def test_new_fields_of_a_card_may_be_missing_and_come_back(tmp_path: Path) -> None:
+    card = shipped_card("sidd")
+    save_card(tmp_path / "new.json", card)
+    assert load_card(tmp_path / "new.json") == card
+    assert card.contents
+    assert card.unreadable
+    old = re.sub(r',\n  "contents".*', "\n}\n", card_text(card), flags=re.DOTALL)
+    (tmp_path / "old.json").write_text(old)
+    loaded = load_card(tmp_path / "old.json")
+    assert (loaded.contents, loaded.levels, loaded.scored, loaded.unknown, loaded.unreadable) == ("", "", (), (), "")

@@ -328,14 +328,18 @@ def calibration_manifest(files: Path, work: Path) -> Any:
 
 @reader
 def custom_protocol(files: Path, work: Path) -> Any:
-    """A protocol of the user's own: every field, and the digest that results name."""
-    from eldata.protocols import load_protocol
+    """A protocol of the user's own: every field, and the digest that results name, by the rule of 0.1."""
+    from eldata.evaluation import load_results
+    from eldata.protocols import fields_digest_0_1, load_protocol
 
     path = files / "results" / "hallway.toml"
     run("eldata protocols {0} --json {1}", path, work / "shown.json")
     protocol = load_protocol(path)
-    assert loaded(files / "results" / "hallway.json")["provenance"]["protocol_digest"] == protocol.digest
-    return [protocol.name, protocol.title, protocol.levels, protocol.region, protocol.ratios, protocol.digest]
+    (result,) = load_results(files / "results" / "hallway.json")
+    assert result.digest == protocol.digest
+    digest = result.provenance["protocol_digest"]
+    assert digest == fields_digest_0_1(result.protocol.as_dict())
+    return [protocol.name, protocol.title, protocol.levels, protocol.region, protocol.ratios, digest]
 
 
 # --- capture --------------------------------------------------------------------------------------------------------

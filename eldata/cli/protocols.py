@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from eldata.protocols.protocol import Protocol
 
 _WIDTH = 118
+_DIGEST = "sha256:"
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -31,7 +32,10 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "protocol",
         metavar="NAME",
         nargs="*",
-        help="show this one (also: show NAME); a family such as pmn shows its protocols; or a TOML file",
+        help=(
+            "show this one (also: show NAME); a family such as pmn shows its protocols; or a TOML file; or a digest "
+            "such as sha256:b0012db3, that of a result of version 0.1 too"
+        ),
     )
     parser.add_argument("--dataset", metavar="N", help="only those for this dataset")
     add_shared(parser, run, "json")
@@ -44,6 +48,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     names = arguments.protocol[1:] if arguments.protocol[:1] == ["show"] else arguments.protocol
     found = _chosen(names, arguments.dataset)
+    for line in _digests_in_words(names):
+        print(line)
     if names:
         print("\n\n".join(_page(protocol) for protocol in found))
     else:
@@ -58,13 +64,15 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _chosen(names: list[str], dataset: str | None) -> list[Protocol]:
     from eldata.errors import ArgumentError
-    from eldata.protocols.choosing import get_protocol, members_of
+    from eldata.protocols.choosing import get_protocol, members_of, of_digest
     from eldata.protocols.named import FAMILIES, PROTOCOLS
 
     found: list[Protocol] = []
     for name in names or PROTOCOLS:
         if name in FAMILIES:
             found += members_of(name)
+        elif name.startswith(_DIGEST):
+            found += [now for _, now in of_digest(name)]
         else:
             found.append(get_protocol(name))
     if dataset is not None:
@@ -72,6 +80,22 @@ def _chosen(names: list[str], dataset: str | None) -> list[Protocol]:
         if not found:
             raise ArgumentError(f"no protocol is for dataset {dataset!r}; eldata info lists the datasets")
     return found
+
+
+def _digests_in_words(names: list[str]) -> list[str]:
+    """Return what each digest among the names is of, where it is not a protocol's digest of today."""
+    from eldata.protocols.choosing import of_digest
+    from eldata.protocols.comparability import comparability
+
+    lines = []
+    for digest in (name for name in names if name.startswith(_DIGEST)):
+        for was, now in of_digest(digest):
+            if now.digest.startswith(digest):
+                continue
+            changed = "; ".join(comparability(was.as_dict(), now.as_dict()))
+            scored = f"scored differently from now: {changed}" if changed else "which scored as it does now"
+            lines += [f"{digest} is {was.name} of version 0.1, {scored}", ""]
+    return lines
 
 
 def _page(protocol: Protocol) -> str:

@@ -4,9 +4,10 @@ from .choosing import protocols_for as protocols_for
 from .clips import ClipProtocol as ClipProtocol
 from .comparability import comparability as comparability
 from .custom import load_protocol as load_protocol
+from .digests import fields_digest as fields_digest
+from .digests import fields_digest_0_1 as fields_digest_0_1
 from .named import PROTOCOLS as PROTOCOLS
 from .protocol import Protocol as Protocol
-from .protocol import fields_digest as fields_digest
 
 __all__ = [
     "PROTOCOLS",
@@ -15,6 +16,7 @@ __all__ = [
     "comparability",
     "default_protocol",
     "fields_digest",
+    "fields_digest_0_1",
     "get_protocol",
     "load_protocol",
     "protocols_for",

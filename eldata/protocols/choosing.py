@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eldata.errors import ArgumentError
+from eldata.protocols.digests import scoring
 from eldata.protocols.kinds import IMAGES
-from eldata.protocols.named import FAMILIES, PROTOCOLS
+from eldata.protocols.named import EARLIER, FAMILIES, PROTOCOLS
+from eldata.protocols.protocol import ONE_CAMERAS_LEVELS
 
 if TYPE_CHECKING:
     from eldata.protocols.protocol import Protocol
@@ -50,6 +52,23 @@ def get_protocol(name: str | Path, dataset: str | None = None, *, own: bool = Fa
     raise ArgumentError(f"protocol {name!r} is {names}; name one of them for dataset {dataset or 'not known'!r}")
 
 
+def of_digest(digest: str) -> list[tuple[Protocol, Protocol]]:
+    """Return the protocols that a digest means, or its beginning: as scored under it, and as they are now.
+
+    They differ if the digest is one that version 0.1 wrote of a protocol that has been corrected since.
+
+    Raises
+    ------
+    ArgumentError
+        If no shipped protocol has or had such a digest.
+    """
+    now = [(protocol, protocol) for protocol in PROTOCOLS.values() if protocol.digest.startswith(digest)]
+    earlier = [(was, PROTOCOLS[was.name]) for known, was in EARLIER.items() if known.startswith(digest)]
+    if not now + earlier:
+        raise ArgumentError(f"no shipped protocol has the digest {digest}, and none had it in version 0.1")
+    return now + earlier
+
+
 def members_of(family: str) -> tuple[Protocol, ...]:
     """Return the protocols of a family; none if there is no such family."""
     return tuple(protocol for protocol in PROTOCOLS.values() if protocol.family == family)
@@ -64,13 +83,15 @@ def protocols_for(dataset: str, *, own: bool = False) -> tuple[Protocol, ...]:
     """Return the protocols for a dataset, its default first.
 
     A set of your ``own``, or of no known name, has its own pairs, so it gets one protocol of each way to score, the
-    first of the shipped ones.
+    first of the shipped ones. Levels that are those of one camera, whatever the file states, are not a way to score
+    another.
     """
     covering = tuple(protocol for protocol in PROTOCOLS.values() if protocol.covers(dataset))
     if covering and not own:
         return covering
-    ways: dict[str, Protocol] = {}
+    ways: list[Protocol] = []
     for protocol in covering or PROTOCOLS.values():
-        if covering or protocol.kind is IMAGES:
-            ways.setdefault(protocol.scoring_digest, protocol)
-    return tuple(ways.values())
+        fits = protocol.levels not in ONE_CAMERAS_LEVELS and (covering or protocol.kind is IMAGES)
+        if fits and all(scoring(protocol.as_dict()) != scoring(way.as_dict()) for way in ways):
+            ways.append(protocol)
+    return tuple(ways)

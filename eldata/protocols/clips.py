@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
+from eldata.protocols.digests import NEUTRAL
 from eldata.protocols.kinds import CLIPS, Kind
 from eldata.protocols.protocol import Clip, Levels, Pixels, Protocol, Rescaling
 
-# What a clip's protocol states of itself, in this order: its digest is taken of these.
+# What a clip's protocol states of itself, in this order; of the rest, which is about images, what is not neutral.
 _STATED = (
     *("name", "title", "source", "dataset", "pixels", "rescaling", "frames", "frame_count", "levels"),
     *("reference_clip", "reference", "region", "data_range", "st_rred_peak", "psnr", "ssim", "st_rred"),
@@ -76,4 +77,6 @@ class ClipProtocol(Protocol):
 
     def as_dict(self) -> dict[str, Any]:
         """Return what it states as plain types, with the definitions of its metrics."""
-        return {name: getattr(self, name) for name in _STATED}
+        every = Protocol.as_dict(self)  # super() does not find its class in one with slots
+        more = {name: value for name, value in every.items() if value != NEUTRAL.get(name, value)}
+        return {name: getattr(self, name) for name in _STATED} | more

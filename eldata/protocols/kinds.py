@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 
@@ -73,6 +73,11 @@ class Kind:
         return f"{self.unit}s"
 
     @property
+    def with_lpips(self) -> Kind:
+        """Itself with a column of LPIPS, of renderings in sRGB."""
+        return replace(self, metrics=(*self.metrics, _LPIPS), values=(*self.values, _LPIPS.name))
+
+    @property
     def heads(self) -> tuple[str, ...]:
         """Columns of a table of means."""
         return self.counted, *(metric.head for metric in self.metrics)
@@ -80,6 +85,7 @@ class Kind:
 
 _PSNR = Metric("psnr_db", "PSNR", "dB", 2, 2, 2)
 _SSIM = Metric("ssim", "SSIM", "", 3, 4, 4)  # differences of SSIM are small
+_LPIPS = Metric("lpips", "LPIPS", "", 3, 4, 4, higher_is_better=False)
 _ST_RRED = Metric("st_rred", "ST-RRED", "", 3, 3, 3, higher_is_better=False)
 
 IMAGES: Final = Kind(

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from eldata.base.fields import TextFile
 from eldata.errors import ArgumentError
 from eldata.protocols.clips import ClipProtocol
 from eldata.protocols.protocol import Protocol
 
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
-def _shipped() -> dict[str, Protocol]:
-    content = TextFile(Path(__file__).parent / "shipped.toml", ArgumentError).toml().data
+_CONTENT = TextFile(Path(__file__).parent / "shipped.toml", ArgumentError).toml().data
+
+
+def _shipped(content: Mapping[str, Any]) -> dict[str, Protocol]:
     texts: dict[str, str] = {}
     for name, text in content["texts"].items():
         texts[name] = text.strip().format_map(texts)
@@ -33,8 +37,13 @@ def _value(value: Any, texts: dict[str, str]) -> Any:
     return value.strip().format_map(texts) or None if isinstance(value, str) else value
 
 
-PROTOCOLS: dict[str, Protocol] = _shipped()
+PROTOCOLS: dict[str, Protocol] = _shipped(_CONTENT)
 """Those of images and those of clips by name; a dataset's default comes first."""
 
 FAMILIES: tuple[str, ...] = tuple(dict.fromkeys(p.family for p in PROTOCOLS.values() if p.family))
 """Names that stand for one protocol per dataset."""
+
+EARLIER: dict[str, Protocol] = {
+    stated["digest"]: replace(PROTOCOLS[name], **stated.get("was", {})) for name, stated in _CONTENT["earlier"].items()
+}
+"""Protocols as version 0.1 scored them, by the digests that its results state."""

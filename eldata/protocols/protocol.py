@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import re
 from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args, get_origin, get_type_hints
 
 from eldata.errors import ArgumentError, check_choice
+from eldata.protocols.digests import SCORED, fields_digest
 from eldata.protocols.kinds import IMAGES, Kind
 
 if TYPE_CHECKING:
@@ -29,20 +28,10 @@ Covariance = Literal["sample", "population"]
 
 ANY_DATASET = "any"
 
-# What stands in a protocol besides what decides a score.
-DESCRIPTIVE = ("title", "source", "family")
-
-# What chooses the pairs and describes the input, which predictions are made from; the rest decides what a given
-# prediction scores.
-_CHOOSING = ("name", "dataset", "ratios", "subset", "cameras", "scenes", "input_clip", "amplification")
+ONE_CAMERAS_LEVELS: tuple[Levels, ...] = ("sid-sony", "sid-fuji")
+"""Levels that are constants of one camera, whatever the file states."""
 
 _REGION = re.compile(r"full|(centre|border)-([1-9][0-9]{0,4})")
-
-
-def fields_digest(fields: dict[str, Any]) -> str:
-    """Return ``sha256:<hex>`` of a protocol's fields; those in :data:`DESCRIPTIVE` decide no score."""
-    deciding = {key: value for key, value in fields.items() if key not in DESCRIPTIVE}
-    return f"sha256:{hashlib.sha256(json.dumps(deciding, sort_keys=True).encode()).hexdigest()}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,12 +50,15 @@ class Protocol:
     levels
         Levels that normalise the reference. ``published``: white is 16383, black the file's; ``metadata``: the file's
         own; ``metadata-per-channel``: LibRaw's white level of each channel; ``sid-sony``, ``sid-fuji``: the constants
-        of the SID code (:mod:`eldata.raw.levels`).
+        that the SID code has for every file of a camera, and PMN's too (:mod:`eldata.raw.levels`).
     reference_clip
         Clip of the normalised reference: to [0, 1], ``upper`` at 1 only, or ``none``.
     region
         The scored part of the frame, in packed pixels: ``full``; ``centre-512``, the central square of that side;
         ``border-2``, all but as many pixels at each edge.
+    rescaling_region
+        The part of the frame that the factor is found on: ``scored``, the region, or another in its words. LED finds it
+        on the ``full`` frame.
     rescaling, rescaling_mask, prediction_clamp, rounding, data_range, mse_offset, ssim_window, ssim_covariance
         How the prediction is brought to the reference and compared with it: :class:`eldata.metrics.ScoringRules`.
     family
@@ -108,6 +100,7 @@ class Protocol:
     space: Space = "raw"
     rendering: Rendering = "none"
     rescaling_mask: RescalingMask = "unsaturated"
+    rescaling_region: str = SCORED
     prediction_clamp: PredictionClamp = "both"
     mse_offset: float = 0.0
     ssim_window: SsimWindow = "uniform-7"
@@ -149,13 +142,8 @@ class Protocol:
 
     @property
     def digest(self) -> str:
-        """``sha256:<hex>`` of all that decides a score: every field but title, source and family."""
+        """``sha256:<hex>`` of all that decides a score (:mod:`eldata.protocols.digests`)."""
         return fields_digest(self.as_dict())
-
-    @property
-    def scoring_digest(self) -> str:
-        """``sha256:<hex>`` of what decides the score of a given prediction: the pairs' choice is left out."""
-        return fields_digest({key: value for key, value in self.as_dict().items() if key not in _CHOOSING})
 
     def covers(self, dataset: str) -> bool:
         """Return whether it is for a dataset of this name."""
@@ -174,29 +162,24 @@ class Protocol:
         ArgumentError
             If the image is too small for the region.
         """
-        height, width = shape[-2:]
-        kind, size = self._region()
-        if kind == "full":
-            return slice(None), slice(None), slice(None)
-        if min(height, width) < (size if kind == "centre" else 2 * size + 1):
-            raise ArgumentError(f"a packed image of {height} x {width} is too small for the region {self.region!r}")
-        if kind == "border":
-            return slice(None), slice(size, height - size), slice(size, width - size)
-        top, left = height // 2 - size // 2, width // 2 - size // 2
-        return slice(None), slice(top, top + size), slice(left, left + size)
+        return _crop(self.region, shape)
 
-    def _region(self) -> tuple[str, int]:
-        """Return the region's kind and size in packed pixels."""
-        found = _REGION.fullmatch(self.region)
-        if found is None:
-            raise ArgumentError(f"region must be 'full', 'centre-N' or 'border-N'; found {self.region!r}")
-        return found[1] or "full", int(found[2] or 0)
+    @property
+    def factor_region(self) -> str:
+        """The part of the frame that the factor is found on, in the words of ``region``."""
+        return self.region if self.rescaling_region == SCORED else self.rescaling_region
+
+    def factor_crop(self, shape: tuple[int, ...]) -> tuple[slice, ...]:
+        """Return the index of what the factor is found on, as :meth:`crop` does; of the region if there is none."""
+        return _crop(self.region if self.rescaling == "none" else self.factor_region, shape)
 
     def check(self) -> None:
         """Raise :class:`ArgumentError` if a field has a value that it cannot have, or two do not go together."""
         for name, known in CHOICES.items():
             check_choice(name, getattr(self, name), known)
-        self._region()
+        _kind_and_size("region", self.region)
+        if self.rescaling_region != SCORED:
+            _kind_and_size("rescaling_region", self.rescaling_region)
         self.rules.check()
         if (self.space == "raw") != (self.rendering == "none"):
             raise ArgumentError(
@@ -212,6 +195,28 @@ class Protocol:
             raise ArgumentError(f"ratios must be positive; found {list(self.ratios)}")
 
 
+def _crop(region: str, shape: tuple[int, ...]) -> tuple[slice, ...]:
+    height, width = shape[-2:]
+    kind, size = _kind_and_size("region", region)
+    if kind == "full":
+        return slice(None), slice(None), slice(None)
+    if min(height, width) < (size if kind == "centre" else 2 * size + 1):
+        raise ArgumentError(f"a packed image of {height} x {width} is too small for the region {region!r}")
+    if kind == "border":
+        return slice(None), slice(size, height - size), slice(size, width - size)
+    top, left = height // 2 - size // 2, width // 2 - size // 2
+    return slice(None), slice(top, top + size), slice(left, left + size)
+
+
+def _kind_and_size(field: str, region: str) -> tuple[str, int]:
+    """Return a region's kind and its size in packed pixels."""
+    found = _REGION.fullmatch(region)
+    if found is None:
+        other = f", or {SCORED!r}" if field == "rescaling_region" else ""
+        raise ArgumentError(f"{field} must be 'full', 'centre-N' or 'border-N'{other}; found {region!r}")
+    return found[1] or "full", int(found[2] or 0)
+
+
 @dataclass(frozen=True, slots=True)
 class StatedProtocol:
     """A protocol as a saved result states it, in the fields that the version which wrote it had.
@@ -222,13 +227,10 @@ class StatedProtocol:
         What was scored.
     fields
         As plain types.
-    digest
-        ``sha256:<hex>`` of what decides a score.
     """
 
     kind: Kind
     fields: dict[str, Any]
-    digest: str
 
     @property
     def name(self) -> str:
@@ -239,6 +241,11 @@ class StatedProtocol:
     def title(self) -> str:
         """What it is."""
         return str(self.fields.get("title", ""))
+
+    @property
+    def digest(self) -> str:
+        """``sha256:<hex>`` of what of these fields decides a score, whichever version wrote them."""
+        return fields_digest(self.fields)
 
     def as_dict(self) -> dict[str, Any]:
         """Return its fields."""

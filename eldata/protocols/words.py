@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from eldata.protocols.digests import SCORED
 from eldata.protocols.kinds import IMAGES
 
 if TYPE_CHECKING:
@@ -44,9 +45,8 @@ def _ratios(values: Any) -> str:
 def region_words(region: str) -> str:
     """Return a region in words."""
     kind, _, size = region.partition("-")
-    return {"centre": f"packed centre {size} x {size}", "border": f"all but {size} packed pixels at each edge"}.get(
-        kind, "full frame"
-    )
+    words = {"centre": f"packed centre {size} x {size}", "border": f"all but {size} packed pixels at each edge"}
+    return {"full": "full frame", **words}.get(kind, region)
 
 
 # Field -> its name in words, and its value's.
@@ -67,6 +67,7 @@ FIELDS: Mapping[str, tuple[str, Callable[[Any], str]]] = {
     "region": ("region", region_words),
     "rescaling": ("rescaling", lambda value: _RESCALINGS[value]),
     "rescaling_mask": ("factor found", lambda value: _MASKS[value]),
+    "rescaling_region": ("factor's region", lambda value: "the scored one" if value == SCORED else region_words(value)),
     "prediction_clamp": ("prediction's clamp", lambda value: _CLAMPS[value]),
     "rounding": ("rounding", lambda value: _ROUNDINGS[value]),
     "data_range": ("data range", lambda value: f"{value:g}"),
@@ -97,7 +98,7 @@ def described(protocol: Protocol) -> list[tuple[str, str]]:
     values = protocol.as_dict()
     skipped = {"ssim_window", "ssim_covariance", "mse_offset", "data_range"}  # PSNR and SSIM say them
     if protocol.rescaling == "none":
-        skipped.add("rescaling_mask")
+        skipped |= {"rescaling_mask", "rescaling_region"}
     if protocol.rendering == "none":
         skipped.add("rendering")
     if protocol.pixels != "packed":
@@ -122,20 +123,26 @@ def summary(protocol: Protocol) -> tuple[str, ...]:
             pairs.insert(0, " ".join(f"x{ratio:g}" for ratio in protocol.ratios) or "all factors")
     else:
         pairs = [f"{protocol.as_dict()['frame_count']} frames per clip"]
-    kind, _, size = protocol.region.partition("-")
-    white = {"published": "16383", "metadata": "file", "metadata-per-channel": "file, channel"}
+    levels = {"published": "16383", "metadata": "file", "metadata-per-channel": "file, channel"}
+    levels |= {"sid-sony": "16383, black 512", "sid-fuji": "16383, black 1024"}
+    scalar = "yes" if protocol.factor_region == protocol.region else f"yes ({_region(protocol.factor_region)})"
     space = {"raw": "raw", "srgb": "sRGB, 8 bit" if protocol.rounding != "none" else "sRGB"}[protocol.space]
     return (
         protocol.name,
         protocol.dataset,
         ", ".join(part for part in pairs if part),
-        {"centre": f"centre {size}", "border": f"{size} px off"}.get(kind, "full"),
-        {"srgb": "LibRaw", "rgb": "none"}.get(protocol.pixels, white.get(protocol.levels, protocol.levels)),
-        "yes" if protocol.rescaling == "scalar" else "no",
+        _region(protocol.region),
+        {"srgb": "LibRaw", "rgb": "none"}.get(protocol.pixels, levels[protocol.levels]),
+        scalar if protocol.rescaling == "scalar" else "no",
         protocol.input_clip,
         {"uniform-7": "7x7", "gaussian-11": "Gauss 11", "gaussian-11-volume": "Gauss 11, RGB"}[protocol.ssim_window],
         "RGB" if protocol.pixels == "rgb" else space,
     )
+
+
+def _region(region: str) -> str:
+    kind, _, size = region.partition("-")
+    return {"centre": f"centre {size}", "border": f"{size} px off"}.get(kind, region)
 
 
 def _scenes(scenes: tuple[str, ...]) -> str:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import re
-from dataclasses import FrozenInstanceError, replace
+from dataclasses import MISSING, FrozenInstanceError, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +15,21 @@ import pytest
 from eldata.errors import ArgumentError
 from eldata.protocols import (
     PROTOCOLS,
+    ClipProtocol,
+    Protocol,
     comparability,
     default_protocol,
+    digests,
     fields_digest,
+    fields_digest_0_1,
     get_protocol,
     load_protocol,
     protocols_for,
 )
-from eldata.protocols.protocol import CHOICES, DESCRIPTIVE
+from eldata.protocols.choosing import of_digest
+from eldata.protocols.digests import NEUTRAL, canonical
+from eldata.protocols.named import EARLIER
+from eldata.protocols.protocol import CHOICES
 from eldata.protocols.words import FIELDS, HEADER, described, summary
 from tests.evaluation.helpers import scored_pairs
 
@@ -32,8 +40,7 @@ GOLDEN = Path(__file__).parent / "golden" / "protocols.json"
 
 def deciding() -> dict[str, dict[str, Any]]:
     return {
-        name: {"digest": protocol.digest}
-        | {key: value for key, value in protocol.as_dict().items() if key not in DESCRIPTIVE}
+        name: {"digest": protocol.digest, "canonical": canonical(protocol.as_dict())}
         for name, protocol in PROTOCOLS.items()
     }
 
@@ -45,16 +52,19 @@ def test_protocols_are_frozen() -> None:
     assert deciding() == json.loads(GOLDEN.read_text(encoding="utf-8"))
 
 
-def test_the_first_protocols_score_as_they_did() -> None:
-    """What these four had before fields were added has not changed."""
-    first = {
-        "eld": "1af296f728e5859d26d8e8af6d81f69ceff3b6a320dc00d1f0a448ccea3a1d7b",
-        "eld-uncorrected": "6fe8de8c7f367beae75e1b9ff051ef617af5454419168552cbd33d03d5ddd3d8",
+def test_a_digest_can_be_computed_by_anybody() -> None:
+    """From what the documentation says, without this package."""
+    fields = {
+        "version": 1,
+        "dataset": "eld",
+        "ratios": [100.0, 200.0],
+        "levels": "published",
+        "reference_clip": "both",
+        "region": "full",
+        "rescaling": "scalar",
     }
-    fields = ("name", "dataset", "ratios", "levels", "reference_clip", "region", "rescaling", "data_range", "rounding")
-    for name, digest in first.items():
-        values = PROTOCOLS[name].as_dict()
-        assert fields_digest({field: values[field] for field in (*fields, "psnr", "ssim")}) == f"sha256:{digest}"
+    text = json.dumps(fields, sort_keys=True)
+    assert PROTOCOLS["eld"].digest == f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
 
 
 def test_protocol_cannot_be_changed() -> None:
@@ -66,20 +76,101 @@ def test_digests_differ() -> None:
     assert len({protocol.digest for protocol in PROTOCOLS.values()}) == len(PROTOCOLS)
 
 
-@pytest.mark.parametrize(
-    "change",
-    [{"name": "x"}, {"dataset": "x"}, {"ratios": (100,)}, {"levels": "metadata"}, {"reference_clip": "none"},
-     {"rescaling": "none"}, {"data_range": 255.0}, {"region": "border-2"}, {"subset": "x"}, {"cameras": ("x",)},
-     {"scenes": ("x",)}, {"input_clip": "none"}, {"amplification": "nominal"}, {"space": "srgb"},
-     {"rendering": "libraw"}, {"rounding": "8-bit"}, {"rescaling_mask": "all"}, {"prediction_clamp": "none"},
-     {"mse_offset": 1e-8}, {"ssim_window": "gaussian-11"}, {"ssim_covariance": "population"}],
-)  # fmt: skip
-def test_digest_depends_on_what_decides_a_score(change: dict[str, Any]) -> None:
-    assert replace(PROTOCOLS["eld"], **change).digest != PROTOCOLS["eld"].digest
+# Another value for every field of a protocol that decides a score.
+CHANGES: dict[str, Any] = {
+    "dataset": "x", "ratios": (100,), "levels": "metadata", "reference_clip": "none", "rescaling": "none",
+    "data_range": 255.0, "region": "border-2", "subset": "x", "cameras": ("x",), "scenes": ("x",), "input_clip": "none",
+    "amplification": "nominal", "space": "srgb", "rendering": "libraw", "rounding": "8-bit", "rescaling_mask": "all",
+    "rescaling_region": "border-2", "prediction_clamp": "none", "mse_offset": 1e-8, "ssim_window": "gaussian-11",
+    "ssim_covariance": "population",
+}  # fmt: skip
+CHANGES_OF_CLIPS: dict[str, Any] = {"pixels": "rgb", "frames": "x", "frame_count": 4, "st_rred_peak": 255.0}
+PROSE = ("name", "title", "source", "family")
 
 
-def test_digest_does_not_depend_on_words() -> None:
-    assert replace(PROTOCOLS["eld"], title="x", source="y", family="z").digest == PROTOCOLS["eld"].digest
+def test_each_deciding_field_changes_the_digest() -> None:
+    assert {field.name for field in fields(Protocol)} == {*CHANGES, *PROSE}
+    assert {field.name for field in fields(ClipProtocol)} == {*CHANGES, *CHANGES_OF_CLIPS, *PROSE, "reference"}
+    for name, value in CHANGES.items():
+        assert replace(PROTOCOLS["eld"], **{name: value}).digest != PROTOCOLS["eld"].digest, name
+    of_clips = CHANGES | CHANGES_OF_CLIPS | {"levels": "published", "ratios": (1,)}
+    for name, value in of_clips.items():
+        assert replace(PROTOCOLS["drv-raw"], **{name: value}).digest != PROTOCOLS["drv-raw"].digest, name
+
+
+@pytest.mark.parametrize("name", PROTOCOLS)
+def test_no_sentence_and_no_neutral_field_changes_a_digest(name: str) -> None:
+    """Every sentence reworded, and fields with neutral values, stated and not."""
+    stated = PROTOCOLS[name].as_dict()
+    reworded = {key: "said otherwise" for key in (*PROSE, "psnr", "ssim", "st_rred", "reference") if key in stated}
+    assert set(reworded) >= {"name", "title", "source", "psnr", "ssim"}
+    assert fields_digest(stated | reworded) == PROTOCOLS[name].digest
+    others = {key: value for key, value in stated.items() if key not in reworded}
+    assert not any(" " in str(value) for key, value in others.items() if isinstance(value, str)), "prose counts"
+    for field, neutral in NEUTRAL.items():
+        if stated.get(field, neutral) == neutral:
+            older = {key: value for key, value in stated.items() if key != field}
+            assert fields_digest(older) == fields_digest(older | {field: neutral}) == PROTOCOLS[name].digest, field
+
+
+def test_a_field_that_is_added_changes_no_digest(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a release does it: the field in the record, its neutral value in the list."""
+    before = {name: protocol.digest for name, protocol in PROTOCOLS.items()}
+    monkeypatch.setattr(digests, "NEUTRAL", {**NEUTRAL, "sharpening": "none"})
+    for name, protocol in PROTOCOLS.items():
+        assert fields_digest(protocol.as_dict() | {"sharpening": "none"}) == before[name]
+        assert fields_digest(protocol.as_dict() | {"sharpening": "some"}) != before[name]
+
+
+def test_neutral_values_are_the_defaults() -> None:
+    """So that a field that is added without a neutral value is noticed: all digests would change."""
+    optional = {field.name: field.default for field in fields(Protocol) if field.default is not MISSING}
+    del optional["family"]
+    stated = {name: list(value) if isinstance(value, tuple) else value for name, value in optional.items()}
+    assert stated | {"ratios": []} == dict(NEUTRAL)
+
+
+def test_what_has_no_effect_is_not_in_a_digest() -> None:
+    plain, led = PROTOCOLS["eld-uncorrected"], PROTOCOLS["led-sid"]
+    assert replace(plain, rescaling_mask="all", rescaling_region="border-2").digest == plain.digest
+    assert replace(led, rescaling_region="border-2").digest == replace(led, rescaling_region="scored").digest
+    turned = replace(led, ratios=(300.0, 100, 250))
+    assert turned.digest == led.digest, "neither the order of a list nor 100 and 100.0"
+
+
+# --- version 0.1 ------------------------------------------------------------------------------------------------------
+
+CORRECTED = {
+    "pmn-sid": ["levels: white 16383, black the file's against black 512, white 16383"],
+    "pmn-eld": [
+        "levels: white 16383, black the file's against black 512, white 16383",
+        "input amplified: by the files' exposure ratio against by the manifest's ratio",
+    ],
+    "led-sid": ["factor's region: all but 2 packed pixels at each edge against full frame"],
+    "led-eld": ["factor's region: all but 2 packed pixels at each edge against full frame"],
+}
+
+
+def test_digests_of_version_0_1_are_known() -> None:
+    """The file holds what 0.1 stated of its protocols; what it scored as today has the digest of today."""
+    stated = json.loads((GOLDEN.parent / "protocols_of_0_1.json").read_text(encoding="utf-8"))
+    assert {was.name for was in EARLIER.values()} == set(stated)
+    for name, values in stated.items():
+        digest = values.pop("digest")
+        assert fields_digest_0_1(values) == digest
+        was, now = EARLIER[digest], PROTOCOLS[name]
+        assert (was.name, was.digest) == (name, fields_digest(values))
+        assert (was.digest == now.digest) == (name not in CORRECTED)
+        assert comparability(values, now.as_dict()) == CORRECTED.get(name, [])
+
+
+def test_a_digest_tells_its_protocol() -> None:
+    assert of_digest("sha256:b0012db3") == [(PROTOCOLS["eld"], PROTOCOLS["eld"])]
+    ((was, now),) = of_digest("sha256:aaf643df")
+    assert (was.rescaling_region, now) == ("scored", PROTOCOLS["led-sid"])
+    assert of_digest(PROTOCOLS["led-sid"].digest) == [(PROTOCOLS["led-sid"], PROTOCOLS["led-sid"])]
+    with pytest.raises(ArgumentError, match="no shipped protocol has the digest sha256:00000000"):
+        of_digest("sha256:00000000")
 
 
 def test_protocols_make_sense() -> None:
@@ -217,14 +308,40 @@ def test_differences_are_named_in_words() -> None:
     ]
 
 
-def test_a_field_that_an_older_version_did_not_state_is_said() -> None:
+def test_a_field_that_an_older_version_did_not_state_is_neutral() -> None:
     eld = json.loads(json.dumps(PROTOCOLS["eld"].as_dict()))
     older = {key: value for key, value in eld.items() if key != "mse_offset"}
-    assert comparability(older, eld) == ["added to the error: not stated against 0"]
+    assert comparability(older, eld) == []
+    assert comparability(older, eld | {"mse_offset": 1e-8}) == ["added to the error: 0 against 1e-08"]
     assert comparability(eld, eld | {"levels": "of tomorrow", "new": 1}) == [
         "levels: white 16383, black the file's against of tomorrow",
         "new: not stated against 1",
     ]
+
+
+def test_what_came_to_the_same_does_not_count() -> None:
+    sid, pmn = PROTOCOLS["sid"].as_dict(), PROTOCOLS["pmn-sid"].as_dict()
+    pairs = ("dataset", "subset")
+    (levels,) = comparability(sid, pmn, ignored=pairs)
+    assert levels == "levels: white 16383, black the file's against black 512, white 16383"
+    assert comparability(sid, pmn, ignored=pairs, equal=[{}, {"levels": ["published", "sid-sony"]}]) == []
+    others: list[dict[str, list[str]]] = [
+        {"levels": ["published", "metadata"]},
+        {"levels": []},
+        {"region": ["published", "sid-sony"]},
+    ]
+    for choices in others:
+        assert comparability(sid, pmn, ignored=pairs, equal=[choices]) == [levels]
+
+
+def test_where_the_factor_is_found_is_said_where_it_differs() -> None:
+    """LED finds it on the full frame, and so does ELD, whose region that is."""
+    eld, led, plain = (PROTOCOLS[name].as_dict() for name in ("eld", "led-eld", "lrd-eld"))
+    assert not [text for text in comparability(eld, led) if text.startswith("factor")]
+    assert not [text for text in comparability(plain, led) if text.startswith("factor")]
+    cropped = led | {"rescaling_region": "scored"}
+    expected = ["factor's region: all but 2 packed pixels at each edge against full frame"]
+    assert comparability(cropped, led) == expected
 
 
 def test_protocols_of_clips_compare_too() -> None:
@@ -295,6 +412,10 @@ def test_any_dataset_and_all_factors(tmp_path: Path) -> None:
     [
         (START + "regoin = 'full'\n", r"field regoin: is unknown \(did you mean region\?\); known are base, name"),
         (START + 'family = "pmn"\n', r"field family: is unknown"),
+        (
+            START + 'rescaling_region = "whole"\n',
+            r"rescaling_region must be 'full', 'centre-N' or 'border-N', or 'scored'; found 'whole'",
+        ),
         (START + "region = 3\n", r"field region: expected a text, found 3"),
         (START + 'region = "middle"\n', r"region must be 'full', 'centre-N' or 'border-N'; found 'middle'"),
         (START + 'region = "centre-0"\n', r"region must be"),
@@ -357,6 +478,18 @@ def test_missing_and_unreadable_files(tmp_path: Path) -> None:
 def test_regions(region: str, shape: tuple[int, ...], rows: tuple[int, int], columns: tuple[int, int]) -> None:
     protocol = replace(PROTOCOLS["eld"], region=region)
     assert [s.indices(n)[:2] for s, n in zip(protocol.crop(shape)[1:], shape[1:], strict=True)] == [rows, columns]
+
+
+def test_the_factor_has_a_region_of_its_own(tmp_path: Path) -> None:
+    shape = (4, 30, 40)
+    eld, led = PROTOCOLS["eld"], PROTOCOLS["led-sid"]
+    assert eld.factor_crop(shape) == eld.crop(shape)
+    assert replace(eld, region="border-3").factor_crop(shape) == replace(eld, region="border-3").crop(shape)
+    assert led.factor_crop(shape) == eld.crop(shape) != led.crop(shape)
+    mine = load_protocol(written(tmp_path, START + 'rescaling_region = "border-4"\n'))
+    assert (mine.crop(shape), mine.factor_crop(shape)[1]) == (eld.crop(shape), slice(4, 26))
+    unused = replace(mine, rescaling="none", rescaling_region="centre-512")
+    assert unused.factor_crop(shape) == unused.crop(shape)
 
 
 @pytest.mark.parametrize(("region", "shape"), [("centre-512", (4, 600, 511)), ("border-2", (4, 4, 9))])

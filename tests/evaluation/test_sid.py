@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
 import zlib
 from typing import TYPE_CHECKING
 
@@ -183,3 +185,41 @@ def test_each_dataset_has_its_protocol(dataset: str, protocol: str) -> None:
     assert default_protocol(dataset) is PROTOCOLS[protocol]
     assert not PROTOCOLS["eld"].covers("elder")
     assert not PROTOCOLS["sid"].covers("eld")
+
+
+# --- one folder for both cameras ----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def both(predictions: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("both") / "preds"
+    for name in SUBSETS:
+        shutil.copytree(predictions / name, folder, dirs_exist_ok=True, copy_function=os.link)
+    return folder
+
+
+@pytest.mark.parametrize(("name", "other", "count"), [("sid-sony", "sid-fuji", 94), ("sid-fuji", "sid-sony", 129)])
+def test_predictions_of_the_other_camera_are_noted_and_left_out(
+    name: str, other: str, count: int, root: Path, both: Path, results: dict[str, EvaluationResult]
+) -> None:
+    found = evaluate(both, name, root=root)
+    assert not found.problems
+    assert found.images == results[name].images
+    assert set(found.notes) - set(results[name].notes) == {
+        f"{count} predictions of {other} are there too; not scored here"
+    }
+
+
+def test_what_is_of_neither_camera_is_still_a_problem(root: Path, both: Path, tmp_path: Path) -> None:
+    shutil.copytree(both, tmp_path / "preds", copy_function=os.link)
+    odd = tmp_path / "preds/Fuji/short/10005_99_0.04s.npy"
+    np.save(odd, np.zeros(3))
+    (problem,) = evaluate(tmp_path / "preds", "sid-sony", root=root).problems
+    assert problem.path == "Fuji/short/10005_99_0.04s.npy"
+
+
+def test_the_other_camera_alone_is_one_message(root: Path, predictions: Path) -> None:
+    (problem,) = evaluate(predictions / "sid-fuji", "sid-sony", root=root).problems
+    assert problem.path == str(predictions / "sid-fuji")
+    assert problem.reason.startswith("found 94 .npy files, none of them where expected (the prediction of Sony/short/")
+    assert problem.reason.endswith("; it holds predictions of other data, 94 of them of sid-fuji (--dataset sid-fuji)")

@@ -14,7 +14,7 @@ import torch
 
 from eldata.errors import ArgumentError, EldataError
 from eldata.metrics._images import check_data_range, check_threads
-from eldata.metrics.image_score import score_by
+from eldata.metrics.image_score import factor_by, score_by
 from eldata.metrics.signal_to_noise import psnr
 from eldata.metrics.similarity import ssim
 from eldata.protocols.kinds import IMAGES
@@ -160,8 +160,8 @@ class ProtocolScore(_MeanOverImages):
     Given the predictions and references that ``eldata evaluate`` would score, the numbers equal its own to the last
     bit. The references have to be normalised and clipped as the protocol says (its ``levels`` and ``reference_clip``;
     those of :class:`eldata.ELDDataset` and :class:`eldata.SIDDataset` are so for ``eld`` and ``sid``). The region is
-    cut out here, so images are whole frames. Which images a number is over is the caller's choice: a paper's table has
-    one per camera and factor.
+    cut out here, after the factor was found where the protocol finds it, so images are whole frames. Which images a
+    number is over is the caller's choice: a paper's table has one per camera and factor.
 
     Parameters
     ----------
@@ -195,10 +195,10 @@ class ProtocolScore(_MeanOverImages):
             )
 
     def _scores(self, prediction: torch.Tensor, reference: torch.Tensor) -> tuple[float, ...]:
-        region = self.protocol.crop(tuple(reference.shape))
-        if reference.ndim == 2:
-            region = region[1:]
-        found = score_by(prediction[region], reference[region], self.protocol.rules, threads=self.threads)
+        protocol, shape, rules = self.protocol, tuple(reference.shape), self.protocol.rules
+        region, part = (crop[-reference.ndim :] for crop in (protocol.crop(shape), protocol.factor_crop(shape)))
+        factor = factor_by(prediction[part], reference[part], rules, threads=self.threads)
+        found = score_by(prediction[region], reference[region], rules, factor=factor, threads=self.threads)
         return found.psnr_db, found.ssim
 
     def compute(self) -> dict[str, torch.Tensor]:

@@ -1,4 +1,4 @@
-"""Image metrics: PSNR, SSIM, ELD's illuminance rescaling, and the three fused into one protocol."""
+"""Image metrics: PSNR, SSIM, ELD's illuminance rescaling, the three fused into one protocol; LPIPS of sRGB images."""
 
 import lazy_loader
 

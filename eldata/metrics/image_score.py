@@ -12,7 +12,7 @@ from eldata.errors import ArgumentError, check_choice
 from eldata.metrics._images import check_data_range, check_threads, pair
 from eldata.metrics.rescaling import factor_of
 from eldata.metrics.signal_to_noise import decibels
-from eldata.metrics.similarity import check_windowing, error_and_ssim, side_of
+from eldata.metrics.similarity import AS_IT_IS, check_windowing, error_and_ssim, side_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -173,7 +173,8 @@ def score_by(
         factor = _factor(images, rules, threads)
     treatment, data_range = rules.treatment(factor), rules.data_range
     if rules.rounding != "none":
-        images, treatment, data_range = _rounded(images, rules, treatment)
+        images, data_range = _rounded(images, rules, treatment), 255.0 * rules.data_range
+        treatment = AS_IT_IS
     error, similarity = error_and_ssim(
         images, data_range, treatment, threads, window=rules.ssim_window, covariance=rules.ssim_covariance
     )
@@ -201,19 +202,47 @@ def _factor(images: Pair, rules: ScoringRules, threads: int | None) -> float:
     return factor_of(images, threads, limits=(low, high), masked=1.0 if rules.rescaling_mask == "unsaturated" else None)
 
 
-def _rounded(images: Pair, rules: ScoringRules, treatment: Treatment) -> tuple[Pair, Treatment, float]:
-    """Return both images as 8-bit codes, which float32 holds exactly, how to treat them further, and their range."""
+def as_compared(prediction: Image, reference: Image, rules: ScoringRules, factor: float) -> tuple[Array, Array]:
+    """Return both images as :func:`score_by` compares them: the prediction treated, both rounded where rules say so.
+
+    Parameters
+    ----------
+    prediction, reference, rules, factor
+        As for :func:`score_by`.
+
+    Returns
+    -------
+    (ndarray, ndarray)
+        (C, h, w) each, on the scale of the images; float32 where they are rounded, else float64.
+
+    Raises
+    ------
+    ArgumentError
+        As :func:`score_by`.
+    """
+    rules.check()
+    images, treatment = pair(prediction, reference), rules.treatment(factor)
+    if rules.rounding == "none":
+        return _treated(images.prediction, treatment), images.reference.astype(np.float64)
+    codes = _rounded(images, rules, treatment)
+    return codes.prediction / np.float32(255), codes.reference / np.float32(255)
+
+
+def _treated(values: Array, treatment: Treatment) -> NDArray[np.float64]:
+    if treatment == AS_IT_IS:
+        return values.astype(np.float64)
     low, high, factor, final_low, final_high = treatment
+    return np.clip(np.clip(values.astype(np.float64), low, high) * factor, final_low, final_high)
+
+
+def _rounded(images: Pair, rules: ScoringRules, treatment: Treatment) -> Pair:
+    """Return both images as 8-bit codes, which float32 holds exactly."""
     half = 0.5 if rules.rounding == "8-bit" else 0.0
 
-    def codes(image: Array, *, treated: bool) -> NDArray[np.float32]:
+    def codes(image: Array, treatment: Treatment) -> NDArray[np.float32]:
         result = np.empty(image.shape, np.float32)
         for channel, plane in enumerate(image):
-            values = plane.astype(np.float64)
-            if treated:
-                values = np.clip(np.clip(values, low, high) * factor, final_low, final_high)
-            result[channel] = np.clip(np.floor(255.0 * values + half), 0.0, 255.0)
+            result[channel] = np.clip(np.floor(255.0 * _treated(plane, treatment) + half), 0.0, 255.0)
         return result
 
-    rounded = pair(codes(images.prediction, treated=True), codes(images.reference, treated=False))
-    return rounded, (-math.inf, math.inf, 1.0, -math.inf, math.inf), 255.0 * rules.data_range
+    return pair(codes(images.prediction, treatment), codes(images.reference, AS_IT_IS))

@@ -9,6 +9,7 @@ import pickle
 import subprocess
 import sys
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,7 @@ from skimage.metrics import structural_similarity
 from eldata import metrics
 from eldata.errors import ArgumentError
 from eldata.evaluation import evaluate
+from eldata.metrics.image_score import factor_by
 from eldata.protocols import PROTOCOLS
 from eldata.protocols.kinds import IMAGES
 from tests.evaluation import oracle
@@ -76,11 +78,13 @@ def placed(tree: Tree, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, 
     return folder, place(folder, tree)
 
 
-@pytest.mark.parametrize("protocol", ["eld", "eld-uncorrected"])
+@pytest.mark.parametrize("protocol", ["eld", "eld-uncorrected", "led-eld", "pmn-eld"])
 def test_the_numbers_are_those_of_evaluate(tree: Tree, placed: tuple[Path, dict[str, Any]], protocol: str) -> None:
     """To the last bit, by camera and factor as in the table."""
-    from eldata.raw.levels import packed_frame
+    from eldata.evaluation.references import normalised_frame
     from eldata.raw.reading import read_raw
+
+    rules = PROTOCOLS[protocol]
 
     folder, predictions = placed
     result = evaluate(folder, manifest=tree.manifest, root=tree.root, protocol=protocol)
@@ -91,7 +95,8 @@ def test_the_numbers_are_those_of_evaluate(tree: Tree, placed: tuple[Path, dict[
         metric = ProtocolScore(protocol)
         members = [pair for pair in oracle.pairs(tree.files) if (pair.camera, pair.factor) == (camera, ratio)]
         frames = [
-            packed_frame(read_raw(tree.files / pair.reference), levels="published", clip="both") for pair in members
+            normalised_frame(read_raw(tree.files / pair.reference), rules.levels, clip=rules.reference_clip)
+            for pair in members
         ]
         metric.update(
             torch.from_numpy(np.stack([predictions[pair.path] for pair in members])),
@@ -167,13 +172,15 @@ def test_ssim_is_that_of_scikit_image_and_not_of_torchmetrics() -> None:
     "protocol", [name for name, protocol in PROTOCOLS.items() if protocol.space == "raw" and protocol.kind is IMAGES]
 )
 def test_every_protocol_of_raw_images(protocol: str) -> None:
-    """Region and rules are the protocol's: the score of the crop by the function that evaluate uses."""
+    """Regions and rules are the protocol's: the score of the crop by the functions that evaluate uses."""
     preds, target = images(1, size=(520, 530))
     metric = ProtocolScore(protocol)
     metric.update(preds, target)
     rules = PROTOCOLS[protocol]
     region = rules.crop((4, 520, 530))
-    expected = metrics.score_by(preds[0][region], target[0][region], rules.rules)
+    part = rules.factor_crop((4, 520, 530))
+    factor = factor_by(preds[0][part], target[0][part], rules.rules)
+    expected = metrics.score_by(preds[0][region], target[0][region], rules.rules, factor=factor)
     assert numbers(metric.compute()) == {"psnr_db": expected.psnr_db, "ssim": expected.ssim}
 
 
@@ -208,7 +215,7 @@ def test_batches_and_order_change_nothing(module: Any) -> None:
         assert numbers(other.compute()) == expected
 
 
-@pytest.mark.parametrize("module", MODULES)
+@pytest.mark.parametrize("module", [*MODULES, pytest.param(partial(ProtocolScore, "led-eld"), id="led-eld")])
 def test_one_image_without_a_batch(module: Any) -> None:
     preds, target = images(1)
     batched, single, plane = module(), module(), module()

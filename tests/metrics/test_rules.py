@@ -14,6 +14,7 @@ from skimage.metrics import structural_similarity
 
 from eldata.errors import ArgumentError
 from eldata.metrics import ScoringRules, factor_by, score, score_by
+from eldata.metrics.image_score import as_compared
 
 Image = npt.NDArray[np.floating[Any]]
 
@@ -25,7 +26,8 @@ def images(dtype: npt.DTypeLike = np.float64) -> tuple[Image, Image]:
     return p.astype(dtype), g.astype(dtype)
 
 
-def step_by_step(p: Image, g: Image, rules: ScoringRules) -> tuple[float, float, float]:
+def treated(p: Image, g: Image, rules: ScoringRules) -> tuple[Image, Image, float]:
+    """Both images as they are compared, and the factor."""
     p64, g64 = p.astype(np.float64), g.astype(np.float64)
     if rules.prediction_clamp != "none":
         p64 = np.clip(p64, 0, 1)
@@ -39,6 +41,11 @@ def step_by_step(p: Image, g: Image, rules: ScoringRules) -> tuple[float, float,
     if rules.rounding != "none":
         half = 0.5 if rules.rounding == "8-bit" else 0.0
         p64, g64 = (np.clip(np.floor(x * 255 + half), 0, 255) / 255 for x in (p64, g64))
+    return p64, g64, factor
+
+
+def step_by_step(p: Image, g: Image, rules: ScoringRules) -> tuple[float, float, float]:
+    p64, g64, factor = treated(p, g, rules)
     gaussian: dict[str, Any] = {"gaussian_weights": True, "sigma": 1.5} if rules.ssim_window == "gaussian-11" else {}
     similarity = structural_similarity(  # type: ignore[no-untyped-call]
         g64,
@@ -123,3 +130,15 @@ def test_refusals(change: dict[str, Any], said: str) -> None:
     for call in (score_by, factor_by):
         with pytest.raises(ArgumentError, match=said):
             call(p, g, replace(ScoringRules(), **change))
+
+
+@pytest.mark.parametrize("rounding", ["none", "8-bit", "8-bit-truncated"])
+@pytest.mark.parametrize("clamp", ["both", "before", "none"])
+def test_images_as_they_are_compared(rounding: Any, clamp: Any) -> None:
+    p, g = images(np.float32)
+    rules = ScoringRules(rounding=rounding, prediction_clamp=clamp)
+    expected = treated(p, g, rules)
+    found = as_compared(p, g, rules, factor_by(p, g, rules))
+    for image, other in zip(found, expected[:2], strict=True):
+        assert image.dtype == (np.float64 if rounding == "none" else np.float32)
+        np.testing.assert_allclose(image, other, rtol=1e-7, atol=1e-12)

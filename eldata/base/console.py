@@ -13,10 +13,12 @@ import sys
 import traceback
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 from eldata import __version__
 from eldata.base.fields import whole_of
+from eldata.base.files import write_problem
 from eldata.base.stopping import Stopped, Stopping, exit_code, stoppable, what_it_did
 from eldata.base.visible import visible, visible_output
 from eldata.errors import ArgumentError, EldataError
@@ -40,9 +42,54 @@ class Parser(argparse.ArgumentParser):
         self.exit(UNUSABLE, f"{self.prog}: {' '.join(message.split())}; see {self.prog} --help\n")
 
 
+class _Output(argparse.Action):
+    """Keeps the name of a file that is to be written, and that it is one: ``outputs``, option and name by ``dest``."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,  # noqa: ARG002 # argparse hands it over
+        namespace: argparse.Namespace,
+        values: Any,
+        option: str | None = None,
+    ) -> None:
+        setattr(namespace, self.dest, values)
+        namespace.outputs = getattr(namespace, "outputs", {}) | {self.dest: (option, values)}
+
+
+def add_output(parser: argparse._ActionsContainer, *names: str, **options: Any) -> None:
+    """Add an option that names a file to write, which :func:`run` tries before the subcommand's work.
+
+    The folder has to be there. What has been computed is written through :func:`each_of`.
+    """
+    options.setdefault("metavar", "FILE")
+    parser.add_argument(*names, action=_Output, **options)
+
+
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Add ``--json`` to a subcommand."""
-    parser.add_argument("--json", metavar="FILE", help="write what is shown here to FILE, machine-readable")
+    add_output(parser, "--json", help="write what is shown here to FILE, machine-readable")
+
+
+def each_of(*steps: Callable[[], object] | None) -> None:
+    """Take all of these steps but ``None``, whatever becomes of some, so that nothing computed is lost.
+
+    Usage: ``each_of(arguments.json and (lambda: write_json(arguments.json, data)), lambda: print(text))``.
+
+    Raises
+    ------
+    Exception
+        Afterwards, what a step raised; an ``ExceptionGroup`` if several did. :func:`run` makes one line of it.
+    """
+    failed: list[Exception] = []
+    for step in filter(None, steps):
+        try:
+            step()
+        except Exception as error:  # noqa: BLE001 # raised below
+            failed.append(error)
+    if len(failed) > 1:
+        raise ExceptionGroup("several outputs failed", failed)
+    if failed:
+        raise failed[0]
 
 
 def add_root(parser: argparse.ArgumentParser) -> None:
@@ -133,15 +180,17 @@ def add_shared(
     run: Callable[[argparse.Namespace], int],
     *options: Literal["root", "cameras", "jobs", "workers", "isolation", "json"],
     interrupted: str = "files are written whole or not at all, so none is left half",
+    makes: str = "",
 ) -> None:
     """Finish a subcommand: add these options and ``--debug``, and say what :func:`run` is to call.
 
-    ``interrupted`` says what Ctrl-C leaves; ``{name}`` in it is the value of that argument.
+    ``interrupted`` says what Ctrl-C leaves; ``{name}`` in it is the value of that argument. ``makes`` is the argument
+    with a folder that the subcommand makes, so that its outputs may lie there.
     """
     for option in options:
         _SHARED[option](parser)
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
-    parser.set_defaults(run=run, command=parser.prog, interrupted=interrupted)
+    parser.set_defaults(run=run, command=parser.prog, interrupted=interrupted, makes=makes)
 
 
 def command_line(prog: str, description: str, package: str, modules: Iterable[str]) -> Parser:
@@ -177,7 +226,7 @@ def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:
     """
     _occupy_closed_streams()
     stopping = Stopping(parser.prog if argv is None else None)
-    arguments = argparse.Namespace(debug=False, command=parser.prog, interrupted="nothing was begun")
+    arguments = argparse.Namespace(debug=False, command=parser.prog, interrupted="nothing was begun", outputs={})
     with visible_output():
         try:
             with stoppable(stopping):
@@ -204,9 +253,27 @@ def _parsed_and_run(parser: argparse.ArgumentParser, argv: list[str] | None, arg
         parser.print_usage(sys.stderr)
         print(f"{parser.prog}: a command is needed; see {parser.prog} --help", file=sys.stderr)
         return UNUSABLE
+    _try_outputs(arguments)
     with _as_isolated(arguments):
         code: int = arguments.run(arguments)
     return code
+
+
+def _try_outputs(arguments: argparse.Namespace) -> None:
+    """Raise :class:`ArgumentError` if a file that is to be written cannot be, or is to be written twice."""
+    taken: dict[str, str] = {}
+    made = Path(getattr(arguments, arguments.makes)) if arguments.makes else None
+    for option, name in arguments.outputs.values():
+        if not name:
+            raise ArgumentError(f"cannot write {option}: expected the name of a file, found nothing")
+        to_be_made = Path(name).parent == made and not Path(name).parent.exists()
+        problem = None if to_be_made else write_problem(Path(name))
+        if problem is not None:
+            raise ArgumentError(f"cannot write {name}: {problem}")
+        place = os.path.normcase(Path(os.path.realpath(Path(name).parent), Path(name).name))
+        if place in taken:
+            raise ArgumentError(f"{taken[place]} and {option} both write {name}; give each a file of its own")
+        taken[place] = option
 
 
 def _as_isolated(arguments: argparse.Namespace) -> AbstractContextManager[None]:
@@ -220,6 +287,9 @@ def _as_isolated(arguments: argparse.Namespace) -> AbstractContextManager[None]:
 
 def _explained(error: BaseException, arguments: argparse.Namespace) -> tuple[int, str]:
     """Return exit code and message of what a command raised."""
+    if isinstance(error, ExceptionGroup):
+        codes, messages = zip(*(_explained(one, arguments) for one in error.exceptions), strict=True)
+        return min(codes), "; ".join(filter(None, messages))
     if isinstance(error, EldataError):
         return UNUSABLE, str(error)
     if isinstance(error, KeyboardInterrupt):

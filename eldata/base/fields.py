@@ -29,6 +29,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeVar, overload
 
+from eldata.base.files import is_named_pipe
 from eldata.base.visible import has_unseen
 from eldata.errors import ArgumentError, EldataError, FileError
 
@@ -235,6 +236,8 @@ class TextFile:
         return self if self.content is not None else replace(self, content=self._read())
 
     def _read(self) -> bytes:
+        if is_named_pipe(Path(self.name)):
+            raise self.problem("is a named pipe, not a file; only pipes of the shell are read, such as <(command)")
         try:
             with Path(self.name).open("rb") as file:
                 size = os.fstat(file.fileno()).st_size or self.largest_bytes  # pipes and devices state none

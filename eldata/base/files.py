@@ -58,6 +58,51 @@ def file_problem(path: Path) -> str | None:
     return None if found.st_size else "is empty (0 bytes): copy or download it again"
 
 
+def write_problem(path: Path) -> str | None:
+    """Return why :func:`atomic_write` cannot write a file, or ``None``; nothing is made, opened or changed.
+
+    That it can is not certain: the disk may be full, and some systems tell only whoever writes.
+    """
+    folder = path.parent
+    try:
+        try:
+            found = path.stat()
+        except FileNotFoundError:
+            pass
+        else:
+            if not stat.S_ISREG(found.st_mode):  # a file is replaced by renaming, and so would a device be
+                return f"is {_SPECIAL.get(stat.S_IFMT(found.st_mode), 'something else')}, not a file"
+        with suppress(FileNotFoundError):
+            _temporary(path, secrets.token_hex(_TOKEN_BYTES)).lstat()  # its name is longer
+        if not folder.exists():
+            return f"there is no folder {folder}; make it first"
+        place = folder.resolve()
+        system = place == Path("/dev") or place.is_relative_to("/proc")  # where root may: /dev/stdout would be replaced
+        if system or not os.access(folder, os.W_OK | os.X_OK):
+            return f"no file can be made in the folder {folder}; choose another"
+    except NotADirectoryError:
+        return f"{folder} is not a folder"
+    except OSError as error:  # a loop of links, a name that is too long, too
+        return str(error.strerror)
+    except ValueError:
+        return "its name holds a NUL character"
+    return None
+
+
+def is_named_pipe(path: Path) -> bool:
+    """Return whether a path is a pipe that lies in a folder, which nobody may ever write to.
+
+    ``/dev/stdin`` and what a shell makes of ``<(command)`` are not: somebody is at their other end.
+    """
+    try:
+        if not stat.S_ISFIFO(path.stat().st_mode):
+            return False
+        at = path.resolve()  # of an open pipe, a name that no folder holds
+        return not at.is_relative_to("/dev") and at.exists()
+    except (OSError, ValueError):
+        return False
+
+
 @contextmanager
 def atomic_write(path: Path | str) -> Iterator[IO[bytes]]:
     """Write a file whole or not at all: a temporary file in the same folder, synced, then renamed.
@@ -87,6 +132,7 @@ def atomic_write(path: Path | str) -> Iterator[IO[bytes]]:
 
 
 _MOST_TRIES = 20
+_TOKEN_BYTES = 8
 _LEFTOVER = re.compile(r"\..*\.(eldata|[0-9a-f]{16})\.part", re.DOTALL)
 
 
@@ -103,8 +149,8 @@ def temporary_file(path: Path) -> Iterator[tuple[IO[bytes], Path]]:
     OSError
         If it cannot be made.
     """
-    for unique in ("eldata", *(secrets.token_hex(8) for _ in range(_MOST_TRIES))):
-        temporary = path.parent / f".{path.name}.{unique}.part"  # of any path, also of one without a name
+    for unique in ("eldata", *(secrets.token_hex(_TOKEN_BYTES) for _ in range(_MOST_TRIES))):
+        temporary = _temporary(path, unique)
         _remove_if_dead(temporary)
         with ExitStack() as ends:
             with held():  # a signal in between would leave a file that nobody knows of
@@ -123,6 +169,10 @@ def temporary_file(path: Path) -> Iterator[tuple[IO[bytes], Path]]:
                 yield file, temporary
                 return
     raise OSError(errno.EBUSY, "other processes take away what is written", str(temporary))
+
+
+def _temporary(path: Path, unique: str) -> Path:
+    return path.parent / f".{path.name}.{unique}.part"  # of any path, also of one without a name
 
 
 def remove_leftovers(folder: Path) -> None:

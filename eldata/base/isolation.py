@@ -248,7 +248,7 @@ class _Helper:
         except OSError:
             code = self.end()
             raise EldataError(f"the process that is to decode did not start (exit code {code})") from None
-        except BaseException:
+        except BaseException:  # Ctrl-C too: nobody else knows of it yet
             self.end()
             raise
 

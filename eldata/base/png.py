@@ -9,6 +9,7 @@ samples as B, G, R.
 from __future__ import annotations
 
 import struct
+import zlib
 from dataclasses import dataclass
 from typing import IO, TYPE_CHECKING, Any
 
@@ -103,7 +104,7 @@ def read_png(path: Path, check: Callable[[PngHeader], None] | None = None) -> ND
     Raises
     ------
     ValueError
-        If it is not a PNG file, is truncated, or holds more compressed data than its pixels can need.
+        If it is not a PNG file, is truncated or damaged, or holds more compressed data than its pixels can need.
     OSError, RuntimeError
         If it cannot be read or decoded.
     """
@@ -134,6 +135,8 @@ def _pixel_chunks(file: IO[bytes], size: int, check: Callable[[PngHeader], None]
             file.seek(rest, 1)
             continue
         body = file.read(rest)
+        if zlib.crc32(body[:length], zlib.crc32(kind)) != int.from_bytes(body[length:], "big"):
+            raise ValueError("a chunk does not have its checksum: damaged")
         kinds.add(kind)
         if kind == b"IHDR":
             header = _header(body)

@@ -28,7 +28,7 @@ _CR3 = b"ftypcrx "  # after the four bytes of the first box's size
 _CANON_UUID = bytes.fromhex("85c0b687820f11e08111f4ce462b6a48")
 _CMT = {b"CMT1": "Image", b"CMT2": "EXIF"}
 
-_MOST_BOXES = 1000  # of one level; a file with more is damaged, or made to keep a reader busy
+_MOST_BOXES = 1000  # or blocks, of one level; a file with more is damaged, or made to keep a reader busy
 _MOST_BYTES = 1 << 24  # of one block of EXIF: cameras write some kilobytes, a RAF's JPEG some megabytes
 
 
@@ -127,10 +127,13 @@ def _mrw_blocks(path: Path, file: BinaryIO, size: int) -> Iterator[tuple[bytes, 
     end = 8 + struct.unpack(">I", file.read(4).ljust(4, b"\0"))[0]
     tiff.require(path, size, end)
     at = 8
-    while at + 8 <= end:
+    for _ in range(_MOST_BOXES):
+        if at + 8 > end:
+            return
         file.seek(at)
         name, length = struct.unpack(">4sI", file.read(8))
         if at + 8 + length > end:
             raise RawFileError(path, f"damaged: its block at byte {at} reaches beyond its header of {end} bytes")
         yield name, at + 8, at + 8 + length
         at += 8 + length
+    raise RawFileError(path, f"damaged: it declares more than {_MOST_BOXES} blocks")

@@ -24,12 +24,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.errors import RawFileError
-from eldata.raw.lossless_jpeg import SOI, Stream, find_stream
-from eldata.raw.tiff import COMPRESSION, read_directories
+from eldata.raw.lossless_jpeg import MOST_HEADER, SOI, Stream, find_stream
+from eldata.raw.tiff import ACTIVE_AREA, COMPRESSION, TILE_HEIGHT, TILE_WIDTH, read_directories
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
+    from typing import IO
 
     from numpy.typing import NDArray
 
@@ -43,6 +44,8 @@ _LEAST_RUN = 512
 # In none of LibRaw's codes for it do zero bits stand for equal neighbours.
 _NIKON = 34713
 _UNCOMPRESSED, _JPEG = 1, 7
+_BITS = 8  # of a byte: each sample takes at least one
+_HEADERS = (1 << 12, MOST_HEADER)  # bytes to look for a stream's header in: most have some hundred
 # Two directories may describe the same image; a file with more is made to keep a reader busy.
 _MOST_SHARED = 4
 
@@ -89,9 +92,33 @@ def check_damage(
     black_dn, white_dn
         Black levels and white level in DN.
     """
-    fault = mosaic_fault(mosaic, black_dn, white_dn) or data_fault(path, directories, mosaic)
+    fault = mosaic_fault(mosaic, black_dn, white_dn)
+    fault = fault or tiles_fault(directories, mosaic, black_dn) or data_fault(path, directories, mosaic)
     if fault is not None:
         raise RawFileError(path, f"damaged: {fault}; {_AGAIN}")
+
+
+def check_samples(path: Path, directories: Sequence[Directory]) -> None:
+    """Raise :class:`RawFileError` if a lossless JPEG declares more samples than its bytes can code.
+
+    LibRaw decodes as many as are declared, whatever the image's size: 18 kB took it half a minute. Reads headers alone.
+    """
+    with path.open("rb") as file:
+        for _, offset, count in _compressed(path, directories):
+            stream = _header_of(file, offset, count)
+            if stream is not None and stream.samples > _BITS * count:
+                raise _damaged_header(path, offset, f"declares {stream.samples} samples in {count} bytes")
+
+
+def _header_of(file: IO[bytes], offset: int, count: int) -> Stream | None:
+    """Return the lossless JPEG that begins there, without its codes; None without a header that can be read."""
+    for most in _HEADERS:
+        file.seek(offset)
+        try:
+            return find_stream(np.frombuffer(file.read(min(count, most)), np.uint8))
+        except ValueError:  # longer, or damaged: data_fault says how
+            continue
+    return None
 
 
 def check_streams(path: Path) -> None:
@@ -120,32 +147,42 @@ class _Extent:
         return f"its image data, at byte {self.offset + at} of the file, {what}"
 
 
+def _compression(directory: Directory) -> int:
+    return int(next(iter(directory.values.get(COMPRESSION, ())), _UNCOMPRESSED))
+
+
+def _compressed(path: Path, directories: Sequence[Directory]) -> Iterator[tuple[Directory, int, int]]:
+    """Yield directory, offset and length of each strip or tile of compressed data, of previews too."""
+    left = _MOST_SHARED * path.stat().st_size
+    for directory in directories:
+        for offset, count in directory.extents if _compression(directory) != _UNCOMPRESSED else ():
+            if min(offset, count) < 0:  # a preview's: of the raw image it is refused before
+                continue
+            left -= count
+            if left < 0:
+                raise RawFileError(path, f"damaged: its image data share the same bytes; {_AGAIN}")
+            yield directory, offset, count
+
+
 def _extents(path: Path, directories: Sequence[Directory]) -> Iterator[_Extent]:
     """Yield the compressed strips and tiles of the raw image."""
-    left = _MOST_SHARED * path.stat().st_size
+    # What says that it is compressed and is as large as if it were not, is not.
+    small = [found for found in directories if not sum(count for _, count in found.extents) >= 2 * found.pixels > 0]
     with path.open("rb") as file:
-        for directory in directories:
-            compression = int(next(iter(directory.values.get(COMPRESSION, ())), _UNCOMPRESSED))
-            held = sum(count for _, count in directory.extents)
-            if compression == _UNCOMPRESSED or held >= 2 * directory.pixels > 0:
-                continue
-            for offset, count in directory.extents:
-                left -= count
-                if left < 0:
-                    raise RawFileError(path, f"damaged: its image data share the same bytes; {_AGAIN}")
-                file.seek(offset)
-                content = np.frombuffer(file.read(count), np.uint8)
-                try:
-                    stream = find_stream(content)
-                except ValueError as error:
-                    if directory.is_mosaic:
-                        raise _damaged_header(path, offset, str(error)) from error
-                    continue  # a preview
-                if compression == _JPEG and directory.is_mosaic and content[: len(SOI)].tobytes() != SOI:
-                    raise _damaged_header(path, offset, "does not begin as a JPEG")
-                # CR2 does not say which of its images is the mosaic; no preview is a lossless JPEG.
-                if directory.is_mosaic or stream is not None:
-                    yield _Extent(content, offset, stream)
+        for directory, offset, count in _compressed(path, small):
+            file.seek(offset)
+            content = np.frombuffer(file.read(count), np.uint8)
+            try:
+                stream = find_stream(content)
+            except ValueError as error:
+                if directory.is_mosaic:
+                    raise _damaged_header(path, offset, str(error)) from error
+                continue  # a preview
+            if directory.is_mosaic and _compression(directory) == _JPEG and content[: len(SOI)].tobytes() != SOI:
+                raise _damaged_header(path, offset, "does not begin as a JPEG")
+            # CR2 does not say which of its images is the mosaic; no preview is a lossless JPEG.
+            if directory.is_mosaic or stream is not None:
+                yield _Extent(content, offset, stream)
 
 
 def _damaged_header(path: Path, offset: int, what: str) -> RawFileError:
@@ -184,7 +221,7 @@ def data_fault(path: Path, directories: Sequence[Directory], mosaic: NDArray[np.
             first, behind = run
             value = int(extent.content[start + first])
             return extent.say(
-                (start + first, f"has {behind - first} bytes of 0x{value:02X} in a row, which are no code")
+                (start + first, f"has {behind - first} bytes of 0x{value:02X} in a row, which cannot be code")
             )
     return None
 
@@ -229,6 +266,31 @@ def mosaic_fault(mosaic: NDArray[np.uint16], black_dn: Sequence[float], white_dn
         if run is not None:
             return f"{_place(mosaic, *run)} are 65535 DN, far above the white level {white_dn:g} DN"
     return _noise_fault(mosaic)
+
+
+def tiles_fault(directories: Sequence[Directory], mosaic: NDArray[np.uint16], black_dn: Sequence[float]) -> str | None:
+    """Return what no photograph can show of uncompressed tiles, of which a lost page takes a few columns of many rows.
+
+    Compressed tiles are examined in the file itself (:func:`data_fault`).
+    """
+    if min(black_dn) <= 0:
+        return None
+    for found in directories:
+        if not found.is_mosaic or _compression(found) != _UNCOMPRESSED:
+            continue
+        width, height = (int(next(iter(found.values.get(tag, ())), 0)) for tag in (TILE_WIDTH, TILE_HEIGHT))
+        if width < 1 or height < 1:
+            continue
+        top, left = map(int, found.values.get(ACTIVE_AREA, (0, 0))[:2])
+        rows, columns = range(-top, mosaic.shape[0], height), range(-left, mosaic.shape[1], width)
+        if len(rows) * len(columns) > len(found.extents):  # made to keep a reader busy: tiles of a pixel
+            continue
+        tiles = [mosaic[max(0, y) : max(0, y + height), max(0, x) : max(0, x + width)] for y in rows for x in columns]
+        run = long_run(np.concatenate([tile.reshape(-1) for tile in tiles]), 0)
+        if run is not None:
+            count, levels = run[1] - run[0], " ".join(f"{level:g}" for level in dict.fromkeys(black_dn))
+            return f"{count} pixels in a row of its tiles are 0 DN, below the black level {levels} DN"
+    return None
 
 
 def _place(mosaic: NDArray[np.uint16], first: int, behind: int) -> str:

@@ -22,7 +22,7 @@ SOI = b"\xff\xd8"
 _EOI = 0xD9
 _SOF3, _DHT, _SOS, _DRI = 0xC3, 0xC4, 0xDA, 0xDD
 _FRAMES = {*range(0xC0, 0xD0)} - {_DHT, 0xC8, 0xCC}
-_MOST_HEADER = 1 << 16
+MOST_HEADER = 1 << 16
 _MOST_SLACK = 3  # bytes between the last code and the end marker: an encoder may align to words of 4 bytes
 _LEAST_TAIL = 16
 
@@ -118,7 +118,7 @@ class Stream:
         interval = self.restart_interval * len(self.codes)
         state, done, at = walk(self.content[: self.end], self.start, tables, self.samples, interval)
         if state == NO_CODE:
-            return at, f"has bits that are no code, after {done} of {self.samples} pixels"
+            return at, f"has bits that are not a code, after {done} of {self.samples} pixels"
         if state == TOO_SHORT:
             return at, f"ends after {done} of {self.samples} pixels"
         padded = self.marker is None and not self.content[at:].any()
@@ -135,7 +135,7 @@ def find_stream(content: NDArray[np.uint8]) -> Stream | None:
     ValueError
         If it begins as a JPEG but its header is damaged; the message says how.
     """
-    head = content[:_MOST_HEADER].tobytes()
+    head = content[:MOST_HEADER].tobytes()
     if not head.startswith(SOI):
         return None
     at, lossless, size, interval = len(SOI), False, (0, 0, 0), 0

@@ -56,7 +56,7 @@ from eldata.base.isolation import guarded_file
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw.cfa import packed_channels
 from eldata.raw.containers import check_container
-from eldata.raw.damage import check_damage
+from eldata.raw.damage import check_damage, check_samples
 from eldata.raw.exif import exif_tags, header_of
 from eldata.raw.sensor_facts import as_shot_multipliers, camera_matrix, channel_whites, dng_black_level
 from eldata.raw.tiff import read_directories
@@ -116,6 +116,7 @@ def _decoded(path: Path) -> RawFrame:
 
     directories = read_directories(path)
     refuse_unsupported(path, directories)
+    check_samples(path, directories)
     with opened_raw(path) as raw:
         tags = exif_tags(path)
         _check_sizes(path, raw)
@@ -197,8 +198,6 @@ def opened_raw(path: Path, what: str = "decode") -> Iterator[rawpy.RawPy]:
     ------
     RawFileError
         If LibRaw does not know the file or refuses it, then or inside the block.
-    MemoryError
-        If LibRaw cannot get the memory that it needs.
     """
     import rawpy
 
@@ -210,12 +209,11 @@ def opened_raw(path: Path, what: str = "decode") -> Iterator[rawpy.RawPy]:
         _open(raw, path)
         raw.set_unpack_params(shot_select=0)
         yield raw
-    except rawpy.LibRawUnsufficientMemoryError as error:
-        raise MemoryError(str(path)) from error
     except rawpy.LibRawFileUnsupportedError as error:
         raise RawFileError(path, "is not a raw file that LibRaw knows") from error
     except rawpy.LibRawError as error:
         reason = error.args[0] if error.args else error
+        # "Unsufficient memory" is mostly said of sizes that cannot be, without asking for any.
         text = reason.decode(errors="replace") if isinstance(reason, bytes) else str(reason)
         raise RawFileError(path, f"LibRaw cannot {what} it ({text}); is the file whole?") from error
     finally:

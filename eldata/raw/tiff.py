@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 MAGIC = (b"II*\0", b"MM\0*")
 
 WIDTH, HEIGHT, COMPRESSION, PHOTOMETRIC = 256, 257, 259, 262
+TILE_WIDTH, TILE_HEIGHT = 322, 323
 ACTIVE_AREA = 50829
 BLACK_REPEAT, BLACK_LEVEL, BLACK_DELTAS = 50713, 50714, (50715, 50716)
 CFA_PHOTOMETRIC = 32803
@@ -34,7 +35,7 @@ _DATA = ((273, 279), (324, 325))  # strips, tiles: offsets and byte counts
 # Tags whose values must lie inside the file: those above, and what reading.py takes from EXIF and DNG tags.
 _EXIF = {33434, 33437, 34855, 34864, 34865, 34866, 34867}
 _READ = _EXIF | {
-    *(WIDTH, HEIGHT, COMPRESSION, PHOTOMETRIC),
+    *(WIDTH, HEIGHT, COMPRESSION, PHOTOMETRIC, TILE_WIDTH, TILE_HEIGHT),
     *(271, 272, _SUB_IFDS, _EXIF_IFD, ACTIVE_AREA, BLACK_REPEAT, BLACK_LEVEL, *BLACK_DELTAS),
     *(_WHITE_LEVEL, 50721, 50722, 50728, 50778, 50779, CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT),
     *(tag for pair in _DATA for tag in pair),
@@ -118,6 +119,8 @@ def read_directories(path: Path) -> tuple[Directory, ...]:
         _check_mosaic(path, directory)
     # The raw image alone where it is marked as such: some cameras declare previews that they do not write.
     images = [directory for directory in found if directory.is_mosaic] or found
+    for extent in (extent for directory in images for extent in directory.extents if min(extent) < 0):
+        raise RawFileError(path, f"damaged: it declares {extent[1]} bytes of image data at byte {extent[0]}")
     require(path, size, max((sum(extent) for directory in images for extent in directory.extents), default=0))
     return tuple(found)
 
@@ -189,7 +192,7 @@ def _read_directory(
         if numbers is not None:
             values[tag] = numbers
         elif tag in _LEVELS:  # LibRaw takes such a level for 0
-            raise RawFileError(path, f"damaged: its {_LEVELS[tag]} has a denominator of 0, which is no number")
+            raise RawFileError(path, f"damaged: its {_LEVELS[tag]} has a denominator of 0, which is not a number")
     # The pointer to the next directory may be missing at the very end of a file.
     following = struct.unpack(order + "I", table[-4:])[0] if len(table) == 12 * count + 4 else 0
     return Directory(values), following

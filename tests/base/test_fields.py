@@ -182,6 +182,25 @@ def test_files_that_are_too_large_are_not_read(tmp_path: Path) -> None:
             TextFile(large, FileError, largest_bytes=1 << 20).text()
 
 
+def test_pipes(tmp_path: Path) -> None:
+    """One that lies in a folder would be waited for, for ever; what a shell hands over is read."""
+    os.mkfifo(tmp_path / "a.json")
+    (tmp_path / "b.json").symlink_to("a.json")
+    for name in ("a.json", "b.json"):
+        with pytest.raises(FileError, match=r"is a named pipe, not a file; only pipes of the shell are read"):
+            TextFile(tmp_path / name, FileError).text()
+    (tmp_path / "c.json").symlink_to("c.json")
+    with pytest.raises(FileError, match=r"cannot be read: Too many levels of symbolic links"):
+        TextFile(tmp_path / "c.json", FileError).text()
+    reading, writing = os.pipe()
+    os.write(writing, b"of a shell")
+    os.close(writing)
+    try:
+        assert TextFile(f"/dev/fd/{reading}", FileError).text() == "of a shell"
+    finally:
+        os.close(reading)
+
+
 def test_toml(tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
     path.write_text("a = 5\nb = 0.5\n[c]\nd = 'x'\n", encoding="utf-8")

@@ -17,7 +17,16 @@ from typing import IO
 import pytest
 
 import eldata.base.files
-from eldata.base.files import atomic_write, file_problem, inside, path_problem, remove_leftovers, sha256_of, write_text
+from eldata.base.files import (
+    atomic_write,
+    file_problem,
+    inside,
+    path_problem,
+    remove_leftovers,
+    sha256_of,
+    write_problem,
+    write_text,
+)
 from eldata.errors import EldataError, ManifestError
 from tests.cases import in_one_test
 from tests.waiting import PATIENCE_S
@@ -304,6 +313,72 @@ def test_a_disk_that_is_full_when_it_is_written(size: int, old: Path) -> None:
     with pytest.raises(EldataError, match=r"cannot write .*scores\.csv: No space left on device"):
         write()
     assert only(old, OLD)
+
+
+TARGETS = {
+    "new": ("new.csv", None),
+    "old": ("scores.csv", None),
+    "link-to-nothing": ("nothing", None),
+    "link-to-a-file": ("link", None),
+    "longest-name": ("x" * 232, None),
+    "no-folder": ("a/b/new.csv", "there is no folder"),
+    "folder": ("folder", "is a folder, not a file"),
+    "itself": (".", "is a folder, not a file"),
+    "file-as-folder": ("scores.csv/new.csv", "is not a folder"),
+    "too-long-with-what-is-added": ("x" * 250, "File name too long"),
+    "too-long": ("x" * 300, "File name too long"),
+    "nul": ("a\0b", "NUL"),
+}
+
+
+@pytest.mark.parametrize("kind", TARGETS)
+def test_what_cannot_be_written_is_known_before_and_nothing_is_touched(kind: str, old: Path) -> None:
+    """A problem is stated where writing fails, and only there."""
+    folder = old.parent
+    (folder / "folder").mkdir()
+    for name, target in (("nothing", "none"), ("link", old.name)):
+        (folder / name).symlink_to(target)
+
+    def state() -> dict[Path, tuple[int, int, int]]:
+        found = {path: path.lstat() for path in (folder, *folder.rglob("*"))}
+        return {path: (one.st_ino, one.st_size, one.st_mtime_ns) for path, one in found.items()}
+
+    before = state()
+    name, expected = TARGETS[kind]
+    problem = write_problem(folder / name)
+    assert state() == before
+    if expected is None:
+        assert problem is None
+        write_text(folder / name, "x")
+        return
+    assert problem is not None
+    assert expected in problem
+    with pytest.raises((EldataError, ValueError)):
+        write_text(folder / name, "x")
+
+
+def test_what_is_not_a_file_is_not_replaced_by_one(tmp_path: Path) -> None:
+    """Renaming would: somebody who writes to /dev/null as root would lose it."""
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to(tmp_path)
+    assert write_problem(tmp_path / "link") == "is a folder, not a file"
+    assert write_problem(tmp_path / "pipe") == "is a named pipe, not a file"
+    assert write_problem(Path(os.devnull)) == "is a device, not a file"
+    for folder in ("/dev", "/proc", "/proc/self/fd", "/dev/fd"):
+        if Path(folder).is_dir():
+            assert write_problem(Path(folder, "x")) == f"no file can be made in the folder {folder}; choose another"
+
+
+def test_a_folder_that_may_not_be_written_to_is_known_before(old: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def refuse(path: Path, mode: int) -> bool:
+        asked.append((path, mode))
+        return False
+
+    monkeypatch.setattr(os, "access", refuse)  # root may write everywhere
+    assert write_problem(old) == f"no file can be made in the folder {old.parent}; choose another"
+    assert asked == [(old.parent, os.W_OK | os.X_OK)]
 
 
 def test_text_is_utf8_with_line_ends_as_given(tmp_path: Path) -> None:

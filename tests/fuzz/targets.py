@@ -42,6 +42,9 @@ class Kind:
         Readers that are handed no path, so that their errors cannot name it, and the file is always a file.
     truth
         What a whole file is read as, where a damaged one must not be read as anything else.
+    isolated
+        Whether readers work in processes of their own, as in commands: in some damaged stores HDF5 runs for ever. The
+        others have to do without.
     """
 
     seeds: Callable[[], list[Seed]]
@@ -49,6 +52,7 @@ class Kind:
     own: Mapping[str, tuple[Change, ...]]
     nameless: frozenset[str] = frozenset()
     truth: Callable[[object], NDArray[Any]] | None = None
+    isolated: bool = False
 
 
 # --- raws ---------------------------------------------------------------------------------------------------------
@@ -375,7 +379,7 @@ KINDS: dict[str, Kind] = {
         {"published": _published},
         {"": (*(containers.pickle_opcode,) * 4, *(containers.crafted_pickle,) * 3, containers.npy)},
     ),
-    "stores": Kind(seeds.stores, {"store": _store}, {}),
+    "stores": Kind(seeds.stores, {"store": _store}, {}, isolated=True),
     "shards": Kind(seeds.shards, {"shard": _shard}, {".tar": (containers.tar_record, containers.npy)}),
     "drill": Kind(_drill_seeds, {"drill": _drill}, {"": (_unchanged,)}),
 }

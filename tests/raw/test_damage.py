@@ -16,11 +16,20 @@ import pytest
 from eldata.demo.tree import make_tree
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw import read_raw, write_dng
-from eldata.raw.damage import check_streams, data_fault, long_run, mosaic_fault
+from eldata.raw.damage import check_streams, data_fault, long_run, mosaic_fault, tiles_fault
 from eldata.raw.tiff import Directory, read_directories
 from tests.cases import in_one_test
 from tests.raw.damaging import HARMS, PAGE, Whole, rates
-from tests.raw.helpers import BAYER, EXPOSURE, SOME_CFAS, make_sensor, random_mosaic, write_plain_dng, xtrans_at
+from tests.raw.helpers import (
+    BAYER,
+    EXPOSURE,
+    SOME_CFAS,
+    active_area,
+    make_sensor,
+    random_mosaic,
+    write_plain_dng,
+    xtrans_at,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -213,9 +222,48 @@ def test_in_tiles(tmp_path: Path) -> None:
     refused(path, f"{PAGE} bytes of 0x00 in a row")
 
 
+@pytest.mark.parametrize("area", [(0, 0, 192, 240), (6, 8, 150, 232)])
+def test_in_tiles_without_compression(area: tuple[int, int, int, int], tmp_path: Path) -> None:
+    """A page of tiles 48 pixels wide lies in 43 rows or more; that of the first two rows of tiles is in the picture."""
+    top, left, bottom, right = area
+    path, mosaic = tmp_path / "a.dng", photograph(3, 3000)[:192, :240]
+    tags = (active_area(*area), (50714, "I", 1, 512, True))
+    write_plain_dng(path, mosaic, ("RG", "GB"), *tags, tile=(64, 48))
+    whole = Whole.read(path)
+    np.testing.assert_array_equal(whole.mosaic, mosaic[top:bottom, left:right])
+    for at in np.linspace(whole.first, whole.first + 10 * 64 * 48 * 2 - PAGE, 40).astype(int):
+        path.write_bytes(whole.content[:at] + bytes(PAGE) + whole.content[at + PAGE :])
+        refused(path, "pixels in a row of its tiles are 0 DN, below the black level 512 DN")
+
+
+def test_tiles_of_one_pixel_are_not_looked_at() -> None:
+    """Of 16 million, for which the file does not hold the places."""
+    mosaic = np.zeros((4000, 4000), np.uint16)
+    values = {262: (32803,), 322: (1000,), 323: (1000,), 324: (0,) * 16, 325: (1,) * 16}
+    of_1000 = Directory({tag: tuple(map(Fraction, numbers)) for tag, numbers in values.items()})
+    of_one = Directory(of_1000.values | {322: (Fraction(1),), 323: (Fraction(1),)})
+    assert tiles_fault([of_1000], mosaic, (512.0,)) is not None
+    assert tiles_fault([of_one], mosaic, (512.0,)) is None
+
+
 def write_tiles(path: Path, tiles: list[bytes], shape: tuple[int, ...]) -> None:
     black = (50714, "I", 1, 512, True)
     write_plain_dng(path, iter(tiles), ("RG", "GB"), black, shape=shape, dtype=np.uint16, compression=7, tile=(96, 80))
+
+
+def test_more_samples_than_its_bytes_can_code(tmp_path: Path) -> None:
+    """56,743 x 35,073 in 50 kB: LibRaw would decode them for a minute. Of tiles one alone says so."""
+    path = write(tmp_path / "a.dng", photograph(3, 3000))
+    content = bytearray(path.read_bytes())
+    at = content.index(b"\xff\xc3") + 5
+    content[at : at + 4] = bytes.fromhex("dda78901")
+    path.write_bytes(content)
+    refused(path, "its image data, from byte", "declares", "samples in")
+    mosaic = photograph(3, 3000)[:96, :160]
+    tiles = [bytes(imagecodecs.ljpeg_encode(mosaic[:, x : x + 80].copy(), bitspersample=16)) for x in (0, 80)]
+    at = tiles[1].index(b"\xff\xc3") + 5
+    write_tiles(path, [tiles[0], tiles[1][:at] + bytes.fromhex("dda78901") + tiles[1][at + 4 :]], mosaic.shape)
+    refused(path, "its image data, from byte", "declares", "samples in")
 
 
 # --- what is said -------------------------------------------------------------------------------------------------
@@ -232,7 +280,9 @@ def damaged(path: Path, at: int, fill: bytes) -> tuple[Path, int]:
 
 def test_zeros_in_compressed_data(tmp_path: Path) -> None:
     path, at = damaged(write(tmp_path / "a.dng", photograph(3, 3000)), 9000, b"\x01" + bytes(PAGE) + b"\x01")
-    refused(path, f"its image data, at byte {at + 1} of the file, has {PAGE} bytes of 0x00 in a row, which are no code")
+    refused(
+        path, f"its image data, at byte {at + 1} of the file, has {PAGE} bytes of 0x00 in a row, which cannot be code"
+    )
 
 
 def test_a_marker_in_compressed_data(tmp_path: Path) -> None:

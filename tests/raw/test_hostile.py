@@ -174,6 +174,23 @@ def test_more_pixels_than_the_file_can_hold(tmp_path: Path) -> None:
         read_raw(path)
 
 
+def test_image_data_before_the_file_begins(tmp_path: Path) -> None:
+    """Offsets of a signed type: -5, of the mosaic and of a preview beside it."""
+    path = tmp_path / "a.dng"
+    write_plain_dng(path, random_mosaic(64, 66), ("RG", "GB"))
+    content = bytearray(path.read_bytes())
+    (first,) = struct.unpack_from("<I", content, 4)
+    (count,) = struct.unpack_from("<H", content, first)
+    place = next(at for at in range(first + 2, first + 2 + 12 * count, 12) if content[at : at + 2] == b"\x11\x01")
+    path.write_bytes(content[:place] + struct.pack("<HHIi", 273, 9, 1, -5) + content[place + 12 :])
+    refused(path, r"damaged: it declares 8448 bytes of image data at byte -5")
+    preview = struct.pack("<HHHIi", 3, 273, 9, 1, -5) + struct.pack("<HHIIHHIII", 279, 4, 1, 64, 259, 3, 1, 7, 0)
+    content[first + 2 + 12 * count : first + 6 + 12 * count] = struct.pack("<I", len(content))
+    path.write_bytes(content + preview)
+    assert read_directories(path)[1].extents == ((-5, 64),)
+    assert read_raw(path).mosaic.shape == (64, 66)
+
+
 def test_memory_that_there_is_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def starve(_: Path) -> None:
         raise MemoryError

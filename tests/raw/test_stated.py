@@ -212,6 +212,9 @@ def test_the_tiff_in_an_mrw(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:500])
     with pytest.raises(RawFileError, match="truncated"):
         stated(path)
+    path.write_bytes(mrw(*[(b"\0WBG", b"")] * 100_000))
+    with pytest.raises(RawFileError, match="damaged: it declares more than 1000 blocks"):
+        stated(path)
 
 
 # --- values that files do not state ---------------------------------------------------------------------------

@@ -16,6 +16,7 @@ import h5py
 import numpy as np
 
 from eldata.base.files import file_problem
+from eldata.base.isolation import Limits, guarded_file, isolating
 from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.manifest.catalogue import load_manifest
 from eldata.manifest.pairs import select_pairs
@@ -48,10 +49,14 @@ _MOST_TABLES = 4096
 _MOST_MANIFEST_BYTES = 256 << 20  # what the reader of text files takes
 _MOST_CHUNK_PIXELS = 1 << 22  # ours have 256 x 256
 _MOST_PIXELS = 1 << 29  # of a frame; RGB counts three times
+_TRIAL_LIMITS = Limits(seconds=20.0)  # to read a frame's attributes takes a fifth of a millisecond
 
 
 def open_store(path: Path | str) -> Store:
     """Read what a store holds, without pixels.
+
+    There are damaged files in whose attributes HDF5 runs for ever; where isolation is on
+    (:func:`eldata.isolation`), as it is in commands, they are an error too.
 
     Raises
     ------
@@ -61,6 +66,17 @@ def open_store(path: Path | str) -> Store:
         If it is compressed and hdf5plugin is not installed.
     """
     path = Path(path)
+    if isolating():
+        guarded_file(_try, path, StoreError, limits=_TRIAL_LIMITS)
+    return _held(path)
+
+
+def _try(path: Path) -> None:
+    """Read what a store holds, to see that it can be read."""
+    _held(path)
+
+
+def _held(path: Path) -> Store:
     with opened(path) as file:
         try:
             keys = _frame_keys(file)

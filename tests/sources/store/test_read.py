@@ -14,6 +14,7 @@ import h5py
 import numpy as np
 import pytest
 
+from eldata.base.isolation import Limits, isolation
 from eldata.errors import ArgumentError
 from eldata.raw import read_raw
 from eldata.sources.store import open_store, verify_store
@@ -72,6 +73,18 @@ def test_foreign_files(tmp_path: Path) -> None:
     refused(text, "is not an HDF5 file; eldata pack makes stores")
     refused(empty, r"is empty \(0 bytes\)")
     refused(hdf5, "is an HDF5 file, but not a store of eldata")
+
+
+def test_a_store_in_whose_attributes_hdf5_runs_for_ever(own: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where texts are kept ("GCOL", the global heap), HDF5 steps on by lengths, also by those of 0."""
+    data = bytearray(own.read_bytes())
+    heap = data.index(b"GCOL")
+    data[heap + 104 : heap + 168] = bytes(64)
+    with isolation():
+        assert open_store(own).frames
+        own.write_bytes(data)
+        monkeypatch.setattr("eldata.sources.store.read._TRIAL_LIMITS", Limits(seconds=1.0))
+        refused(own, "its decoder took more than 1 s; is the file whole")
 
 
 def test_other_files_are_not_followed(own: Path, tmp_path: Path) -> None:

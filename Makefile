@@ -35,8 +35,9 @@ lint: $(STAMP)  ## Style and types
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/mypy examples/*.py
 
-test: lint  ## Style, types and every test that is quick, in five minutes or less on two cores
+test: lint  ## Style, types and every test that is quick, in five to eight minutes on two cores
 	$(PYTEST) -m 'not ($(RARE))'
 
 test-all: test test-rest  ## The same, then long studies and tests of browser, tether, Dask, kills and memory

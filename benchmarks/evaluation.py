@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
+from unittest.mock import patch
 
 import numpy as np
 import torch
@@ -11,6 +12,7 @@ from benchmarks import published
 from benchmarks.harness import Row, in_turn
 from benchmarks.oracle import deviations
 from eldata import evaluate, evaluate_all
+from eldata.evaluation import units
 
 if TYPE_CHECKING:
     from benchmarks.data import Files
@@ -31,6 +33,21 @@ def all_protocols_cost(files: Files, rounds: int) -> list[Row]:
     timings = in_turn(rounds, {"all protocols": every, "one protocol": one})
     case = f"{len(combined.results)} protocols, {len(combined.results[0].images)} pairs, jobs=1"
     return [timings.cost(case, "all protocols", "one protocol", at_most=2)]
+
+
+def looking_cost(files: Files, rounds: int) -> list[Row]:
+    """Measure what looking for mistakes costs where every pair is looked at; of ELD's 240 pairs 24 are."""
+
+    def looking() -> EvaluationResult:
+        return evaluate(files.predictions, root=files.data, manifest=files.manifest)
+
+    def scoring() -> EvaluationResult:
+        with patch.object(units, "chosen_frames", lambda _frames: frozenset()):
+            return looking()
+
+    count = len(looking().images)
+    timings = in_turn(rounds, {"looking for mistakes": looking, "scoring alone": scoring})
+    return [timings.cost(f"{count} of {count} pairs looked at", "looking for mistakes", "scoring alone", at_most=1.03)]
 
 
 def run(files: Files, rounds: int, _cores: int) -> list[Row]:
@@ -60,6 +77,7 @@ def run(files: Files, rounds: int, _cores: int) -> list[Row]:
     case = f"one of {len(images)} pairs, jobs=1"
     return [
         *all_protocols_cost(files, rounds),
+        *looking_cost(files, rounds),
         timings.faster(case, "eldata", "published", values=values),
         timings.cost(case, "eldata", "LibRaw, both files", at_most=1.4),
     ]

@@ -67,9 +67,9 @@ def small_network(channels: int, generator: torch.Generator) -> torch.nn.Module:
     first = torch.nn.Conv2d(channels, 16, 3, padding=1)
     last = torch.nn.Conv2d(16, channels, 3, padding=1)
     with torch.no_grad():
+        for parameter in (*first.parameters(), *last.parameters()):
+            parameter.zero_()
         first.weight.normal_(0, 0.1, generator=generator)
-        for zero in (first.bias, last.weight, last.bias):
-            zero.zero_()
     return torch.nn.Sequential(first, torch.nn.ReLU(), last)
 
 

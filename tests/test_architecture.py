@@ -314,7 +314,7 @@ WRITES = {
     "eldata.base.fields": "a value in a sentence",
     "eldata.base.files": "the one writer of JSON files",
     "eldata.evaluation.comparison": "one value of a setting in a sentence",
-    "eldata.protocols.protocol": "what a digest is made of",
+    "eldata.protocols.digests": "what a digest is made of",
     "eldata.reports.evaluation.page": "one value of a setting in a sentence",
     "eldata.sources.shards.index": "an index with one line per shard, and a sample's own JSON",
     "eldata.sources.store.format": "attributes of an HDF5 store",

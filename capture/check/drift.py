@@ -69,7 +69,9 @@ def changed_share(first: Cells, second: Cells, brightness: float) -> float:
     return float(np.mean(change > least))
 
 
-def brightest_level(cells: Cells) -> float:
-    """Return the 99th percentile of the green blocks over black, as a share of the range."""
+def brightest_level(cells: Cells) -> float | None:
+    """Return the 99th percentile of the green blocks over black, as a share of the range; ``None`` without a block."""
     mean, _ = cells.pooled(BLOCK, BLOCK)
+    if not mean.size:
+        return None
     return float(np.quantile(mean[cells.greens], 0.99)) / cells.range_dn

@@ -129,8 +129,11 @@ def check_scene(unit: Unit) -> CheckedGroup:
         group.measure(CLIPPED, path, "saturated pixels", 100 * frame.cells.clipped_share)
         if first is None:
             first, tiles = frame, make_tiles(frame.luminance)
-            text = "share of the range that the bright parts reach"
-            group.measure(BRIGHTNESS, path, text, 100 * brightest_level(frame.cells))
+            level = brightest_level(frame.cells)
+            if level is None:
+                group.remark(path, "is too small to tell how bright it is")
+            else:
+                group.measure(BRIGHTNESS, path, "share of the range that the bright parts reach", 100 * level)
             group.pictures.append(scene_picture(frame, 1.0))
         else:
             if last is not None and not _well(group, last):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_shared
+from eldata.base.console import OK, add_output, add_shared
 from eldata.base.files import write_json
 from eldata.errors import ArgumentError
 
@@ -26,7 +26,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         ),
     )
     parser.add_argument("camera", metavar="CAMERA", nargs="?", help="a camera description (JSON)")
-    parser.add_argument("--example", metavar="FILE", help="write an example description to FILE, which must be new")
+    add_output(parser, "--example", help="write an example description to FILE, which must be new")
     add_shared(parser, run, "json")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_cameras, add_jobs, add_root, add_shared
+from eldata.base.console import OK, PROBLEMS, add_cameras, add_jobs, add_output, add_root, add_shared, each_of
 from eldata.base.files import write_json
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     add_cameras(parser)
     add_jobs(parser)
-    parser.add_argument("--sheet", metavar="FILE", help="write a contact sheet, an HTML page that needs no network")
+    add_output(parser, "--sheet", help="write a contact sheet, an HTML page that needs no network")
     add_shared(parser, run, "isolation", "json")
 
 
@@ -52,10 +52,14 @@ def run(arguments: argparse.Namespace) -> int:
         cameras=arguments.cameras or (),
         workers=arguments.jobs,
     )
-    print(report.format_text())
-    if arguments.json:
-        write_json(arguments.json, report.as_dict())
-    if arguments.sheet:
+
+    def write_pictures() -> None:
         write_sheet(arguments.sheet, report)
         print(f"contact sheet: {arguments.sheet}")
+
+    each_of(
+        lambda: print(report.format_text()),
+        arguments.json and (lambda: write_json(arguments.json, report.as_dict())),
+        arguments.sheet and write_pictures,
+    )
     return OK if report.ok else PROBLEMS

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_shared
+from eldata.base.console import OK, add_output, add_shared
 from eldata.base.files import write_json, write_text
 from eldata.errors import ArgumentError
 
@@ -27,9 +27,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         ),
     )
     parser.add_argument("plan", metavar="PLAN", help="a plan (capture plan)")
-    parser.add_argument(
-        "-o", "--output", metavar="FILE", help="write it to FILE; without, md and txt go to the terminal"
-    )
+    add_output(parser, "-o", "--output", help="write it to FILE; without, md and txt go to the terminal")
     parser.add_argument("--format", choices=_FORMATS, help="default: by the suffix of FILE; without FILE txt")
     add_shared(parser, run, "json")
 

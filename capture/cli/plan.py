@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from capture.cli.values import metered, nine_digits, or_dash, scene_time, seconds, spaced
 from capture.protocol import PROTOCOLS, CaptureProtocol
-from eldata.base.console import OK, add_shared
+from eldata.base.console import OK, add_output, add_shared, each_of
 from eldata.base.files import write_json
 from eldata.errors import ArgumentError
 
@@ -99,9 +100,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="ISOs to calibrate (default: full stops from the base ISO to the highest noisy one)",
     )
     calibration.add_argument("--bias-frames", type=nine_digits, metavar="N", help="bias frames per ISO (default: 10)")
-    parser.add_argument(
-        "-o", "--output", metavar="FILE", help="the new plan's file; with PLAN: write the changes there"
-    )
+    add_output(parser, "-o", "--output", help="the new plan's file; with PLAN: write the changes there")
     add_shared(parser, run, "json")
 
 
@@ -123,12 +122,16 @@ def run(arguments: argparse.Namespace) -> int:
             f"{arguments.output} is there already, and may have been shot from: give another name, or change it with "
             f"capture plan {arguments.output} --remeter or --add-scene"
         )
-    print(format_plan(plan))
-    if target is not None:
+
+    def write_plan(target: str) -> None:
         plan.save(target)
         print(f"\nplan: {target}")
-    if arguments.json:
-        write_json(arguments.json, plan.as_dict())
+
+    each_of(
+        lambda: print(format_plan(plan)),
+        partial(write_plan, target) if target is not None else None,
+        arguments.json and (lambda: write_json(arguments.json, plan.as_dict())),
+    )
     return OK
 
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_shared, chosen_workers, whole_number
+from eldata.base.console import OK, PROBLEMS, add_output, add_shared, chosen_workers, each_of, whole_number
 from eldata.base.files import write_json
 from eldata.base.visible import in_line
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Sequence
+
+    from eldata.manifest.verify import Problem
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -30,8 +33,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="folder with CAMERA/{bias,flat}/ISO100/... in it, the camera's own folder, or a manifest (.csv)",
     )
     parser.add_argument("--camera", metavar="NAME", help="the camera's name (default: the only camera there)")
-    parser.add_argument("-o", "--output", metavar="FILE", help="write the camera profile to FILE (JSON)")
-    parser.add_argument("--html", metavar="FILE", help="write a report with plots to FILE")
+    add_output(parser, "-o", "--output", help="write the camera profile to FILE (JSON)")
+    add_output(parser, "--html", help="write a report with plots to FILE")
     parser.add_argument(
         "--iso",
         action="append",
@@ -65,25 +68,41 @@ def run(arguments: argparse.Namespace) -> int:
         with chosen_workers(arguments) as workers:
             found = calibrate(frames, workers=workers)
     except FramesError as error:
-        for problem in error.problems:
-            print(problem.format_text())
-        count = len(error.problems)
-        print(f"{frames.camera}: {count} problem{'s' if count > 1 else ''}; nothing was written")
-        if arguments.json:
-            write_json(arguments.json, {"camera": frames.camera, "problems": [asdict(one) for one in error.problems]})
+        problems = error.problems
+        data = {"camera": frames.camera, "problems": [asdict(one) for one in problems]}
+        each_of(
+            lambda: _show_problems(frames.camera, problems),
+            arguments.json and (lambda: write_json(arguments.json, data)),
+        )
         return PROBLEMS
-    print(f"{found.camera}: {found.profile.source}\n\n{found.format_text()}")
-    if frames.skipped:
-        left = in_line(frames.skipped[0])
-        print(f"\n{len(frames.skipped)} file(s) that are not raw files were left alone, such as {left}")
-    if arguments.output:
+
+    def show() -> None:
+        print(f"{found.camera}: {found.profile.source}\n\n{found.format_text()}")
+        if frames.skipped:
+            left = in_line(frames.skipped[0])
+            print(f"\n{len(frames.skipped)} file(s) that are not raw files were left alone, such as {left}")
+
+    def write_profile() -> None:
         found.profile.save(arguments.output)
         print(f"\nprofile: {arguments.output}; look at it with eldata profile show {arguments.output}")
-    if arguments.json:
-        write_json(arguments.json, found.as_dict())
-    if arguments.html:
+
+    def write_page() -> None:
         from eldata.reports.calibration.page import calibration_page
 
         write_text(arguments.html, calibration_page(found))
         print(f"\nreport: {arguments.html}")
+
+    each_of(
+        show,
+        arguments.output and write_profile,
+        arguments.json and (lambda: write_json(arguments.json, found.as_dict())),
+        arguments.html and write_page,
+    )
     return OK
+
+
+def _show_problems(camera: str, problems: Sequence[Problem]) -> None:
+    for problem in problems:
+        print(problem.format_text())
+    count = len(problems)
+    print(f"{camera}: {count} problem{'s' if count > 1 else ''}; nothing was written")

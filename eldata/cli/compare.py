@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_shared
+from eldata.base.console import OK, add_output, add_shared, each_of
 from eldata.base.files import write_json
 from eldata.base.tables import FORMATS
 from eldata.errors import ArgumentError
@@ -41,7 +41,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument("--protocol", metavar="P", help="which protocol's results, of files that hold several")
     parser.add_argument("--format", choices=FORMATS, default="text", help="how to print the tables (default: text)")
-    parser.add_argument("--html", metavar="FILE", help="write a page with plots and the biggest differences to FILE")
+    add_output(parser, "--html", help="write a page with plots and the biggest differences to FILE")
     add_shared(parser, run, "json")
 
 
@@ -57,15 +57,22 @@ def run(arguments: argparse.Namespace) -> int:
     comparison = compare(
         [Method(name, _result(path, arguments.protocol)) for name, path in zip(names, paths, strict=True)]
     )
-    if arguments.html:
+
+    def show() -> None:
+        for warning in comparison.warnings:
+            print(f"eldata compare: warning: {' '.join(warning.split())}", file=sys.stderr)
+        print(format_comparison(comparison, arguments.format))
+
+    def write_page() -> None:
         from eldata.reports.compare.page import write_comparison_page
 
         write_comparison_page(comparison, arguments.html)
-    if arguments.json:
-        write_json(arguments.json, comparison.as_dict())
-    for warning in comparison.warnings:
-        print(f"eldata compare: warning: {' '.join(warning.split())}", file=sys.stderr)
-    print(format_comparison(comparison, arguments.format))
+
+    each_of(
+        arguments.json and (lambda: write_json(arguments.json, comparison.as_dict())),
+        show,
+        arguments.html and write_page,
+    )
     return OK
 
 

@@ -10,10 +10,12 @@ from eldata.base.console import (
     PROBLEMS,
     add_cameras,
     add_json,
+    add_output,
     add_root,
     add_shared,
     add_workers,
     chosen_workers,
+    each_of,
 )
 from eldata.base.tables import FORMATS
 
@@ -79,6 +81,14 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="FLAG",
         help="leave out pairs with this flag, such as misaligned; may be repeated; the table says so",
     )
+    parser.add_argument(
+        "--lpips",
+        metavar="FOLDER",
+        help=(
+            "add LPIPS, under a protocol of sRGB such as sid2018, with the weights in FOLDER; nothing is downloaded: "
+            "docs/metrics.md says where they are"
+        ),
+    )
     add_root(parser)
     add_cameras(parser)
     parser.add_argument(
@@ -86,10 +96,16 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         action="store_true",
         help="score the rest if predictions are missing; the table says so",
     )
+    parser.add_argument(
+        "--strict",
+        action="store_true",
+        help="refuse predictions that show a mistake, such as channels in another order, a shift, or a wrong level; "
+        "without it, a line says so",
+    )
     add_workers(parser)
-    parser.add_argument("--csv", metavar="FILE", help="write the score of each image to FILE")
+    add_output(parser, "--csv", help="write the score of each image to FILE")
     parser.add_argument("--format", choices=FORMATS, default="text", help="how to print the table (default: text)")
-    parser.add_argument("--html", metavar="FILE", help="write a page with plots, pictures and intervals to FILE")
+    add_output(parser, "--html", help="write a page with plots, pictures and intervals to FILE")
     add_json(parser)
     parser.add_argument(
         "--compare", action="store_true", help="show the result among the published numbers that compare with it"
@@ -110,30 +126,35 @@ def run(arguments: argparse.Namespace) -> int:
         )
         combined = perform(request)
     result = combined if request.every else combined.results[0]
-    try:
-        if arguments.json:
-            result.write_json(arguments.json)
-        if arguments.csv:
-            result.write_csv(arguments.csv)
-        if arguments.html:
-            from eldata.reports.evaluation.page import write_evaluation_page
 
-            write_evaluation_page(
-                combined.results, arguments.html, dataset_folder=request.folder, predictions=request.predictions
-            )
-    finally:  # after hours of work the table is shown even if a file cannot be written
-        _show(result, combined, arguments)
+    def write_page() -> None:
+        from eldata.reports.evaluation.page import write_evaluation_page
+
+        write_evaluation_page(
+            combined.results, arguments.html, dataset_folder=request.folder, predictions=request.predictions
+        )
+
+    each_of(
+        arguments.json and (lambda: result.write_json(arguments.json)),
+        arguments.csv and (lambda: result.write_csv(arguments.csv)),
+        lambda: _show(result, combined, arguments),
+        arguments.html and write_page,  # last, because it takes longest
+    )
     return OK if result.scored and not result.problems else PROBLEMS
 
 
 def _show(result: EvaluationResult | CombinedResult, combined: CombinedResult, arguments: argparse.Namespace) -> None:
+    from eldata.evaluation.results import problem_lines
+
     form: Format = arguments.format if result.scored else "text"
     if form != "text":
-        for problem in result.problems:
-            print(f"eldata evaluate: {problem}", file=sys.stderr)
+        for line in problem_lines(result.problems):
+            print(f"eldata evaluate: {line}", file=sys.stderr)
     print(result.format(form))
     if arguments.compare and result.scored:
         from eldata.evaluation.published_comparison import comparison_table
 
-        for one in combined.results:
+        for one, *others in combined.groups:
             print(f"\n{comparison_table(one)}")
+            if others:
+                print(f"\nThe same holds for {', '.join(other.protocol.name for other in others)}: the same scores.")

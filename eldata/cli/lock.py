@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_shared, chosen_workers
+from eldata.base.console import OK, PROBLEMS, add_shared, chosen_workers, each_of
 from eldata.base.files import write_json
 from eldata.manifest.lock import lock
 
 if TYPE_CHECKING:
     import argparse
+
+    from eldata.manifest.lock import LockReport
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -33,15 +35,20 @@ def run(arguments: argparse.Namespace) -> int:
 
     with chosen_workers(arguments) as workers:
         report = lock(arguments.manifest, arguments.root, cameras=arguments.cameras, workers=workers)
-    if arguments.json:
-        problems = [asdict(problem) for problem in report.problems]
-        write_json(arguments.json, {"files_locked": report.files_locked, "problems": problems})
+    found = {"files_locked": report.files_locked, "problems": [asdict(problem) for problem in report.problems]}
+    each_of(
+        lambda: _show(report, arguments.manifest),
+        arguments.json and (lambda: write_json(arguments.json, found)),
+    )
+    return PROBLEMS if report.problems else OK
+
+
+def _show(report: LockReport, manifest: str) -> None:
     if report.checks.problems:
         print(report.checks.format_text())
     for problem in report.problems if not report.checks.problems else ():
         print(problem)
     if report.problems:
-        print(f"{arguments.manifest} was left as it is: {len(report.problems)} problems")
-        return PROBLEMS
-    print(f"{arguments.manifest}: size and hash of {report.files_locked} files recorded")
-    return OK
+        print(f"{manifest} was left as it is: {len(report.problems)} problems")
+    else:
+        print(f"{manifest}: size and hash of {report.files_locked} files recorded")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_cameras, add_root, add_shared, chosen_workers
+from eldata.base.console import OK, add_cameras, add_output, add_root, add_shared, chosen_workers
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         ),
     )
     parser.add_argument("dataset", metavar="DATASET", help=NAME_HELP)
-    parser.add_argument("-o", "--out", metavar="STORE", required=True, help="a new file, such as store.h5")
+    add_output(parser, "-o", "--out", metavar="STORE", required=True, help="a new file, such as store.h5")
     add_root(parser)
     parser.add_argument("--manifest", metavar="M", help="the dataset's manifest, in place of the shipped one")
     parser.add_argument("--split", action="append", dest="splits", metavar="S", help="only this split; may be repeated")

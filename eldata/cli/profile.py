@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_shared, whole_number
+from eldata.base.console import OK, PROBLEMS, add_output, add_shared, each_of, whole_number
 from eldata.base.files import write_json
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     show.add_argument(
         "--seed", type=whole_number(0), default=0, metavar="S", help="seed of all randomness (default: %(default)s)"
     )
-    show.add_argument("--html", metavar="FILE", help="write a page with plots to FILE")
+    add_output(show, "--html", help="write a page with plots to FILE")
     add_shared(show, run_show, "json")
     listing = subcommands.add_parser("list", help="list the profiles that ship", description="List shipped profiles.")
     add_shared(listing, run_list, "json")
@@ -55,7 +55,6 @@ def run_show(arguments: argparse.Namespace) -> int:
     parameters = sample_parameters(profile, arguments.seed, iso=arguments.iso, gain_dn_per_e=arguments.gain)
     diagnostics = diagnose(profile, parameters, spec=arguments.model, seed=arguments.seed)
 
-    print(one_line(profile.camera))
     low, high = profile.gain_range_dn_per_e
     facts = [
         ("source", one_line(profile.source)),
@@ -68,24 +67,28 @@ def run_show(arguments: argparse.Namespace) -> int:
         ),
         *(("note", one_line(note)) for note in profile.notes),
     ]
-    for name, text in facts:
-        print(f"  {name:<8}{text}")
-    print(f"\nparameters examined: model {diagnostics.spec}, seed {diagnostics.seed}\n")
+    lines = [one_line(profile.camera), *(f"  {name:<8}{text}" for name, text in facts)]
+    lines += ["", f"parameters examined: model {diagnostics.spec}, seed {diagnostics.seed}", ""]
     for symbol, value, unit in parameter_rows(parameters):
-        print(f"  {symbol:<10}{value:>10} {'' if unit == '1' else unit}".rstrip())
+        lines.append(f"  {symbol:<10}{value:>10} {'' if unit == '1' else unit}".rstrip())
     header = ("check", "quantity", "unit", "expected", "found", "s.e.", "dev. [s.e.]", "verdict")
     rows, shown = [], ""
     for item in diagnostics.comparisons:
         rows.append(("" if item.check == shown else item.check, item.symbol, item.unit, *item.cells()))
         shown = item.check
-    print(f"\n{text_table(header, rows, left=(0, 1, 2, 7))}\n\n{diagnostics.summary}")
-    if arguments.json:
-        write_json(arguments.json, diagnostics.as_dict())
-    if arguments.html:
+    lines += ["", text_table(header, rows, left=(0, 1, 2, 7)), "", diagnostics.summary]
+
+    def write_page() -> None:
         from eldata.base.files import write_text
         from eldata.reports.profile.page import profile_page
 
         write_text(arguments.html, profile_page(diagnostics))
+
+    each_of(
+        lambda: print("\n".join(lines)),
+        arguments.json and (lambda: write_json(arguments.json, diagnostics.as_dict())),
+        arguments.html and write_page,
+    )
     return PROBLEMS if diagnostics.off else OK
 
 

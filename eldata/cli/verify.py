@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_cameras, add_root, add_shared, chosen_workers
+from eldata.base.console import OK, PROBLEMS, add_cameras, add_root, add_shared, chosen_workers, each_of
 from eldata.base.files import write_json
 from eldata.errors import ArgumentError
 from eldata.manifest.verify import LEVELS, verify
@@ -49,9 +49,10 @@ def run(arguments: argparse.Namespace) -> int:
     with chosen_workers(arguments) as workers:
         check = _of_store if _is_store(arguments.manifests) else _of_files
         report = check(arguments, workers)
-    print(report.format_text())
-    if arguments.json:
-        write_json(arguments.json, report.as_dict())
+    each_of(
+        lambda: print(report.format_text()),
+        arguments.json and (lambda: write_json(arguments.json, report.as_dict())),
+    )
     return OK if report.ok else PROBLEMS
 
 
@@ -63,9 +64,10 @@ def _of_shards(arguments: argparse.Namespace) -> int:
         raise ArgumentError("--dask is for manifests and stores; shards are read in their order")
     address = arguments.manifests.removesuffix(_INDEX) or "."
     problems = verify_shards(address)
-    print("\n".join(problems) if problems else f"{address}: every shard is whole")
-    if arguments.json:
-        write_json(arguments.json, {"shards": address, "problems": problems})
+    each_of(
+        lambda: print("\n".join(problems) if problems else f"{address}: every shard is whole"),
+        arguments.json and (lambda: write_json(arguments.json, {"shards": address, "problems": problems})),
+    )
     return PROBLEMS if problems else OK
 
 

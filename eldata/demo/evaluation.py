@@ -27,14 +27,15 @@ if TYPE_CHECKING:
     from eldata.evaluation.results import EvaluationResult
     from eldata.manifest.catalogue import Manifest
 
-_PREDICTORS = {
-    "amplified": "the noisy input times the exposure ratio, nothing else",
+_INPUT = "amplified"
+_SCORED = {
+    _INPUT: "the noisy input times the exposure ratio, nothing else",
     "dct": "sliding-window DCT thresholding",
 }
 
 
 def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0) -> dict[str, EvaluationResult]:
-    """Run the demo into a folder, printing what happens; return the results by predictor.
+    """Run the demo into a folder, printing what happens; return the results of ``amplified`` and ``dct``.
 
     Raises
     ------
@@ -62,11 +63,11 @@ def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0) -> dict[str, Evalu
     predictions = folder / "predictions"
     _predict(manifest, manifest.folder(root), predictions)
     results = {}
-    for name, what in _PREDICTORS.items():
-        place = predictions / name
+    for name, what in _SCORED.items():
+        place = None if name == _INPUT else predictions / name
         print(f"\n{name}: {what}")
-        print(f"$ eldata evaluate {place} --manifest {manifest.path} --root {root}")
-        results[name] = evaluate(place, manifest=manifest.path, root=root)
+        print(f"$ eldata evaluate {place or '--baseline input'} --manifest {manifest.path} --root {root}")
+        results[name] = evaluate(place, manifest=manifest.path, root=root, baseline="input" if place is None else None)
         print(results[name].format_text())
         results[name].write_csv(folder / f"{name}.csv")
         results[name].write_json(folder / f"{name}.json")
@@ -78,13 +79,11 @@ def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0) -> dict[str, Evalu
 
 
 def _predict(manifest: Manifest, folder: Path, predictions: Path) -> None:
-    published = ELDDataset(folder, manifest=manifest.path)
     # The denoiser needs the negative half of the read noise, or the dark parts come out too bright.
     unclipped = ELDDataset(folder, manifest=manifest.path, clip="none")
-    for index in tqdm(range(len(published)), desc="denoising", unit="frame", disable=None, leave=False):
-        sample = published[index]
-        save_prediction(predictions / "amplified", sample["path"], sample["input"].numpy())
-        save_prediction(predictions / "dct", sample["path"], denoise(unclipped[index]["input"].numpy()))
+    for index in tqdm(range(len(unclipped)), desc="denoising", unit="frame", disable=None, leave=False):
+        sample = unclipped[index]
+        save_prediction(predictions / "dct", sample["path"], denoise(sample["input"].numpy()))
 
 
 def _draw(path: Path, folder: Path, predictions: Path, results: dict[str, EvaluationResult]) -> None:
@@ -100,10 +99,9 @@ def _draw(path: Path, folder: Path, predictions: Path, results: dict[str, Evalua
         target = packed_frame(reference, levels="published", clip="both")
         title = scene_title(int(scene.removeprefix("scene-")))
         row = [(f"{title}, {camera}: reference, ISO 100", preview(target, reference.sensor))]
-        for name, result in results.items():
-            prediction = load_prediction(
-                (predictions / name / pair.path).with_suffix(".npy"), reference.sensor, "published"
-            )
+        noisy = packed_frame(read_raw(folder / pair.path), levels="published", clip="both", gain=float(pair.ratio or 1))
+        denoised = load_prediction((predictions / "dct" / pair.path).with_suffix(".npy"), reference.sensor, "published")
+        for (name, result), prediction in zip(results.items(), (noisy, denoised), strict=True):
             score = next(image for image in result.images if image.path == pair.path)
             caption = f"{name}, ISO 1600 x200: {score.psnr_db:.1f} dB, SSIM {score.ssim:.2f}"
             row.append((caption, preview(prediction * score.rescale, reference.sensor)))

@@ -2,7 +2,7 @@ from .combined import CombinedResult as CombinedResult
 from .evaluate import evaluate as evaluate
 from .evaluate import evaluate_all as evaluate_all
 from .evaluate import evaluate_video as evaluate_video
-from .predictions import EXTENSIONS as EXTENSIONS
+from .layouts import EXTENSIONS as EXTENSIONS
 from .predictions import load_prediction as load_prediction
 from .predictions import save_clip_prediction as save_clip_prediction
 from .predictions import save_prediction as save_prediction

@@ -11,8 +11,10 @@ from eldata.base.tables import text_table
 from eldata.evaluation.results import nothing_scored, problem_lines, write_scores
 from eldata.evaluation.scores import json_object, mean
 from eldata.protocols.comparability import comparability
+from eldata.protocols.digests import CHOOSING, OF_INPUT
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from eldata.base.tables import Format
@@ -20,9 +22,6 @@ if TYPE_CHECKING:
     from eldata.evaluation.scores import EvaluationProblem
     from eldata.evaluation.table import TableRow
     from eldata.protocols.kinds import Metric
-
-# What of a protocol's differences from the first chooses pairs or concerns the input: the table shows the pairs.
-_NOT_SCORING = ("dataset:", "subset:", "factors:", "cameras:", "scenes:", "input's clip:", "input amplified:")
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +43,19 @@ class CombinedResult:
     def scored(self) -> int:
         """How many images or clips were scored, under any protocol."""
         return len({score.path for result in self.results for score in result.scores})
+
+    @property
+    def groups(self) -> tuple[tuple[EvaluationResult, ...], ...]:
+        """The results, those together that share every score: the same pairs, scored in the same way on these files."""
+        groups: list[list[EvaluationResult]] = []
+        for result in self.results:
+            for group in groups:
+                if result.chosen == group[0].chosen and not result.scored_unlike(group[0]):
+                    group.append(result)
+                    break
+            else:
+                groups.append([result])
+        return tuple(map(tuple, groups))
 
     @property
     def problems(self) -> tuple[EvaluationProblem, ...]:
@@ -69,17 +81,21 @@ class CombinedResult:
         return found
 
     def format_table(self) -> str:
-        """Return a table for each metric: a row per protocol, a column per factor, over all cameras."""
+        """Return a table for each metric: a row per protocol, or for those that share every score, a column per factor.
+
+        Means are over all cameras.
+        """
         first = self.results[0]
         ratios = sorted({row.ratio for result in self.results for row in result.table if row.ratio is not None})
         factors = (*(f"x{ratio:g}" for ratio in ratios), "all")
         parts = []
         for metric in first.kind.metrics:
             header = (metric.head, first.kind.counted, *factors, f"against {first.protocol.name}")
-            parts.append(text_table(header, [self._row(result, ratios, metric) for result in self.results]))
+            parts.append(text_table(header, [self._row(group, ratios, metric) for group in self.groups]))
         return "\n\n".join(parts)
 
-    def _row(self, result: EvaluationResult, ratios: list[float], metric: Metric) -> tuple[str, ...]:
+    def _row(self, group: tuple[EvaluationResult, ...], ratios: list[float], metric: Metric) -> tuple[str, ...]:
+        result = group[0]
         rows = {row.ratio: row for row in overall(result)}
         cells = [
             metric.text(rows[ratio].values[metric.name]) if ratio in rows and rows[ratio].scored else "-"
@@ -92,17 +108,32 @@ class CombinedResult:
             against = f"{round(difference, places) + 0.0:+.{places}f}" if shared else "-"
             if 0 < shared < result.scored:
                 against += f" ({shared} {result.kind.counted})"
-        return (result.protocol.name, result.whole.coverage, *cells, against)
+        return (_names(group), result.whole.coverage, *cells, against)
 
     def _differences(self) -> list[str]:
         """Return in words in what each protocol scores differently from the first."""
-        first = self.results[0].protocol
+        first, *others = self.groups
         lines = []
-        for result in self.results[1:]:
-            found = comparability(first.as_dict(), result.protocol.as_dict())
-            scoring = [text.replace(" against ", " -> ", 1) for text in found if not text.startswith(_NOT_SCORING)]
-            text = "; ".join(scoring) or "scored alike, the pairs differ"
-            lines += textwrap.wrap(f"{result.protocol.name}: {text}", 112, subsequent_indent="    ")
+        for group in others:
+            found = [text.replace(" against ", " -> ", 1) for text in first[0].scored_unlike(group[0])]
+            text = f"{_names(group)}: {'; '.join(found) or 'scored alike, the pairs differ'}"
+            lines += textwrap.wrap(text, 112, subsequent_indent="    ")
+        return lines
+
+    def _shared(self) -> list[str]:
+        """Return which protocols share every score, and in words what came to the same on these files."""
+        lines = []
+        ignored = CHOOSING if self.results[0].of_input else (*CHOOSING, *OF_INPUT)
+        for first, *others in (group for group in self.groups if len(group) > 1):
+            stated = [one.protocol.as_dict() for one in (first, *others)]
+            words = [
+                text.replace(" against ", " and ", 1)
+                for other in stated[1:]
+                for text in comparability(stated[0], other, ignored=ignored)
+            ]
+            same = f" ({'; '.join(dict.fromkeys(words))} came to the same)" if words else ""
+            text = f"the same scores, computed once: {_names((first, *others))}{same}"
+            lines += textwrap.wrap(text, 116, subsequent_indent="    ")
         return lines
 
     def _apart(self) -> str:
@@ -137,6 +168,8 @@ class CombinedResult:
             for result in self.results
             if result.missing
         ]
+        shared = self._shared()
+        lines += [*shared, ""] if shared else []
         differences = self._differences()
         if differences:
             lines += [
@@ -146,6 +179,11 @@ class CombinedResult:
                 *(f"  {text}" for text in differences),
                 "",
             ]
+        suspects: dict[tuple[str, str], str] = {}  # numbers are those of the first that shows it
+        for result in self.results:
+            for suspicion in result.suspicions:
+                suspects.setdefault((suspicion.words, suspicion.where), f"{suspicion} ({result.protocol.name})")
+        lines += suspects.values()
         choices: dict[str, list[str]] = {}
         notes: dict[str, list[str]] = {}
         for result in self.results:
@@ -160,10 +198,14 @@ class CombinedResult:
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything as plain JSON types: ``results`` as of single protocols, and ``not_scored``."""
+        """Return everything as plain JSON types.
+
+        ``results`` as of single protocols, ``not_scored``, and ``same_scores``: names of those that share every score.
+        """
         result = {
             "results": [result.as_dict() for result in self.results],
             "not_scored": [asdict(one) for one in self.not_scored],
+            "same_scores": [[one.protocol.name for one in group] for group in self.groups if len(group) > 1],
         }
         return json_object(result)
 
@@ -174,6 +216,10 @@ class CombinedResult:
     def write_csv(self, path: Path | str) -> None:
         """Write the scores as CSV, ``protocol`` before the columns of a single one, whole or not at all."""
         write_scores(self.results, path, named=True)
+
+
+def _names(group: Sequence[EvaluationResult]) -> str:
+    return ", ".join(result.protocol.name for result in group)
 
 
 def overall(result: EvaluationResult) -> list[TableRow]:

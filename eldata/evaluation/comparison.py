@@ -11,7 +11,6 @@ from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation.scores import UnitScore, json_object, means
 from eldata.evaluation.statistics import LEVEL, RESAMPLES, SEED, Difference, paired_difference
 from eldata.evaluation.table import factor_text, groups_of, short_digest
-from eldata.protocols.comparability import comparability
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -21,9 +20,11 @@ if TYPE_CHECKING:
 
 # What of the provenance decides neither which images are scored nor against what.
 _NOT_DECIDING = (
-    *("predictions", "protocol_digest", "included_flags"),
+    *("predictions", "protocol_digest", "included_flags", "equal_choices", "lpips"),
     *("eldata", "python", "libraw", "numpy", "numba", "rawpy", "exifread", "imagecodecs", "scipy"),
 )
+# What of it chooses the images, which does not count where the same were chosen.
+_CHOOSING = ("cameras", "subset", "ids", "ratios", "set_aside", "excluded_flags")
 # What a result means that does not state it, as those of clips of version 0.1 do not.
 _UNSTATED: dict[str, Any] = {"cameras": "all", "excluded_flags": {}}
 _SHOWN = 10  # biggest wins, and losses
@@ -111,8 +112,8 @@ class Comparison:
 
     @property
     def kind(self) -> Kind:
-        """What was scored: images or clips."""
-        return self.methods[0].result.kind
+        """What was scored: images or clips, with the numbers that every method has; LPIPS is one of some alone."""
+        return _common_kind(self.methods)
 
     @property
     def whole(self) -> Group:
@@ -166,13 +167,12 @@ def compare(methods: Sequence[Method]) -> Comparison:
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise ArgumentError(f"two results are called {twice!r}; name each with --name, in the order of the files")
-    kind = methods[0].result.kind
+    kind = _common_kind(methods)
+    units = methods[0].result.kind.units
     for method in methods[1:]:
-        if method.result.kind is not kind:
-            other = method.result.kind
-            raise ArgumentError(
-                f"{names[0]} has scores of {kind.units}, {method.name} of {other.units}; these do not compare"
-            )
+        other = method.result.kind.units
+        if other != units:
+            raise ArgumentError(f"{names[0]} has scores of {units}, {method.name} of {other}; these do not compare")
     scores = [{score.path: score for score in method.result.scores} for method in methods]
     common = [path for path in scores[0] if all(path in others for others in scores[1:])]
     if not common:
@@ -185,6 +185,10 @@ def compare(methods: Sequence[Method]) -> Comparison:
         groups=_groups(images, kind.metrics),
         warnings=(*_warnings(methods), *_image_warnings(methods, images), *_coverage_warnings(methods, len(common))),
     )
+
+
+def _common_kind(methods: Sequence[Method]) -> Kind:
+    return min((method.result.kind for method in methods), key=lambda kind: len(kind.metrics))
 
 
 def _groups(images: Sequence[tuple[UnitScore, ...]], metrics: Sequence[Metric]) -> tuple[Group, ...]:
@@ -221,18 +225,18 @@ def _warnings(methods: Sequence[Method]) -> list[str]:
     found = []
     for other in methods[1:]:
         a, b = first.result, other.result
-        fields = [f"protocol: {words}" for words in comparability(a.protocol.as_dict(), b.protocol.as_dict())]
-        fields += _differing(a.provenance, b.provenance)
+        fields = [f"protocol: {words}" for words in a.scored_unlike(b)]
+        fields += _differing(a.provenance, b.provenance, ignored=_CHOOSING if a.chosen == b.chosen else ())
         found += [f"{first.name} and {other.name} may not compare: {field}" for field in fields]
     return found
 
 
-def _differing(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[str]:
+def _differing(first: Mapping[str, Any], second: Mapping[str, Any], ignored: Sequence[str]) -> list[str]:
     a, b = _UNSTATED | dict(first), _UNSTATED | dict(second)
     return [
         f"{name.replace('_', ' ')}: {_value(a, name)} against {_value(b, name)}"
         for name in dict.fromkeys((*a, *b))
-        if name not in _NOT_DECIDING and ((name in a) != (name in b) or a.get(name) != b.get(name))
+        if name not in (*_NOT_DECIDING, *ignored) and ((name in a) != (name in b) or a.get(name) != b.get(name))
     ]
 
 

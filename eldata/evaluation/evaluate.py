@@ -6,19 +6,26 @@ import platform
 import warnings
 from dataclasses import replace
 from importlib.metadata import version
+from itertools import chain
 from typing import TYPE_CHECKING, Any, Unpack
 
 from eldata import __version__
 from eldata.base.workers import accepts_jobs
 from eldata.errors import ArgumentError, ManifestError, PredictionError
 from eldata.evaluation.combined import CombinedResult, NotScored
+from eldata.evaluation.diagnosis import suspicions_of
+from eldata.evaluation.layouts import Expected
 from eldata.evaluation.pairs import frames_of, place_of
-from eldata.evaluation.planning import known_places, plan_scoring, require_pairs
-from eldata.evaluation.predictions import FoundPredictions, find_predictions, prediction_space
+from eldata.evaluation.planning import known_places, places_elsewhere, plan_scoring, require_pairs
+from eldata.evaluation.predictions import FoundPredictions, find_predictions, misplaced, prediction_space
 from eldata.evaluation.request import ALL, EvaluationOptions, Request, make_request
-from eldata.evaluation.results import EvaluationResult
+from eldata.evaluation.results import THE_INPUT, EvaluationResult
+from eldata.evaluation.scores import EvaluationProblem
 from eldata.evaluation.units import score_plans
-from eldata.protocols.kinds import IMAGES
+from eldata.protocols.kinds import CLIPS, IMAGES
+from eldata.protocols.protocol import CHOICES, ONE_CAMERAS_LEVELS
+from eldata.protocols.words import LEVELS
+from eldata.records import PairRecord
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -78,6 +85,12 @@ def evaluate(
     baseline
         ``"input"``, in place of ``predictions``: score the noisy input itself, amplified and clipped as the protocol
         has it. Default: None.
+    strict
+        Whether predictions that show a mistake (:mod:`eldata.evaluation.diagnosis`) are a problem: then nothing has a
+        score. Default: False, the result's ``suspicions`` name it.
+    lpips
+        Folder of the weights of LPIPS (:meth:`eldata.metrics.LpipsWeights.load`): scores have it too, of the renderings
+        that a protocol of sRGB compares. Other protocols are refused, since LPIPS is defined on sRGB. Default: none.
     workers
         Number of worker processes, or an executor that scores (:mod:`eldata.base.workers`); the files are checked from
         here. Scores do not depend on it. Default: 1.
@@ -109,6 +122,8 @@ def evaluate_all(
 
     Each protocol scores its own pairs, and each result equals that of :func:`evaluate`. Protocols of sRGB are scored if
     the predictions are renderings, the others if they are raw. A set of your own is scored once for each way to score.
+    Protocols that come to the same on these files share their scores, which are computed once
+    (:attr:`CombinedResult.groups`).
 
     Parameters
     ----------
@@ -199,8 +214,7 @@ def _are_renderings(predictions: Path, plans: Sequence[ScoringPlan]) -> bool:
 
 def _scored(request: Request, plans: Sequence[ScoringPlan]) -> list[tuple[EvaluationResult, PlanScores]]:
     """Return the result of each plan, and what scoring found beyond it."""
-    known = () if request.predictions is None else known_places(request)
-    found = [_found(request, plan, known) for plan in plans]
+    found = _found(request, plans)
     require_pairs(request, {pair.path: pair for plan in plans for pair in plan.pairs}.values())
 
     scored = score_plans(
@@ -211,21 +225,42 @@ def _scored(request: Request, plans: Sequence[ScoringPlan]) -> list[tuple[Evalua
         ],
         None if request.predictions is None else [one.files for one in found],
     )
+    suspicions = [suspicions_of(new.inspections) for new in scored]
+    refused = [EvaluationProblem(str(request.predictions), str(one)) for of in suspicions for one in of]
+    if not request.strict:
+        refused = []
     results = []
-    for plan, one, new in zip(plans, found, scored, strict=True):
+    for plan, one, new, suspect in zip(plans, found, scored, suspicions, strict=True):
         every = [*one.problems, *new.problems, *new.unfit]
-        scores = new.scores if request.allow_missing or not every else {}
-        result = EvaluationResult.of(plan.protocol, _provenance(request, plan), plan.pairs, scores, every)
+        scores = new.scores if not refused and (request.allow_missing or not every) else {}
+        result = EvaluationResult.of(
+            plan.protocol, _provenance(request, plan, new), plan.pairs, scores, [*refused, *every]
+        )
+        result = replace(result, suspicions=suspect)
         results.append((replace(result, notes=tuple(_notes(plan, one, result, new))), new))
     return results
 
 
-def _found(request: Request, plan: ScoringPlan, known: Sequence[str]) -> FoundPredictions:
-    """Return the predictions of what a plan scores; a baseline has none."""
+def _found(request: Request, plans: Sequence[ScoringPlan]) -> list[FoundPredictions]:
+    """Return the predictions of what each plan scores; a baseline has none.
+
+    In a folder of which nothing is where a prediction may be, that is the one problem of all plans.
+    """
     if request.predictions is None:
-        return FoundPredictions({}, (), 0)
-    places = [place_of(pair, frame) for pair in plan.pairs for frame in frames_of(pair)]
-    return find_predictions(request.predictions, places, known, allow_missing=request.allow_missing)
+        return [FoundPredictions({}, (), 0) for _ in plans]
+    known, elsewhere = known_places(request), places_elsewhere(request)
+    places = [[place_of(pair, frame) for pair in plan.pairs for frame in frames_of(pair)] for plan in plans]
+    references: dict[str, str] = {}
+    for pair in (pair for plan in plans for pair in plan.pairs if isinstance(pair, PairRecord)):
+        references.setdefault(pair.reference, pair.path)
+    expected = Expected(list(dict.fromkeys(chain.from_iterable(places))), references, elsewhere)
+    problem = misplaced(request.predictions, expected, known)
+    if problem is not None:
+        return [FoundPredictions({}, (problem,), 0) for _ in plans]
+    return [
+        find_predictions(request.predictions, wanted, known, elsewhere=elsewhere, allow_missing=request.allow_missing)
+        for wanted in places
+    ]
 
 
 def _notes(plan: ScoringPlan, found: FoundPredictions, result: EvaluationResult, scored: PlanScores) -> list[str]:
@@ -237,12 +272,21 @@ def _notes(plan: ScoringPlan, found: FoundPredictions, result: EvaluationResult,
         )
     if found.unscored:
         notes.append(f"not scored, because this evaluation leaves their frames out: {found.unscored} predictions")
+    notes += [
+        f"{count} predictions of {name} are there too; not scored here" for name, count in found.elsewhere.items()
+    ]
     paths = {score.path for score in scores}
     bare = [path for path in scored.without_channel_whites if path in paths]
     if bare:
         notes.append(
             f"LibRaw has no white level per channel of the references of {len(bare)} pairs, such as that of {bare[0]}: "
             "the file's one white level was taken"
+        )
+    levels = plan.protocol.levels
+    if scores and levels in ONE_CAMERAS_LEVELS and "published" not in (scored.equal_choices or {}).get("levels", ()):
+        notes.append(
+            f"{LEVELS[levels]} was taken for every file, as protocol {plan.protocol.name} has it; some of these files "
+            "state another black level"
         )
     low, high = _USUAL_RESCALE
     odd = [score for score in scores if not low <= score.rescale <= high]
@@ -252,23 +296,24 @@ def _notes(plan: ScoringPlan, found: FoundPredictions, result: EvaluationResult,
             f"{odd[0].name} by {odd[0].rescale:.3g}; is their scale that of the reference?"
         )
     perfect = [score.name for score in scores if score.psnr_db == float("inf")]
-    if perfect and result.kind is IMAGES:
+    if perfect and result.kind is not CLIPS:
         notes.append(f"equal to their reference exactly: {len(perfect)} predictions, such as {perfect[0]}")
     elif perfect:
         notes.append(f"with a frame that equals the reference exactly: {len(perfect)} videos, such as {perfect[0]}")
     return notes
 
 
-def _provenance(request: Request, plan: ScoringPlan) -> dict[str, Any]:
+def _provenance(request: Request, plan: ScoringPlan, scored: PlanScores) -> dict[str, Any]:
     import rawpy
 
     manifest, cameras = request.manifest, request.cameras
+    equal = scored.equal_choices or {}
     return {
         "dataset": manifest.name,
         "manifest_version": manifest.card.version,
         "manifest_sha256": manifest.digest,
         "cameras": "all" if cameras is None else [name for name in manifest.card.cameras if name in cameras],
-        "predictions": "none: the input itself" if request.predictions is None else str(request.predictions),
+        "predictions": THE_INPUT if request.predictions is None else str(request.predictions),
         "python": platform.python_version(),
         "libraw": ".".join(map(str, rawpy.libraw_version)),
         "eldata": __version__,
@@ -277,4 +322,13 @@ def _provenance(request: Request, plan: ScoringPlan) -> dict[str, Any]:
         "subset": plan.subset,
         **plan.facts,
         "excluded_flags": plan.excluded,
+        "equal_choices": {name: [choice for choice in CHOICES[name] if choice in equal[name]] for name in equal},
+        **({} if request.lpips is None else {"lpips": _lpips_provenance()}),
     }
+
+
+def _lpips_provenance() -> dict[str, str]:
+    """Return what LPIPS was taken with."""
+    from eldata.metrics.lpips import BACKBONE_FILE, LINEAR_FILE
+
+    return {file.name: file.sha256 for file in (BACKBONE_FILE, LINEAR_FILE)} | {"torch": version("torch")}

@@ -26,6 +26,11 @@ def ratio_of(pair: Pair) -> float | None:
     return float(pair.ratio) if isinstance(pair, PairRecord) else None
 
 
+def iso_of(pair: Pair) -> float:
+    """Return the ISO of a pair's noisy frame; 0 where it is not known, and of windows of clips."""
+    return float(pair.iso or 0) if isinstance(pair, PairRecord) else 0.0
+
+
 def place_of(pair: Pair, frame: str) -> str:
     """Return where the prediction of a noisy frame lies, but for its extension.
 

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 from eldata.errors import ArgumentError, DatasetError
 from eldata.evaluation.pairs import Pair, clip_place, frames_of
+from eldata.manifest.catalogue import shipped_manifest, shipped_names
 from eldata.manifest.clip_checks import is_png
 from eldata.manifest.clips import choose_clips, clips_of, windows
 from eldata.manifest.drv import Layout
 from eldata.manifest.pairs import select_pairs
 from eldata.manifest.patterns import expand
 from eldata.manifest.verify import check_files
+from eldata.protocols.choosing import default_protocol
 from eldata.protocols.clips import ClipProtocol
 from eldata.protocols.kinds import IMAGES
 
@@ -59,6 +61,22 @@ def known_places(request: Request) -> list[str]:
     if request.kind is IMAGES:
         return [record.path for record in noisy]
     return [clip_place(row.scene, row.path) for row in expand(noisy, request.folder)]
+
+
+def places_elsewhere(request: Request) -> dict[str, list[str]]:
+    """Return where predictions of other sets of images may lie that come with the package, by the sets' names.
+
+    One folder may hold those of several, such as of SID's two cameras. Of a set of your own every prediction that is
+    not its own is a mistake.
+    """
+    if request.is_own or request.kind is not IMAGES:
+        return {}
+    others = [name for name in shipped_names() if name != request.manifest.name]
+    return {
+        name: [record.path for record in shipped_manifest(name).records if record.role == "noisy"]
+        for name in others
+        if default_protocol(name).kind is IMAGES
+    }
 
 
 def plan_scoring(request: Request, protocol: Protocol) -> ScoringPlan:

@@ -8,15 +8,24 @@ packed (C, h, w) or a mosaic (H, W); float in [0, 1] of the reference's normalis
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from eldata.base.files import atomic_write, file_problem
 from eldata.errors import ArgumentError, EldataError, PredictionError, RawFileError
+from eldata.evaluation.layouts import (
+    READ,
+    Expected,
+    is_read,
+    layout_in_words,
+    nearest_in_words,
+    stem_of,
+)
 from eldata.evaluation.pairs import place_of
 from eldata.evaluation.prediction_files import declared_array, read_array
 from eldata.evaluation.references import normalised_frame
@@ -25,16 +34,14 @@ from eldata.raw.cfa import pack, packed_shape
 from eldata.raw.levels import with_levels
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Collection, Iterable, Iterator, Mapping
 
     from numpy.typing import NDArray
 
     from eldata.evaluation.prediction_files import Declared
     from eldata.manifest.clips import ClipRecord
     from eldata.protocols.protocol import Levels, Space
-    from eldata.records import Sensor
-
-EXTENSIONS = (".npy", ".npz", ".h5", ".tif", ".tiff", ".png", ".dng")
+    from eldata.records import RawFrame, Sensor
 
 # A prediction near [0, 1] has next to nothing above 2, even where it is an amplified noisy frame with hot pixels.
 _SCALE_LIMIT = 2.0
@@ -57,15 +64,23 @@ class FoundPredictions:
         Noisy frames with several predictions or none, and files that are the prediction of no noisy frame.
     unscored
         Number of predictions of noisy frames that this evaluation does not score.
+    elsewhere
+        Numbers of predictions of other datasets, by their names.
     """
 
     files: dict[str, Path]
     problems: tuple[EvaluationProblem, ...]
     unscored: int
+    elsewhere: dict[str, int] = field(default_factory=dict)
 
 
 def find_predictions(
-    folder: Path, places: Iterable[str], known: Iterable[str] = (), *, allow_missing: bool = False
+    folder: Path,
+    places: Iterable[str],
+    known: Iterable[str] = (),
+    *,
+    elsewhere: Mapping[str, Collection[str]] = MappingProxyType({}),
+    allow_missing: bool = False,
 ) -> FoundPredictions:
     """Match the files of a folder with where predictions may lie, but for their extension.
 
@@ -78,6 +93,8 @@ def find_predictions(
         matter.
     known
         The same of all noisy frames of the manifest.
+    elsewhere
+        The same of other datasets, by their names.
     allow_missing
         Whether noisy frames may lack a prediction.
 
@@ -86,16 +103,18 @@ def find_predictions(
     EldataError
         If the folder is not there.
     """
-    if not folder.is_dir():
-        raise EldataError(f"{folder}: there is no such folder of predictions")
     by_stem: dict[str, list[str]] = {}
-    for name in sorted(_candidates(folder)):
-        by_stem.setdefault(_stem(name), []).append(name)
+    unread: dict[str, str] = {}
+    for name in _files(folder):
+        if is_read(name):
+            by_stem.setdefault(stem_of(name), []).append(name)
+        else:
+            unread.setdefault(stem_of(name), name)
     files: dict[str, Path] = {}
     several, missing = [], []
     place_of_stem: dict[str, str] = {}
     for place in places:
-        stem = _stem(place)
+        stem = stem_of(place)
         found = by_stem.pop(stem, [])
         if place_of_stem.setdefault(stem, place) != place:
             reason = f"its prediction would lie where that of {place_of_stem[stem]} does; give the frames other names"
@@ -106,16 +125,57 @@ def find_predictions(
             reason = f"expected one prediction, found {len(found)}: {', '.join(found[:_MOST_SHOWN])}; keep one"
             several.append(EvaluationProblem(place, reason))
         elif not allow_missing:
-            reason = "has no prediction; add it, or score the rest with --allow-missing"
+            there = add = ""
+            if stem in unread:
+                there, add = f", only a {Path(unread[stem]).suffix} file, which is not read", f" as {READ}"
+            reason = f"has no prediction{there}; add it{add}, or score the rest with --allow-missing"
             missing.append(EvaluationProblem(place, reason))
-    known_stems = {_stem(path) for path in known}
-    strange = [name for stem, names in by_stem.items() if stem not in known_stems for name in names]
-    unscored = sum(len(names) for stem, names in by_stem.items() if stem in known_stems)
-    return FoundPredictions(files, (*several, *_extra(folder, strange), *missing), unscored)
+    unscored = sum(len(by_stem.pop(stem, ())) for stem in {stem_of(path) for path in known})
+    counts = {
+        name: sum(len(by_stem.pop(stem, ())) for stem in {stem_of(path) for path in paths})
+        for name, paths in elsewhere.items()
+    }
+    strange = [name for names in by_stem.values() for name in names]
+    extra = _extra(folder, strange, [problem.path for problem in missing])
+    there_too = {name: count for name, count in counts.items() if count}
+    return FoundPredictions(files, (*several, *extra, *missing), unscored, there_too)
 
 
-def _candidates(folder: Path) -> Iterator[str]:
-    """Yield what could be predictions, relative to a folder; hidden files and folders, and linked folders, are not."""
+def misplaced(folder: Path, expected: Expected, known: Iterable[str]) -> EvaluationProblem | None:
+    """Return the one problem of a folder in which nothing lies where a prediction may, or ``None``.
+
+    Parameters
+    ----------
+    folder
+        The folder of predictions.
+    expected
+        What is to be scored, and what may be there in its stead.
+    known
+        The paths of all noisy frames of the manifest.
+
+    Raises
+    ------
+    EldataError
+        If the folder is not there.
+    """
+    names = _files(folder)
+    stems = {stem_of(path) for path in (*expected.places, *known)}
+    if not expected.places or any(is_read(name) and stem_of(name) in stems for name in names):
+        return None
+    return EvaluationProblem(str(folder), layout_in_words(folder, names, expected))
+
+
+def _files(folder: Path) -> list[str]:
+    """Return the files of a folder of predictions, relative to it, sorted.
+
+    Hidden files and folders, and linked folders, are left out; a folder that is called like a prediction is there.
+    """
+    if not folder.is_dir():
+        raise EldataError(f"{folder}: there is no such folder; give the one that holds the predictions")
+    return sorted(_walk(folder))
+
+
+def _walk(folder: Path) -> Iterator[str]:
     waiting = [""]
     while waiting:  # not recursive: folders may lie deeper than Python's stack
         below = waiting.pop()
@@ -127,24 +187,23 @@ def _candidates(folder: Path) -> Iterator[str]:
             if entry.name.startswith("."):
                 continue
             name = f"{below}{entry.name}"
-            if Path(entry.name).suffix.lower() in EXTENSIONS:
-                yield name
             if entry.is_dir(follow_symlinks=False):
                 waiting.append(f"{name}/")
+            if is_read(name) or not entry.is_dir():
+                yield name
 
 
-def _extra(folder: Path, names: list[str]) -> list[EvaluationProblem]:
+def _extra(folder: Path, names: list[str], missing: list[str]) -> list[EvaluationProblem]:
     """Name the predictions of no noisy frame; of very many only the first."""
+    nearest = nearest_in_words(names, missing)
     reason = "is the prediction of no noisy frame in the manifest; rename it or move it away"
+    if nearest is not None:
+        reason += f": {nearest}"
     problems = [EvaluationProblem(name, reason) for name in names[:_MOST_EXTRA]]
     if len(names) > _MOST_EXTRA:
         more = f"{len(names) - _MOST_EXTRA} more files are predictions of no noisy frame; is it the right folder?"
         problems.append(EvaluationProblem(str(folder), more))
     return problems
-
-
-def _stem(path: str) -> str:
-    return Path(path).with_suffix("").as_posix()
 
 
 def save_prediction(folder: Path | str, noisy_path: str, prediction: NDArray[Any]) -> Path:
@@ -159,7 +218,7 @@ def save_prediction(folder: Path | str, noisy_path: str, prediction: NDArray[Any
     prediction
         Packed (C, h, w) or mosaic (H, W); float in [0, 1], or uint16 where 65535 = 1.0.
     """
-    path = Path(folder) / f"{_stem(noisy_path)}.npy"
+    path = Path(folder) / f"{stem_of(noisy_path)}.npy"
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as file:
         np.save(file, np.asarray(prediction), allow_pickle=False)
@@ -199,7 +258,7 @@ def load_prediction(path: Path, sensor: Sensor, levels: Levels) -> NDArray[np.fl
     Parameters
     ----------
     path
-        A file of one of :data:`EXTENSIONS`.
+        A file of one of :data:`eldata.evaluation.EXTENSIONS`.
     sensor
         The reference's: its CFA and size decide the expected shape.
     levels
@@ -217,7 +276,7 @@ def load_prediction(path: Path, sensor: Sensor, levels: Levels) -> NDArray[np.fl
         what was found and what to do.
     """
     if path.suffix.lower() == ".dng":
-        return _from_dng(path, sensor, levels)
+        return normalised_frame(load_dng(path, sensor), levels, clip="none")
     values = _floating(read_array(path, partial(_check_raw, path, sensor)))
     if values.ndim == 2:
         values = pack(values, sensor.cfa)
@@ -235,8 +294,9 @@ def load_colours(
     Parameters
     ----------
     path
-        A file of one of :data:`EXTENSIONS` but dng. A rendering: an RGB PNG or TIFF of 8 or 16 bits, or an array
-        (H, W, 3) or (3, H, W), uint8, uint16 or float in [0, 1]. A frame: a 16-bit RGB PNG, the others channels first.
+        A file of one of :data:`eldata.evaluation.EXTENSIONS` but dng. A rendering: an RGB PNG or TIFF of 8 or 16 bits,
+        or an array (H, W, 3) or (3, H, W), uint8, uint16 or float in [0, 1]. A frame: a 16-bit RGB PNG, the others
+        channels first.
     shape
         (3, H, W), the reference's.
     pixels
@@ -356,7 +416,21 @@ def _check_values(path: Path, values: NDArray[Any], cure: str) -> None:
         )
 
 
-def _from_dng(path: Path, sensor: Sensor, levels: Levels) -> NDArray[np.float32]:
+def load_dng(path: Path, sensor: Sensor) -> RawFrame:
+    """Load a prediction that is a DNG, with its own levels.
+
+    Parameters
+    ----------
+    path
+        The file.
+    sensor
+        The reference's: CFA and size have to be the same.
+
+    Raises
+    ------
+    PredictionError
+        Like :func:`load_prediction`.
+    """
     from eldata.raw.reading import read_raw
     from eldata.raw.tiff import read_directories
 
@@ -380,4 +454,4 @@ def _from_dng(path: Path, sensor: Sensor, levels: Levels) -> NDArray[np.float32]
             f"expected a mosaic of {sensor.height} x {sensor.width} pixels with CFA {sensor.cfa} like the reference, "
             f"found {frame.mosaic.shape[0]} x {frame.mosaic.shape[1]} with {frame.sensor.cfa}",
         )
-    return normalised_frame(frame, levels, clip="none")
+    return frame

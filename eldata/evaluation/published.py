@@ -20,6 +20,8 @@ COLUMNS = (
     *("source", "table", "dataset", "camera", "subset", "protocol", "ratio", "pairs", "method"),
     *("psnr_db", "ssim", "st_rred", "note"),
 )
+NOISY_INPUT = "noisy input"
+"""The method of a row that scores the input itself, as ``--baseline input`` does, and no prediction."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +67,7 @@ class PublishedRow:
     pairs
         How many pairs the mean is over, if known.
     method
-        Its name; what a paper calls "ours" has a name here.
+        Its name; what a paper calls "ours" has a name here. :data:`NOISY_INPUT` is none: the input itself was scored.
     psnr_db, ssim, st_rred
         As printed; ``None`` where it is not published or not known.
     note

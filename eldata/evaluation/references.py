@@ -9,7 +9,7 @@ import numpy as np
 
 from eldata.errors import ArgumentError
 from eldata.raw.cfa import CLIP_RANGES, pack, packed_black_level_dn
-from eldata.raw.levels import packed_frame
+from eldata.raw.levels import packed_frame, with_levels
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -64,6 +64,18 @@ def normalised_frame(frame: RawFrame, levels: Levels, *, clip: Clip, gain: float
         packed *= np.float32(gain)
         np.clip(packed, low, high, out=packed)
     return packed
+
+
+def levels_dn(frame: RawFrame, levels: Levels) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the black and the white levels in DN, one per CFA channel, that :func:`normalised_frame` takes."""
+    sensor = frame.sensor
+    if levels != "metadata-per-channel":
+        sensor = with_levels(sensor, levels)
+    white = (sensor.white_level_dn,) * len(sensor.black_level_dn)
+    whites = frame.channel_white_levels_dn if levels == "metadata-per-channel" else None
+    if whites is None or len(set(whites)) == 1:
+        return sensor.black_level_dn, white if whites is None else whites[:1] * len(white)
+    return sensor.black_level_dn, whites
 
 
 def rendered_reference(path: Path) -> NDArray[np.float32]:

@@ -12,6 +12,7 @@ from eldata.errors import ArgumentError
 from eldata.manifest.catalogue import Manifest, load_manifest, shipped_manifest, shipped_names
 from eldata.protocols.choosing import default_protocol, get_protocol, protocols_for
 from eldata.protocols.kinds import IMAGES, Kind
+from eldata.protocols.named import PROTOCOLS
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -35,6 +36,8 @@ class EvaluationOptions(TypedDict, total=False):
     exclude_flags: Collection[str]
     allow_missing: bool
     baseline: Baseline | None
+    strict: bool
+    lpips: Path | str | None
     workers: AnyWorkers
 
 
@@ -52,6 +55,8 @@ class Request:
         How to score; several for ``all``.
     every
         Whether every protocol was asked for, and those that cannot score are left out and named.
+    lpips
+        The folder of the weights of LPIPS, which are there; ``None``: it is not wanted.
     """
 
     manifest: Manifest
@@ -64,6 +69,8 @@ class Request:
     ids: Collection[str] | None
     exclude_flags: Collection[str]
     allow_missing: bool
+    strict: bool
+    lpips: Path | None
     workers: Workers
 
     @property
@@ -88,8 +95,9 @@ def make_request(
         If the manifest is malformed, a name or an option is unknown, or options do not go together.
     """
     keywords("evaluate", options, EvaluationOptions, renamed={})
-    path, baseline = options.get("manifest"), options.get("baseline")
+    path, baseline, lpips = options.get("manifest"), options.get("baseline"), options.get("lpips")
     manifest = shipped_manifest(dataset) if path is None else load_manifest(path)
+    manifest.card.check_readable()
     own = manifest.name not in shipped_names()
     request = Request(
         manifest=manifest,
@@ -102,6 +110,8 @@ def make_request(
         ids=options.get("ids"),
         exclude_flags=options.get("exclude_flags", ()),
         allow_missing=options.get("allow_missing", False),
+        strict=options.get("strict", False),
+        lpips=None if lpips is None else Path(lpips).absolute(),
         workers=Workers.of(options.get("workers", 1)),
     )
     if baseline not in (None, "input"):
@@ -118,6 +128,8 @@ def make_request(
         raise ArgumentError(
             f"protocol {request.protocols[0].name!r} scores renderings, so the raw input is not a baseline of it"
         )
+    if request.lpips is not None:
+        _check_lpips(request, request.lpips)
     return request
 
 
@@ -135,3 +147,19 @@ def _protocol(protocol: str | Path | Protocol | None, manifest: Manifest) -> Pro
             f"{default.kind.units}; its protocols are {own}"
         )
     return chosen
+
+
+def _check_lpips(request: Request, folder: Path) -> None:
+    """Check that LPIPS can be taken: of renderings, with the published weights, which are read to know that."""
+    from eldata.metrics.lpips import LpipsWeights
+
+    if request.every:
+        raise ArgumentError("--lpips goes with one protocol of sRGB, not with --protocol all")
+    (protocol,) = request.protocols
+    if protocol.space != "srgb":
+        known = ", ".join(name for name, one in PROTOCOLS.items() if one.space == "srgb")
+        raise ArgumentError(
+            f"LPIPS is defined on sRGB images, and protocol {protocol.name!r} scores raw ones; protocols of sRGB are "
+            f"{known}"
+        )
+    LpipsWeights.load(folder)

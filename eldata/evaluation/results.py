@@ -12,10 +12,13 @@ from typing import TYPE_CHECKING, Any
 from eldata.base.fields import csv_text
 from eldata.base.files import write_json, write_text
 from eldata.base.tables import latex_table, markdown_table, markdown_text, text_table
+from eldata.base.visible import in_line
 from eldata.evaluation.pairs import name_of
 from eldata.evaluation.scores import EvaluationProblem, UnitScore, csv_number, json_object
 from eldata.evaluation.table import PaperTable, TableRow, paper_table, short_digest, table_of
 from eldata.manifest.clips import ClipRecord
+from eldata.protocols.comparability import comparability
+from eldata.protocols.digests import CHOOSING, OF_INPUT
 from eldata.records import PairRecord
 
 if TYPE_CHECKING:
@@ -25,12 +28,18 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from eldata.base.tables import Format
+    from eldata.evaluation.diagnosis import Suspicion
     from eldata.evaluation.pairs import Pair
     from eldata.evaluation.statistics import Interval
     from eldata.protocols.kinds import Kind
     from eldata.protocols.protocol import Protocol, StatedProtocol
 
-_PROBLEMS_SHOWN = 20
+THE_INPUT = "none: the input itself"
+"""In the provenance in place of the folder of predictions."""
+
+_LINES_SHOWN = 20  # of problems
+_ALIKE = 3  # of one reason stand together
+_NAMES_SHOWN = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +52,8 @@ class EvaluationResult:
         The protocol of every score.
     provenance
         What the numbers depend on: versions, manifest and its digest, the protocol's digest; cameras, subset, ids, and
-        excluded flags with their numbers of pairs.
+        excluded flags with their numbers of pairs; ``equal_choices``, the values of the protocol's fields that came to
+        the same on these files.
     scores
         One per image or clip, in the order of the pairs.
     table
@@ -56,6 +66,8 @@ class EvaluationResult:
         What is wrong. With problems and without ``allow_missing`` nothing was scored.
     notes
         What a reader of the table should know.
+    suspicions
+        Mistakes that the predictions show (:mod:`eldata.evaluation.diagnosis`).
     units
         The pairs, or windows of clips, that were to be scored; none in a result that was read back.
     source
@@ -70,6 +82,7 @@ class EvaluationResult:
     missing: tuple[str, ...]
     problems: tuple[EvaluationProblem, ...]
     notes: tuple[str, ...]
+    suspicions: tuple[Suspicion, ...] = ()
     units: tuple[Pair, ...] = ()
     source: str = "this evaluation"
 
@@ -88,7 +101,7 @@ class EvaluationResult:
             protocol=protocol,
             provenance=provenance,
             scores=found,
-            table=table_of(units, found, protocol.kind),
+            table=table_of(units, found, kind_of(protocol.kind, provenance)),
             expected=len(units),
             missing=tuple(name_of(unit) for unit in units if unit.path not in scores),
             problems=tuple(problems),
@@ -100,8 +113,8 @@ class EvaluationResult:
 
     @property
     def kind(self) -> Kind:
-        """What was scored: images or clips."""
-        return self.protocol.kind
+        """What was scored: images or clips, and with which numbers."""
+        return kind_of(self.protocol.kind, self.provenance)
 
     @property
     def dataset(self) -> str:
@@ -110,8 +123,8 @@ class EvaluationResult:
 
     @property
     def digest(self) -> str:
-        """``sha256:<hex>`` of what of the protocol decides a score."""
-        return str(self.provenance["protocol_digest"])
+        """``sha256:<hex>`` of what of the protocol decides a score, by this version's rule."""
+        return self.protocol.digest
 
     @property
     def pairs(self) -> tuple[PairRecord, ...]:
@@ -157,6 +170,32 @@ class EvaluationResult:
     def st_rred(self) -> float:
         """ST-RRED of clips, mean over all; lower is better."""
         return self.whole.st_rred
+
+    @property
+    def chosen(self) -> frozenset[str]:
+        """What was to be scored: paths of noisy frames, of images; numbers of clips."""
+        return frozenset((*(score.name for score in self.scores), *self.missing))
+
+    @property
+    def of_input(self) -> bool:
+        """Whether the noisy input itself was scored."""
+        return self.provenance.get("predictions") == THE_INPUT
+
+    def scored_unlike(self, other: EvaluationResult | Protocol) -> list[str]:
+        """Return in words how these were scored differently from another result or protocol; nothing if alike.
+
+        That is neither the choice of pairs, nor a name, nor what came to the same on the scored files
+        (``equal_choices``). The noisy input counts where it was scored itself.
+        """
+        results = [self] if not isinstance(other, EvaluationResult) else [self, other]
+        of_input = any(result.of_input for result in results)
+        second = other.protocol if isinstance(other, EvaluationResult) else other
+        return comparability(
+            self.protocol.as_dict(),
+            second.as_dict(),
+            equal=[result.provenance.get("equal_choices", {}) for result in results],
+            ignored=CHOOSING if of_input else (*CHOOSING, *OF_INPUT),
+        )
 
     @property
     def rescales(self) -> bool:
@@ -224,6 +263,7 @@ class EvaluationResult:
                 table.header, table.rows, table.left, caption=self.caption, label=label, rules=table.rules
             )
         lines = [markdown_table(table.header, table.rows, table.left), "", markdown_text(self.caption)]
+        lines += [f"\n{markdown_text(str(suspicion))}" for suspicion in self.suspicions]
         return "\n".join([*lines, *(f"\nNote: {markdown_text(note)}" for note in self.notes)])
 
     def format_table(self) -> str:
@@ -244,6 +284,7 @@ class EvaluationResult:
                 f"INCOMPLETE: {len(self.missing)} {self.kind.counted} are not in these means, so they do not compare "
                 "with others"
             )
+        lines += map(str, self.suspicions)
         lines += [f"note: {note}" for note in self.notes]
         lines.append(f"{self.protocol.title} ({short_digest(self.digest)})")
         return "\n".join(lines)
@@ -261,6 +302,8 @@ class EvaluationResult:
             "problems": [asdict(problem) for problem in self.problems],
             "notes": list(self.notes),
         }
+        if self.suspicions:  # results of version 0.1 read back as they were written
+            result["suspicions"] = [asdict(suspicion) for suspicion in self.suspicions]
         return json_object(result)
 
     def write_json(self, path: Path | str) -> None:
@@ -270,6 +313,11 @@ class EvaluationResult:
     def write_csv(self, path: Path | str) -> None:
         """Write the scores as CSV with the columns of their kind, every digit, whole or not at all."""
         write_scores([self], path)
+
+
+def kind_of(kind: Kind, provenance: Mapping[str, Any]) -> Kind:
+    """Return a protocol's kind with what was asked for beyond it: LPIPS."""
+    return kind.with_lpips if "lpips" in provenance else kind
 
 
 def write_scores(results: Sequence[EvaluationResult], path: Path | str, *, named: bool = False) -> None:
@@ -284,11 +332,39 @@ def write_scores(results: Sequence[EvaluationResult], path: Path | str, *, named
 
 
 def problem_lines(problems: Sequence[EvaluationProblem]) -> list[str]:
-    """Return problems as lines of text, the first of many."""
-    lines = [str(problem) for problem in problems[:_PROBLEMS_SHOWN]]
-    if len(problems) > _PROBLEMS_SHOWN:
-        lines.append(f"... and {len(problems) - _PROBLEMS_SHOWN} more (--json FILE lists all)")
+    """Return problems as lines of text, the first of many; those that are alike stand together, by folder."""
+    alike: dict[str, list[str]] = {}
+    for problem in problems:
+        alike.setdefault(problem.reason, []).append(problem.path)
+    lines: list[str] = []
+    shown = 0
+    for reason, paths in alike.items():
+        if len(paths) < _ALIKE:
+            rows = [(1, str(EvaluationProblem(path, reason))) for path in paths]
+        else:
+            lines += [in_line(f"{len(paths)} alike: {reason}")] if len(lines) < _LINES_SHOWN else []
+            rows = _by_folder(paths)
+        for count, row in rows[: max(_LINES_SHOWN - len(lines), 0)]:
+            lines.append(row)
+            shown += count
+    if shown < len(problems):
+        lines.append(f"... and {len(problems) - shown} more (--json FILE lists all)")
     return lines
+
+
+def _by_folder(paths: Sequence[str]) -> list[tuple[int, str]]:
+    """Return a line for each folder that files are in, the first of many by name, and how many they are."""
+    folders: dict[str, list[str]] = {}
+    for path in paths:
+        folder, _, name = path.rpartition("/")
+        folders.setdefault(folder, []).append(name)
+    rows = []
+    for folder, names in folders.items():
+        more = f" and {len(names) - _NAMES_SHOWN} more" if len(names) > _NAMES_SHOWN else ""
+        rows.append(
+            (len(names), in_line(f"  {folder + ': ' if folder else ''}{', '.join(names[:_NAMES_SHOWN])}{more}"))
+        )
+    return rows
 
 
 def nothing_scored(problems: Sequence[EvaluationProblem]) -> str:

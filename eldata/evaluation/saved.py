@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Any, Final
 from eldata import __version__
 from eldata.base.fields import TextFile, shown
 from eldata.errors import ArgumentError, FileError
-from eldata.evaluation.results import EvaluationResult
+from eldata.evaluation.diagnosis import Suspicion
+from eldata.evaluation.results import EvaluationResult, kind_of
 from eldata.evaluation.scores import EvaluationProblem, FrameScore, UnitScore
 from eldata.evaluation.table import TableRow
+from eldata.protocols.digests import fields_digest_0_1
 from eldata.protocols.kinds import CLIPS, IMAGES, Kind
 from eldata.protocols.protocol import StatedProtocol
 
@@ -51,16 +53,23 @@ def saved_result(data: object, source: Path | str) -> EvaluationResult:
 def _result(top: Fields) -> EvaluationResult:
     if "provenance" not in top.data:
         raise top.problem("provenance", "is missing: this is not a result of eldata evaluate, or not a whole one")
-    kind = CLIPS if CLIPS.units in top.data else IMAGES
     provenance, protocol, coverage = (top.inside(name) for name in ("provenance", "protocol", "coverage"))
+    own = CLIPS if CLIPS.units in top.data else IMAGES
+    kind = kind_of(own, provenance.data)
     written = provenance.text("eldata")
     if _release(written) > _release(__version__):
         raise provenance.wrong("eldata", f"{__version__} or older (update eldata, or it may be misread)", written)
     for name in ("dataset", "manifest_sha256"):
         provenance.text(name)
     protocol.text("name")
+    stated = StatedProtocol(own, dict(protocol.data))
+    _check_digest(provenance, stated)
     provenance.optional("subset", provenance.text)
     provenance.optional("excluded_flags", provenance.inside)
+    if "equal_choices" in provenance.data:
+        choices = provenance.inside("equal_choices")
+        for name in choices.data:
+            choices.texts(name)
     scores = tuple(_score(one, kind) for one in top.objects(kind.units))
     seen: set[str] = set()
     for index, score in enumerate(scores):
@@ -71,7 +80,7 @@ def _result(top: Fields) -> EvaluationResult:
         raise coverage.wrong("scored", f"the number of {kind.units}, {len(scores)}", coverage.data["scored"])
     expected = coverage.whole(kind.counted, at_least=len(scores))
     return EvaluationResult(
-        protocol=StatedProtocol(kind, dict(protocol.data), provenance.text("protocol_digest")),
+        protocol=stated,
         provenance=dict(provenance.data),
         scores=scores,
         table=_table(top, kind, scores, expected),
@@ -82,14 +91,37 @@ def _result(top: Fields) -> EvaluationResult:
             for one in top.objects("problems")
         ),
         notes=top.texts("notes"),
+        suspicions=tuple(_suspicion(one) for one in top.objects("suspicions")) if "suspicions" in top.data else (),
         source=str(top.file.name),
     )
+
+
+def _suspicion(one: Fields) -> Suspicion:
+    return Suspicion(
+        words=one.text("words", unseen=True),
+        where=one.text("where", empty=True, unseen=True),
+        shown=one.whole("shown"),
+        looked=one.whole("looked"),
+        psnr_db=one.number("psnr_db"),
+        without_db=one.optional("without_db", one.number),
+        example=one.text("example", unseen=True),
+    )
+
+
+def _check_digest(provenance: Fields, stated: StatedProtocol) -> None:
+    """Raise :class:`FileError` unless the digest is of the protocol's fields, by this version's rule or that of 0.1."""
+    if provenance.text("protocol_digest") not in (stated.digest, fields_digest_0_1(stated.fields)):
+        raise provenance.wrong(
+            "protocol_digest",
+            f"the digest of the fields in protocol, {stated.digest} (was one of them edited?)",
+            provenance.data["protocol_digest"],
+        )
 
 
 def _score(one: Fields, kind: Kind) -> UnitScore:
     camera, scene = one.text("camera"), one.text("scene")
     values = {name: one.parsed(name, _value) for name in kind.values}
-    if kind is IMAGES:
+    if kind is not CLIPS:
         iso, ratio = one.number("iso", at_least=0), one.number("ratio", at_least=0)
         return UnitScore(one.text("path"), camera, scene, iso, ratio, values)
     frames = tuple(

@@ -57,6 +57,11 @@ class Valued:
         return self.values["temporal_rred"]
 
     @property
+    def lpips(self) -> float:
+        """LPIPS of renderings in sRGB, where it was asked for; lower is better."""
+        return self.values["lpips"]
+
+    @property
     def rescale(self) -> float:
         """The factor that the protocol multiplied a prediction by; 1 if it does not rescale."""
         return self.values["rescale"]

@@ -15,6 +15,10 @@ if TYPE_CHECKING:
     from eldata.protocols.kinds import Kind
 
 
+# A set whose pairs nearly all have factors of their own (LRD: 27 among 60) is not laid out by them.
+_MOST_FACTORS = 12
+
+
 @dataclass(frozen=True, slots=True)
 class TableRow(Valued):
     """Means over a group. ``camera`` or ``ratio`` is ``None`` where the group spans all of them."""
@@ -48,10 +52,12 @@ class TableRow(Valued):
 def groups_of(items: Sequence[tuple[str, float | None]]) -> list[tuple[str | None, float | None]]:
     """Return the groups of a table over cameras and factors: camera by factor, each factor over all, and all.
 
-    A set without factors has each camera, if there are several, and all.
+    A set without factors, or with more than twelve, has each camera, if there are several, and all.
     """
     cameras = list(dict.fromkeys(camera for camera, _ in items))
     ratios = sorted({ratio for _, ratio in items if ratio is not None})
+    if len(ratios) > _MOST_FACTORS:
+        ratios = []
     found = set(items)
     groups: list[tuple[str | None, float | None]] = [
         (camera, ratio) for camera in cameras for ratio in ratios if (camera, ratio) in found

@@ -96,6 +96,13 @@ def test_eld_dataset_reads_it(small: Field) -> None:
     assert sample["ratio"] == 100
 
 
+def test_check_says_that_its_frames_are_too_small(small: Field, capsys: pytest.CaptureFixture[str]) -> None:
+    assert small.copy() == 0
+    capsys.readouterr()
+    assert main(["check", str(small.csv), "--root", str(small.folder / "data"), "--jobs", "1"]) == 1
+    assert "scene-1/IMG_0001.dng: is too small to tell how bright it is" in capsys.readouterr().out
+
+
 def test_evaluate_scores_predictions_on_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     import numpy as np
 

@@ -191,7 +191,7 @@ def test_from_plan_to_manifest(tmp_path: Path, capsys: pytest.CaptureFixture[str
             ),
         ),
     )
-    assert rig.run("--json", str(tmp_path / "run.json")) == 0
+    assert rig.run("--json", str(rig.shots / "run.json")) == 0  # a folder that the run itself makes
     output = capsys.readouterr().out
     rig.check_whole()
     assert "Acme Nocturne 1 (PC Control) at usb:001,005, battery 85%" in output
@@ -200,7 +200,7 @@ def test_from_plan_to_manifest(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert "lens capped" in output
     assert output.index("lens capped") < output.index("cap off")
     assert "13 of 13 frames" in output
-    content = json.loads((tmp_path / "run.json").read_text())
+    content = json.loads((rig.shots / "run.json").read_text())
     assert (content["planned"], content["taken_now"]) == (13, 13)
     assert content["frames"][0] == {"scene": "scene-1", "number": 1, "file": str(rig.shots / "scene-1_0001.dng")}
     # A setting is made where it changes, not for each of ten equal frames.

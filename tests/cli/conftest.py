@@ -1,14 +1,20 @@
 from __future__ import annotations
 
+import errno
 import os
 import re
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
 from eldata.cli.main import main
 from tests.evaluation.helpers import Tree, place
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 GOLDEN = Path(__file__).parent / "golden"
 
@@ -39,6 +45,19 @@ def eldata(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, 
     monkeypatch.chdir(tmp_path / "cwd")
     monkeypatch.delenv("ELDATA_ROOT", raising=False)
     return Cli(capsys)
+
+
+@contextmanager
+def room_for(most_bytes: int) -> Iterator[None]:
+    """Have larger files meet a full disk when they are synced. RLIMIT_FSIZE would cut Python's own .pyc short, too."""
+
+    def sync(descriptor: int) -> None:
+        if os.fstat(descriptor).st_size > most_bytes:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", sync)
+        yield
 
 
 @pytest.fixture(scope="session")

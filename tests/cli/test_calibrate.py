@@ -15,6 +15,7 @@ import pytest
 
 from eldata.noise import CameraProfile
 from tests.calibration.trees import CAMERA, FrameTree, made_tree, relative, rewritten
+from tests.cli.conftest import room_for
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -198,18 +199,27 @@ def test_a_target_that_cannot_be_written(option: str, eldata: Cli, pristine: Fra
     target = tmp_path / "no" / "such" / "x"
     outcome = eldata("calibrate", pristine.root, "--iso", "400", option, target)
     assert outcome.code == 2
-    assert outcome.err == f"eldata calibrate: cannot write {target}: No such file or directory\n"
+    assert outcome.out == "", "before the work"
+    assert (
+        outcome.err == f"eldata calibrate: cannot write {target}: there is no folder {target.parent}; make it first\n"
+    )
 
 
 def test_a_report_that_cannot_be_written_costs_no_profile(
     eldata: Cli, pristine: FrameTree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("eldata.reports.calibration.page.calibration_page", lambda found: found.camera)
-    target = tmp_path / "no" / "r.html"
-    outcome = eldata("calibrate", pristine.root, "--iso", "400", "--html", target, "-o", tmp_path / "p.json")
+    monkeypatch.setattr("eldata.reports.calibration.page.calibration_page", lambda _: "x" * 1_000_000)
+    page, profile, data = (tmp_path / name for name in ("r.html", "p.json", "d.json"))
+    with room_for(500_000):
+        outcome = eldata(
+            "calibrate", pristine.root, "--iso", "400", "--html", page, "-o", profile, "--json", data
+        )  # fmt: skip
     assert outcome.code == 2
-    assert outcome.err == f"eldata calibrate: cannot write {target}: No such file or directory\n"
-    assert CameraProfile.load(tmp_path / "p.json").camera == CAMERA
+    assert outcome.err == f"eldata calibrate: cannot write {page}: No space left on device\n"
+    assert f"profile: {profile}" in outcome.out
+    assert CameraProfile.load(profile).camera == CAMERA
+    assert json.loads(data.read_text())["camera"] == CAMERA
+    assert not page.exists()
 
 
 # --- a process of its own ---------------------------------------------------------------------------------------------

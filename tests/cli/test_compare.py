@@ -11,6 +11,7 @@ import pytest
 
 from eldata.base.console import Parser, run
 from eldata.cli import compare as command
+from eldata.protocols import PROTOCOLS
 from tests.cli.conftest import Outcome, assert_golden
 from tests.reports.evaluations import result_data, table_of, written
 
@@ -134,12 +135,10 @@ def test_another_protocol_is_warned_of(compare: Callable[..., Outcome], files: l
     ("field", "value", "words"),
     [
         ("manifest_sha256", "sha256:" + "b" * 64, "manifest sha256: sha256:aaaaaaaa against sha256:bbbbbbbb"),
-        ("subset", "indoor", 'subset: null against "indoor"'),
-        ("excluded_flags", {"misaligned": 5}, 'excluded flags: {} against {"misaligned": 5}'),
         ("dataset", "mine", 'dataset: "eld" against "mine"'),
     ],
 )
-def test_another_choice_of_pairs_is_warned_of(
+def test_another_set_is_warned_of(
     field: str, value: object, words: str, compare: Callable[..., Outcome], files: list[Path]
 ) -> None:
     changed(files[1], lambda data: data["provenance"].update({field: value}))
@@ -208,3 +207,50 @@ def test_perfect_predictions(compare: Callable[..., Outcome], files: list[Path],
     }
     assert math.isfinite(groups[1]["gains"][0]["psnr_db"]["interval"]["low"])
     assert "is not finite" in (tmp_path / "page.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "words"),
+    [
+        ("subset", "indoor", 'subset: null against "indoor"'),
+        ("excluded_flags", {"misaligned": 6}, 'excluded flags: {} against {"misaligned": 6}'),
+    ],
+)
+def test_another_choice_of_pairs_is_warned_of(
+    field: str, value: object, words: str, compare: Callable[..., Outcome], files: list[Path]
+) -> None:
+    """By the pairs, not by the name of the choice: where it came to the same, nothing is said."""
+
+    def choose(data: dict[str, Any]) -> None:
+        del data["images"][:6]
+        data["coverage"] |= {"pairs": 90, "scored": 90}
+        data["table"] = table_of(data)
+
+    changed(files[1], lambda data: data["provenance"].update({field: value}))
+    assert compare(*files[:2]).err == ""
+    changed(files[1], choose)
+    outcome = compare(*files[:2])
+    assert outcome.code == 0
+    assert f"warning: base and unet may not compare: {words}\n" in outcome.err
+    assert "warning: base has scores of 96 images, of which 90 are common" in outcome.err
+
+
+def test_levels_that_came_to_the_same_compare(compare: Callable[..., Outcome], files: list[Path]) -> None:
+    """Either result may say so: its scores are those that the other protocol would give."""
+
+    def pmn(data: dict[str, Any]) -> None:
+        protocol = PROTOCOLS["pmn-eld"]
+        data["protocol"] = protocol.as_dict()
+        data["provenance"] |= {"protocol_digest": protocol.digest}
+
+    def equal(data: dict[str, Any]) -> None:
+        data["provenance"]["equal_choices"] = {"levels": ["published", "sid-sony"]}
+
+    changed(files[1], pmn)
+    words = "protocol: levels: white 16383, black the file's against black 512, white 16383"
+    assert compare(*files[:2]).err == f"eldata compare: warning: base and unet may not compare: {words}\n"
+    for file in files[:2]:
+        kept = file.read_text(encoding="utf-8")
+        changed(file, equal)
+        assert compare(*files[:2]).err == ""
+        file.write_text(kept, encoding="utf-8")

@@ -74,7 +74,7 @@ def test_json_csv_and_tables(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_
     numbers = [f"{result.psnr_db:.2f}", f"{result.ssim:.3f}", f"{result.st_rred:.3f}"]
     markdown = run(eldata, drv, predictions, *CHOSEN, "--format", "markdown")
     assert [cell.strip() for cell in markdown.splitlines()[2].split("|")[1:-1]] == ["2", *numbers]
-    assert "drv 1.0, protocol drv-rgb (sha256:cb7bfb0e): 2 of 2 videos, only 0007, 0013." in markdown
+    assert "drv 1.0, protocol drv-rgb (sha256:b867dd6b): 2 of 2 videos, only 0007, 0013." in markdown
     latex = run(eldata, drv, predictions, *CHOSEN, "--format", "latex")
     assert f"2 & {' & '.join(numbers)} \\\\" in latex
     assert r"\label{tab:drv-drv-rgb}" in latex
@@ -199,7 +199,7 @@ def test_compare(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path) 
     paths = (tmp_path / "soft.json", tmp_path / "worse.json")
     outcome = eldata("compare", *paths, "--html", tmp_path / "c.html", "--json", tmp_path / "c.json")
     assert (outcome.code, outcome.err) == (0, "")
-    assert outcome.out.startswith("2 methods on 2 common videos of 2 scenes: drv, protocol drv-rgb (sha256:cb7bfb0e)\n")
+    assert outcome.out.startswith("2 methods on 2 common videos of 2 scenes: drv, protocol drv-rgb (sha256:b867dd6b)\n")
     (soft,), (rough,) = (load_results(path) for path in paths)
     means = outcome.out.splitlines()[4].split()
     # Lower is better of ST-RRED, and the better method has all three stars.

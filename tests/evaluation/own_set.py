@@ -21,16 +21,25 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.records import Role
+    from tests.raw.helpers import Cfa
 
+GBRG: Cfa = ((3, 2), (0, 1))
 BLACK = (510.0, 511.0, 513.0, 514.0)
 WHITE = 15300.0
 WHITE_BALANCE = (2.1, 1.0, 1.6, 1.0)
 MATRIX = ((0.7, -0.2, -0.05), (-0.4, 1.2, 0.2), (-0.05, 0.15, 0.6))
 
 
-def sensor_of(size: tuple[int, int], *, make: str = "Maker", model: str = "Mine 1") -> Sensor:
-    """GBRG, black levels of its own, a white level that is no published one."""
-    return Sensor(make, model, ((3, 2), (0, 1)), BLACK, WHITE, *size, WHITE_BALANCE, MATRIX)
+def sensor_of(
+    size: tuple[int, int],
+    *,
+    make: str = "Maker",
+    model: str = "Mine 1",
+    cfa: Cfa = GBRG,
+    black: tuple[float, ...] = BLACK,
+) -> Sensor:
+    """Black levels of its own, a white level that is no published one."""
+    return Sensor(make, model, cfa, black, WHITE, *size, WHITE_BALANCE, MATRIX)
 
 
 def mosaic_of(path: str, size: tuple[int, int], *, bright: bool) -> NDArray[np.uint16]:
@@ -62,9 +71,16 @@ class OwnSet:
 
 
 def build_own_set(
-    folder: Path, *, ratios: tuple[int, ...] = (50, 100), scenes: int = 1, size: tuple[int, int] = (60, 84)
+    folder: Path,
+    *,
+    ratios: tuple[int, ...] = (50, 100),
+    scenes: int = 1,
+    size: tuple[int, int] = (60, 84),
+    cfa: Cfa = GBRG,
+    black: tuple[float, ...] = BLACK,
 ) -> OwnSet:
     """One camera; each scene has a reference and one noisy frame a ratio."""
+    sensor = sensor_of(size, cfa=cfa, black=black)
     records = []
     root = folder / "data"
     for scene in (f"s{number}" for number in range(scenes)):
@@ -77,7 +93,7 @@ def build_own_set(
             clean = role == "reference"
             (root / "MINE" / path).parent.mkdir(parents=True, exist_ok=True)
             exposure = Exposure(iso, exposure_s, Fraction(8))
-            write_dng(root / "MINE" / path, mosaic_of(path, size, bright=clean), sensor_of(size), exposure)
+            write_dng(root / "MINE" / path, mosaic_of(path, size, bright=clean), sensor, exposure)
             records.append(
                 FrameRecord(
                     path,
@@ -98,7 +114,7 @@ def build_own_set(
         citation="none",
         licence="ours",
         homepage="https://example.org/mine",
-        cfa="bayer",
+        cfa="bayer" if len(cfa) == 2 else "xtrans",
         cameras={"Mine": CameraCard(("Mine 1",))},
         counts=dict(Counter(record.role for record in records)),
     )

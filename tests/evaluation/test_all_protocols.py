@@ -4,25 +4,33 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from eldata.base.workers import Workers
+from eldata.cli.main import main
 from eldata.errors import ArgumentError, EldataError
-from eldata.evaluation import evaluate, evaluate_all, load_prediction, save_prediction
+from eldata.evaluation import evaluate, evaluate_all, load_prediction, save_prediction, units
 from eldata.evaluation.evaluate import perform
+from eldata.evaluation.published_comparison import comparison_table
 from eldata.evaluation.request import make_request
+from eldata.manifest.catalogue import load_manifest, shipped_manifest
+from eldata.manifest.table import save_records
 from eldata.protocols import PROTOCOLS
 from eldata.protocols.kinds import IMAGES
 from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
 from tests.drv_tree import small_drv
-from tests.evaluation import plain
+from tests.evaluation import oracle
+from tests.evaluation.helpers import scored_pairs
 from tests.evaluation.own_set import OwnSet, build_own_set
+from tests.sid_tree import SENSORS, exposure_of, frames_of, mosaic_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -33,7 +41,7 @@ if TYPE_CHECKING:
 def predict(own: OwnSet, folder: Path, *, scenes: int = 1, ratios: tuple[int, ...] = (50, 100)) -> Path:
     generator = np.random.default_rng(3)
     for scene in range(scenes):
-        target = plain.reference(own.files / f"s{scene}/clean.dng", "16383")
+        target = oracle.reference(own.files / f"s{scene}/clean.dng")
         for ratio in ratios:
             noisy = 1.1 * target + generator.normal(0, 0.02, target.shape)
             save_prediction(folder, f"s{scene}/x{ratio}.dng", noisy.astype(np.float32))
@@ -172,6 +180,119 @@ def test_all_of_the_input(own: OwnSet) -> None:
     assert next(result for result in combined.results if result.protocol.name == "led-sid") == alone
 
 
+# --- one score under several names ------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def sony(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """SID's frames of the first factor with black level 512, and predictions: the root, the folder."""
+    root = tmp_path_factory.mktemp("sony")
+    manifest = shipped_manifest("sid-sony")
+    wanted = {pair.path: pair.reference for pair in scored_pairs("sid-sony", "sid")}
+    generator = np.random.default_rng(8)
+    for record in frames_of(manifest, set(wanted)):
+        path = root / "SID" / record.path
+        path.parent.mkdir(parents=True, exist_ok=True)
+        sensor = replace(SENSORS["sid-sony"], black_level_dn=(512.0,) * 4)
+        write_dng(path, mosaic_of("sid-sony", record), sensor, exposure_of(record))
+        if record.path in wanted:
+            save_prediction(root / "preds", record.path, generator.uniform(0, 1, (4, 20, 30)).astype(np.float32))
+    return root, root / "preds"
+
+
+def test_names_that_share_a_score(sony: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    """``sid`` takes the files' black level, ``pmn-sid`` 512, and these files say 512."""
+    from eldata.metrics import image_score
+
+    computed = []
+    genuine = image_score.score_by
+
+    def score_by(*arguments: object, **options: object) -> object:
+        computed.append(arguments)
+        return genuine(*arguments, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(image_score, "score_by", score_by)
+    monkeypatch.setattr(units, "chosen_frames", lambda _frames: frozenset())  # looking for mistakes scores some again
+    root, preds = sony
+    combined = evaluate_all(preds, "sid-sony", root=root)
+    names = [[result.protocol.name for result in group] for group in combined.groups]
+    assert names == [["sid", "pmn-sid"], ["sid-uncorrected"], ["led-sid"], ["lrd-sid"]]
+    assert len(computed) == 129 * 3 + 93  # what two names share is computed once
+    sid, pmn = combined.groups[0]
+    assert sid.images == pmn.images
+    assert pmn.provenance["equal_choices"] == {"levels": ["published", "sid-sony"]}
+    assert not pmn.notes
+    text = combined.format_text()
+    assert sum(line.startswith("sid, pmn-sid ") for line in combined.format_table().splitlines()) == 2  # of each metric
+    shared = "the same scores, computed once: sid, pmn-sid (levels: white 16383, black the file's and black 512, white"
+    assert f"{shared} 16383 came to the same)" in " ".join(text.split())
+    data = combined.as_dict()
+    assert data["same_scores"] == [["sid", "pmn-sid"]]
+    assert [one["protocol"]["name"] for one in data["results"]].count("pmn-sid") == 1
+    alone = evaluate(preds, "sid-sony", root=root, protocol="pmn-sid")
+    assert alone == next(result for result in combined.results if result.protocol.name == "pmn-sid")
+    assert comparison_table(alone).count("> yours") == comparison_table(sid).count("> yours") == 3
+
+
+def test_published_numbers_are_shown_once(sony: tuple[Path, Path], capsys: pytest.CaptureFixture[str]) -> None:
+    root, preds = sony
+    arguments = ["--dataset", "sid-sony", "--root", str(root), "--protocol", "all", "--jobs", "1", "--compare"]
+    assert main(["evaluate", str(preds), *arguments]) == 0
+    shown = capsys.readouterr().out
+    assert shown.count("published numbers on sid-sony, protocol") == 4
+    assert "protocol pmn-sid," not in shown
+    assert "The same holds for pmn-sid: the same scores." in shown
+
+
+def test_the_input_has_its_amplification_too(sony: tuple[Path, Path], own: OwnSet, tmp_path: Path) -> None:
+    """The files' ratio is the manifest's, or it is not."""
+    root, _ = sony
+    both = ["metadata", "nominal"]
+    result = evaluate(None, "sid-sony", root=root, protocol="pmn-sid", baseline="input")
+    assert result.provenance["equal_choices"] == {"levels": ["published", "sid-sony"], "amplification": both}
+    records = load_manifest(own.manifest).records
+    other = [replace(record, ratio=Fraction(99) if record.ratio == 100 else record.ratio) for record in records]
+    shutil.copy(own.manifest.with_suffix(".json"), tmp_path / "mine.json")
+    save_records(tmp_path / "mine.csv", other)
+    result = evaluate(None, manifest=tmp_path / "mine.csv", root=own.root, protocol="eld", baseline="input")
+    assert result.provenance["equal_choices"] == {"levels": ["published"], "amplification": ["metadata"]}
+    result = evaluate(None, manifest=own.manifest, root=own.root, protocol="eld", baseline="input")
+    assert result.provenance["equal_choices"] == {"levels": ["published"], "amplification": both}
+    sid = replace(result, protocol=replace(PROTOCOLS["eld"], amplification="nominal"))
+    assert result.scored_unlike(sid) == []
+    unstated = replace(result, provenance=result.provenance | {"equal_choices": {}})
+    words = "input amplified: by the files' exposure ratio against by the manifest's ratio"
+    assert unstated.scored_unlike(sid.protocol) == [words]  # type: ignore[arg-type]
+    of_predictions = replace(unstated, provenance=unstated.provenance | {"predictions": "preds"})
+    assert of_predictions.scored_unlike(PROTOCOLS["sid"]) == []
+
+
+def test_levels_of_a_dng_count(own: OwnSet, tmp_path: Path) -> None:
+    """A prediction that is a DNG is normalised with its own levels, which have to agree as well."""
+    preds = tmp_path / "p"
+    frame = read_raw(own.files / "s0/clean.dng")
+    for place in ("s0/x50", "s0/x100", "s1/x50", "s1/x100"):
+        (preds / place).parent.mkdir(parents=True, exist_ok=True)
+        sensor = replace(frame.sensor, black_level_dn=(512.0,) * 4, white_level_dn=16383.0)
+        write_dng((preds / place).with_suffix(".dng"), frame.mosaic, sensor, frame.exposure)
+
+    def equal(own: OwnSet, protocol: str) -> dict[str, list[str]]:
+        result = evaluate(preds, manifest=own.manifest, root=own.root, protocol=protocol)
+        assert result.scored == 4
+        found: dict[str, list[str]] = result.provenance["equal_choices"]
+        return found
+
+    assert equal(own, "eld") == {"levels": ["published"]}
+    flat = build_own_set(tmp_path / "flat", scenes=2)
+    for path in flat.files.rglob("*.dng"):
+        frame = read_raw(path)
+        write_dng(path, frame.mosaic, replace(frame.sensor, black_level_dn=(512.0,) * 4), frame.exposure)
+    assert equal(flat, "eld") == {"levels": ["published", "sid-sony"]}
+    assert equal(flat, "lrd-sid") == {"levels": ["metadata", "metadata-per-channel"]}
+    write_dng(preds / "s0/x50.dng", frame.mosaic, replace(sensor, black_level_dn=(500.0,) * 4), frame.exposure)
+    assert equal(flat, "eld") == {"levels": ["published"]}
+
+
 # --- sets of one's own ------------------------------------------------------------------------------------------------
 
 
@@ -179,7 +300,9 @@ def test_all_of_the_input(own: OwnSet) -> None:
 def test_any_protocol_scores_whatever_factors_a_set_has(name: str, own: OwnSet, preds: Path) -> None:
     result = evaluate(preds, manifest=own.manifest, root=own.root, protocol=name)
     assert result.provenance["ratios"] == [50, 100]
-    assert result.provenance["set_aside"]
+    protocol = PROTOCOLS[name]
+    chooses = protocol.ratios or protocol.cameras or protocol.scenes or protocol.subset
+    assert bool(result.provenance["set_aside"]) == bool(chooses)
     if not PROTOCOLS[name].region.startswith("centre"):
         assert result.scored == 4
     if name == "eld":
@@ -210,10 +333,9 @@ def test_a_protocol_of_ones_own(own: OwnSet, preds: Path, tmp_path: Path) -> Non
     assert result.provenance["protocol_digest"] == result.protocol.digest
     assert evaluate(preds, manifest=own.manifest, root=own.root, protocol=str(path)) == result
     pair = result.pairs[0]
-    expected = plain.score(
-        np.load((preds / pair.path).with_suffix(".npy")), own.files / pair.reference, plain.Way(border=3)
-    )
-    assert result.images[0].psnr_db == pytest.approx(expected[0], abs=1e-6, rel=0)
+    prediction, target = np.load((preds / pair.path).with_suffix(".npy")), oracle.reference(own.files / pair.reference)
+    expected = oracle.score(prediction[:, 3:-3, 3:-3], target[:, 3:-3, 3:-3], corrected=True)
+    assert result.images[0].psnr_db == pytest.approx(expected.psnr_db, abs=1e-6, rel=0)
     assert "Without the edges" in result.format_text()
 
 

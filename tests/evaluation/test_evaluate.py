@@ -15,7 +15,7 @@ import pytest
 from eldata import __version__
 from eldata.base.files import sha256_of
 from eldata.errors import ArgumentError, DatasetError, EldataError, ManifestError
-from eldata.evaluation import EvaluationResult, UnitScore, evaluate
+from eldata.evaluation import EvaluationResult, UnitScore, evaluate, save_prediction
 from eldata.evaluation.request import EvaluationOptions
 from eldata.protocols import PROTOCOLS
 from eldata.protocols.kinds import IMAGES
@@ -452,10 +452,11 @@ def test_table_is_rounded_as_the_paper_prints_it(result: EvaluationResult) -> No
     assert line.split() == ["DemoAlpha", "x100", "3", f"{row.psnr_db:.2f}", f"{row.ssim:.3f}"]
 
 
-def test_many_problems_are_cut_in_the_text_and_whole_in_the_json(tmp_path: Path) -> None:
+def test_many_problems_stand_together_in_the_text_and_are_whole_in_the_json(tmp_path: Path) -> None:
     tree = small_tree(tmp_path / "tree", scenes=2)
-    (tmp_path / "preds").mkdir()
+    save_prediction(tmp_path / "preds", tree.pairs[0].path, np.zeros((4, 32, 48), np.float32))
     found = evaluate(tmp_path / "preds", manifest=tree.manifest, root=tree.root)
-    assert len(found.problems) == 24
-    assert "and 4 more" in found.format_text()
-    assert len(found.as_dict()["problems"]) == 24
+    assert len(found.problems) == 23
+    assert found.format_text().startswith("23 alike: has no prediction; add it")
+    assert found.format_text().count("\n") == 5
+    assert len(found.as_dict()["problems"]) == 23

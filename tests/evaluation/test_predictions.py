@@ -444,7 +444,8 @@ def test_missing_predictions_are_named(tree: Tree, alpha: Path) -> None:
     assert result.images == ()
 
 
-def test_every_missing_prediction_is_named_if_there_are_none(tree: Tree, tmp_path: Path) -> None:
+def test_every_missing_prediction_is_named_if_there_are_others(tree: Tree, tmp_path: Path) -> None:
+    save_prediction(tmp_path, "DemoAlpha/scene-1/IMG_0002.dng", good())  # x1, which is not scored
     result = run(tmp_path, tree)
     assert sorted(problem.path for problem in result.problems) == sorted(
         pair.path for pair in tree.pairs if pair.camera == "DemoAlpha"

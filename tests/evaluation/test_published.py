@@ -12,7 +12,7 @@ import pytest
 
 from eldata.errors import FileError, ManifestError
 from eldata.evaluation.evaluate import evaluate
-from eldata.evaluation.published import COLUMNS, load_published
+from eldata.evaluation.published import COLUMNS, load_published, published_rows
 from eldata.evaluation.published_comparison import comparison_table
 from eldata.evaluation.results import EvaluationResult
 from eldata.evaluation.scores import UnitScore
@@ -20,6 +20,7 @@ from eldata.evaluation.table import TableRow
 from eldata.manifest.catalogue import shipped_manifest
 from eldata.manifest.pairs import select_pairs
 from eldata.protocols import PROTOCOLS
+from eldata.protocols.named import EARLIER
 from eldata.protocols.protocol import StatedProtocol
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ def result_on(
         "eldata": "0.1.0",
         **provenance,
     }
-    rules = StatedProtocol(PROTOCOLS[protocol].kind, {"name": protocol}, stated["protocol_digest"])
+    rules = StatedProtocol(PROTOCOLS[protocol].kind, PROTOCOLS[protocol].as_dict())
     return EvaluationResult(rules, stated, (), tuple(table), table[-1].pairs, (), (), ())
 
 
@@ -79,15 +80,8 @@ def order_in(text: str, place: str) -> list[str]:
 def test_the_row_stands_where_its_psnr_puts_it() -> None:
     text = comparison_table(result_on("eld", "eld", SONY_ELD))
     order = order_in(text, "SonyA7S2 x200")
-    # Wei 2021, table 3: 43.42, 42.45, 38.88, 37.98, 37.19, 35.26, 34.06.
-    assert [method for method in order if method not in ("P-G", "SFRN", "PMN", "PMN (TPAMI)", "LLD", "LED", "PNNP")][
-        :4
-    ] == [
-        "Li et al.",
-        "ELD",
-        "ELD",
-        "yours",
-    ]
+    # Wei 2021, table 3: 43.42, 42.45, 38.88, 37.98, 37.19, 35.26, 34.06; PMN's README has 43.43 for ELD.
+    assert order[order.index("yours") - 2 : order.index("yours") + 2] == ["ELD", "ELD", "yours", "Paired data"]
     assert order.index("yours") < order.index("G+P") < order.index("BM3D")
     assert sum(line.startswith("> yours") for line in text.splitlines()) == 2
 
@@ -114,7 +108,9 @@ def test_the_same_numbers_are_under_the_protocols_that_score_alike() -> None:
     assert "PMN (TPAMI)" in order_in(one, "SonyA7S2 x300")
     assert "PMN (TPAMI)" in order_in(other, "SonyA7S2 x300")
     plain = compared(comparison_table(result_on("sid-sony", "sid-uncorrected", SONY_SID, "eval-first")))
-    assert order_in(plain, "SonyA7S2 x300") == ["PMN", "yours", "Paired data", "SFRN", "ELD", "P-G"]
+    order = order_in(plain, "SonyA7S2 x300")
+    assert order[:-2] == ["PMN", "yours", "Paired data", "SFRN", "ELD", "P-G"]
+    assert order[-2:] == ["noisy input less dark shading", "noisy input"]
 
 
 def test_a_mean_over_all_factors_of_the_only_camera() -> None:
@@ -149,19 +145,94 @@ def test_another_protocol() -> None:
     assert "ELD (G*+P*+B+R+U)" in order_in(centre, "SonyA7S2 x100")
 
 
-def test_another_protocol_of_the_same_name() -> None:
-    digest = PROTOCOLS["eld"].digest
-    changed = digest[:-1] + ("0" if digest[-1] != "0" else "1")
-    text = comparison_table(result_on("eld", "eld", SONY_ELD, protocol_digest=changed))
-    assert "> yours" not in text
-    assert "None compares with this result." in text
-    assert "your result's protocol eld is not the one that this version of eldata has" in refused(text)
+@pytest.mark.parametrize(
+    ("dataset", "protocol", "table", "subset", "words"),
+    [
+        (
+            "eld",
+            "led-eld",
+            [row("SonyA7S2", 200.0, 24, 42.0, 0.98)],
+            None,
+            "factor's region: all but 2 packed pixels at each edge against full frame",
+        ),
+        (
+            "sid-sony",
+            "pmn-sid",
+            SONY_SID,
+            "eval-first",
+            "levels: white 16383, black the file's against black 512, white 16383",
+        ),
+    ],
+)
+def test_what_version_0_1_scored_otherwise_is_refused_in_words(
+    dataset: str, protocol: str, table: list[TableRow], subset: str | None, words: str, tmp_path: Path
+) -> None:
+    """And what it scored under ``pmn-sid``, which was ``sid`` then, compares with numbers of ``sid``."""
+    (was,) = (was for was in EARLIER.values() if was.name == protocol)
+    result = result_on(dataset, protocol, table, subset)
+    old = replace(result, protocol=StatedProtocol(was.kind, was.as_dict()))
+    own = [line for line in LINES if line.startswith("two,")]
+    if dataset == "sid-sony":
+        own = ["two,1,sid-sony,SonyA7S2,eval-first,pmn-sid,100,40,Second,42.54,,,"]
+        own += ["one,1,sid-sony,SonyA7S2,eval-first,sid,100,40,First,42.5,,,"]
+    write(tmp_path, own)
+    text = comparison_table(old, published=tmp_path)
+    assert f"your result's {protocol} is not that of this version of eldata ({words}); score it again" in refused(text)
+    assert ("First" in compared(text)) == (dataset == "sid-sony")
+    assert "> yours" in comparison_table(result, published=tmp_path)
 
 
-def test_a_protocol_of_your_own_compares_with_nothing() -> None:
-    mine = replace(result_on("eld", "eld", SONY_ELD), protocol=replace(PROTOCOLS["eld"], name="mine"))
-    assert "> yours" not in comparison_table(mine)
-    assert "published for eld; yours is mine" in comparison_table(mine)
+def test_a_protocol_of_your_own_compares_by_what_it_does() -> None:
+    mine = result_on("eld", "eld", SONY_ELD)
+    named = replace(mine, protocol=replace(PROTOCOLS["eld"], name="mine", title="Ours"))
+    assert comparison_table(named).count("> yours") == 2
+    other = replace(mine, protocol=replace(PROTOCOLS["eld"], name="mine", region="border-8"))
+    assert "> yours" not in comparison_table(other)
+    assert (
+        "published for eld; yours is mine (region: all but 8 packed pixels at each edge against full frame)"
+        in comparison_table(other)
+    )
+
+
+def test_levels_that_came_to_the_same_compare(tmp_path: Path) -> None:
+    """PMN's black level of 512 is the file's, where the files say 512; a result says whether they do."""
+    write(tmp_path, ["two,1,sid-sony,SonyA7S2,eval-first,sid,100,40,Second,42.54,,,"])
+    levels = "levels: black 512, white 16383 against white 16383, black the file's"
+    pmn = result_on("sid-sony", "pmn-sid", SONY_SID, "eval-first")
+    unstated = comparison_table(pmn, published=tmp_path)
+    assert (
+        f"published for sid; yours is pmn-sid ({levels}); if these came to the same, a new evaluation says so"
+        in unstated
+    )
+    for equal, compares in ((["published", "sid-sony"], True), (["sid-sony"], False)):
+        found = result_on("sid-sony", "pmn-sid", SONY_SID, "eval-first", equal_choices={"levels": equal})
+        text = comparison_table(found, published=tmp_path)
+        assert ("> yours" in text) == compares
+        assert (f"published for sid; yours is pmn-sid ({levels})" in text) != compares
+
+
+def test_numbers_of_sid_stand_beside_a_result_of_pmn() -> None:
+    """The numbers of a table that names ``sid`` alone."""
+    rows = [row for row in published_rows("sid-sony", "sid") if "pmn-sid" not in row.protocols]
+    assert len(rows) == 2 * 3  # of Li 2025
+    equal = {"levels": ["published", "sid-sony"]}
+    text = comparison_table(result_on("sid-sony", "pmn-sid", SONY_SID, "eval-first", equal_choices=equal))
+    for one in rows:
+        assert one.method in order_in(text, one.place)
+
+
+def test_other_pairs_of_the_same_number_are_refused() -> None:
+    """By the pairs themselves, whatever subset a result names."""
+    result = scored("sid-sony", "sid", "eval-first", 40.0)
+    assert comparison_table(result).count("> yours") == 3
+    elsewhere = {**result.provenance, "subset": "mine"}
+    assert comparison_table(replace(result, provenance=elsewhere)).count("> yours") == 3
+    first, *others = result.scores
+    other = replace(first, path=first.path.replace("_00_", "_01_"))
+    assert other.path != first.path
+    text = comparison_table(replace(result, scores=(other, *others)))
+    assert text.count("> yours") == 2
+    assert "published over other pairs than yours, as many" in refused(text)
 
 
 @pytest.mark.parametrize(

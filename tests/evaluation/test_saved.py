@@ -13,8 +13,10 @@ import pytest
 from eldata import __version__
 from eldata.base.tables import FORMATS
 from eldata.errors import FileError
+from eldata.evaluation.comparison import Method, compare
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.saved import load_results, saved_result
+from eldata.protocols import PROTOCOLS
 from eldata.protocols.kinds import CLIPS
 from eldata.protocols.protocol import StatedProtocol
 from tests.reports.evaluations import result_data, written
@@ -30,7 +32,7 @@ WRITTEN_BY_0_1 = Path(__file__).parents[1] / "written_by_0_1" / "results"
 def as_read_back(result: EvaluationResult, path: Path) -> EvaluationResult:
     """What a result is once it was saved: without its pairs, with its protocol as it states itself."""
     protocol = result.protocol
-    stated = StatedProtocol(protocol.kind, protocol.as_dict(), protocol.digest)
+    stated = StatedProtocol(protocol.kind, protocol.as_dict())
     return replace(result, protocol=stated, units=(), source=str(path))
 
 
@@ -70,6 +72,42 @@ def test_what_version_0_1_wrote_of_clips_is_read_back() -> None:
         assert [score.path for score in saved.scores] == [one["frame_scores"][0]["path"] for one in data["videos"]]
         numbers = f"{saved.psnr_db:.2f}", f"{saved.ssim:.3f}", f"{saved.st_rred:.3f}"
         assert tuple(saved.format_table().splitlines()[2].split()[-3:]) == numbers
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("eld", []),
+        ("eld-uncorrected", []),
+        ("led-sid", ["factor's region: all but 2 packed pixels at each edge against full frame"]),
+        ("lrd-sid", []),
+    ],
+)
+def test_results_of_version_0_1_compare_where_the_scoring_is_the_same(name: str, words: list[str]) -> None:
+    saved = next(one for one in load_results(WRITTEN_BY_0_1 / "all.json") if one.protocol.name == name)
+    today = replace(saved, protocol=PROTOCOLS[name])
+    assert saved.scored_unlike(today) == words
+    assert (saved.digest == today.digest) == (not words)
+    found = compare([Method("then", saved), Method("now", today)])
+    assert list(found.warnings) == [f"then and now may not compare: protocol: {text}" for text in words]
+
+
+def test_a_protocol_that_does_not_fit_its_digest_is_refused() -> None:
+    """Of this version and of 0.1: an edited field would be taken for how the scores were made."""
+    of_0_1 = json.loads((WRITTEN_BY_0_1 / "eld.json").read_text(encoding="utf-8"))
+    for data in (result_data(), of_0_1):
+        assert saved_result(data, "test").protocol.name == "eld"
+        data["protocol"]["region"] = "border-2"
+        with pytest.raises(FileError, match=r"protocol_digest: expected the digest of the fields in protocol, sha256:"):
+            saved_result(data, "test")
+
+
+@pytest.mark.parametrize("choices", [["levels"], {"levels": "published"}, {"levels": [1]}])
+def test_equal_choices_are_lists_of_texts(choices: object) -> None:
+    data = result_data()
+    data["provenance"]["equal_choices"] = choices
+    with pytest.raises(FileError, match=r"equal_choices"):
+        saved_result(data, "test")
 
 
 def test_rows_hold_their_images() -> None:

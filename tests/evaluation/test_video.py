@@ -1,4 +1,4 @@
-"""The evaluation of clips against a plain route: scikit-image, and ST-RRED on clips put together by hand."""
+"""The evaluation of clips against the published code's way (``published_code``), and ST-RRED of those clips."""
 
 from __future__ import annotations
 
@@ -6,21 +6,24 @@ import csv
 import json
 import math
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from skimage.metrics import peak_signal_noise_ratio, structural_similarity
+import rawpy
 
 from eldata.datasets.drv import DRVDataset, DRVRawDataset
 from eldata.errors import ArgumentError, DatasetError, EldataError, ManifestError
 from eldata.evaluation import EvaluationResult, evaluate, save_clip_prediction
 from eldata.manifest.drv import scan_raw
 from eldata.metrics import PEAK_ELD, st_rred
-from eldata.protocols import PROTOCOLS, default_protocol, get_protocol, kinds
+from eldata.protocols import PROTOCOLS, default_protocol, fields_digest_0_1, get_protocol, kinds
 from eldata.raw.cfa import unpack
 from tests.drv_tree import SENSOR, SmallDrv, generator_of, rgb_frame_of, small_drv, still_of, write_png, write_raw_clip
+from tests.evaluation import published_code
+from tests.raw.helpers import BAYER
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -74,43 +77,28 @@ def result(drv: SmallDrv, predictions: Path) -> EvaluationResult:
 # --- the numbers ------------------------------------------------------------------------------------------------------
 
 
-def corrected(frame: NDArray[np.float32], still: NDArray[Any], *, scalar: bool) -> tuple[NDArray[np.float64], float]:
-    p, g = np.clip(frame.astype(np.float64), 0, 1), still.astype(np.float64)
-    counts = g != 1
-    alpha = float((p * g)[counts].sum() / (p * p)[counts].sum()) if scalar else 1.0
-    return np.clip(alpha * p, 0, 1), alpha
-
-
-def check_against_the_plain_route(
+def check_against_the_published_code(
     result: EvaluationResult,
-    frames_of: Callable[[str], list[NDArray[np.float32]]],
+    frames_of: Callable[[str], NDArray[np.float32]],
     still_in: Callable[[str], NDArray[np.float32]],
-    grey: Callable[[NDArray[Any]], NDArray[np.float64]],
-    *,
-    scalar: bool,
 ) -> None:
     """Correction, PSNR and SSIM frame by frame, means, ST-RRED of whole clips; averages over videos."""
     means = []
+    correct = published_code.CLIPS[result.protocol.name]
     for video in result.videos:
         still = still_in(video.scene)
-        fixed = [corrected(frame, still, scalar=scalar) for frame in frames_of(video.scene)]
-        # scikit-image has annotations in part only.
-        psnr: Any = peak_signal_noise_ratio
-        ssim: Any = structural_similarity
-        wide = still.astype(np.float64)
-        psnrs = [float(psnr(wide, frame, data_range=1.0)) for frame, _ in fixed]
-        ssims = [float(ssim(wide, frame, data_range=1.0, channel_axis=0)) for frame, _ in fixed]
-        clip = np.stack([grey(frame) for frame, _ in fixed])
-        repeated = np.stack([grey(wide)] * len(fixed))
+        scores, shown = published_code.eld_clip(frames_of(video.scene), still, correct=correct)
+        clip, repeated = published_code.eld_grey(shown), published_code.eld_grey(np.stack([still] * len(shown)))
         rred = st_rred(clip, repeated, data_range=1.0, peak=PEAK_ELD)
-        assert [frame.psnr_db for frame in video.frames] == pytest.approx(psnrs, rel=1e-9)
-        assert [frame.ssim for frame in video.frames] == pytest.approx(ssims, rel=1e-9)
-        assert [frame.rescale for frame in video.frames] == pytest.approx([alpha for _, alpha in fixed], rel=1e-9)
+        found = np.array([(frame.psnr_db, frame.ssim, frame.rescale) for frame in video.frames])
+        expected = np.array([(one.psnr_db, one.ssim, one.factor if correct else 1.0) for one in scores])
+        largest = np.abs(found - expected).max(axis=0)
+        print(f"{result.protocol.name}: {len(scores)} frames, largest differences {largest}")
+        assert np.all(largest <= 1e-6)
         # The corrected frames are rounded to float32 before ST-RRED is taken.
         assert video.st_rred == pytest.approx(rred.st_rred, rel=1e-4)
         assert (video.spatial_rred, video.temporal_rred) == pytest.approx((rred.spatial, rred.temporal), rel=1e-4)
-        assert video.psnr_db == pytest.approx(np.mean(psnrs))
-        assert video.ssim == pytest.approx(np.mean(ssims))
+        assert (video.psnr_db, video.ssim) == pytest.approx(tuple(expected[:, :2].mean(axis=0)))
         assert video.st_rred > 0
         means.append((video.psnr_db, video.ssim, video.st_rred))
     assert [video.scene for video in result.videos] == IDS
@@ -118,41 +106,37 @@ def check_against_the_plain_route(
 
 
 @pytest.mark.parametrize("protocol", ["drv-rgb", "drv-rgb-uncorrected"])
-def test_rgb_scores_are_those_of_the_plain_route(protocol: str, drv: SmallDrv, predictions: Path) -> None:
-    check_against_the_plain_route(
+def test_rgb_scores_are_those_of_the_published_code(protocol: str, drv: SmallDrv, predictions: Path) -> None:
+    check_against_the_published_code(
         score(drv, predictions, protocol=protocol),
-        lambda clip: [predicted(clip, number) for number in SCORED],
+        lambda clip: np.stack([predicted(clip, number) for number in SCORED]),
         lambda clip: still_of(clip, SIZE).transpose(2, 0, 1).astype(np.float32) / np.float32(65535),
-        lambda frame: np.tensordot([0.2989, 0.5870, 0.1140], frame, 1),
-        scalar=protocol == "drv-rgb",
     )
 
 
-def test_raw_scores_are_those_of_the_plain_route(tmp_path: Path) -> None:
-    for clip in CLIPS:
-        write_raw_clip(tmp_path / "DRV", clip, 12)
+@pytest.mark.parametrize("phases", [("RGGB", "GRBG"), ("BGGR", "GBRG")])
+def test_raw_scores_are_those_of_the_published_code(phases: tuple[str, str], tmp_path: Path) -> None:
+    sensors = {clip: replace(SENSOR, cfa=BAYER[phase]) for clip, phase in zip(CLIPS, phases, strict=True)}
+    for clip, sensor in sensors.items():
+        write_raw_clip(tmp_path / "DRV", clip, 12, sensor=sensor)
     manifest = scan_raw(tmp_path / "DRV").save(tmp_path / "drv-raw.csv")
     dataset = DRVRawDataset(tmp_path / "DRV", split="test", frames="evaluation")
     stills, frames = {}, {}
-    for index, record in enumerate(dataset.records):
-        still = dataset[index]["target"].numpy()
+    for record in dataset.records:
+        with rawpy.imread(str(tmp_path / f"DRV/long/{record.scene}/DSC00001.ARW")) as raw:
+            still = published_code.eld_frame(raw, white=None)  # the paper is silent on levels: they are the file's
         noise = generator_of(record.scene).normal(0, 0.02, (5, *still.shape))
         stills[record.scene] = still
         frames[record.scene] = (0.9 * still + noise).astype(np.float32)
         save_clip_prediction(tmp_path / "preds", record, frames[record.scene])
-    result = evaluate(tmp_path / "preds", manifest=manifest.path, root=tmp_path, ids=IDS)
-    assert result.protocol.name == "drv-raw"
-    check_against_the_plain_route(
-        result,
-        lambda clip: list(frames[clip]),
-        lambda clip: stills[clip],
-        lambda x: 0.2989 * x[0] + 0.5870 * (x[1] + x[3]) / 2 + 0.1140 * x[2],
-        scalar=True,
-    )
+    for protocol in ("drv-raw", "drv-raw-uncorrected"):
+        result = evaluate(tmp_path / "preds", protocol=protocol, manifest=manifest.path, root=tmp_path, ids=IDS)
+        check_against_the_published_code(result, lambda clip: frames[clip], lambda clip: stills[clip])
     # A mosaic scores as the packed prediction does.
     for path in sorted((tmp_path / "preds").rglob("*.npy")):
-        np.save(path, unpack(np.load(path), SENSOR.cfa))
-    assert evaluate(tmp_path / "preds", manifest=manifest.path, root=tmp_path, ids=IDS).videos == result.videos
+        np.save(path, unpack(np.load(path), sensors[path.parent.name].cfa))
+    mosaics = evaluate(tmp_path / "preds", protocol=protocol, manifest=manifest.path, root=tmp_path, ids=IDS)
+    assert mosaics.videos == result.videos
 
 
 def test_scores_do_not_depend_on_jobs(drv: SmallDrv, predictions: Path, result: EvaluationResult) -> None:
@@ -264,7 +248,7 @@ def test_the_default_is_the_papers_49_test_clips(drv: SmallDrv, predictions: Pat
 def test_unknown_names_list_the_known(drv: SmallDrv, predictions: Path) -> None:
     with pytest.raises(ArgumentError, match=r"'drv-rgb' scores videos, and 'eld' is a dataset of images; its protoc"):
         evaluate(predictions, "eld", protocol="drv-rgb")
-    with pytest.raises(ManifestError, match="known are drv"):
+    with pytest.raises(ManifestError, match="known are crvd, drv"):
         evaluate(predictions, "drw")
     with pytest.raises(ArgumentError, match=r"'eld' scores images, .*; its protocols are drv-rgb, drv-rgb-uncorrected"):
         score(drv, predictions, protocol="eld")
@@ -285,9 +269,9 @@ def test_unknown_names_list_the_known(drv: SmallDrv, predictions: Path) -> None:
 
 
 def test_protocols_for_clips() -> None:
-    """One registry; what version 0.1 recorded of them is what they state and digest now."""
+    """One registry; what version 0.1 recorded of them is what they state now."""
     of_clips = {name: protocol for name, protocol in PROTOCOLS.items() if protocol.kind is kinds.CLIPS}
-    assert {name: protocol.digest for name, protocol in of_clips.items()} == {
+    assert {name: fields_digest_0_1(protocol.as_dict()) for name, protocol in of_clips.items()} == {
         "drv-rgb": "sha256:cb7bfb0e60acf83cab2c26010c2210a8d6fb57cdd392bc0eb63b0f187e47352a",
         "drv-rgb-uncorrected": "sha256:023ba7d8b95d10f4d397f757d6b546ca581d69b1868440f3ae1d247ea5a39a80",
         "drv-raw": "sha256:0efdfc76cf35114a14c8b9628317f911d628a8f2877a58db36daa9a998308d1a",

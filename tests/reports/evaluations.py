@@ -59,7 +59,7 @@ def result_data(
             "dataset": dataset,
             "manifest_version": "1.0",
             "manifest_sha256": DIGEST,
-            "protocol_digest": "sha256:" + "c" * 64,
+            "protocol_digest": chosen.digest,
             "cameras": "all",
             "predictions": "/home/ada/preds/unet",
             "eldata": "0.1.0",

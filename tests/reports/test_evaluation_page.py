@@ -23,6 +23,7 @@ from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.looking import seen_frames, worst_and_best
 from eldata.evaluation.saved import saved_result
 from eldata.isp.preview import preview
+from eldata.protocols import fields_digest
 from eldata.raw.levels import packed_frame
 from eldata.raw.reading import read_raw
 from eldata.reports.compare.page import comparison_page
@@ -105,6 +106,7 @@ def comparison() -> str:
 def hostile_comparison() -> str:
     first, second = hostile_data(), hostile_data(method=1)
     second["protocol"]["levels"] = HOSTILE
+    second["provenance"]["protocol_digest"] = fields_digest(second["protocol"])
     names = HOSTILE, "相机 $y$ " + "long" * 20
     return comparison_page(
         compare([Method(name, saved_result(one, HOSTILE)) for name, one in zip(names, (first, second), strict=True)])

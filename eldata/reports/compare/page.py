@@ -15,7 +15,7 @@ from eldata.evaluation.comparison_tables import (
     statistics_note,
     summary_of,
 )
-from eldata.protocols.kinds import IMAGES
+from eldata.protocols.kinds import CLIPS
 from eldata.reports.compare.plots import gain_plots
 from eldata.reports.evaluation.page import FACTS, Cell, Table, fact_cells, field_text, number_cell
 from eldata.reports.evaluation.script import rendered_with_script
@@ -157,13 +157,13 @@ def _extremes_table(pairings: Sequence[Pairing], kind: Kind) -> Table | None:
         )
         for one in pairings
     ]
-    return Table((kind.unit, *(FACTS if kind is IMAGES else ()), "PSNR [dB]", "SSIM"), tuple(rows))
+    return Table((kind.unit, *(FACTS if kind is not CLIPS else ()), "PSNR [dB]", "SSIM"), tuple(rows))
 
 
 def _rows(comparison: Comparison) -> Table:
     kind = comparison.kind
     first, *others = comparison.methods
-    header = [kind.unit, "camera", "scene", *(FACTS if kind is IMAGES else ()), f"{first.name} dB"]
+    header = [kind.unit, "camera", "scene", *(FACTS if kind is not CLIPS else ()), f"{first.name} dB"]
     for method in others:
         header += [f"{method.name} dB", "difference"]
     rows = []

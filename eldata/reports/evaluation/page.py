@@ -12,7 +12,7 @@ from eldata.base.files import write_text
 from eldata.errors import ArgumentError
 from eldata.evaluation.looking import INTERVAL, TOO_FEW, interval_note, seen_frames
 from eldata.evaluation.table import factor_text, short_digest
-from eldata.protocols.kinds import IMAGES
+from eldata.protocols.kinds import CLIPS
 from eldata.protocols.words import FIELDS, in_words
 from eldata.reports.evaluation.pictures import EACH, ShownImage, ShownImages, heat_gradient, shown_images
 from eldata.reports.evaluation.plots import score_plots
@@ -71,7 +71,10 @@ def evaluation_page(results: Sequence[EvaluationResult], shown: ShownImages) -> 
         result=result,
         title=f"{_method(result)} on {result.dataset}",
         subtitle=f"Protocol {result.protocol.name} ({short_digest(result.digest)}): {result.protocol.title}",
-        remarks=[note[:1].upper() + note[1:] for note in result.notes],
+        remarks=[
+            *map(str, result.suspicions),
+            *(note[:1].upper() + note[1:] for note in result.notes),
+        ],
         tiles=_tiles(result),
         sections=[*sections, ("provenance", "Provenance")],
         table=table_with_intervals(result),
@@ -130,7 +133,7 @@ FACTS = ("ISO", "factor")
 
 def fact_cells(score: UnitScore, kind: Kind) -> tuple[Cell, ...]:
     """Return ISO and factor of an image; clips state none."""
-    if kind is not IMAGES:
+    if kind is CLIPS:
         return ()
     iso = number_cell(score.iso, f"{score.iso:g}" if score.iso else "–")
     return iso, number_cell(score.ratio or 0.0, factor_text(score.ratio, "×"))
@@ -200,7 +203,7 @@ def _rows(result: EvaluationResult, ids: dict[str, str]) -> Table:
             value = score.values[metric.name]
             cells.append(number_cell(value, f"{value:.{metric.row_places}f}"))
         rows.append((*cells, number_cell(score.rescale, f"{score.rescale:.3f}")))
-    facts = FACTS if kind is IMAGES else ()
+    facts = () if kind is CLIPS else FACTS
     header = (kind.unit, "camera", "scene", *facts, *kind.heads[1:], "rescaled by")
     return Table(header, tuple(rows), left=(0, 1, 2))
 

@@ -1,0 +1,344 @@
+"""Folders of predictions in another layout: one message of what was found, what was expected, what is nearest."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from eldata.errors import ManifestError
+from eldata.evaluation import EXTENSIONS, evaluate, evaluate_all
+from eldata.evaluation.layouts import Expected, layout_in_words, nearest_in_words
+from eldata.evaluation.results import problem_lines
+from eldata.evaluation.scores import EvaluationProblem
+from eldata.manifest.catalogue import shipped_manifest
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from eldata.evaluation import EvaluationResult
+    from tests.evaluation.helpers import Tree
+
+FIRST = "DemoAlpha/scene-1/IMG_0004"
+
+
+@pytest.fixture
+def moved(predictions: Path, tmp_path: Path) -> Callable[[Callable[[str], str]], Path]:
+    """Return a function that makes a folder of the good predictions under names of their own."""
+
+    def move(rename: Callable[[str], str]) -> Path:
+        for path in predictions.rglob("*.npy"):
+            target = tmp_path / "preds" / rename(path.relative_to(predictions).as_posix())
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(path, target)
+        return tmp_path / "preds"
+
+    return move
+
+
+def run(folder: Path, tree: Tree, cameras: list[str] | None = None, *, allow_missing: bool = False) -> EvaluationResult:
+    return evaluate(folder, manifest=tree.manifest, root=tree.root, cameras=cameras, allow_missing=allow_missing)
+
+
+def in_camera(name: str) -> str:
+    """Without the first folder, and nothing of the other camera."""
+    return name.partition("/")[2]
+
+
+# How the predictions are called, what is found, what the message says of the nearest layout.
+LAYOUTS: dict[str, tuple[Callable[[str], str], str, str]] = {
+    "flat": (
+        lambda name: name.replace("/", "_"),
+        "12 .npy files",
+        f"DemoAlpha_scene-1_IMG_0004.npy would be {FIRST}.npy",
+    ),
+    "flat-with-hyphens": (
+        lambda name: name.replace("/", "-"),
+        "12 .npy files",
+        f"DemoAlpha-scene-1-IMG_0004.npy would be {FIRST}.npy",
+    ),
+    "flat-without-camera": (
+        lambda name: in_camera(name).replace("/", "_"),
+        "6 .npy files",
+        f"scene-1_IMG_0004.npy could be {FIRST}.npy or DemoBeta/scene-1/IMG_0004.npy: its name does not tell which",
+    ),
+    "names-of-frames": (
+        lambda name: PurePosixPath(name).name,
+        "6 .npy files",
+        f"IMG_0004.npy could be {FIRST}.npy or DemoBeta/scene-1/IMG_0004.npy: its name does not tell which",
+    ),
+    "without-scenes": (
+        lambda name: f"{name.partition('/')[0]}/{PurePosixPath(name).name}",
+        "12 .npy files",
+        f"DemoAlpha/IMG_0004.npy would be {FIRST}.npy",
+    ),
+    "lower-case": (str.lower, "12 .npy files", f"demoalpha/scene-1/img_0004.npy would be {FIRST}.npy"),
+    "without-zeros-and-signs": (
+        lambda name: name.replace("_000", "").replace("_00", "").replace("scene-", "scene"),
+        "12 .npy files",
+        "DemoAlpha/scene1/IMG10.npy would be DemoAlpha/scene-1/IMG_0010.npy",
+    ),
+    "a-word-more": (
+        lambda name: name.replace(".npy", "_out.npy"),
+        "12 .npy files",
+        f"{FIRST}_out.npy would be {FIRST}.npy",
+    ),
+    "words-before": (
+        lambda name: "unet-" + name.replace("/", " "),
+        "12 .npy files",
+        f"unet-DemoAlpha scene-1 IMG_0004.npy would be {FIRST}.npy",
+    ),
+    "another-order": (
+        lambda name: "_".join(reversed(name.removesuffix(".npy").split("/"))) + ".npy",
+        "12 .npy files",
+        f"IMG_0004_scene-1_DemoAlpha.npy would be {FIRST}.npy",
+    ),
+    "pt": (lambda name: name.replace(".npy", ".pt"), "12 .pt files", f"{FIRST}.pt would be {FIRST}.npy"),
+    "flat-pt": (
+        lambda name: name.replace(".npy", ".pt").replace("/", "_"),
+        "12 .pt files",
+        f"DemoAlpha_scene-1_IMG_0004.pt would be {FIRST}.npy",
+    ),
+    "jpg": (lambda name: name.replace(".npy", ".JPG"), "12 .jpg files", f"{FIRST}.JPG would be {FIRST}.npy"),
+    "no-extension": (
+        lambda name: name.replace(".npy", ""),
+        "12 files without an extension",
+        f"{FIRST} would be {FIRST}.npy",
+    ),
+    "one-folder-more": (lambda name: f"ELD/{name}", "12 .npy files", "they lie below ELD: give {folder}/ELD as the"),
+    "two-folders-more": (lambda name: f"a/b/{name}", "12 .npy files", "they lie below a/b: give {folder}/a/b as the"),
+    "a-folder-a-camera": (
+        lambda name: f"{name[4:5]}/{name}",
+        "12 .npy files",
+        "each of {folder}/A and {folder}/B holds some: give one of them as the folder",
+    ),
+    "strangers": (
+        lambda name: f"{name[4:5]}{name[-6:]}",
+        "12 .npy files",
+        "is it the right folder, and the right dataset?",
+    ),
+}
+
+
+@pytest.mark.parametrize("allow_missing", [False, True])
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_another_layout_is_one_message(
+    layout: str, allow_missing: bool, tree: Tree, moved: Callable[[Callable[[str], str]], Path]
+) -> None:
+    rename, found, nearest = LAYOUTS[layout]
+    folder = moved(rename)
+    result = run(folder, tree, allow_missing=allow_missing)
+    (problem,) = result.problems
+    assert problem.path == str(folder)
+    assert problem.reason.startswith(f"found {found}, none of them ")
+    assert f"the prediction of {FIRST}.dng is {FIRST}.npy" in problem.reason, "what was expected"
+    assert nearest.replace("{folder}", str(folder)) in problem.reason
+    assert not result.scores
+    assert len(result.missing) == 12
+    assert result.format_text() == f"{problem}\nnothing was scored: 1 problem"
+
+
+def test_what_the_message_advises_is_so(
+    tree: Tree, predictions: Path, moved: Callable[[Callable[[str], str]], Path]
+) -> None:
+    """The folder that it names is scored; the names that it proposes are those of the good predictions."""
+    folder = moved(lambda name: f"ELD/{name}")
+    (problem,) = run(folder, tree).problems
+    named = problem.reason.partition(": give ")[2].partition(" as the folder")[0]
+    assert not run(Path(named), tree).problems
+    for pair in tree.pairs:
+        flat = pair.path.replace("/", "_").replace(".dng", ".npy")
+        words = nearest_in_words([flat], [one.path for one in tree.pairs])
+        assert words == f"{flat} would be {pair.path.replace('.dng', '.npy')}"
+
+
+def test_an_empty_folder_is_one_message(tree: Tree, predictions: Path, tmp_path: Path) -> None:
+    (tmp_path / "preds" / "DemoAlpha").mkdir(parents=True)
+    (tmp_path / "preds" / ".hidden.npy").write_bytes(b"x")
+    (tmp_path / "preds" / "link").symlink_to(predictions)
+    (problem,) = run(tmp_path / "preds", tree).problems
+    assert problem.reason == (
+        "found no file, but for hidden ones and links to folders; expected one for each noisy frame: "
+        f"the prediction of {FIRST}.dng is {FIRST}.npy"
+    )
+
+
+@pytest.mark.parametrize("levels", [1, 2])
+def test_a_folder_within_the_layout_names_the_one_above(levels: int, tree: Tree, predictions: Path) -> None:
+    inner = predictions.joinpath(*FIRST.split("/")[:levels])
+    (problem,) = run(inner, tree).problems
+    within = "/".join(FIRST.split("/")[:levels])
+    assert f"this is {within} of the layout: give {predictions} as the folder of predictions" in problem.reason
+
+
+def test_names_of_references_are_told(tree: Tree, predictions: Path, tmp_path: Path) -> None:
+    for number in (1, 6, 11, 16):
+        path = tmp_path / f"DemoAlpha/scene-1/IMG_{number:04d}.npy"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(predictions / f"{FIRST}.npy", path)
+    (problem,) = run(tmp_path, tree).problems
+    words = "DemoAlpha/scene-1/IMG_0006.npy has the name of a reference; predictions have that of their noisy frame"
+    assert f"{words}, such as {FIRST}.npy" in problem.reason
+
+
+def test_all_protocols_share_the_message(tree: Tree, moved: Callable[[Callable[[str], str]], Path]) -> None:
+    folder = moved(lambda name: name.replace("/", "_"))
+    result = evaluate_all(folder, manifest=tree.manifest, root=tree.root)
+    assert len(result.results) > 2
+    assert len(result.problems) == 1
+
+
+def test_the_camera_asked_for_tells_which(tree: Tree, moved: Callable[[Callable[[str], str]], Path]) -> None:
+    folder = moved(lambda name: in_camera(name).replace("/", "_"))
+    (problem,) = run(folder, tree, ["DemoBeta"]).problems
+    assert "scene-1_IMG_0004.npy would be DemoBeta/scene-1/IMG_0004.npy" in problem.reason
+
+
+def test_very_long_paths_and_very_many_files_are_told_apart_at_once() -> None:
+    """Work grows with the files and not with the powers of their names' lengths."""
+    deep = "1_" * 20_000 + "/x" * 2_000
+    names = [f"{deep}/{number}.npy" for number in range(30)] + [f"{number}_0.npy" for number in range(10_000)]
+    said = layout_in_words(Path("preds"), names, SID)
+    assert said.startswith("found 10030 .npy files, none of them where expected")
+
+
+# --- some are right ---------------------------------------------------------------------------------------------------
+
+
+def test_files_that_are_not_read_are_named_where_a_prediction_is_missing(
+    tree: Tree, moved: Callable[[Callable[[str], str]], Path]
+) -> None:
+    folder = moved(lambda name: name.replace(".npy", ".pt") if "Beta" in name else name)
+    result = run(folder, tree)
+    assert [problem.path for problem in result.problems] == [
+        pair.path for pair in tree.pairs if pair.camera == "DemoBeta"
+    ]
+    (reason,) = {problem.reason for problem in result.problems}
+    assert reason == (
+        "has no prediction, only a .pt file, which is not read; add it as .npy, .npz, .h5, .tif, .tiff, .png or .dng, "
+        "or score the rest with --allow-missing"
+    )
+    assert len(run(folder, tree, allow_missing=True).scores) == 6
+
+
+def test_files_nearby_are_named_where_predictions_are_missing(
+    tree: Tree, moved: Callable[[Callable[[str], str]], Path]
+) -> None:
+    folder = moved(lambda name: name.replace("/", "_") if "Beta" in name else name)
+    result = run(folder, tree)
+    assert len(result.problems) == 12
+    extra, missing = result.problems[:6], result.problems[6:]
+    assert [problem.path for problem in missing] == [pair.path for pair in tree.pairs if pair.camera == "DemoBeta"]
+    for problem in extra:
+        assert "/" not in problem.path
+        assert problem.reason.endswith(": DemoBeta_scene-1_IMG_0004.npy would be DemoBeta/scene-1/IMG_0004.npy")
+    lines = result.format_text().splitlines()
+    assert len(lines) == 5
+    assert lines[2:] == [
+        "6 alike: has no prediction; add it, or score the rest with --allow-missing",
+        "  DemoBeta/scene-1: IMG_0004.dng, IMG_0005.dng, IMG_0009.dng, IMG_0010.dng, IMG_0014.dng, IMG_0015.dng",
+        "nothing was scored: 12 problems",
+    ]
+
+
+def test_a_file_that_is_one_too_many_is_not_said_to_be_one_that_is_there(
+    tree: Tree, moved: Callable[[Callable[[str], str]], Path], predictions: Path
+) -> None:
+    folder = moved(str)
+    shutil.copy(predictions / f"{FIRST}.npy", folder / "DemoAlpha_scene-1_IMG_0004.npy")
+    (problem,) = run(folder, tree).problems
+    assert problem.reason == "is the prediction of no noisy frame in the manifest; rename it or move it away"
+
+
+# --- many lines -------------------------------------------------------------------------------------------------------
+
+
+def problems_of(*groups: tuple[int, str]) -> list[EvaluationProblem]:
+    return [
+        EvaluationProblem(f"{reason}/scene-{number // 10}/{number:03d}.dng", reason)
+        for count, reason in groups
+        for number in range(count)
+    ]
+
+
+def test_few_problems_have_a_line_each() -> None:
+    problems = problems_of((2, "a"), (1, "b"), (2, "c"))
+    assert problem_lines(problems) == [str(problem) for problem in problems]
+    assert problem_lines([]) == []
+
+
+def test_problems_alike_stand_together_and_none_is_uncounted() -> None:
+    lines = problem_lines(problems_of((1, "b"), (14, "a")))
+    assert lines == [
+        "b/scene-0/000.dng: b",
+        "14 alike: a",
+        "  a/scene-0: 000.dng, 001.dng, 002.dng, 003.dng, 004.dng, 005.dng and 4 more",
+        "  a/scene-1: 010.dng, 011.dng, 012.dng, 013.dng",
+    ]
+
+
+@pytest.mark.parametrize(
+    "groups", [[(400, "a")], [(2, "a"), (400, "b")], [(170, "a"), (400, "b")], [(190, "a"), (4, "b")]]
+)
+def test_of_very_many_problems_twenty_lines_are_shown(groups: list[tuple[int, str]]) -> None:
+    lines = problem_lines(problems_of(*groups))
+    assert len(lines) == 21
+    shown = sum(10 if line.endswith(" more") else 1 for line in lines[:20] if " alike: " not in line)
+    assert lines[20] == f"... and {sum(count for count, _ in groups) - shown} more (--json FILE lists all)"
+
+
+def test_a_name_that_steers_the_terminal_is_shown_by_its_numbers() -> None:
+    lines = problem_lines([EvaluationProblem(f"folder\x1b[2J/{name}\n.npy", "is\todd") for name in "abc"])
+    assert lines == ["3 alike: is\\todd", "  folder\\x1b[2J: a\\n.npy, b\\n.npy, c\\n.npy"]
+
+
+# --- SID's names ------------------------------------------------------------------------------------------------------
+
+SID = Expected(
+    [f"Sony/short/{name}.ARW" for name in ("10003_00_0.04s", "10003_00_0.1s", "10006_00_0.04s", "10006_00_0.1s")],
+    {"Sony/long/10003_00_10s.ARW": "Sony/short/10003_00_0.04s.ARW"},
+    {"sid-fuji": ["Fuji/short/10005_00_0.04s.RAF"], "eld": ["SonyA7S2/scene-1/IMG_0004.ARW"]},
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("10006_00_0.1s.npy", "10006_00_0.1s.npy would be Sony/short/10006_00_0.1s.npy"),
+        ("short/10006_00_0.1s", "short/10006_00_0.1s would be Sony/short/10006_00_0.1s.npy"),
+        ("sony_10006_00_0.1s_pred.tif", "sony_10006_00_0.1s_pred.tif would be Sony/short/10006_00_0.1s.tif"),
+        (
+            "10003_00_100_out.png",  # as the code of SID writes them
+            "10003_00_100_out.png could be Sony/short/10003_00_0.04s.png or Sony/short/10003_00_0.1s.png: its name",
+        ),
+        ("Sony/long/10003_00_10s.npy", "has the name of a reference; predictions have that of their noisy frame"),
+        ("Fuji/short/10005_00_0.04s.npy", "predictions of other data, 1 of them of sid-fuji (--dataset sid-fuji)"),
+        ("0.npy", "is it the right folder, and the right dataset?"),
+    ],
+)  # fmt: skip
+def test_names_of_sid(name: str, said: str, tmp_path: Path) -> None:
+    assert said in layout_in_words(tmp_path, [name], SID)
+
+
+def test_a_name_that_is_no_dataset_but_the_beginning_of_some(tree: Tree, predictions: Path) -> None:
+    with pytest.raises(ManifestError, match=r"no dataset is called 'sid'; it is sid-fuji and sid-sony: name one"):
+        shipped_manifest("sid")
+    with pytest.raises(ManifestError, match=r"no dataset is called ''; known are crvd, drv, eld"):
+        shipped_manifest("")
+
+
+def test_the_extensions_that_the_message_lists_are_those_that_are_read(
+    tree: Tree, predictions: Path, tmp_path: Path
+) -> None:
+    """Each of them counts as the prediction; what it holds is another matter."""
+    for extension in EXTENSIONS:
+        folder = tmp_path / extension[1:]
+        folder.mkdir()
+        np.save(folder / "x.npy", np.zeros(3))
+        (folder / FIRST).parent.mkdir(parents=True)
+        (folder / "x.npy").rename(folder / f"{FIRST}{extension}")
+        result = run(folder, tree, ["DemoAlpha"], allow_missing=True)
+        assert [problem.path for problem in result.problems] == [str(folder / f"{FIRST}{extension}")]

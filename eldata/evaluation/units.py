@@ -18,11 +18,13 @@ from eldata.base.files import inside
 from eldata.base.png import rgb_frame
 from eldata.base.workers import Failed, require_files
 from eldata.errors import ArgumentError, EldataError, FileError, PredictionError, RawFileError
-from eldata.evaluation.diagnosis import Circumstances, Inspection, chosen_frames, mistake_in, sketch
+from eldata.evaluation.diagnosis import mistake_in
+from eldata.evaluation.inspected_frame import Circumstances
 from eldata.evaluation.pairs import Pair, frames_of, iso_of, place_of, ratio_of
 from eldata.evaluation.predictions import load_colours, load_dng, load_prediction
 from eldata.evaluation.references import levels_dn, normalised_frame, rendered_reference
 from eldata.evaluation.scores import EvaluationProblem, FrameScore, UnitScore, mean
+from eldata.evaluation.suspicions import Inspection, chosen_frames, sketch
 from eldata.manifest.clips import ClipRecord
 from eldata.protocols.clips import ClipProtocol
 from eldata.protocols.protocol import Amplification, Levels

@@ -165,7 +165,7 @@ def test_all_on_the_demos_set(tree: Tree, predictions: Path) -> None:
 def test_evaluate_takes_one_protocol(own: OwnSet, preds: Path) -> None:
     with pytest.raises(ArgumentError, match="evaluate_all"):
         evaluate(preds, manifest=own.manifest, root=own.root, protocol="all")
-    with pytest.raises(EldataError, match="no such folder of predictions"):
+    with pytest.raises(EldataError, match="no such folder"):
         evaluate_all(preds / "nowhere", manifest=own.manifest, root=own.root)
     for arguments in ({"predictions": None}, {"predictions": preds, "baseline": "input"}):
         with pytest.raises(ArgumentError, match="a folder of predictions or a baseline"):

@@ -264,7 +264,7 @@ def test_unknown_names_list_the_known(drv: SmallDrv, predictions: Path) -> None:
         score(drv, predictions, camera=["SonyRX100M6"])
     with pytest.raises(ArgumentError, match="its card names no subset"):
         score(drv, predictions, ids=None)
-    with pytest.raises(EldataError, match="no such folder of predictions"):
+    with pytest.raises(EldataError, match="no such folder"):
         score(drv, predictions / "none")
 
 

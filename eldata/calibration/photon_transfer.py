@@ -184,7 +184,7 @@ class FlatPairs(_Flats):
 
 
 def photon_transfer(flats: FlatPairs) -> PhotonTransfer:
-    """GivenFigure K by weighted least squares of the temporal variance over the mean (equation "photon-transfer").
+    """Estimate K by weighted least squares of the temporal variance over the mean (equation "photon-transfer").
 
     Per segment of a row and channel, ``s^2 = Var(A - B) / 2`` about the segment's own mean difference and
     ``mean = (A + B) / 2 - black``; segments pool by level. So shading inside a frame gives levels, and drift, row
@@ -308,7 +308,7 @@ class FlatFrames(_Flats):
 
 
 def spatial_photon_transfer(flats: FlatFrames) -> PhotonTransfer:
-    """GivenFigure K as published: ordinary least squares of each frame's variance over its median.
+    """Estimate K as published: ordinary least squares of each frame's variance over its median.
 
     For comparison only: PRNU of p adds ``(p signal)^2``, and shading more. The standard errors come from the scatter
     around the line and allow for neither.

@@ -233,7 +233,7 @@ class Residuals:
 
 
 def read_noise(histogram: ResidualHistogram) -> ReadNoise:
-    """GivenFigure lambda and sigma_TL (equation of N_read ~ TL(lambda; mu_c, sigma_TL)).
+    """Estimate lambda and sigma_TL (equation of N_read ~ TL(lambda; mu_c, sigma_TL)).
 
     Start: the shape of the highest probability-plot correlation (PPCC) on the histogram. Then interval-censored maximum
     likelihood of the residual's distribution, ``sum over cells of c ln P(cell; lambda, sigma)``, by Fisher scoring.

@@ -165,7 +165,7 @@ def _line_means(sums: NDArray[np.float64], pixels: NDArray[np.int64]) -> NDArray
 
 
 def row_noise(means: LineMeans) -> RowNoise:
-    """GivenFigure sigma_row (and the columns' sigma) from the line means over time.
+    """Estimate sigma_row (and the columns' sigma) from the line means over time.
 
     With r the mean of one mosaic row over its channels, less the channels' means and the row's mean over the n frames,
     ``sigma_row^2 = sum r^2 / nu - sigma_pixel^2 / n_columns``, nu = (n - 1) (rows - classes of rows): the maximum

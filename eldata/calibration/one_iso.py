@@ -33,7 +33,7 @@ from eldata.calibration.photon_transfer import (
     spatial_photon_transfer,
 )
 from eldata.calibration.read_noise import Residuals, probability_plot, read_noise
-from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs
+from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs, transfer_remarks
 from eldata.calibration.reproduction import reproduction
 from eldata.calibration.results import IsoCalibration
 from eldata.calibration.row_noise import LineMeans, row_noise
@@ -183,7 +183,7 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
             reproduction=None,
             remarks=(),
         )
-        if held_out is None:
+        if held_out is None or dark.parameters is None:
             return dark
         # Its own generator: the comparison of one ISO does not depend on which others are calibrated with it.
         generator = np.random.default_rng(int(chosen.iso))
@@ -200,8 +200,11 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
         transfer, spatial, flat_remarks = _flats(reader, chosen, fixed)
     if transfer is not None:
         found = replace(found, transfer=transfer, spatial=spatial, flat_frames=transfer.frames)
+    if found.parameters is None:
+        found = replace(found, reproduction=None)  # what the flats showed withholds one of its parameters
     lossy = reader.lossy(estimated) or reader.lossy([pair.first for pair in chosen.pairs])
-    return replace(found, remarks=(*bias_remarks(found, chosen, lossy, gaps), *flat_remarks))
+    of_gain = transfer_remarks(found, sensor)
+    return replace(found, remarks=(*bias_remarks(found, chosen, lossy, gaps), *flat_remarks, *of_gain))
 
 
 def _first_pass(reader: _Reader, bias: Sequence[FrameRecord]) -> tuple[FixedPattern, NDArray[np.uint16] | None]:
@@ -266,4 +269,4 @@ def _flats(
     except DatasetError:
         spatial = None  # it needs three brightnesses; it is for comparison alone
     transfer = photon_transfer(pairs)
-    return transfer, spatial, (*remarks, *flat_remarks(transfer, chosen, sensor, gaps))
+    return transfer, spatial, (*remarks, *flat_remarks(chosen, gaps))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict
 
@@ -48,7 +48,7 @@ class NoiseDraw:
 
     def facts(self) -> dict[str, Any]:
         """Return the draw as fields of a sample: a :class:`NoiseFacts`."""
-        facts = {"ratio": self.ratio, "camera": self.camera, **asdict(self.parameters)}
+        facts = {"ratio": self.ratio, "camera": self.camera, **self.parameters.as_dict()}
         return facts | {"colour_bias_dn": torch.tensor(self.parameters.colour_bias_dn, dtype=torch.float64)}
 
 
@@ -60,6 +60,7 @@ class NoiseChoice:
     ratio: tuple[float, float]
     iso: float | None
     row: RowChoice
+    extrapolate: bool
 
     @classmethod
     def of(
@@ -68,6 +69,7 @@ class NoiseChoice:
         ratio: float | tuple[float, float],
         iso: float | None,
         row: RowChoice,
+        extrapolate: bool = False,
     ) -> NoiseChoice:
         """Load profiles by name or path and check the ratio.
 
@@ -88,13 +90,13 @@ class NoiseChoice:
         if iso is not None:
             checked_number("iso", iso, above=0)
         for profile in loaded:  # refuses now what it would refuse in each item
-            profile.sample(np.random.default_rng(0), iso=iso, row=row)
-        return cls(loaded, (low, high), iso, row)
+            profile.sample(np.random.default_rng(0), iso=iso, row=row, extrapolate=extrapolate)
+        return cls(loaded, (low, high), iso, row, extrapolate)
 
     def draw(self, generator: np.random.Generator) -> NoiseDraw:
         """Draw a profile, parameters from it, and a ratio, in this order."""
         profile = self.profiles[int(generator.integers(len(self.profiles)))]
-        parameters = profile.sample(generator, iso=self.iso, row=self.row)
+        parameters = profile.sample(generator, iso=self.iso, row=self.row, extrapolate=self.extrapolate)
         return NoiseDraw(profile.camera, parameters, float(generator.uniform(*self.ratio)))
 
 

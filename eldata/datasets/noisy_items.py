@@ -46,7 +46,7 @@ class Noise(TypedDict, total=False):
         stands for light, lies in [0, 1] whatever it is.
     ratio
         Low-light factors: (lowest, highest), drawn uniformly; by default the paper's, 100 to 300. Or one fixed number.
-    iso, row
+    iso, row, extrapolate
         As in :meth:`eldata.noise.CameraProfile.sample`.
     """
 
@@ -55,6 +55,7 @@ class Noise(TypedDict, total=False):
     ratio: float | tuple[float, float]
     iso: float | None
     row: RowChoice
+    extrapolate: bool
 
 
 class NoiseOptions(Cropping, Noise, total=False):
@@ -90,8 +91,8 @@ class NoisyItems(CroppedItems[Item, Sample]):
         _check_source(owner, source, method)
         super().__init__({"crop": 512, "augment": True} | cropping, crops)
         ratio, row = noise.get("ratio", (100.0, 300.0)), noise.get("row", "any")
-        self.noise = NoiseChoice.of(profiles, ratio, noise.get("iso"), row)
-        model = noise.get("model")
+        extrapolate, model = noise.get("extrapolate", False), noise.get("model")
+        self.noise = NoiseChoice.of(profiles, ratio, noise.get("iso"), row, extrapolate)
         self.clip, self.model = _clipped(owner, NoiseModel() if model is None else model, noise.get("clip"), self.clip)
         self._length = len(source) * crops[1]
         self._repeats = Repeats(owner, self._length)

@@ -67,7 +67,7 @@ class NoiseModel:
     >>> generator = np.random.default_rng(0)
     >>> parameters = CameraProfile.load("SonyA7S2").sample(generator)
     >>> clean = np.full((4, 64, 64), 0.2, dtype=np.float32)
-    >>> noisy = NoiseModel()(clean, parameters=parameters, ratio=100.0, range_dn=15871.0, generator=generator)
+    >>> noisy = NoiseModel()(clean, parameters=parameters, ratio=100.0, generator=generator)
     >>> noisy.shape, noisy.dtype
     ((4, 64, 64), dtype('float32'))
     """
@@ -102,8 +102,8 @@ class NoiseModel:
         *,
         parameters: NoiseParameters | Sequence[NoiseParameters],
         ratio: float | Sequence[float],
-        range_dn: float,
         generator: Generator,
+        range_dn: float | None = None,
         threads: int | None = None,
     ) -> Image:
         """Return a noisy exposure of clean packed data.
@@ -118,10 +118,10 @@ class NoiseModel:
             One draw for everything (a clip), or one for each image of a batch (N, C, h, w).
         ratio
             Exposure ratio, above 0: one, or one for each image.
-        range_dn
-            White level minus black level, DN, above 0.
         generator
             numpy's or torch's; for a tensor on another device than the CPU, a torch generator of that device.
+        range_dn
+            White level minus black level, DN; by default that of the camera whose profile the parameters come from.
         threads
             Of the compiled engine, 1 or more; default one per CPU. The result does not depend on it.
 
@@ -145,7 +145,7 @@ class NoiseModel:
         if not all(isinstance(item, NoiseParameters) for item in drawn):
             raise ArgumentError(f"parameters must be NoiseParameters, one or one for each image; found {parameters!r}")
         ratios = [checked_number("ratio", value, above=0) for value in _one_each(ratio, images, "ratio")]
-        range_dn = checked_number("range_dn", range_dn, above=0)
+        range_dn = _range_dn(drawn) if range_dn is None else checked_number("range_dn", range_dn, above=0)
         if threads is not None:
             checked_whole("threads", threads, at_least=1)
         exposures = Exposures.of(
@@ -181,8 +181,8 @@ class NoiseModel:
         cfa: Cfa,
         parameters: NoiseParameters | Sequence[NoiseParameters],
         ratio: float | Sequence[float],
-        range_dn: float,
         generator: Generator,
+        range_dn: float | None = None,
         threads: int | None = None,
     ) -> Image:
         """Return a noisy exposure of clean mosaics (..., H, W), normalised, of any size and CFA phase.
@@ -264,6 +264,15 @@ def _in_numpy(
 
     flat = np.ascontiguousarray(clean, dtype=np.float32).reshape(math.prod(clean.shape[:-3]), *clean.shape[-3:])
     return expose_compiled(flat, exposures, key=key_from(generator), threads=threads).reshape(clean.shape)
+
+
+def _range_dn(drawn: Sequence[NoiseParameters]) -> float:
+    """Return the range from black to white that the parameters bring with them."""
+    known = {item.range_dn for item in drawn}
+    if len(known) == 1 and (range_dn := known.pop()) is not None:
+        return range_dn
+    found = "differ in it" if len(known) > 1 else "do not know it (their profile states no levels)"
+    raise ArgumentError(f"give range_dn, the white level minus the black level in DN: the parameters {found}")
 
 
 def _one_each(value: Any, images: int, name: str) -> list[Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from eldata.base.numbers import checked_number
@@ -36,6 +36,9 @@ class NoiseParameters:
         Standard deviation of the row noise, DN.
     colour_bias_dn
         Mean of the read noise in R, G1, B, G2, DN: four numbers, kept as a tuple.
+    range_dn
+        White level minus black level of the camera that they are of, DN, where its profile states it: what the noise
+        model takes if it is not told another. Not a parameter of the noise: draws that differ in it alone are equal.
 
     Raises
     ------
@@ -49,11 +52,12 @@ class NoiseParameters:
     sigma_gauss_dn: float
     sigma_row_dn: float
     colour_bias_dn: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    range_dn: float | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            if field.name != "colour_bias_dn":
-                checked_number(field.name, getattr(self, field.name))
+        for name, value in self.as_dict().items():
+            if name != "colour_bias_dn":
+                checked_number(name, value)
         # Lists, and the arrays and tensors that samples have, become a tuple: a draw can be compared and is a key.
         bias: Any = self.colour_bias_dn
         values = tuple(bias) if isinstance(bias, (tuple, list)) else _values(bias)
@@ -62,6 +66,8 @@ class NoiseParameters:
         for value in values:
             checked_number("colour_bias_dn", value)
         object.__setattr__(self, "colour_bias_dn", values)
+        if self.range_dn is not None:
+            checked_number("range_dn", self.range_dn, above=0)
         if not self.gain_dn_per_e > 0:
             raise ArgumentError(f"gain_dn_per_e must be above 0; found {self.gain_dn_per_e}")
         for name in ("sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn"):
@@ -70,6 +76,10 @@ class NoiseParameters:
         problem = shape_problem(self.tukey_lambda)
         if problem is not None:
             raise ArgumentError(f"tukey_lambda must lie {problem}; found {self.tukey_lambda}")
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the parameters of the noise by name."""
+        return {one.name: getattr(self, one.name) for one in fields(self) if one.compare}
 
 
 def _values(array: Any) -> tuple[Any, ...]:

@@ -29,7 +29,7 @@ NUMBERS = [name for name in GOOD if name != "colour_bias_dn"]
 
 def test_good_values_stay_as_they_are() -> None:
     parameters = NoiseParameters(**GOOD)
-    assert dataclasses.asdict(parameters) == GOOD
+    assert parameters.as_dict() == GOOD
     assert pickle.loads(pickle.dumps(parameters)) == parameters
 
 

@@ -10,3 +10,7 @@ from .profile import CameraProfile as CameraProfile
 from .profile import shipped_profiles as shipped_profiles
 from .published import profiles_from_published as profiles_from_published
 from .published import read_published as read_published
+from .virtual import LED_RANGES as LED_RANGES
+from .virtual import CameraRanges as CameraRanges
+from .virtual import FitRanges as FitRanges
+from .virtual import VirtualCameras as VirtualCameras

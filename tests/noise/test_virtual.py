@@ -1,0 +1,294 @@
+"""Virtual cameras: LED's ranges, how they are covered, and the noise that is drawn from them."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+import pickle
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import torch
+from scipy import stats
+
+from eldata.datasets import Arrays, SyntheticPairs
+from eldata.datasets.draws import NoiseChoice
+from eldata.errors import ArgumentError
+from eldata.noise import LED_RANGES, CameraProfile, CameraRanges, FitRanges, VirtualCameras, shipped_profiles
+from tests.noise.test_profile import FITS
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+PARTS = ("slope", "intercept", "sigma")
+STRATEGIES = ("coverage", "grid", "uniform")
+FIGURES = [name for name in LED_RANGES.named() if not name.startswith(("gain", "colour_bias"))]
+
+
+def figures(profile: CameraProfile) -> dict[str, float]:
+    found = {f"{fit}.{part}": getattr(getattr(profile, fit), part) for fit, part in itertools.product(FITS, PARTS)}
+    return found | {"tukey_lambda": profile.rows[0].tukey_lambda}
+
+
+def spaced(name: str, count: int) -> NDArray[np.float64]:
+    low, high = LED_RANGES.named()[name]
+    return np.linspace(low, high, count)
+
+
+# --- the ranges -----------------------------------------------------------------------------------------------------
+
+
+def test_leds_ranges_are_the_limits_of_the_cameras_that_eld_published() -> None:
+    """One calibration a camera, to the digits of the shipped profiles; so LED made them, and so they can be checked."""
+    profiles = [CameraProfile.load(name) for name in shipped_profiles() if name != "NikonD850-2"]
+    assert len(profiles) == 5
+    found: dict[str, list[float]] = {}
+    for profile in profiles:
+        for name, value in figures(profile).items():
+            found.setdefault(name, []).append(value)
+    found["tukey_lambda"] = [row.tukey_lambda for profile in profiles for row in profile.rows]
+    biases = np.array([row.colour_bias_dn for profile in profiles for row in profile.rows])
+    found["colour_bias_dn"], found["colour_bias_spread_dn"] = biases.mean(1).tolist(), biases.std(1).tolist()
+    named = LED_RANGES.named()
+    assert named.pop("gain_dn_per_e") == (0.1, 30.0)  # not theirs: 0.09 to 28.6
+    assert set(found) == set(named)
+    for name, values in found.items():
+        np.testing.assert_allclose(named[name], (min(values), max(values)), atol=2e-7, err_msg=name)
+
+
+# --- what the strategies cover --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("n", [1, 2, 5, 64])
+def test_camera_i_draws_from_the_ith_share(n: int) -> None:
+    cameras = VirtualCameras(n, seed=3)
+    for number, camera in enumerate(cameras):
+        for name, value in figures(camera).items():
+            low, high = LED_RANGES.named()[name]
+            place = (value - low) / (high - low) * n
+            assert number - 1e-9 <= place <= number + 1 + 1e-9, (name, number)
+        assert camera.gain_range_dn_per_e == (0.1, 30.0)
+    assert len({value for camera in cameras for value in figures(camera).values()}) == n * len(FIGURES)
+
+
+def test_a_grid_has_both_ends() -> None:
+    for seed in (0, 1):
+        cameras = VirtualCameras(5, strategy="grid", seed=seed)
+        for name in FIGURES:
+            wanted = spaced(name, 5)
+            np.testing.assert_allclose([figures(camera)[name] for camera in cameras], wanted, rtol=0, atol=1e-12)
+    assert VirtualCameras(5, strategy="grid")[0].rows != VirtualCameras(5, strategy="grid", seed=1)[0].rows
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_figures_are_uniform_over_their_ranges(strategy: Any) -> None:
+    """400 times 5 cameras, Kolmogorov-Smirnov; on a grid as often each of its five points."""
+    cameras = [camera for seed in range(400) for camera in VirtualCameras(5, strategy=strategy, seed=seed)]
+    for name in FIGURES:
+        low, high = LED_RANGES.named()[name]
+        places = (np.array([figures(camera)[name] for camera in cameras]) - low) / (high - low)
+        if strategy == "grid":
+            assert np.unique(np.rint(places * 4), return_counts=True)[1].tolist() == [400] * 5
+        else:
+            assert stats.kstest(places, "uniform").pvalue > 1e-6, name
+    together = np.corrcoef([[figures(camera)[name] for camera in cameras] for name in FIGURES])
+    others = together[np.triu_indices(len(FIGURES), 1)]
+    # Of the variance, 1 / 12, all but 1 / (12 * 25) is that of the share, which figures have in common.
+    expected = {"coverage": 1 - 1 / 25, "grid": 1.0, "uniform": 0.0}[strategy]
+    assert np.abs(others - expected).max() < 5 * (1 - expected**2) / math.sqrt(2000) + 1e-9
+
+
+def test_colour_biases_are_those_of_the_ranges() -> None:
+    """500 times 4 cameras of 16 rows: means of rows and of deviations within 5 standard errors of the laws.
+
+    A row's mean over its channels is U(a, b) plus the mean of four normal draws of variance s^2, s being uniform in the
+    camera's share; the variance of the channels around it has the mean s^2.
+    """
+    (low, high), (least, most) = LED_RANGES.colour_bias_dn, LED_RANGES.colour_bias_spread_dn
+    for share in range(4):
+        rows = [VirtualCameras(4, seed=seed)[share].rows for seed in range(500)]
+        bias = np.array([[row.colour_bias_dn for row in of_camera] for of_camera in rows])
+        assert bias.shape == (500, 16, 4)
+        start, end = (least + (most - least) * (share + step) / 4 for step in (0, 1))
+        squared = (start**2 + start * end + end**2) / 3  # E s^2
+        fourth = sum(start**k * end ** (4 - k) for k in range(5)) / 5  # E s^4
+        means = bias.mean(axis=2)
+        error = math.sqrt((high - low) ** 2 / 12 / 8000 + squared / 4 / 8000)
+        assert abs(means.mean() - (low + high) / 2) < 5 * error
+        within = bias.var(axis=2, ddof=1)
+        # Of 16 rows with one s: its own variance over cameras, and 2 s^4 / 3 of four channels in each row.
+        error = math.sqrt((fourth - squared**2) / 500 + 2 * fourth / 3 / 8000)
+        assert abs(within.mean() - squared) < 5 * error
+        assert abs(means.var() - (high - low) ** 2 / 12 - squared / 4) < 5 * math.sqrt(8000**-1 * means.var() ** 2 * 2)
+
+
+# --- against LED's recipe -------------------------------------------------------------------------------------------
+
+
+def leds_recipe(count: int, cameras: int, generator: np.random.Generator) -> dict[str, NDArray[np.float64]]:
+    """LED's parameters, from the description of its generator: evenly spaced figures, all in the same order.
+
+    A camera at random; ln K uniform; ln sigma normal around its line; lambda is the camera's. Written with arrays, from
+    the ranges alone.
+    """
+    which = generator.integers(cameras, size=count)
+    log_k = generator.uniform(math.log(0.1), math.log(30), count)
+    found = {"ln K": log_k, "lambda": spaced("tukey_lambda", cameras)[which]}
+    for fit, name in (("tukey_lambda_fit", "ln sigma_TL"), ("gauss_fit", "ln sigma_G"), ("row_fit", "ln sigma_row")):
+        slope, intercept, sigma = (spaced(f"{fit}.{part}", cameras)[which] for part in PARTS)
+        found[name] = slope * log_k + intercept + sigma * generator.standard_normal(count)
+    return found
+
+
+def our_draws(count: int, cameras: VirtualCameras) -> dict[str, NDArray[np.float64]]:
+    choice, generator = NoiseChoice.of(cameras, 100.0), np.random.default_rng(5)
+    draws = [choice.draw(generator).parameters for _ in range(count)]
+    columns = np.array(
+        [(p.gain_dn_per_e, p.tukey_lambda, p.sigma_tl_dn, p.sigma_gauss_dn, p.sigma_row_dn) for p in draws]
+    ).T
+    logs = np.log(columns[[0, 2, 3, 4]])
+    return dict(zip(("ln K", "ln sigma_TL", "ln sigma_G", "ln sigma_row"), logs, strict=True)) | {"lambda": columns[1]}
+
+
+def check_moments(ours: dict[str, Any], theirs: dict[str, Any]) -> None:
+    """Means, variances and products of all pairs: differences within 5 standard errors of both samples together."""
+    centre = {name: values.mean() for name, values in theirs.items()}
+    for first, second in itertools.combinations_with_replacement(theirs, 2):
+        products = [(a[first] - centre[first]) * (a[second] - centre[second]) for a in (ours, theirs)]
+        compared = [products] if first != second else [products, [a[first] for a in (ours, theirs)]]
+        for one, other in compared:
+            error = math.sqrt(one.var() / one.size + other.var() / other.size)
+            assert abs(one.mean() - other.mean()) < 5 * error, (first, second)
+
+
+@pytest.mark.parametrize("cameras", [2, 5])
+def test_draws_have_the_moments_of_leds(cameras: int) -> None:
+    """20,000 draws and 200,000 of LED's: 20 moments, false alarms at 1e-5 if the seeds were not fixed."""
+    theirs = leds_recipe(200_000, cameras, np.random.default_rng(1))
+    check_moments(our_draws(20_000, VirtualCameras(cameras, strategy="grid")), theirs)
+    with pytest.raises(AssertionError):  # shares without the ends of the range are less wide, which is seen
+        check_moments(our_draws(20_000, VirtualCameras(cameras)), theirs)
+
+
+@pytest.mark.study
+def test_a_million_draws_have_the_moments_of_leds() -> None:
+    ours = our_draws(1_000_000, VirtualCameras(5, strategy="grid"))
+    check_moments(ours, leds_recipe(1_000_000, 5, np.random.default_rng(1)))
+
+
+@pytest.mark.study
+def test_a_million_cameras_cover_the_ranges() -> None:
+    """10,000 times 100 cameras: mean and variance of each figure those of the uniform law, and of the shares.
+
+    Within 100 shares the mean of the cameras has the variance (L / 100)^2 / 12 / 100; the variance is taken around the
+    middle of the range, whose fourth moment gives its error.
+    """
+    one_row = dataclasses.replace(LED_RANGES, rows=1)
+    values = np.array(
+        [[list(figures(one).values()) for one in VirtualCameras(100, one_row, seed=seed)] for seed in range(10_000)]
+    )
+    for number, name in enumerate(figures(VirtualCameras(1)[0])):
+        low, high = LED_RANGES.named()[name]
+        places = (values[:, :, number] - low) / (high - low)
+        assert abs(places.mean() - 0.5) < 5 * math.sqrt(1 / 12 / 100**2 / 1e6)
+        assert abs(((places - 0.5) ** 2).mean() - 1 / 12) < 5 * math.sqrt((1 / 80 - 1 / 144) / 1e6)
+        each = places.mean(axis=0)
+        assert np.abs(each - (np.arange(100) + 0.5) / 100).max() < 5.5 * math.sqrt(1 / 12 / 100**2 / 1e4)
+
+
+# --- as cameras -----------------------------------------------------------------------------------------------------
+
+
+def test_synthetic_pairs_take_them_and_say_which() -> None:
+    """400 items of 5 cameras: each within 5 standard deviations of 80."""
+    source = Arrays(np.full((1, 4, 16, 16), 0.3, np.float32), range_dn=15871.0)
+    cameras = VirtualCameras(5, seed=2)
+    dataset = SyntheticPairs(source, cameras, crop=8, crops_per_frame=400)
+    found = list(dataset)
+    for number, camera in enumerate(cameras):
+        of_camera = [item for item in found if item["camera_id"] == number]
+        assert {item["camera"] for item in of_camera} == {camera.camera}
+        assert {item["tukey_lambda"] for item in of_camera} == {camera.rows[0].tukey_lambda}
+        assert abs(len(of_camera) - 80) < 5 * math.sqrt(400 * 0.2 * 0.8)
+    assert "virtual-1-of-5, virtual-2-of-5, ... 5 in all" in repr(dataset)
+    again = SyntheticPairs(source, tuple(cameras), crop=8, crops_per_frame=400)
+    assert torch.equal(again[7]["input"], found[7]["input"])
+    with pytest.raises(ArgumentError, match="virtual-1-of-5 does not say which ISO its gains belong to; give a gain"):
+        SyntheticPairs(source, cameras, iso=800)
+
+
+def test_they_are_a_sequence_of_whole_profiles(tmp_path: Any) -> None:
+    cameras = VirtualCameras(5, seed=1)
+    assert len(cameras) == len(list(cameras)) == 5
+    assert cameras[-1] == cameras[4]
+    assert cameras[1:4] == tuple(cameras)[1:4]
+    assert pickle.loads(pickle.dumps(cameras))[2] == cameras[2]
+    for index in (5, -6):
+        with pytest.raises(IndexError, match=rf"camera {index} of 5 virtual ones"):
+            cameras[index]
+    cameras[3].save(tmp_path / "virtual.json")
+    assert CameraProfile.load(tmp_path / "virtual.json") == cameras[3]
+    assert cameras[3].camera == "virtual-4-of-5"
+    assert "Srameo/LED" in cameras[3].source
+    assert repr(cameras).startswith("VirtualCameras(5, strategy='coverage', seed=1; LED (")
+
+
+def test_another_seed_or_number_gives_others() -> None:
+    every = [VirtualCameras(5)[0], VirtualCameras(5, seed=1)[0], VirtualCameras(6)[0], VirtualCameras(5, seed=2**32)[0]]
+    every += [VirtualCameras(5, strategy="uniform")[0]]
+    assert len({figures(camera)["row_fit.slope"] for camera in every}) == 5
+    assert VirtualCameras(5)[0] == VirtualCameras(5)[0]
+
+
+def test_ranges_of_ones_own() -> None:
+    """A range of one value is that value; gains and rows as stated."""
+    own = dataclasses.replace(
+        LED_RANGES, source="mine", tukey_lambda=(0.1, 0.1), gain_dn_per_e=(1, 9), rows=4, colour_bias_spread_dn=(0, 0)
+    )
+    camera = VirtualCameras(3, own)[1]
+    assert {row.tukey_lambda for row in camera.rows} == {0.1}
+    assert [row.gain_dn_per_e for row in camera.rows] == [2, 4, 6, 8]
+    assert all(len(set(row.colour_bias_dn)) == 1 for row in camera.rows)
+    assert camera.gain_range_dn_per_e == (1, 9)
+
+
+# --- refusals -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"n": 0}, "n must be 1 or more; found 0"),
+        ({"n": 2.5}, "n must be a whole number, 1 or more; found 2.5"),
+        ({"n": 1, "strategy": "grid"}, "n must be 2 or more; found 1"),
+        ({"n": 5, "strategy": "all"}, "strategy must be one of 'coverage', 'grid', 'uniform'; found 'all'"),
+        ({"n": 5, "seed": -1}, "seed must be 0 or more"),
+        ({"n": 5, "ranges": {}}, r"ranges must be a CameraRanges, such as LED_RANGES; found \{\}"),
+    ],
+)
+def test_cameras_that_make_no_sense(options: Any, words: str) -> None:
+    with pytest.raises(ArgumentError, match=words):
+        VirtualCameras(**options)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"gain_dn_per_e": (0, 30)}, "gain_dn_per_e must be finite and above 0; found 0"),
+        ({"gain_dn_per_e": (30, 0.1)}, r"gain_dn_per_e must be the lowest, then the highest; found \(30, 0\.1\)"),
+        ({"tukey_lambda": (-0.6, 0.2)}, r"tukey_lambda must lie above -0\.5 and not above 2; found -0\.6"),
+        ({"tukey_lambda": 0.2}, "tukey_lambda must be the lowest and the highest; found 0.2"),
+        ({"colour_bias_spread_dn": (-1, 1)}, "colour_bias_spread_dn must not be negative"),
+        ({"colour_bias_dn": (math.nan, 1)}, "colour_bias_dn must be finite; found nan"),
+        ({"row_fit": dataclasses.replace(LED_RANGES.row_fit, sigma=(-1, 1))}, r"row_fit\.sigma must not be negative"),
+        ({"row_fit": FitRanges(("a", 1), (0, 0), (0, 0))}, r"row_fit\.slope must be one number"),  # type: ignore[arg-type]
+        ({"rows": 0}, "rows must be 1 or more; found 0"),
+    ],
+)
+def test_ranges_that_make_no_sense(change: Any, words: str) -> None:
+    with pytest.raises(ArgumentError, match=words):
+        CameraRanges(
+            **{field.name: getattr(LED_RANGES, field.name) for field in dataclasses.fields(LED_RANGES)} | change
+        )

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
+from eldata.base.numbers import checked_number
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.manifest.patterns import sequence_of
+from eldata.noise.model import check_normalised
 from eldata.raw.cfa import packing_sites, unpack
 from eldata.raw.extensions import RAW_EXTENSIONS, raws_below
 from eldata.raw.levels import LEVELS, Levels
@@ -155,19 +157,19 @@ class Arrays:
     ) -> None:
         if len(arrays) == 0:
             raise ArgumentError("no array was given")
-        if not range_dn > 0:
-            raise ArgumentError(f"range_dn must be above 0; found {range_dn}")
         self.arrays = arrays
-        self.range_dn = range_dn
+        self.range_dn = checked_number("range_dn", range_dn, above=0)
         self.cfa = cfa
+        check_normalised(np.asarray(arrays[0]), "array 0")
 
     def __len__(self) -> int:
         return len(self.arrays)
 
     def frame(self, index: int) -> CleanFrame:
         """Return one array as a mosaic."""
-        packed = np.asarray(self.arrays[index], dtype=np.float32)
-        mosaic = unpack(packed, self.cfa) * np.float32(self.range_dn)
+        packed = np.asarray(self.arrays[index])
+        check_normalised(packed, f"array {index}")
+        mosaic = unpack(packed.astype(np.float32, copy=False), self.cfa) * np.float32(self.range_dn)
         sites = packing_sites(self.cfa)  # packed data starts where packing does, whatever the offset of its sensor
         return CleanFrame(mosaic, sites.cfa, (0.0,) * sites.levels, self.range_dn, f"array {index}")
 

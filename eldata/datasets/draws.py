@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypedDict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict
 
+import numpy as np
 import torch
 
+from eldata.base.numbers import checked_number
 from eldata.errors import ArgumentError
 from eldata.noise.profile import CameraProfile
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    import numpy as np
-
     from eldata.noise.parameters import NoiseParameters
     from eldata.noise.profile import RowChoice
+
+Camera: TypeAlias = CameraProfile | str | Path
+Cameras: TypeAlias = Camera | Sequence[Camera]
 
 
 class NoiseFacts(TypedDict):
@@ -63,7 +65,7 @@ class NoiseChoice:
     @classmethod
     def of(
         cls,
-        profiles: CameraProfile | str | Sequence[CameraProfile | str],
+        profiles: Cameras,
         ratio: float | tuple[float, float],
         iso: float | None,
         row: RowChoice,
@@ -74,21 +76,39 @@ class NoiseChoice:
         Raises
         ------
         ArgumentError
-            If the ratio is invalid, or there is no profile.
+            If the ratio is invalid, there is no profile, or one cannot be sampled in this way.
         ProfileError
             If a profile is unknown or malformed.
         """
-        low, high = ratio if isinstance(ratio, tuple) else (ratio, ratio)
-        if not 0 < low <= high < math.inf:
-            raise ArgumentError(f"ratio must be finite and above 0, the lower first; found {ratio}")
-        given = [profiles] if isinstance(profiles, (str, CameraProfile)) else list(profiles)
-        if not given:
-            raise ArgumentError("give at least one camera profile")
-        loaded = tuple(CameraProfile.load(item) if isinstance(item, str) else item for item in given)
-        return cls(loaded, (float(low), float(high)), iso, row, extrapolate)
+        limits = tuple(ratio) if isinstance(ratio, (tuple, list)) else (ratio, ratio)
+        if len(limits) != 2:
+            raise ArgumentError(f"ratio must be one number, or the lowest and the highest; found {ratio!r:.100}")
+        low, high = (checked_number("ratio", limit, above=0) for limit in limits)
+        if low > high:
+            raise ArgumentError(f"ratio must be the lowest, then the highest; found {ratio!r:.100}")
+        loaded = _loaded(profiles)
+        if iso is not None:
+            checked_number("iso", iso, above=0)
+        for profile in loaded:  # refuses now what it would refuse in each item
+            profile.sample(np.random.default_rng(0), iso=iso, row=row, extrapolate=extrapolate)
+        return cls(loaded, (low, high), iso, row, extrapolate)
 
     def draw(self, generator: np.random.Generator) -> NoiseDraw:
         """Draw a profile, parameters from it, and a ratio, in this order."""
         profile = self.profiles[int(generator.integers(len(self.profiles)))]
         parameters = profile.sample(generator, iso=self.iso, row=self.row, extrapolate=self.extrapolate)
         return NoiseDraw(profile.camera, parameters, float(generator.uniform(*self.ratio)))
+
+
+def _loaded(cameras: Any) -> tuple[CameraProfile, ...]:
+    """Return profiles that were given by name, path or themselves, one or several."""
+    if isinstance(cameras, (str, Path, CameraProfile)):
+        cameras = [cameras]
+    if not isinstance(cameras, Sequence) or not all(isinstance(one, (str, Path, CameraProfile)) for one in cameras):
+        raise ArgumentError(
+            f"expected a camera profile or several: each a shipped one's name, a path or a CameraProfile; found "
+            f"{cameras!r:.100}"
+        )
+    if not cameras:
+        raise ArgumentError("give at least one camera profile")
+    return tuple(one if isinstance(one, CameraProfile) else CameraProfile.load(one) for one in cameras)

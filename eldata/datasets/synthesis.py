@@ -20,6 +20,7 @@ import numpy as np
 
 from eldata import __version__
 from eldata.base.files import atomic_write, json_text, remove_leftovers, sha256_of, write_json
+from eldata.base.seeds import checked_seed, item_generator
 from eldata.base.workers import AnyWorkers, Workers, accepts_jobs, require_files
 from eldata.datasets.clean import RawFiles
 from eldata.datasets.synthesis_journal import CleanFacts, WrittenScene, opened_journal
@@ -78,8 +79,9 @@ class Recipe:
         low, high = self.ratio
         if not 0 < low <= high < 1e6:
             raise ArgumentError(f"ratio must be above 0, the lower first; found {low:g} to {high:g}")
-        if self.seed < 0 or self.per_image < 1:
-            raise ArgumentError(f"seed must be 0 or more and per_image 1 or more; found {self.seed}, {self.per_image}")
+        checked_seed(self.seed)
+        if self.per_image < 1:
+            raise ArgumentError(f"per_image must be 1 or more; found {self.per_image}")
         check_choice("format", self.format, get_args(Format))
         if self.iso is not None:
             self.profile.gain_at_iso(
@@ -227,7 +229,7 @@ class _Draw:
     @classmethod
     def of(cls, recipe: Recipe, clean: CleanFacts, index: int, copy: int) -> _Draw:
         """Draw it; the generator goes on to the noise."""
-        generator = np.random.default_rng([recipe.seed, index, copy])
+        generator = item_generator(recipe.seed, index, copy)
         parameters = recipe.profile.sample(generator, iso=recipe.iso, row=recipe.row, extrapolate=recipe.extrapolate)
         low, high = recipe.ratio
         ratio = Fraction(round(float(generator.uniform(low, high)) * 100), 100)

@@ -12,7 +12,9 @@ import pytest
 import torch
 from torch.utils.data import DataLoader, default_collate
 
+from eldata.datasets.base import SourcePairs
 from eldata.datasets.clean import Arrays, CleanFrame, RawFiles, StoredFrames
+from eldata.datasets.items import ReadItems
 from eldata.datasets.synthetic import SyntheticPairs, SyntheticSample
 from eldata.errors import ArgumentError, DatasetError, ProfileError
 from eldata.noise import CameraProfile, NoiseModel, NoiseParameters
@@ -254,6 +256,7 @@ def test_lengths_and_frames() -> None:
 
 def test_default_collate(folder: Path) -> None:
     dataset = raw_pairs(folder)
+    dataset.set_epoch(0)
     batch = next(iter(DataLoader(dataset, batch_size=4)))
     assert batch["input"].shape == batch["target"].shape == (4, 4, 8, 8)
     assert batch["input"].dtype == batch["target"].dtype == torch.float32
@@ -425,7 +428,7 @@ def test_the_items_parameters_are_those_of_its_noise(channels: int) -> None:
     dataset = pairs(
         source,
         ("SonyA7S2", "CanonEOS70D"),
-        model=NoiseModel(clip="none"),
+        clip="none",
         crop=None,
         augment=False,
         crops_per_frame=8,
@@ -471,18 +474,18 @@ def test_ratios_are_uniform_between_their_limits() -> None:
 
 
 def test_a_fixed_ratio() -> None:
-    for ratio in (150, 150.0, (150, 150.0)):
+    for ratio in (150, 150.0, (150, 150.0), [150, 150]):
         assert {item["ratio"] for item in items(flat(ratio=ratio, crops_per_frame=10))} == {150.0}
 
 
 def test_cameras_are_drawn_alike() -> None:
     """200 items of 2 cameras: within 5 standard deviations of a half; one profile by name, path or object."""
     nikon = CameraProfile.load("NikonD850")
-    dataset = flat(profiles=["SonyA7S2", nikon])
-    cameras = [item["camera"] for item in items(dataset)]
+    found = items(flat(profiles=["SonyA7S2", nikon]))
+    cameras = [item["camera"] for item in found]
     assert abs(cameras.count("SonyA7S2") - 100) < 5 * math.sqrt(50)
     assert set(cameras) == {"SonyA7S2", "NikonD850"}
-    for item in items(dataset):
+    for item in found:
         low, high = CameraProfile.load(item["camera"]).gain_range_dn_per_e
         assert low <= item["gain_dn_per_e"] <= high
 
@@ -491,7 +494,8 @@ def test_a_profile_by_name_path_or_object(tmp_path: Path) -> None:
     profile = CameraProfile.load("SonyA7S2")
     profile.save(tmp_path / "mine.json")
     wanted = flat(profiles="SonyA7S2")[0]
-    for profiles in (profile, [profile], ("SonyA7S2",), str(tmp_path / "mine.json")):
+    path = tmp_path / "mine.json"
+    for profiles in (profile, [profile], ("SonyA7S2",), str(path), path, [path]):
         same(flat(profiles=profiles)[0], wanted)
 
 
@@ -511,14 +515,80 @@ def test_the_model_is_passed_on_and_clips_both_ways_by_default() -> None:
     bright: dict[str, Any] = {"iso": 6400, "ratio": 900.0, "crops_per_frame": 20}
     inputs = torch.stack([item["input"] for item in items(flat(**bright))])
     assert (float(inputs.min()), float(inputs.max())) == (0, 1)
-    free = torch.stack([item["input"] for item in items(flat(**bright, model=NoiseModel()))])
+    free = torch.stack([item["input"] for item in items(flat(**bright, clip="none"))])
     assert free.min() < 0
     assert free.max() > 1
     assert torch.equal(free.clamp(0, 1), inputs)
-    item = flat(model=NoiseModel("B", clip="none"))[0]
+    item = flat(model=NoiseModel("B"), clip="none")[0]
     shift = (item["input"] - item["target"]).double() * 15871.0 / item["ratio"]
     for channel, bias in zip(shift, item["colour_bias_dn"].tolist(), strict=True):
         np.testing.assert_allclose(channel.numpy(), bias, rtol=1e-3, atol=1e-4)
+
+
+def test_the_dataset_decides_the_clip_as_for_pairs_to_test_on() -> None:
+    """One default for all; a model without a clip of its own is clipped like the default one."""
+    bright: dict[str, Any] = {"iso": 6400, "ratio": 900.0, "crops_per_frame": 5}
+    assert flat().clip == SourcePairs.clip == ReadItems.clip == "both"
+    limits = {"both": (0, 1), "upper": (-math.inf, 1), "none": (-math.inf, math.inf)}
+    free = torch.stack([item["input"] for item in items(flat(**bright, clip="none"))])
+    for clip, (low, high) in limits.items():
+        for model in (None, NoiseModel(), NoiseModel(clip=clip)):  # type: ignore[arg-type]
+            dataset = flat(**bright, model=model, clip=clip)
+            found = items(dataset)
+            assert torch.equal(torch.stack([item["input"] for item in found]), free.clamp(low, high))
+            assert (dataset.clip, dataset.model.clip) == (clip, clip)  # type: ignore[attr-defined]
+    given = NoiseModel()
+    flat(model=given, clip="upper")
+    assert given.clip is None
+    assert torch.equal(torch.stack([item["input"] for item in items(flat(**bright, model=given))]), free.clamp(0, 1))
+
+
+def test_the_target_is_light_whatever_the_clip() -> None:
+    source = arrays(np.linspace(-0.5, 1.5, 4 * 16 * 16, dtype=np.float32).reshape(1, 4, 16, 16), range_dn=15871.0)
+    wanted = pairs(source)[0]["target"]
+    assert (float(wanted.min()), float(wanted.max())) == (0, 1)
+    for clip in ("upper", "none"):
+        assert torch.equal(pairs(source, clip=clip)[0]["target"], wanted)
+
+
+def test_clips_that_disagree_are_named() -> None:
+    with pytest.raises(
+        ArgumentError, match="SyntheticPairs: clip='both', but the noise model's own clip is 'none'; leave"
+    ):
+        flat(model=NoiseModel(clip="none"), clip="both")
+    with pytest.raises(ArgumentError, match="clip must be one of 'both', 'upper', 'none'; found 'lower'"):
+        flat(clip="lower")
+    # As 0.1 understood it, until 0.3.
+    words = (
+        "SyntheticPairs: the noise model has clip='none', but pairs to test on have 'both' unless told otherwise; give"
+    )
+    with pytest.warns(DeprecationWarning, match=words) as warned:
+        dataset = flat(model=NoiseModel(clip="none"))
+    assert warned[0].filename == __file__
+    same(dataset[0], flat(clip="none")[0])
+    same(flat(model=NoiseModel(clip="both"))[0], flat()[0])
+
+
+@pytest.mark.parametrize("array", [np.full((1, 4, 8, 8), 3000, np.uint16), [np.ones((4, 8, 8), np.int32)]])
+def test_arrays_of_whole_numbers_are_dn(array: Any) -> None:
+    with pytest.raises(ArgumentError, match=r"^array 0 is u?int(16|32), whole numbers .* give \(clean - black\)"):
+        arrays(array, range_dn=15871.0)
+    mixed = arrays([np.ones((4, 8, 8), np.float32), np.ones((4, 8, 8), np.uint8)], range_dn=15871.0)
+    with pytest.raises(ArgumentError, match=r"^array 1 is uint8, whole numbers"):
+        mixed.frame(1)
+
+
+def test_large_seeds_are_seeds_of_their_own() -> None:
+    """2^32 was epoch 1 of seed 0: its words are those."""
+    large, small = flat(seed=2**32), flat(seed=0)
+    for epoch in range(3):
+        large.set_epoch(epoch)
+        small.set_epoch(1)
+        different(large[0], small[epoch])
+    again = flat(seed=2**32)
+    again.set_epoch(2)
+    same(again[0], large[0])
+    different(flat(seed=2**128 - 1)[0], flat(seed=2**128 - 2)[0])
 
 
 def test_the_range_of_the_noise_is_the_frames(folder: Path) -> None:
@@ -528,7 +598,7 @@ def test_the_range_of_the_noise_is_the_frames(folder: Path) -> None:
         sensor = make_sensor()
         range_dn = sensor.white_level_dn - float(np.mean(sensor.black_level_dn))
         assert dataset.source.frame(index).range_dn == range_dn
-        item = raw_pairs(folder, model=NoiseModel("P*"), ratio=100.0)[index]
+        item = raw_pairs(folder, model=NoiseModel("P*"), ratio=100.0, clip="none")[index]
         counts = item["input"].double().numpy() * range_dn / 100.0 / item["gain_dn_per_e"]
         np.testing.assert_allclose(counts, np.rint(counts), atol=2e-3)
 
@@ -536,7 +606,10 @@ def test_the_range_of_the_noise_is_the_frames(folder: Path) -> None:
 # --- refusals -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("ratio", [0.0, -1.0, (300.0, 100.0), (0.0, 100.0), math.nan, (100.0, math.nan), math.inf])
+@pytest.mark.parametrize(
+    "ratio",
+    [0.0, -1.0, (300.0, 100.0), (0.0, 100.0), math.nan, (100.0, math.nan), math.inf, "100", (1, 2, 3), [], None],
+)
 def test_a_ratio_that_makes_no_sense(ratio: Any) -> None:
     with pytest.raises(ArgumentError, match="ratio must be"):
         flat(ratio=ratio)
@@ -551,31 +624,44 @@ def test_a_number_that_makes_no_sense(name: str, value: int) -> None:
     assert str(value) in str(caught.value)
 
 
-def test_a_negative_seed() -> None:
-    with pytest.raises(ArgumentError, match="seed"):
-        flat(seed=-1)
+@pytest.mark.parametrize("seed", [-1, 1.5, "0", None, 2**128])
+def test_a_seed_that_makes_no_sense(seed: Any) -> None:
+    with pytest.raises(ArgumentError, match=r"^seed must be"):
+        flat(seed=seed)
 
 
-def test_a_negative_epoch() -> None:
+@pytest.mark.parametrize("epoch", [-1, 1.5, "0", 2**32])
+def test_an_epoch_that_makes_no_sense(epoch: Any) -> None:
     dataset = flat()
-    with pytest.raises(ArgumentError, match="epoch must be 0 or more; found -1"):
-        dataset.set_epoch(-1)
+    with pytest.raises(ArgumentError, match="epoch must be"):
+        dataset.set_epoch(epoch)
     assert dataset.epoch == 0
+
+
+@pytest.mark.parametrize("source", ["clean", np.zeros((1, 4, 8, 8)), None])
+def test_a_source_that_is_none(source: Any) -> None:
+    with pytest.raises(ArgumentError, match=r"SyntheticPairs: the source of clean data has len and frame\(index\), as"):
+        pairs(source)
 
 
 def test_profiles_that_make_no_sense() -> None:
     with pytest.raises(ArgumentError, match="give at least one camera profile"):
         flat(profiles=[])
+    for profiles in (None, 3, [None], {"SonyA7S2"}, b"SonyA7S2"):
+        with pytest.raises(ArgumentError, match="expected a camera profile or several: each a shipped one's name"):
+            flat(profiles=profiles)
     with pytest.raises(ProfileError, match="no camera profile is called 'Leica'"):
         flat(profiles="Leica")
 
 
 def test_an_iso_or_row_that_the_profile_does_not_know() -> None:
     with pytest.raises(ArgumentError, match="ISO 50 is outside of the calibrated range"):
-        flat(iso=50)[0]
+        flat(iso=50)
     assert flat(iso=50, extrapolate=True)[0]["gain_dn_per_e"] == pytest.approx(flat(iso=100)[0]["gain_dn_per_e"] / 2)
+    with pytest.raises(ArgumentError, match="iso must be one number, finite and above 0; found '800'"):
+        flat(iso="800")
     with pytest.raises(ArgumentError, match="row must be"):
-        flat(row="best")[0]
+        flat(row="best")
 
 
 @pytest.mark.parametrize("name", ["RGGB", "xtrans-00", "quad-00", "nona-00"])

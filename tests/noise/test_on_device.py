@@ -11,7 +11,7 @@ import torch
 from scipy import stats
 
 from eldata.errors import ArgumentError
-from eldata.noise import PAPER_MODELS, NoiseModel, NoiseParameters
+from eldata.noise import PAPER_MODELS, NoiseModel, NoiseParameters, parse_components
 from eldata.noise.exposures import Adc, Exposures
 from eldata.noise.on_device import expose_on_device
 from eldata.raw.cfa import XTRANS_CFA, pack, unpack
@@ -58,6 +58,20 @@ def test_shot_noise_is_poisson(signal_e: float, device: str) -> None:
     clean = clean_of(np.array([signal_e]), (4, 256, 256), PARAMETERS)
     dn = device_dn("P*", clean, PARAMETERS, seed=2, device=device)
     assert poisson_p_value(dn / PARAMETERS.gain_dn_per_e, signal_e) > LEAST_P_VALUE
+
+
+@pytest.mark.parametrize("mean_e", [1e9, 1e12, 9e18, 1e19, 1e30])
+def test_any_number_of_photoelectrons(mean_e: float, device: str) -> None:
+    """4096 draws: none is off by more than 7 deviations and the rounding to float32, and the spread by 5 errors."""
+    parameters = NoiseParameters(1.0, 0.0, 0.0, 0.0, 0.0)
+    exposures = Exposures.of(parse_components("P*"), [parameters], [1.0], 4, range_dn=1.0)
+    clean = torch.full((1, 4, 32, 32), mean_e, device=device)
+    drawn = expose_on_device(clean, exposures, torch.Generator(device).manual_seed(0)).double().cpu().numpy()
+    off, rounding, deviation = drawn - float(np.float32(mean_e)), mean_e * 2.0**-23, math.sqrt(mean_e)
+    assert np.abs(off).max() < 7 * deviation + rounding
+    assert abs(off.mean()) < 6 * deviation / 64 + rounding
+    if mean_e <= 1e12:  # where float32 resolves it
+        assert abs(off.std() / deviation - 1) < 5 / math.sqrt(2 * 4096)
 
 
 @pytest.mark.parametrize("shape", LAMBDAS)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.datasets.crops import Crop
-    from eldata.datasets.draws import Cameras, NoiseDraw
+    from eldata.datasets.draws import Cameras, Isos, NoiseDraw
     from eldata.datasets.items import Part
     from eldata.noise.makers import NoiseMaker
     from eldata.noise.profile import RowChoice
@@ -46,15 +46,20 @@ class Noise(TypedDict, total=False):
         stands for light, lies in [0, 1] whatever it is.
     ratio
         Low-light factors: (lowest, highest), drawn uniformly; by default the paper's, 100 to 300. Or one fixed number.
-    iso, row, extrapolate
-        As in :meth:`eldata.noise.CameraProfile.sample`.
+    iso
+        ``None``, the default: K is drawn anew for each item, as in the paper. One ISO; or several, as a sequence, which
+        are drawn alike, or as a mapping to their weights.
+    row, extrapolate
+        As in :meth:`eldata.noise.CameraProfile.sample`. By default each of several ISOs has its own row: as it was
+        measured, where the profile has all figures of that ISO, else ``"nearest-gain"``; the repr says which. One ISO,
+        or a drawn gain, has ``"any"``.
     """
 
     model: NoiseMaker | None
     clip: Clip
     ratio: float | tuple[float, float]
-    iso: float | None
-    row: RowChoice
+    iso: Isos | None
+    row: RowChoice | None
     extrapolate: bool
 
 
@@ -90,9 +95,9 @@ class NoisyItems(CroppedItems[Item, Sample]):
         cropping, noise = keywords(owner, options, Cropping, Noise, renamed={})
         _check_source(owner, source, method)
         super().__init__({"crop": 512, "augment": True} | cropping, crops)
-        ratio, row = noise.get("ratio", (100.0, 300.0)), noise.get("row", "any")
-        extrapolate, model = noise.get("extrapolate", False), noise.get("model")
-        self.noise = NoiseChoice.of(profiles, ratio, noise.get("iso"), row, extrapolate)
+        sampling = {name: noise[name] for name in ("iso", "row", "extrapolate") if name in noise}
+        self.noise = NoiseChoice.of(profiles, noise.get("ratio", (100.0, 300.0)), **sampling)
+        model = noise.get("model")
         self.clip, self.model = _clipped(owner, NoiseModel() if model is None else model, noise.get("clip"), self.clip)
         self._length = len(source) * crops[1]
         self._repeats = Repeats(owner, self._length)
@@ -130,12 +135,11 @@ class NoisyItems(CroppedItems[Item, Sample]):
 
     def _text(self, source: object, items: str) -> str:
         """Return the repr, in which ``items`` says how many there are."""
-        cameras = ", ".join(profile.camera for profile in self.noise.profiles)
         model = (
             repr(self.model) if isinstance(self.model, NoiseModel) else f"{maker_name(self.model)}, clip={self.clip!r}"
         )
         return (
-            f"{type(self).__name__}({source!r}, {items}, cameras: {cameras}; {model}, "
+            f"{type(self).__name__}({source!r}, {items}, cameras: {self.noise}; {model}, "
             f"ratio={self.noise.ratio}, crop={self.crop}, augment={self.augment}, seed={self.seed})"
         )
 

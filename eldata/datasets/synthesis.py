@@ -83,10 +83,8 @@ class Recipe:
         if self.per_image < 1:
             raise ArgumentError(f"per_image must be 1 or more; found {self.per_image}")
         check_choice("format", self.format, get_args(Format))
-        if self.iso is not None:
-            self.profile.gain_at_iso(
-                self.iso, extrapolate=self.extrapolate
-            )  # refuses an ISO that the profile does not know
+        # Refuses now what the profile cannot be sampled with.
+        self.profile.sample(np.random.default_rng(0), iso=self.iso, row=self.row, extrapolate=self.extrapolate)
         self.model()
 
     def model(self) -> NoiseModel:

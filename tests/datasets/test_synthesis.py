@@ -281,6 +281,21 @@ def test_an_iso_beyond_the_calibrated_range_has_to_be_asked_for(clean: Path, tmp
         assert frame["gain_dn_per_e"] == pytest.approx(SONY.gain_range_dn_per_e[1] * 2, rel=1e-6)
 
 
+def test_a_measured_iso_or_none(clean: Path, tmp_path: Path) -> None:
+    """Every noisy frame has the figures of that ISO; what was not measured is refused before the first file."""
+    with pytest.raises(ArgumentError, match="no row of SonyA7S2's profile has K and all scales of its ISO"):
+        Recipe(SONY, iso=800, row="measured")
+    rows = tuple(replace(row, sigma_tl_dn=4.0, sigma_gauss_dn=4.5, sigma_row_dn=0.75) for row in SONY.rows)
+    profile = replace(SONY, rows=rows)
+    with pytest.raises(ArgumentError, match="row='measured' gives the figures of one ISO; give iso"):
+        Recipe(profile, row="measured")
+    synthesize(clean, tmp_path / "out", Recipe(profile, iso=800, row="measured"))
+    frames = json.loads((tmp_path / "out" / "parameters.json").read_text())["frames"]
+    assert len(frames) > 1
+    measured = json.loads(json.dumps(profile.measured(800).as_dict()))
+    assert all(frame | measured == frame for frame in frames)
+
+
 def test_xtrans_at_an_offset_and_odd_sizes(tmp_path: Path) -> None:
     cfa = tuple(tuple(XTRANS_CFA[(y + 2) % 6][(x + 1) % 6] for x in range(6)) for y in range(6))
     mosaic = np.random.default_rng(0).integers(2000, 9000, (101, 113), dtype=np.uint16)

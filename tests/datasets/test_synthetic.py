@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
+import hashlib
 import math
 import pickle
 from typing import TYPE_CHECKING, Any
@@ -508,6 +510,121 @@ def test_the_iso_and_the_row_are_passed_on() -> None:
     assert {(item["tukey_lambda"], tuple(item["colour_bias_dn"].tolist())) for item in found} == near
     everywhere = {item["tukey_lambda"] for item in items(flat(iso=800, crops_per_frame=100))}
     assert everywhere == {row.tukey_lambda for row in sony.rows}
+
+
+def measured_profile() -> CameraProfile:
+    """The Sony with all figures of ISO 800 and 1600, off the lines of its fits, and not all of ISO 3200."""
+    sony = CameraProfile.load("SonyA7S2")
+    rows = tuple(
+        dataclasses.replace(
+            row, sigma_tl_dn=None if row.iso == 3200 else row.iso / 200, sigma_gauss_dn=4.5, sigma_row_dn=0.75
+        )
+        if row.iso in (800, 1600, 3200)
+        else row
+        for row in sony.rows
+    )
+    return dataclasses.replace(sony, rows=rows)
+
+
+def figures(item: Mapping[str, Any]) -> tuple[Any, ...]:
+    return (*(item[name] for name in NUMBERS), tuple(item["colour_bias_dn"].tolist()))
+
+
+def test_one_of_several_isos_with_weights() -> None:
+    """600 items: each count within 5 standard deviations of its weight's share."""
+    for iso, weights in (
+        ([800, 1600, 3200], {800: 1, 1600: 1, 3200: 1}),
+        ((6400,), {6400: 1}),
+        (np.array([200, 400]), {200: 1, 400: 1}),
+        ({100: 1, 800: 4.5, 6400: 0.5}, {100: 1, 800: 4.5, 6400: 0.5}),
+    ):
+        found = items(flat(iso=iso, crops_per_frame=600))
+        total = sum(weights.values())
+        for value, weight in weights.items():
+            share = weight / total
+            of_iso = [item for item in found if item["iso"] == value]
+            assert abs(len(of_iso) - 600 * share) <= 5 * math.sqrt(600 * share * (1 - share))
+            assert {item["gain_dn_per_e"] for item in of_iso} == {CameraProfile.load("SonyA7S2").gain_at_iso(value)}
+        assert {item["iso"] for item in found} == set(weights)
+
+
+def test_each_of_several_isos_has_its_own_row() -> None:
+    """As measured where the profile has all of it; else lambda and bias of the ISO's rows, and scales off its lines."""
+    profile = measured_profile()
+    dataset = flat(profiles=profile, iso=[800, 1600, 3200])
+    found = items(dataset)
+    for iso in (800, 1600):
+        p = profile.measured(iso)
+        wanted = (*(getattr(p, name) for name in NUMBERS), p.colour_bias_dn)
+        assert {figures(item) for item in found if item["iso"] == iso} == {wanted}
+    near = {(row.tukey_lambda, row.colour_bias_dn) for row in profile.rows if row.iso == 3200}
+    rest = [figures(item) for item in found if item["iso"] == 3200]
+    assert {(numbers[1], numbers[-1]) for numbers in rest} == near
+    assert len({numbers[2] for numbers in rest}) == len(rest) > 30
+    assert "SonyA7S2 (ISO 800, 1600: measured; ISO 3200: nearest-gain)" in repr(dataset)
+    same(
+        flat(profiles=profile, iso={800: 2}, crops_per_frame=1)[0],
+        flat(profiles=profile, iso=[800], crops_per_frame=1)[0],
+    )
+
+
+def test_the_row_of_several_isos_may_be_given() -> None:
+    profile = measured_profile()
+    drawn = {item["tukey_lambda"] for item in items(flat(profiles=profile, iso=[800, 1600], row="any"))}
+    assert drawn == {row.tukey_lambda for row in profile.rows}
+    p = profile.measured(800)
+    assert figures(flat(profiles=profile, iso=800, row="measured")[0])[2] == p.sigma_tl_dn
+    with pytest.raises(
+        ArgumentError, match=r"ISO 3200 of SonyA7S2 was not measured, or not completely; ISO 800, 1600 were"
+    ):
+        flat(profiles=profile, iso=[800, 3200], row="measured")
+
+
+def test_every_camera_has_to_know_the_isos() -> None:
+    canon = dataclasses.replace(CameraProfile.load("CanonEOS70D"), iso_range=(200.0, 6400.0))
+    with pytest.raises(ArgumentError, match="ISO 100 is outside of the calibrated range 200 to 6400 of CanonEOS70D"):
+        flat(profiles=["SonyA7S2", canon], iso=[100, 800])
+    found = items(flat(profiles=["SonyA7S2", canon], iso=[200, 800]))
+    assert {(item["camera"], item["camera_id"], item["iso"]) for item in found} == {
+        (camera, number, iso) for number, camera in enumerate(("SonyA7S2", "CanonEOS70D")) for iso in (200.0, 800.0)
+    }
+
+
+@pytest.mark.parametrize(
+    ("iso", "words"),
+    [
+        ([], "iso must be one ISO or several; found none"),
+        ({}, "iso must be one ISO or several; found none"),
+        ([800, 1600, 800], r"ISO 800 is there twice; to draw some more often give weights, iso=\{800: 2, \.\.\.\}"),
+        (["800"], "iso must be one number, finite and above 0; found '800'"),
+        ([800, -1], "iso must be finite and above 0; found -1"),
+        ({800: 0, 1600: 1}, "the weight of ISO 800 must be finite and above 0; found 0"),
+        ({800: None}, "the weight of ISO 800 must be one number"),
+        ([800, 12800], "ISO 12800 is outside of the calibrated range"),
+        ("800", "iso must be one number, finite and above 0; found '800'"),
+    ],
+)
+def test_isos_that_make_no_sense(iso: Any, words: str) -> None:
+    with pytest.raises(ArgumentError, match=words):
+        flat(iso=iso)
+
+
+@pytest.mark.parametrize(
+    ("seed", "iso", "epoch", "wanted"),
+    [
+        (0, None, 0, ("SonyA7S2", 1.0347833592241122, 121.49811849702728, "5b058a5ea300f901")),
+        (3, 800, 2, ("SonyA7S2", 0.7513288, 272.9721099788428, "0ce006f03f00c33f")),
+        (2**32 - 1, None, 7, ("NikonD850", 4.193193475833979, 209.24141458234968, "eda0f37f011c8484")),
+    ],
+)
+def test_items_are_those_of_0_1(seed: int, iso: float | None, epoch: int, wanted: tuple[Any, ...]) -> None:
+    """To the bit: draws and noise of the release, written down here."""
+    dataset = flat(profiles=["SonyA7S2", "NikonD850"], crops_per_frame=4, seed=seed, iso=iso)
+    dataset.set_epoch(epoch)
+    item = dataset[1]
+    digest = hashlib.sha256(item["input"].numpy().tobytes()).hexdigest()[:16]
+    assert (item["camera"], item["gain_dn_per_e"], item["ratio"], digest) == wanted
+    assert item["iso"] == (iso or 0)
 
 
 def test_the_model_is_passed_on_and_clips_both_ways_by_default() -> None:

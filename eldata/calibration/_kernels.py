@@ -105,6 +105,37 @@ def residual_histogram(
                     counts[group, place if place < last else last] += 1
 
 
+BLOCKS = 8
+"""Of a segment: the pieces whose means show an edge."""
+
+
+@kernel
+def segment_means(
+    first: NDArray[np.uint16],
+    second: NDArray[np.uint16],
+    defects: NDArray[np.bool_],
+    pattern: NDArray[np.int64],
+    width: int,
+    means: NDArray[np.float32],
+) -> None:
+    """Write the mean of A + B in each segment, ``means`` (rows, segments, channels); nan where none is sound."""
+    period = pattern.shape[0]
+    total = np.empty(means.shape[2], dtype=np.int64)
+    count = np.empty(means.shape[2], dtype=np.int64)
+    for row in range(first.shape[0]):
+        for place in range(means.shape[1]):
+            total[:] = 0
+            count[:] = 0
+            for phase in range(period):
+                channel = pattern[row % period, (place * width + phase) % period]
+                for column in range(place * width + phase, (place + 1) * width, period):
+                    if not defects[row, column]:
+                        total[channel] += np.int64(first[row, column]) + np.int64(second[row, column])
+                        count[channel] += 1
+            for channel in range(means.shape[2]):
+                means[row, place, channel] = total[channel] / count[channel] if count[channel] else np.nan
+
+
 @kernel
 def pair_segments(
     first: NDArray[np.uint16],
@@ -115,51 +146,135 @@ def pair_segments(
     limit: float,
     width: int,
     level_dn: float,
+    means: NDArray[np.float32],
+    ratios: NDArray[np.float64],
+    bright: float,
+    step: float,
+    counts: NDArray[np.int64],
     segments: NDArray[np.int64],
-    clipped: NDArray[np.int64],
-    freedom: NDArray[np.float64],
-    variance: NDArray[np.float64],
-    mean: NDArray[np.float64],
+    sums: NDArray[np.float64],
 ) -> None:
-    """Add the segments of a pair to their levels, all (channel, levels).
+    """Add the segments of a pair to their levels, and their pixels to ``counts`` (channel, 65536).
 
-    A segment is ``width`` columns of one row in one channel. Its level is its mean over black; added are its degrees
-    of freedom, and times these Var(A - B) / 2 and the mean.
+    A segment is ``width`` columns of one row in one channel; its level is its mean over black. ``segments`` (channel,
+    levels, 3) counts those that are whole, clipped, and crossed by an edge. ``sums`` (channel, levels, 6) are of the
+    whole ones: degrees of freedom; times these, with r the ratio of A to B, Var(A - r B) / (1 + r^2), the mean that
+    goes with it, and the variance of single frames; neighbours of one colour, and the products of their differences.
+
+    ``ratios`` are those of the whole frames; a segment whose mean is ``bright`` times its noise has its own. There is an
+    edge where a block departs from the straight line through the segment's blocks, or the segment from those of the
+    same channel above and below (``means``, of :func:`segment_means`), by more than the share ``step`` of the segment and
+    five standard errors.
     """
     period = pattern.shape[0]
     levels = segments.shape[1]
+    a, b = np.empty(width), np.empty(width)
+    follows = np.empty(width, dtype=np.bool_)
+    block_of = np.empty(width, dtype=np.int64)
+    block, size = np.empty(BLOCKS), np.empty(BLOCKS)
     for row in range(first.shape[0]):
         for start in range(0, first.shape[1] - width + 1, width):
             for channel in range(black.size):
                 count = 0
-                sums: Any = 0
-                differences: Any = 0
-                squares: Any = 0
                 is_clipped: Any = False
+                mean_a: Any = 0.0
+                mean_b: Any = 0.0
                 for phase in range(period):
                     if pattern[row % period, (start + phase) % period] != channel:
                         continue
+                    beside: Any = False
                     for column in range(start + phase, start + width, period):
                         if defects[row, column]:
+                            beside = False
                             continue
-                        a = np.int64(first[row, column])
-                        b = np.int64(second[row, column])
-                        is_clipped = is_clipped or a == 0 or b == 0 or a >= limit or b >= limit
+                        one, two = first[row, column], second[row, column]
+                        counts[channel, one] += 1
+                        counts[channel, two] += 1
+                        is_clipped = is_clipped or one == 0 or two == 0 or one >= limit or two >= limit
+                        a[count] = one - black[channel]
+                        b[count] = two - black[channel]
+                        mean_a += a[count]
+                        mean_b += b[count]
+                        follows[count] = beside
+                        block_of[count] = (column - start) * BLOCKS // width
+                        beside = True
                         count += 1
-                        sums += a + b
-                        differences += a - b
-                        squares += (a - b) * (a - b)
                 if count < 8:
                     continue
-                signal = 0.5 * sums / count - black[channel]
-                level = min(max(int(signal / level_dn), 0), levels - 1)
-                segments[channel, level] += 1
+                mean_a /= count
+                mean_b /= count
+                level = min(max(int(0.5 * (mean_a + mean_b) / level_dn), 0), levels - 1)
                 if is_clipped:
-                    clipped[channel, level] += 1
+                    segments[channel, level, 1] += 1
                     continue
-                freedom[channel, level] += count - 1
-                variance[channel, level] += 0.5 * (squares - differences * (differences / count))
-                mean[channel, level] += (count - 1) * signal
+                square_a: Any = 0.0
+                square_b: Any = 0.0
+                product: Any = 0.0
+                jumps: Any = 0.0
+                neighbours = 0
+                block[:] = 0.0
+                size[:] = 0.0
+                for i in range(count):
+                    square_a += (a[i] - mean_a) ** 2
+                    square_b += (b[i] - mean_b) ** 2
+                    product += (a[i] - mean_a) * (b[i] - mean_b)
+                    block[block_of[i]] += a[i] + b[i]
+                    size[block_of[i]] += 1.0
+                    if follows[i]:
+                        neighbours += 1
+                        jumps += (a[i] + b[i] - a[i - 1] - b[i - 1]) ** 2
+                noise = jumps / max(2 * neighbours, 1)
+                least = step * abs(mean_a + mean_b)
+                apart: Any = 0.0
+                for beside_row in (row - period, row + period):
+                    if 0 <= beside_row < first.shape[0]:
+                        there = means[beside_row, start // width, channel]
+                        apart = max(apart, abs(there - means[row, start // width, channel]))  # no nan is larger
+                if apart > least + 5 * np.sqrt(2 * noise / count) or _has_edge(block, size, noise, least):
+                    segments[channel, level, 2] += 1
+                    continue
+                segments[channel, level, 0] += 1
+                freedom = count - 1
+                plain = (square_a + square_b - 2 * product) / (2 * freedom)
+                ratio = ratios[channel]
+                if min(mean_a, mean_b) > 0 and mean_a * mean_b > bright * bright * plain:
+                    ratio = mean_a / mean_b
+                scale = 1 + ratio * ratio
+                variance = (square_a - 2 * ratio * product + ratio * ratio * square_b) / scale
+                together: Any = 0.0
+                for i in range(1, count):
+                    if follows[i]:
+                        together += (a[i] - mean_a - ratio * (b[i] - mean_b)) * (
+                            a[i - 1] - mean_a - ratio * (b[i - 1] - mean_b)
+                        )
+                sums[channel, level, 0] += freedom
+                sums[channel, level, 1] += variance
+                sums[channel, level, 2] += freedom * (mean_a + ratio * ratio * mean_b) / scale
+                sums[channel, level, 3] += 0.5 * (square_a + square_b)
+                sums[channel, level, 4] += neighbours
+                # About their own mean, independent values have a covariance of -1/n of their variance.
+                sums[channel, level, 5] += together / scale + neighbours * variance / (freedom * count)
+
+
+@kernel
+def _has_edge(block: NDArray[np.float64], size: NDArray[np.float64], noise: float, least: float) -> Any:
+    """Whether a block's mean, of sums and sizes, is off the line through all; ``noise`` is a pixel's variance."""
+    for j in range(block.size):
+        if size[j] == 0:
+            return False  # too many defects to say
+    slope: Any = 0.0
+    centre: Any = 0.0
+    lever: Any = 0.0
+    middle = 0.5 * (block.size - 1)
+    for j in range(block.size):
+        centre += block[j] / size[j] / block.size
+        slope += (j - middle) * block[j] / size[j]
+        lever += (j - middle) ** 2
+    slope /= lever
+    for j in range(block.size):
+        if abs(block[j] / size[j] - centre - slope * (j - middle)) > least + 5 * np.sqrt(noise / size[j]):
+            return True
+    return False
 
 
 # --- the Tukey-lambda distribution ----------------------------------------------------------------------------

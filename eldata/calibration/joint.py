@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from eldata.calibration.audit import Finding
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise.profile import LogLogFit
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,3 +85,67 @@ def fit_log_log(gains_dn_per_e: Sequence[float], scales_dn: Sequence[float]) -> 
         r_squared=1 - squares / total if total > 0 else 1.0,
         points=len(x),
     )
+
+
+# By chance, of one fit: a calibration has three.
+_BY_CHANCE = 0.003
+
+
+def step_findings(
+    name: str, isos: Sequence[float], gains_dn_per_e: Sequence[float], scales_dn: Sequence[float]
+) -> Iterator[Finding]:
+    """Yield a remark if ``ln(scale)`` over ``ln(K)`` has a step, as where a camera switches its conversion gain.
+
+    For each place with two ISOs or more on either side, a step is fitted beside slope and intercept. The largest of
+    their ratios to their standard errors is held against Student's quantile for n - 3 degrees of freedom, with the
+    chance divided among the places. A step must also explain more than a parabola does, so that read noise of two parts,
+    before and after the amplifier, which bends the line, is not taken for one.
+
+    Parameters
+    ----------
+    name
+        Of the scale, for the text.
+    isos, gains_dn_per_e, scales_dn
+        Of equal length, by ascending gain; the scales above 0.
+    """
+    from scipy.special import stdtrit
+
+    count = len(gains_dn_per_e)
+    places = range(2, count - 1)
+    if count < 5:
+        return
+    x, y = np.log(np.asarray(gains_dn_per_e)), np.log(np.asarray(scales_dn))
+    line = np.stack([np.ones(count), x - x.mean()])
+    freedom = count - 3
+    threshold = float(-stdtrit(freedom, _BY_CHANCE / (2 * len(places))))
+    ratio, place, height, rest = 0.0, 0, 0.0, 0.0
+    for begin in places:
+        found, left = _added(line, (np.arange(count) >= begin).astype(np.float64), y)
+        error = math.sqrt(max(left[1], 1e-24) / freedom / left[0])
+        if abs(found) / error > abs(ratio):
+            ratio, place, height, rest = found / error, begin, found, left[1]
+    if not (abs(ratio) > threshold and rest < _added(line, (x - x.mean()) ** 2, y)[1][1]):
+        return
+    spread = fit_log_log(gains_dn_per_e, scales_dn).fit.sigma
+    yield Finding(
+        "a step of the joint fit",
+        (),
+        "remark",
+        abs(ratio),
+        threshold,
+        f"{name} over K has a step of {math.expm1(height):+.0%} between ISO {isos[place - 1]:g} and {isos[place]:g}, as "
+        f"where a camera switches its conversion gain. The spread around its line, {spread:.2g}, is mostly that step "
+        f"({math.sqrt(rest / freedom):.2g} without it), so noise drawn from the fit is more varied than the camera's: "
+        "calibrate the ISOs on either side by themselves (--iso)",
+    )
+
+
+def _added(
+    line: NDArray[np.float64], regressor: NDArray[np.float64], y: NDArray[np.float64]
+) -> tuple[float, tuple[float, float]]:
+    """Return the coefficient of a regressor beside those of a line, its own power, and the squares that are left."""
+    solve = np.linalg.solve(line @ line.T, np.stack([line @ regressor, line @ y]).T)
+    own, rest = regressor - line.T @ solve[:, 0], y - line.T @ solve[:, 1]
+    power = float(own @ own)
+    found = float(own @ rest) / power
+    return found, (power, float(((rest - found * own) ** 2).sum()))

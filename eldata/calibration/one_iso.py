@@ -13,14 +13,17 @@ from eldata.base.compiled import in_threads
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.calibration.colour_bias import ChannelMeans, colour_bias
 from eldata.calibration.defects import MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
+from eldata.calibration.flat_checks import flat_findings
 from eldata.calibration.frame_checks import (
     ADVISED_BIAS_FRAMES,
     FrameFigures,
     FramesError,
+    PairLevels,
     clipped_black,
     missing_codes,
     odd_bias_frames,
     unequal_pair,
+    uneven_light,
     unlike,
     unlike_most,
     unreadable,
@@ -239,6 +242,7 @@ def _flats(
     pairs = FlatPairs(sensor.cfa, fixed.level_dn, sensor.white_level_dn, defects=fixed.defects)
     singles = FlatFrames(sensor.cfa, fixed.level_dn, sensor.white_level_dn, defects=fixed.defects)
     pair_of = {pair.second: pair for pair in chosen.pairs}
+    used: list[PairLevels] = []
     remarks: list[str] = []
     gaps = 0.0
     waiting: tuple[FrameRecord, RawFrame] | None = None
@@ -250,10 +254,12 @@ def _flats(
         if waiting is None or waiting[0] != pair.first:
             continue  # its partner was refused, and is named
         first = waiting[1]
-        unequal = unequal_pair(pair, first, frame)
+        levels = PairLevels.of(pair, first, frame)
+        unequal = unequal_pair(levels)
         if unequal is not None:
             remarks.append(unequal)
             continue
+        used.append(levels)
         pairs.add(first.mosaic, frame.mosaic)
         singles.add(first.mosaic)
         singles.add(frame.mosaic)
@@ -262,8 +268,14 @@ def _flats(
     if len(remarks) == len(chosen.pairs):
         raise DatasetError(f"no pair of flats is usable: {'; '.join(remarks)}")
     try:
+        transfer = photon_transfer(pairs)
+    except DatasetError as error:
+        listed = "; ".join(("pairs used: " + ", ".join(map(str, used)), *remarks))
+        raise DatasetError(f"{error} ({listed})") from error
+    try:
         spatial = spatial_photon_transfer(singles)
     except DatasetError:
         spatial = None  # it needs three brightnesses; it is for comparison alone
-    transfer = photon_transfer(pairs)
-    return transfer, spatial, (*remarks, *flat_remarks(transfer, chosen, sensor, gaps))
+    findings = (*uneven_light(used), *flat_findings(transfer))
+    said = (one.text for one in findings)
+    return transfer, spatial, (*remarks, *said, *flat_remarks(transfer, chosen, sensor, gaps))

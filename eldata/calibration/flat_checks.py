@@ -12,15 +12,15 @@ from eldata.calibration.audit import Finding
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from eldata.calibration.audit import Effect
     from eldata.calibration.photon_transfer import PhotonTransfer, PhotonTransferLine
 
-# By chance, of a check of one calibration: four channels and three fits stay far below the one in a hundred that a person
-# would take notice of.
-_BY_CHANCE = 1e-4
-# Blur of a share w gives neighbours of one colour a correlation of w, or of w / 2 if it goes both along rows and columns,
-# and takes 2 w from the variance: at most four times the correlation.
+_BY_CHANCE = 1e-4  # of one check of one ISO
+# Blur of a share w gives neighbours of one colour a correlation of w, or of w / 2 if it goes along rows and columns
+# both, and takes 2 w from the variance: at most four times the correlation.
 _LOST_PER_CORRELATION = 4.0
 _LEAST_LOSS = 0.002  # of K: below it a correlation is not worth a word
+_TOO_WIDE = 0.1  # of K: beyond it, no error says how wrong K may be
 
 
 def flat_findings(transfer: PhotonTransfer) -> tuple[Finding, ...]:
@@ -34,7 +34,9 @@ def _saturation(transfer: PhotonTransfer) -> Iterator[Finding]:
         return
     levels = sorted(one.level_dn for one in found)
     where = f"{levels[0]:.0f} DN" if levels[-1] - levels[0] < 1 else f"{levels[0]:.0f} to {levels[-1]:.0f} DN"
-    channels = "" if len(found) == len(transfer.saturation) else f" in {len(found)} of {len(transfer.saturation)} channels"
+    channels = (
+        "" if len(found) == len(transfer.saturation) else f" in {len(found)} of {len(transfer.saturation)} channels"
+    )
     how = "values pile up there" if all(one.is_sharp for one in found) else "their variance falls from there on"
     worst = max(found, key=lambda one: one.statistic / one.threshold)
     yield Finding(
@@ -54,6 +56,7 @@ def _correlation(transfer: PhotonTransfer) -> Iterator[Finding]:
     threshold = _normal_quantile(_BY_CHANCE) * error + _LEAST_LOSS / _LOST_PER_CORRELATION
     if not abs(found) > threshold:
         return
+    allowance = _LOST_PER_CORRELATION * abs(found)
     if found > 0:
         why = "the frames were smoothed or resampled, or the picture moved between the two of a pair"
     else:
@@ -61,12 +64,12 @@ def _correlation(transfer: PhotonTransfer) -> Iterator[Finding]:
     yield Finding(
         "correlation in flats",
         ("gain",),
-        "wider",
+        _effect(allowance),
         abs(found),
         threshold,
-        f"in the differences of flats, neighbours of one colour are correlated by {found:+.3f} (0 in a raw file): {why}. "
-        "K's error allows for it; shoot on a tripod, with noise reduction and lens corrections off",
-        allowance=_LOST_PER_CORRELATION * abs(found),
+        f"in the differences of flats, neighbours of one colour are correlated by {found:+.3f} (a raw file: 0): {why}; "
+        "shoot on a tripod, with noise reduction and lens corrections off",
+        allowance=allowance,
     )
 
 
@@ -80,23 +83,20 @@ def _curvature(transfer: PhotonTransfer) -> Iterator[Finding]:
     statistic = float(weights @ np.array([bend for bend, _ in bends]) ** 2)
     threshold = _chi2_quantile(_BY_CHANCE, len(bends))
     bend = float(weights @ np.array([bend for bend, _ in bends]) / weights.sum())
-    allowance = max(abs(bend), 0.0)
+    allowance = abs(bend)
     if not (statistic > threshold and allowance > transfer.gain_error / transfer.gain_dn_per_e):
         return
     if bend > 0:
-        why = (
-            "slower than the signal, as where a sensor is not linear, charge leaks between pixels, or a file was compressed "
-            "with loss"
-        )
+        why = "slower than the signal, as where a sensor is not linear or a file was compressed with loss"
     else:
         why = "faster than the signal, as where something moved between the two frames of a pair"
     yield Finding(
         "photon transfer line",
         ("gain",),
-        "wider",
+        _effect(allowance),
         statistic,
         threshold,
-        f"the variance of the flats grows {why}: without light its slope is {bend:+.1%} off K, which K's error allows for",
+        f"the variance of the flats grows {why}: without light its slope is {bend:+.1%} off K",
         allowance=allowance,
     )
 
@@ -135,13 +135,16 @@ def _agreement(transfer: PhotonTransfer) -> Iterator[Finding]:
     yield Finding(
         "channels' gains",
         ("gain",),
-        "wider",
+        _effect(allowance),
         statistic,
         threshold,
-        f"K differs between the channels: {listed} DN/e-; does the camera scale colours in its raw files? K's error "
-        "allows for it",
+        f"K differs between the channels: {listed} DN/e-; does the camera scale colours in its raw files?",
         allowance=allowance,
     )
+
+
+def _effect(allowance: float) -> Effect:
+    return "wider" if allowance <= _TOO_WIDE else "withheld"
 
 
 def _normal_quantile(chance: float) -> float:

@@ -288,8 +288,8 @@ def uneven_light(used: Sequence[PairLevels]) -> Iterator[Finding]:
             "remark",
             worst.difference,
             _PAIR_DIFFERENCE,
-            f"{len(uneven)} of {len(used)} pairs of flats differ in brightness by up to {worst.difference:.0%}: {worst}. "
-            "They were scaled to each other, so K holds; a constant light and a mechanical shutter would be better",
+            f"{len(uneven)} of {len(used)} pairs of flats differ in light by up to {worst.difference:.0%}: {worst}; "
+            "they were scaled to each other, so K holds, but a constant light and a mechanical shutter are better",
         )
 
 

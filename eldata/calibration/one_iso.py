@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from operator import methodcaller
 from typing import TYPE_CHECKING
 
@@ -36,7 +36,7 @@ from eldata.calibration.photon_transfer import (
     spatial_photon_transfer,
 )
 from eldata.calibration.read_noise import Residuals, probability_plot, read_noise
-from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs
+from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs, transfer_remarks
 from eldata.calibration.reproduction import reproduction
 from eldata.calibration.results import IsoCalibration
 from eldata.calibration.row_noise import LineMeans, row_noise
@@ -50,6 +50,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from eldata.calibration.audit import Finding
     from eldata.calibration.frame_checks import IsoFrames
     from eldata.datasets.calibration_frames import CalibrationFrames
     from eldata.records import FrameRecord, RawFrame, Sensor
@@ -186,7 +187,7 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
             reproduction=None,
             remarks=(),
         )
-        if held_out is None:
+        if held_out is None or dark.parameters is None:
             return dark
         # Its own generator: the comparison of one ISO does not depend on which others are calibrated with it.
         generator = np.random.default_rng(int(chosen.iso))
@@ -196,15 +197,19 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
     if reader.workers.jobs > 1:
         with ThreadPoolExecutor(1) as beside:
             waiting = beside.submit(from_bias_frames)
-            transfer, spatial, flat_remarks = _flats(reader, chosen, fixed)
+            gain = _flats(reader, chosen, fixed)
             found = waiting.result()
     else:
         found = from_bias_frames()
-        transfer, spatial, flat_remarks = _flats(reader, chosen, fixed)
-    if transfer is not None:
-        found = replace(found, transfer=transfer, spatial=spatial, flat_frames=transfer.frames)
+        gain = _flats(reader, chosen, fixed)
+    found = replace(found, findings=(*found.findings, *gain.findings))
+    if gain.transfer is not None:
+        found = replace(found, transfer=gain.transfer, spatial=gain.spatial, flat_frames=gain.transfer.frames)
+    if found.parameters is None:
+        found = replace(found, reproduction=None)  # what the flats showed withholds one of its parameters
     lossy = reader.lossy(estimated) or reader.lossy([pair.first for pair in chosen.pairs])
-    return replace(found, remarks=(*bias_remarks(found, chosen, lossy, gaps), *flat_remarks))
+    of_gain = transfer_remarks(found, sensor)
+    return replace(found, remarks=(*bias_remarks(found, chosen, lossy, gaps), *gain.remarks, *of_gain))
 
 
 def _first_pass(reader: _Reader, bias: Sequence[FrameRecord]) -> tuple[FixedPattern, NDArray[np.uint16] | None]:
@@ -231,12 +236,20 @@ def _first_pass(reader: _Reader, bias: Sequence[FrameRecord]) -> tuple[FixedPatt
     return fixed_pattern(stack), kept
 
 
-def _flats(
-    reader: _Reader, chosen: IsoFrames, fixed: FixedPattern
-) -> tuple[PhotonTransfer | None, PhotonTransfer | None, tuple[str, ...]]:
-    """Return K from pairs, K as published, and remarks."""
+@dataclass(frozen=True, slots=True)
+class _Gain:
+    """What the flats give: K from pairs, K as published, remarks, and what the checks found."""
+
+    transfer: PhotonTransfer | None
+    spatial: PhotonTransfer | None
+    remarks: tuple[str, ...]
+    findings: tuple[Finding, ...] = ()
+
+
+def _flats(reader: _Reader, chosen: IsoFrames, fixed: FixedPattern) -> _Gain:
+    """Return what the flats give."""
     if not chosen.pairs:
-        return None, None, (no_pairs(chosen),)
+        return _Gain(None, None, (no_pairs(chosen),))
     sensor = reader.first.sensor
     # The measured level of no light: the recorded one may be off by the colour bias.
     pairs = FlatPairs(sensor.cfa, fixed.level_dn, sensor.white_level_dn, defects=fixed.defects)
@@ -277,5 +290,4 @@ def _flats(
     except DatasetError:
         spatial = None  # it needs three brightnesses; it is for comparison alone
     findings = (*uneven_light(used), *flat_findings(transfer))
-    said = (one.text for one in findings)
-    return transfer, spatial, (*remarks, *said, *flat_remarks(transfer, chosen, sensor, gaps))
+    return _Gain(transfer, spatial, (*remarks, *flat_remarks(chosen, gaps)), findings)

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from eldata.raw.cfa import Cfa
 
 _LEVELS = 512  # from black to saturation
-_SEGMENT = 96  # mosaic columns: whole periods of Bayer and of X-Trans
 _CLIPPED_SHARE = 0.01  # of a level's segments; more, and the level is left out
 _MARGIN = 0.02  # of the range from black to white
 # A segment of n pixels, whose mean is SNR times its noise, knows the ratio of its two frames to sqrt(2 / n) / SNR. The
@@ -36,7 +35,7 @@ _MARGIN = 0.02  # of the range from black to white
 # fixed pattern of share p is (p SNR d)^2 of it, with d the error of the whole frames' ratio: below 4e-4 up to there, at
 # p = 2 % and d = 5 %.
 _BRIGHT = 20.0
-# Of a block against its segment. A lens that darkens the corners by a half bends a segment of 96 columns in 768 by 0.4 %.
+# Of a block against its segment. A lens that darkens the corners by a half bends 96 columns of 768 by 0.4 %.
 _STEP = 0.02
 
 
@@ -157,6 +156,7 @@ class FlatPairs(_Flats):
         self._segments = np.zeros((self.channels, _LEVELS, 3), dtype=np.int64)
         self._sums = np.zeros((self.channels, _LEVELS, 6))
         self._counts = np.zeros((self.channels, 65536), dtype=np.int64)
+        self._saturation: tuple[Saturation | None, ...] | None = None
 
     def add(self, first: NDArray[np.uint16], second: NDArray[np.uint16]) -> None:
         """Add two frames of the same scene, exposure and ISO; use each frame in one pair only.
@@ -165,14 +165,15 @@ class FlatPairs(_Flats):
         ratio, so that what stays in the pixels cancels. Where a segment has an edge in it, as on a colour chart, it is
         left out: a camera that moves a tenth of a pixel would be seen there.
         """
-        from eldata.calibration._kernels import pair_segments, segment_means
+        from eldata.calibration._kernels import SEGMENT, pair_segments, segment_means
 
         self._check(first)
         defects = self._check(second)
-        if first.shape[1] < _SEGMENT:
-            raise ArgumentError(f"flat frames must be {_SEGMENT} pixels wide or more; found {first.shape[1]}")
-        means = np.empty((len(first), first.shape[1] // _SEGMENT, self.channels), dtype=np.float32)
-        segment_means(first, second, defects, self.pattern, _SEGMENT, means)
+        self._saturation = None
+        if first.shape[1] < SEGMENT:
+            raise ArgumentError(f"flat frames must be {SEGMENT} pixels wide or more; found {first.shape[1]}")
+        means = np.empty((len(first), first.shape[1] // SEGMENT, self.channels), dtype=np.float32)
+        segment_means(first, second, defects, self.pattern, means)
         pair_segments(
             first,
             second,
@@ -180,7 +181,6 @@ class FlatPairs(_Flats):
             self.pattern,
             self._black,
             self._limit,
-            _SEGMENT,
             self._level_dn,
             means,
             self._ratios(first, second, defects),
@@ -229,10 +229,12 @@ class FlatPairs(_Flats):
     @property
     def saturation(self) -> tuple[Saturation | None, ...]:
         """Where each channel saturates below the white level; ``None`` where nothing shows."""
-        return tuple(
-            saturation(self._counts[channel], self._black[channel], self._limit, *self._of(channel, chosen))
-            for channel, chosen in enumerate(self._unclipped)
-        )
+        if self._saturation is None:
+            self._saturation = tuple(
+                saturation(self._counts[channel], self._black[channel], self._limit, *self._of(channel, chosen))
+                for channel, chosen in enumerate(self._unclipped)
+            )
+        return self._saturation
 
     @property
     def correlation(self) -> tuple[float, float]:
@@ -276,10 +278,10 @@ def photon_transfer(flats: FlatPairs) -> PhotonTransfer:
     """Estimate K by weighted least squares of the temporal variance over the mean (equation "photon-transfer").
 
     Per segment of a row and channel, ``s^2 = Var(A - r B) / (1 + r^2)`` with r the segment's own ratio of A to B, black
-    level subtracted. Fixed pattern, PRNU and shading cancel, however unequal the light was. Shot noise of both frames and
-    what is independent of light add up to ``(1 + r^2) (K mean + Var(N_o))`` with ``mean = (A + r^2 B) / (1 + r^2)``,
-    for any r. Segments pool by level: so shading inside a frame gives levels, and drift, row noise and flicker between
-    the frames of a pair do not enter.
+    level subtracted. Fixed pattern, PRNU and shading cancel, however unequal the light was. Shot noise of both frames
+    and what is independent of light add up to ``(1 + r^2) (K mean + Var(N_o))`` with
+    ``mean = (A + r^2 B) / (1 + r^2)``, for any r. Segments pool by level: so shading inside a frame gives levels, and
+    drift, row noise and flicker between the frames of a pair do not enter.
 
     The weights are ``1 / Var(s^2)``, ``Var(s^2) = (2 sigma^4 + K^3 mean / 2) / nu`` with nu degrees of freedom and
     sigma^2 from the fitted line, repeated until it stays; the second term is the fourth cumulant of shot noise.

@@ -17,7 +17,7 @@ _BELOW = 34  # bins
 _OVER_PILE = 0.01  # of the pile may lie above it
 _BINS = 2048  # of the range: the width in which a pile may be spread
 
-# A pixel loses its variance as its value clips: of normal noise 1e-4 of the variance is gone 4 standard deviations below.
+# A pixel loses its variance as its value clips: of normal noise, 1e-4 is gone 4 standard deviations below that.
 _ROOM = 4.0
 _MARGIN = 0.02  # of the range, as at the recorded white level
 
@@ -90,22 +90,18 @@ def _piled_up(counts: NDArray[np.int64], black_dn: float, limit_dn: float) -> Sa
 
     The upper end of noise, whatever its light, falls towards the top: there a bin holds less than those below it.
     """
-    total = int(counts.sum())
     for width in (1, max(2, round((limit_dn - black_dn) / _BINS))):
         bins = np.add.reduceat(counts, np.arange(0, len(counts), width))
-        above = 0
-        for place in range(len(bins) - 1, _BELOW + 1, -1):
-            pile = int(bins[place] + bins[place - 1])  # it may fall on the edge between two bins
-            if place * width < limit_dn and pile >= _PILE and above <= _OVER_PILE * pile:
-                over = pile / max(1, 2 * int(bins[place - _BELOW : place - 2].max()))
-                if over > _PILE_OVER:
-                    begin = (place - 1) * width
-                    level = float(begin + np.argmax(counts[begin : begin + 2 * width]))
-                    limit = level - black_dn
-                    return Saturation(level, limit - _MARGIN * limit, _ROOM, True, over, _PILE_OVER)
-            above += int(bins[place])
-            if above > _OVER_PILE * total:
-                break
+        above = np.cumsum(bins[::-1])[::-1] - bins
+        piles = bins + np.concatenate([[0], bins[:-1]])  # a pile may fall on the edge between two bins
+        places = np.flatnonzero((piles >= _PILE) & (above <= _OVER_PILE * piles))
+        for place in places[(places >= _BELOW) & (places * width < limit_dn)][::-1]:
+            over = int(piles[place]) / max(1, 2 * int(bins[place - _BELOW : place - 2].max()))
+            if over > _PILE_OVER:
+                begin = (int(place) - 1) * width
+                level = float(begin + np.argmax(counts[begin : begin + 2 * width]))
+                limit = level - black_dn
+                return Saturation(level, limit - _MARGIN * limit, _ROOM, True, over, _PILE_OVER)
     return None
 
 

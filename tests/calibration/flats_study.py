@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import erf
 
+from eldata.calibration.audit import given
+from eldata.calibration.flat_checks import flat_findings
+from eldata.calibration.joint import step_findings
 from eldata.calibration.photon_transfer import FlatPairs, photon_transfer
 from eldata.demo.body import Body, FixedFeatures, KnownNoise
 from eldata.errors import DatasetError
 from eldata.records import Sensor
-from tests.calibration.simulation import BAYER
+from tests.calibration.simulation import BAYER, XTRANS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -22,7 +26,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.calibration.audit import Finding
-    from eldata.calibration.photon_transfer import PhotonTransfer
 
     Pair = tuple[NDArray[np.uint16], NDArray[np.uint16]]
 
@@ -47,19 +50,25 @@ class Setting:
     prnu: float = 0.01
     vignetting: float = 0.3
     sigma_tl: float = 2.0
+    tukey_lambda: float = -0.05
+    sigma_row: float = 0.5
     shape: tuple[int, int] = (512, 768)
+    cfa: tuple[tuple[int, ...], ...] = BAYER
+
+    @property
+    def channels(self) -> int:
+        return max(map(max, self.cfa)) + 1
 
 
 def body_of(setting: Setting, generator: np.random.Generator) -> tuple[Body, KnownNoise]:
-    sensor = Sensor("eldata", "Study", BAYER, (BLACK,) * 4, WHITE, *setting.shape)
+    sensor = Sensor("eldata", "Study", setting.cfa, (BLACK,) * setting.channels, WHITE, *setting.shape)
     features = FixedFeatures(
         prnu=setting.prnu, dsnu_dn=0.6, column_pattern_dn=0.3, vignetting=setting.vignetting, gain_dn_per_e=setting.gain
     )
-    noise = KnownNoise(100, setting.gain, -0.05, setting.sigma_tl, 0.5, (0.0,) * 4)
+    noise = KnownNoise(
+        100, setting.gain, setting.tukey_lambda, setting.sigma_tl, setting.sigma_row, (0.0,) * setting.channels
+    )
     return Body(sensor, features, generator), noise
-
-
-Maker = "Callable[[Setting, np.random.Generator], list[Pair]]"
 
 
 def clean(setting: Setting, generator: np.random.Generator, drift: float = 0.0) -> list[Pair]:
@@ -116,9 +125,7 @@ def chart_light(shape: tuple[int, int], shift: tuple[float, float], blur: float 
 
     def within(place: NDArray[np.float64], cells: int, size: float) -> list[NDArray[np.float64]]:
         width = blur / size * math.sqrt(2)
-        return [
-            0.5 * (erf((place - k - 0.08) / width) - erf((place - k - 0.92) / width)) for k in range(cells)
-        ]
+        return [0.5 * (erf((place - k - 0.08) / width) - erf((place - k - 0.92) / width)) for k in range(cells)]
 
     columns, rows = within(across, 6, 0.9 * shape[1] / 6), within(down, 4, 0.9 * shape[0] / 4)
     light = np.full(shape, 0.03)
@@ -182,9 +189,7 @@ def scaled(factor: float) -> Callable[..., list[Pair]]:
         made[0::2, 0::2] = np.rint(part).clip(0, WHITE)
         return made
 
-    return lambda setting, generator: [
-        (scale(a, generator), scale(b, generator)) for a, b in clean(setting, generator)
-    ]
+    return lambda setting, generator: [(scale(a, generator), scale(b, generator)) for a, b in clean(setting, generator)]
 
 
 @dataclass(frozen=True)
@@ -198,6 +203,7 @@ class Case:
 QUIET = Setting(gain=0.09, sigma_tl=0.65)
 LOUD = Setting(gain=27.0, sigma_tl=33.0)
 EVEN = Setting(vignetting=0.0)
+LARGE = Setting(shape=(1024, 1536))
 CASES = (
     Case("none", "K 1", clean),
     Case("none", "K 0.09", clean, QUIET),
@@ -219,11 +225,11 @@ CASES = (
     Case("pairs unequal", "20 %, K 0.09", unequal(-0.2), QUIET),
     Case("flicker in rows", "3 %, K 0.09", flickering(0.03), QUIET),
     Case("flicker in rows", "15 %, K 0.09", flickering(0.15), QUIET),
-    Case("colour chart", "still", chart(0.0)),
-    Case("colour chart", "moved 0.1 px", chart(0.1)),
-    Case("colour chart", "moved 0.5 px", chart(0.5)),
-    Case("colour chart", "moved 0.5 px, K 0.09", chart(0.5), QUIET),
-    Case("colour chart", "one exposure, 0.1 px", chart(0.1), Setting(levels=(0.9,) * 7)),
+    Case("colour chart", "still", chart(0.0), LARGE),
+    Case("colour chart", "moved 0.1 px", chart(0.1), LARGE),
+    Case("colour chart", "moved 0.5 px", chart(0.5), LARGE),
+    Case("colour chart", "moved 0.5 px, K 0.09", chart(0.5), replace(QUIET, shape=LARGE.shape)),
+    Case("colour chart", "one exposure, 0.1 px", chart(0.1), replace(LARGE, levels=(0.9,) * 7)),
     Case("not linear", "1 % at white", bent(0.01)),
     Case("not linear", "5 % at white", bent(0.05)),
     Case("smoothed", "0.02", smoothed(0.02)),
@@ -232,37 +238,142 @@ CASES = (
 )
 
 
-def measured(pairs: list[Pair]) -> tuple[PhotonTransfer, tuple[Finding, ...]]:
-    flats = FlatPairs(BAYER, (BLACK,) * 4, WHITE)
+@dataclass(frozen=True)
+class Outcome:
+    """What came of one camera: K and its error with all allowances (nan: withheld or refused), and what was said."""
+
+    off: float
+    error: float
+    findings: tuple[Finding, ...]
+    refused: str = ""
+
+
+def outcome(setting: Setting, pairs: Sequence[Pair]) -> Outcome:
+    """K as a share of the truth, from pairs as a calibration takes them."""
+    flats = FlatPairs(setting.cfa, (BLACK,) * setting.channels, WHITE)
     for first, second in pairs:
         flats.add(first, second)
-    transfer = photon_transfer(flats)
     try:
-        from eldata.calibration.flat_checks import flat_findings
-    except ImportError:
-        return transfer, ()
-    return transfer, flat_findings(transfer)
+        transfer = photon_transfer(flats)
+    except DatasetError as error:
+        return Outcome(math.nan, math.nan, (), str(error))
+    findings = flat_findings(transfer)
+    gain = given(findings, "gain", transfer.gain_dn_per_e, transfer.gain_error, transfer.gain_dn_per_e)
+    off = transfer.gain_dn_per_e / setting.gain - 1
+    return Outcome(off, math.nan if gain is None else gain.error / setting.gain, findings)
+
+
+def drawn(generator: np.random.Generator) -> Setting:
+    """A sound camera and honest flats, over the ranges of the shipped profiles."""
+    gain = float(np.exp(generator.uniform(math.log(0.09), math.log(29))))
+    return Setting(
+        gain=gain,
+        levels=tuple(generator.uniform(0.07, 0.95, generator.integers(4, 9))),
+        prnu=float(generator.uniform(0.002, 0.02)),
+        vignetting=float(generator.uniform(0, 0.5)),
+        sigma_tl=float(2 * gain**0.5 * generator.uniform(0.7, 1.4)),
+        tukey_lambda=float(generator.uniform(-0.24, 0.2)),
+        sigma_row=float(0.4 * gain**0.5 * generator.uniform(0.5, 1.5)),
+        shape=(384, 576),
+        cfa=BAYER if generator.random() < 0.8 else XTRANS,
+    )
+
+
+def alarms(cameras: int) -> Counter[str]:
+    """What the checks say of sound cameras, each with pairs that differ by some percent."""
+    said: Counter[str] = Counter()
+    for seed in range(cameras):
+        generator = np.random.default_rng((7, seed))
+        setting = drawn(generator)
+        found = outcome(setting, unequal(float(generator.normal(0, 0.015)))(setting, generator))
+        said.update({one.check for one in found.findings})
+        said["refused"] += bool(found.refused)
+    return said
+
+
+REGIMES: dict[str, tuple[Callable[..., list[Pair]], Setting]] = {
+    "clean": (clean, Setting()),
+    "pairs unequal by 8 %": (unequal(0.08), Setting(gain=0.09, sigma_tl=0.65)),
+    "hard saturation at 13583": (clipped(13583), Setting()),
+    "soft saturation at 13583": (clipped(13583, 0.01), Setting()),
+    "two levels, even light": (clean, Setting(levels=(0.2, 0.7), vignetting=0.0)),
+    "high ISO, heavy tails": (
+        clean,
+        Setting(gain=27.0, sigma_tl=33.0, tukey_lambda=-0.24, levels=(0.02, 0.1, 0.4, 0.8)),
+    ),
+    "5 % not linear": (bent(0.05), Setting()),
+    "smoothed by 0.02": (smoothed(0.02), Setting()),
+    "one channel scaled by 1.1": (scaled(1.1), Setting()),
+}
+
+
+def coverage(name: str, repetitions: int) -> tuple[float, float, int]:
+    """Of the K that are given: the share whose 1.96 errors reach the truth, their mean in errors, how many."""
+    make, setting = REGIMES[name]
+    scores = []
+    for seed in range(repetitions):
+        found = outcome(setting, make(replace(setting, shape=(192, 288)), np.random.default_rng((11, seed))))
+        if math.isfinite(found.error):
+            scores.append(found.off / found.error)
+    return float(np.mean(np.abs(scores) < 1.96)), float(np.mean(scores)), len(scores)
+
+
+def step_alarms(step: float, scatter: float, isos: int, cameras: int) -> float:
+    """The share of cameras of so many ISOs at which a step of ln(sigma) is said to be in one of three fits."""
+    said = 0
+    for seed in range(cameras):
+        generator = np.random.default_rng((13, seed))
+        gains = 0.1 * 2.0 ** np.arange(isos)
+        after = np.arange(isos) >= int(generator.integers(2, isos - 1))
+        points = {
+            name: [
+                (float(gain), float(np.exp(0.5 * math.log(gain) + step * late + scatter * generator.standard_normal())))
+                for gain, late in zip(gains, after, strict=True)
+            ]
+            for name in ("sigma_TL", "sigma_G", "sigma_row")
+        }
+        said += any(step_findings(points, {float(gain): 1000 * float(gain) for gain in gains}))
+    return said / cameras
+
+
+def show_table(seed: int, only: str) -> None:
+    for case in CASES:
+        if only not in case.fault:
+            continue
+        found = outcome(case.setting, case.make(case.setting, np.random.default_rng(seed)))
+        if found.refused:
+            print(f"| {case.fault} | {case.size} | refused: {found.refused} |")
+            continue
+        said = "; ".join(
+            f"{one.check}: {one.effect}{f' by {one.allowance:.1%}' if one.allowance else ''} "
+            f"({one.statistic:.3g} > {one.threshold:.3g})"
+            for one in found.findings
+        )
+        error = f"{found.error:.2%}" if math.isfinite(found.error) else "withheld"
+        print(f"| {case.fault} | {case.size} | {found.off:+.2%} | {error} | {said or 'nothing'} |")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", nargs="*", default=["table"], help="table, clean, coverage, step")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", default="")
+    parser.add_argument("--only", default="", help="only faults or regimes of this name")
+    parser.add_argument("--repetitions", type=int, default=200)
     given = parser.parse_args()
-    for case in CASES:
-        if given.only not in case.fault:
-            continue
-        generator = np.random.default_rng(given.seed)
-        try:
-            found, said = measured(case.make(case.setting, generator))
-        except DatasetError as error:
-            print(f"{case.fault:20}{case.size:28} refused: {error}")
-            continue
-        gain = case.setting.gain
-        off = found.gain_dn_per_e / gain - 1
-        print(f"{case.fault:20}{case.size:28}{off:+8.2%} {off * gain / found.gain_error:+8.1f} s  "
-              f"chi2 {max(line.chi2_per_dof for line in found.channels):6.2f} left {found.left_out:.2f} edges {getattr(found,'edges',0):.2f} corr {getattr(found,'correlation',0):+.4f} "
-              f"{'; '.join(f'{one.check} {one.statistic:.3g}>{one.threshold:.3g} allow {one.allowance:.2%}' for one in said)}")
+    if "table" in given.what:
+        print("| fault | size | K off by | stated error | said |\n|---|---|---|---|---|")
+        show_table(given.seed, given.only)
+    if "clean" in given.what:
+        print(f"of {given.repetitions} sound cameras: {dict(alarms(given.repetitions)) or 'no alarm'}")
+    if "coverage" in given.what:
+        for name in REGIMES:
+            if given.only in name:
+                share, mean, count = coverage(name, given.repetitions)
+                print(f"{name}: {share:.1%} of {count} cover the truth, mean {mean:+.2f} errors")
+    if "step" in given.what:
+        for isos in (5, 7, 9, 12):
+            for step, scatter in ((0.0, 0.05), (-0.2, 0.03), (-0.4, 0.03), (-0.4, 0.08)):
+                print(f"{isos} ISOs, step {step}, scatter {scatter}: {step_alarms(step, scatter, isos, 1000):.1%}")
 
 
 if __name__ == "__main__":

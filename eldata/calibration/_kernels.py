@@ -164,9 +164,10 @@ def pair_segments(
     """Add the segments of a pair to their levels, and their pixels to ``counts`` (channel, 65536).
 
     A segment is ``SEGMENT`` columns of one row in one channel; its level is its mean over black. ``segments`` (channel,
-    levels, 3) counts those that are whole, clipped, and crossed by an edge. ``sums`` (channel, levels, 6) are of the
+    levels, 3) counts those that are whole, clipped, and crossed by an edge. ``sums`` (channel, levels, 7) are of the
     whole ones: degrees of freedom; times these, with r the ratio of A to B, Var(A - r B) / (1 + r^2), the mean that
-    goes with it, and the variance of single frames; neighbours of one colour, and the products of their differences.
+    goes with it, and the variance of single frames; neighbours of one colour, and the products of their differences;
+    degrees of freedom times the square of the first variance.
 
     ``ratios`` are those of the whole frames; a segment whose mean is ``bright`` times its noise has its own. There is
     an edge where a block departs from the straight line through the segment's blocks and the two beside it, or the
@@ -278,6 +279,7 @@ def pair_segments(
                 sums[channel, level, 4] += neighbours
                 # About their own mean, independent values have a covariance of -1/n of their variance.
                 sums[channel, level, 5] += together / scale + neighbours * variance / (freedom * n)
+                sums[channel, level, 6] += variance * variance / freedom
 
 
 @kernel

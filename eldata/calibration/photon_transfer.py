@@ -154,7 +154,7 @@ class FlatPairs(_Flats):
     def _make_room(self) -> None:
         self._level_dn = (self._limit - float(self._black.min())) / _LEVELS
         self._segments = np.zeros((self.channels, _LEVELS, 3), dtype=np.int64)
-        self._sums = np.zeros((self.channels, _LEVELS, 6))
+        self._sums = np.zeros((self.channels, _LEVELS, 7))
         self._counts = np.zeros((self.channels, 65536), dtype=np.int64)
         self._saturation: tuple[Saturation | None, ...] | None = None
 
@@ -273,6 +273,17 @@ class FlatPairs(_Flats):
         signal, variance, freedom, _ = self._of(channel, self._usable[channel])
         return signal, variance, freedom
 
+    def scatter(self, channel: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Return how the variances of a channel's usable levels scatter, and the segments that show it.
+
+        The mean square deviation of the segments' own variances from their level's, times their degrees of freedom,
+        DN^4.
+        """
+        chosen = self._usable[channel]
+        segments = self._segments[channel, chosen, 0]
+        freedom, variance, squares = self._sums[channel, chosen][:, [0, 1, 6]].T
+        return (squares - variance**2 / freedom) / np.maximum(segments - 1, 1), segments
+
 
 def photon_transfer(flats: FlatPairs) -> PhotonTransfer:
     """Estimate K by weighted least squares of the temporal variance over the mean (equation "photon-transfer").
@@ -284,7 +295,8 @@ def photon_transfer(flats: FlatPairs) -> PhotonTransfer:
     drift, row noise and flicker between the frames of a pair do not enter.
 
     The weights are ``1 / Var(s^2)``, ``Var(s^2) = (2 sigma^4 + K^3 mean / 2) / nu`` with nu degrees of freedom and
-    sigma^2 from the fitted line, repeated until it stays; the second term is the fourth cumulant of shot noise.
+    sigma^2 from the fitted line, repeated until it stays; the second term is the fourth cumulant of shot noise. The
+    standard errors allow for that of the read noise too, as the scatter of the segments' own variances shows it.
 
     Levels at and near saturation are left out, wherever it lies (:mod:`eldata.calibration.saturation`).
 
@@ -295,7 +307,9 @@ def photon_transfer(flats: FlatPairs) -> PhotonTransfer:
     """
     if flats.frames == 0:
         raise DatasetError("no flat frames were given: take pairs of equal flats at several exposures")
-    lines = tuple(_weighted_line(*flats.points(channel), channel) for channel in range(flats.channels))
+    lines = tuple(
+        _weighted_line(*flats.points(channel), *flats.scatter(channel), channel) for channel in range(flats.channels)
+    )
     correlation, error = flats.correlation
     return replace(
         _joined(lines, flats.frames, flats.left_out),
@@ -307,7 +321,12 @@ def photon_transfer(flats: FlatPairs) -> PhotonTransfer:
 
 
 def _weighted_line(
-    signal: NDArray[np.float64], variance: NDArray[np.float64], freedom: NDArray[np.float64], channel: int
+    signal: NDArray[np.float64],
+    variance: NDArray[np.float64],
+    freedom: NDArray[np.float64],
+    scatter: NDArray[np.float64],
+    segments: NDArray[np.int64],
+    channel: int,
 ) -> PhotonTransferLine:
     if len(signal) < 2 or not np.ptp(signal) > 0:
         raise DatasetError(
@@ -316,13 +335,14 @@ def _weighted_line(
             "tenths of the range"
         )
     spread = np.maximum(variance, 1e-12)
-    error2 = 2 * spread**2 / freedom
+    expected2 = 2 * spread**2
     gain = intercept = math.nan
     for _ in range(50):
         before = gain
-        gain, intercept, covariance = _line(signal, variance, error2)
+        weight = freedom / expected2
+        gain, intercept, _ = _line(signal, variance, weight, 1 / weight)
         expected = np.maximum(gain * signal + intercept, 0.05 * spread)
-        error2 = (2 * expected**2 + 0.5 * max(gain, 0.0) ** 3 * np.maximum(signal, 0.0)) / freedom
+        expected2 = 2 * expected**2 + 0.5 * max(gain, 0.0) ** 3 * np.maximum(signal, 0.0)
         if abs(gain - before) <= 1e-10 * abs(gain):
             break
     if not gain > 0:
@@ -330,6 +350,11 @@ def _weighted_line(
             f"the variance of channel {channel} does not grow with its signal (slope {gain:.3g}): these are not pairs "
             "of flats at different exposures, or the camera has filtered them"
         )
+    # Heavy tails of the read noise scatter more. They are left out of the weights: a level whose variance came out high
+    # by a few pixels would have less weight for it, and the line a bias.
+    known = np.maximum(segments - 1, 1e-9) / expected2**2
+    error2 = (expected2 + max(float(np.average(scatter - expected2, weights=known)), 0.0)) / freedom
+    gain, intercept, covariance = _line(signal, variance, weight, error2)
     residuals = (variance - gain * signal - intercept) ** 2 / error2
     return PhotonTransferLine(
         gain_dn_per_e=gain,
@@ -344,17 +369,16 @@ def _weighted_line(
 
 
 def _line(
-    x: NDArray[np.float64], y: NDArray[np.float64], error2: NDArray[np.float64]
+    x: NDArray[np.float64], y: NDArray[np.float64], weight: NDArray[np.float64], error2: NDArray[np.float64]
 ) -> tuple[float, float, tuple[float, float]]:
-    """Return slope, intercept and the variances of both."""
-    weight = 1 / error2
+    """Return slope and intercept with these weights, and the variances of both if y has these."""
     total = float(weight.sum())
     centre = float(weight @ x) / total
     deviation = x - centre
-    lever = float(weight @ deviation**2)
-    slope = float(weight @ (deviation * y)) / lever
-    intercept = float(weight @ y) / total - slope * centre
-    return slope, intercept, (1 / lever, 1 / total + centre**2 / lever)
+    of_slope = weight * deviation / float(weight @ deviation**2)
+    of_intercept = weight / total - centre * of_slope
+    slope, intercept = float(of_slope @ y), float(of_intercept @ y)
+    return slope, intercept, (float(of_slope**2 @ error2), float(of_intercept**2 @ error2))
 
 
 def _joined(lines: tuple[PhotonTransferLine, ...], frames: int, left_out: float) -> PhotonTransfer:
@@ -436,7 +460,8 @@ def _plain_line(points: Sequence[tuple[float, float]], channel: int) -> PhotonTr
             f"channel {channel} has {len(signal)} usable flat frame(s) and the spatial method needs three of different "
             "brightness: take flats at four exposures or more, from a tenth to nine tenths of the range"
         )
-    slope, intercept, scales = _line(signal, variance, np.ones(len(signal)))
+    even = np.ones(len(signal))
+    slope, intercept, scales = _line(signal, variance, even, even)
     scatter = float(((variance - slope * signal - intercept) ** 2).sum()) / (len(signal) - 2)
     return PhotonTransferLine(
         gain_dn_per_e=slope,

@@ -301,8 +301,8 @@ REGIMES: dict[str, tuple[Callable[..., list[Pair]], Setting]] = {
         clean,
         Setting(gain=27.0, sigma_tl=33.0, tukey_lambda=-0.24, levels=(0.02, 0.1, 0.4, 0.8)),
     ),
-    "5 % not linear": (bent(0.05), Setting()),
-    "smoothed by 0.02": (smoothed(0.02), Setting()),
+    "3 % not linear": (bent(0.03), Setting(shape=(384, 576))),
+    "smoothed by 0.02": (smoothed(0.02), Setting(shape=(384, 576))),
     "one channel scaled by 1.1": (scaled(1.1), Setting()),
 }
 
@@ -310,9 +310,11 @@ REGIMES: dict[str, tuple[Callable[..., list[Pair]], Setting]] = {
 def coverage(name: str, repetitions: int) -> tuple[float, float, int]:
     """Of the K that are given: the share whose 1.96 errors reach the truth, their mean in errors, how many."""
     make, setting = REGIMES[name]
+    if setting.shape == Setting.shape:
+        setting = replace(setting, shape=(192, 288))
     scores = []
     for seed in range(repetitions):
-        found = outcome(setting, make(replace(setting, shape=(192, 288)), np.random.default_rng((11, seed))))
+        found = outcome(setting, make(setting, np.random.default_rng((11, seed))))
         if math.isfinite(found.error):
             scores.append(found.off / found.error)
     return float(np.mean(np.abs(scores) < 1.96)), float(np.mean(scores)), len(scores)

@@ -10,10 +10,11 @@ import numpy as np
 from eldata.calibration.audit import Finding
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from eldata.calibration.audit import Effect
     from eldata.calibration.photon_transfer import PhotonTransfer, PhotonTransferLine
+    from eldata.calibration.saturation import Saturation
 
 _BY_CHANCE = 1e-4  # of one check of one ISO
 # Blur of a share w gives neighbours of one colour a correlation of w, or of w / 2 if it goes along rows and columns
@@ -25,18 +26,26 @@ _TOO_WIDE = 0.1  # of K: beyond it, no error says how wrong K may be
 
 def flat_findings(transfer: PhotonTransfer) -> tuple[Finding, ...]:
     """Return what the checks of one ISO's flats say."""
-    return (*_saturation(transfer), *_correlation(transfer), *_curvature(transfer), *_agreement(transfer))
+    saturation = saturation_findings(transfer.saturation, transfer.left_out)
+    return (*saturation, *_correlation(transfer), *_curvature(transfer), *_agreement(transfer))
 
 
-def _saturation(transfer: PhotonTransfer) -> Iterator[Finding]:
-    found = [one for one in transfer.saturation if one is not None]
+def saturation_findings(saturation: Sequence[Saturation | None], left_out: float) -> Iterator[Finding]:
+    """Yield a remark if channels saturate below the recorded white level.
+
+    Parameters
+    ----------
+    saturation
+        Where each channel does.
+    left_out
+        The share of the flats' area that was left out for it.
+    """
+    found = [one for one in saturation if one is not None]
     if not found:
         return
     levels = sorted(one.level_dn for one in found)
     where = f"{levels[0]:.0f} DN" if levels[-1] - levels[0] < 1 else f"{levels[0]:.0f} to {levels[-1]:.0f} DN"
-    channels = (
-        "" if len(found) == len(transfer.saturation) else f" in {len(found)} of {len(transfer.saturation)} channels"
-    )
+    channels = "" if len(found) == len(saturation) else f" in {len(found)} of {len(saturation)} channels"
     how = "values pile up there" if all(one.is_sharp for one in found) else "their variance falls from there on"
     worst = max(found, key=lambda one: one.statistic / one.threshold)
     yield Finding(
@@ -46,7 +55,7 @@ def _saturation(transfer: PhotonTransfer) -> Iterator[Finding]:
         worst.statistic,
         worst.threshold,
         f"the flats saturate at {where}{channels}, below the recorded white level: {how}. What lies near it and above "
-        f"was left out ({transfer.left_out:.0%} of the flats' area); give this level as white_level_dn where you use "
+        f"was left out ({left_out:.0%} of the flats' area); give this level as white_level_dn where you use "
         "this camera's frames",
     )
 

@@ -100,7 +100,7 @@ def _curvature(transfer: PhotonTransfer) -> Iterator[Finding]:
     else:
         why = "faster than the signal, as where something moved between the two frames of a pair"
     yield Finding(
-        "photon transfer line",
+        "bent photon transfer",
         ("gain",),
         _effect(allowance),
         statistic,

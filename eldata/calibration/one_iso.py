@@ -43,6 +43,7 @@ from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs, tra
 from eldata.calibration.reproduction import reproduction
 from eldata.calibration.results import IsoCalibration, IsoGain
 from eldata.calibration.row_noise import LineMeans, row_noise
+from eldata.calibration.single_frame import single_frame_plot
 from eldata.calibration.spectrum import power_spectrum
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.manifest.verify import Problem
@@ -200,16 +201,17 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
     estimated = _split(chosen.bias)[0]
     lines, residuals = LineMeans(fixed), Residuals(fixed)
     means = ChannelMeans(sensor.cfa, defects=fixed.defects)
-    spectrum, gaps = None, 0.0
+    spectrum, single, gaps = None, None, 0.0
     for _, frame in reader.read(estimated):
         if spectrum is None:
             spectrum, gaps = power_spectrum(frame.mosaic, fixed), missing_codes(frame.mosaic, fixed.pattern)
+            single = single_frame_plot(frame.mosaic, fixed)
         in_threads(methodcaller("add", frame.mosaic), (residuals, lines, means), reader.workers.jobs)
     reader.refuse()
     if spectrum is None:
         raise DatasetError("no bias frame could be read")
     histogram = residuals.histogram()
-    first_spectrum = spectrum
+    of_first_frame = spectrum, single
 
     def from_bias_frames() -> IsoCalibration:
         dark = IsoCalibration(
@@ -224,7 +226,8 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
             read=read_noise(histogram),
             plot=probability_plot(histogram),
             pattern=fixed.summary,
-            spectrum_dn2=first_spectrum,
+            spectrum_dn2=of_first_frame[0],
+            single_frame=of_first_frame[1],
             reproduction=None,
             remarks=(),
             stated_gain_dn_per_e=chosen.stated_gain_dn_per_e,

@@ -118,7 +118,7 @@ def test_smoothed_flats_are_told_by_their_neighbours() -> None:
 def test_a_line_that_is_bent() -> None:
     setting = study.Setting(levels=(0.1, 0.3, 0.5, 0.7, 0.9))
     found = study.outcome(setting, study.bent(0.08)(small(setting), np.random.default_rng(10)))
-    assert [one.check for one in found.findings] == ["photon transfer line"]
+    assert [one.check for one in found.findings] == ["bent photon transfer"]
     assert "slower than the signal" in found.findings[0].text
 
 

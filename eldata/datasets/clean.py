@@ -12,7 +12,7 @@ from eldata.base.numbers import checked_number
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.manifest.patterns import sequence_of
 from eldata.noise.model import check_normalised
-from eldata.raw.cfa import XTRANS_CFA, unpack
+from eldata.raw.cfa import packing_sites, unpack
 from eldata.raw.extensions import RAW_EXTENSIONS, raws_below
 from eldata.raw.levels import LEVELS, Levels
 from eldata.sources.frames import Files, Frame
@@ -170,9 +170,8 @@ class Arrays:
         packed = np.asarray(self.arrays[index])
         check_normalised(packed, f"array {index}")
         mosaic = unpack(packed.astype(np.float32, copy=False), self.cfa) * np.float32(self.range_dn)
-        # Packed X-Trans data starts where the pattern does, whatever the offset of the sensor that it came from.
-        cfa, channels = (self.cfa, 4) if len(self.cfa) == 2 else (XTRANS_CFA, 3)
-        return CleanFrame(mosaic, cfa, (0.0,) * channels, self.range_dn, f"array {index}")
+        sites = packing_sites(self.cfa)  # packed data starts where packing does, whatever the offset of its sensor
+        return CleanFrame(mosaic, sites.cfa, (0.0,) * sites.levels, self.range_dn, f"array {index}")
 
     def __repr__(self) -> str:
         return f"Arrays({len(self)} frames of shape {self.arrays[0].shape}, range_dn={self.range_dn:g})"

@@ -25,11 +25,11 @@ from eldata.base.workers import AnyWorkers, Workers, accepts_jobs, require_files
 from eldata.datasets.clean import RawFiles
 from eldata.datasets.synthesis_journal import CleanFacts, WrittenScene, opened_journal
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError, check_choice
-from eldata.manifest.card import CameraCard, Card
+from eldata.manifest.card import CameraCard, Card, cfa_word
 from eldata.manifest.catalogue import Manifest, save_manifest
 from eldata.noise.components import parse_components
 from eldata.noise.model import NoiseModel
-from eldata.raw.cfa import cfa_from, pack_normalised, packed_area, packed_black_level_dn, unpack
+from eldata.raw.cfa import cfa_from, pack_normalised, packed_area, packed_black_level_dn, packing_sites, unpack
 from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
 from eldata.records import Exposure, FrameRecord, RawFrame
@@ -195,7 +195,7 @@ def _write_tables(
         citation="none: made by eldata synthesize",
         licence="that of the clean frames",
         homepage="made by eldata synthesize",
-        cfa="bayer" if all(scene.clean.is_bayer for scene in scenes) else "xtrans",
+        cfa=cfa_word(scene.clean.cfa for scene in scenes),
         cameras={recipe.profile.camera: CameraCard(tuple(sorted({scene.clean.model for scene in scenes})))},
         counts={role: roles.count(role) for role in sorted(set(roles))},
         sources=(f"noise model {recipe.spec}, profile {recipe.profile.camera}: {recipe.profile.source}",),
@@ -251,7 +251,7 @@ def _synthesize_file(
             path, f"states no {'ISO' if iso is None else 'exposure time'}, which the noisy frame's follows"
         )
     sensor = frame.sensor
-    facts = CleanFacts(iso, exposure_s, sensor.width, sensor.height, sensor.model, len(sensor.cfa) == 2)
+    facts = CleanFacts(iso, exposure_s, sensor.width, sensor.height, sensor.model, packing_sites(sensor.cfa).name)
     place.mkdir(parents=True, exist_ok=True)
     remove_leftovers(place)
     names = ["clean.dng"]

@@ -15,16 +15,31 @@ import torch
 from torch.utils.data import DataLoader, default_collate
 
 from eldata.datasets.base import SourcePairs
-from eldata.datasets.clean import Arrays, CleanFrame, RawFiles
+from eldata.datasets.clean import Arrays, CleanFrame, RawFiles, StoredFrames
 from eldata.datasets.items import ReadItems
 from eldata.datasets.synthetic import SyntheticPairs, SyntheticSample
 from eldata.errors import ArgumentError, DatasetError, ProfileError
 from eldata.noise import CameraProfile, NoiseModel, NoiseParameters
 from eldata.raw import write_dng
 from eldata.raw.cfa import XTRANS_CFA, pack, pack_normalised, unpack
+from eldata.sources.store import build_store, source_of_folder
 from tests.datasets.methods import METHODS
 from tests.noise.helpers import Law
-from tests.raw.helpers import BAYER, BAYER_COLOURS, EXPOSURE, XTRANS, XTRANS_COLOURS, Cfa, make_sensor, random_mosaic
+from tests.raw.helpers import (
+    BAYER,
+    CFAS,
+    EXPOSURE,
+    NONA,
+    XTRANS,
+    XTRANS_COLOURS,
+    Cfa,
+    colours_of,
+    layout_of,
+    levels_of,
+    make_sensor,
+    random_mosaic,
+    start_of,
+)
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -51,7 +66,7 @@ class Mosaics:
         return len(self.mosaics)
 
     def frame(self, index: int) -> CleanFrame:
-        levels = (self.black,) * (4 if len(self.cfa) == 2 else 3)
+        levels = (self.black,) * levels_of(self.cfa)
         return CleanFrame(self.mosaics[index], self.cfa, levels, self.white, f"mosaic {index}")
 
 
@@ -266,14 +281,13 @@ def numbered(height: int, width: int) -> NDArray[np.uint16]:
 
 def places(item: SyntheticSample, cfa: Cfa, width: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Row and column, in the clean frame, of each pixel of the target's mosaic."""
-    start = cfa if len(cfa) == 2 else XTRANS_CFA
-    value = np.rint(unpack(item["target"].numpy().astype(np.float64), start) * 65535).astype(np.int64)
+    value = np.rint(unpack(item["target"].numpy().astype(np.float64), start_of(cfa)) * 65535).astype(np.int64)
     return value // width, value % width
 
 
-@pytest.mark.parametrize("name", [*BAYER, "xtrans-00", "xtrans-42"])
+@pytest.mark.parametrize("name", [*BAYER, "xtrans-00", "xtrans-42", "quad-00", "quad-31", "nona-00", "nona-25"])
 def test_a_target_is_an_exact_crop_of_the_normalised_frame(name: str) -> None:
-    cfa = {**BAYER, **XTRANS}[name]
+    cfa = {**CFAS, **NONA}[name]
     mosaic = numbered(121, 123)
     source = Mosaics([mosaic], cfa, black=64.0, white=16000.0)
     whole = pack_normalised(mosaic, cfa, source.frame(0).black_level_dn, 16000.0)
@@ -291,17 +305,17 @@ def test_a_target_is_an_exact_crop_of_the_normalised_frame(name: str) -> None:
     assert len(starts) > 30
 
 
-@pytest.mark.parametrize("name", [*BAYER, "xtrans-00", "xtrans-15", "xtrans-42"])
+@pytest.mark.parametrize("name", [*BAYER, "xtrans-00", "xtrans-15", "xtrans-42", "quad-00", "quad-13", "nona-25"])
 def test_all_eight_orientations_occur_and_keep_the_cfa(name: str) -> None:
     """150 items: one of eight is missed with probability 2e-8."""
-    cfa = {**BAYER, **XTRANS}[name]
+    cfa = {**CFAS, **NONA}[name]
     height, width = 91, 99
-    colours = BAYER_COLOURS if len(cfa) == 2 else XTRANS_COLOURS
+    colours = colours_of(cfa)
     period = len(cfa)
     seen = set()
     for item in items(pairs(Mosaics([numbered(height, width)], cfa), crop=6, crops_per_frame=150)):
         rows, columns = places(item, cfa, width)
-        side = 6 * (2 if period == 2 else 3)
+        side = 6 * layout_of(cfa)[2]
         assert rows.shape == (side, side)
         # Neighbours stay neighbours, in one direction.
         down, right = (
@@ -343,12 +357,12 @@ def test_every_place_is_reached(augment: bool) -> None:
 
 
 @pytest.mark.parametrize("augment", [False, True])
-@pytest.mark.parametrize("name", ["GRBG", "xtrans-42"])
+@pytest.mark.parametrize("name", ["GRBG", "xtrans-42", "quad-12", "nona-41"])
 def test_whole_frames(name: str, augment: bool) -> None:
-    cfa = {**BAYER, **XTRANS}[name]
+    cfa = CFAS[name]
     mosaic = numbered(66, 78)
     whole = pack(mosaic, cfa).shape
-    lost = (1 if len(cfa) == 2 else 2) if augment else 0
+    lost = layout_of(cfa)[1] if augment else 0
     shapes = set()
     for item in items(pairs(Mosaics([mosaic], cfa), crop=None, augment=augment, crops_per_frame=40)):
         shapes.add(tuple(item["target"].shape))
@@ -362,6 +376,31 @@ def test_float_frames_are_clipped_and_normalised() -> None:
     source = Mosaics([mosaic], BAYER["RGGB"], black=0.0, white=1000.0)
     item = pairs(source, crop=None, augment=False)[0]
     np.testing.assert_allclose(item["target"].numpy(), np.clip(pack(mosaic, BAYER["RGGB"]) / 1000, 0, 1), rtol=1e-6)
+
+
+@pytest.mark.parametrize(("name", "channels"), [("quad-13", 16), ("nona-52", 36)])
+def test_quad_and_nona_have_the_noise_of_the_model(name: str, channels: int, tmp_path: Path) -> None:
+    """From files, arrays and stores alike; row noise is one draw for each mosaic row of the crop."""
+    cfa = CFAS[name]
+    write_dng(tmp_path / "a.dng", random_mosaic(110, 120), make_sensor(cfa, 110, 120), EXPOSURE)
+    build_store(source_of_folder(tmp_path), tmp_path / "a.h5")
+    sides = []
+    for source in (
+        RawFiles(tmp_path),
+        StoredFrames(tmp_path / "a.h5"),
+        arrays(np.full((1, channels, 18, 20), 0.5, np.float32), range_dn=1000.0, cfa=cfa),
+    ):
+        for augment in (False, True):
+            item = pairs(source, crop=6, augment=augment)[0]
+            assert item["input"].shape == item["target"].shape == (channels, 6, 6)
+            sides.append(item["input"].numpy())
+        rows = pairs(source, crop=6, augment=False, model=NoiseModel("R"), ratio=1.0, clip="none")[0]
+        noise = (rows["input"] - rows["target"]).numpy().astype(np.float64)
+        on_mosaic = unpack(noise, start_of(cfa))
+        assert np.ptp(on_mosaic, axis=1).max() < 1e-6  # what float32 leaves of the difference
+        assert len(np.unique(np.round(on_mosaic[:, 0], 7))) == 6 * len(cfa)
+    np.testing.assert_array_equal(sides[0], sides[2])
+    np.testing.assert_array_equal(sides[1], sides[3])
 
 
 def test_an_xtrans_source_gives_nine_channels(tmp_path: Path) -> None:
@@ -742,10 +781,10 @@ def test_an_iso_or_row_that_the_profile_does_not_know() -> None:
         flat(row="best")
 
 
-@pytest.mark.parametrize("name", ["RGGB", "xtrans-00"])
+@pytest.mark.parametrize("name", ["RGGB", "xtrans-00", "quad-00", "nona-00"])
 def test_a_crop_that_is_too_large(name: str) -> None:
-    cfa = {**BAYER, **XTRANS}[name]
-    scale, period = (2, 2) if len(cfa) == 2 else (3, 6)
+    cfa = CFAS[name]
+    scale, period = layout_of(cfa)[2], len(cfa)
     for augment in (False, True):
         side = 8 * scale + (period if augment else 0)
         fits = pairs(Mosaics([numbered(side, side)], cfa), augment=augment, crops_per_frame=20)

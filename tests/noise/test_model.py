@@ -303,7 +303,7 @@ def test_a_sequence_may_be_a_tuple_and_must_have_the_right_length() -> None:
 
 
 @pytest.mark.parametrize("lead", [(), (1,), (3,), (2, 3), (0,), (2, 0), (1, 2, 1, 2)])
-@pytest.mark.parametrize("channels", [4, 9])
+@pytest.mark.parametrize("channels", [4, 9, 16, 36])
 def test_any_leading_dimensions(lead: tuple[int, ...], channels: int) -> None:
     clean = np.full((*lead, channels, 6, 4), 0.25, np.float32)
     result = noisy(clean)
@@ -315,7 +315,9 @@ def test_any_leading_dimensions(lead: tuple[int, ...], channels: int) -> None:
     same_bits(tensor.numpy(), result)
 
 
-@pytest.mark.parametrize("shape", [(4, 0, 5), (4, 5, 0), (9, 0, 0), (4, 1, 1), (9, 1, 1), (9, 3, 5), (4, 2, 1031)])
+@pytest.mark.parametrize(
+    "shape", [(4, 0, 5), (4, 5, 0), (9, 0, 0), (4, 1, 1), (9, 1, 1), (9, 3, 5), (4, 2, 1031), (16, 1, 3)]
+)
 def test_odd_sizes(shape: tuple[int, int, int]) -> None:
     result = noisy(np.full(shape, 0.25, np.float32))
     assert result.shape == shape
@@ -439,7 +441,7 @@ def test_too_few_dimensions(shape: tuple[int, ...]) -> None:
 
 @pytest.mark.parametrize("channels", [0, 1, 3, 5, 8])
 def test_another_number_of_channels(channels: int) -> None:
-    with pytest.raises(ArgumentError, match=rf"4 \(Bayer\) or 9 \(X-Trans\) channels; found {channels}"):
+    with pytest.raises(ArgumentError, match=rf"4 \(Bayer\), 9 .* or 36 \(nona-Bayer\) channels; found {channels}"):
         noisy(np.zeros((channels, 4, 4), np.float32))
 
 

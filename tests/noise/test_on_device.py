@@ -28,7 +28,7 @@ from tests.noise.helpers import (
     on_device,
     poisson_p_value,
 )
-from tests.raw.helpers import XTRANS_COLOURS
+from tests.raw.helpers import NONA, QUAD, XTRANS_COLOURS, Cfa
 
 CUDA = torch.cuda.is_available()
 FULL = "P*+G*+B+R+U"
@@ -150,6 +150,10 @@ def test_each_channel_has_its_bias(device: str) -> None:
     xtrans = device_dn("B", dark(2, 9, 3, 5), PARAMETERS, device=device)
     for channel, colour in enumerate(XTRANS_COLOURS):
         np.testing.assert_allclose(xtrans[:, channel], colours[colour], rtol=1e-6)
+    for count in (4, 9):  # sites of a block: quad-Bayer, nona-Bayer
+        blocks = device_dn("B", dark(2, 4 * count, 3, 5), PARAMETERS, device=device)
+        for channel, bias in enumerate(np.repeat([red, green, blue, other_green], count)):
+            np.testing.assert_allclose(blocks[:, channel], bias, rtol=1e-6)
 
 
 SIZES = [(1, 1), (1, 2), (2, 1), (1, 7), (7, 1), (2, 2), (3, 5), (5, 3), (4, 6), (9, 9)]
@@ -173,6 +177,18 @@ def test_xtrans_rows(height: int, width: int, device: str) -> None:
     for image in dn.reshape(3, -1):
         np.testing.assert_array_equal(image[:, None] == image, rows[:, None] == rows)
     assert np.unique(dn).size == 3 * np.unique(rows).size
+
+
+@pytest.mark.parametrize(("height", "width"), SIZES)
+@pytest.mark.parametrize("cfa", [QUAD["quad-00"], NONA["nona-30"]], ids=["quad", "nona"])
+def test_rows_of_blocks(cfa: Cfa, height: int, width: int, device: str) -> None:
+    """Entries have the same noise just if they come from the same mosaic row."""
+    whole = pack(np.repeat(np.arange(60)[:, None], 60, axis=1), cfa)
+    rows = whole[:, :height, :width].ravel()
+    dn = device_dn("R", dark(2, len(whole), height, width), PARAMETERS, device=device)
+    for image in dn.reshape(2, -1):
+        np.testing.assert_array_equal(image[:, None] == image, rows[:, None] == rows)
+    assert np.unique(dn).size == 2 * np.unique(rows).size
 
 
 def test_row_noise_is_normal_and_independent(device: str) -> None:

@@ -243,3 +243,175 @@ def mixture_tails(
         for j in range(nodes.size):
             tails[i] += weights[j] * tail_from_table((edges[i] - nodes[j]) / own, unit, step, table)
     return tails
+
+
+# --- the audit ------------------------------------------------------------------------------------------------
+
+
+@kernel
+def standardised(
+    values: NDArray[np.int64],
+    defects: NDArray[np.bool_],
+    pattern: NDArray[np.int64],
+    scale: NDArray[np.float64],
+    limit: int,
+    out: NDArray[np.int16],
+) -> None:
+    """Write the values less the means of their row and channel, times ``scale`` (channel), within +-``limit``.
+
+    Defects become 0. The rows start with the pattern's first.
+    """
+    period = pattern.shape[0]
+    means = np.zeros(scale.size)
+    counts = np.zeros(scale.size, dtype=np.int64)
+    edge = np.float64(limit)
+    for row in range(values.shape[0]):
+        means[:] = 0.0
+        counts[:] = 0
+        for phase in range(period):
+            channel = pattern[row % period, phase]
+            added: Any = 0
+            count: Any = 0
+            for column in range(phase, values.shape[1], period):
+                added += 0 if defects[row, column] else values[row, column]
+                count += 0 if defects[row, column] else 1
+            means[channel] += added
+            counts[channel] += count
+        for phase in range(period):
+            channel = pattern[row % period, phase]
+            mean = means[channel] / max(counts[channel], 1)
+            factor = scale[channel]
+            for column in range(phase, values.shape[1], period):
+                value = (values[row, column] - mean) * factor
+                value = edge if value > edge else value
+                value = -edge if value < -edge else value
+                value = np.floor(value + 0.5)
+                out[row, column] = np.int16(0) if defects[row, column] else np.int16(value)
+
+
+@kernel
+def lag_products(band: NDArray[np.int16], lags: NDArray[np.int64], sums: NDArray[np.int64]) -> None:
+    """Add, for each lag (rows, columns), the products of all pixels of the band that lie so far apart."""
+    height, width = band.shape
+    for index in range(lags.shape[0]):
+        down, across = lags[index]
+        first, last = max(0, -across), width - max(0, across)
+        for row in range(height - down):
+            here = band[row, first:last]
+            there = band[row + down, first + across : last + across]
+            added = np.int64(0)
+            for column in range(here.size):
+                added += np.int32(here[column]) * np.int32(there[column])
+            sums[index] += added
+
+
+@kernel
+def outlier_neighbours(
+    band: NDArray[np.int16],
+    offsets: NDArray[np.int64],
+    reach: int,
+    away: int,
+    levels: NDArray[np.int64],
+    wins: NDArray[np.int64],
+    counts: NDArray[np.int64],
+) -> None:
+    """Compare the neighbours of outliers with those of the pixel ``away`` columns from it.
+
+    ``offsets`` (row phase, column phase, neighbours, 2) are within ``reach``. Counted in ``wins`` (side, levels, 2),
+    for outliers below and above and the highest level that they exceed: whether one of the neighbours goes further to
+    the outlier's side than all of those others, or the other way round. ``counts`` (side, levels) are the outliers.
+    """
+    height, width = band.shape
+    period = offsets.shape[0]
+    lowest = levels[0]
+    for row in range(reach, height - reach):
+        for column in range(reach, width - reach):
+            value = np.int64(band[row, column])
+            if -lowest < value < lowest:
+                continue
+            sign = 1 if value > 0 else -1
+            there = column + away if column + away + reach < width else column - away
+            own = np.int64(-(1 << 30))
+            other = np.int64(-(1 << 30))
+            for index in range(offsets.shape[2]):
+                down, across = offsets[row % period, column % period, index]
+                own = max(own, sign * np.int64(band[row + down, column + across]))
+                other = max(other, sign * np.int64(band[row + down, there + across]))
+            level = 0
+            while level + 1 < levels.size and sign * value >= levels[level + 1]:
+                level += 1
+            counts[(sign + 1) // 2, level] += 1
+            if own != other:
+                wins[(sign + 1) // 2, level, 0 if own > other else 1] += 1
+
+
+@kernel
+def variance_and_level(
+    band: NDArray[np.int16],
+    others: NDArray[np.int64],
+    defects: NDArray[np.bool_],
+    pattern: NDArray[np.int64],
+    level: NDArray[np.float64],
+    scale: NDArray[np.float64],
+    size: int,
+    clip: int,
+    sums: NDArray[np.float64],
+) -> None:
+    """Add up, by block of ``size`` columns, the clipped squares w of a band and the levels f of its pixels.
+
+    f is the deviation of ``others`` from ``level`` (blocks, channel), times ``scale`` (channel), within +-4. Added to
+    ``sums`` (blocks, 5): pixels, w, f, f^2, f w.
+    """
+    period = pattern.shape[0]
+    for row in range(band.shape[0]):
+        for block in range(sums.shape[0]):
+            for phase in range(period):
+                channel = pattern[row % period, phase]
+                centre, factor = level[block, channel], scale[channel]
+                count: Any = 0
+                squared: Any = 0
+                first = second = product = 0.0
+                for column in range(block * size + phase, (block + 1) * size, period):
+                    if defects[row, column]:
+                        continue
+                    value: Any = np.int64(band[row, column])
+                    value = clip if value > clip else value
+                    value = -clip if value < -clip else value
+                    fixed = (others[row, column] - centre) * factor
+                    fixed = 4.0 if fixed > 4.0 else fixed
+                    fixed = -4.0 if fixed < -4.0 else fixed
+                    count += 1
+                    squared += value * value
+                    first += fixed
+                    second += fixed * fixed
+                    product += fixed * (value * value)
+                sums[block, 0] += count
+                sums[block, 1] += squared
+                sums[block, 2] += first
+                sums[block, 3] += second
+                sums[block, 4] += product
+
+
+@kernel
+def add_sizes(
+    band: NDArray[np.int16],
+    defects: NDArray[np.bool_],
+    step: int,
+    size: int,
+    total: NDArray[np.uint8],
+    counts: NDArray[np.int64],
+    sums: NDArray[np.int64],
+) -> None:
+    """Add abs(band) // step to each sound pixel's total, and count these sizes by value.
+
+    By block of ``size`` columns, ``sums`` (blocks, 2) gets them and their squares.
+    """
+    for row in range(band.shape[0]):
+        for block in range(sums.shape[0]):
+            for column in range(block * size, (block + 1) * size):
+                if not defects[row, column]:
+                    value = abs(np.int64(band[row, column])) // step
+                    total[row, column] += np.uint8(value)
+                    counts[value] += 1
+                    sums[block, 0] += value
+                    sums[block, 1] += value * value

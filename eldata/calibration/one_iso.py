@@ -11,13 +11,17 @@ import numpy as np
 
 from eldata.base.compiled import in_threads
 from eldata.base.workers import IN_THIS_PROCESS, Workers
+from eldata.calibration.bias_audit import BiasAudit
+from eldata.calibration.bias_checks import bias_findings
 from eldata.calibration.colour_bias import ChannelMeans, colour_bias
 from eldata.calibration.defects import MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
 from eldata.calibration.frame_checks import (
     ADVISED_BIAS_FRAMES,
+    Copies,
     FrameFigures,
     FramesError,
     clipped_black,
+    code_step,
     missing_codes,
     odd_bias_frames,
     unequal_pair,
@@ -150,16 +154,17 @@ class _Reader:
 
 
 def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
-    fixed, held_out = _first_pass(reader, chosen.bias)
+    copies = Copies()
+    fixed, estimated, held_out = _first_pass(reader, chosen.bias, copies)
     sensor = reader.first.sensor
-    estimated = _split(chosen.bias)[0]
-    lines, residuals = LineMeans(fixed), Residuals(fixed)
+    lines, residuals, audit = LineMeans(fixed), Residuals(fixed), BiasAudit(fixed)
     means = ChannelMeans(sensor.cfa, defects=fixed.defects)
-    spectrum, gaps = None, 0.0
+    spectrum, gaps, step = None, 0.0, 1
     for _, frame in reader.read(estimated):
         if spectrum is None:
             spectrum, gaps = power_spectrum(frame.mosaic, fixed), missing_codes(frame.mosaic, fixed.pattern)
-        in_threads(methodcaller("add", frame.mosaic), (residuals, lines, means), reader.workers.jobs)
+            step = code_step(frame.mosaic, fixed.pattern)
+        in_threads(methodcaller("add", frame.mosaic), (residuals, audit, lines, means), reader.workers.jobs)
     reader.refuse()
     if spectrum is None:
         raise DatasetError("no bias frame could be read")
@@ -193,43 +198,56 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
     if reader.workers.jobs > 1:
         with ThreadPoolExecutor(1) as beside:
             waiting = beside.submit(from_bias_frames)
-            transfer, spatial, flat_remarks = _flats(reader, chosen, fixed)
+            transfer, spatial, flat_remarks = _flats(reader, chosen, fixed, copies)
             found = waiting.result()
     else:
         found = from_bias_frames()
-        transfer, spatial, flat_remarks = _flats(reader, chosen, fixed)
+        transfer, spatial, flat_remarks = _flats(reader, chosen, fixed, copies)
     if transfer is not None:
         found = replace(found, transfer=transfer, spatial=spatial, flat_frames=transfer.frames)
     lossy = reader.lossy(estimated) or reader.lossy([pair.first for pair in chosen.pairs])
-    return replace(found, remarks=(*bias_remarks(found, chosen, lossy, gaps), *flat_remarks))
+    findings = bias_findings(audit.statistics(), found.bias, found.rows, found.read, step=step, gaps=gaps)
+    said = dict.fromkeys(one.text for one in findings)  # one fault may touch several figures
+    return replace(found, remarks=(*copies.remarks, *said, *bias_remarks(found, chosen, lossy), *flat_remarks))
 
 
-def _first_pass(reader: _Reader, bias: Sequence[FrameRecord]) -> tuple[FixedPattern, NDArray[np.uint16] | None]:
-    """Return what stays from frame to frame, and the frame that the estimators do not see."""
+def _first_pass(
+    reader: _Reader, bias: Sequence[FrameRecord], copies: Copies
+) -> tuple[FixedPattern, tuple[FrameRecord, ...], NDArray[np.uint16] | None]:
+    """Return what stays from frame to frame, of which frames, and the frame that the estimators do not see."""
     estimated, held_out = _split(bias)
     if len(estimated) < MINIMUM_FRAMES:
-        raise DatasetError(
-            f"{len(estimated)} bias frame(s), and {MINIMUM_FRAMES} are needed, {ADVISED_BIAS_FRAMES} or more advised: "
-            "take them with the lens capped, at the shortest exposure"
-        )
-    stack, kept, figures = None, None, []
+        raise _too_few(len(estimated))
+    stack, kept, figures, used = None, None, [], []
     for record, frame in reader.read(bias):
         reader.problems += clipped_black(record, frame.mosaic)
         figures.append(FrameFigures.of(record, frame.mosaic))
         stack = stack or BiasStack(frame.sensor.cfa)
+        if copies.original(record, frame.mosaic) is not None:
+            continue
         if record in held_out:
             kept = frame.mosaic
         else:
             stack.add(frame.mosaic)
+            used.append(record)
     reader.problems += odd_bias_frames(figures)
     reader.refuse()
     if stack is None:
         raise DatasetError("no bias frame could be read")
-    return fixed_pattern(stack), kept
+    if len(used) < MINIMUM_FRAMES:
+        raise _too_few(len(used), copies.remarks)
+    return fixed_pattern(stack), tuple(used), kept
+
+
+def _too_few(number: int, because: Sequence[str] = ()) -> DatasetError:
+    return DatasetError(
+        f"{number} bias frame(s), and {MINIMUM_FRAMES} are needed, {ADVISED_BIAS_FRAMES} or more advised: take them "
+        "with the lens capped, at the shortest exposure" + "".join(f"; {reason}" for reason in because)
+    )
 
 
 def _flats(
-    reader: _Reader, chosen: IsoFrames, fixed: FixedPattern
+    reader: _Reader, chosen: IsoFrames, fixed: FixedPattern, copies: Copies
 ) -> tuple[PhotonTransfer | None, PhotonTransfer | None, tuple[str, ...]]:
     """Return K from pairs, K as published, and remarks."""
     if not chosen.pairs:
@@ -240,15 +258,19 @@ def _flats(
     singles = FlatFrames(sensor.cfa, fixed.level_dn, sensor.white_level_dn, defects=fixed.defects)
     pair_of = {pair.second: pair for pair in chosen.pairs}
     remarks: list[str] = []
-    gaps = 0.0
+    gaps, copied = 0.0, set()
     waiting: tuple[FrameRecord, RawFrame] | None = None
     for record, frame in reader.read([record for pair in chosen.pairs for record in (pair.first, pair.second)]):
         pair = pair_of.get(record)
+        if copies.original(record, frame.mosaic) is not None:
+            copied.add(record)
         if pair is None:
             waiting = record, frame
             continue
         if waiting is None or waiting[0] != pair.first:
             continue  # its partner was refused, and is named
+        if copied & {pair.first, pair.second}:
+            continue  # the difference of a frame and its copy holds no noise
         first = waiting[1]
         unequal = unequal_pair(pair, first, frame)
         if unequal is not None:
@@ -259,8 +281,8 @@ def _flats(
         singles.add(frame.mosaic)
         gaps = max(gaps, missing_codes(first.mosaic, fixed.pattern))
     reader.refuse()
-    if len(remarks) == len(chosen.pairs):
-        raise DatasetError(f"no pair of flats is usable: {'; '.join(remarks)}")
+    if not pairs.frames:
+        raise DatasetError(f"no pair of flats is usable: {'; '.join([*copies.remarks, *remarks])}")
     try:
         spatial = spatial_photon_transfer(singles)
     except DatasetError:

@@ -1,0 +1,373 @@
+"""Which assumptions about the bias frames do not hold: each check is a function of what the audit has summed up.
+
+The chance that a check speaks of frames without its fault is below one in 100,000, so that a camera of a dozen ISOs
+does not meet one; thresholds follow from that and from the number of blocks, pixels and frames.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from eldata.calibration.audit import Finding
+from eldata.calibration.neighbours import OUTLIERS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from eldata.calibration.audit import Effect, Figure
+    from eldata.calibration.bias_audit import BiasStatistics
+    from eldata.calibration.colour_bias import ColourBias
+    from eldata.calibration.read_noise import ReadNoise
+    from eldata.calibration.row_noise import LineNoise, RowNoise
+
+CHANCE = 1e-5
+"""That a check speaks without a reason."""
+
+MOST_ALLOWED = 0.05
+"""A figure that may be off by more than this share is not given; below, its errors allow for it."""
+
+_LOW_SHARE = 0.05  # of the blocks, the darkest: taken for those without light
+_LEAST_EATEN = 0.55  # wins of outliers' own neighbours; one half without a filter, a little more with correlation
+_LOPSIDED = 0.05  # of lambda, per share of one side's outliers that is missing (measured: 0.03 to 0.04)
+_OF_UNLIKENESS = 2.0  # measured: shifts of lambda and both sigmas are 0.3 to 4 times the unlikeness
+GAPS = 0.02
+"""Share of DN values that never occur, from which on it is told."""
+
+_SLOW, _FAST = 1 / 16, 1 / 4  # cycles per row
+_HANN = 35 / 18  # neighbouring ordinates under a Hann window depend on each other: so many make one
+_PERIODS = 6  # of the rows' composition: a multiple of Bayer's and X-Trans' own
+_NEAR = 15  # frequencies on each side, whose median is a wave's ground
+
+
+def bias_findings(
+    statistics: BiasStatistics, bias: ColourBias, rows: RowNoise, read: ReadNoise, *, step: int = 1, gaps: float = 0.0
+) -> tuple[Finding, ...]:
+    """Return what the bias frames' noise says against what the estimates take for granted.
+
+    Parameters
+    ----------
+    statistics
+        What :class:`~eldata.calibration.bias_audit.BiasAudit` has summed up.
+    bias, rows, read
+        The figures from the same frames, with their errors: a finding that matters less is a remark.
+    step, gaps
+        What :func:`~eldata.calibration.frame_checks.code_step` and
+        :func:`~eldata.calibration.frame_checks.missing_codes` say of a frame.
+    """
+    lit = tuple(light(statistics, bias, read))
+    return (
+        *lit,
+        *unlike_pixels(statistics, read, is_lit=bool(lit)),
+        *correlated(statistics, rows, read),
+        *filtered_outliers(statistics, read),
+        *coarse_values(step, gaps, read),
+        *row_waves(rows),
+    )
+
+
+def judged(
+    figure: Figure, check: str, share: float, error: float, statistic: float, threshold: float, text: str
+) -> Finding:
+    """Return the finding of a fault that may put a figure off by this share, given its relative standard error."""
+    effect: Effect = "withheld" if share > MOST_ALLOWED else "wider" if share > error else "remark"
+    figures = () if effect == "remark" else (figure,)
+    return Finding(check, figures, effect, statistic, threshold, text, share if effect == "wider" else 0.0)
+
+
+def _read_error(read: ReadNoise) -> float:
+    """Return the smallest relative error among the figures of the read noise."""
+    return min(
+        read.tukey_lambda_error,
+        read.sigma_tl_error_dn / read.sigma_tl_dn,
+        read.sigma_gauss_error_dn / read.sigma_gauss_dn,
+    )
+
+
+# --- light --------------------------------------------------------------------------------------------------------
+
+
+def light(statistics: BiasStatistics, bias: ColourBias, read: ReadNoise) -> Iterator[Finding]:
+    """Yield a finding if the variance of blocks grows with their level, as that of light and dark current does.
+
+    Shading without light has no such slope. Least squares over the blocks; their variances are means of thousands of
+    squares clipped at four standard deviations, so that the slope over its standard error follows Student's t. A smooth
+    shading (of second order) would hide a faint light, so the slope is also taken with one allowed for: two tests.
+    """
+    from scipy.special import stdtrit
+
+    level, variance = statistics.level_dn, statistics.variance.ravel()
+    y, x = np.meshgrid(np.linspace(-1, 1, level.shape[0]), np.linspace(-1, 1, level.shape[1]), indexing="ij")
+    flat = np.ones((level.size, 1))
+    smooth = np.stack([part.ravel() for part in (np.ones_like(x), x, y, x * y, x**2, y**2)], axis=1)
+    found = max((_slope(level.ravel(), variance, beside) for beside in (flat, smooth)), key=lambda one: one[0])
+    statistic, slope, over_dark = found
+    threshold = float(stdtrit(level.size - 7, 1 - CHANCE / 2))
+    if statistic <= threshold:
+        return
+    share = 0.5 * slope * over_dark
+    text = (
+        f"light or dark current in the bias frames: where they are brighter, their noise is larger "
+        f"({slope * statistics.sigma_dn**2:.2g} DN^2 for each DN), which adds {share:.1%} or more to the read noise; "
+        "cap the lens, cover the viewfinder, and take them in the dark at the shortest exposure"
+    )
+    yield judged("read noise", "light", share, _read_error(read), statistic, threshold, text)
+    if over_dark > min(bias.standard_error_dn):
+        yield Finding("light", ("colour bias",), "withheld", statistic, threshold, text)
+
+
+def _slope(
+    level: NDArray[np.float64], variance: NDArray[np.float64], beside: NDArray[np.float64]
+) -> tuple[float, float, float]:
+    """Return t of the slope of variance over level, the slope, and the mean level over the darkest blocks'."""
+    own, noise = (values - beside @ np.linalg.lstsq(beside, values, rcond=None)[0] for values in (level, variance))
+    spread = float(own @ own)
+    slope = float(own @ noise) / spread
+    left = noise - slope * own
+    error = math.sqrt(float(left @ left) / (level.size - beside.shape[1] - 1) / spread)
+    return slope / error, slope, float(own.mean() - np.quantile(own, _LOW_SHARE))
+
+
+# --- pixels of their own kind -------------------------------------------------------------------------------------
+
+
+def unlike_pixels(statistics: BiasStatistics, read: ReadNoise, *, is_lit: bool = False) -> Iterator[Finding]:
+    """Yield a finding if some pixels are noisier than others: by dark current of their own, or by telegraph noise.
+
+    Two tests, both of sums over blocks whose mean is 0 if all pixels of a block have the same noise, and so with a
+    Student's t over the blocks' own scatter: does the size of a pixel's noise in one pair of frames say something about
+    that in another, and does the pixel's level in the other frames? Where the level explains most of the difference, it
+    is dark current. A third sees few, but very noisy pixels: the sums of sizes over all pairs against what independent
+    sizes give, the convolution of their histogram, by a Poisson count at each value.
+    """
+    from scipy.special import pdtrc, stdtrit
+
+    threshold = float(stdtrit(statistics.unlikeness.size - 1, 1 - CHANCE / 3))
+    by_level, by_size = _student(statistics.level_score), _student(statistics.unlikeness)
+    unlikeness = max(float(statistics.unlikeness.mean()), 0.0)
+    expected = np.ones(1)
+    for _ in range(statistics.pairs):
+        expected = np.convolve(expected, statistics.sizes / statistics.sizes.sum())
+    pixels = int(statistics.totals.sum())
+    expected = np.pad(expected, (0, max(0, 256 - expected.size)))[:256]
+    above, by_chance = (np.cumsum(values[::-1])[::-1] for values in (statistics.totals, expected * pixels))
+    chances = pdtrc(np.maximum(above - 1, 0), np.maximum(by_chance, 1e-12))
+    few = not is_lit and bool(np.any((chances < CHANCE / 3 / 256) & (above > 0)))
+    slope = float(statistics.level_score.sum() / statistics.level_freedom.sum())  # of the variance, per spread
+    staying = (statistics.dsnu_dn / statistics.spread_dn) ** 2
+    # The levels are blurred by the noise of the other frames, which hides as much of the slope.
+    explained = slope**2 / max(staying, 0.05) if by_level > threshold else 0.0
+    # The variance varies by four times as much as the size squared, where it varies little.
+    if by_level > threshold and (by_size <= threshold or explained > 0.75 * 4 * unlikeness):
+        share = 0.5 * math.sqrt(explained)
+        text = (
+            "dark current or light in the bias frames: pixels with a higher level also have more noise, which adds "
+            f"{share:.1%} or more to the read noise; take them in the dark, at the shortest exposure and with a camera "
+            "that is not warm"
+        )
+        yield judged("read noise", "dark signal", share, _read_error(read), by_level, threshold, text)
+        return
+    if by_size <= threshold and not few:
+        return
+    least = float((above - by_chance).max() / pixels)
+    text = (
+        f"{least:.2%} of the pixels or more are noisier than the others (random telegraph noise, which jumps between "
+        "levels, is the usual reason): lambda and sigma are those of all pixels together"
+    )
+    statistic = max(by_size, threshold) if few else by_size
+    share, error = _OF_UNLIKENESS * unlikeness, _read_error(read)
+    # Never withheld: all pixels together are what the model simulates, and the errors say how far some are off.
+    if share > error:
+        yield Finding("unlike pixels", ("read noise",), "wider", statistic, threshold, text, share)
+    else:
+        yield Finding("unlike pixels", (), "remark", statistic, threshold, text)
+
+
+def _student(scores: NDArray[np.float64]) -> float:
+    """Return the mean of the blocks' scores over its standard error."""
+    return float(scores.mean() / (scores.std(ddof=1) / math.sqrt(scores.size)))
+
+
+# --- filters ------------------------------------------------------------------------------------------------------
+
+
+def correlated(statistics: BiasStatistics, rows: RowNoise, read: ReadNoise) -> Iterator[Finding]:
+    """Yield findings if neighbours share noise.
+
+    The largest of twelve correlations, and of their two sums along the axes, over its error, which needs no
+    assumption on the distribution and is normal.
+
+    What a filter whose weights add up to 1 leaves of the variance follows from the correlations: ``1 / (1 + 2 sum)``
+    over one of each two opposite directions.
+    """
+    from scipy.special import ndtri
+
+    near = statistics.neighbours
+    axes = [((near.lags == lag).all(axis=1) | (near.lags == lag[::-1]).all(axis=1)) for lag in ((0, 1), (0, 2))]
+    tests = [
+        *(near.correlation / near.error),
+        *(near.correlation[pair].sum() / near.error / math.sqrt(2) for pair in axes),
+    ]
+    statistic = max(map(abs, tests))
+    threshold = -float(ndtri(CHANCE / 2 / len(tests)))
+    if statistic <= threshold:
+        return
+    largest = near.correlation[np.abs(near.correlation).argmax()]
+    text = (
+        f"neighbouring pixels share noise (correlation {largest:.3f}): the camera or a converter has filtered these "
+        "files, or reads neighbours out together; use files without noise reduction and resampling"
+    )
+    total = float(near.correlation[np.abs(near.correlation) > 3 * near.error].sum())
+    share = abs(math.sqrt(max(1 + 2 * total, 0.0)) - 1)
+    yield judged("read noise", "correlated noise", share, _read_error(read), statistic, threshold, text)
+    along = 2 * float(near.correlation[(near.lags[:, 0] == 0) & (np.abs(near.correlation) > 3 * near.error)].sum())
+    line = rows.rows
+    of_pixels = along * rows.pixel_variance_dn2 / len(rows.columns.fixed_dn)
+    variance = max(line.variance_dn2, 1e-12)
+    row_share = math.hypot(share, of_pixels / (2 * variance))
+    error = line.sigma_error_dn / max(line.sigma_dn, 1e-12)
+    yield judged("row noise", "correlated noise", row_share, error, statistic, threshold, text)
+
+
+def filtered_outliers(statistics: BiasStatistics, read: ReadNoise) -> Iterator[Finding]:
+    """Yield a finding if outliers do not stand alone, or are rarer on one side of their pixels' means.
+
+    Independent neighbours of an outlier are like those of any other pixel: which of the two goes further is a fair
+    coin. So is the side of an outlier where the noise is symmetric.
+    """
+    from scipy.special import bdtrc, ndtri
+
+    near = statistics.neighbours
+    tests = near.outlier_wins[..., 0].size + len(OUTLIERS)
+    threshold = -float(ndtri(CHANCE / tests))
+    least = _LEAST_EATEN + float(np.abs(near.correlation).max())
+    statistics_of = [
+        (-float(ndtri(max(float(bdtrc(own - 1, own + other, 0.5)), 1e-300))), own / (own + other), size)
+        for side in near.outlier_wins.tolist()
+        for (own, other), size in zip(side, OUTLIERS, strict=True)
+        if own + other and own > least * (own + other)
+    ]
+    statistic, wins, size = max(statistics_of, default=(0.0, 0.0, 0))
+    if statistic > threshold:
+        text = (
+            f"values more than {size} standard deviations from their pixel's mean hardly stand alone (in {wins:.0%} of "
+            "cases a neighbour goes along, 50% by chance): the camera removes single bright pixels (a star-eater), and "
+            "with them the tails of the noise; switch such filters off or use another raw mode"
+        )
+        yield Finding("filtered outliers", ("read noise",), "withheld", statistic, threshold, text)
+        return
+    below, above = near.outliers[:, 1].tolist()
+    both = below + above
+    if both and abs(above - below) / math.sqrt(both) > threshold:
+        share = abs(above - below) / both
+        side = "above" if above > below else "below"
+        text = (
+            f"the noise is lopsided: of the values more than {OUTLIERS[1]} standard deviations from their pixel's mean "
+            f"{max(above, below) / both:.0%} lie {side} it, where the model has as many on both sides; random "
+            "telegraph noise and filters against bright pixels do this"
+        )
+        yield judged(
+            "read noise",
+            "lopsided noise",
+            _LOPSIDED * share,
+            _read_error(read),
+            abs(above - below) / math.sqrt(both),
+            threshold,
+            text,
+        )
+
+
+def coarse_values(step: int, gaps: float, read: ReadNoise) -> Iterator[Finding]:
+    """Yield a finding if the values step by more than a DN: by ``step`` everywhere, or leave a share of gaps.
+
+    Rounding to steps of s adds ``(s^2 - 1) / 12`` more to the variance than the model's rounding to whole DN.
+    """
+    if step == 1 and gaps <= GAPS:
+        return
+    size = step if step > 1 else 1 / (1 - gaps)
+    added = (size**2 - 1) / 12
+    text = (
+        f"the values step by {step} DN: fewer bits than the file has room for, or multiplied after conversion"
+        if step > 1
+        else f"{gaps:.0%} of the DN values between others never occur in a bias frame: the camera multiplies after "
+        "conversion at this ISO, or compresses with loss"
+    )
+    text += f"; rounding is coarser than the model's, by {added:.2g} DN^2; use a raw mode with all bits, or leave this ISO out"
+    share = 1 - math.sqrt(max(1 - added / max(read.sigma_gauss_dn, 1e-12) ** 2, 0.0))
+    yield judged("read noise", "coarse values", share, _read_error(read), size, 1.0 / (1 - GAPS), text)
+
+
+# --- rows ---------------------------------------------------------------------------------------------------------
+
+
+def row_waves(rows: RowNoise) -> Iterator[Finding]:
+    """Yield findings if the rows' offsets hold a wave or drift slowly, where the model draws each row by itself.
+
+    Of the periodogram under a Hann window, averaged over the n frames. An ordinate of white noise follows a Gamma
+    distribution of shape n - 1; a wave stands out of the median of its neighbours. Drift: the mean of slow waves over
+    that of fast ones, a ratio of two such sums. How much of the row noise it is comes from a fit of the periodogram by
+    white noise, 1/f and 1/f^2.
+    """
+    from scipy.optimize import nnls
+    from scipy.special import fdtri, gammainccinv, gammaincinv
+
+    line, shape = rows.rows, rows.frames - 1
+    error = line.sigma_error_dn / max(line.sigma_dn, 1e-12)
+    frequency, power = _periodogram(line)
+    to_mean = shape / float(gammaincinv(shape, 0.5))
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(power, _NEAR, mode="reflect"), 2 * _NEAR + 1)
+    ground = to_mean * np.median(windows, axis=1)
+    # The error of a median of m values of relative scatter shape^-1/2 is 1.25 / sqrt(m shape); four of them.
+    threshold = float(gammainccinv(shape, CHANCE / power.size)) / shape * (1 + 5 / math.sqrt((2 * _NEAR + 1) * shape))
+    ratio = power / ground
+    is_wave = ratio > threshold
+    slow, fast = frequency < _SLOW, (frequency > _FAST) & ~is_wave
+    fast_power = float(power[fast].mean())
+    excess, typical = float(power[slow].mean()) / fast_power, float(np.median(power[slow])) * to_mean / fast_power
+    of_slow, of_fast = (2 * shape * int(part.sum()) / _HANN for part in (slow, fast))
+    limit = float(fdtri(of_slow, of_fast, 1 - CHANCE))
+    is_drift = excess > limit and typical > 1 + 5 / math.sqrt(of_slow / 2)  # else it is one wave
+    if is_drift:
+        is_wave &= ~slow
+        used = ~is_wave
+        parts = np.stack([frequency**0, 1 / frequency, frequency**-2.0], axis=1) / ground[:, None]
+        weights, _ = nnls(parts[used], ratio[used])
+        variance = float((weights[1:] @ (parts * ground[:, None])[:, 1:].T).sum()) / power.size
+        text = (
+            f"black drifts slowly down the frame: slow waves over the rows have {excess:.1f} times the power of fast "
+            "ones; the model draws row by row, so simulated frames show less of them"
+        )
+        share = _share_of_sigma(variance, line)
+        yield judged("row noise", "slow row drift", share, error, excess, limit, text)
+    if is_wave.any():
+        variance = float((power - ground)[is_wave].sum()) / power.size
+        peak = int(np.where(is_wave, ratio, 0.0).argmax())
+        text = (
+            f"bands in the rows, one every {1 / frequency[peak]:.3g} rows, of {math.sqrt(2 * variance):.2g} DN "
+            "amplitude; the model draws row by row; look for interference (another charger, lamp or card)"
+        )
+        yield judged(
+            "row noise", "banding", _share_of_sigma(variance, line), error, float(ratio.max()), threshold, text
+        )
+
+
+def _periodogram(line: LineNoise) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return frequencies, cycles per line, and power, DN^2: white noise of variance s^2 gives s^2 throughout."""
+    frames, lines = line.deviations_dn.shape
+    window = np.hanning(lines + 1)[:-1]
+    window *= math.sqrt(lines / float(window @ window))
+    power = (np.abs(np.fft.rfft(line.deviations_dn * window, axis=1)) ** 2).mean(axis=0) / lines * frames / (frames - 1)
+    frequency = np.fft.rfftfreq(lines)
+    # Taking off the channels' means empties the multiples of a half, for X-Trans of a sixth; the window blurs that.
+    places = frequency * _PERIODS
+    kept = np.abs(places - np.rint(places)) > 2.5 * _PERIODS / lines
+    return frequency[kept], power[kept]
+
+
+def _share_of_sigma(variance_dn2: float, line: LineNoise) -> float:
+    """Return which share of a line noise's sigma comes from this part of its variance."""
+    return 1 - math.sqrt(max(1 - max(variance_dn2, 0.0) / max(line.variance_dn2, 1e-12), 0.0))

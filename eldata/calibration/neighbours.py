@@ -1,0 +1,158 @@
+"""Is the noise of a pixel its own? Correlation with its neighbours, and outliers that never stand alone.
+
+A sensor's pixels draw their read and shot noise independently. A camera that filters its raw files leaves traces:
+noise reduction or resampling correlates neighbours, and a filter against hot pixels ("star-eater") leaves no value far
+above all of its neighbours. Row noise does not count: each row's mean is taken off in each channel first.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from eldata.errors import DatasetError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+UNITS = 16
+"""Bands hold standardised values in sixteenths of a standard deviation."""
+
+LIMIT = 8 * UNITS - 1
+"""And end at eight standard deviations, so that no single outlier decides anything."""
+
+AWAY = 36
+"""Columns beyond the reach of any filter in a raw file: whole periods of Bayer and of X-Trans."""
+
+_AWAY_ROWS = 12
+_LAGS = np.array([(0, 1), (0, 2), (1, -2), (1, -1), (1, 0), (1, 1), (1, 2), (2, -2), (2, -1), (2, 0), (2, 1), (2, 2)])
+_FAR = np.array([(0, AWAY), (1, AWAY), (2, AWAY), (1, -AWAY), (2, -AWAY)])
+_FAR_BELOW = np.array([(_AWAY_ROWS, 0), (_AWAY_ROWS + 6, 0)])
+_NEIGHBOURS = 8
+OUTLIERS = (3, 4, 5, 6)
+"""Standard deviations from which on a value counts as an outlier of that size."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NeighbourStatistics:
+    """How the pixels' noise depends on that of their neighbours.
+
+    Attributes
+    ----------
+    lags
+        (lags, 2): rows and columns between two pixels; one of each two opposite directions.
+    correlation
+        Of the temporal noise of pixels so far apart, less that of pixels far apart, which drift or a column shares.
+    error
+        Standard error of each correlation, where there is none.
+    outlier_wins
+        (2, 4, 2): of values below and above their pixel's mean, by more than 3, 4, 5 and 6 standard deviations, how
+        many have a neighbour of their colour that goes further to their side than all eight of a pixel 36 columns
+        away, and of how many it is the other way round. Without a filter the two are equal but for chance.
+    outliers
+        (2, 4): values below and above their pixel's mean by so much.
+    """
+
+    lags: NDArray[np.int64] = field(repr=False)
+    correlation: NDArray[np.float64]
+    error: float
+    outlier_wins: NDArray[np.int64]
+    outliers: NDArray[np.int64]
+
+
+class Neighbours:
+    """Accumulates standardised bands for :class:`NeighbourStatistics`.
+
+    Parameters
+    ----------
+    pattern
+        The CFA's period, channel indices.
+    """
+
+    def __init__(self, pattern: NDArray[np.int64]) -> None:
+        self._pattern = pattern
+        self._offsets = _same_colour(pattern)
+        self._reach = int(np.abs(self._offsets).max())
+        self._lags = np.concatenate([_LAGS, _FAR, _FAR_BELOW])
+        self._products = np.zeros(len(self._lags), dtype=np.int64)
+        self._pairs = np.zeros(len(self._lags))
+        self._induced = np.zeros(len(self._lags))
+        self._squares = self._pixels = 0
+        self._wins = np.zeros((2, len(OUTLIERS), 2), dtype=np.int64)
+        self._outliers = np.zeros((2, len(OUTLIERS)), dtype=np.int64)
+
+    def add_difference(self, band: NDArray[np.int16]) -> None:
+        """Add rows of the standardised difference of two frames; they start with the pattern's first."""
+        from eldata.calibration._kernels import lag_products
+
+        height, width = band.shape
+        lag_products(band, self._lags, self._products)
+        self._squares += int(np.einsum("ij,ij->", band, band, dtype=np.int64))
+        self._pixels += band.size
+        for index, (down, across) in enumerate(self._lags.tolist()):
+            pairs = (height - down) * (width - abs(across))
+            self._pairs[index] += pairs
+            if down == 0:
+                self._induced[index] += pairs * _induced(self._pattern, across, width)
+
+    def add_frame(self, band: NDArray[np.int16]) -> None:
+        """Add rows of one frame less its pixels' means, standardised: what a filter has done to outliers."""
+        from eldata.calibration._kernels import outlier_neighbours
+
+        outlier_neighbours(
+            band, self._offsets, self._reach, AWAY, np.array(OUTLIERS) * UNITS, self._wins, self._outliers
+        )
+
+    def statistics(self) -> NeighbourStatistics:
+        """Return what was found.
+
+        Raises
+        ------
+        DatasetError
+            If nothing changes from frame to frame.
+        """
+        if not self._squares:
+            raise DatasetError("no pixel changes from frame to frame: the frames are copies of one another")
+        variance = self._squares / self._pixels
+        correlation = self._products / (self._pairs * variance) - self._induced / self._pairs
+        near = len(_LAGS)
+        far, below = correlation[near : near + len(_FAR)].mean(), correlation[near + len(_FAR) :].mean()
+        upright = _LAGS[:, 1] == 0
+        # The product of two independent values has the variance of the one times that of the other, whatever their
+        # tails. The mean of the far ones adds to it.
+        error = np.sqrt((1 + 1 / np.where(upright, len(_FAR_BELOW), len(_FAR))) / self._pairs[:near])
+        return NeighbourStatistics(
+            lags=_LAGS,
+            correlation=correlation[:near] - np.where(upright, below, far),
+            error=float(error.max()),
+            outlier_wins=self._wins[:, ::-1].cumsum(axis=1)[:, ::-1],
+            outliers=self._outliers[:, ::-1].cumsum(axis=1)[:, ::-1],
+        )
+
+
+def _same_colour(pattern: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the offsets of the eight nearest pixels of the same colour, (row, column, 8, 2)."""
+    colour = np.where(pattern == 3, 1, pattern)  # both greens of Bayer
+    period = len(pattern)
+    places = sorted(
+        ((dy, dx) for dy in range(-4, 5) for dx in range(-4, 5) if dy or dx),
+        key=lambda place: (math.hypot(*place), place),
+    )
+
+    def nearest(row: int, column: int) -> list[tuple[int, int]]:
+        alike = (
+            (dy, dx) for dy, dx in places if colour[(row + dy) % period, (column + dx) % period] == colour[row, column]
+        )
+        return [place for place, _ in zip(alike, range(_NEIGHBOURS), strict=False)]
+
+    return np.array([[nearest(row, column) for column in range(period)] for row in range(period)])
+
+
+def _induced(pattern: NDArray[np.int64], across: int, width: int) -> float:
+    """Return the correlation that taking off the mean of each row and channel makes at a lag along rows."""
+    number = np.array([[np.count_nonzero(row == channel) for channel in row] for row in pattern]) / len(pattern)
+    alike = np.roll(pattern, -across, axis=1) == pattern
+    return -float(np.where(alike, 1 / (number * width), 0.0).mean())

@@ -1,3 +1,5 @@
+from .audit import Finding as Finding
+from .audit import GivenFigure as GivenFigure
 from .camera import calibrate as calibrate
 from .colour_bias import ChannelMeans as ChannelMeans
 from .colour_bias import ColourBias as ColourBias

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
 Figure = Literal["gain", "read noise", "row noise", "colour bias"]
 """What a calibration measures at one ISO. Read noise is lambda, sigma_TL and sigma_G."""
+
+SYMBOLS: Final[Mapping[Figure, str]] = {
+    "gain": "K",
+    "read noise": "lambda, sigma_TL and sigma_G",
+    "row noise": "sigma_row",
+    "colour bias": "the colour bias",
+}
 
 Effect = Literal["withheld", "wider", "remark"]
 
@@ -30,10 +38,10 @@ class Finding:
     statistic, threshold
         What the check measured, and beyond what it speaks.
     text
-        What was seen, and what to do about it, in a sentence or two.
+        What was seen, and what to do about it, in a sentence or two. What becomes of the figures is added to it.
     allowance
-        Of effect ``"wider"``: what is added in quadrature to the standard errors, as a share of the figure (of lambda:
-        as it is).
+        Of effect ``"wider"``: what is added in quadrature to the standard errors, as a share of the figure; of lambda
+        as it is, of the colour bias in DN.
     """
 
     check: str
@@ -43,6 +51,31 @@ class Finding:
     threshold: float
     text: str
     allowance: float = 0.0
+
+    @property
+    def remark(self) -> str:
+        """The text, and what becomes of the figures for it."""
+        if self.effect == "remark" or not self.figures:
+            return self.text
+        named = " and ".join(SYMBOLS[figure] for figure in self.figures)
+        fate = f"withheld: {named}" if self.effect == "withheld" else f"errors made larger: {named}"
+        return f"{self.text} ({fate})"
+
+
+@dataclass(frozen=True, slots=True)
+class GivenFigure:
+    """A figure as it is given: its value, and its standard error with all allowances (nan: not known)."""
+
+    value: float
+    error: float
+
+
+def given(findings: Iterable[Finding], figure: Figure, value: float, error: float, scale: float) -> GivenFigure | None:
+    """Return a figure with what findings add to its error, each a share of ``scale``; ``None`` if it is withheld."""
+    of_it = [one for one in findings if figure in one.figures]
+    if any(one.effect == "withheld" for one in of_it):
+        return None
+    return GivenFigure(value, math.hypot(error, *(one.allowance * scale for one in of_it if one.effect == "wider")))
 
 
 def withheld(findings: Iterable[Finding]) -> frozenset[Figure]:

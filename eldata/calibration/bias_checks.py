@@ -15,11 +15,11 @@ from eldata.calibration.audit import Finding
 from eldata.calibration.neighbours import OUTLIERS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.audit import Effect, Figure
+    from eldata.calibration.audit import Figure
     from eldata.calibration.bias_audit import BiasStatistics
     from eldata.calibration.colour_bias import ColourBias
     from eldata.calibration.read_noise import ReadNoise
@@ -32,6 +32,7 @@ MOST_ALLOWED = 0.05
 """A figure that may be off by more than this share is not given; below, its errors allow for it."""
 
 _LOW_SHARE = 0.05  # of the blocks, the darkest: taken for those without light
+_MOST_OF_BIAS_DN = 0.5  # that light may add to the colour bias
 _LEAST_EATEN = 0.55  # wins of outliers' own neighbours; one half without a filter, a little more with correlation
 _LOPSIDED = 0.05  # of lambda, per share of one side's outliers that is missing (measured: 0.03 to 0.04)
 _OF_UNLIKENESS = 2.0  # measured: shifts of lambda and both sigmas are 0.3 to 4 times the unlikeness
@@ -71,12 +72,17 @@ def bias_findings(
 
 
 def judged(
-    figure: Figure, check: str, share: float, error: float, statistic: float, threshold: float, text: str
-) -> Finding:
-    """Return the finding of a fault that may put a figure off by this share, given its relative standard error."""
-    effect: Effect = "withheld" if share > MOST_ALLOWED else "wider" if share > error else "remark"
-    figures = () if effect == "remark" else (figure,)
-    return Finding(check, figures, effect, statistic, threshold, text, share if effect == "wider" else 0.0)
+    check: str, shares: Mapping[Figure, tuple[float, float]], statistic: float, threshold: float, text: str
+) -> Iterator[Finding]:
+    """Yield what follows from a fault, given by what share it may put each figure off, and its relative error."""
+    withheld = [figure for figure, (share, _) in shares.items() if share > MOST_ALLOWED]
+    wider = {figure: share for figure, (share, error) in shares.items() if error < share <= MOST_ALLOWED}
+    if withheld:
+        yield Finding(check, tuple(withheld), "withheld", statistic, threshold, text)
+    if wider:
+        yield Finding(check, tuple(wider), "wider", statistic, threshold, text, max(wider.values()))
+    if not withheld and not wider:
+        yield Finding(check, (), "remark", statistic, threshold, text)
 
 
 def _read_error(read: ReadNoise) -> float:
@@ -115,9 +121,11 @@ def light(statistics: BiasStatistics, bias: ColourBias, read: ReadNoise) -> Iter
         f"({slope * statistics.sigma_dn**2:.2g} DN^2 for each DN), which adds {share:.1%} or more to the read noise; "
         "cap the lens, cover the viewfinder, and take them in the dark at the shortest exposure"
     )
-    yield judged("read noise", "light", share, _read_error(read), statistic, threshold, text)
-    if over_dark > min(bias.standard_error_dn):
+    yield from judged("light", {"read noise": (share, _read_error(read))}, statistic, threshold, text)
+    if over_dark > _MOST_OF_BIAS_DN:
         yield Finding("light", ("colour bias",), "withheld", statistic, threshold, text)
+    elif over_dark > min(bias.standard_error_dn):
+        yield Finding("light", ("colour bias",), "wider", statistic, threshold, text, over_dark)
 
 
 def _slope(
@@ -169,7 +177,7 @@ def unlike_pixels(statistics: BiasStatistics, read: ReadNoise, *, is_lit: bool =
             f"{share:.1%} or more to the read noise; take them in the dark, at the shortest exposure and with a camera "
             "that is not warm"
         )
-        yield judged("read noise", "dark signal", share, _read_error(read), by_level, threshold, text)
+        yield from judged("dark signal", {"read noise": (share, _read_error(read))}, by_level, threshold, text)
         return
     if by_size <= threshold and not few:
         return
@@ -223,14 +231,17 @@ def correlated(statistics: BiasStatistics, rows: RowNoise, read: ReadNoise) -> I
     )
     total = float(near.correlation[np.abs(near.correlation) > 3 * near.error].sum())
     share = abs(math.sqrt(max(1 + 2 * total, 0.0)) - 1)
-    yield judged("read noise", "correlated noise", share, _read_error(read), statistic, threshold, text)
     along = 2 * float(near.correlation[(near.lags[:, 0] == 0) & (np.abs(near.correlation) > 3 * near.error)].sum())
     line = rows.rows
     of_pixels = along * rows.pixel_variance_dn2 / len(rows.columns.fixed_dn)
     variance = max(line.variance_dn2, 1e-12)
     row_share = math.hypot(share, of_pixels / (2 * variance))
     error = line.sigma_error_dn / max(line.sigma_dn, 1e-12)
-    yield judged("row noise", "correlated noise", row_share, error, statistic, threshold, text)
+    shares: dict[Figure, tuple[float, float]] = {
+        "read noise": (share, _read_error(read)),
+        "row noise": (row_share, error),
+    }
+    yield from judged("correlated noise", shares, statistic, threshold, text)
 
 
 def filtered_outliers(statistics: BiasStatistics, read: ReadNoise) -> Iterator[Finding]:
@@ -270,15 +281,13 @@ def filtered_outliers(statistics: BiasStatistics, read: ReadNoise) -> Iterator[F
             f"{max(above, below) / both:.0%} lie {side} it, where the model has as many on both sides; random "
             "telegraph noise and filters against bright pixels do this"
         )
-        yield judged(
-            "read noise",
-            "lopsided noise",
-            _LOPSIDED * share,
-            _read_error(read),
-            abs(above - below) / math.sqrt(both),
-            threshold,
-            text,
+        excess = abs(above - below) / math.sqrt(both)
+        yield from judged(
+            "lopsided noise", {"read noise": (_LOPSIDED * share, _read_error(read))}, excess, threshold, text
         )
+
+
+# --- values ---------------------------------------------------------------------------------------------------------
 
 
 def coarse_values(step: int, gaps: float, read: ReadNoise) -> Iterator[Finding]:
@@ -296,9 +305,11 @@ def coarse_values(step: int, gaps: float, read: ReadNoise) -> Iterator[Finding]:
         else f"{gaps:.0%} of the DN values between others never occur in a bias frame: the camera multiplies after "
         "conversion at this ISO, or compresses with loss"
     )
-    text += f"; rounding is coarser than the model's, by {added:.2g} DN^2; use a raw mode with all bits, or leave this ISO out"
+    text += (
+        f"; rounding adds {added:.2g} DN^2 more than the model's; use a raw mode with all bits, or leave this ISO out"
+    )
     share = 1 - math.sqrt(max(1 - added / max(read.sigma_gauss_dn, 1e-12) ** 2, 0.0))
-    yield judged("read noise", "coarse values", share, _read_error(read), size, 1.0 / (1 - GAPS), text)
+    yield from judged("coarse values", {"read noise": (share, _read_error(read))}, size, 1 / (1 - GAPS), text)
 
 
 # --- rows ---------------------------------------------------------------------------------------------------------
@@ -342,7 +353,7 @@ def row_waves(rows: RowNoise) -> Iterator[Finding]:
             "ones; the model draws row by row, so simulated frames show less of them"
         )
         share = _share_of_sigma(variance, line)
-        yield judged("row noise", "slow row drift", share, error, excess, limit, text)
+        yield from judged("slow row drift", {"row noise": (share, error)}, excess, limit, text)
     if is_wave.any():
         variance = float((power - ground)[is_wave].sum()) / power.size
         peak = int(np.where(is_wave, ratio, 0.0).argmax())
@@ -350,9 +361,8 @@ def row_waves(rows: RowNoise) -> Iterator[Finding]:
             f"bands in the rows, one every {1 / frequency[peak]:.3g} rows, of {math.sqrt(2 * variance):.2g} DN "
             "amplitude; the model draws row by row; look for interference (another charger, lamp or card)"
         )
-        yield judged(
-            "row noise", "banding", _share_of_sigma(variance, line), error, float(ratio.max()), threshold, text
-        )
+        share = _share_of_sigma(variance, line)
+        yield from judged("banding", {"row noise": (share, error)}, float(ratio.max()), threshold, text)
 
 
 def _periodogram(line: LineNoise) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import copy
 import math
+from dataclasses import replace
 from functools import partial
-from operator import itemgetter
 from typing import TYPE_CHECKING
 
 from tqdm import tqdm
@@ -18,14 +18,15 @@ from eldata.calibration.one_iso import calibrate_iso, decodings
 from eldata.calibration.remarks import overall_remarks
 from eldata.calibration.results import Calibration
 from eldata.datasets.calibration_frames import CalibrationFrames
-from eldata.errors import ArgumentError, DatasetError
+from eldata.errors import ArgumentError
 from eldata.manifest.verify import Problem
 from eldata.noise.profile import CameraProfile, LogLogFit, ProfileRow
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Callable, Collection, Sequence
     from pathlib import Path
 
+    from eldata.calibration.audit import GivenFigure
     from eldata.calibration.frame_checks import IsoFrames
     from eldata.calibration.joint import LogLogEstimate
     from eldata.calibration.results import IsoCalibration
@@ -67,7 +68,7 @@ def calibrate(
     ArgumentError
         If ``isos`` is given with frames that are chosen already, or ``workers`` not positive.
     DatasetError
-        If there are no frames, or no ISO has pairs of flats.
+        If there are no frames.
 
     References
     ----------
@@ -133,66 +134,93 @@ def _failure(frames: CalibrationFrames, failed: Failed[IsoFrames]) -> FramesErro
 
 
 def joined(camera: str, isos: Sequence[IsoCalibration]) -> Calibration:
-    """Return the calibration of a camera from that of its ISOs: fits over K, profile, remarks.
-
-    Raises
-    ------
-    DatasetError
-        If no ISO has a gain.
-    """
+    """Return the calibration of a camera from that of its ISOs: fits over K, profile, remarks."""
     ordered = tuple(sorted(isos, key=lambda one: one.iso))
-    known = sorted(((one.gain_dn_per_e, one) for one in ordered if one.gain_dn_per_e is not None), key=itemgetter(0))
-    if not known:
-        raise DatasetError(
-            f"{camera}: no ISO has two flats of the same exposure, so K is not known: take pairs of equal flats at "
-            "four exposures or more, from a tenth to nine tenths of the range"
-        )
     remarks = overall_remarks(ordered)
-    of_tukey_lambda, tukey_lambda_fit = _fitted("sigma_TL", [(k, one.read.sigma_tl_dn) for k, one in known], remarks)
-    of_gauss, gauss_fit = _fitted("sigma_G", [(k, one.read.sigma_gauss_dn) for k, one in known], remarks)
-    of_rows, row_fit = _fitted("sigma_row", [(k, one.rows.rows.sigma_dn) for k, one in known], remarks)
+    of_tukey_lambda, tukey_lambda_fit = _fitted("sigma_TL", _points(ordered, lambda one: one.sigma_tl_dn), remarks)
+    of_gauss, gauss_fit = _fitted("sigma_G", _points(ordered, lambda one: one.sigma_gauss_dn), remarks)
+    of_rows, row_fit = _fitted("sigma_row", _points(ordered, lambda one: one.sigma_row_dn), remarks)
+    if any(one.gain for one in ordered) and not _points(ordered, lambda one: one.sigma_row_dn):
+        remarks.append("sigma_row is withheld wherever K is known: the profile makes no row noise")
     blacks = {level for one in ordered for level in one.sensor.black_level_dn}
     whites = {one.sensor.white_level_dn for one in ordered}
     for name, levels in (("black", blacks), ("white", whites)):
         if max(levels) - min(levels) >= 1:
             listed = ", ".join(f"{level:g}" for level in sorted(levels)[:6])
             remarks.append(f"the {name} level differs by ISO or channel ({listed} DN); the profile leaves it open")
-    (least_gain, lowest), (most_gain, highest) = known[0], known[-1]
     bias, flat = sum(one.bias_frames for one in ordered), sum(one.flat_frames for one in ordered)
-    notes = [f"ISO {one.iso:g}: {remark}" for one in ordered for remark in one.remarks] + remarks
-    profile = CameraProfile(
-        camera=camera,
-        source=f"eldata {__version__} calibrate: {bias} bias and {flat} flat frames at {len(ordered)} ISO(s)",
-        gain_range_dn_per_e=(least_gain, most_gain),
-        tukey_lambda_fit=tukey_lambda_fit,
-        gauss_fit=gauss_fit,
-        row_fit=row_fit,
-        rows=tuple(map(_row, ordered)),
-        iso_range=(lowest.iso, highest.iso) if lowest.iso <= highest.iso else None,
-        black_level_dn=min(blacks) if max(blacks) - min(blacks) < 1 else None,
-        white_level_dn=min(whites) if len(whites) == 1 else None,
-        notes=tuple(notes),
-    )
-    return Calibration(
+    source = f"eldata {__version__} calibrate: {bias} bias and {flat} flat frames at {len(ordered)} ISO(s)"
+    found = Calibration(
         camera=camera,
         isos=ordered,
-        profile=profile,
+        source=source,
         tukey_lambda_fit=of_tukey_lambda,
         gauss_fit=of_gauss,
         row_fit=of_rows,
         remarks=tuple(remarks),
+        made_profile=None,
+        no_profile=_no_profile(ordered),
     )
+    if found.no_profile:
+        return found
+    known = sorted((one.gain_dn_per_e, one.iso) for one in ordered if one.gain_dn_per_e is not None)
+    (least_gain, lowest), (most_gain, highest) = known[0], known[-1]
+    profile = CameraProfile(
+        camera=camera,
+        source=source,
+        gain_range_dn_per_e=(least_gain, most_gain),
+        tukey_lambda_fit=tukey_lambda_fit,
+        gauss_fit=gauss_fit,
+        row_fit=row_fit,
+        rows=tuple(row for one in ordered if (row := _row(one)) is not None),
+        iso_range=(lowest, highest) if lowest <= highest else None,
+        black_level_dn=min(blacks) if max(blacks) - min(blacks) < 1 else None,
+        white_level_dn=min(whites) if len(whites) == 1 else None,
+        notes=found.all_remarks,
+    )
+    return replace(found, made_profile=profile)
 
 
-def _row(one: IsoCalibration) -> ProfileRow:
+def _no_profile(isos: Sequence[IsoCalibration]) -> str:
+    """Return why these figures do not make a profile; empty if they do."""
+    if not any(one.gain for one in isos):
+        if all(one.transfer is None for one in isos):
+            return (
+                "no ISO has two flats of the same exposure, so K is not known: take pairs of equal flats at four "
+                "exposures or more, from a tenth to nine tenths of the range"
+            )
+        return "K is withheld at every ISO that has flats; the remarks say why"
+    if not any(_row(one) for one in isos):
+        return "the read noise or the colour bias is withheld at every ISO; the remarks say why"
+    if not _points(isos, lambda one: one.sigma_tl_dn):
+        return "no ISO has both K and the read noise; the remarks say why"
+    return ""
+
+
+def _points(
+    isos: Sequence[IsoCalibration], scale_of: Callable[[IsoCalibration], GivenFigure | None]
+) -> list[tuple[float, float]]:
+    """Return K and a scale of the ISOs at which both are given."""
+    return [
+        (one.gain_dn_per_e, scale.value)
+        for one in isos
+        if one.gain_dn_per_e is not None and (scale := scale_of(one)) is not None
+    ]
+
+
+def _row(one: IsoCalibration) -> ProfileRow | None:
+    """Return an ISO's row of the profile; ``None`` if lambda or the colour bias, which every row has, is withheld."""
+    shape, scale, gauss, row = one.tukey_lambda, one.sigma_tl_dn, one.sigma_gauss_dn, one.sigma_row_dn
+    if shape is None or scale is None or gauss is None or one.colour_bias_dn is None:
+        return None
     return ProfileRow(
-        tukey_lambda=one.read.tukey_lambda,
+        tukey_lambda=shape.value,
         colour_bias_dn=one.colour_bias_dn,
         iso=one.iso,
         gain_dn_per_e=one.gain_dn_per_e,
-        sigma_tl_dn=one.read.sigma_tl_dn,
-        sigma_gauss_dn=one.read.sigma_gauss_dn,
-        sigma_row_dn=one.rows.rows.sigma_dn,
+        sigma_tl_dn=scale.value,
+        sigma_gauss_dn=gauss.value,
+        sigma_row_dn=None if row is None else row.value,
         r_squared_tl=one.read.r_squared_tl,
         r_squared_gauss=one.read.r_squared_gauss,
     )

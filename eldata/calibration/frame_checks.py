@@ -271,7 +271,7 @@ class Copies:
         if first is record:
             return None
         self.remarks.append(
-            f"{record.path} has the same pixels as {first.path} and was left out: copies hide noise, take every frame anew"
+            f"{record.path} has the same pixels as {first.path} and was left out: copies hide noise; shoot each anew"
         )
         return first
 

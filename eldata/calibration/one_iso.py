@@ -37,7 +37,7 @@ from eldata.calibration.photon_transfer import (
     spatial_photon_transfer,
 )
 from eldata.calibration.read_noise import Residuals, probability_plot, read_noise
-from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs
+from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs, transfer_remarks
 from eldata.calibration.reproduction import reproduction
 from eldata.calibration.results import IsoCalibration
 from eldata.calibration.row_noise import LineMeans, row_noise
@@ -172,6 +172,7 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
     first_spectrum = spectrum
 
     def from_bias_frames() -> IsoCalibration:
+        bias, rows, read = colour_bias(means, sensor.black_level_dn), row_noise(lines), read_noise(histogram)
         dark = IsoCalibration(
             iso=float(chosen.iso),
             sensor=sensor,
@@ -179,16 +180,17 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
             flat_frames=0,
             transfer=None,
             spatial=None,
-            bias=colour_bias(means, sensor.black_level_dn),
-            rows=row_noise(lines),
-            read=read_noise(histogram),
+            bias=bias,
+            rows=rows,
+            read=read,
             plot=probability_plot(histogram),
             pattern=fixed.summary,
             spectrum_dn2=first_spectrum,
             reproduction=None,
             remarks=(),
+            findings=bias_findings(audit.statistics(), bias, rows, read, step=step, gaps=gaps),
         )
-        if held_out is None:
+        if held_out is None or dark.parameters is None:
             return dark
         # Its own generator: the comparison of one ISO does not depend on which others are calibrated with it.
         generator = np.random.default_rng(int(chosen.iso))
@@ -205,10 +207,11 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
         transfer, spatial, flat_remarks = _flats(reader, chosen, fixed, copies)
     if transfer is not None:
         found = replace(found, transfer=transfer, spatial=spatial, flat_frames=transfer.frames)
+    if found.parameters is None:
+        found = replace(found, reproduction=None)  # what the flats showed withholds one of its parameters
     lossy = reader.lossy(estimated) or reader.lossy([pair.first for pair in chosen.pairs])
-    findings = bias_findings(audit.statistics(), found.bias, found.rows, found.read, step=step, gaps=gaps)
-    said = dict.fromkeys(one.text for one in findings)  # one fault may touch several figures
-    return replace(found, remarks=(*copies.remarks, *said, *bias_remarks(found, chosen, lossy), *flat_remarks))
+    of_gain = transfer_remarks(found, sensor)
+    return replace(found, remarks=(*copies.remarks, *bias_remarks(found, chosen, lossy), *flat_remarks, *of_gain))
 
 
 def _first_pass(
@@ -288,4 +291,4 @@ def _flats(
     except DatasetError:
         spatial = None  # it needs three brightnesses; it is for comparison alone
     transfer = photon_transfer(pairs)
-    return transfer, spatial, (*remarks, *flat_remarks(transfer, chosen, sensor, gaps))
+    return transfer, spatial, (*remarks, *flat_remarks(chosen, gaps))

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from eldata.calibration.frame_checks import IsoFrames
-    from eldata.calibration.photon_transfer import PhotonTransfer, PhotonTransferLine
+    from eldata.calibration.photon_transfer import PhotonTransferLine
     from eldata.calibration.results import IsoCalibration
     from eldata.records import Sensor
 
@@ -42,7 +42,9 @@ def bias_remarks(found: IsoCalibration, chosen: IsoFrames, lossy: str | None) ->
         )
     if lossy is not None:
         remarks.append(f"the files have {lossy}, which changes noise: no figure here is the sensor's own")
-    if not read.is_reliable:
+    if "read noise" in found.withheld:
+        pass  # a finding says more
+    elif not read.is_reliable:
         remarks.append(
             f"the read noise ({read.sigma_gauss_dn:.2f} DN) is below {RELIABLE_SIGMA_DN:g} DN, so rounding hides its "
             "shape: lambda and sigma_TL are uncertain by more than they say"
@@ -53,19 +55,22 @@ def bias_remarks(found: IsoCalibration, chosen: IsoFrames, lossy: str | None) ->
             f"R2 of the Tukey-lambda plot is {read.r_squared_tl:.4f}: the read noise is not of this family (look at "
             "its plot for steps and a second slope)"
         )
-    if rows.sigma_dn == 0:
+    if "row noise" in found.withheld:
+        pass
+    elif rows.sigma_dn == 0:
         remarks.append(f"no row noise was seen; {rows.sigma_error_dn:.2g} DN would just have been visible")
     elif rows.shapiro_p < 1e-3 and abs(rows.excess_kurtosis) > 0.5:
         remarks.append(
             f"the row noise is not normal (Shapiro-Wilk p = {rows.shapiro_p:.1g}, excess kurtosis "
             f"{rows.excess_kurtosis:.1f}); the model takes it for normal"
         )
-    if columns.variance_dn2 > 5 * columns.variance_error_dn2 and columns.sigma_dn > 0.3 * rows.sigma_dn:
+    of_columns = columns.variance_dn2 > 5 * columns.variance_error_dn2 and columns.sigma_dn > 0.3 * rows.sigma_dn
+    if of_columns and "row noise" not in found.withheld:
         remarks.append(
             f"columns have noise of their own, {columns.sigma_dn:.2g} DN, which the model leaves out and the read "
             "noise contains"
         )
-    drift = max(error for error in found.bias.standard_error_dn if math.isfinite(error))
+    drift = max((one.error for one in found.colour_bias or () if math.isfinite(one.error)), default=0.0)
     if drift > 0.25:
         remarks.append(f"black drifts from frame to frame: the colour bias is uncertain by {drift:.2g} DN")
     if found.pattern.defects > 0.01 * found.pattern.pixels:
@@ -87,8 +92,8 @@ def no_pairs(chosen: IsoFrames) -> str:
     return f"{what}, so K is not known: this ISO does not take part in the fits; take flats in pairs of equal exposure"
 
 
-def flat_remarks(transfer: PhotonTransfer, chosen: IsoFrames, sensor: Sensor, gaps: float) -> tuple[str, ...]:
-    """Return what the flats and K show."""
+def flat_remarks(chosen: IsoFrames, gaps: float) -> tuple[str, ...]:
+    """Return what the flats show."""
     remarks = []
     if chosen.single:
         names = ", ".join(record.path for record in chosen.single[:3])
@@ -98,6 +103,14 @@ def flat_remarks(transfer: PhotonTransfer, chosen: IsoFrames, sensor: Sensor, ga
         remarks.append(f"K comes from {len(chosen.pairs)} pair(s) of flats; {_LEAST_PAIRS} levels or more are advised")
     if gaps > GAPS:
         remarks.append(f"{gaps:.0%} of the DN values between others never occur in a flat: lossy compression?")
+    return tuple(remarks)
+
+
+def transfer_remarks(found: IsoCalibration, sensor: Sensor) -> tuple[str, ...]:
+    """Return what the photon transfer shows; nothing without one."""
+    transfer, remarks = found.transfer, list[str]()
+    if transfer is None:
+        return ()
     if transfer.left_out > 0.5:
         remarks.append(
             f"{transfer.left_out:.0%} of the flats' area is saturated or clipped and was left out; expose less"
@@ -106,6 +119,8 @@ def flat_remarks(transfer: PhotonTransfer, chosen: IsoFrames, sensor: Sensor, ga
     share = brightest / (sensor.white_level_dn - float(np.mean(sensor.black_level_dn)))
     if share < 0.25:
         remarks.append(f"the brightest usable flat reaches {share:.0%} of the range; some nine tenths are better")
+    if "gain" in found.withheld:
+        return tuple(remarks)  # a finding says more
     worst = max((line.chi2_per_dof for line in transfer.channels if _is_bent(line)), default=0.0)
     if worst > 0:
         remarks.append(

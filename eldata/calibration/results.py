@@ -9,20 +9,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.base.tables import text_table, with_error
+from eldata.calibration.audit import SYMBOLS, given, withheld
 from eldata.calibration.spectrum import SpectrumLines
+from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from numpy.typing import NDArray
 
+    from eldata.calibration.audit import Figure, Finding, GivenFigure
     from eldata.calibration.colour_bias import ColourBias
     from eldata.calibration.defects import PatternSummary
     from eldata.calibration.joint import LogLogEstimate
     from eldata.calibration.photon_transfer import PhotonTransfer
     from eldata.calibration.read_noise import ProbabilityPlot, ReadNoise
     from eldata.calibration.reproduction import Reproduction
-    from eldata.calibration.row_noise import RowNoise
+    from eldata.calibration.row_noise import LineNoise, RowNoise
     from eldata.noise.parameters import NoiseParameters
     from eldata.noise.profile import CameraProfile
     from eldata.records import Sensor
@@ -31,6 +34,10 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, slots=True, eq=False)
 class IsoCalibration:
     """All that was measured at one ISO.
+
+    ``transfer``, ``bias``, ``rows`` and ``read`` are what the estimators found, whatever the frames are like. What of
+    it is given, and with which error, are ``gain``, ``tukey_lambda``, ``sigma_tl_dn``, ``sigma_gauss_dn``,
+    ``sigma_row_dn`` and ``colour_bias``: tables, JSON, profile and page take it from there.
 
     Attributes
     ----------
@@ -55,9 +62,11 @@ class IsoCalibration:
         tiles of 256 x 256 pixels; white noise of variance s^2 gives s^2 throughout.
     reproduction
         The noise model with these parameters against a bias frame that no estimator saw; ``None`` if there were too
-        few frames to hold one out, or no gain.
+        few frames to hold one out, or one of the parameters is withheld.
     remarks
-        What a person should know before believing these figures.
+        What else a person should know before believing these figures.
+    findings
+        Which assumptions the frames do not keep, and what becomes of the figures that rest on them.
     """
 
     iso: float
@@ -74,6 +83,80 @@ class IsoCalibration:
     spectrum_dn2: NDArray[np.float32] = field(repr=False)
     reproduction: Reproduction | None
     remarks: tuple[str, ...]
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def withheld(self) -> frozenset[Figure]:
+        """The figures that are not given, since an assumption that they rest on does not hold."""
+        return withheld(self.findings)
+
+    def why_withheld(self, figure: Figure) -> str:
+        """Return in words why a figure is not given; empty if it is."""
+        return "; ".join(one.text for one in self.findings if one.effect == "withheld" and figure in one.figures)
+
+    @property
+    def all_remarks(self) -> tuple[str, ...]:
+        """Every remark, those of the findings first."""
+        return (*(one.remark for one in self.findings), *self.remarks)
+
+    @property
+    def gain(self) -> GivenFigure | None:
+        """System gain K [DN/e-]; ``None`` without flats, or if it is withheld."""
+        return None if self.transfer is None else self._of_gain(self.transfer.gain_dn_per_e, self.transfer.gain_error)
+
+    @property
+    def channel_gains(self) -> tuple[GivenFigure, ...] | None:
+        """K by CFA channel [DN/e-]."""
+        lines = () if self.transfer is None else self.transfer.channels
+        found = [self._of_gain(line.gain_dn_per_e, line.gain_error) for line in lines]
+        return tuple(one for one in found if one is not None) or None
+
+    @property
+    def spatial_gain(self) -> GivenFigure | None:
+        """K by the published single-frame method [DN/e-], for comparison."""
+        return None if self.spatial is None else self._of_gain(self.spatial.gain_dn_per_e, self.spatial.gain_error)
+
+    def _of_gain(self, value: float, error: float) -> GivenFigure | None:
+        return given(self.findings, "gain", value, error, value)
+
+    @property
+    def tukey_lambda(self) -> GivenFigure | None:
+        """Shape of the read noise; ``None`` if it is withheld."""
+        return given(self.findings, "read noise", self.read.tukey_lambda, self.read.tukey_lambda_error, 1.0)
+
+    @property
+    def sigma_tl_dn(self) -> GivenFigure | None:
+        """Scale of the read noise; ``None`` if it is withheld."""
+        scale = self.read.sigma_tl_dn
+        return given(self.findings, "read noise", scale, self.read.sigma_tl_error_dn, scale)
+
+    @property
+    def sigma_gauss_dn(self) -> GivenFigure | None:
+        """Standard deviation of the read noise; ``None`` if it is withheld."""
+        scale = self.read.sigma_gauss_dn
+        return given(self.findings, "read noise", scale, self.read.sigma_gauss_error_dn, scale)
+
+    @property
+    def sigma_row_dn(self) -> GivenFigure | None:
+        """Standard deviation of the row noise; ``None`` if it is withheld."""
+        return self._of_lines(self.rows.rows)
+
+    @property
+    def sigma_column_dn(self) -> GivenFigure | None:
+        """Standard deviation of what columns have of their own; ``None`` if row noise is withheld."""
+        return self._of_lines(self.rows.columns)
+
+    def _of_lines(self, lines: LineNoise) -> GivenFigure | None:
+        return given(self.findings, "row noise", lines.sigma_dn, lines.sigma_error_dn, lines.sigma_dn)
+
+    @property
+    def colour_bias(self) -> tuple[GivenFigure, ...] | None:
+        """Colour bias by CFA channel [DN]; ``None`` if it is withheld."""
+        found = [
+            given(self.findings, "colour bias", value, error, 1.0)
+            for value, error in zip(self.bias.bias_dn, self.bias.standard_error_dn, strict=True)
+        ]
+        return tuple(one for one in found if one is not None) or None
 
     @property
     def spectrum_lines(self) -> SpectrumLines:
@@ -82,27 +165,36 @@ class IsoCalibration:
 
     @property
     def gain_dn_per_e(self) -> float | None:
-        """System gain K; ``None`` without flats."""
-        return None if self.transfer is None else self.transfer.gain_dn_per_e
+        """System gain K; ``None`` without flats, or if it is withheld."""
+        return None if self.gain is None else self.gain.value
 
     @property
-    def colour_bias_dn(self) -> tuple[float, float, float, float]:
-        """Colour bias of R, G1, B, G2; X-Trans has one green, which stands for both."""
-        bias = self.bias.bias_dn
+    def colour_bias_dn(self) -> tuple[float, float, float, float] | None:
+        """Colour bias of R, G1, B, G2; X-Trans has one green, which stands for both. ``None`` if it is withheld."""
+        if self.colour_bias is None:
+            return None
+        bias = [channel.value for channel in self.colour_bias]
         return (bias[0], bias[1], bias[2], bias[3] if len(bias) == 4 else bias[1])
 
     @property
-    def parameters(self) -> NoiseParameters:
-        """The measured parameters as the noise model takes them; a gain of 1 stands for one that is not known."""
+    def parameters(self) -> NoiseParameters | None:
+        """The measured parameters as the noise model takes them; ``None`` if one of those in the dark is withheld.
+
+        A gain of 1 stands for one that is not known.
+        """
         from eldata.noise.parameters import NoiseParameters
 
+        bias, row = self.colour_bias_dn, self.sigma_row_dn
+        shape, scale, gauss = self.tukey_lambda, self.sigma_tl_dn, self.sigma_gauss_dn
+        if bias is None or row is None or shape is None or scale is None or gauss is None:
+            return None
         return NoiseParameters(
             gain_dn_per_e=self.gain_dn_per_e or 1.0,
-            tukey_lambda=self.read.tukey_lambda,
-            sigma_tl_dn=self.read.sigma_tl_dn,
-            sigma_gauss_dn=self.read.sigma_gauss_dn,
-            sigma_row_dn=self.rows.rows.sigma_dn,
-            colour_bias_dn=self.colour_bias_dn,
+            tukey_lambda=shape.value,
+            sigma_tl_dn=scale.value,
+            sigma_gauss_dn=gauss.value,
+            sigma_row_dn=row.value,
+            colour_bias_dn=bias,
         )
 
 
@@ -122,22 +214,41 @@ class Calibration:
         The camera's name.
     isos
         One record per ISO, ascending.
-    profile
-        For :class:`~eldata.noise.model.NoiseModel`.
+    source
+        What the figures come from, in words.
     tukey_lambda_fit, gauss_fit, row_fit
         The lines over K with their uncertainty; ``None`` where fewer than three ISOs can be fitted. The profile then
         says in a note what it holds instead.
     remarks
         About the calibration as a whole.
+    made_profile
+        The camera's profile; ``None`` if the figures do not make one.
+    no_profile
+        Why they do not; empty if they do.
     """
 
     camera: str
     isos: tuple[IsoCalibration, ...]
-    profile: CameraProfile
+    source: str
     tukey_lambda_fit: LogLogEstimate | None
     gauss_fit: LogLogEstimate | None
     row_fit: LogLogEstimate | None
     remarks: tuple[str, ...]
+    made_profile: CameraProfile | None
+    no_profile: str = ""
+
+    @property
+    def profile(self) -> CameraProfile:
+        """The camera's profile, for :class:`~eldata.noise.model.NoiseModel`.
+
+        Raises
+        ------
+        DatasetError
+            If the figures do not make one: no ISO has both K and read noise. It says why.
+        """
+        if self.made_profile is None:
+            raise DatasetError(f"{self.camera}: no profile can be made: {self.no_profile}")
+        return self.made_profile
 
     @property
     def usual_gain_per_iso(self) -> float:
@@ -147,7 +258,7 @@ class Calibration:
     @property
     def all_remarks(self) -> tuple[str, ...]:
         """Every remark, those of one ISO with its ISO in front."""
-        return (*(f"ISO {one.iso:g}: {remark}" for one in self.isos for remark in one.remarks), *self.remarks)
+        return (*(f"ISO {one.iso:g}: {remark}" for one in self.isos for remark in one.all_remarks), *self.remarks)
 
     def format_text(self) -> str:
         """Return the measured figures as aligned tables, the fits, and the remarks."""
@@ -161,12 +272,14 @@ class Calibration:
         header, rows = self.reproduction_table()
         if rows:
             parts.append("a bias frame kept out, against simulated ones\n" + text_table(header, rows, left=()))
+        if self.no_profile:
+            parts.append(f"no profile can be made: {self.no_profile}")
         if self.all_remarks:
             parts.append("remarks\n" + "\n".join(f"  {remark}" for remark in self.all_remarks))
         return "\n\n".join(parts)
 
     def table(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-        """Return header and rows of the figures by ISO, values with their standard errors.
+        """Return header and rows of the figures by ISO, values with their standard errors, or "withheld".
 
         ``9 + 1`` bias frames: nine were used, one was kept out to hold the result against.
         """
@@ -176,20 +289,16 @@ class Calibration:
         )
         rows: list[tuple[str, ...]] = []
         for one in self.isos:
-            read, row = one.read, one.rows.rows
-            gain = "-" if one.transfer is None else with_error(one.transfer.gain_dn_per_e, one.transfer.gain_error)
+            figures = (one.tukey_lambda, one.sigma_tl_dn, one.sigma_gauss_dn, one.sigma_row_dn)
             rows.append(
                 (
                     f"{one.iso:g}",
                     str(one.bias_frames) + (" + 1" if one.reproduction is not None else ""),
                     str(one.flat_frames),
-                    gain,
-                    with_error(read.tukey_lambda, read.tukey_lambda_error),
-                    with_error(read.sigma_tl_dn, read.sigma_tl_error_dn),
-                    with_error(read.sigma_gauss_dn, read.sigma_gauss_error_dn),
-                    with_error(row.sigma_dn, row.sigma_error_dn),
-                    f"{read.r_squared_tl:.5f}",
-                    f"{read.r_squared_gauss:.5f}",
+                    "-" if one.transfer is None else _cell(one.gain),
+                    *map(_cell, figures),
+                    f"{one.read.r_squared_tl:.5f}",
+                    f"{one.read.r_squared_gauss:.5f}",
                     str(one.pattern.defects),
                 )
             )
@@ -200,7 +309,7 @@ class Calibration:
         rows = [
             (
                 f"{one.iso:g}",
-                *map(with_error, one.bias.bias_dn, one.bias.standard_error_dn),
+                *map(_cell, one.colour_bias or (None,) * len(one.bias.channels)),
                 f"{max(one.pattern.dsnu_dn):.2f}",
             )
             for one in self.isos
@@ -245,7 +354,10 @@ class Calibration:
         return header, rows
 
     def as_dict(self) -> dict[str, Any]:
-        """Return every figure with its standard error as plain JSON types; numbers that are not finite are ``None``."""
+        """Return every figure with its standard error as plain JSON types.
+
+        Numbers that are not finite are ``None``, and so is what is withheld; ``"withheld"`` has the reasons by figure.
+        """
         from dataclasses import asdict
 
         fits = {
@@ -257,18 +369,28 @@ class Calibration:
             "camera": self.camera,
             "isos": [_iso_dict(one) for one in self.isos],
             "fits": {name: None if estimate is None else asdict(estimate) for name, estimate in fits.items()},
-            "profile": asdict(self.profile),
+            "profile": None if self.made_profile is None else asdict(self.made_profile),
+            "no_profile": self.no_profile or None,
             "remarks": list(self.all_remarks),
         }
 
 
+def _cell(figure: GivenFigure | None) -> str:
+    return "withheld" if figure is None else with_error(figure.value, figure.error)
+
+
+def _with_error(name: str, figure: GivenFigure | None) -> dict[str, float | None]:
+    """Return a figure and its error: ``sigma_tl_dn`` and ``sigma_tl_error_dn``."""
+    stem = name.removesuffix("_dn")
+    error = f"{stem}_error{name.removeprefix(stem)}"
+    return {name: None if figure is None else figure.value, error: None if figure is None else figure.error}
+
+
 def _iso_dict(one: IsoCalibration) -> dict[str, Any]:
-    read, rows, columns = one.read, one.rows.rows, one.rows.columns
-    of_read = (
-        *("tukey_lambda", "tukey_lambda_error", "sigma_tl_dn", "sigma_tl_error_dn"),
-        *("sigma_gauss_dn", "sigma_gauss_error_dn", "ppcc_lambda", "ppcc_sigma_tl_dn", "r_squared_tl"),
-        "r_squared_gauss",
-    )
+    from dataclasses import asdict
+
+    read, bias, channel_gains = one.read, one.colour_bias, one.channel_gains
+    ppcc = None if "read noise" in one.withheld else read
     found = {
         "iso": one.iso,
         "black_level_dn": one.sensor.black_level_dn,
@@ -276,28 +398,36 @@ def _iso_dict(one: IsoCalibration) -> dict[str, Any]:
         "bias_frames": one.bias_frames,
         "flat_frames": one.flat_frames,
         "gain_dn_per_e": one.gain_dn_per_e,
-        "gain_error": None if one.transfer is None else one.transfer.gain_error,
-        "gain_by_channel": None if one.transfer is None else [line.gain_dn_per_e for line in one.transfer.channels],
-        "gain_spatial_dn_per_e": None if one.spatial is None else one.spatial.gain_dn_per_e,
-        **{name: getattr(read, name) for name in of_read},
+        "gain_error": None if one.gain is None else one.gain.error,
+        "gain_by_channel": None if channel_gains is None else [channel.value for channel in channel_gains],
+        "gain_spatial_dn_per_e": None if one.spatial_gain is None else one.spatial_gain.value,
+        **_with_error("tukey_lambda", one.tukey_lambda),
+        **_with_error("sigma_tl_dn", one.sigma_tl_dn),
+        **_with_error("sigma_gauss_dn", one.sigma_gauss_dn),
+        "ppcc_lambda": None if ppcc is None else ppcc.ppcc_lambda,
+        "ppcc_sigma_tl_dn": None if ppcc is None else ppcc.ppcc_sigma_tl_dn,
+        "r_squared_tl": read.r_squared_tl,
+        "r_squared_gauss": read.r_squared_gauss,
         "read_chi2_per_dof": read.chi2_per_dof,
         "read_is_reliable": read.is_reliable,
-        "sigma_row_dn": rows.sigma_dn,
-        "sigma_row_error_dn": rows.sigma_error_dn,
-        "row_shapiro_p": rows.shapiro_p,
-        "sigma_column_dn": columns.sigma_dn,
-        "sigma_column_error_dn": columns.sigma_error_dn,
-        "colour_bias_dn": one.bias.bias_dn,
-        "colour_bias_error_dn": one.bias.standard_error_dn,
+        **_with_error("sigma_row_dn", one.sigma_row_dn),
+        "row_shapiro_p": one.rows.rows.shapiro_p,
+        **_with_error("sigma_column_dn", one.sigma_column_dn),
+        "colour_bias_dn": None if bias is None else [channel.value for channel in bias],
+        "colour_bias_error_dn": None if bias is None else [channel.error for channel in bias],
         "dsnu_dn": one.pattern.dsnu_dn,
         "defects": one.pattern.defects,
         "reproduction": None if one.reproduction is None else one.reproduction.as_dict(),
-        "remarks": list(one.remarks),
+        "withheld": {figure: one.why_withheld(figure) for figure in SYMBOLS if figure in one.withheld},
+        "findings": [asdict(finding) for finding in one.findings],
+        "remarks": list(one.all_remarks),
     }
     return {name: _plain(value) for name, value in found.items()}
 
 
 def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _plain(item) for name, item in value.items()}
     if isinstance(value, (tuple, list)):
         return [_plain(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

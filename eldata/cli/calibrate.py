@@ -77,13 +77,16 @@ def run(arguments: argparse.Namespace) -> int:
         return PROBLEMS
 
     def show() -> None:
-        print(f"{found.camera}: {found.profile.source}\n\n{found.format_text()}")
+        print(f"{found.camera}: {found.source}\n\n{found.format_text()}")
         if frames.skipped:
             left = in_line(frames.skipped[0])
             print(f"\n{len(frames.skipped)} file(s) that are not raw files were left alone, such as {left}")
 
     def write_profile() -> None:
-        found.profile.save(arguments.output)
+        if found.made_profile is None:
+            print(f"\n{arguments.output} was not written")  # the text says why
+            return
+        found.made_profile.save(arguments.output)
         print(f"\nprofile: {arguments.output}; look at it with eldata profile show {arguments.output}")
 
     def write_page() -> None:
@@ -98,7 +101,8 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.json and (lambda: write_json(arguments.json, found.as_dict())),
         arguments.html and write_page,
     )
-    return OK
+    lacking = arguments.output and found.made_profile is None
+    return PROBLEMS if lacking or any(one.withheld for one in found.isos) else OK
 
 
 def _show_problems(camera: str, problems: Sequence[Problem]) -> None:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
+    from eldata.calibration.audit import GivenFigure
     from eldata.calibration.results import Calibration, IsoCalibration
     from eldata.demo.body import FixedFeatures
 
@@ -83,24 +84,28 @@ def against_truth(found: Calibration, truth: Mapping[str, Any]) -> str:
 
 
 def _errors(one: IsoCalibration, true: dict[str, Any]) -> tuple[str, ...]:
-    read, row = one.read, one.rows.rows
-    gain = "-"
-    if one.transfer is not None:
-        gain = _relative(one.transfer.gain_dn_per_e, true["gain_dn_per_e"], one.transfer.gain_error)
-    shape = read.tukey_lambda - true["tukey_lambda"]
+    shape = "withheld"
+    if one.tukey_lambda is not None:
+        off = one.tukey_lambda.value - true["tukey_lambda"]
+        shape = f"{off:+.4f} ({off / one.tukey_lambda.error:+.1f})"
+    bias = "withheld"
     # What the frames hold: the specimen's fixed pattern has a mean of its own.
     offsets = true["colour_bias_with_pattern_dn"]
-    bias = max((mean - offset for mean, offset in zip(one.bias.bias_dn, offsets, strict=True)), key=abs)
+    if one.colour_bias is not None:
+        off = max((mean.value - offset for mean, offset in zip(one.colour_bias, offsets, strict=True)), key=abs)
+        bias = f"{off:+.3f}"
     return (
         f"{one.iso:g}",
-        gain,
-        f"{shape:+.4f} ({shape / read.tukey_lambda_error:+.1f})",
-        _relative(read.sigma_tl_dn, true["sigma_tl_dn"], read.sigma_tl_error_dn),
-        _relative(read.sigma_gauss_dn, true["sigma_gauss_dn"], read.sigma_gauss_error_dn),
-        _relative(row.sigma_dn, true["sigma_row_dn"], row.sigma_error_dn),
-        f"{bias:+.3f}",
+        "-" if one.transfer is None else _relative(one.gain, true["gain_dn_per_e"]),
+        shape,
+        _relative(one.sigma_tl_dn, true["sigma_tl_dn"]),
+        _relative(one.sigma_gauss_dn, true["sigma_gauss_dn"]),
+        _relative(one.sigma_row_dn, true["sigma_row_dn"]),
+        bias,
     )
 
 
-def _relative(found: float, true: float, error: float) -> str:
-    return f"{100 * (found / true - 1):+.2f} ({(found - true) / error:+.1f})"
+def _relative(found: GivenFigure | None, true: float) -> str:
+    if found is None:
+        return "withheld"
+    return f"{100 * (found.value / true - 1):+.2f} ({(found.value - true) / found.error:+.1f})"

@@ -13,7 +13,6 @@ from eldata import __version__
 from eldata.base.workers import accepts_jobs
 from eldata.errors import ArgumentError, ManifestError, PredictionError
 from eldata.evaluation.combined import CombinedResult, NotScored
-from eldata.evaluation.diagnosis import suspicions_of
 from eldata.evaluation.layouts import Expected
 from eldata.evaluation.pairs import frames_of, place_of
 from eldata.evaluation.planning import known_places, places_elsewhere, plan_scoring, require_pairs
@@ -21,6 +20,7 @@ from eldata.evaluation.predictions import FoundPredictions, find_predictions, mi
 from eldata.evaluation.request import ALL, EvaluationOptions, Request, make_request
 from eldata.evaluation.results import THE_INPUT, EvaluationResult
 from eldata.evaluation.scores import EvaluationProblem
+from eldata.evaluation.suspicions import suspicions_of
 from eldata.evaluation.units import score_plans
 from eldata.protocols.kinds import CLIPS, IMAGES
 from eldata.protocols.protocol import CHOICES, ONE_CAMERAS_LEVELS
@@ -86,7 +86,7 @@ def evaluate(
         ``"input"``, in place of ``predictions``: score the noisy input itself, amplified and clipped as the protocol
         has it. Default: None.
     strict
-        Whether predictions that show a mistake (:mod:`eldata.evaluation.diagnosis`) are a problem: then nothing has a
+        Whether predictions that show a mistake (:mod:`eldata.evaluation.suspicions`) are a problem: then nothing has a
         score. Default: False, the result's ``suspicions`` name it.
     lpips
         Folder of the weights of LPIPS (:meth:`eldata.metrics.LpipsWeights.load`): scores have it too, of the renderings

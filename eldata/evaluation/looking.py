@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 import numpy as np
 
 from eldata.errors import ArgumentError, PredictionError
+from eldata.evaluation.compared_frames import scored_arrays
 from eldata.evaluation.pairs import place_of
 from eldata.evaluation.predictions import find_predictions
 from eldata.evaluation.scores import FrameScore
 from eldata.evaluation.statistics import FEWEST_SCENES, LEVEL, RESAMPLES, SEED, interval_of_scores
-from eldata.evaluation.units import scored_arrays
 from eldata.isp.preview import preview
 from eldata.protocols.protocol import Protocol
 
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from eldata.evaluation.compared_frames import ScoredArrays
     from eldata.evaluation.results import EvaluationResult
     from eldata.evaluation.scores import UnitScore
     from eldata.evaluation.statistics import Interval
-    from eldata.evaluation.units import ScoredArrays
     from eldata.protocols.kinds import Kind
 
 Grouping = Literal["camera", "iso"]

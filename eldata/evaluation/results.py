@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from eldata.base.tables import Format
-    from eldata.evaluation.diagnosis import Suspicion
     from eldata.evaluation.pairs import Pair
     from eldata.evaluation.statistics import Interval
+    from eldata.evaluation.suspicions import Suspicion
     from eldata.protocols.kinds import Kind
     from eldata.protocols.protocol import Protocol, StatedProtocol
 
@@ -67,7 +67,7 @@ class EvaluationResult:
     notes
         What a reader of the table should know.
     suspicions
-        Mistakes that the predictions show (:mod:`eldata.evaluation.diagnosis`).
+        Mistakes that the predictions show (:mod:`eldata.evaluation.suspicions`).
     units
         The pairs, or windows of clips, that were to be scored; none in a result that was read back.
     source

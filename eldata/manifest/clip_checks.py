@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from eldata.base.png import read_png_header, read_rgb16
 from eldata.errors import FileError
-from eldata.manifest.patterns import Finding
+from eldata.manifest.patterns import RowFinding
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -24,37 +24,37 @@ def is_png(path: str) -> bool:
     return path.lower().endswith(".png")
 
 
-def size_findings(record: FrameRecord, width: int, height: int, advice: str) -> list[Finding]:
+def size_findings(record: FrameRecord, width: int, height: int, advice: str) -> list[RowFinding]:
     """Compare a file's size in pixels with the row's, if that has one."""
     return [
-        Finding(record.path, name, str(size), str(found), advice)
+        RowFinding(record.path, name, str(size), str(found), advice)
         for name, size, found in (("width", record.width, width), ("height", record.height, height))
         if size is not None and size != found
     ]
 
 
-def png_findings(folder: Path, record: FrameRecord) -> list[Finding]:
+def png_findings(folder: Path, record: FrameRecord) -> list[RowFinding]:
     """Check one PNG frame's header and end: that it is whole, 16-bit RGB, of the recorded size."""
     try:
         header = read_png_header(folder / record.path)
     except FileError as error:
-        return [Finding(record.path, "content", "a whole PNG file", error.reason, _AGAIN)]
+        return [RowFinding(record.path, "content", "a whole PNG file", error.reason, _AGAIN)]
     if (header.bit_depth, header.colour) != (16, "RGB"):
         advice = "this file was converted: take the original"
-        return [Finding(record.path, "content", "a 16-bit RGB PNG", str(header), advice)]
+        return [RowFinding(record.path, "content", "a 16-bit RGB PNG", str(header), advice)]
     return size_findings(record, header.width, header.height, "this file is of another clip or was scaled")
 
 
-def png_decode_findings(folder: Path, record: FrameRecord) -> list[Finding]:
+def png_decode_findings(folder: Path, record: FrameRecord) -> list[RowFinding]:
     """Decode one PNG frame, which verifies the checksum of every part."""
     try:
         read_rgb16(folder / record.path)
     except FileError as error:
-        return [Finding(record.path, "content", "a PNG file that decodes", error.reason, _AGAIN)]
+        return [RowFinding(record.path, "content", "a PNG file that decodes", error.reason, _AGAIN)]
     return []
 
 
-def png_size_findings(folder: Path, records: Iterable[FrameRecord]) -> list[Finding]:
+def png_size_findings(folder: Path, records: Iterable[FrameRecord]) -> list[RowFinding]:
     """Compare the sizes of the PNG files of each clip, its reference among them, with the most frequent one."""
     sizes: dict[str, dict[str, str]] = defaultdict(dict)
     for record in records:
@@ -68,7 +68,7 @@ def png_size_findings(folder: Path, records: Iterable[FrameRecord]) -> list[Find
     for of_path in sizes.values():
         usual = Counter(of_path.values()).most_common(1)[0][0]
         findings += [
-            Finding(path, "size", f"{usual}, like the clip's other files", size, "is this file of another clip?")
+            RowFinding(path, "size", f"{usual}, like the clip's other files", size, "is this file of another clip?")
             for path, size in of_path.items()
             if size != usual
         ]
@@ -77,7 +77,7 @@ def png_size_findings(folder: Path, records: Iterable[FrameRecord]) -> list[Find
 
 def exposure_findings(
     records: Sequence[FrameRecord], products: Mapping[str, Fraction | None], tolerance: Fraction
-) -> list[Finding]:
+) -> list[RowFinding]:
     """Compare ISO times exposure time of the raw frames of each clip with each other and with their reference's.
 
     For rows without a nominal ratio, where nothing else can be checked: a frame of another clip or a swapped reference
@@ -95,11 +95,11 @@ def exposure_findings(
             if product is not None and abs(product - usual) > tolerance * usual:
                 expected = f"{float(usual):.6g} (ISO times seconds), like most frames of the clip"
                 advice = "is this a frame of another clip, or the reference?"
-                findings.append(Finding(frame.path, "exposure", expected, f"{float(product):.6g}", advice))
+                findings.append(RowFinding(frame.path, "exposure", expected, f"{float(product):.6g}", advice))
         reference = frames[0].reference
         bright = None if reference is None else products.get(reference)
         if reference is not None and bright is not None and bright <= usual:
             expected = f"more than {float(usual):.6g} (ISO times seconds), its clip's"
             advice = "is this the reference? look for swapped files"
-            findings.append(Finding(reference, "exposure", expected, f"{float(bright):.6g}", advice))
+            findings.append(RowFinding(reference, "exposure", expected, f"{float(bright):.6g}", advice))
     return findings

@@ -20,7 +20,7 @@ from eldata.manifest.verify import Problem, VerifyReport, content_findings, veri
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
 
-    from eldata.manifest.patterns import Finding
+    from eldata.manifest.patterns import RowFinding
     from eldata.records import FrameRecord
 
 
@@ -125,7 +125,7 @@ def _counts(records: Iterable[FrameRecord]) -> dict[str, int]:
     return dict(sorted(Counter(str(record.role) for record in records).items()))
 
 
-def _locked(folder: Path, record: FrameRecord) -> tuple[FrameRecord, list[Finding]]:
+def _locked(folder: Path, record: FrameRecord) -> tuple[FrameRecord, list[RowFinding]]:
     path = folder / record.path
     require_files(path)
     # A hash of a damaged file would make the damage official.

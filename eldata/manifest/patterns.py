@@ -28,7 +28,7 @@ _DIGITS = re.compile(r"([0-9]+)")
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class RowFinding:
     """Something wrong with files of a manifest; ``eldata.manifest.verify`` makes a problem of it."""
 
     path: str
@@ -80,7 +80,7 @@ def expand(records: Iterable[FrameRecord], folder: Path) -> tuple[FrameRecord, .
     return tuple(sorted(expanded, key=attrgetter("path")))
 
 
-def pattern_findings(records: Iterable[FrameRecord], folder: Path) -> list[Finding]:
+def pattern_findings(records: Iterable[FrameRecord], folder: Path) -> list[RowFinding]:
     """Return what is wrong with the files that patterns match: several references, odd names, gaps in the numbers."""
     findings = []
     for row in records:
@@ -90,7 +90,7 @@ def pattern_findings(records: Iterable[FrameRecord], folder: Path) -> list[Findi
         if row.role == "reference" and len(files) > 1:
             names = ", ".join(PurePosixPath(path).name for path in files)
             advice = "which one is the reference is not known: move the others away"
-            findings.append(Finding(row.path, "file", "one file", names, advice))
+            findings.append(RowFinding(row.path, "file", "one file", names, advice))
         elif row.role != "reference":
             findings += sequence_findings(files)
     return findings
@@ -147,7 +147,7 @@ def _key(part: str) -> tuple[int, int, str]:
     return (0, int(part), "") if part.isdecimal() else (1, 0, part)
 
 
-def sequence_findings(paths: Sequence[str]) -> list[Finding]:
+def sequence_findings(paths: Sequence[str]) -> list[RowFinding]:
     """Return what is wrong with the names of one clip's frames."""
     if not paths:
         return []
@@ -158,16 +158,18 @@ def sequence_findings(paths: Sequence[str]) -> list[Finding]:
         "own (eldata.manifest.drv.scan_preprocessed)"
     )
     findings = [
-        Finding(f"{parent}/{name}", "name", "a name like the clip's others", name, "move it away: it shifts the frames")
+        RowFinding(
+            f"{parent}/{name}", "name", "a name like the clip's others", name, "move it away: it shifts the frames"
+        )
         for name in sequence.odd
     ]
     findings += [
-        Finding(f"{parent}", "number", f"each frame once, and so one frame {number}", "two", "move one away")
+        RowFinding(f"{parent}", "number", f"each frame once, and so one frame {number}", "two", "move one away")
         for number in sequence.doubles
     ]
     for first, last in sequence.gaps:
         numbers = sequence.numbers or (first, last)
         expected = f"frames {numbers[0]} to {numbers[-1]} without a gap"
         found = f"no frame {first}" if first == last else f"no frames {first} to {last}"
-        findings.append(Finding(f"{parent}", "number", expected, found, advice))
+        findings.append(RowFinding(f"{parent}", "number", expected, found, advice))
     return findings

@@ -35,7 +35,7 @@ from eldata.manifest.clip_checks import (
     size_findings,
 )
 from eldata.manifest.pairs import UNCERTAIN_ISO
-from eldata.manifest.patterns import Finding, expand, pattern_findings
+from eldata.manifest.patterns import RowFinding, expand, pattern_findings
 from eldata.manifest.table import number_text
 from eldata.raw.facts import raw_facts
 
@@ -73,7 +73,7 @@ class Problem:
         return in_line(f"{self.path}: {self.field}: expected {self.expected}, found {self.found}; {self.advice}")
 
     @classmethod
-    def of(cls, dataset: str, finding: Finding) -> Problem:
+    def of(cls, dataset: str, finding: RowFinding) -> Problem:
         """Say of which dataset a finding is."""
         return cls(dataset, finding.path, finding.field, finding.expected, finding.found, finding.advice)
 
@@ -264,10 +264,10 @@ def check_files(
 
 def _check_presence(
     manifest: Manifest, folder: Path, records: Sequence[FrameRecord]
-) -> tuple[list[FrameRecord], list[Finding]]:
+) -> tuple[list[FrameRecord], list[RowFinding]]:
     """Return the records whose files can be looked into, and what is wrong with the rest."""
     present: list[FrameRecord] = []
-    findings: list[Finding] = []
+    findings: list[RowFinding] = []
     missing: dict[str, list[FrameRecord]] = defaultdict(list)
     for record in records:
         try:
@@ -275,7 +275,7 @@ def _check_presence(
             size = path.stat().st_size if path.is_file() else None
         except ManifestError as error:
             expected = "a file below the dataset's folder"
-            findings.append(Finding(record.path, "path", expected, "a link outside", str(error)))
+            findings.append(RowFinding(record.path, "path", expected, "a link outside", str(error)))
             continue
         if size is None:
             # One line for a whole missing folder, the topmost one that is missing.
@@ -285,14 +285,14 @@ def _check_presence(
             continue
         if size == 0 or size != (record.size_bytes or size):
             expected = "more than 0 bytes" if record.size_bytes is None else f"{record.size_bytes} bytes"
-            findings.append(Finding(record.path, "size_bytes", expected, f"{size} bytes", _AGAIN))
+            findings.append(RowFinding(record.path, "size_bytes", expected, f"{size} bytes", _AGAIN))
         if size > 0:
             present.append(record)
     findings += [_missing(manifest, folder, top, lost) for top, lost in missing.items()]
     return present, findings
 
 
-def _missing(manifest: Manifest, folder: Path, top: str, lost: list[FrameRecord]) -> Finding:
+def _missing(manifest: Manifest, folder: Path, top: str, lost: list[FrameRecord]) -> RowFinding:
     path = folder / top
     if top == lost[0].path:
         like = [name for name in _names(path.parent) if name.casefold() == path.name.casefold()]
@@ -301,18 +301,18 @@ def _missing(manifest: Manifest, folder: Path, top: str, lost: list[FrameRecord]
             found, advice = "a folder", "move it away and copy the file"
         elif like:
             found, advice = f"only {like[0]}", f"rename it to {path.name}"
-        return Finding(top, "file", "a file", found, advice)
+        return RowFinding(top, "file", "a file", found, advice)
     advice = "unpack it there"
     if len(manifest.card.cameras) > 1 and len({record.camera for record in lost}) == 1:
         advice += f", or check the cameras you have with --camera (this is {lost[0].camera})"
-    return Finding(f"{top}/", "folder", f"{len(lost)} files", "no such folder", advice)
+    return RowFinding(f"{top}/", "folder", f"{len(lost)} files", "no such folder", advice)
 
 
 def _names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
 
 
-def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRecord]) -> list[Finding]:
+def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRecord]) -> list[RowFinding]:
     """Name files of the listed kind that the manifest does not list, in the folders of these records."""
     from eldata.raw.extensions import RAW_EXTENSIONS
 
@@ -335,13 +335,13 @@ def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRec
             if path not in listed and path.casefold() not in respelled:
                 expected = f"the {count_in[parent]} listed raw files in this folder"
                 advice = "move it away, and make sure that the others were not renumbered"
-                findings.append(Finding(path, "file", expected, f"{len(raws)} raw files, this one unlisted", advice))
+                findings.append(RowFinding(path, "file", expected, f"{len(raws)} raw files, this one unlisted", advice))
     return findings
 
 
 # --- metadata and full ----------------------------------------------------------------------------------------
 
-Outcome: TypeAlias = "tuple[list[Finding], Fraction | None]"
+Outcome: TypeAlias = "tuple[list[RowFinding], Fraction | None]"
 """What is wrong with a file, and its ISO times its exposure time, if it states both."""
 
 # With a finding in one of these fields the whole file is wrong: its bytes are not checked further.
@@ -350,7 +350,7 @@ _OF_CONTENT = ("content", "width", "height")
 
 def _unchecked(failed: Failed[FrameRecord]) -> Outcome:
     advice = "make it readable where the check runs, and check again"
-    return [Finding(failed.unit.path, "check", "a finished check", failed.reason, advice)], None
+    return [RowFinding(failed.unit.path, "check", "a finished check", failed.reason, advice)], None
 
 
 def _check_file(folder: Path, cameras: Mapping[str, CameraCard], level: Level, record: FrameRecord) -> Outcome:
@@ -372,7 +372,7 @@ def _check_file(folder: Path, cameras: Mapping[str, CameraCard], level: Level, r
     return findings, product
 
 
-def content_findings(folder: Path, record: FrameRecord) -> list[Finding]:
+def content_findings(folder: Path, record: FrameRecord) -> list[RowFinding]:
     """Say what is wrong with the content of a file whose hash is not known: decode it and look for damage."""
     path = folder / record.path
     if is_png(record.path):
@@ -382,14 +382,14 @@ def content_findings(folder: Path, record: FrameRecord) -> list[Finding]:
     try:
         _, decoded = raw_facts(path, decode=True)
     except RawFileError as error:
-        return [Finding(record.path, "content", "a whole raw file", error.reason, _AGAIN)]
+        return [RowFinding(record.path, "content", "a whole raw file", error.reason, _AGAIN)]
     return _decoded_findings(record, decoded)
 
 
-def _decoded_findings(record: FrameRecord, decoded: Sensor | str | None) -> list[Finding]:
+def _decoded_findings(record: FrameRecord, decoded: Sensor | str | None) -> list[RowFinding]:
     if isinstance(decoded, str):
         found = decoded.removesuffix(f"; {_AGAIN}")
-        return [Finding(record.path, "content", "a raw file that decodes", found, _AGAIN)]
+        return [RowFinding(record.path, "content", "a raw file that decodes", found, _AGAIN)]
     if decoded is None:
         return []
     advice = "this file was taken in another mode or by another camera"
@@ -401,7 +401,7 @@ def _raw_findings(path: Path, record: FrameRecord, models: Sequence[str], *, dec
     try:
         header, decoded = raw_facts(path, decode=decode)
     except RawFileError as error:
-        return [Finding(record.path, "content", "a whole raw file", error.reason, _AGAIN)], None
+        return [RowFinding(record.path, "content", "a whole raw file", error.reason, _AGAIN)], None
     findings, product = _header_findings(header, record, models)
     return [*findings, *_decoded_findings(record, decoded)], product
 
@@ -412,24 +412,24 @@ def _header_findings(header: RawHeader, record: FrameRecord, models: Sequence[st
     if not models:
         pass  # no public text says how the camera names itself
     elif not header.model and "" not in models:  # which a card lists for files whose camera does not name itself
-        findings.append(Finding(record.path, "camera", " or ".join(models), "no camera model", _NO_EXIF))
+        findings.append(RowFinding(record.path, "camera", " or ".join(models), "no camera model", _NO_EXIF))
     elif header.model.casefold() not in {model.casefold() for model in models}:
         advice = "this file was taken by another camera"
-        findings.append(Finding(record.path, "camera", " or ".join(models), header.model, advice))
+        findings.append(RowFinding(record.path, "camera", " or ".join(models), header.model, advice))
     iso, exposure_s = header.exposure.iso, header.exposure.exposure_s
     if iso is None or exposure_s is None:
         lost = "ISO" if iso is None else "exposure time"
-        return [*findings, Finding(record.path, "exposure", "ISO and exposure time", f"no {lost}", _NO_EXIF)], None
+        return [*findings, RowFinding(record.path, "exposure", "ISO and exposure time", f"no {lost}", _NO_EXIF)], None
     advice = "is this the frame that its name says? look for shifted numbering and swapped files"
     findings += [
-        Finding(record.path, field, number_text(expected), number_text(found), advice)
+        RowFinding(record.path, field, number_text(expected), number_text(found), advice)
         for field, expected, found in (("iso", record.iso, iso), ("exposure_s", record.exposure_s, exposure_s))
         if expected is not None and abs(found - expected) > RATIO_TOLERANCE * expected
     ]
     return findings, iso * exposure_s
 
 
-def _hash_findings(path: Path, record: FrameRecord) -> list[Finding]:
+def _hash_findings(path: Path, record: FrameRecord) -> list[RowFinding]:
     try:
         digest = sha256_of(path)
     except OSError as error:
@@ -437,10 +437,10 @@ def _hash_findings(path: Path, record: FrameRecord) -> list[Finding]:
     if digest == record.sha256:
         return []
     advice = _PACK_AGAIN if path.suffix == ".npy" else f"the file is damaged or another: {_AGAIN}"
-    return [Finding(record.path, "sha256", record.sha256 or "", digest, advice)]
+    return [RowFinding(record.path, "sha256", record.sha256 or "", digest, advice)]
 
 
-def _packed_findings(path: Path, record: FrameRecord) -> list[Finding]:
+def _packed_findings(path: Path, record: FrameRecord) -> list[RowFinding]:
     """Check a packed array (a synthetic noisy frame): it has no EXIF to compare, but a header that says its shape."""
     from eldata.base.npy import NpyError, read_npy_header
 
@@ -454,10 +454,10 @@ def _packed_findings(path: Path, record: FrameRecord) -> list[Finding]:
             found, good = f"{found} of {header.value_bytes} bytes, {held} of which are there", False
     except (OSError, NpyError) as error:
         found, good = str(error), False
-    return [] if good else [Finding(record.path, "content", "packed float32 (C, h, w)", found, _PACK_AGAIN)]
+    return [] if good else [RowFinding(record.path, "content", "packed float32 (C, h, w)", found, _PACK_AGAIN)]
 
 
-def _check_ratios(records: Sequence[FrameRecord], product_of: Mapping[str, Fraction | None]) -> list[Finding]:
+def _check_ratios(records: Sequence[FrameRecord], product_of: Mapping[str, Fraction | None]) -> list[RowFinding]:
     advice = "are both the frames that their names say? look for shifted numbering and swapped references"
     findings = []
     for record in records:
@@ -469,5 +469,5 @@ def _check_ratios(records: Sequence[FrameRecord], product_of: Mapping[str, Fract
         ratio = reference / noisy
         if abs(ratio - record.ratio) > RATIO_TOLERANCE * record.ratio:
             expected = f"{number_text(record.ratio)} to {record.reference}"
-            findings.append(Finding(record.path, "ratio", expected, f"{float(ratio):.6g}", advice))
+            findings.append(RowFinding(record.path, "ratio", expected, f"{float(ratio):.6g}", advice))
     return findings

@@ -255,7 +255,9 @@ def _one_thread() -> Iterator[None]:
     import torch
 
     with _entering:
-        _threads_before.append(_threads_before[0] if _threads_before else torch.get_num_threads())
+        # To ask comes first: a thread's first question is what makes torch set that thread's number to the process's.
+        number = torch.get_num_threads()
+        _threads_before.append(_threads_before[0] if _threads_before else number)
         torch.set_num_threads(1)
     try:
         yield

@@ -62,6 +62,19 @@ def assert_true(one: IsoCalibration, true: dict[str, Any], *, errors: float = 5)
         assert error < largest
 
 
+def assert_no_profile(found: Calibration, why: str) -> None:
+    """The figures are there, and what is asked for the profile says why there is none."""
+    assert found.made_profile is None
+    assert why in found.no_profile
+    with pytest.raises(DatasetError, match="no profile can be made: ") as raised:
+        _ = found.profile
+    assert not isinstance(raised.value, FramesError)
+    assert found.no_profile in str(raised.value)
+    data = found.as_dict()
+    assert (data["profile"], data["no_profile"]) == (None, found.no_profile)
+    assert found.no_profile in found.format_text()
+
+
 # --- what comes out -------------------------------------------------------------------------------------------------
 
 
@@ -216,6 +229,7 @@ def test_fewer_than_three_isos(isos: tuple[int, ...], found: Calibration, tmp_pa
     few.profile.save(tmp_path / "few.json")
     profile = CameraProfile.load(tmp_path / "few.json")
     for one in few.isos:
+        assert one.parameters is not None
         sampled = profile.sample(np.random.default_rng(3), iso=one.iso, row="nearest-gain")
         for name in ("gain_dn_per_e", "tukey_lambda", "sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn"):
             assert getattr(sampled, name) == pytest.approx(getattr(one.parameters, name), rel=1e-12)
@@ -251,9 +265,10 @@ def test_an_iso_without_flats(found: Calibration, tree: FrameTree) -> None:
 
 def test_no_flats_at_all(tree: FrameTree) -> None:
     shutil.rmtree(tree.camera / "flat")
-    with pytest.raises(DatasetError, match="K is not known: take pairs of equal flats") as raised:
-        calibrate(tree.root, isos=[100])
-    assert not isinstance(raised.value, FramesError)
+    dark = calibrate(tree.root, isos=[100])
+    assert_no_profile(dark, "K is not known: take pairs of equal flats")
+    assert dark.table()[1][0][3] == "-"
+    assert dark.isos[0].tukey_lambda is not None
 
 
 def test_four_bias_frames_leave_none_to_compare_with(tree: FrameTree) -> None:

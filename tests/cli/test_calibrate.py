@@ -162,18 +162,32 @@ def test_problems_that_pixels_show(eldata: Cli, tree: FrameTree) -> None:
     assert f"{relative(tree, path)}: level" in outcome.out
 
 
+def test_without_a_gain_there_are_figures_and_no_profile(eldata: Cli, tree: FrameTree, tmp_path: Path) -> None:
+    for path in tree.camera.glob("flat/*/*"):
+        path.unlink()
+    outcome = eldata("calibrate", tree.root, "--iso", "400")
+    assert (outcome.code, outcome.err) == (0, "")
+    assert "no profile can be made: no ISO has two flats of the same exposure, so K is not known" in outcome.out
+    targets = ("-o", tmp_path / "p.json", "--json", tmp_path / "d.json", "--html", tmp_path / "r.html")
+    outcome = eldata("calibrate", tree.root, "--iso", "400", *targets)
+    assert (outcome.code, outcome.err) == (1, ""), "a profile was asked for"
+    assert f"{tmp_path / 'p.json'} was not written" in outcome.out
+    assert not (tmp_path / "p.json").exists()
+    data = json.loads((tmp_path / "d.json").read_text())
+    assert data["profile"] is None
+    assert data["isos"][0]["sigma_tl_dn"] > 0
+    assert "No profile can be made" in (tmp_path / "r.html").read_text(encoding="utf-8")
+
+
 # --- wrong usage ------------------------------------------------------------------------------------------------------
 
 
-def test_unusable_input_is_one_line(eldata: Cli, pristine: FrameTree, tree: FrameTree, tmp_path: Path) -> None:
+def test_unusable_input_is_one_line(eldata: Cli, pristine: FrameTree, tmp_path: Path) -> None:
     assert_one_line(eldata("calibrate", tmp_path / "none"), "none: there is no such folder")
     assert_one_line(eldata("calibrate", tmp_path / "none.csv"), "none.csv", "cannot be read")
     assert_one_line(eldata("calibrate", tmp_path), "holds no folder bias or flat")
     assert_one_line(eldata("calibrate", pristine.root, "--camera", "Sony"), f"no camera 'Sony'; there is {CAMERA}")
     assert_one_line(eldata("calibrate", pristine.root, "--root", tmp_path), "--root", "manifest")
-    for path in tree.camera.glob("flat/*/*"):
-        path.unlink()
-    assert_one_line(eldata("calibrate", tree.root), "K is not known: take pairs of equal flats")
     debug = eldata("calibrate", tmp_path / "none", "--debug")
     assert debug.code == 2
     assert "Traceback" in debug.err

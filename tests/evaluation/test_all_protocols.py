@@ -77,7 +77,7 @@ def test_all_does_not_depend_on_jobs(own: OwnSet, preds: Path) -> None:
 
 def test_each_file_is_decoded_once(own: OwnSet, preds: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """But for the white level per channel, for which rawpy decodes once more."""
-    from eldata.evaluation import units
+    from eldata.evaluation import compared_frames
     from eldata.raw import reading
 
     decoded, loaded = [], []
@@ -92,7 +92,7 @@ def test_each_file_is_decoded_once(own: OwnSet, preds: Path, monkeypatch: pytest
         return genuine_load(*arguments)  # type: ignore[arg-type]
 
     monkeypatch.setattr(reading, "read_raw", read)
-    monkeypatch.setattr(units, "load_prediction", load)
+    monkeypatch.setattr(compared_frames, "load_prediction", load)
     evaluate_all(preds, manifest=own.manifest, root=own.root)
     assert sorted(decoded) == ["s0/clean.dng", "s1/clean.dng"]
     assert len(loaded) == len(set(loaded)) == 4
@@ -165,7 +165,7 @@ def test_all_on_the_demos_set(tree: Tree, predictions: Path) -> None:
 def test_evaluate_takes_one_protocol(own: OwnSet, preds: Path) -> None:
     with pytest.raises(ArgumentError, match="evaluate_all"):
         evaluate(preds, manifest=own.manifest, root=own.root, protocol="all")
-    with pytest.raises(EldataError, match="no such folder of predictions"):
+    with pytest.raises(EldataError, match="no such folder"):
         evaluate_all(preds / "nowhere", manifest=own.manifest, root=own.root)
     for arguments in ({"predictions": None}, {"predictions": preds, "baseline": "input"}):
         with pytest.raises(ArgumentError, match="a folder of predictions or a baseline"):

@@ -11,7 +11,7 @@ import pytest
 
 from eldata.cli.main import main
 from eldata.evaluation import evaluate, evaluate_all, load_results
-from eldata.evaluation.diagnosis import (
+from eldata.evaluation.suspicions import (
     EACH,
     MOST_FACTORS,
     Inspection,

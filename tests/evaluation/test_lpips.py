@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
-from concurrent.futures import ThreadPoolExecutor
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,7 +23,7 @@ from eldata.reports.compare.page import write_comparison_page
 from eldata.reports.evaluation.page import fact_cells, write_evaluation_page
 from tests.evaluation import oracle, published_code
 from tests.evaluation.own_set import OwnSet, build_own_set
-from tests.metrics.seeded_lpips import State, publish, seeded_states
+from tests.metrics.seeded_lpips import State, publish, seeded_states, take_as_published
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -124,6 +125,16 @@ def test_threads_that_score_side_by_side_change_nothing(own: OwnSet, weights: Pa
     one = evaluate(own.root.parent / "preds", **options)  # type: ignore[arg-type]
     with ThreadPoolExecutor(2) as pool:
         two = evaluate(own.root.parent / "preds", workers=pool, **options)  # type: ignore[arg-type]
+    assert two.images == one.images
+
+
+def test_processes_that_score_side_by_side_change_nothing(own: OwnSet, weights: Path) -> None:
+    options = {"manifest": own.manifest, "root": own.root, "protocol": "sid2018", "lpips": weights}
+    one = evaluate(own.root.parent / "preds", **options)  # type: ignore[arg-type]
+    spawned = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(2, spawned, initializer=take_as_published, initargs=(weights,)) as pool:
+        two = evaluate(own.root.parent / "preds", workers=pool, **options)  # type: ignore[arg-type]
+    assert not two.problems
     assert two.images == one.images
 
 

@@ -264,7 +264,7 @@ def test_unknown_names_list_the_known(drv: SmallDrv, predictions: Path) -> None:
         score(drv, predictions, camera=["SonyRX100M6"])
     with pytest.raises(ArgumentError, match="its card names no subset"):
         score(drv, predictions, ids=None)
-    with pytest.raises(EldataError, match="no such folder of predictions"):
+    with pytest.raises(EldataError, match="no such folder"):
         score(drv, predictions / "none")
 
 
@@ -321,3 +321,32 @@ def test_a_window_of_another_length_is_refused(drv: SmallDrv, tmp_path: Path) ->
     record = DRVDataset(drv.data, frames="evaluation", manifest=drv.csv).records[0]
     with pytest.raises(ArgumentError, match="expected 5 predicted frames, found 4"):
         save_clip_prediction(tmp_path, record, np.zeros((4, 3, 8, 8)))
+
+
+# --- mistakes ---------------------------------------------------------------------------------------------------------
+
+
+def _gamma(frame: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.clip(frame, 0, None) ** np.float32(1 / 2.2)
+
+
+MISTAKES: dict[str, tuple[Callable[[NDArray[np.float32]], NDArray[np.float32]], str]] = {
+    "the other order of colours": (lambda frame: frame[::-1], "as if in the order B, G, R"),
+    "moved by a pixel": (lambda frame: np.roll(frame, 1, axis=2), "as if shifted by (0, 1) pixels (down, right)"),
+    "upside down": (lambda frame: frame[:, ::-1], "as if flipped upside down"),
+    "gamma": (_gamma, "as if encoded for a screen (gamma)"),
+    "black": (np.zeros_like, "every value is 0"),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_mistakes_in_clips_are_named(mistake: str, drv: SmallDrv, result: EvaluationResult, tmp_path: Path) -> None:
+    """Frames of a clip are looked at as images are."""
+    assert result.suspicions == ()
+    change, words = MISTAKES[mistake]
+    for clip in CLIPS:
+        (tmp_path / clip).mkdir()
+        for number in SCORED:
+            np.save(tmp_path / clip / f"{number:04d}.npy", change(predicted(clip, number)))
+    (found,) = score(drv, tmp_path).suspicions
+    assert (found.words, found.shown, found.looked) == (words, found.looked, found.looked)

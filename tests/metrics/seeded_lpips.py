@@ -33,9 +33,16 @@ def seeded_states() -> tuple[State, State]:
 def publish(folder: Path, states: tuple[State, State], patch: pytest.MonkeyPatch) -> Path:
     """Write weights into a new folder, have them taken for the published files, and return the folder."""
     folder.mkdir()
-    module = sys.modules[LpipsWeights.__module__]  # the package's attribute of this name is the function
-    for constant, file, state in (("BACKBONE_FILE", BACKBONE_FILE, states[0]), ("LINEAR_FILE", LINEAR_FILE, states[1])):
-        path = folder / file.name
-        torch.save(state, path)
-        patch.setattr(module, constant, replace(file, size_bytes=path.stat().st_size, sha256=sha256_of(path)))
+    for file, state in zip((BACKBONE_FILE, LINEAR_FILE), states, strict=True):
+        torch.save(state, folder / file.name)
+    take_as_published(folder, patch)
     return folder
+
+
+def take_as_published(folder: Path, patch: pytest.MonkeyPatch | None = None) -> None:
+    """Have a folder's weights taken for the published files; without ``patch`` as long as the process lives."""
+    module = sys.modules[LpipsWeights.__module__]  # the package's attribute of this name is the function
+    setting = setattr if patch is None else patch.setattr
+    for constant, file in (("BACKBONE_FILE", BACKBONE_FILE), ("LINEAR_FILE", LINEAR_FILE)):
+        path = folder / file.name
+        setting(module, constant, replace(file, size_bytes=path.stat().st_size, sha256=sha256_of(path)))

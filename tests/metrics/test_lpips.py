@@ -121,6 +121,15 @@ def test_the_number_of_threads_does_not_matter_and_is_given_back(weights: LpipsW
     assert len(found) == 1
 
 
+def test_threads_that_come_and_go_change_nothing(weights: LpipsWeights) -> None:
+    """Of pools of two new threads, some 3 in 100 gave other values when a thread took the process's number late."""
+    images = [(noisy(texture(72, 96), 0.05 * step), texture(72, 96)) for step in (1, 2, 3, 4)]
+    alone = [lpips_of(prediction, reference, weights) for prediction, reference in images]
+    for _ in range(200):
+        with ThreadPoolExecutor(2) as pool:
+            assert list(pool.map(lambda pair: lpips_of(pair[0], pair[1], weights), images)) == alone
+
+
 # Images that it refuses
 
 GOOD = np.full((3, 40, 40), 0.5, np.float32)

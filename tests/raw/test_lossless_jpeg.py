@@ -141,7 +141,7 @@ def test_bits_that_are_no_code(samples: NDArray[np.uint16]) -> None:
     content[-100:-90] = b"\xfe" * 10  # 11111 begins no code
     fault = stream(bytes(content)).count_fault()
     assert fault is not None
-    assert "no code" in fault[1]
+    assert "not a code" in fault[1]
 
 
 def test_what_is_not_a_lossless_jpeg() -> None:

@@ -70,7 +70,7 @@ def measured(iso: float, camera: Camera, *, frames: int = 6, levels: Sequence[fl
         reproduction=None,
         remarks=(),
     )
-    if held_out is None:
+    if held_out is None or found.parameters is None:
         return found
     compared = reproduction(held_out, fixed, sensor, found.parameters, np.random.default_rng(int(iso)))
     return replace(found, reproduction=compared)

@@ -185,7 +185,7 @@ def test_what_is_missing_is_said(sparse: str) -> None:
     checker = checked(sparse)
     assert "K is not known and there is no photon transfer line" in checker.text
     assert "None was kept out: there were only 4 bias frames" in checker.text
-    assert "not known at 1 of them" in checker.text
+    assert "not given at 1 of them" in checker.text
     assert "Rounding to whole DN hides the shape" in checker.text
     assert "Lines of ln σ over ln K" not in checker.text  # two ISOs make none
     assert "nan" not in checker.text

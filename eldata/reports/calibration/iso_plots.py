@@ -25,12 +25,13 @@ from eldata.reports.figures import (
 from eldata.reports.html import digits, measured, plot_words
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
+    from eldata.calibration.audit import GivenFigure
     from eldata.calibration.photon_transfer import PhotonTransfer
     from eldata.calibration.reproduction import Reproduction
     from eldata.calibration.results import IsoCalibration
@@ -45,6 +46,11 @@ _AROUND_MAXIMUM = 0.27  # of lambda
 _FRAMES_SHOWN = 32
 
 
+def estimated(figure: GivenFigure | None, unit: str = "") -> str:
+    """Return a figure with its error and unit, or "withheld"."""
+    return "withheld" if figure is None else measured(figure.value, figure.error, unit)
+
+
 def _plot(kind: str, one: IsoCalibration, alt: str, draw: Callable[[Theme], Figure], more: str = "") -> Plot:
     """Return a plot of one ISO, with the words of its kind."""
     said = plot_words("calibration")[kind]
@@ -56,16 +62,17 @@ def _plot(kind: str, one: IsoCalibration, alt: str, draw: Callable[[Theme], Figu
 
 def transfer_plot(one: IsoCalibration, transfer: PhotonTransfer) -> Plot:
     """Draw the variance over the signal, the fitted lines, and the deviations from them."""
-    spatial = one.spatial
+    spatial, spatial_gain = one.spatial, one.spatial_gain
     worst = max((line.chi2_per_dof for line in transfer.channels if math.isfinite(line.chi2_per_dof)), default=math.nan)
     alt = (
         f"Variance against signal of the flats at ISO {one.iso:g}, by channel, with the fitted lines: K is "
-        f"{measured(transfer.gain_dn_per_e, transfer.gain_error, 'DN/e⁻')}, chi² per degree of freedom at most "
+        f"{estimated(one.gain, 'DN/e⁻')}, chi² per degree of freedom at most "
         f"{digits(worst, 2)}."
     )
     more = ""
     if spatial is not None:
-        alt += f" The published single-frame method gives {digits(spatial.gain_dn_per_e, 4)} DN/e⁻."
+        if spatial_gain is not None:
+            alt += f" The published single-frame method gives {digits(spatial_gain.value, 4)} DN/e⁻."
         more = plot_words("calibration")["transfer"]["single_frames"]
 
     def draw(theme: Theme) -> Figure:
@@ -113,14 +120,11 @@ def _single_frames(axes: Axes, spatial: PhotonTransfer, theme: Theme) -> None:
 # --- colour bias --------------------------------------------------------------------------------------------------
 
 
-def bias_plot(one: IsoCalibration) -> Plot:
+def bias_plot(one: IsoCalibration, given: Sequence[GivenFigure]) -> Plot:
     """Draw the colour bias, and below how much the frames' own means scatter around it."""
     bias = one.bias
     channels = len(bias.channels)
-    found = ", ".join(
-        f"{name} {measured(value, error, 'DN')}"
-        for name, value, error in zip(bias.channels, bias.bias_dn, bias.standard_error_dn, strict=True)
-    )
+    found = ", ".join(f"{name} {estimated(figure, 'DN')}" for name, figure in zip(bias.channels, given, strict=True))
     alt = (
         f"Mean of the bias frames over the recorded black level at ISO {one.iso:g}: {found}; and the means of "
         f"{bias.frames} single frames around it."
@@ -133,7 +137,7 @@ def bias_plot(one: IsoCalibration) -> Plot:
         main.axhline(0, color=theme.theory)
         below.axhline(0, color=theme.theory, linewidth=1)
         for channel in range(channels):
-            mean, error = bias.bias_dn[channel], bias.standard_error_dn[channel]
+            mean, error = given[channel].value, given[channel].error
             style: dict[str, Any] = {"marker": MARKERS[channel], "color": theme.channels[channel], "linestyle": "none"}
             main.errorbar(channel, mean, yerr=error if math.isfinite(error) else None, capsize=4, **style)
             below.plot(channel + across, bias.frame_bias_dn[frames, channel] - mean, markersize=3.5, **style)
@@ -183,8 +187,7 @@ def line_spectrum_plot(one: IsoCalibration) -> Plot:
     rows, columns = one.rows.rows, one.rows.columns
     alt = (
         f"Power of row and column means over what pixel noise alone gives, at ISO {one.iso:g}: σ row "
-        f"{measured(rows.sigma_dn, rows.sigma_error_dn, 'DN')}, σ column "
-        f"{measured(columns.sigma_dn, columns.sigma_error_dn, 'DN')}."
+        f"{estimated(one.sigma_row_dn, 'DN')}, σ column {estimated(one.sigma_column_dn, 'DN')}."
     )
 
     def draw(theme: Theme) -> Figure:
@@ -197,7 +200,9 @@ def line_spectrum_plot(one: IsoCalibration) -> Plot:
         ):
             frequency, power = line.smoothed_power_dn2(len(one.sensor.cfa))
             axes.plot(frequency, power / alone, style, color=colour, label=name)
-        axes.axhline(1 + rows.sigma_dn**2 / of_pixels, color=theme.theory, label="white noise of σ row")
+        if one.sigma_row_dn is not None:
+            white = 1 + one.sigma_row_dn.value**2 / of_pixels
+            axes.axhline(white, color=theme.theory, label="white noise of σ row")
         axes.axhline(1, color=theme.theory, linewidth=1, linestyle="--", label="pixels alone")
         _log_power(axes)
         axes.set(xlabel="frequency [cycles per line]", ylabel="power / pixels' own")
@@ -219,13 +224,13 @@ def _log_power(axes: Axes) -> None:
 # --- read noise ---------------------------------------------------------------------------------------------------
 
 
-def ppcc_plot(one: IsoCalibration) -> Plot:
-    """Draw the correlation of the probability plot over the shape."""
+def ppcc_plot(one: IsoCalibration, shape: GivenFigure) -> Plot:
+    """Draw the correlation of the probability plot over the shape, and the shape that is given."""
     read = one.read
     alt = (
         f"Correlation of the probability plot over the shape λ at ISO {one.iso:g}: highest at "
         f"{digits(read.ppcc_lambda_plain)} on the residuals, {digits(read.ppcc_lambda)} allowing for rounding and the "
-        f"mean over frames; λ by maximum likelihood {measured(read.tukey_lambda, read.tukey_lambda_error)}."
+        f"mean over frames; λ by maximum likelihood {estimated(shape)}."
     )
 
     def draw(theme: Theme) -> Figure:
@@ -235,8 +240,8 @@ def ppcc_plot(one: IsoCalibration) -> Plot:
         axes.plot(shapes, correlations, color=theme.found)
         axes.axvline(at, color=theme.theory, label=f"maximum {digits(at, 2)}")
         axes.plot(at, max(best, float(correlations.max())), "o", color=theme.theory)
-        reported = f"reported {digits(read.tukey_lambda, 2)}"
-        axes.axvline(read.tukey_lambda, color=theme.ink, linestyle="--", label=reported)
+        reported = f"reported {digits(shape.value, 2)}"
+        axes.axvline(shape.value, color=theme.ink, linestyle="--", label=reported)
         axes.axvline(GAUSSIAN_LAMBDA, color=theme.ink, linewidth=1, linestyle=":", label="Gaussian 0.14")
         # The far left falls so deep that the maximum would not be seen.
         floor = float(correlations[np.abs(shapes - at) < _AROUND_MAXIMUM].min())
@@ -259,9 +264,10 @@ def gaussian_plot(one: IsoCalibration) -> Plot:
 def tukey_lambda_plot(one: IsoCalibration) -> Plot:
     """Draw the probability plot of the residuals against the Tukey-lambda distribution."""
     r_squared = digits(one.read.r_squared_tl, 6)
+    shape = "" if one.tukey_lambda is None else f" of shape {digits(one.plot.shape)}"
     alt = (
-        f"Quantiles of the read noise against those of the Tukey-lambda distribution of shape {digits(one.plot.shape)} "
-        f"at ISO {one.iso:g}: R² {r_squared}."
+        f"Quantiles of the read noise against those of the Tukey-lambda distribution{shape} at ISO {one.iso:g}: R² "
+        f"{r_squared}."
     )
     draw = _probability(one, one.plot.tukey_lambda, one.plot.slope_tukey_lambda_dn, r_squared, "Tukey-lambda")
     return _plot("tukey-lambda", one, alt, draw)

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from eldata.calibration.audit import GivenFigure
     from eldata.calibration.joint import LogLogEstimate
     from eldata.calibration.results import Calibration, IsoCalibration
 
@@ -43,21 +44,33 @@ Point = tuple[float, float, float]
 def joint_plots(calibration: Calibration) -> tuple[Plot, ...]:
     """Draw every plot over the ISOs that there is data for."""
     known = [(one.gain_dn_per_e, one) for one in calibration.isos if one.gain_dn_per_e is not None]
-    tukey_lambda = [(gain, one.read.sigma_tl_dn, one.read.sigma_tl_error_dn) for gain, one in known]
-    gauss = [(gain, one.read.sigma_gauss_dn, one.read.sigma_gauss_error_dn) for gain, one in known]
-    rows = [(gain, one.rows.rows.sigma_dn, one.rows.rows.sigma_error_dn) for gain, one in known]
     found = [
         _scale_plot(name, estimate, usable)
-        for name, estimate, points in (
-            ("TL", calibration.tukey_lambda_fit, tukey_lambda),
-            ("G", calibration.gauss_fit, gauss),
-            ("row", calibration.row_fit, rows),
+        for name, estimate, scales in (
+            ("TL", calibration.tukey_lambda_fit, [one.sigma_tl_dn for _, one in known]),
+            ("G", calibration.gauss_fit, [one.sigma_gauss_dn for _, one in known]),
+            ("row", calibration.row_fit, [one.sigma_row_dn for _, one in known]),
         )
-        if (usable := [point for point in points if 0 < point[1] < math.inf])
+        if (usable := _points([gain for gain, _ in known], scales))
     ]
     if known:
         found.append(_gain_plot([one for _, one in known], calibration.usual_gain_per_iso))
-    return (*found, _lambda_plot(calibration), _bias_plot(calibration))
+    shapes = [(one.iso, shape) for one in calibration.isos if (shape := one.tukey_lambda) is not None]
+    biases = [(one.iso, bias) for one in calibration.isos if (bias := one.colour_bias) is not None]
+    if shapes:
+        found.append(_lambda_plot(shapes))
+    if biases:
+        found.append(_bias_plot(calibration.isos[0].bias.channels, biases))
+    return tuple(found)
+
+
+def _points(gains: Sequence[float], scales: Sequence[GivenFigure | None]) -> list[Point]:
+    """Return what a logarithmic axis can show of the scales that are given."""
+    return [
+        (gain, scale.value, scale.error)
+        for gain, scale in zip(gains, scales, strict=True)
+        if scale is not None and 0 < scale.value < math.inf
+    ]
 
 
 def _scale_plot(name: str, estimate: LogLogEstimate | None, points: Sequence[Point]) -> Plot:
@@ -112,7 +125,7 @@ def _by_iso(name: str, isos: Sequence[float], alt: str, draw: Callable[[Theme], 
 def _gain_plot(known: Sequence[IsoCalibration], usual: float) -> Plot:
     isos, gains = [one.iso for one in known], [one.gain_dn_per_e or 0.0 for one in known]
     relative = [gain / iso / usual for gain, iso in zip(gains, isos, strict=True)]
-    errors = [0.0 if one.transfer is None else _bar(one.transfer.gain_error) for one in known]
+    errors = [0.0 if one.gain is None else _bar(one.gain.error) for one in known]
     alt = (
         f"K at {len(known)} ISO(s), {digits(min(gains), 4)} to {digits(max(gains), 4)} DN/e⁻. K / ISO stays within "
         f"{max(abs(ratio - 1) for ratio in relative):.1%} of its median."
@@ -138,15 +151,15 @@ def _gain_plot(known: Sequence[IsoCalibration], usual: float) -> Plot:
     return _by_iso("gain", isos, alt, draw)
 
 
-def _lambda_plot(calibration: Calibration) -> Plot:
-    isos, shapes = zip(*((one.iso, one.read.tukey_lambda) for one in calibration.isos), strict=True)
+def _lambda_plot(given: Sequence[tuple[float, GivenFigure]]) -> Plot:
+    isos, shapes = [iso for iso, _ in given], [shape.value for _, shape in given]
     alt = f"Shape λ of the read noise at {len(shapes)} ISO(s), from {digits(min(shapes))} to {digits(max(shapes))}."
 
     def draw(theme: Theme) -> tuple[Figure, Axes]:
         drawing, axes = one_axes()
         axes.axhline(GAUSSIAN_LAMBDA, color=theme.ink, linewidth=1, linestyle=":", label="Gaussian, 0.14")
         axes.axhline(0, color=theme.theory, linewidth=1, label="logistic, 0")
-        bars(axes, isos, shapes, [_bar(one.read.tukey_lambda_error) for one in calibration.isos], theme)
+        bars(axes, isos, shapes, [_bar(shape.error) for _, shape in given], theme)
         axes.set_ylabel("λ")
         axes.margins(y=0.1)
         legend_above(axes)
@@ -155,21 +168,20 @@ def _lambda_plot(calibration: Calibration) -> Plot:
     return _by_iso("lambda", isos, alt, draw)
 
 
-def _bias_plot(calibration: Calibration) -> Plot:
-    isos = [one.iso for one in calibration.isos]
-    values = [value for one in calibration.isos for value in one.bias.bias_dn]
+def _bias_plot(names: Sequence[str], given: Sequence[tuple[float, Sequence[GivenFigure]]]) -> Plot:
+    isos = [iso for iso, _ in given]
+    values = [channel.value for _, bias in given for channel in bias]
     alt = f"Colour bias by channel at {len(isos)} ISO(s), from {digits(min(values))} to {digits(max(values))} DN."
 
     def draw(theme: Theme) -> tuple[Figure, Axes]:
         drawing, axes = one_axes()
         axes.axhline(0, color=theme.theory, linewidth=1)
-        names = calibration.isos[0].bias.channels
         for channel, name in enumerate(names):
             aside = math.exp((channel - (len(names) - 1) / 2) * _CHANNEL_STEP)
             axes.errorbar(
                 [iso * aside for iso in isos],
-                [one.bias.bias_dn[channel] for one in calibration.isos],
-                yerr=[_bar(one.bias.standard_error_dn[channel]) for one in calibration.isos],
+                [bias[channel].value for _, bias in given],
+                yerr=[_bar(bias[channel].error) for _, bias in given],
                 fmt=MARKERS[channel],
                 color=theme.channels[channel],
                 label=name,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from eldata.reports.calibration.iso_pictures import reproduced_pictures, shading_pictures, spectrum_picture
 from eldata.reports.calibration.iso_plots import (
     bias_plot,
+    estimated,
     gaussian_plot,
     line_spectrum_plot,
     ppcc_plot,
@@ -23,6 +24,7 @@ from eldata.reports.html import digits, grouped, measured, rendered
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from eldata.calibration.audit import Figure, GivenFigure
     from eldata.calibration.results import Calibration, IsoCalibration
     from eldata.reports.figures import Plot
     from eldata.reports.pictures import Pictures
@@ -36,12 +38,12 @@ def calibration_page(calibration: Calibration) -> str:
     return rendered(
         "calibration.html",
         calibration=calibration,
-        verdict=_verdict(calibration),
+        verdict=_verdict(calibration) + _without_profile(calibration),
         wary=_wary(calibration),
         remarks=_remarks(calibration),
         tables=[table for table in _tables(calibration) if table.rows],
         joint=joint_plots(calibration),
-        sections=[(f"{one.iso:g}", _summary(one), one.remarks, _groups(one)) for one in calibration.isos],
+        sections=[(f"{one.iso:g}", _summary(one), one.all_remarks, _groups(one)) for one in calibration.isos],
         made_from=_made_from(calibration),
     )
 
@@ -83,16 +85,22 @@ def _verdict(calibration: Calibration) -> str:
     where = f"ISO {isos[0].iso:g}" if len(isos) == 1 else f"{len(isos)} ISOs from {isos[0].iso:g} to {isos[-1].iso:g}"
     gains = [one.gain_dn_per_e for one in isos if one.gain_dn_per_e is not None]
     if not gains:
-        return f"{where}; K is not known, for want of flats."
+        unknown = all(one.transfer is None for one in isos)
+        return f"{where}; K is {'not known, for want of flats' if unknown else 'withheld'}."
     low, high = digits(min(gains)), digits(max(gains))
     found = f"K is {low} DN/e⁻" if low == high else f"K from {low} to {high} DN/e⁻"
     missing = len(isos) - len(gains)
-    return f"{where}, {found}{f', not known at {missing} of them' if missing else ''}."
+    return f"{where}, {found}{f', not given at {missing} of them' if missing else ''}."
+
+
+def _without_profile(calibration: Calibration) -> str:
+    """Return why there is no profile, as a further sentence; empty if there is one."""
+    return f" No profile can be made: {calibration.no_profile}." if calibration.no_profile else ""
 
 
 def _wary(calibration: Calibration) -> str:
     """Return where there is something to be wary of, in a sentence; empty if nowhere."""
-    places = [f"ISO {one.iso:g}" for one in calibration.isos if one.remarks]
+    places = [f"ISO {one.iso:g}" for one in calibration.isos if one.all_remarks]
     if not places and not calibration.remarks:
         return ""
     if len(places) == len(calibration.isos) > 1:
@@ -108,7 +116,7 @@ def _remarks(calibration: Calibration) -> list[tuple[str, str]]:
     """Return of which ISOs (of the whole if empty) and what is remarked; what is said of several ISOs is said once."""
     isos: dict[str, list[str]] = {}
     for one in calibration.isos:
-        for remark in one.remarks:
+        for remark in one.all_remarks:
             isos.setdefault(remark, []).append(f"{one.iso:g}")
     of_isos = [(f"ISO {_and(places)}", remark) for remark, places in isos.items()]
     return of_isos + [("", remark) for remark in calibration.remarks]
@@ -132,23 +140,29 @@ def _made_from(calibration: Calibration) -> str:
 
 
 def _summary(one: IsoCalibration) -> str:
-    read, row = one.read, one.rows.rows
-    gain = "not known" if one.transfer is None else digits(one.transfer.gain_dn_per_e)
-    return f"K {gain}, λ {digits(read.tukey_lambda, 2)}, σ TL {digits(read.sigma_tl_dn)}, σ row {digits(row.sigma_dn)}"
+    gain = "not known" if one.transfer is None else _alone(one.gain)
+    shape, scale, row = _alone(one.tukey_lambda, 2), _alone(one.sigma_tl_dn), _alone(one.sigma_row_dn)
+    return f"K {gain}, λ {shape}, σ TL {scale}, σ row {row}"
+
+
+def _alone(figure: GivenFigure | None, count: int = 3) -> str:
+    """Return a figure without its error."""
+    return "withheld" if figure is None else digits(figure.value, count)
+
+
+def _withheld(one: IsoCalibration, figure: Figure) -> str:
+    """Return in a sentence why a figure is not given; empty if it is."""
+    why = one.why_withheld(figure)
+    return f"Withheld: {why.rstrip('.')}." if why else ""
 
 
 def _groups(one: IsoCalibration) -> tuple[_Group, ...]:
     return _gain(one), _colour_bias(one), _rows(one), _read_noise(one), _reproduction(one), _pattern(one)
 
 
-def _by_channel(
-    template: str, one: IsoCalibration, values: Sequence[float], errors: Sequence[float], unit: str = ""
-) -> list[tuple[str, str]]:
-    """Return a number for each CFA channel, with its error and the template's name for it."""
-    return [
-        (template.format(name), measured(value, error, unit))
-        for name, value, error in zip(one.bias.channels, values, errors, strict=True)
-    ]
+def _by_channel(template: str, one: IsoCalibration, values: Sequence[str]) -> list[tuple[str, str]]:
+    """Return a text for each CFA channel, with the template's name for it."""
+    return [(template.format(name), value) for name, value in zip(one.bias.channels, values, strict=True)]
 
 
 def _gain(one: IsoCalibration) -> _Group:
@@ -157,59 +171,63 @@ def _gain(one: IsoCalibration) -> _Group:
         note = "There are no pairs of equal flats of this ISO, so K is not known and there is no photon transfer line."
         return _Group(title, (), note=note)
     transfer = one.transfer
-    lines = transfer.channels
-    numbers = [
-        ("K [DN/e⁻]", measured(transfer.gain_dn_per_e, transfer.gain_error)),
-        *_by_channel("K of {}", one, [line.gain_dn_per_e for line in lines], [line.gain_error for line in lines]),
-    ]
-    if one.spatial is not None:
-        numbers.append(("K as published", measured(one.spatial.gain_dn_per_e, one.spatial.gain_error)))
+    numbers = [("K [DN/e⁻]", estimated(one.gain))]
+    if one.channel_gains is not None:
+        numbers += _by_channel("K of {}", one, [estimated(gain) for gain in one.channel_gains])
+    if one.spatial_gain is not None:
+        numbers.append(("K as published", estimated(one.spatial_gain)))
     numbers += [
         ("Channels' χ² per d.o.f.", digits(transfer.agreement_chi2_per_dof, 2)),
         ("Flat frames", str(transfer.frames)),
         ("Area left out", f"{transfer.left_out:.1%}"),
     ]
-    return _Group(title, tuple(numbers), plots=(transfer_plot(one, transfer),))
+    return _Group(title, tuple(numbers), plots=(transfer_plot(one, transfer),), note=_withheld(one, "gain"))
 
 
 def _colour_bias(one: IsoCalibration) -> _Group:
     bias = one.bias
     blacks = sorted(set(one.sensor.black_level_dn))
+    given = one.colour_bias
     numbers = [
-        *_by_channel("{}", one, bias.bias_dn, bias.standard_error_dn, "DN"),
+        *([] if given is None else _by_channel("{}", one, [estimated(channel, "DN") for channel in given])),
         ("Recorded black", f"{_and([f'{level:g}' for level in blacks])} DN"),
         ("Bias frames", str(bias.frames)),
     ]
-    return _Group("Colour bias", tuple(numbers), plots=(bias_plot(one),))
+    plots = () if given is None else (bias_plot(one, given),)
+    return _Group("Colour bias", tuple(numbers), plots=plots, note=_withheld(one, "colour bias"))
 
 
 def _rows(one: IsoCalibration) -> _Group:
     rows, columns = one.rows.rows, one.rows.columns
     numbers = (
-        ("σ row", measured(rows.sigma_dn, rows.sigma_error_dn, "DN")),
-        ("σ column", measured(columns.sigma_dn, columns.sigma_error_dn, "DN")),
+        ("σ row", estimated(one.sigma_row_dn, "DN")),
+        ("σ column", estimated(one.sigma_column_dn, "DN")),
         ("Fixed rows", f"{digits(rows.fixed_sigma_dn)} DN"),
         ("Fixed columns", f"{digits(columns.fixed_sigma_dn)} DN"),
         ("Shapiro-Wilk p", digits(rows.shapiro_p, 2)),
         ("Excess kurtosis", digits(rows.excess_kurtosis, 2)),
     )
     plots = (rows_plot(one), line_spectrum_plot(one))
-    return _Group("Row noise", numbers, plots=plots, pictures=(spectrum_picture(one),))
+    note = _withheld(one, "row noise")
+    return _Group("Row noise", numbers, plots=plots, pictures=(spectrum_picture(one),), note=note)
 
 
 def _read_noise(one: IsoCalibration) -> _Group:
     read = one.read
+    by_ppcc = (("λ by PPCC", digits(read.ppcc_lambda)), ("σ TL by PPCC", f"{digits(read.ppcc_sigma_tl_dn)} DN"))
+    shape = one.tukey_lambda
     numbers = (
-        ("λ", measured(read.tukey_lambda, read.tukey_lambda_error)),
-        ("σ TL", measured(read.sigma_tl_dn, read.sigma_tl_error_dn, "DN")),
-        ("σ G", measured(read.sigma_gauss_dn, read.sigma_gauss_error_dn, "DN")),
-        ("λ by PPCC", digits(read.ppcc_lambda)),
-        ("σ TL by PPCC", f"{digits(read.ppcc_sigma_tl_dn)} DN"),
+        ("λ", estimated(shape)),
+        ("σ TL", estimated(one.sigma_tl_dn, "DN")),
+        ("σ G", estimated(one.sigma_gauss_dn, "DN")),
+        *(by_ppcc if shape is not None else ()),
         ("χ² per d.o.f.", digits(read.chi2_per_dof)),
         ("Residuals", grouped(read.residuals)),
     )
-    note = ""
-    if not read.is_reliable:
+    note = _withheld(one, "read noise")
+    if note:
+        pass
+    elif not read.is_reliable:
         note = "Rounding to whole DN hides the shape: λ and σ TL are only rough."
     elif read.chi2_per_dof > _HIGH_CHI2:
         note = (
@@ -217,7 +235,8 @@ def _read_noise(one: IsoCalibration) -> _Group:
             "whole DN shows as ripples, which average out of λ and σ TL. The plots below tell which: ripples do not "
             "bend them."
         )
-    return _Group("Read noise", numbers, plots=(ppcc_plot(one), gaussian_plot(one), tukey_lambda_plot(one)), note=note)
+    of_shape = () if shape is None else (ppcc_plot(one, shape),)
+    return _Group("Read noise", numbers, plots=(*of_shape, gaussian_plot(one), tukey_lambda_plot(one)), note=note)
 
 
 def _reproduction(one: IsoCalibration) -> _Group:
@@ -225,6 +244,8 @@ def _reproduction(one: IsoCalibration) -> _Group:
     found = one.reproduction
     if found is None:
         note = f"None was kept out: there were only {one.bias_frames} bias frames, and all went into the estimates."
+        if one.parameters is None:
+            note = "There is none, since a figure that it would be made with is withheld."
         return _Group(title, (), note=note)
     numbers = (
         ("R² of the quantiles", digits(found.r_squared, 6)),
@@ -249,6 +270,10 @@ def _pattern(one: IsoCalibration) -> _Group:
         ("Defects", f"{grouped(pattern.defects)}, {digits(100 * pattern.defects / pattern.pixels, 2)} %"),
         ("Off their level", grouped(pattern.off_level)),
         ("Never changing", grouped(pattern.stuck)),
-        *_by_channel("DSNU of {}", one, pattern.dsnu_dn, pattern.dsnu_error_dn, "DN"),
+        *_by_channel(
+            "DSNU of {}",
+            one,
+            [measured(*figure, "DN") for figure in zip(pattern.dsnu_dn, pattern.dsnu_error_dn, strict=True)],
+        ),
     )
     return _Group("What stays from frame to frame", numbers, pictures=(shading_pictures(one),))

@@ -1,0 +1,395 @@
+"""One frame against its reference: what files hold is read once, and what protocols share is computed once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar, cast, get_args
+
+import numpy as np
+
+from eldata.base.files import inside
+from eldata.base.png import rgb_frame
+from eldata.errors import EldataError, RawFileError
+from eldata.evaluation.diagnosis import mistake_in
+from eldata.evaluation.inspected_frame import Circumstances
+from eldata.evaluation.pairs import Pair, ratio_of
+from eldata.evaluation.predictions import load_colours, load_dng, load_prediction
+from eldata.evaluation.references import levels_dn, normalised_frame, rendered_reference
+from eldata.evaluation.suspicions import Inspection, sketch
+from eldata.protocols.protocol import Amplification, Levels
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Hashable, Sequence
+
+    from numpy.typing import NDArray
+
+    from eldata.evaluation.scores import FrameScore
+    from eldata.metrics.image_score import Score, ScoringRules
+    from eldata.metrics.lpips import LpipsWeights
+    from eldata.protocols.protocol import Protocol
+    from eldata.records import RawFrame, Sensor
+
+Value = TypeVar("Value")
+
+
+@dataclass(frozen=True, slots=True)
+class ScoringJob:
+    """What all units share: where predictions' paths begin, the dataset's folder, protocols, threads of a unit.
+
+    ``lpips``: the folder of its weights, if LPIPS is wanted.
+    """
+
+    start: Path
+    folder: Path
+    protocols: tuple[Protocol, ...]
+    threads: int | None
+    lpips: Path | None = None
+
+
+class _Shared:
+    """Values that are computed when they are first asked for; what that raises is raised each time."""
+
+    def __init__(self) -> None:
+        self._values: dict[Hashable, Any] = {}
+
+    def get(self, key: Hashable, compute: Callable[[], Value]) -> Value:
+        if key not in self._values:
+            try:
+                self._values[key] = compute()
+            except EldataError as error:
+                self._values[key] = error
+        value = self._values[key]
+        if isinstance(value, EldataError):
+            raise value
+        return value  # type: ignore[no-any-return] # of the key's kind
+
+
+class Reference:
+    """A reference, decoded once, as each protocol takes it."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._shared = _Shared()
+
+    @property
+    def frame(self) -> RawFrame:
+        """The decoded file."""
+        from eldata.raw.reading import read_raw
+
+        return self._shared.get("frame", lambda: read_raw(self._path))
+
+    def lacks_channel_whites(self, protocol: Protocol) -> bool:
+        """Return whether a protocol takes the white level of each channel and LibRaw has none."""
+        return protocol.levels == "metadata-per-channel" and self.frame.channel_white_levels_dn is None
+
+    def key(self, protocol: Protocol) -> Hashable:
+        """Return what decides :meth:`target`: of levels the numbers, since two choices may come to the same."""
+        if protocol.pixels != "packed":
+            return protocol.pixels
+        return levels_dn(self.frame, protocol.levels), protocol.reference_clip
+
+    def target(self, protocol: Protocol) -> NDArray[Any]:
+        """Return what predictions are compared with, (C, h, w) of the whole frame."""
+        return self._shared.get(self.key(protocol), lambda: self._target(protocol))
+
+    def _target(self, protocol: Protocol) -> NDArray[Any]:
+        if protocol.pixels == "srgb":
+            return rendered_reference(self._path)
+        if protocol.pixels == "rgb":
+            return rgb_frame(self._path)
+        return normalised_frame(self.frame, protocol.levels, clip=protocol.reference_clip)
+
+
+class ComparedFrame:
+    """A noisy frame and its prediction, of which protocols share what they have in common.
+
+    ``changed`` stands for what is in the prediction's file.
+    """
+
+    def __init__(
+        self,
+        job: ScoringJob,
+        reference: Reference,
+        pair: Pair,
+        path: str,
+        file: Path | None,
+        changed: NDArray[Any] | None = None,
+    ) -> None:
+        self.reference, self.path, self.file = reference, path, file
+        self._job, self._pair, self._shared, self._changed = job, pair, _Shared(), changed
+
+    def prediction(self, protocol: Protocol) -> tuple[Hashable, NDArray[Any]]:
+        """Return the prediction of the whole frame, and what decides it."""
+        key: Hashable
+        if self._changed is not None:
+            return "changed", self._changed
+        if self.file is None:
+            return self.input(protocol)
+        file, levels = self._job.start / self.file, protocol.levels
+        if protocol.pixels == "packed" and self._is_dng:
+            key = "dng", levels_dn(self._dng, levels)
+            return key, self._shared.get(key, lambda: normalised_frame(self._dng, levels, clip="none"))
+        if protocol.pixels == "packed":
+            return "raw", self._shared.get("raw", lambda: load_prediction(file, self.reference.frame.sensor, levels))
+        pixels, (channels, height, width) = protocol.pixels, self.reference.target(protocol).shape
+        return pixels, self._shared.get(pixels, lambda: load_colours(file, (channels, height, width), pixels))
+
+    def input(self, protocol: Protocol) -> tuple[Hashable, NDArray[Any]]:
+        """Return the amplified noisy input as a protocol has it, and what decides it."""
+        if protocol.pixels == "rgb":  # amplified by its authors
+            return "input", self._shared.get("input", lambda: rgb_frame(inside(self._job.folder, self.path)))
+        ratio = self._ratio(protocol.amplification)
+        key = ("input", levels_dn(self._noisy, protocol.levels), protocol.input_clip, ratio)
+        return key, self._shared.get(
+            key, lambda: normalised_frame(self._noisy, protocol.levels, clip=protocol.input_clip, gain=ratio)
+        )
+
+    @property
+    def _is_dng(self) -> bool:
+        return self.file is not None and self.file.suffix.lower() == ".dng"
+
+    @property
+    def _dng(self) -> RawFrame:
+        """The prediction, a DNG."""
+        file = self._job.start / cast("Path", self.file)
+        return self._shared.get("frame", lambda: load_dng(file, self.reference.frame.sensor))
+
+    @property
+    def _noisy(self) -> RawFrame:
+        """The noisy frame, which has to be like its reference."""
+        return self._shared.get("noisy", self._read_noisy)
+
+    def _read_noisy(self) -> RawFrame:
+        from eldata.raw.reading import read_raw
+
+        path = inside(self._job.folder, self.path)
+        noisy, clean = read_raw(path), self.reference.frame
+        if noisy.mosaic.shape != clean.mosaic.shape or noisy.sensor.cfa != clean.sensor.cfa:
+            raise RawFileError(
+                path,
+                f"expected {clean.mosaic.shape} pixels with CFA {clean.sensor.cfa} like its reference, found "
+                f"{noisy.mosaic.shape} with {noisy.sensor.cfa}",
+            )
+        return noisy
+
+    def _ratio(self, amplification: Amplification) -> float:
+        """Return what the input is multiplied by; windows of clips have no ratio but the files'."""
+        from eldata.raw.reading import exposure_ratio
+
+        nominal = None if amplification == "metadata" else ratio_of(self._pair)
+        return float(exposure_ratio(self.reference.frame, self._noisy)) if nominal is None else nominal
+
+    def equal_choices(self, protocol: Protocol) -> dict[str, frozenset[str]]:
+        """Return the values of a protocol's fields that would have given the same score, by the field."""
+        if protocol.pixels != "packed":
+            return {}
+        frames = [self.reference.frame, *([self._dng] if self._is_dng else [])]
+        if self.file is not None:
+            return {"levels": _equal_levels(protocol, frames)}
+        return {
+            "levels": _equal_levels(protocol, [*frames, self._noisy]),
+            "amplification": self._equal_ratios(protocol),
+        }
+
+    def _equal_ratios(self, protocol: Protocol) -> frozenset[str]:
+        taken = self._ratio(protocol.amplification)
+
+        def is_equal(amplification: Amplification) -> bool:
+            try:
+                return self._ratio(amplification) == taken
+            except RawFileError:  # a file that states no exposure
+                return False
+
+        return frozenset(filter(is_equal, get_args(Amplification)))
+
+    def inspected(self, protocol: Protocol, target: NDArray[Any], psnr_db: float) -> Inspection:
+        """Return what the prediction shows of mistakes."""
+        source, prediction = self.prediction(protocol)
+        regions = protocol.region, protocol.factor_region
+        key = ("inspected", source, self.reference.key(protocol), regions, protocol.rules, protocol.rendering)
+        return self._shared.get(key, lambda: self._inspected(protocol, prediction, target, psnr_db))
+
+    def _inspected(
+        self, protocol: Protocol, prediction: NDArray[Any], target: NDArray[Any], psnr_db: float
+    ) -> Inspection:
+        def score(changed: NDArray[Any]) -> Score:
+            other = ComparedFrame(self._job, self.reference, self._pair, self.path, self.file, changed)
+            return other.score(protocol, target)[0]
+
+        now = Circumstances(
+            protocol=protocol,
+            sensor=self.reference.frame.sensor if protocol.pixels == "packed" else None,
+            ratio=ratio_of(self._pair),
+            score=score,
+            amplified=lambda: self.input(protocol)[1],
+        )
+        try:
+            mistake = mistake_in(prediction, target, psnr_db, now)
+        except RawFileError:  # the noisy file, which scoring does not need
+            mistake = None
+        return Inspection(
+            path=self.path,
+            camera=self._pair.camera,
+            ratio=now.ratio,
+            psnr_db=psnr_db,
+            mistake=mistake,
+            prediction=sketch(prediction),
+            reference=sketch(target),
+        )
+
+    def score(self, protocol: Protocol, target: NDArray[Any]) -> tuple[Score, NDArray[Any]]:
+        """Return the scores, and the prediction that got them, of the region."""
+        from eldata.metrics.image_score import factor_by, score_by
+
+        rules, threads, shape = protocol.rules, self._job.threads, target.shape
+        source, prediction = self.prediction(protocol)
+        compared = (source, self.reference.key(protocol))
+        finding = (rules.rescaling, rules.rescaling_mask, rules.prediction_clamp == "none", protocol.factor_region)
+
+        def find() -> float:
+            part = protocol.factor_crop(shape)
+            return factor_by(prediction[part], target[part], rules, threads=threads)
+
+        crop = protocol.crop(shape)
+        p, g = prediction[crop], target[crop]
+        factor = self._shared.get(("factor", compared, finding), find)
+        if protocol.rendering == "eld-isp":
+            score = partial(_score_rendered, p, g, self.reference.frame.sensor, rules, factor, threads)
+        else:
+            score = partial(score_by, p, g, rules, factor=factor, threads=threads)
+        key = ("score", compared, protocol.region, rules, factor, protocol.rendering)
+        return self._shared.get(key, score), p
+
+    def extras(self, protocol: Protocol, target: NDArray[Any], factor: float) -> dict[str, float]:
+        """Return what was asked for beyond the protocol's own scores: LPIPS of the renderings that it compares."""
+        if self._job.lpips is None:
+            return {}
+        from eldata.metrics.image_score import as_compared
+        from eldata.metrics.lpips import lpips
+
+        crop, rules = protocol.crop(target.shape), protocol.rules
+        p, g = self.prediction(protocol)[1][crop], target[crop]
+        if protocol.rendering == "eld-isp":
+            p, g = (codes / np.float32(255) for codes in _rendered(p, g, self.reference.frame.sensor, rules, factor))
+        else:
+            p, g = as_compared(p, g, rules, factor)
+        return {"lpips": lpips(p, g, _lpips_weights(self._job.lpips))}
+
+
+def _equal_levels(protocol: Protocol, frames: Sequence[RawFrame]) -> frozenset[str]:
+    """Return the choices of levels that normalise each of these frames as the protocol's does."""
+    return frozenset(
+        levels
+        for levels in get_args(Levels)
+        if all(levels_dn(frame, levels) == levels_dn(frame, protocol.levels) for frame in frames)
+    )
+
+
+@lru_cache(maxsize=1)
+def _lpips_weights(folder: Path) -> LpipsWeights:
+    """Return the weights of LPIPS; a process loads them once."""
+    from eldata.metrics.lpips import LpipsWeights
+
+    return LpipsWeights.load(folder)
+
+
+def _rendered(
+    prediction: NDArray[Any], target: NDArray[Any], sensor: Sensor, rules: ScoringRules, factor: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return a packed raw prediction, rescaled in raw, and its reference in sRGB, (3, h, w) of the codes of 8 bits."""
+    from eldata.isp.srgb_pairs import render_pair_for_scoring
+
+    treated = as_scored(prediction, rules, factor, np.float64)
+    first, second = render_pair_for_scoring(treated, target, sensor)
+    return first.astype(np.float32), second.astype(np.float32)
+
+
+def _score_rendered(
+    prediction: NDArray[Any],
+    target: NDArray[Any],
+    sensor: Sensor,
+    rules: ScoringRules,
+    factor: float,
+    threads: int | None,
+) -> Score:
+    """Score a packed raw prediction in sRGB: rescaled in raw, rendered, truncated to 8 bits."""
+    from eldata.metrics.image_score import score_by
+
+    codes = _rendered(prediction, target, sensor, rules, factor)
+    of_codes = replace(rules, rescaling="none", prediction_clamp="none", rounding="none", data_range=255.0)
+    found = score_by(codes[0], codes[1], of_codes, threads=threads)
+    return replace(found, rescale=factor)
+
+
+def as_scored(prediction: NDArray[Any], rules: ScoringRules, factor: float, dtype: Any) -> NDArray[Any]:
+    """Return a prediction clamped and multiplied as rules have it, (C, h, w); the arithmetic is float64."""
+    low, high, _, final_low, final_high = rules.treatment(factor)
+    result = np.empty(prediction.shape, dtype)
+    for channel, plane in enumerate(prediction):  # the float64 intermediates are 8 bytes per pixel
+        result[channel] = np.clip(np.clip(plane.astype(np.float64), low, high) * factor, final_low, final_high)
+    return result
+
+
+# --- for those who look at it ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScoredArrays:
+    """One frame as it was scored: arrays (C, h, w) of the whole frame.
+
+    Attributes
+    ----------
+    amplified
+        The noisy input; ``None`` where predictions are renderings.
+    prediction
+        Rescaled and clamped.
+    reference
+        What it was compared with.
+    sensor
+        Of packed raw; ``None`` of colours.
+    """
+
+    amplified: NDArray[Any] | None
+    prediction: NDArray[Any]
+    reference: NDArray[Any]
+    sensor: Sensor | None
+
+    @property
+    def error(self) -> NDArray[Any]:
+        """The absolute error, mean over channels, (h, w)."""
+        return cast("NDArray[Any]", np.abs(self.prediction - self.reference).mean(axis=0))
+
+
+def scored_arrays(folder: Path, protocol: Protocol, pair: Pair, frame: FrameScore, file: Path | None) -> ScoredArrays:
+    """Return what was compared, decoded once more.
+
+    Parameters
+    ----------
+    folder
+        The dataset's.
+    protocol, pair
+        What was scored, and how.
+    frame
+        Which frame of the pair, and the factor that it was given.
+    file
+        Its prediction; ``None`` if the noisy input itself was scored.
+
+    Raises
+    ------
+    RawFileError, PredictionError, ManifestError
+        If a file is no longer what was scored.
+    """
+    job = ScoringJob(Path.cwd(), folder.absolute(), (protocol,), None)
+    reference = Reference(inside(folder, pair.reference or ""))
+    shared = ComparedFrame(job, reference, pair, frame.path, file)
+    target = reference.target(protocol)
+    factor = 1.0 if np.isnan(frame.rescale) else frame.rescale
+    prediction = as_scored(shared.prediction(protocol)[1], protocol.rules, factor, np.float32)
+    return ScoredArrays(
+        amplified=None if protocol.pixels == "srgb" else shared.input(protocol)[1],
+        prediction=prediction,
+        reference=target,
+        sensor=reference.frame.sensor if protocol.pixels == "packed" else None,
+    )

@@ -1,0 +1,209 @@
+"""Where a prediction's values lie: orders of channels, shifts, flips and transpositions."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from itertools import permutations
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eldata.evaluation.inspected_frame import MARGIN, Blocks, Candidate, inner_entries
+from eldata.raw.cfa import BAYER_CHANNELS, XTRANS_CFA, pack, unpack
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from typing import TypeAlias
+
+    from numpy.typing import NDArray
+
+    from eldata.evaluation.inspected_frame import Change, Circumstances
+    from eldata.raw.cfa import CfaRows
+    from eldata.records import Sensor
+
+    Array: TypeAlias = NDArray[Any]
+
+_SHIFT_GAIN_DB = 0.5  # what undoing a shift is worth at least
+_SCREENED_GAIN_DB = 0.5  # of the blocks alone
+_ALIKE = 1.03  # errors within this factor are alike: the likelier mistake is named
+
+_COLOURS = ("R", "G", "B")
+
+# What codes that take a 2x2 cell of another phase for R, G, B, G make of it, row by row or around the cell, and R and B
+# exchanged: by the place in the prediction, the channel that lies there.
+_USUAL_ORDERS = {
+    4: (
+        *((0, 1, 3, 2), (2, 1, 0, 3), (2, 3, 0, 1), (2, 3, 1, 0)),
+        *((1, 0, 3, 2), (1, 0, 2, 3), (3, 2, 1, 0), (3, 2, 0, 1)),
+    ),
+    9: ((2, 1, 0, 4, 3, 5, 6, 7, 8),),
+    3: ((2, 1, 0),),
+}
+
+
+def _orders(agreement: Array) -> Iterator[tuple[int, ...]]:
+    """Yield orders of channels, likelier ones first: which channel of the reference lies at each place.
+
+    Parameters
+    ----------
+    agreement
+        (C, C): the products of each of the prediction's channels with each of the reference's.
+    """
+    count = len(agreement)
+    usual = [order for order in _USUAL_ORDERS.get(count, ()) if len(order) == count]
+    yield from usual
+    if count <= 4:
+        yield from (
+            order for order in permutations(range(count)) if order != tuple(range(count)) and order not in usual
+        )
+        return
+    from scipy.optimize import linear_sum_assignment
+
+    yield tuple(int(channel) for channel in linear_sum_assignment(agreement, maximize=True)[1])
+
+
+def _order_words(order: Sequence[int], *, colours: bool) -> str:
+    if len(order) == len(BAYER_CHANNELS):
+        return f"packed {', '.join(BAYER_CHANNELS[channel] for channel in order)}"
+    if colours:
+        return f"in the order {', '.join(_COLOURS[channel] for channel in order)}"
+    return f"packed in the order {', '.join(map(str, order))} of its channels"
+
+
+def _reordered(order: Sequence[int]) -> Change:
+    back = np.argsort(np.array(order))
+    return lambda image: image[back]
+
+
+def _shifted_back(down: int, right: int) -> Change:
+    """Return what moves an image back; at the edges it is mirrored, which keeps a mosaic's phase."""
+
+    def undo(image: Array) -> Array:
+        for axis, by in ((-2, down), (-1, right)):
+            last = image.shape[axis] - 1
+            index = np.abs(np.arange(last + 1) + by)
+            image = np.take(image, np.where(index > last, 2 * last - index, index), axis=axis)
+        return image
+
+    return undo
+
+
+def _chained(first: Change, then: Change) -> Change:
+    return lambda image: then(first(image))
+
+
+_FLIPS: tuple[tuple[str, Change], ...] = (
+    ("flipped left to right", lambda image: image[:, :, ::-1]),
+    ("flipped upside down", lambda image: image[:, ::-1]),
+    ("turned by 180 degrees", lambda image: image[:, ::-1, ::-1]),
+)
+_SQUARE: tuple[tuple[str, Change], ...] = (
+    ("transposed", lambda image: image.transpose(0, 2, 1)),
+    ("turned by 90 degrees", lambda image: image[:, ::-1].transpose(0, 2, 1)),
+    ("turned by 270 degrees", lambda image: image[:, :, ::-1].transpose(0, 2, 1)),
+    ("transposed and turned by 180 degrees", lambda image: image[:, ::-1, ::-1].transpose(0, 2, 1)),
+)
+
+
+def _from_channels_last(image: Array) -> Array:
+    channels, height, width = image.shape
+    return image.reshape(height, width, channels).transpose(2, 0, 1)
+
+
+def best_place(
+    prediction: Array, blocks: Blocks, p: NDArray[np.float32], g: NDArray[np.float32], now: Circumstances
+) -> Candidate | None:
+    """Return the order, shift, flip or transposition with the least error on the blocks, if it is worth trying.
+
+    Parameters
+    ----------
+    prediction
+        Of the whole frame.
+    p, g
+        Its blocks, and those of the reference without margin, (C, entries).
+    """
+    rules, colours = now.protocol.rules, now.sensor is None
+    low, high = rules.treatment(1.0)[:2]
+    reference = g.ravel()
+    power_of_g = float(reference @ reference)
+
+    def clamped(values: NDArray[np.float32]) -> NDArray[np.float32]:
+        return values if math.isinf(high) else np.clip(values, np.float32(low), np.float32(high))
+
+    def error(product: float, power: float) -> float:
+        """Return the squared error, given <p, g> and <p, p>, as the protocol brings p to g."""
+        if rules.rescaling == "none":
+            return max(power - 2 * product + power_of_g, 0.0)
+        return max(power_of_g - product * product / power, 0.0) if power > 0 and product > 0 else power_of_g
+
+    def plain(values: NDArray[np.float32]) -> float:
+        flat = values.ravel()
+        return error(float(flat @ reference), float(flat @ flat))
+
+    p = clamped(p)
+    now_error = plain(inner_entries(p))
+    found: list[tuple[float, Candidate]] = []
+
+    def reorder(values: NDArray[np.float32], words: str, undo: Change | None) -> None:
+        agreement = values @ g.T
+        power = float(np.vdot(values, values))
+        if undo is not None:
+            found.append((error(float(np.trace(agreement)), power), Candidate(f"as if {words}", undo)))
+        for order in _orders(agreement):
+            product = float(agreement[np.arange(len(order)), order].sum())
+            text, back = _order_words(order, colours=colours), _reordered(order)
+            text = f"as if {words} and {text}" if words else f"as if {text}"
+            candidate = Candidate(text, back if undo is None else _chained(undo, back))
+            found.append((error(product, power), candidate))
+
+    reorder(inner_entries(p), "", None)
+    steps = range(-MARGIN, MARGIN + 1)
+    unit = "pixels" if colours else "packed pixels"
+    for down in steps:
+        for right in steps:
+            if (down, right) != (0, 0):
+                words = f"as if shifted by ({down}, {right}) {unit} (down, right)"
+                candidate = Candidate(words, _shifted_back(down, right), _SHIFT_GAIN_DB)
+                found.append((plain(inner_entries(p, down, right)), candidate))
+    if now.sensor is not None:
+        found += [(plain(values), candidate) for values, candidate in _mosaic_shifts(p, now.sensor)]
+    square = _SQUARE if prediction.shape[1] == prediction.shape[2] else ()
+    for words, flip in (*_FLIPS, *square):
+        reorder(inner_entries(clamped(blocks.cut(flip(prediction)))), words, flip)
+    last = _from_channels_last(prediction)
+    words = "as if reshaped from (h, w, C), not transposed"
+    found.append((plain(inner_entries(clamped(blocks.cut(last)))), Candidate(words, _from_channels_last)))
+
+    least = min(left for left, _ in found)
+    if least * 10 ** (_SCREENED_GAIN_DB / 10) > now_error:
+        return None
+    return next(candidate for left, candidate in found if left <= _ALIKE * least)
+
+
+def _mosaic_shifts(p: NDArray[np.float32], sensor: Sensor) -> Iterator[tuple[NDArray[np.float32], Candidate]]:
+    """Yield the blocks moved back by a pixel of the mosaic, which changes colours too."""
+    cfa = XTRANS_CFA if len(sensor.cfa) == len(XTRANS_CFA) else sensor.cfa  # the packed area begins with its pattern
+    flat = p.ravel()
+    for (down, right), entries in _moved_entries(cfa, p.shape).items():
+        back = _shifted_back(down, right)
+
+        def undo(image: Array, back: Change = back) -> Array:
+            return pack(back(unpack(np.ascontiguousarray(image), cfa)), cfa)
+
+        words = f"as if shifted by ({down}, {right}) pixels of the mosaic (down, right)"
+        yield flat[entries], Candidate(words, undo, _SHIFT_GAIN_DB)
+
+
+@lru_cache(maxsize=4)
+def _moved_entries(cfa: CfaRows, shape: tuple[int, ...]) -> dict[tuple[int, int], NDArray[np.intp]]:
+    """Return for each shift of the mosaic by a pixel which entries of the blocks lie without their margin then."""
+    entries = np.arange(math.prod(shape), dtype=np.float64).reshape(shape[0], shape[1], -1)
+    mosaic = unpack(entries, cfa)
+    steps = (-1, 0, 1)
+    return {
+        (down, right): inner_entries(pack(np.roll(mosaic, (-down, -right), (0, 1)), cfa).reshape(shape)).astype(np.intp)
+        for down in steps
+        for right in steps
+        if (down, right) != (0, 0)
+    }

@@ -1,0 +1,204 @@
+"""What becomes of a figure for a finding: withheld everywhere, given with a larger error, or remarked."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from eldata.calibration import Finding
+from eldata.calibration.audit import SYMBOLS
+from eldata.calibration.camera import joined
+from eldata.noise import CameraProfile
+from eldata.reports.calibration.page import calibration_page
+from tests.reports.calibrations import camera_at, measured
+from tests.reports.pages import checked
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from eldata.calibration import Calibration, IsoCalibration
+    from eldata.calibration.audit import Effect, Figure
+
+WHY = "half of the frames are of another planet; photograph this one"
+GAIN_CELL, READ_CELLS, ROW_CELL = 3, (4, 5, 6), 7  # of a table's row
+OF_FIGURE: dict[str, tuple[str, ...]] = {
+    "gain": ("gain_dn_per_e", "gain_error", "gain_by_channel", "gain_spatial_dn_per_e"),
+    "read noise": (
+        *("tukey_lambda", "tukey_lambda_error", "sigma_tl_dn", "sigma_tl_error_dn", "sigma_gauss_dn"),
+        *("sigma_gauss_error_dn", "ppcc_lambda", "ppcc_sigma_tl_dn"),
+    ),
+    "row noise": ("sigma_row_dn", "sigma_row_error_dn", "sigma_column_dn", "sigma_column_error_dn"),
+    "colour bias": ("colour_bias_dn", "colour_bias_error_dn"),
+}
+
+
+@pytest.fixture(scope="module")
+def isos() -> tuple[IsoCalibration, ...]:
+    """Four, so that lines can be fitted without one of them; all have every figure, and a comparison."""
+    return tuple(measured(iso, camera_at(iso)) for iso in (100.0, 400.0, 1600.0, 6400.0))
+
+
+def finding(*figures: Figure, effect: Effect = "withheld", allowance: float = 0.0) -> Finding:
+    return Finding("planet", figures, effect, 0.5, 0.1, WHY, allowance)
+
+
+def with_findings(isos: tuple[IsoCalibration, ...], *findings: Finding) -> Calibration:
+    """The second ISO has the findings; what it would have been compared with is left out, as calibrate_iso does."""
+    spoilt = replace(isos[1], findings=findings)
+    if spoilt.parameters is None:
+        spoilt = replace(spoilt, reproduction=None)
+    return joined("TestCamera", [isos[0], spoilt, *isos[2:]])
+
+
+def as_json(found: Calibration) -> dict[str, Any]:
+    data: dict[str, Any] = json.loads(json.dumps(found.as_dict(), allow_nan=False))
+    return data
+
+
+@pytest.mark.parametrize("figure", list(SYMBOLS))
+def test_a_withheld_figure_is_given_nowhere(figure: Figure, isos: tuple[IsoCalibration, ...]) -> None:
+    whole, found = joined("TestCamera", isos), with_findings(isos, finding(figure))
+    one, data, before = found.isos[1], as_json(found)["isos"][1], as_json(whole)["isos"][1]
+    assert one.withheld == {figure}
+    assert data["withheld"] == {figure: WHY}
+    assert data["findings"][0]["check"] == "planet"
+    for name, fields in OF_FIGURE.items():
+        for field in fields:
+            assert before[field] is not None
+            assert data[field] == (None if name == figure else before[field]), field
+    assert before["withheld"] == {}
+
+    cells = found.table()[1][1]
+    hidden = {"gain": (GAIN_CELL,), "read noise": READ_CELLS, "row noise": (ROW_CELL,)}.get(figure, ())
+    for index in range(GAIN_CELL, ROW_CELL + 1):
+        assert (cells[index] == "withheld") == (index in hidden)
+    colours = found.bias_table()[1][1][1:5]
+    assert (colours == ("withheld",) * 4) == (figure == "colour bias")
+
+    in_the_dark = figure != "gain"
+    assert (one.parameters is None) == in_the_dark
+    assert (data["reproduction"] is None) == in_the_dark
+    page = checked(calibration_page(found)).text
+    assert f"Withheld: {WHY}." in page
+    # No number that only the withheld figure has is left in the text, the page or the profile's notes.
+    for text in (found.format_text(), page, *found.profile.notes):
+        for cell in {whole.table()[1][1][index] for index in hidden} | (
+            set(whole.bias_table()[1][1][1:5]) if figure == "colour bias" else set()
+        ):
+            assert cell not in text.replace("−", "-")
+
+
+def test_the_profile_of_what_is_left(isos: tuple[IsoCalibration, ...], tmp_path: Path) -> None:
+    """A row needs lambda and the colour bias; K and sigma_row may be unknown. Lines are of what is given."""
+    whole = joined("TestCamera", isos)
+    expected: dict[Figure, tuple[int, tuple[int, int, int]]] = {
+        "gain": (4, (3, 3, 3)),
+        "read noise": (3, (3, 3, 4)),
+        "row noise": (4, (4, 4, 3)),
+        "colour bias": (3, (4, 4, 4)),
+    }
+    for figure, (rows, points) in expected.items():
+        found = with_findings(isos, finding(figure))
+        found.profile.save(tmp_path / "p.json")
+        profile = CameraProfile.load(tmp_path / "p.json")
+        assert len(profile.rows) == rows, figure
+        fits = (found.tukey_lambda_fit, found.gauss_fit, found.row_fit)
+        assert tuple(0 if fit is None else fit.points for fit in fits) == points, figure
+        assert (found.row_fit == whole.row_fit) == (figure not in ("gain", "row noise"))
+        kept = [row for row in profile.rows if row.iso == 400]
+        if figure == "gain":
+            assert kept[0].gain_dn_per_e is None
+        elif figure == "row noise":
+            assert kept[0].sigma_row_dn is None
+        else:
+            assert kept == []
+        assert any(note.startswith("ISO 400: half of the frames") for note in profile.notes)
+
+
+def test_limits_of_k_are_of_what_is_given(isos: tuple[IsoCalibration, ...]) -> None:
+    spoilt = replace(isos[3], findings=(finding("gain"),))
+    profile = joined("TestCamera", [*isos[:3], spoilt]).profile
+    assert profile.iso_range == (100.0, 1600.0)
+    assert profile.gain_range_dn_per_e == (isos[0].gain_dn_per_e, isos[2].gain_dn_per_e)
+
+
+@pytest.mark.parametrize(
+    ("figure", "why"),
+    [
+        ("gain", "K is withheld at every ISO that has flats"),
+        ("read noise", "the read noise or the colour bias is withheld at every ISO"),
+        ("colour bias", "the read noise or the colour bias is withheld at every ISO"),
+    ],
+)
+def test_no_profile_of_nothing(figure: Figure, why: str, isos: tuple[IsoCalibration, ...]) -> None:
+    found = joined("TestCamera", [replace(one, findings=(finding(figure),)) for one in isos])
+    assert found.made_profile is None
+    assert found.no_profile.startswith(why)
+    assert as_json(found)["no_profile"] == found.no_profile
+    assert f"no profile can be made: {why}" in found.format_text()
+    assert f"No profile can be made: {why}" in checked(calibration_page(found)).text
+
+
+def test_no_profile_where_gain_and_read_noise_never_meet(isos: tuple[IsoCalibration, ...]) -> None:
+    dark = [replace(one, findings=(finding("gain"),)) for one in isos[:2]]
+    light = [replace(one, findings=(finding("read noise"),)) for one in isos[2:]]
+    assert joined("TestCamera", [*dark, *light]).no_profile.startswith("no ISO has both K and the read noise")
+
+
+def test_no_row_noise_that_can_be_given(isos: tuple[IsoCalibration, ...]) -> None:
+    found = joined("TestCamera", [replace(one, findings=(finding("row noise"),)) for one in isos])
+    assert "sigma_row is withheld wherever K is known: the profile makes no row noise" in found.remarks
+    assert found.profile.sample(np.random.default_rng(0)).sigma_row_dn < 1e-8
+
+
+def test_an_allowance_widens_errors_in_quadrature(isos: tuple[IsoCalibration, ...]) -> None:
+    """Each share of the figure; of lambda and the colour bias as it is. Two findings add, remarks and others do not."""
+    found = with_findings(
+        isos,
+        finding("gain", "read noise", "row noise", "colour bias", effect="wider", allowance=0.03),
+        finding("gain", "read noise", effect="wider", allowance=0.04),
+        finding("gain", effect="remark", allowance=9.0),
+    )
+    one = found.isos[1]
+    assert one.transfer is not None
+    read, rows = one.read, one.rows.rows
+    for given, value, error, allowance in (
+        (one.gain, one.transfer.gain_dn_per_e, one.transfer.gain_error, 0.05 * one.transfer.gain_dn_per_e),
+        (one.tukey_lambda, read.tukey_lambda, read.tukey_lambda_error, 0.05),
+        (one.sigma_tl_dn, read.sigma_tl_dn, read.sigma_tl_error_dn, 0.05 * read.sigma_tl_dn),
+        (one.sigma_gauss_dn, read.sigma_gauss_dn, read.sigma_gauss_error_dn, 0.05 * read.sigma_gauss_dn),
+        (one.sigma_row_dn, rows.sigma_dn, rows.sigma_error_dn, 0.03 * rows.sigma_dn),
+    ):
+        assert given is not None
+        assert given.value == value
+        assert given.error == pytest.approx(math.hypot(error, allowance), rel=1e-12)
+    assert one.colour_bias is not None
+    for channel, error in zip(one.colour_bias, one.bias.standard_error_dn, strict=True):
+        assert channel.error == pytest.approx(math.hypot(error, 0.03), rel=1e-12)
+    data = as_json(found)["isos"][1]
+    assert one.gain is not None
+    assert data["gain_error"] == one.gain.error
+    error_shown = float(found.table()[1][1][GAIN_CELL].split(" ± ")[1])
+    assert error_shown == pytest.approx(one.gain.error, rel=0.17)
+    assert found.table()[1][1][GAIN_CELL] in checked(calibration_page(found)).text
+    assert found.profile.rows == joined("TestCamera", isos).profile.rows, "the figures themselves stay"
+
+
+def test_findings_are_among_the_remarks_once(isos: tuple[IsoCalibration, ...]) -> None:
+    found = with_findings(
+        isos,
+        finding("gain", "row noise"),
+        replace(finding("gain", effect="wider"), text="B"),
+        Finding("c", (), "remark", 1.0, 0.5, "C"),
+    )
+    expected = (f"{WHY} (withheld: K and sigma_row)", "B (errors made larger: K)", "C")
+    assert found.isos[1].all_remarks == expected
+    for text in ("\n".join(found.profile.notes), "\n".join(as_json(found)["remarks"]), found.format_text()):
+        for remark in expected:
+            assert text.count(f"ISO 400: {remark}") == 1
+    assert as_json(found)["isos"][1]["remarks"] == list(expected)

@@ -250,43 +250,50 @@ def mixture_tails(
 
 @kernel
 def standardised(
-    values: NDArray[np.int64],
+    weight: int,
+    mosaic: NDArray[np.uint16],
+    less: NDArray[np.unsignedinteger[Any]],
     defects: NDArray[np.bool_],
     pattern: NDArray[np.int64],
-    scale: NDArray[np.float64],
+    scale: NDArray[np.float32],
     limit: int,
     out: NDArray[np.int16],
 ) -> None:
-    """Write the values less the means of their row and channel, times ``scale`` (channel), within +-``limit``.
+    """Write ``weight mosaic - less``, less its means by row and channel, times ``scale`` (channel), within +-``limit``.
 
     Defects become 0. The rows start with the pattern's first.
     """
     period = pattern.shape[0]
-    means = np.zeros(scale.size)
+    height, width = mosaic.shape
+    sums = np.zeros(scale.size, dtype=np.int64)
     counts = np.zeros(scale.size, dtype=np.int64)
-    edge = np.float64(limit)
-    for row in range(values.shape[0]):
-        means[:] = 0.0
+    values = np.zeros(width, dtype=np.int64)
+    means = np.zeros(width, dtype=np.float32)
+    factors = np.zeros(width, dtype=np.float32)
+    edge, half = np.float32(limit), np.float32(0.5)
+    for row in range(height):
+        sums[:] = 0
         counts[:] = 0
+        for column in range(width):
+            value = weight * np.int64(mosaic[row, column]) - np.int64(less[row, column])
+            values[column] = 0 if defects[row, column] else value
         for phase in range(period):
-            channel = pattern[row % period, phase]
             added: Any = 0
             count: Any = 0
-            for column in range(phase, values.shape[1], period):
-                added += 0 if defects[row, column] else values[row, column]
-                count += 0 if defects[row, column] else 1
-            means[channel] += added
-            counts[channel] += count
+            for column in range(phase, width, period):
+                added += values[column]
+                count += not defects[row, column]
+            sums[pattern[row % period, phase]] += added
+            counts[pattern[row % period, phase]] += count
         for phase in range(period):
             channel = pattern[row % period, phase]
-            mean = means[channel] / max(counts[channel], 1)
-            factor = scale[channel]
-            for column in range(phase, values.shape[1], period):
-                value = (values[row, column] - mean) * factor
-                value = edge if value > edge else value
-                value = -edge if value < -edge else value
-                value = np.floor(value + 0.5)
-                out[row, column] = np.int16(0) if defects[row, column] else np.int16(value)
+            means[phase::period] = sums[channel] / max(counts[channel], 1)
+            factors[phase::period] = scale[channel]
+        for column in range(width):
+            scaled = (np.float32(values[column]) - means[column]) * factors[column]
+            scaled = edge if scaled > edge else scaled
+            scaled = -edge if scaled < -edge else scaled
+            out[row, column] = np.int16(0) if defects[row, column] else np.int16(np.floor(scaled + half))
 
 
 @kernel
@@ -348,70 +355,77 @@ def outlier_neighbours(
 @kernel
 def variance_and_level(
     band: NDArray[np.int16],
-    others: NDArray[np.int64],
+    total: NDArray[np.uint32],
+    first: NDArray[np.uint16],
+    second: NDArray[np.uint16],
     defects: NDArray[np.bool_],
-    pattern: NDArray[np.int64],
-    level: NDArray[np.float64],
-    scale: NDArray[np.float64],
+    level: NDArray[np.float32],
+    scale: NDArray[np.float32],
     size: int,
     clip: int,
-    sums: NDArray[np.float64],
+    sums: NDArray[np.int64],
 ) -> None:
-    """Add up, by block of ``size`` columns, the clipped squares w of a band and the levels f of its pixels.
+    """Add up, by block of ``size`` columns, the squares w of a band, clipped, and the levels f of its pixels.
 
-    f is the deviation of ``others`` from ``level`` (blocks, channel), times ``scale`` (channel), within +-4. Added to
-    ``sums`` (blocks, 5): pixels, w, f, f^2, f w.
+    f is the deviation of ``total - first - second`` from ``level`` (row phase, columns), times ``scale`` (likewise),
+    within +-64. Added to ``sums`` (blocks, 4): w, f, f^2, f w.
     """
-    period = pattern.shape[0]
+    period = level.shape[0]
+    edge, half = np.float32(64), np.float32(0.5)
+    squares = np.zeros(size, dtype=np.int32)
+    levels = np.zeros(size, dtype=np.int32)
     for row in range(band.shape[0]):
+        phase = row % period
         for block in range(sums.shape[0]):
-            for phase in range(period):
-                channel = pattern[row % period, phase]
-                centre, factor = level[block, channel], scale[channel]
-                count: Any = 0
-                squared: Any = 0
-                first = second = product = 0.0
-                for column in range(block * size + phase, (block + 1) * size, period):
-                    if defects[row, column]:
-                        continue
-                    value: Any = np.int64(band[row, column])
-                    value = clip if value > clip else value
-                    value = -clip if value < -clip else value
-                    fixed = (others[row, column] - centre) * factor
-                    fixed = 4.0 if fixed > 4.0 else fixed
-                    fixed = -4.0 if fixed < -4.0 else fixed
-                    count += 1
-                    squared += value * value
-                    first += fixed
-                    second += fixed * fixed
-                    product += fixed * (value * value)
-                sums[block, 0] += count
-                sums[block, 1] += squared
-                sums[block, 2] += first
-                sums[block, 3] += second
-                sums[block, 4] += product
+            start = block * size
+            for index in range(size):
+                column = start + index
+                value: Any = np.int32(band[row, column])
+                value = clip if value > clip else value
+                value = -clip if value < -clip else value
+                squares[index] = value * value
+                others = np.int64(total[row, column]) - np.int64(first[row, column]) - np.int64(second[row, column])
+                fixed = (np.float32(others) - level[phase, column]) * scale[phase, column]
+                fixed = edge if fixed > edge else fixed
+                fixed = -edge if fixed < -edge else fixed
+                levels[index] = 0 if defects[row, column] else np.int32(np.floor(fixed + half))
+            added = np.zeros(4, dtype=np.int64)
+            for index in range(size):
+                added[0] += squares[index]
+                added[1] += levels[index]
+                added[2] += levels[index] * levels[index]
+                added[3] += levels[index] * squares[index]
+            sums[block] += added
 
 
 @kernel
 def add_sizes(
     band: NDArray[np.int16],
-    defects: NDArray[np.bool_],
     step: int,
     size: int,
     total: NDArray[np.uint8],
     counts: NDArray[np.int64],
     sums: NDArray[np.int64],
 ) -> None:
-    """Add abs(band) // step to each sound pixel's total, and count these sizes by value.
+    """Add abs(band) // step to each pixel's total, and count these sizes by value, defects among them.
 
     By block of ``size`` columns, ``sums`` (blocks, 2) gets them and their squares.
     """
-    for row in range(band.shape[0]):
+    height, width = band.shape
+    sizes = np.zeros(width, dtype=np.int64)
+    several = np.zeros((4, counts.size), dtype=np.int64)  # so that one addition need not wait for the one before
+    for row in range(height):
+        for column in range(width):
+            sizes[column] = np.uint16(abs(band[row, column])) // np.uint16(step)
+            total[row, column] += np.uint8(sizes[column])
+        for column in range(width):
+            several[column & 3, sizes[column]] += 1
         for block in range(sums.shape[0]):
+            added: Any = 0
+            squared: Any = 0
             for column in range(block * size, (block + 1) * size):
-                if not defects[row, column]:
-                    value = abs(np.int64(band[row, column])) // step
-                    total[row, column] += np.uint8(value)
-                    counts[value] += 1
-                    sums[block, 0] += value
-                    sums[block, 1] += value * value
+                added += sizes[column]
+                squared += sizes[column] * sizes[column]
+            sums[block, 0] += added
+            sums[block, 1] += squared
+    counts += several.sum(axis=0)

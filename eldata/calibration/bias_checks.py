@@ -63,7 +63,7 @@ def bias_findings(
     lit = tuple(light(statistics, bias, read))
     return (
         *lit,
-        *unlike_pixels(statistics, read, is_lit=bool(lit)),
+        *unlike_pixels(statistics, bias, read, is_lit=bool(lit)),
         *correlated(statistics, rows, read),
         *filtered_outliers(statistics, read),
         *coarse_values(step, gaps, read),
@@ -122,10 +122,17 @@ def light(statistics: BiasStatistics, bias: ColourBias, read: ReadNoise) -> Iter
         "cap the lens, cover the viewfinder, and take them in the dark at the shortest exposure"
     )
     yield from judged("light", {"read noise": (share, _read_error(read))}, statistic, threshold, text)
-    if over_dark > _MOST_OF_BIAS_DN:
-        yield Finding("light", ("colour bias",), "withheld", statistic, threshold, text)
-    elif over_dark > min(bias.standard_error_dn):
-        yield Finding("light", ("colour bias",), "wider", statistic, threshold, text, over_dark)
+    yield from _over_black("light", over_dark, bias, statistic, threshold, text)
+
+
+def _over_black(
+    check: str, level_dn: float, bias: ColourBias, statistic: float, threshold: float, text: str
+) -> Iterator[Finding]:
+    """Yield what light of a mean level means for the colour bias, which it adds to."""
+    if level_dn > _MOST_OF_BIAS_DN:
+        yield Finding(check, ("colour bias",), "withheld", statistic, threshold, text)
+    elif level_dn > min(bias.standard_error_dn):
+        yield Finding(check, ("colour bias",), "wider", statistic, threshold, text, level_dn)
 
 
 def _slope(
@@ -143,7 +150,9 @@ def _slope(
 # --- pixels of their own kind -------------------------------------------------------------------------------------
 
 
-def unlike_pixels(statistics: BiasStatistics, read: ReadNoise, *, is_lit: bool = False) -> Iterator[Finding]:
+def unlike_pixels(
+    statistics: BiasStatistics, bias: ColourBias, read: ReadNoise, *, is_lit: bool = False
+) -> Iterator[Finding]:
     """Yield a finding if some pixels are noisier than others: by dark current of their own, or by telegraph noise.
 
     Two tests, both of sums over blocks whose mean is 0 if all pixels of a block have the same noise, and so with a
@@ -178,6 +187,7 @@ def unlike_pixels(statistics: BiasStatistics, read: ReadNoise, *, is_lit: bool =
             "that is not warm"
         )
         yield from judged("dark signal", {"read noise": (share, _read_error(read))}, by_level, threshold, text)
+        yield from _over_black("dark signal", statistics.dsnu_dn, bias, by_level, threshold, text)
         return
     if by_size <= threshold and not few:
         return

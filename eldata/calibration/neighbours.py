@@ -73,12 +73,12 @@ class Neighbours:
     """
 
     def __init__(self, pattern: NDArray[np.int64]) -> None:
-        self._pattern = pattern
         self._offsets = _same_colour(pattern)
         self._reach = int(np.abs(self._offsets).max())
         self._lags = np.concatenate([_LAGS, _FAR, _FAR_BELOW])
         self._products = np.zeros(len(self._lags), dtype=np.int64)
         self._pairs = np.zeros(len(self._lags))
+        self._rows_took = np.array([_taken(pattern, int(across)) if not down else 0.0 for down, across in self._lags])
         self._induced = np.zeros(len(self._lags))
         self._squares = self._pixels = 0
         self._wins = np.zeros((2, len(OUTLIERS), 2), dtype=np.int64)
@@ -92,11 +92,9 @@ class Neighbours:
         lag_products(band, self._lags, self._products)
         self._squares += int(np.einsum("ij,ij->", band, band, dtype=np.int64))
         self._pixels += band.size
-        for index, (down, across) in enumerate(self._lags.tolist()):
-            pairs = (height - down) * (width - abs(across))
-            self._pairs[index] += pairs
-            if down == 0:
-                self._induced[index] += pairs * _induced(self._pattern, across, width)
+        pairs = (height - self._lags[:, 0]) * (width - np.abs(self._lags[:, 1]))
+        self._pairs += pairs
+        self._induced += pairs * self._rows_took / width
 
     def add_frame(self, band: NDArray[np.int16]) -> None:
         """Add rows of one frame less its pixels' means, standardised: what a filter has done to outliers."""
@@ -151,8 +149,8 @@ def _same_colour(pattern: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.array([[nearest(row, column) for column in range(period)] for row in range(period)])
 
 
-def _induced(pattern: NDArray[np.int64], across: int, width: int) -> float:
-    """Return the correlation that taking off the mean of each row and channel makes at a lag along rows."""
-    number = np.array([[np.count_nonzero(row == channel) for channel in row] for row in pattern]) / len(pattern)
+def _taken(pattern: NDArray[np.int64], across: int) -> float:
+    """Return the correlation that taking off the mean of each row and channel makes at a lag, times the columns."""
+    share = np.array([[np.count_nonzero(row == channel) for channel in row] for row in pattern]) / len(pattern)
     alike = np.roll(pattern, -across, axis=1) == pattern
-    return -float(np.where(alike, 1 / (number * width), 0.0).mean())
+    return -float(np.where(alike, 1 / share, 0.0).mean())

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from eldata.calibration.audit import Figure
     from eldata.calibration.bias_audit import BiasStatistics
     from eldata.calibration.colour_bias import ColourBias
+    from eldata.calibration.neighbours import NeighbourStatistics
+    from eldata.calibration.photon_transfer import PhotonTransfer
     from eldata.calibration.read_noise import ReadNoise
     from eldata.calibration.row_noise import LineNoise, RowNoise
 
@@ -39,8 +41,9 @@ _OF_UNLIKENESS = 2.0  # measured: shifts of lambda and both sigmas are 0.3 to 4 
 GAPS = 0.02
 """Share of DN values that never occur, from which on it is told."""
 
-_SLOW, _FAST = 1 / 16, 1 / 4  # cycles per row
-_HANN = 35 / 18  # neighbouring ordinates under a Hann window depend on each other: so many make one
+_SLOW, _FAST = 1 / 8, 1 / 4  # cycles per row
+_LEAST_WAVES = 8  # over a frame; fewer, and a wave is not told from drift
+_LEAKED = 0.02  # of the ground
 _PERIODS = 6  # of the rows' composition: a multiple of Bayer's and X-Trans' own
 _NEAR = 15  # frequencies on each side, whose median is a wave's ground
 
@@ -180,13 +183,14 @@ def unlike_pixels(
     explained = slope**2 / max(staying, 0.05) if by_level > threshold else 0.0
     # The variance varies by four times as much as the size squared, where it varies little.
     if by_level > threshold and (by_size <= threshold or explained > 0.75 * 4 * unlikeness):
-        share = 0.5 * math.sqrt(explained)
+        share = math.sqrt(explained)
         text = (
             "dark current or light in the bias frames: pixels with a higher level also have more noise, which adds "
             f"{share:.1%} or more to the read noise; take them in the dark, at the shortest exposure and with a camera "
             "that is not warm"
         )
-        yield from judged("dark signal", {"read noise": (share, _read_error(read))}, by_level, threshold, text)
+        # sigma_TL goes up by twice as much as sigma_G, as the tails get lighter.
+        yield from judged("dark signal", {"read noise": (2 * share, _read_error(read))}, by_level, threshold, text)
         yield from _over_black("dark signal", statistics.dsnu_dn, bias, by_level, threshold, text)
         return
     if by_size <= threshold and not few:
@@ -214,44 +218,70 @@ def _student(scores: NDArray[np.float64]) -> float:
 
 
 def correlated(statistics: BiasStatistics, rows: RowNoise, read: ReadNoise) -> Iterator[Finding]:
-    """Yield findings if neighbours share noise.
+    """Yield a finding if neighbouring pixels share noise in the bias frames.
 
-    The largest of twelve correlations, and of their two sums along the axes, over its error, which needs no
-    assumption on the distribution and is normal.
-
-    What a filter whose weights add up to 1 leaves of the variance follows from the correlations: ``1 / (1 + 2 sum)``
-    over one of each two opposite directions.
+    Beside what a filter takes from the pixels, the mean of a row's pixels scatters by more, or less, than that of as
+    many independent ones, which the row noise is measured against.
     """
-    from scipy.special import ndtri
-
     near = statistics.neighbours
-    axes = [((near.lags == lag).all(axis=1) | (near.lags == lag[::-1]).all(axis=1)) for lag in ((0, 1), (0, 2))]
-    tests = [
-        *(near.correlation / near.error),
-        *(near.correlation[pair].sum() / near.error / math.sqrt(2) for pair in axes),
-    ]
-    statistic = max(map(abs, tests))
-    threshold = -float(ndtri(CHANCE / 2 / len(tests)))
+    statistic, threshold = _largest(near)
     if statistic <= threshold:
         return
-    largest = near.correlation[np.abs(near.correlation).argmax()]
-    text = (
-        f"neighbouring pixels share noise (correlation {largest:.3f}): the camera or a converter has filtered these "
-        "files, or reads neighbours out together; use files without noise reduction and resampling"
-    )
-    total = float(near.correlation[np.abs(near.correlation) > 3 * near.error].sum())
-    share = abs(math.sqrt(max(1 + 2 * total, 0.0)) - 1)
-    along = 2 * float(near.correlation[(near.lags[:, 0] == 0) & (np.abs(near.correlation) > 3 * near.error)].sum())
+    share = abs(math.sqrt(1 + 2 * _sum_of(near)) - 1)
     line = rows.rows
-    of_pixels = along * rows.pixel_variance_dn2 / len(rows.columns.fixed_dn)
-    variance = max(line.variance_dn2, 1e-12)
-    row_share = math.hypot(share, of_pixels / (2 * variance))
+    of_pixels = 2 * _sum_of(near, near.lags[:, 0] == 0) * rows.pixel_variance_dn2 / len(rows.columns.fixed_dn)
+    of_rows = math.hypot(share, of_pixels / (2 * max(line.variance_dn2, 1e-12)))
     error = line.sigma_error_dn / max(line.sigma_dn, 1e-12)
     shares: dict[Figure, tuple[float, float]] = {
         "read noise": (share, _read_error(read)),
-        "row noise": (row_share, error),
+        "row noise": (of_rows, error),
     }
+    text = _SHARED.format(largest=near.correlation[np.abs(near.correlation).argmax()], where="bias frames")
     yield from judged("correlated noise", shares, statistic, threshold, text)
+
+
+def correlated_flats(near: NeighbourStatistics | None, transfer: PhotonTransfer) -> Iterator[Finding]:
+    """Yield a finding if neighbouring pixels share noise in the flats, whose variance K is measured by."""
+    if near is None:
+        return
+    statistic, threshold = _largest(near)
+    if statistic <= threshold:
+        return
+    text = _SHARED.format(largest=near.correlation[np.abs(near.correlation).argmax()], where="flats")
+    error = transfer.gain_error / transfer.gain_dn_per_e
+    yield from judged("correlated noise", {"gain": (abs(2 * _sum_of(near)), error)}, statistic, threshold, text)
+
+
+_SHARED = (
+    "neighbouring pixels share noise in the {where} (correlation {largest:.3f}): the camera or a converter has "
+    "filtered these files, or the sensor mixes neighbours; use files without noise reduction and resampling"
+)
+
+
+def _largest(near: NeighbourStatistics) -> tuple[float, float]:
+    """Return the largest of the correlations, and of their two sums along the axes, over its error; and the limit.
+
+    The error needs no assumption on the distribution, and sums of so many products are normal.
+    """
+    from scipy.special import ndtri
+
+    axes = (near.correlation[_at(near, (0, size)) | _at(near, (size, 0))].sum() / math.sqrt(2) for size in (1, 2))
+    tests = np.abs(np.array([*near.correlation, *axes])) / near.error
+    return float(tests.max()), -float(ndtri(CHANCE / 2 / tests.size))
+
+
+def _at(near: NeighbourStatistics, lag: tuple[int, int]) -> NDArray[np.bool_]:
+    found: NDArray[np.bool_] = (near.lags == lag).all(axis=1)
+    return found
+
+
+def _sum_of(near: NeighbourStatistics, chosen: NDArray[np.bool_] | bool = True) -> float:
+    """Return the sum of the correlations that are seen, one of each two opposite directions, above -1/2.
+
+    A filter whose weights add up to 1 leaves ``1 / (1 + 2 sum)`` of the variance of independent noise.
+    """
+    seen = (np.abs(near.correlation) > 3 * near.error) & chosen
+    return max(float(near.correlation[seen].sum()), -0.49)
 
 
 def filtered_outliers(statistics: BiasStatistics, read: ReadNoise) -> Iterator[Finding]:
@@ -326,65 +356,97 @@ def coarse_values(step: int, gaps: float, read: ReadNoise) -> Iterator[Finding]:
 
 
 def row_waves(rows: RowNoise) -> Iterator[Finding]:
-    """Yield findings if the rows' offsets hold a wave or drift slowly, where the model draws each row by itself.
-
-    Of the periodogram under a Hann window, averaged over the n frames. An ordinate of white noise follows a Gamma
-    distribution of shape n - 1; a wave stands out of the median of its neighbours. Drift: the mean of slow waves over
-    that of fast ones, a ratio of two such sums. How much of the row noise it is comes from a fit of the periodogram by
-    white noise, 1/f and 1/f^2.
-    """
-    from scipy.optimize import nnls
-    from scipy.special import fdtri, gammainccinv, gammaincinv
-
+    """Yield findings if the rows' offsets hold a wave or drift slowly, where the model draws each row by itself."""
     line, shape = rows.rows, rows.frames - 1
     error = line.sigma_error_dn / max(line.sigma_dn, 1e-12)
-    frequency, power = _periodogram(line)
-    to_mean = shape / float(gammaincinv(shape, 0.5))
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(power, _NEAR, mode="reflect"), 2 * _NEAR + 1)
-    ground = to_mean * np.median(windows, axis=1)
-    # The error of a median of m values of relative scatter shape^-1/2 is 1.25 / sqrt(m shape); four of them.
-    threshold = float(gammainccinv(shape, CHANCE / power.size)) / shape * (1 + 5 / math.sqrt((2 * _NEAR + 1) * shape))
-    ratio = power / ground
-    is_wave = ratio > threshold
-    slow, fast = frequency < _SLOW, (frequency > _FAST) & ~is_wave
-    fast_power = float(power[fast].mean())
-    excess, typical = float(power[slow].mean()) / fast_power, float(np.median(power[slow])) * to_mean / fast_power
-    of_slow, of_fast = (2 * shape * int(part.sum()) / _HANN for part in (slow, fast))
-    limit = float(fdtri(of_slow, of_fast, 1 - CHANCE))
-    is_drift = excess > limit and typical > 1 + 5 / math.sqrt(of_slow / 2)  # else it is one wave
-    if is_drift:
-        is_wave &= ~slow
-        used = ~is_wave
-        parts = np.stack([frequency**0, 1 / frequency, frequency**-2.0], axis=1) / ground[:, None]
-        weights, _ = nnls(parts[used], ratio[used])
-        variance = float((weights[1:] @ (parts * ground[:, None])[:, 1:].T).sum()) / power.size
-        text = (
-            f"black drifts slowly down the frame: slow waves over the rows have {excess:.1f} times the power of fast "
-            "ones; the model draws row by row, so simulated frames show less of them"
-        )
-        share = _share_of_sigma(variance, line)
-        yield from judged("slow row drift", {"row noise": (share, error)}, excess, limit, text)
+    frequency, power, ground, threshold = _standing_out(line, shape)
+    is_wave = (power > threshold * ground) & (frequency > _LEAST_WAVES / line.deviations_dn.shape[1])
+    yield from _slow_drift(line, shape, error, frequency[is_wave], (power / ground)[is_wave])
     if is_wave.any():
         variance = float((power - ground)[is_wave].sum()) / power.size
-        peak = int(np.where(is_wave, ratio, 0.0).argmax())
+        highest = int(np.where(is_wave, power / ground, 0.0).argmax())
         text = (
-            f"bands in the rows, one every {1 / frequency[peak]:.3g} rows, of {math.sqrt(2 * variance):.2g} DN "
+            f"bands in the rows, one every {1 / frequency[highest]:.3g} rows, of {math.sqrt(2 * variance):.2g} DN "
             "amplitude; the model draws row by row; look for interference (another charger, lamp or card)"
         )
+        statistic = float(power[highest] / ground[highest])
         share = _share_of_sigma(variance, line)
-        yield from judged("banding", {"row noise": (share, error)}, float(ratio.max()), threshold, text)
+        yield from judged("banding", {"row noise": (share, error)}, statistic, threshold, text)
 
 
-def _periodogram(line: LineNoise) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return frequencies, cycles per line, and power, DN^2: white noise of variance s^2 gives s^2 throughout."""
-    frames, lines = line.deviations_dn.shape
+def _standing_out(
+    line: LineNoise, shape: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
+    """Return frequencies, the power under a Hann window, its ground, and the ratio of the two that makes a wave.
+
+    An ordinate of white noise, averaged over n frames whose mean is taken off, follows a Gamma distribution of shape
+    n - 1. The ground is the median of its neighbours, of a relative error of 1.25 / sqrt(m shape); four of them.
+    """
+    from scipy.special import gammainccinv, gammaincinv
+
+    lines = line.deviations_dn.shape[1]
     window = np.hanning(lines + 1)[:-1]
-    window *= math.sqrt(lines / float(window @ window))
+    frequency, power = _periodogram(line, window * math.sqrt(lines / float(window @ window)), blurred_over=2.5)
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(power, _NEAR, mode="reflect"), 2 * _NEAR + 1)
+    ground = np.median(windows, axis=1) * shape / float(gammaincinv(shape, 0.5))
+    threshold = float(gammainccinv(shape, CHANCE / power.size)) / shape
+    return frequency, power, ground, threshold * (1 + 5 / math.sqrt((2 * _NEAR + 1) * shape))
+
+
+def _slow_drift(
+    line: LineNoise, shape: int, error: float, waves: NDArray[np.float64], heights: NDArray[np.float64]
+) -> Iterator[Finding]:
+    """Yield a finding if slow waves over the rows have more power than fast ones.
+
+    The sum of the periodogram over its fast part's mean, each ordinate weighted by 1/f: the sharpest test for 1/f. Of
+    white noise it is a weighted sum of Gamma variables, whose upper quantile comes from that of chi^2 with the same
+    three moments (Imhof). What waves leak to, as the inverse square of the distance, is left out. How much of the row
+    noise it is says a fit of the periodogram by white noise, 1/f and 1/f^2.
+    """
+    from scipy.optimize import nnls
+    from scipy.special import chdtri
+
+    lines = line.deviations_dn.shape[1]
+    frequency, power = _periodogram(line, np.ones(lines), blurred_over=0.5)
+    distance = np.maximum(np.abs(frequency[:, None] - waves) * lines, 0.5)
+    left = (heights / (math.pi * distance) ** 2).sum(axis=1) < _LEAKED
+    slow, fast = left & (frequency < _SLOW), left & (frequency > _FAST)
+    if slow.sum() < _LEAST_WAVES or fast.sum() < _LEAST_WAVES:
+        return
+    ground = float(power[fast].mean())
+    weights = 1 / (frequency[slow] * lines)
+    statistic = float(weights @ power[slow]) / ground
+    mean, second, third = weights.sum(), (weights**2).sum() / shape, (weights**3).sum() / shape**2
+    second += mean**2 / (shape * int(fast.sum()))  # the ground's own error
+    freedom = 2 * second**3 / third**2
+    limit = float(mean + (chdtri(freedom, CHANCE) - freedom) * math.sqrt(second / (2 * freedom)))
+    if statistic <= limit:
+        return
+    parts = np.stack([frequency**0, 1 / frequency, frequency**-2.0], axis=1)
+    scale = np.maximum(ground, np.convolve(power, np.ones(7) / 7, mode="same"))  # an ordinate scatters by itself
+    amounts, _ = nnls((parts / scale[:, None])[left], (power / scale)[left])
+    variance = float((parts[:, 1:] @ amounts[1:]).sum()) / power.size
+    text = (
+        f"black drifts slowly down the frame: slow waves over the rows have {statistic / mean:.1f} times the power of "
+        "fast ones; the model draws row by row, so simulated frames show less of them"
+    )
+    share = _share_of_sigma(variance, line)
+    yield from judged("slow row drift", {"row noise": (share, error)}, statistic / mean, limit / mean, text)
+
+
+def _periodogram(
+    line: LineNoise, window: NDArray[np.float64], blurred_over: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return frequencies, cycles per line, and power, DN^2: white noise of variance s^2 gives s^2 throughout.
+
+    Taking off the channels' means empties the multiples of a half, for X-Trans of a sixth; these are left out, and what
+    the window blurs them over.
+    """
+    frames, lines = line.deviations_dn.shape
     power = (np.abs(np.fft.rfft(line.deviations_dn * window, axis=1)) ** 2).mean(axis=0) / lines * frames / (frames - 1)
     frequency = np.fft.rfftfreq(lines)
-    # Taking off the channels' means empties the multiples of a half, for X-Trans of a sixth; the window blurs that.
     places = frequency * _PERIODS
-    kept = np.abs(places - np.rint(places)) > 2.5 * _PERIODS / lines
+    kept = np.abs(places - np.rint(places)) > blurred_over * _PERIODS / lines
     return frequency[kept], power[kept]
 
 

@@ -32,6 +32,8 @@ _LAGS = np.array([(0, 1), (0, 2), (1, -2), (1, -1), (1, 0), (1, 1), (1, 2), (2, 
 _FAR = np.array([(0, AWAY), (1, AWAY), (2, AWAY), (1, -AWAY), (2, -AWAY)])
 _FAR_BELOW = np.array([(_AWAY_ROWS, 0), (_AWAY_ROWS + 6, 0)])
 _NEIGHBOURS = 8
+_PAIR_PIXELS = 1 << 20  # of a pair of flats
+_LEAST_SPREAD_DN = 0.3  # of the difference of two flats that are not saturated
 OUTLIERS = (3, 4, 5, 6)
 """Standard deviations from which on a value counts as an outlier of that size."""
 
@@ -84,6 +86,11 @@ class Neighbours:
         self._wins = np.zeros((2, len(OUTLIERS), 2), dtype=np.int64)
         self._outliers = np.zeros((2, len(OUTLIERS)), dtype=np.int64)
 
+    @property
+    def is_filled(self) -> bool:
+        """Whether anything that changes was added."""
+        return self._squares > 0
+
     def add_difference(self, band: NDArray[np.int16]) -> None:
         """Add rows of the standardised difference of two frames; they start with the pattern's first."""
         from eldata.calibration._kernels import lag_products
@@ -112,7 +119,7 @@ class Neighbours:
         DatasetError
             If nothing changes from frame to frame.
         """
-        if not self._squares:
+        if not self.is_filled:
             raise DatasetError("no pixel changes from frame to frame: the frames are copies of one another")
         variance = self._squares / self._pixels
         correlation = self._products / (self._pairs * variance) - self._induced / self._pairs
@@ -129,6 +136,44 @@ class Neighbours:
             outlier_wins=self._wins[:, ::-1].cumsum(axis=1)[:, ::-1],
             outliers=self._outliers[:, ::-1].cumsum(axis=1)[:, ::-1],
         )
+
+
+class FlatNeighbours:
+    """Accumulates the differences of pairs of equal flats for :class:`NeighbourStatistics`.
+
+    Parameters
+    ----------
+    pattern
+        The CFA's period, channel indices.
+    defects
+        (H, W) True where a pixel is not to be used.
+    """
+
+    def __init__(self, pattern: NDArray[np.int64], defects: NDArray[np.bool_]) -> None:
+        self._pattern, self._defects = pattern, defects
+        self._neighbours = Neighbours(pattern)
+
+    def add(self, first: NDArray[np.uint16], second: NDArray[np.uint16]) -> None:
+        """Add two flats of one brightness, or rather evenly spread bands of their rows."""
+        from eldata.calibration._kernels import standardised
+
+        period, size = len(self._pattern), 8 * len(self._pattern)
+        step = size * math.ceil(first.size / _PAIR_PIXELS)
+        channel = self._pattern[np.arange(size)[:, None] % period, np.arange(first.shape[1]) % period]
+        band = np.empty(channel.shape, dtype=np.int16)
+        for start in range(0, len(first) - size + 1, step):
+            rows = slice(start, start + size)
+            change = first[rows].astype(np.float32) - second[rows]
+            spread = np.array([change[channel == one].std() for one in range(int(channel.max()) + 1)])
+            if spread.min() < _LEAST_SPREAD_DN:
+                continue  # saturated
+            scale = (UNITS / spread).astype(np.float32)
+            standardised(1, first[rows], second[rows], self._defects[rows], self._pattern, scale, LIMIT, band)
+            self._neighbours.add_difference(band)
+
+    def statistics(self) -> NeighbourStatistics | None:
+        """Return what was found; ``None`` if all was saturated."""
+        return self._neighbours.statistics() if self._neighbours.is_filled else None
 
 
 def _same_colour(pattern: NDArray[np.int64]) -> NDArray[np.int64]:

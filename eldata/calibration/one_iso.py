@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from operator import methodcaller
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,7 @@ import numpy as np
 from eldata.base.compiled import in_threads
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.calibration.bias_audit import BiasAudit
-from eldata.calibration.bias_checks import bias_findings
+from eldata.calibration.bias_checks import bias_findings, correlated_flats
 from eldata.calibration.colour_bias import ChannelMeans, colour_bias
 from eldata.calibration.defects import MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
 from eldata.calibration.frame_checks import (
@@ -29,6 +29,7 @@ from eldata.calibration.frame_checks import (
     unlike_most,
     unreadable,
 )
+from eldata.calibration.neighbours import FlatNeighbours
 from eldata.calibration.photon_transfer import (
     FlatFrames,
     FlatPairs,
@@ -51,6 +52,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from eldata.calibration.audit import Finding
     from eldata.calibration.frame_checks import IsoFrames
     from eldata.datasets.calibration_frames import CalibrationFrames
     from eldata.records import FrameRecord, RawFrame, Sensor
@@ -200,18 +202,19 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
     if reader.workers.jobs > 1:
         with ThreadPoolExecutor(1) as beside:
             waiting = beside.submit(from_bias_frames)
-            transfer, spatial, flat_remarks = _flats(reader, chosen, fixed, copies)
+            gain = _flats(reader, chosen, fixed, copies)
             found = waiting.result()
     else:
         found = from_bias_frames()
-        transfer, spatial, flat_remarks = _flats(reader, chosen, fixed, copies)
-    if transfer is not None:
-        found = replace(found, transfer=transfer, spatial=spatial, flat_frames=transfer.frames)
+        gain = _flats(reader, chosen, fixed, copies)
+    found = replace(found, findings=(*found.findings, *gain.findings))
+    if gain.transfer is not None:
+        found = replace(found, transfer=gain.transfer, spatial=gain.spatial, flat_frames=gain.transfer.frames)
     if found.parameters is None:
         found = replace(found, reproduction=None)  # what the flats showed withholds one of its parameters
     lossy = reader.lossy(estimated) or reader.lossy([pair.first for pair in chosen.pairs])
     of_gain = transfer_remarks(found, sensor)
-    return replace(found, remarks=(*copies.remarks, *bias_remarks(found, chosen, lossy), *flat_remarks, *of_gain))
+    return replace(found, remarks=(*copies.remarks, *bias_remarks(found, chosen, lossy), *gain.remarks, *of_gain))
 
 
 def _first_pass(
@@ -249,16 +252,25 @@ def _too_few(number: int, because: Sequence[str] = ()) -> DatasetError:
     )
 
 
-def _flats(
-    reader: _Reader, chosen: IsoFrames, fixed: FixedPattern, copies: Copies
-) -> tuple[PhotonTransfer | None, PhotonTransfer | None, tuple[str, ...]]:
-    """Return K from pairs, K as published, and remarks."""
+@dataclass(frozen=True, slots=True)
+class _Gain:
+    """What the flats give: K from pairs, K as published, remarks, and what the checks found."""
+
+    transfer: PhotonTransfer | None
+    spatial: PhotonTransfer | None
+    remarks: tuple[str, ...]
+    findings: tuple[Finding, ...] = ()
+
+
+def _flats(reader: _Reader, chosen: IsoFrames, fixed: FixedPattern, copies: Copies) -> _Gain:
+    """Return what the flats give."""
     if not chosen.pairs:
-        return None, None, (no_pairs(chosen),)
+        return _Gain(None, None, (no_pairs(chosen),))
     sensor = reader.first.sensor
     # The measured level of no light: the recorded one may be off by the colour bias.
     pairs = FlatPairs(sensor.cfa, fixed.level_dn, sensor.white_level_dn, defects=fixed.defects)
     singles = FlatFrames(sensor.cfa, fixed.level_dn, sensor.white_level_dn, defects=fixed.defects)
+    neighbours = FlatNeighbours(fixed.pattern, fixed.defects)
     pair_of = {pair.second: pair for pair in chosen.pairs}
     remarks: list[str] = []
     gaps, copied = 0.0, set()
@@ -280,6 +292,7 @@ def _flats(
             remarks.append(unequal)
             continue
         pairs.add(first.mosaic, frame.mosaic)
+        neighbours.add(first.mosaic, frame.mosaic)
         singles.add(first.mosaic)
         singles.add(frame.mosaic)
         gaps = max(gaps, missing_codes(first.mosaic, fixed.pattern))
@@ -291,4 +304,5 @@ def _flats(
     except DatasetError:
         spatial = None  # it needs three brightnesses; it is for comparison alone
     transfer = photon_transfer(pairs)
-    return transfer, spatial, (*remarks, *flat_remarks(chosen, gaps))
+    findings = correlated_flats(neighbours.statistics(), transfer)
+    return _Gain(transfer, spatial, (*remarks, *flat_remarks(chosen, gaps)), tuple(findings))

@@ -320,17 +320,27 @@ def outlier_neighbours(
     away: int,
     levels: NDArray[np.int64],
     wins: NDArray[np.int64],
-    counts: NDArray[np.int64],
+    powers: NDArray[np.float64],
 ) -> None:
     """Compare the neighbours of outliers with those of the pixel ``away`` columns from it.
 
     ``offsets`` (row phase, column phase, neighbours, 2) are within ``reach``. Counted in ``wins`` (side, levels, 2),
     for outliers below and above and the highest level that they exceed: whether one of the neighbours goes further to
-    the outlier's side than all of those others, or the other way round. ``counts`` (side, levels) are the outliers.
+    the outlier's side than all of those others, or the other way round. ``powers`` (2,) gets the sums of the
+    third and sixth powers of all values.
     """
     height, width = band.shape
     period = offsets.shape[0]
     lowest = levels[0]
+    for row in range(height):
+        third: Any = 0
+        sixth = 0.0
+        for column in range(width):
+            cube = np.int64(band[row, column]) * np.int64(band[row, column]) * np.int64(band[row, column])
+            third += cube
+            sixth += np.float64(cube) * np.float64(cube)
+        powers[0] += third
+        powers[1] += sixth
     for row in range(reach, height - reach):
         for column in range(reach, width - reach):
             value = np.int64(band[row, column])
@@ -347,7 +357,6 @@ def outlier_neighbours(
             level = 0
             while level + 1 < levels.size and sign * value >= levels[level + 1]:
                 level += 1
-            counts[(sign + 1) // 2, level] += 1
             if own != other:
                 wins[(sign + 1) // 2, level, 0 if own > other else 1] += 1
 

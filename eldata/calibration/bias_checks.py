@@ -7,6 +7,7 @@ does not meet one; thresholds follow from that and from the number of blocks, pi
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -36,10 +37,14 @@ MOST_ALLOWED = 0.05
 _LOW_SHARE = 0.05  # of the blocks, the darkest: taken for those without light
 _MOST_OF_BIAS_DN = 0.5  # that light may add to the colour bias
 _LEAST_EATEN = 0.55  # wins of outliers' own neighbours; one half without a filter, a little more with correlation
-_LOPSIDED = 0.05  # of lambda, per share of one side's outliers that is missing (measured: 0.03 to 0.04)
+_OF_SKEWNESS = 0.5  # measured: shifts of lambda and both sigmas are up to the skewness
 _OF_UNLIKENESS = 2.0  # measured: shifts of lambda and both sigmas are 0.3 to 4 times the unlikeness
 GAPS = 0.02
 """Share of DN values that never occur, from which on it is told."""
+
+_LEAST_SIGMA_STEPS = 0.1  # below, all is lost in rounding
+_MANY_STEPS = 5  # above, a ripple is below one in a million
+_FAINT_RIPPLE = 1e-3  # of sizes: the sum of sizes of a pixel then tells nothing of rounding
 
 _SLOW, _FAST = 1 / 8, 1 / 4  # cycles per row
 _LEAST_WAVES = 8  # over a frame; fewer, and a wave is not told from drift
@@ -63,15 +68,57 @@ def bias_findings(
         What :func:`~eldata.calibration.frame_checks.code_step` and
         :func:`~eldata.calibration.frame_checks.missing_codes` say of a frame.
     """
-    lit = tuple(light(statistics, bias, read))
+    ripple = Ripple.of(read.tukey_lambda, read.sigma_tl_dn / (step if step > 1 else 1 / (1 - gaps)))
+    lit = tuple(light(statistics, bias, read, ripple))
     return (
         *lit,
-        *unlike_pixels(statistics, bias, read, is_lit=bool(lit)),
-        *correlated(statistics, rows, read),
-        *filtered_outliers(statistics, read),
+        *unlike_pixels(statistics, bias, read, ripple, is_lit=bool(lit)),
+        *correlated(statistics, rows, read, ripple),
+        *filtered_outliers(statistics, read, ripple),
         *coarse_values(step, gaps, read),
         *row_waves(rows),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Ripple:
+    """What rounding does to noise: how far its figures ripple as the mean goes from one step of the values to the next.
+
+    Peak to peak: ``mean`` (of the values less the true one, in their standard deviations), ``variance`` and ``size``
+    (the mean distance of two values) as shares of their means, and ``skewness``. They fall off exponentially with the
+    noise: at 1 DN all are below a thousandth.
+    """
+
+    mean: float
+    variance: float
+    size: float
+    skewness: float
+
+    @classmethod
+    def of(cls, shape: float, sigma_steps: float) -> Ripple:
+        """Work it out for a Tukey-lambda distribution of this shape, and scale in steps of the values."""
+        from eldata.calibration._kernels import smoothed_tails
+
+        if not sigma_steps > _LEAST_SIGMA_STEPS:
+            return cls(math.inf, math.inf, math.inf, math.inf)
+        if sigma_steps > _MANY_STEPS:
+            return cls(0.0, 0.0, 0.0, 0.0)
+        values = np.arange(-math.ceil(20 + 30 * sigma_steps), math.ceil(20 + 30 * sigma_steps) + 1)
+        figures = []
+        for mean in np.arange(16) / 16:
+            edges = np.append(values - 0.5, values[-1] + 0.5) - mean
+            chances = -np.diff(smoothed_tails(edges, shape, sigma_steps, np.zeros(1), np.ones(1)))
+            level = float(chances @ values)
+            variance = float(chances @ (values - level) ** 2)
+            distances = np.abs(np.arange(2 * values[0], 2 * values[-1] + 1))
+            cubes = np.clip((values - level) / math.sqrt(max(variance, 1e-12)), -8, 8) ** 3
+            figures.append(
+                (level - mean, variance, float(np.convolve(chances, chances[::-1]) @ distances), float(chances @ cubes))
+            )
+        table = np.array(figures)
+        typical, ripple = table.mean(axis=0), np.ptp(table, axis=0)
+        mean, variance, size = ripple[:3] / (math.sqrt(typical[1]), typical[1], typical[2])
+        return cls(float(mean), float(variance), float(size), float(ripple[3]))
 
 
 def judged(
@@ -100,7 +147,7 @@ def _read_error(read: ReadNoise) -> float:
 # --- light --------------------------------------------------------------------------------------------------------
 
 
-def light(statistics: BiasStatistics, bias: ColourBias, read: ReadNoise) -> Iterator[Finding]:
+def light(statistics: BiasStatistics, bias: ColourBias, read: ReadNoise, ripple: Ripple) -> Iterator[Finding]:
     """Yield a finding if the variance of blocks grows with their level, as that of light and dark current does.
 
     Shading without light has no such slope. Least squares over the blocks; their variances are means of thousands of
@@ -113,7 +160,7 @@ def light(statistics: BiasStatistics, bias: ColourBias, read: ReadNoise) -> Iter
     y, x = np.meshgrid(np.linspace(-1, 1, level.shape[0]), np.linspace(-1, 1, level.shape[1]), indexing="ij")
     flat = np.ones((level.size, 1))
     smooth = np.stack([part.ravel() for part in (np.ones_like(x), x, y, x * y, x**2, y**2)], axis=1)
-    found = max((_slope(level.ravel(), variance, beside) for beside in (flat, smooth)), key=lambda one: one[0])
+    found = max((_slope(level.ravel(), variance, beside, ripple) for beside in (flat, smooth)), key=lambda one: one[0])
     statistic, slope, over_dark = found
     threshold = float(stdtrit(level.size - 7, 1 - CHANCE / 2))
     if statistic <= threshold:
@@ -139,22 +186,27 @@ def _over_black(
 
 
 def _slope(
-    level: NDArray[np.float64], variance: NDArray[np.float64], beside: NDArray[np.float64]
+    level: NDArray[np.float64], variance: NDArray[np.float64], beside: NDArray[np.float64], ripple: Ripple
 ) -> tuple[float, float, float]:
-    """Return t of the slope of variance over level, the slope, and the mean level over the darkest blocks'."""
+    """Return t of the slope of variance over level, the slope, and the mean level over the darkest blocks'.
+
+    A variance that ripples with the level by r, from rounding, has a slope over the level in standard deviations of r /
+    2 at most.
+    """
     own, noise = (values - beside @ np.linalg.lstsq(beside, values, rcond=None)[0] for values in (level, variance))
     spread = float(own @ own)
     slope = float(own @ noise) / spread
     left = noise - slope * own
     error = math.sqrt(float(left @ left) / (level.size - beside.shape[1] - 1) / spread)
-    return slope / error, slope, float(own.mean() - np.quantile(own, _LOW_SHARE))
+    by_rounding = ripple.variance / 2 / math.sqrt(spread / level.size)
+    return (slope - by_rounding) / error, slope, float(own.mean() - np.quantile(own, _LOW_SHARE))
 
 
 # --- pixels of their own kind -------------------------------------------------------------------------------------
 
 
 def unlike_pixels(
-    statistics: BiasStatistics, bias: ColourBias, read: ReadNoise, *, is_lit: bool = False
+    statistics: BiasStatistics, bias: ColourBias, read: ReadNoise, ripple: Ripple, *, is_lit: bool = False
 ) -> Iterator[Finding]:
     """Yield a finding if some pixels are noisier than others: by dark current of their own, or by telegraph noise.
 
@@ -167,7 +219,10 @@ def unlike_pixels(
     from scipy.special import pdtrc, stdtrit
 
     threshold = float(stdtrit(statistics.unlikeness.size - 1, 1 - CHANCE / 3))
-    by_level, by_size = _student(statistics.level_score), _student(statistics.unlikeness)
+    # Less what rounding can do: a variance that ripples by r over the levels has a slope of r / 2 at most, or less.
+    of_levels = statistics.level_freedom * ripple.variance / 2
+    by_level = _student(statistics.level_score, float(of_levels.mean()))
+    by_size = _student(statistics.unlikeness, ripple.size**2 / 4)
     unlikeness = max(float(statistics.unlikeness.mean()), 0.0)
     expected = np.ones(1)
     for _ in range(statistics.pairs):
@@ -176,7 +231,7 @@ def unlike_pixels(
     expected = np.pad(expected, (0, max(0, 256 - expected.size)))[:256]
     above, by_chance = (np.cumsum(values[::-1])[::-1] for values in (statistics.totals, expected * pixels))
     chances = pdtrc(np.maximum(above - 1, 0), np.maximum(by_chance, 1e-12))
-    few = not is_lit and bool(np.any((chances < CHANCE / 3 / 256) & (above > 0)))
+    few = not is_lit and ripple.size < _FAINT_RIPPLE and bool(np.any((chances < CHANCE / 3 / 256) & (above > 0)))
     slope = float(statistics.level_score.sum() / statistics.level_freedom.sum())  # of the variance, per spread
     staying = (statistics.dsnu_dn / statistics.spread_dn) ** 2
     # The levels are blurred by the noise of the other frames, which hides as much of the slope.
@@ -201,30 +256,35 @@ def unlike_pixels(
         "levels, is the usual reason): lambda and sigma are those of all pixels together"
     )
     statistic = max(by_size, threshold) if few else by_size
-    share, error = _OF_UNLIKENESS * unlikeness, _read_error(read)
-    # Never withheld: all pixels together are what the model simulates, and the errors say how far some are off.
-    if share > error:
-        yield Finding("unlike pixels", ("read noise",), "wider", statistic, threshold, text, share)
-    else:
-        yield Finding("unlike pixels", (), "remark", statistic, threshold, text)
+    yield _allowed("unlike pixels", _OF_UNLIKENESS * unlikeness, read, statistic, threshold, text)
 
 
-def _student(scores: NDArray[np.float64]) -> float:
-    """Return the mean of the blocks' scores over its standard error."""
-    return float(scores.mean() / (scores.std(ddof=1) / math.sqrt(scores.size)))
+def _allowed(check: str, share: float, read: ReadNoise, statistic: float, threshold: float, text: str) -> Finding:
+    """Return the finding of noise that the model does not know. Its figures are never withheld.
+
+    They are those of the distribution of the family that is most like it, and the errors say how far off that may be.
+    """
+    if share > _read_error(read):
+        return Finding(check, ("read noise",), "wider", statistic, threshold, text, share)
+    return Finding(check, (), "remark", statistic, threshold, text)
+
+
+def _student(scores: NDArray[np.float64], by_rounding: float) -> float:
+    """Return by how many standard errors the mean of the blocks' scores exceeds what rounding may give."""
+    return float((scores.mean() - by_rounding) / (scores.std(ddof=1) / math.sqrt(scores.size)))
 
 
 # --- filters ------------------------------------------------------------------------------------------------------
 
 
-def correlated(statistics: BiasStatistics, rows: RowNoise, read: ReadNoise) -> Iterator[Finding]:
+def correlated(statistics: BiasStatistics, rows: RowNoise, read: ReadNoise, ripple: Ripple) -> Iterator[Finding]:
     """Yield a finding if neighbouring pixels share noise in the bias frames.
 
     Beside what a filter takes from the pixels, the mean of a row's pixels scatters by more, or less, than that of as
     many independent ones, which the row noise is measured against.
     """
     near = statistics.neighbours
-    statistic, threshold = _largest(near)
+    statistic, threshold = _largest(near, ripple)
     if statistic <= threshold:
         return
     share = abs(math.sqrt(1 + 2 * _sum_of(near)) - 1)
@@ -244,7 +304,7 @@ def correlated_flats(near: NeighbourStatistics | None, transfer: PhotonTransfer)
     """Yield a finding if neighbouring pixels share noise in the flats, whose variance K is measured by."""
     if near is None:
         return
-    statistic, threshold = _largest(near)
+    statistic, threshold = _largest(near, Ripple(0.0, 0.0, 0.0, 0.0))  # shot noise is wider than a step
     if statistic <= threshold:
         return
     text = _SHARED.format(largest=near.correlation[np.abs(near.correlation).argmax()], where="flats")
@@ -258,15 +318,17 @@ _SHARED = (
 )
 
 
-def _largest(near: NeighbourStatistics) -> tuple[float, float]:
+def _largest(near: NeighbourStatistics, ripple: Ripple) -> tuple[float, float]:
     """Return the largest of the correlations, and of their two sums along the axes, over its error; and the limit.
 
-    The error needs no assumption on the distribution, and sums of so many products are normal.
+    The error needs no assumption on the distribution, and sums of so many products are normal. Where row noise moves
+    neighbours of one level over the steps of the values together, they share a mean that ripples by r, and so a
+    correlation of r^2 / 4 at most.
     """
     from scipy.special import ndtri
 
     axes = (near.correlation[_at(near, (0, size)) | _at(near, (size, 0))].sum() / math.sqrt(2) for size in (1, 2))
-    tests = np.abs(np.array([*near.correlation, *axes])) / near.error
+    tests = (np.abs(np.array([*near.correlation, *axes])) - ripple.mean**2 / 4) / near.error
     return float(tests.max()), -float(ndtri(CHANCE / 2 / tests.size))
 
 
@@ -284,16 +346,16 @@ def _sum_of(near: NeighbourStatistics, chosen: NDArray[np.bool_] | bool = True) 
     return max(float(near.correlation[seen].sum()), -0.49)
 
 
-def filtered_outliers(statistics: BiasStatistics, read: ReadNoise) -> Iterator[Finding]:
-    """Yield a finding if outliers do not stand alone, or are rarer on one side of their pixels' means.
+def filtered_outliers(statistics: BiasStatistics, read: ReadNoise, ripple: Ripple) -> Iterator[Finding]:
+    """Yield a finding if outliers do not stand alone, or the noise goes further to one side of the pixels' means.
 
     Independent neighbours of an outlier are like those of any other pixel: which of the two goes further is a fair
-    coin. So is the side of an outlier where the noise is symmetric.
+    coin. Where the noise is symmetric, its third powers add up to nothing but chance, and what rounding makes of them.
     """
     from scipy.special import bdtrc, ndtri
 
     near = statistics.neighbours
-    tests = near.outlier_wins[..., 0].size + len(OUTLIERS)
+    tests = near.outlier_wins[..., 0].size + 2
     threshold = -float(ndtri(CHANCE / tests))
     least = _LEAST_EATEN + float(np.abs(near.correlation).max())
     statistics_of = [
@@ -311,20 +373,15 @@ def filtered_outliers(statistics: BiasStatistics, read: ReadNoise) -> Iterator[F
         )
         yield Finding("filtered outliers", ("read noise",), "withheld", statistic, threshold, text)
         return
-    below, above = near.outliers[:, 1].tolist()
-    both = below + above
-    if both and abs(above - below) / math.sqrt(both) > threshold:
-        share = abs(above - below) / both
-        side = "above" if above > below else "below"
+    excess = (abs(near.skewness) - ripple.skewness / 2) / near.skewness_error
+    if excess > threshold:
+        side = "above" if near.skewness > 0 else "below"
         text = (
-            f"the noise is lopsided: of the values more than {OUTLIERS[1]} standard deviations from their pixel's mean "
-            f"{max(above, below) / both:.0%} lie {side} it, where the model has as many on both sides; random "
-            "telegraph noise and filters against bright pixels do this"
+            f"the noise is lopsided (skewness {near.skewness:.2f}): it goes further {side} a pixel's mean than to the "
+            "other side, where the model has as much on both; random telegraph noise and filters against single bright "
+            "pixels do this"
         )
-        excess = abs(above - below) / math.sqrt(both)
-        yield from judged(
-            "lopsided noise", {"read noise": (_LOPSIDED * share, _read_error(read))}, excess, threshold, text
-        )
+        yield _allowed("lopsided noise", _OF_SKEWNESS * abs(near.skewness), read, excess, threshold, text)
 
 
 # --- values ---------------------------------------------------------------------------------------------------------

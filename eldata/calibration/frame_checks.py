@@ -34,6 +34,7 @@ _FEW = 30  # occurrences per code, below which a gap may be chance
 _COARSEST = 64  # DN: the largest step that is looked for
 _STRAY = 1e-3  # of the differences: pixels that the camera has made up
 _DIGESTED_BYTES = 1 << 22  # of a frame
+_COMPARED = 1000  # pixels, at least, that tell a copy
 
 
 class FramesError(DatasetError):
@@ -255,7 +256,8 @@ def unequal_pair(pair: FlatPair, first: RawFrame, second: RawFrame) -> str | Non
 class Copies:
     """Tells frames whose pixels were seen before.
 
-    Evenly spread rows of a frame are compared, by a digest: two frames of a sensor never agree in a thousand pixels.
+    Evenly spread rows of a frame are compared, by a digest: two frames of a sensor never agree in a thousand pixels
+    that are not saturated. Frames with fewer of them are taken for new.
     """
 
     def __init__(self) -> None:
@@ -267,6 +269,8 @@ class Copies:
         from hashlib import blake2b
 
         rows = np.ascontiguousarray(mosaic[:: max(1, mosaic.nbytes // _DIGESTED_BYTES)])
+        if np.count_nonzero(rows < rows.max()) < _COMPARED:
+            return None
         first = self._seen.setdefault(blake2b(rows.data, digest_size=16).digest(), record)
         if first is record:
             return None

@@ -27,10 +27,11 @@ LIMIT = 8 * UNITS - 1
 AWAY = 36
 """Columns beyond the reach of any filter in a raw file: whole periods of Bayer and of X-Trans."""
 
-_AWAY_ROWS = 12
 _LAGS = np.array([(0, 1), (0, 2), (1, -2), (1, -1), (1, 0), (1, 1), (1, 2), (2, -2), (2, -1), (2, 0), (2, 1), (2, 2)])
-_FAR = np.array([(0, AWAY), (1, AWAY), (2, AWAY), (1, -AWAY), (2, -AWAY)])
-_FAR_BELOW = np.array([(_AWAY_ROWS, 0), (_AWAY_ROWS + 6, 0)])
+# What pixels far apart share, in the same row, in the same column, and in neither: drift, and what rounding makes of
+# row noise that is larger than the pixels' own.
+_FAR = np.array([(0, AWAY), (0, AWAY + 12), (12, 0), (18, 0), (1, AWAY), (2, AWAY), (1, -AWAY), (2, -AWAY)])
+_FAR_KINDS = np.array([0, 0, 1, 1, 2, 2, 2, 2])
 _NEIGHBOURS = 8
 _PAIR_PIXELS = 1 << 20  # of a pair of flats
 _LEAST_SPREAD_DN = 0.3  # of the difference of two flats that are not saturated
@@ -47,22 +48,23 @@ class NeighbourStatistics:
     lags
         (lags, 2): rows and columns between two pixels; one of each two opposite directions.
     correlation
-        Of the temporal noise of pixels so far apart, less that of pixels far apart, which drift or a column shares.
+        Of the temporal noise of pixels so far apart, less that of pixels 36 columns or 12 rows apart or more.
     error
         Standard error of each correlation, where there is none.
     outlier_wins
         (2, 4, 2): of values below and above their pixel's mean, by more than 3, 4, 5 and 6 standard deviations, how
         many have a neighbour of their colour that goes further to their side than all eight of a pixel 36 columns
         away, and of how many it is the other way round. Without a filter the two are equal but for chance.
-    outliers
-        (2, 4): values below and above their pixel's mean by so much.
+    skewness, skewness_error
+        Mean of the third powers of the values in standard deviations, and its standard error where there is none.
     """
 
     lags: NDArray[np.int64] = field(repr=False)
     correlation: NDArray[np.float64]
     error: float
     outlier_wins: NDArray[np.int64]
-    outliers: NDArray[np.int64]
+    skewness: float
+    skewness_error: float
 
 
 class Neighbours:
@@ -77,14 +79,15 @@ class Neighbours:
     def __init__(self, pattern: NDArray[np.int64]) -> None:
         self._offsets = _same_colour(pattern)
         self._reach = int(np.abs(self._offsets).max())
-        self._lags = np.concatenate([_LAGS, _FAR, _FAR_BELOW])
+        self._lags = np.concatenate([_LAGS, _FAR])
         self._products = np.zeros(len(self._lags), dtype=np.int64)
         self._pairs = np.zeros(len(self._lags))
         self._rows_took = np.array([_taken(pattern, int(across)) if not down else 0.0 for down, across in self._lags])
         self._induced = np.zeros(len(self._lags))
         self._squares = self._pixels = 0
         self._wins = np.zeros((2, len(OUTLIERS), 2), dtype=np.int64)
-        self._outliers = np.zeros((2, len(OUTLIERS)), dtype=np.int64)
+        self._powers = np.zeros(2)
+        self._values = 0
 
     @property
     def is_filled(self) -> bool:
@@ -107,9 +110,8 @@ class Neighbours:
         """Add rows of one frame less its pixels' means, standardised: what a filter has done to outliers."""
         from eldata.calibration._kernels import outlier_neighbours
 
-        outlier_neighbours(
-            band, self._offsets, self._reach, AWAY, np.array(OUTLIERS) * UNITS, self._wins, self._outliers
-        )
+        outlier_neighbours(band, self._offsets, self._reach, AWAY, np.array(OUTLIERS) * UNITS, self._wins, self._powers)
+        self._values += band.size
 
     def statistics(self) -> NeighbourStatistics:
         """Return what was found.
@@ -124,17 +126,19 @@ class Neighbours:
         variance = self._squares / self._pixels
         correlation = self._products / (self._pairs * variance) - self._induced / self._pairs
         near = len(_LAGS)
-        far, below = correlation[near : near + len(_FAR)].mean(), correlation[near + len(_FAR) :].mean()
-        upright = _LAGS[:, 1] == 0
+        kinds = np.where(_LAGS[:, 0] == 0, 0, np.where(_LAGS[:, 1] == 0, 1, 2))
+        far = np.array([correlation[near:][kind == _FAR_KINDS].mean() for kind in range(3)])
         # The product of two independent values has the variance of the one times that of the other, whatever their
         # tails. The mean of the far ones adds to it.
-        error = np.sqrt((1 + 1 / np.where(upright, len(_FAR_BELOW), len(_FAR))) / self._pairs[:near])
+        error = np.sqrt((1 + 1 / np.bincount(_FAR_KINDS)[kinds]) / self._pairs[:near])
         return NeighbourStatistics(
             lags=_LAGS,
-            correlation=correlation[:near] - np.where(upright, below, far),
+            correlation=correlation[:near] - far[kinds],
             error=float(error.max()),
             outlier_wins=self._wins[:, ::-1].cumsum(axis=1)[:, ::-1],
-            outliers=self._outliers[:, ::-1].cumsum(axis=1)[:, ::-1],
+            skewness=float(self._powers[0]) / UNITS**3 / max(self._values, 1),
+            # The values of a pixel add up to nothing, which makes the sum scatter a little less.
+            skewness_error=math.sqrt(self._powers[1]) / UNITS**3 / max(self._values, 1),
         )
 
 

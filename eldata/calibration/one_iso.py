@@ -240,6 +240,9 @@ def _first_pass(
     reader.refuse()
     if stack is None:
         raise DatasetError("no bias frame could be read")
+    if len(used) < MINIMUM_FRAMES and kept is not None:  # without its copies, the set has none to spare
+        stack.add(kept)
+        used, kept = [*used, *held_out], None
     if len(used) < MINIMUM_FRAMES:
         raise _too_few(len(used), copies.remarks)
     return fixed_pattern(stack), tuple(used), kept

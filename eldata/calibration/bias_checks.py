@@ -36,7 +36,8 @@ MOST_ALLOWED = 0.05
 
 _LOW_SHARE = 0.05  # of the blocks, the darkest: taken for those without light
 _MOST_OF_BIAS_DN = 0.5  # that light may add to the colour bias
-_LEAST_EATEN = 0.55  # wins of outliers' own neighbours; one half without a filter, a little more with correlation
+_LEAST_EATEN = 0.52  # wins of outliers' own neighbours; one half without a filter, a little more with correlation
+_OF_LIGHTER_TAILS = 2.0  # what is added to the noise makes its tails lighter: sigma_TL goes up by twice sigma_G's share
 _OF_SKEWNESS = 0.5  # measured: shifts of lambda and both sigmas are up to the skewness
 _OF_UNLIKENESS = 2.0  # measured: shifts of lambda and both sigmas are 0.3 to 4 times the unlikeness
 GAPS = 0.02
@@ -244,8 +245,9 @@ def unlike_pixels(
             f"{share:.1%} or more to the read noise; take them in the dark, at the shortest exposure and with a camera "
             "that is not warm"
         )
-        # sigma_TL goes up by twice as much as sigma_G, as the tails get lighter.
-        yield from judged("dark signal", {"read noise": (2 * share, _read_error(read))}, by_level, threshold, text)
+        yield from judged(
+            "dark signal", {"read noise": (_OF_LIGHTER_TAILS * share, _read_error(read))}, by_level, threshold, text
+        )
         yield from _over_black("dark signal", statistics.dsnu_dn, bias, by_level, threshold, text)
         return
     if by_size <= threshold and not few:
@@ -355,21 +357,22 @@ def filtered_outliers(statistics: BiasStatistics, read: ReadNoise, ripple: Rippl
     from scipy.special import bdtrc, ndtri
 
     near = statistics.neighbours
-    tests = near.outlier_wins[..., 0].size + 2
+    sides = np.concatenate([near.outlier_wins, near.outlier_wins.sum(axis=0, keepdims=True)])
+    tests = sides[..., 0].size + 2
     threshold = -float(ndtri(CHANCE / tests))
     least = _LEAST_EATEN + float(np.abs(near.correlation).max())
     statistics_of = [
         (-float(ndtri(max(float(bdtrc(own - 1, own + other, 0.5)), 1e-300))), own / (own + other), size)
-        for side in near.outlier_wins.tolist()
+        for side in sides.tolist()
         for (own, other), size in zip(side, OUTLIERS, strict=True)
         if own + other and own > least * (own + other)
     ]
     statistic, wins, size = max(statistics_of, default=(0.0, 0.0, 0))
     if statistic > threshold:
         text = (
-            f"values more than {size} standard deviations from their pixel's mean hardly stand alone (in {wins:.0%} of "
-            "cases a neighbour goes along, 50% by chance): the camera removes single bright pixels (a star-eater), and "
-            "with them the tails of the noise; switch such filters off or use another raw mode"
+            f"values more than {size} standard deviations from their pixel's mean stand alone too rarely (in {wins:.0%} "
+            "of cases a neighbour goes along, 50% by chance): the camera removes single bright pixels (a star-eater), "
+            "and with them the tails of the noise; switch such filters off or use another raw mode"
         )
         yield Finding("filtered outliers", ("read noise",), "withheld", statistic, threshold, text)
         return
@@ -405,7 +408,7 @@ def coarse_values(step: int, gaps: float, read: ReadNoise) -> Iterator[Finding]:
     text += (
         f"; rounding adds {added:.2g} DN^2 more than the model's; use a raw mode with all bits, or leave this ISO out"
     )
-    share = 1 - math.sqrt(max(1 - added / max(read.sigma_gauss_dn, 1e-12) ** 2, 0.0))
+    share = _OF_LIGHTER_TAILS * (1 - math.sqrt(max(1 - added / max(read.sigma_gauss_dn, 1e-12) ** 2, 0.0)))
     yield from judged("coarse values", {"read noise": (share, _read_error(read))}, size, 1 / (1 - GAPS), text)
 
 

@@ -139,9 +139,8 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.clean:
         said = Counter(one.check for seed in range(arguments.clean) for one in clean(seed))
-        print(
-            f"{arguments.clean} cameras without a fault: {', '.join(f'{name} {count}' for name, count in said.items()) or 'nothing is said'}"
-        )
+        alarms = ", ".join(f"{name} of {count}" for name, count in said.items()) or "nothing is said"
+        print(f"{arguments.clean} cameras without a fault: {alarms}")
         return
     header = ("fault", "lambda", "sigma_TL", "sigma_G", "sigma_row", "the audit says")
     print(markdown_table(header, [row_of_table(fault, arguments.repeats, CAMERA) for fault in (NONE, *EVERY)]))

@@ -50,8 +50,8 @@ if TYPE_CHECKING:
         (blurred(0.02), {"correlated noise": "wider"}),
         (star_eater(2.0), {"filtered outliers": "withheld", "correlated noise": "wider"}),
         (star_eater(4.0, both_sides=True), {"filtered outliers": "withheld"}),
-        (coarse(4), {"coarse values": "wider"}),
-        (coarse(8), {"coarse values": "withheld"}),
+        (coarse(2), {"coarse values": "wider"}),
+        (coarse(4), {"coarse values": "withheld"}),
         (wave(2.0), {"banding": "withheld"}),
         (drift(1.0), {"slow row drift": "withheld"}),
     ],
@@ -252,7 +252,7 @@ def test_two_hundred_good_cameras() -> None:
     "fault",
     [
         *(corner_leak(2.0), corner_leak(5.0), telegraph(0.01, 5.0), telegraph(0.01, 10.0), telegraph(0.001, 5.0)),
-        *(blurred(0.01), blurred(0.03), coarse(2), coarse(4), wave(0.4), drift(0.35)),
+        *(blurred(0.01), blurred(0.03), coarse(2), coarse(3), wave(0.4), drift(0.35)),
     ],
     ids=lambda fault: fault.name,
 )

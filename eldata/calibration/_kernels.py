@@ -106,6 +106,29 @@ def residual_histogram(
 
 
 @kernel
+def offset_histogram(
+    mosaic: NDArray[np.uint16],
+    defects: NDArray[np.bool_],
+    offsets: NDArray[np.int64],
+    units: int,
+    step: int,
+    counts: NDArray[np.int64],
+) -> None:
+    """Count ``units`` times each sound value less ``offsets`` (row, column phase) in cells of an odd ``step``."""
+    period = offsets.shape[1]
+    last = counts.size - 1
+    start = (counts.size // 2) * step + step // 2
+    for row in range(mosaic.shape[0]):
+        for phase in range(period):
+            shift = start - offsets[row, phase]
+            for column in range(phase, mosaic.shape[1], period):
+                if not defects[row, column]:
+                    value = units * np.int64(mosaic[row, column]) + shift
+                    place = value // step if value > 0 else 0
+                    counts[place if place < last else last] += 1
+
+
+@kernel
 def pair_segments(
     first: NDArray[np.uint16],
     second: NDArray[np.uint16],

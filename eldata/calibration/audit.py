@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal
 
+from eldata.base.tables import with_error
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
@@ -14,7 +16,7 @@ Figure = Literal["gain", "read noise", "row noise", "colour bias"]
 
 SYMBOLS: Final[Mapping[Figure, str]] = {
     "gain": "K",
-    "read noise": "lambda, sigma_TL and sigma_G",
+    "read noise": "lambda, sigma_TL, sigma_G",
     "row noise": "sigma_row",
     "colour bias": "the colour bias",
 }
@@ -57,17 +59,33 @@ class Finding:
         """The text, and what becomes of the figures for it."""
         if self.effect == "remark" or not self.figures:
             return self.text
-        named = " and ".join(SYMBOLS[figure] for figure in self.figures)
+        named = ", ".join(SYMBOLS[figure] for figure in self.figures)
         fate = f"withheld: {named}" if self.effect == "withheld" else f"errors made larger: {named}"
         return f"{self.text} ({fate})"
 
 
 @dataclass(frozen=True, slots=True)
 class GivenFigure:
-    """A figure as it is given: its value, and its standard error with all allowances (nan: not known)."""
+    """A figure as it is given.
+
+    Attributes
+    ----------
+    value
+        The figure.
+    error
+        Its standard error with all allowances; nan if it is not known.
+    is_stated
+        Whether it was not measured: somebody has said so.
+    """
 
     value: float
     error: float
+    is_stated: bool = False
+
+    @property
+    def text(self) -> str:
+        """The figure with its error in as many digits as they bear; a stated one says that it is."""
+        return with_error(self.value, self.error) + (" (stated)" if self.is_stated else "")
 
 
 def given(findings: Iterable[Finding], figure: Figure, value: float, error: float, scale: float) -> GivenFigure | None:

@@ -370,9 +370,9 @@ def filtered_outliers(statistics: BiasStatistics, read: ReadNoise, ripple: Rippl
     statistic, wins, size = max(statistics_of, default=(0.0, 0.0, 0))
     if statistic > threshold:
         text = (
-            f"values more than {size} standard deviations from their pixel's mean stand alone too rarely (in {wins:.0%} "
-            "of cases a neighbour goes along, 50% by chance): the camera removes single bright pixels (a star-eater), "
-            "and with them the tails of the noise; switch such filters off or use another raw mode"
+            f"values more than {size} standard deviations from their pixel's mean stand alone too rarely (a neighbour "
+            f"goes along in {wins:.0%} of cases, 50% by chance): the camera removes single bright pixels (a "
+            "star-eater), and with them the tails of the noise; switch such filters off or use another raw mode"
         )
         yield Finding("filtered outliers", ("read noise",), "withheld", statistic, threshold, text)
         return

@@ -150,10 +150,10 @@ class FlatNeighbours:
     pattern
         The CFA's period, channel indices.
     defects
-        (H, W) True where a pixel is not to be used.
+        (H, W) True where a pixel is not to be used; ``None``: all are.
     """
 
-    def __init__(self, pattern: NDArray[np.int64], defects: NDArray[np.bool_]) -> None:
+    def __init__(self, pattern: NDArray[np.int64], defects: NDArray[np.bool_] | None) -> None:
         self._pattern, self._defects = pattern, defects
         self._neighbours = Neighbours(pattern)
 
@@ -172,7 +172,8 @@ class FlatNeighbours:
             if spread.min() < _LEAST_SPREAD_DN:
                 continue  # saturated
             scale = (UNITS / spread).astype(np.float32)
-            standardised(1, first[rows], second[rows], self._defects[rows], self._pattern, scale, LIMIT, band)
+            defects = np.zeros(band.shape, dtype=np.bool_) if self._defects is None else self._defects[rows]
+            standardised(1, first[rows], second[rows], defects, self._pattern, scale, LIMIT, band)
             self._neighbours.add_difference(band)
 
     def statistics(self) -> NeighbourStatistics | None:

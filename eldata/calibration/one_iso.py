@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from operator import methodcaller
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from eldata.base.compiled import in_threads
 from eldata.base.workers import IN_THIS_PROCESS, Workers
+from eldata.calibration.audit import Finding
 from eldata.calibration.bias_audit import BiasAudit
 from eldata.calibration.bias_checks import bias_findings, correlated_flats
 from eldata.calibration.colour_bias import ChannelMeans, colour_bias
@@ -40,10 +43,11 @@ from eldata.calibration.photon_transfer import (
 from eldata.calibration.read_noise import Residuals, probability_plot, read_noise
 from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs, transfer_remarks
 from eldata.calibration.reproduction import reproduction
-from eldata.calibration.results import IsoCalibration
+from eldata.calibration.results import IsoCalibration, IsoGain
 from eldata.calibration.row_noise import LineMeans, row_noise
+from eldata.calibration.single_frame import single_frame_plot
 from eldata.calibration.spectrum import power_spectrum
-from eldata.errors import DatasetError, RawFileError
+from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.manifest.verify import Problem
 from eldata.raw.compression import lossy_compression
 
@@ -52,10 +56,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.audit import Finding
     from eldata.calibration.frame_checks import IsoFrames
     from eldata.datasets.calibration_frames import CalibrationFrames
     from eldata.records import FrameRecord, RawFrame, Sensor
+
+OneIso = TypeVar("OneIso", bound=IsoGain)
 
 HOLD_OUT_FROM = 6
 """From this many bias frames on, the last one is kept from the estimators, to test the result."""
@@ -85,15 +90,53 @@ def calibrate_iso(
     Raises
     ------
     FramesError
-        If frames differ in size, CFA or levels, are odd or clipped at 0; or if the estimators cannot use them. Every
-        problem found is in it.
+        If frames differ in size, CFA or levels, are odd or clipped at 0; or if the estimators of what bias frames show
+        cannot use them. Every problem found is in it. Flats without a line are no error: K is withheld.
     """
-    reader = _Reader(frames, workers, done)
+    with _unusable(frames, chosen):
+        return _calibrated(_Reader(frames, workers, done), chosen)
+
+
+def calibrate_flats(
+    frames: CalibrationFrames,
+    chosen: IsoFrames,
+    workers: Workers = IN_THIS_PROCESS,
+    *,
+    done: Callable[[], object] = lambda: None,
+) -> IsoGain:
+    """Measure K at an ISO that has flats alone: as :func:`calibrate_iso`, from the recorded black level.
+
+    Raises
+    ------
+    FramesError
+        If frames differ in size, CFA or levels, or cannot be read.
+    """
+    with _unusable(frames, chosen):
+        reader = _Reader(frames, workers, done)
+        of_flats = _flats(reader, chosen, None)
+        found = of_flats.on(
+            IsoGain(
+                iso=float(chosen.iso),
+                sensor=reader.first.sensor,
+                flat_frames=0,
+                transfer=None,
+                spatial=None,
+                remarks=("there are no bias frames, so K is all that is known",),
+                stated_gain_dn_per_e=chosen.stated_gain_dn_per_e,
+            )
+        )
+        of_copies = reader.copies.remarks
+        return replace(found, remarks=(*of_copies, *found.remarks, *of_flats.remarks, *transfer_remarks(found)))
+
+
+@contextmanager
+def _unusable(frames: CalibrationFrames, chosen: IsoFrames) -> Iterator[None]:
+    """Turn what the estimators say of one ISO's frames into its problem."""
     try:
-        return _calibrated(reader, chosen)
+        yield
     except FramesError:
         raise
-    except DatasetError as error:
+    except (DatasetError, ArgumentError) as error:
         where = f"{frames.camera}, ISO {float(chosen.iso):g}"
         raise FramesError(
             [Problem(frames.camera, where, "frames", "what the estimate needs", str(error), "or leave this ISO out")]
@@ -101,7 +144,7 @@ def calibrate_iso(
 
 
 def decodings(chosen: IsoFrames) -> int:
-    """Return how many frames :func:`calibrate_iso` decodes: bias frames twice."""
+    """Return how many frames are decoded for an ISO: bias frames twice."""
     estimated, held_out = _split(chosen.bias)
     return 2 * len(estimated) + len(held_out) + 2 * len(chosen.pairs)
 
@@ -118,6 +161,7 @@ class _Reader:
         self._first: RawFrame | None = None
         self._sensors: dict[FrameRecord, Sensor] = {}
         self.problems: list[Problem] = []
+        self.copies = Copies()
 
     def read(self, records: Sequence[FrameRecord]) -> Iterator[tuple[FrameRecord, RawFrame]]:
         """Yield the frames that are like the first one; :meth:`refuse` says what is wrong with the others."""
@@ -141,7 +185,7 @@ class _Reader:
     @property
     def first(self) -> RawFrame:
         if self._first is None:
-            raise DatasetError("no bias frames: take ten or more with the lens capped, at the shortest exposure")
+            raise DatasetError("no frame could be read")
         return self._first
 
     def lossy(self, records: Sequence[FrameRecord]) -> str | None:
@@ -156,22 +200,21 @@ class _Reader:
 
 
 def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
-    copies = Copies()
-    fixed, estimated, held_out = _first_pass(reader, chosen.bias, copies)
+    fixed, estimated, held_out = _first_pass(reader, chosen.bias)
     sensor = reader.first.sensor
     lines, residuals, audit = LineMeans(fixed), Residuals(fixed), BiasAudit(fixed)
     means = ChannelMeans(sensor.cfa, defects=fixed.defects)
-    spectrum, gaps, step = None, 0.0, 1
+    spectrum, single, gaps, step = None, None, 0.0, 1
     for _, frame in reader.read(estimated):
         if spectrum is None:
             spectrum, gaps = power_spectrum(frame.mosaic, fixed), missing_codes(frame.mosaic, fixed.pattern)
-            step = code_step(frame.mosaic, fixed.pattern)
+            single, step = single_frame_plot(frame.mosaic, fixed), code_step(frame.mosaic, fixed.pattern)
         in_threads(methodcaller("add", frame.mosaic), (residuals, audit, lines, means), reader.workers.jobs)
     reader.refuse()
     if spectrum is None:
         raise DatasetError("no bias frame could be read")
     histogram = residuals.histogram()
-    first_spectrum = spectrum
+    of_first_frame = spectrum, single
 
     def from_bias_frames() -> IsoCalibration:
         bias, rows, read = colour_bias(means, sensor.black_level_dn), row_noise(lines), read_noise(histogram)
@@ -187,10 +230,12 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
             read=read,
             plot=probability_plot(histogram),
             pattern=fixed.summary,
-            spectrum_dn2=first_spectrum,
+            spectrum_dn2=of_first_frame[0],
+            single_frame=of_first_frame[1],
             reproduction=None,
             remarks=(),
             findings=bias_findings(audit.statistics(), bias, rows, read, step=step, gaps=gaps),
+            stated_gain_dn_per_e=chosen.stated_gain_dn_per_e,
         )
         if held_out is None or dark.parameters is None:
             return dark
@@ -202,24 +247,22 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
     if reader.workers.jobs > 1:
         with ThreadPoolExecutor(1) as beside:
             waiting = beside.submit(from_bias_frames)
-            gain = _flats(reader, chosen, fixed, copies)
-            found = waiting.result()
+            of_flats = _flats(reader, chosen, fixed)
+            found = of_flats.on(waiting.result())
     else:
-        found = from_bias_frames()
-        gain = _flats(reader, chosen, fixed, copies)
-    found = replace(found, findings=(*found.findings, *gain.findings))
-    if gain.transfer is not None:
-        found = replace(found, transfer=gain.transfer, spatial=gain.spatial, flat_frames=gain.transfer.frames)
+        dark = from_bias_frames()
+        of_flats = _flats(reader, chosen, fixed)
+        found = of_flats.on(dark)
     if found.parameters is None:
         found = replace(found, reproduction=None)  # what the flats showed withholds one of its parameters
     lossy = reader.lossy(estimated) or reader.lossy([pair.first for pair in chosen.pairs])
-    of_gain = transfer_remarks(found, sensor)
-    return replace(found, remarks=(*copies.remarks, *bias_remarks(found, chosen, lossy), *gain.remarks, *of_gain))
+    of_bias = (*reader.copies.remarks, *bias_remarks(found, chosen, lossy))
+    return replace(found, remarks=(*of_bias, *of_flats.remarks, *transfer_remarks(found)))
 
 
 def _first_pass(
-    reader: _Reader, bias: Sequence[FrameRecord], copies: Copies
-) -> tuple[FixedPattern, tuple[FrameRecord, ...], NDArray[np.uint16] | None]:
+    reader: _Reader, bias: Sequence[FrameRecord]
+) -> tuple[FixedPattern, Sequence[FrameRecord], NDArray[np.uint16] | None]:
     """Return what stays from frame to frame, of which frames, and the frame that the estimators do not see."""
     estimated, held_out = _split(bias)
     if len(estimated) < MINIMUM_FRAMES:
@@ -229,7 +272,7 @@ def _first_pass(
         reader.problems += clipped_black(record, frame.mosaic)
         figures.append(FrameFigures.of(record, frame.mosaic))
         stack = stack or BiasStack(frame.sensor.cfa)
-        if copies.original(record, frame.mosaic) is not None:
+        if reader.copies.original(record, frame.mosaic) is not None:
             continue
         if record in held_out:
             kept = frame.mosaic
@@ -244,8 +287,8 @@ def _first_pass(
         stack.add(kept)
         used, kept = [*used, *held_out], None
     if len(used) < MINIMUM_FRAMES:
-        raise _too_few(len(used), copies.remarks)
-    return fixed_pattern(stack), tuple(used), kept
+        raise _too_few(len(used), reader.copies.remarks)
+    return fixed_pattern(stack), used, kept
 
 
 def _too_few(number: int, because: Sequence[str] = ()) -> DatasetError:
@@ -256,31 +299,34 @@ def _too_few(number: int, because: Sequence[str] = ()) -> DatasetError:
 
 
 @dataclass(frozen=True, slots=True)
-class _Gain:
-    """What the flats give: K from pairs, K as published, remarks, and what the checks found."""
+class _FromFlats:
+    """What the flats of an ISO gave: K from pairs, K as published, remarks and findings."""
 
     transfer: PhotonTransfer | None
     spatial: PhotonTransfer | None
     remarks: tuple[str, ...]
     findings: tuple[Finding, ...] = ()
 
+    def on(self, one: OneIso) -> OneIso:
+        """Return an ISO's figures with those of its flats, but for the remarks."""
+        frames = 0 if self.transfer is None else self.transfer.frames
+        findings = (*one.findings, *self.findings)
+        return replace(one, transfer=self.transfer, spatial=self.spatial, flat_frames=frames, findings=findings)
 
-def _flats(reader: _Reader, chosen: IsoFrames, fixed: FixedPattern, copies: Copies) -> _Gain:
-    """Return what the flats give."""
+
+def _flats(reader: _Reader, chosen: IsoFrames, fixed: FixedPattern | None) -> _FromFlats:
+    """Read the flats; without bias frames, black is what the files record and no pixel is a defect."""
     if not chosen.pairs:
-        return _Gain(None, None, (no_pairs(chosen),))
-    sensor = reader.first.sensor
-    # The measured level of no light: the recorded one may be off by the colour bias.
-    pairs = FlatPairs(sensor.cfa, fixed.level_dn, sensor.white_level_dn, defects=fixed.defects)
-    singles = FlatFrames(sensor.cfa, fixed.level_dn, sensor.white_level_dn, defects=fixed.defects)
-    neighbours = FlatNeighbours(fixed.pattern, fixed.defects)
+        return _FromFlats(None, None, () if chosen.stated_gain_dn_per_e is not None else (no_pairs(chosen),))
+    pairs, singles, neighbours = None, None, None
     pair_of = {pair.second: pair for pair in chosen.pairs}
     remarks: list[str] = []
-    gaps, copied = 0.0, set()
+    gaps = 0.0
+    copied: set[FrameRecord] = set()
     waiting: tuple[FrameRecord, RawFrame] | None = None
     for record, frame in reader.read([record for pair in chosen.pairs for record in (pair.first, pair.second)]):
         pair = pair_of.get(record)
-        if copies.original(record, frame.mosaic) is not None:
+        if reader.copies.original(record, frame.mosaic) is not None:
             copied.add(record)
         if pair is None:
             waiting = record, frame
@@ -290,6 +336,13 @@ def _flats(reader: _Reader, chosen: IsoFrames, fixed: FixedPattern, copies: Copi
         if copied & {pair.first, pair.second}:
             continue  # the difference of a frame and its copy holds no noise
         first = waiting[1]
+        if pairs is None or singles is None or neighbours is None:
+            sensor = frame.sensor
+            # The measured level of no light: the recorded one may be off by the colour bias.
+            black, defects = (sensor.black_level_dn, None) if fixed is None else (fixed.level_dn, fixed.defects)
+            pairs = FlatPairs(sensor.cfa, black, sensor.white_level_dn, defects=defects)
+            singles = FlatFrames(sensor.cfa, black, sensor.white_level_dn, defects=defects)
+            neighbours = FlatNeighbours(pairs.pattern, defects)
         unequal = unequal_pair(pair, first, frame)
         if unequal is not None:
             remarks.append(unequal)
@@ -298,14 +351,22 @@ def _flats(reader: _Reader, chosen: IsoFrames, fixed: FixedPattern, copies: Copi
         neighbours.add(first.mosaic, frame.mosaic)
         singles.add(first.mosaic)
         singles.add(frame.mosaic)
-        gaps = max(gaps, missing_codes(first.mosaic, fixed.pattern))
+        gaps = max(gaps, missing_codes(first.mosaic, pairs.pattern))
     reader.refuse()
-    if not pairs.frames:
-        raise DatasetError(f"no pair of flats is usable: {'; '.join([*copies.remarks, *remarks])}")
+    said = (*remarks, *flat_remarks(chosen, gaps))
+    if pairs is None or singles is None or neighbours is None or not pairs.frames:
+        return _FromFlats(None, None, said, (_no_line("no pair of flats is usable"),))
+    try:
+        transfer = photon_transfer(pairs)
+    except DatasetError as error:
+        return _FromFlats(None, None, said, (_no_line(str(error)),))
     try:
         spatial = spatial_photon_transfer(singles)
     except DatasetError:
         spatial = None  # it needs three brightnesses; it is for comparison alone
-    transfer = photon_transfer(pairs)
-    findings = correlated_flats(neighbours.statistics(), transfer)
-    return _Gain(transfer, spatial, (*remarks, *flat_remarks(chosen, gaps)), tuple(findings))
+    return _FromFlats(transfer, spatial, said, tuple(correlated_flats(neighbours.statistics(), transfer)))
+
+
+def _no_line(why: str) -> Finding:
+    """Return that there is no photon transfer line; the read noise is measured all the same."""
+    return Finding("photon transfer", ("gain",), "withheld", math.nan, math.nan, why)

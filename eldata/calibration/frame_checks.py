@@ -35,6 +35,10 @@ _PAIR_DIFFERENCE = 0.05
 _UNLIKE_PAIR = 0.25
 _CENTRAL = (0.05, 0.95)
 _FEW = 30  # occurrences per code, below which a gap may be chance
+_COARSEST = 64  # DN: the largest step that is looked for
+_STRAY = 1e-3  # of the differences: pixels that the camera has made up
+_DIGESTED_BYTES = 1 << 22  # of a frame
+_COMPARED = 1000  # pixels, at least, that tell a copy
 
 
 class FramesError(DatasetError):
@@ -305,6 +309,33 @@ def uneven_light(used: Sequence[PairLevels]) -> Iterator[Finding]:
         )
 
 
+class Copies:
+    """Tells frames whose pixels were seen before.
+
+    Evenly spread rows of a frame are compared, by a digest: two frames of a sensor never agree in a thousand pixels
+    that are not saturated. Frames with fewer of them are taken for new.
+    """
+
+    def __init__(self) -> None:
+        self._seen: dict[bytes, FrameRecord] = {}
+        self.remarks: list[str] = []
+
+    def original(self, record: FrameRecord, mosaic: NDArray[np.uint16]) -> FrameRecord | None:
+        """Return the frame that this one is a copy of, and remark on it; ``None`` for one that is new."""
+        from hashlib import blake2b
+
+        rows = np.ascontiguousarray(mosaic[:: max(1, mosaic.nbytes // _DIGESTED_BYTES)])
+        if np.count_nonzero(rows < rows.max()) < _COMPARED:
+            return None
+        first = self._seen.setdefault(blake2b(rows.data, digest_size=16).digest(), record)
+        if first is record:
+            return None
+        self.remarks.append(
+            f"{record.path} has the same pixels as {first.path} and was left out: copies hide noise; shoot each anew"
+        )
+        return first
+
+
 def missing_codes(mosaic: NDArray[np.uint16], pattern: NDArray[np.int64]) -> float:
     """Return the largest share, of any CFA site, of DN values that never occur though their neighbours do.
 
@@ -323,3 +354,23 @@ def missing_codes(mosaic: NDArray[np.uint16], pattern: NDArray[np.int64]) -> flo
                 continue  # too few values, or too few of each, to tell a gap from chance
             worst = max(worst, float(np.count_nonzero(inner == 0)) / inner.size)
     return worst
+
+
+def code_step(mosaic: NDArray[np.uint16], pattern: NDArray[np.int64]) -> int:
+    """Return by how many DN the values of a bias frame step: 1, or 4 where 12 bits are stored as 14.
+
+    Pixels of one column and CFA site, one period apart, differ by noise; all but one in a thousand of the differences
+    are multiples of the step. Where fewer than a thousand differ, it is not known, and 1.
+    """
+    period = 2 * len(pattern)
+    step = max(1, mosaic.shape[0] * mosaic.shape[1] // 2_000_000)
+    block = mosaic[:, : mosaic.shape[1] // step].astype(np.int32)
+    counts = np.bincount(np.abs(block[period:] - block[:-period]).ravel())
+    counts[0] = 0
+    changed = int(counts.sum())
+    if changed < 1000:
+        return 1
+    multiples = (int(counts[::size].sum()) for size in range(_COARSEST, 0, -1))
+    return next(
+        size for size, kept in zip(range(_COARSEST, 0, -1), multiples, strict=True) if kept >= (1 - _STRAY) * changed
+    )

@@ -14,15 +14,19 @@ import numpy as np
 from eldata.base.compiled import in_threads
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.calibration.audit import Finding
+from eldata.calibration.bias_audit import BiasAudit
+from eldata.calibration.bias_checks import bias_findings
 from eldata.calibration.colour_bias import ChannelMeans, colour_bias
 from eldata.calibration.defects import MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
 from eldata.calibration.flat_checks import flat_findings, saturation_findings
 from eldata.calibration.frame_checks import (
     ADVISED_BIAS_FRAMES,
+    Copies,
     FrameFigures,
     FramesError,
     PairLevels,
     clipped_black,
+    code_step,
     missing_codes,
     odd_bias_frames,
     unequal_pair,
@@ -123,7 +127,8 @@ def calibrate_flats(
                 stated_gain_dn_per_e=chosen.stated_gain_dn_per_e,
             )
         )
-        return replace(found, remarks=(*found.remarks, *of_flats.remarks, *transfer_remarks(found)))
+        of_copies = reader.copies.remarks
+        return replace(found, remarks=(*of_copies, *found.remarks, *of_flats.remarks, *transfer_remarks(found)))
 
 
 @contextmanager
@@ -158,6 +163,7 @@ class _Reader:
         self._first: RawFrame | None = None
         self._sensors: dict[FrameRecord, Sensor] = {}
         self.problems: list[Problem] = []
+        self.copies = Copies()
 
     def read(self, records: Sequence[FrameRecord]) -> Iterator[tuple[FrameRecord, RawFrame]]:
         """Yield the frames that are like the first one; :meth:`refuse` says what is wrong with the others."""
@@ -196,17 +202,16 @@ class _Reader:
 
 
 def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
-    fixed, held_out = _first_pass(reader, chosen.bias)
+    fixed, estimated, held_out = _first_pass(reader, chosen.bias)
     sensor = reader.first.sensor
-    estimated = _split(chosen.bias)[0]
-    lines, residuals = LineMeans(fixed), Residuals(fixed)
+    lines, residuals, audit = LineMeans(fixed), Residuals(fixed), BiasAudit(fixed)
     means = ChannelMeans(sensor.cfa, defects=fixed.defects)
-    spectrum, single, gaps = None, None, 0.0
+    spectrum, single, gaps, step = None, None, 0.0, 1
     for _, frame in reader.read(estimated):
         if spectrum is None:
             spectrum, gaps = power_spectrum(frame.mosaic, fixed), missing_codes(frame.mosaic, fixed.pattern)
-            single = single_frame_plot(frame.mosaic, fixed)
-        in_threads(methodcaller("add", frame.mosaic), (residuals, lines, means), reader.workers.jobs)
+            single, step = single_frame_plot(frame.mosaic, fixed), code_step(frame.mosaic, fixed.pattern)
+        in_threads(methodcaller("add", frame.mosaic), (residuals, audit, lines, means), reader.workers.jobs)
     reader.refuse()
     if spectrum is None:
         raise DatasetError("no bias frame could be read")
@@ -214,6 +219,7 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
     of_first_frame = spectrum, single
 
     def from_bias_frames() -> IsoCalibration:
+        bias, rows, read = colour_bias(means, sensor.black_level_dn), row_noise(lines), read_noise(histogram)
         dark = IsoCalibration(
             iso=float(chosen.iso),
             sensor=sensor,
@@ -221,15 +227,16 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
             flat_frames=0,
             transfer=None,
             spatial=None,
-            bias=colour_bias(means, sensor.black_level_dn),
-            rows=row_noise(lines),
-            read=read_noise(histogram),
+            bias=bias,
+            rows=rows,
+            read=read,
             plot=probability_plot(histogram),
             pattern=fixed.summary,
             spectrum_dn2=of_first_frame[0],
             single_frame=of_first_frame[1],
             reproduction=None,
             remarks=(),
+            findings=bias_findings(audit.statistics(), bias, rows, read, step=step, gaps=gaps),
             stated_gain_dn_per_e=chosen.stated_gain_dn_per_e,
         )
         if held_out is None or dark.parameters is None:
@@ -251,32 +258,46 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
     if found.parameters is None:
         found = replace(found, reproduction=None)  # what the flats showed withholds one of its parameters
     lossy = reader.lossy(estimated) or reader.lossy([pair.first for pair in chosen.pairs])
-    of_bias = bias_remarks(found, chosen, lossy, gaps)
+    of_bias = (*reader.copies.remarks, *bias_remarks(found, chosen, lossy))
     return replace(found, remarks=(*of_bias, *of_flats.remarks, *transfer_remarks(found)))
 
 
-def _first_pass(reader: _Reader, bias: Sequence[FrameRecord]) -> tuple[FixedPattern, NDArray[np.uint16] | None]:
-    """Return what stays from frame to frame, and the frame that the estimators do not see."""
+def _first_pass(
+    reader: _Reader, bias: Sequence[FrameRecord]
+) -> tuple[FixedPattern, Sequence[FrameRecord], NDArray[np.uint16] | None]:
+    """Return what stays from frame to frame, of which frames, and the frame that the estimators do not see."""
     estimated, held_out = _split(bias)
     if len(estimated) < MINIMUM_FRAMES:
-        raise DatasetError(
-            f"{len(estimated)} bias frame(s), and {MINIMUM_FRAMES} are needed, {ADVISED_BIAS_FRAMES} or more advised: "
-            "take them with the lens capped, at the shortest exposure"
-        )
-    stack, kept, figures = None, None, []
+        raise _too_few(len(estimated))
+    stack, kept, figures, used = None, None, [], []
     for record, frame in reader.read(bias):
         reader.problems += clipped_black(record, frame.mosaic)
         figures.append(FrameFigures.of(record, frame.mosaic))
         stack = stack or BiasStack(frame.sensor.cfa)
+        if reader.copies.original(record, frame.mosaic) is not None:
+            continue
         if record in held_out:
             kept = frame.mosaic
         else:
             stack.add(frame.mosaic)
+            used.append(record)
     reader.problems += odd_bias_frames(figures)
     reader.refuse()
     if stack is None:
         raise DatasetError("no bias frame could be read")
-    return fixed_pattern(stack), kept
+    if len(used) < MINIMUM_FRAMES and kept is not None:  # without its copies, the set has none to spare
+        stack.add(kept)
+        used, kept = [*used, *held_out], None
+    if len(used) < MINIMUM_FRAMES:
+        raise _too_few(len(used), reader.copies.remarks)
+    return fixed_pattern(stack), used, kept
+
+
+def _too_few(number: int, because: Sequence[str] = ()) -> DatasetError:
+    return DatasetError(
+        f"{number} bias frame(s), and {MINIMUM_FRAMES} are needed, {ADVISED_BIAS_FRAMES} or more advised: take them "
+        "with the lens capped, at the shortest exposure" + "".join(f"; {reason}" for reason in because)
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -304,14 +325,19 @@ def _flats(reader: _Reader, chosen: IsoFrames, fixed: FixedPattern | None) -> _F
     used: list[PairLevels] = []
     remarks: list[str] = []
     gaps = 0.0
+    copied: set[FrameRecord] = set()
     waiting: tuple[FrameRecord, RawFrame] | None = None
     for record, frame in reader.read([record for pair in chosen.pairs for record in (pair.first, pair.second)]):
         pair = pair_of.get(record)
+        if reader.copies.original(record, frame.mosaic) is not None:
+            copied.add(record)
         if pair is None:
             waiting = record, frame
             continue
         if waiting is None or waiting[0] != pair.first:
             continue  # its partner was refused, and is named
+        if copied & {pair.first, pair.second}:
+            continue  # the difference of a frame and its copy holds no noise
         first = waiting[1]
         if pairs is None or singles is None:
             sensor = frame.sensor

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from eldata.calibration.bias_checks import GAPS
 from eldata.calibration.frame_checks import ADVISED_BIAS_FRAMES
 from eldata.calibration.read_noise import RELIABLE_SIGMA_DN
 from eldata.calibration.results import usual_gain_per_iso
@@ -18,14 +19,13 @@ if TYPE_CHECKING:
     from eldata.calibration.results import IsoCalibration, IsoGain
 
 _LONGEST_BIAS_S = 1 / 250
-_GAPS = 0.02  # share of DN values that never occur
 _LEAST_PAIRS = 4
 _DISAGREEMENT = 6.0  # of K with what was stated, standard errors
 _POOR_PLOT = 0.995  # R^2 of the Tukey-lambda probability plot; simulated cameras stay above from 1.5 megapixels on
 _GAIN_TOLERANCE = 0.1  # of K / ISO around its median
 
 
-def bias_remarks(found: IsoCalibration, chosen: IsoFrames, lossy: str | None, gaps: float) -> tuple[str, ...]:
+def bias_remarks(found: IsoCalibration, chosen: IsoFrames, lossy: str | None) -> tuple[str, ...]:
     """Return what the bias frames and the figures from them show."""
     read, rows, columns = found.read, found.rows.rows, found.rows.columns
     remarks = []
@@ -38,11 +38,6 @@ def bias_remarks(found: IsoCalibration, chosen: IsoFrames, lossy: str | None, ga
         )
     if lossy is not None:
         remarks.append(f"the files have {lossy}, which changes noise: no figure here is the sensor's own")
-    if gaps > _GAPS:
-        remarks.append(
-            f"{gaps:.0%} of the DN values between others never occur in a bias frame: the camera multiplies after "
-            "conversion at this ISO, or compresses with loss; rounding noise is then larger than the model's"
-        )
     if "read noise" in found.withheld:
         pass  # a finding says more
     elif not read.is_reliable:
@@ -102,7 +97,7 @@ def flat_remarks(chosen: IsoFrames, gaps: float) -> tuple[str, ...]:
         remarks.append(f"flats without a partner of the same exposure were left out: {names}{more}")
     if len(chosen.pairs) < _LEAST_PAIRS:
         remarks.append(f"K comes from {len(chosen.pairs)} pair(s) of flats; {_LEAST_PAIRS} levels or more are advised")
-    if gaps > _GAPS:
+    if gaps > GAPS:
         remarks.append(f"{gaps:.0%} of the DN values between others never occur in a flat: lossy compression?")
     return tuple(remarks)
 

@@ -17,8 +17,10 @@ from eldata import calibrate
 from eldata.base.workers import Workers
 from eldata.calibration import FramesError
 from eldata.calibration.frame_checks import (
+    Copies,
     FrameFigures,
     PairLevels,
+    code_step,
     missing_codes,
     odd_bias_frames,
     sorted_frames,
@@ -356,7 +358,82 @@ def test_copies_of_one_frame(tree: FrameTree) -> None:
     first, *others = tree.files("bias", 100)
     for path in others:
         shutil.copy(first, path)
-    assert "copies of one another" in only(problems_of(tree.frames(isos=[100]))).found
+    found = only(problems_of(tree.frames(isos=[100]))).found
+    assert found.startswith("1 bias frame(s), and 4 are needed")
+    for path in others:
+        assert f"{relative(tree, path)} has the same pixels as {relative(tree, first)}" in found
+
+
+@pytest.mark.parametrize(
+    ("copied", "used", "compared"), [((1,), 4, True), ((1, 2), 4, False), ((5,), 5, False)], ids=["one", "two", "last"]
+)
+def test_copies_of_bias_frames_are_left_out(
+    copied: tuple[int, ...], used: int, compared: bool, tree: FrameTree, tmp_path: Path
+) -> None:
+    """The last of six is kept out to compare with, unless it is a copy, or the others are too few without it."""
+    frames = tree.files("bias", 100)
+    without = tree.copy(tmp_path / "without")
+    for index in copied:
+        without.files("bias", 100)[0].parent.joinpath(frames[index].name).unlink()
+        shutil.copy(frames[0], frames[index])
+    found = calibrated_iso(tree.frames(isos=[100]), 100)
+    for index in copied:
+        text = f"{relative(tree, frames[index])} has the same pixels as {relative(tree, frames[0])} and was left out"
+        assert any(remark.startswith(text) for remark in found.all_remarks)
+    assert found.findings == ()
+    assert found.bias_frames == used
+    assert (found.reproduction is not None) == compared
+    if not compared:  # then all that are left are used, as they are without the copies
+        expected = calibrated_iso(without.frames(isos=[100]), 100)
+        assert found.read.tukey_lambda == expected.read.tukey_lambda
+        assert found.rows.rows.sigma_dn == expected.rows.rows.sigma_dn
+
+
+def test_a_copy_of_a_flat_leaves_its_pair_out(tree: FrameTree, tmp_path: Path) -> None:
+    flats = tree.files("flat", 100)
+    without = tree.copy(tmp_path / "without")
+    for path in without.files("flat", 100)[2:4]:
+        path.unlink()
+    shutil.copy(flats[2], flats[3])
+    found = calibrated_iso(tree.frames(isos=[100]), 100)
+    expected = calibrated_iso(without.frames(isos=[100]), 100)
+    assert f"{relative(tree, flats[3])} has the same pixels as {relative(tree, flats[2])}" in found.remarks[0]
+    assert found.transfer is not None
+    assert expected.transfer is not None
+    assert found.transfer.gain_dn_per_e == expected.transfer.gain_dn_per_e
+    assert found.transfer.frames == 4
+
+
+def test_a_flat_that_is_a_bias_frame(tree: FrameTree) -> None:
+    """Copied with a flat's exposure time, so that its header gives nothing away."""
+    flats, bias = tree.files("flat", 100), tree.files("bias", 100)
+    dark = read_raw(bias[1]).mosaic
+    rewritten(flats[0], mosaic=lambda _: dark)
+    found = calibrated_iso(tree.frames(isos=[100]), 100)
+    assert f"{relative(tree, flats[0])} has the same pixels as {relative(tree, bias[1])}" in found.remarks[0]
+
+
+def test_every_pair_of_flats_a_copy(tree: FrameTree) -> None:
+    flats = tree.files("flat", 100)
+    for first, second in zip(flats[::2], flats[1::2], strict=True):
+        shutil.copy(first, second)
+    found = calibrated_iso(tree.frames(isos=[100]), 100)
+    assert found.withheld == {"gain"}
+    assert found.why_withheld("gain") == "no pair of flats is usable"
+    for first, second in zip(flats[::2], flats[1::2], strict=True):
+        text = f"{relative(tree, second)} has the same pixels as {relative(tree, first)}"
+        assert any(remark.startswith(text) for remark in found.remarks)
+
+
+def test_only_pixels_that_tell_are_compared() -> None:
+    """All saturated, or nearly: two such frames may well be equal."""
+    copies, mosaic = Copies(), np.full((64, 96), 16383, dtype=np.uint16)
+    for count, seen in ((0, False), (999, False), (1000, True)):
+        mosaic.flat[:count] = 7
+        assert copies.original(RECORD, mosaic.copy()) is None
+        again = copies.original(replace(RECORD, path="again"), mosaic.copy())
+        assert (again is RECORD) == seen
+    assert len(copies.remarks) == 1
 
 
 # --- flats ------------------------------------------------------------------------------------------------------------
@@ -577,6 +654,19 @@ def test_multiplication_leaves_a_comb() -> None:
     assert missing_codes(512 + 2 * (frame - 512), np.array(XTRANS)) > 0.4
 
 
+@pytest.mark.parametrize("sigma", [0.5, 1.0, 6.0])
+@pytest.mark.parametrize("step", [1, 2, 3, 4, 16])
+def test_the_step_of_the_values(step: int, sigma: float) -> None:
+    """Hot pixels and rows of their own do not hide it, nor columns with offsets of their own."""
+    camera = Camera(shape=(258, 384), sigma_tl=max(sigma, step / 4), hot_share=1e-3, column_pattern=2.0)
+    frame = Body(camera, np.random.default_rng(6)).bias_frame()
+    coarse = (np.rint(frame / step) * step).astype(np.uint16)
+    coarse[4, 5] += 1  # made up by the camera
+    for pattern in (PATTERN, np.array(XTRANS)):
+        assert code_step(coarse, pattern) == step
+    assert code_step(np.full((258, 384), 512, dtype=np.uint16), PATTERN) == 1
+
+
 def test_a_curve_leaves_gaps_where_it_is_steep() -> None:
     body = Body(Camera(shape=(1024, 1536), gain=0.2), np.random.default_rng(4))
     bias = body.bias_frame()
@@ -593,14 +683,14 @@ def test_few_values_show_no_gaps() -> None:
 
 
 def test_gaps_are_remarked_on(tree: FrameTree) -> None:
-    """Bias frames multiplied by 2 after conversion, flats too: the frames are taken, and the remark says so."""
+    """Bias frames multiplied by 4/3 after conversion, flats too: the frames are taken, and the remark says so."""
 
-    def doubled(mosaic: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        return np.clip(512 + 2 * (mosaic.astype(np.int64) - 512), 0, 32767).astype(np.uint16)
+    def stretched(mosaic: NDArray[np.uint16]) -> NDArray[np.uint16]:
+        return np.clip(512 + 4 * (mosaic.astype(np.int64) - 512) // 3, 0, 32767).astype(np.uint16)
 
     for path in (*tree.files("bias", 1600), *tree.files("flat", 1600)):
-        rewritten(path, mosaic=doubled, white_level_dn=32254.0)
-    remarks = calibrated_iso(tree.frames(isos=[1600]), 1600).remarks
+        rewritten(path, mosaic=stretched, white_level_dn=21674.0)
+    remarks = calibrated_iso(tree.frames(isos=[1600]), 1600).all_remarks
     assert any("of the DN values between others never occur in a bias frame" in remark for remark in remarks)
 
 

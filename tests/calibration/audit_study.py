@@ -1,0 +1,150 @@
+"""What the audit of bias frames finds, measured: ``python -m tests.calibration.audit_study``, by hand.
+
+It prints the table of docs/calibration.md, "What the audit finds": each fault in several sizes, how far it puts each
+figure off, what the audit makes of it, and how often the figures that are given lie within their errors. With
+``--clean N`` it counts what the audit says of N random cameras without a fault. A quick form of both is in
+test_bias_audit.py.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from eldata.base.tables import markdown_table
+from eldata.calibration.audit import given
+from eldata.calibration.bias_audit import BiasAudit
+from eldata.calibration.bias_checks import bias_findings
+from eldata.calibration.frame_checks import code_step, missing_codes
+from tests.calibration import draws
+from tests.calibration.chain import calibrated
+from tests.calibration.faults import EVERY, NONE, Planted
+from tests.calibration.simulation import XTRANS, Body, Camera
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from eldata.calibration.audit import Figure, Finding, GivenFigure
+
+CAMERA = Camera(shape=(512, 768), shading=1.0)
+FRAMES = 9
+
+
+@dataclass(frozen=True)
+class Audited:
+    """One camera's bias frames through the estimators and the audit: each figure before it, with it, and in truth."""
+
+    findings: tuple[Finding, ...]
+    before: dict[str, GivenFigure]
+    after: dict[str, GivenFigure | None]
+    truth: dict[str, float]
+
+    @property
+    def effects(self) -> dict[str, str]:
+        return {one.check: one.effect for one in self.findings}
+
+    def covered(self, name: str) -> bool | None:
+        """Whether a figure lies within 1.96 errors of the truth; ``None`` if it is withheld."""
+        figure = self.after[name]
+        return None if figure is None else abs(figure.value - self.truth[name]) <= 1.96 * figure.error
+
+
+def audited(camera: Camera, frames: Sequence[NDArray[np.uint16]]) -> Audited:
+    found = calibrated(camera, frames)
+    audit = BiasAudit(found.fixed)
+    for frame in frames:
+        audit.add(frame)
+    pattern = found.fixed.pattern
+    step, gaps = code_step(frames[0], pattern), missing_codes(frames[0], pattern)
+    findings = bias_findings(audit.statistics(), found.bias, found.rows, found.read, step=step, gaps=gaps)
+    read, rows, sigma = found.read, found.rows.rows, found.read.sigma_gauss_dn
+    measured: tuple[tuple[str, Figure, float, float, float, float], ...] = (
+        ("lambda", "read noise", read.tukey_lambda, read.tukey_lambda_error, 1.0, camera.tukey_lambda),
+        ("sigma_TL", "read noise", read.sigma_tl_dn, read.sigma_tl_error_dn, read.sigma_tl_dn, camera.sigma_tl),
+        ("sigma_G", "read noise", sigma, read.sigma_gauss_error_dn, sigma, camera.noise.sigma_gauss_dn),
+        ("sigma_row", "row noise", rows.sigma_dn, rows.sigma_error_dn, rows.sigma_dn, camera.sigma_row),
+    )
+    before, after, truth = {}, {}, {}
+    for name, figure, value, error, scale, true in measured:
+        before[name] = given((), figure, value, error, scale)
+        after[name] = given(findings, figure, value, error, scale)
+        truth[name] = true
+    return Audited(findings, {name: one for name, one in before.items() if one is not None}, after, truth)
+
+
+def planted(fault: Planted, seed: int, camera: Camera = CAMERA, frames: int = FRAMES) -> Audited:
+    body = Body(camera, np.random.default_rng(seed))
+    return audited(camera, fault.bias_frames(body, frames))
+
+
+def drawn_camera(generator: np.random.Generator) -> Camera:
+    """A camera without a fault: any CFA, tails, noise and fixed pattern of the shipped profiles' ranges.
+
+    One in five is quieter than any of these, down to noise that is lost in rounding.
+    """
+    xtrans = bool(generator.random() < 0.3)
+    noise = draws.drawn_noise(generator, [100, 3200], 3 if xtrans else 4)[generator.integers(2)]
+    quiet = float(np.exp(generator.uniform(np.log(0.1), np.log(0.6))))
+    return Camera(
+        shape=(390, 576) if xtrans else (384, 576),
+        cfa=XTRANS if xtrans else draws.BAYER_PHASES[generator.integers(4)],
+        gain=noise.gain_dn_per_e,
+        tukey_lambda=noise.tukey_lambda,
+        sigma_tl=quiet if generator.random() < 0.2 else noise.sigma_tl_dn,
+        sigma_row=noise.sigma_row_dn,
+        bias=noise.colour_bias_dn,
+        black=2048.0,
+        dsnu=float(generator.choice([0.0, 0.2, 0.6])),
+        column_pattern=float(generator.choice([0.0, 0.3])),
+        hot_share=float(generator.choice([0.0, 1e-4, 1e-3])),
+        shading=float(generator.choice([0.0, 1.0, 5.0])),
+    )
+
+
+def clean(seed: int) -> tuple[Finding, ...]:
+    """What is said of one of those, from 4 to 12 frames."""
+    generator = np.random.default_rng(seed)
+    camera = drawn_camera(generator)
+    return audited(camera, Body(camera, generator).bias_frames(int(generator.choice([4, 5, 9, 12])))).findings
+
+
+def row_of_table(fault: Planted, repeats: int, camera: Camera) -> tuple[str, ...]:
+    runs = [planted(fault, seed, camera) for seed in range(repeats)]
+    cells = []
+    for name in ("lambda", "sigma_TL", "sigma_G", "sigma_row"):
+        off = np.array([run.before[name].value - run.truth[name] for run in runs])
+        errors = float(np.mean([run.before[name].error for run in runs]))
+        size = f"{off.mean():+.4f}" if name == "lambda" else f"{off.mean() / runs[0].truth[name]:+.1%}"
+        covered = [run.covered(name) for run in runs]
+        kept = [one for one in covered if one is not None]
+        after = (
+            "withheld" if not kept else f"{np.mean(kept):.0%}" + (" of those given" if len(kept) < len(runs) else "")
+        )
+        cells.append(f"{size} ({off.mean() / errors:+.0f}): {after}")
+    said = Counter(f"{one.check} ({one.effect})" for run in runs for one in run.findings)
+    named = "; ".join(what if count >= repeats else f"{what} {count}/{repeats}" for what, count in said.items())
+    return fault.name, *cells, named or "nothing"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Measure what the audit of bias frames finds.")
+    parser.add_argument("--repeats", type=int, default=20, help="cameras for each fault and size")
+    parser.add_argument("--clean", type=int, default=0, help="count alarms on so many cameras without a fault instead")
+    arguments = parser.parse_args()
+    if arguments.clean:
+        said = Counter(one.check for seed in range(arguments.clean) for one in clean(seed))
+        alarms = ", ".join(f"{name} of {count}" for name, count in said.items()) or "nothing is said"
+        print(f"{arguments.clean} cameras without a fault: {alarms}")
+        return
+    header = ("fault", "lambda", "sigma_TL", "sigma_G", "sigma_row", "the audit says")
+    print(markdown_table(header, [row_of_table(fault, arguments.repeats, CAMERA) for fault in (NONE, *EVERY)]))
+
+
+if __name__ == "__main__":
+    main()

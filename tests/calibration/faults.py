@@ -1,0 +1,187 @@
+"""Faults planted into simulated frames in plain numpy and scipy: what the audit has to find."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import ndimage
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from tests.calibration.simulation import Body, Camera
+
+    Frames = list[NDArray[np.float64]]
+    Fault = Callable[[Frames, Camera, np.random.Generator], Frames]
+
+
+def analogue(body: Body, count: int) -> Frames:
+    """Bias frames before their values are rounded."""
+    return [body.fixed.astype(np.float64) + body.noise() for _ in range(count)]
+
+
+def digitised(frames: Sequence[NDArray[np.float64]]) -> list[NDArray[np.uint16]]:
+    return [np.clip(np.rint(frame), 0, 65535).astype(np.uint16) for frame in frames]
+
+
+@dataclass(frozen=True)
+class Planted:
+    """A fault of one size; ``of_values`` acts on rounded values, as the camera's own software does."""
+
+    name: str
+    fault: Fault
+    of_values: bool = False
+
+    def bias_frames(self, body: Body, count: int) -> list[NDArray[np.uint16]]:
+        frames = analogue(body, count)
+        if self.of_values:
+            frames = [np.rint(frame) for frame in frames]
+        return digitised(self.fault(frames, body.camera, body.generator))
+
+
+def _lit(light_dn: Callable[[Camera, np.random.Generator], NDArray[np.float64]]) -> Fault:
+    """Electrons of one and the same light in every frame."""
+
+    def fault(frames: Frames, camera: Camera, generator: np.random.Generator) -> Frames:
+        electrons = light_dn(camera, generator) / camera.gain
+        return [frame + camera.gain * generator.poisson(electrons) for frame in frames]
+
+    return fault
+
+
+def corner_leak(peak_dn: float) -> Planted:
+    """Light through the corner of a cap."""
+
+    def light(camera: Camera, _: np.random.Generator) -> NDArray[np.float64]:
+        height, width = camera.shape
+        y, x = np.ogrid[0 : 1 : height * 1j, 0 : 1 : width * 1j]
+        leak: NDArray[np.float64] = peak_dn * np.exp(-(x**2 + y**2) / 0.05)
+        return leak
+
+    return Planted(f"corner leak, {peak_dn:g} DN", _lit(light))
+
+
+def dark_signal(mean_dn: float) -> Planted:
+    """Dark current of each pixel's own, exponentially distributed over the pixels."""
+    return Planted(
+        f"dark signal, {mean_dn:g} DN", _lit(lambda camera, generator: generator.exponential(mean_dn, camera.shape))
+    )
+
+
+def telegraph(share: float, sigmas: float) -> Planted:
+    """Pixels that jump between two levels around their mean, so many standard deviations of the read noise apart."""
+
+    def fault(frames: Frames, camera: Camera, generator: np.random.Generator) -> Frames:
+        jumping = generator.random(camera.shape) < share
+        step = sigmas * camera.noise.sigma_gauss_dn
+        return [frame + step * jumping * (generator.integers(0, 2, camera.shape) - 0.5) for frame in frames]
+
+    return Planted(f"telegraph pixels, {share:.2%} of {sigmas:g} sigma", fault)
+
+
+def _by_site(frame: NDArray[np.float64], camera: Camera, filtered: Callable[..., NDArray[np.float64]]) -> Frames:
+    """Filter each site of the CFA's period by itself (X-Trans: pixels six apart)."""
+    result = frame.copy()
+    period = len(camera.cfa)
+    for row in range(period):
+        for column in range(period):
+            site = slice(row, None, period), slice(column, None, period)
+            result[site] = filtered(frame[site])
+    return [result]
+
+
+def blurred(share: float) -> Planted:
+    """Each pixel gives this share of its value to its four neighbours of the same colour, and gets theirs."""
+    weights = np.array([[0, share / 4, 0], [share / 4, 1 - share, share / 4], [0, share / 4, 0]])
+
+    def fault(frames: Frames, camera: Camera, _: np.random.Generator) -> Frames:
+        return [
+            _by_site(frame, camera, lambda site: ndimage.convolve(site, weights, mode="nearest"))[0] for frame in frames
+        ]
+
+    return Planted(f"blur of {share:g}", fault)
+
+
+def star_eater(sigmas: float, *, both_sides: bool = False) -> Planted:
+    """Values that far above all eight neighbours of their colour (or below) become the neighbours' median."""
+    around = np.ones((3, 3), dtype=np.bool_)
+    around[1, 1] = False
+
+    def fault(frames: Frames, camera: Camera, _: np.random.Generator) -> Frames:
+        margin = sigmas * camera.noise.sigma_gauss_dn
+
+        def eaten(site: NDArray[np.float64]) -> NDArray[np.float64]:
+            median = ndimage.median_filter(site, footprint=around)
+            far = site > ndimage.maximum_filter(site, footprint=around) + margin
+            if both_sides:
+                far |= site < ndimage.minimum_filter(site, footprint=around) - margin
+            return np.where(far, median, site)
+
+        return [_by_site(frame, camera, eaten)[0] for frame in frames]
+
+    sides = "both sides" if both_sides else "bright side"
+    return Planted(f"star-eater from {sigmas:g} sigma, {sides}", fault, of_values=True)
+
+
+def coarse(step: int) -> Planted:
+    """Fewer bits than the file has: values in steps."""
+
+    def fault(frames: Frames, _: Camera, __: np.random.Generator) -> Frames:
+        return [step * np.rint(frame / step) for frame in frames]
+
+    return Planted(f"values in steps of {step} DN", fault)
+
+
+def wave(share: float, period_rows: float = 37.3) -> Planted:
+    """Bands over the rows, of an amplitude that is a share of sigma_row; their phase differs from frame to frame."""
+
+    def fault(frames: Frames, camera: Camera, generator: np.random.Generator) -> Frames:
+        rows = np.arange(camera.shape[0])[:, None] / period_rows
+        return [frame + share * camera.sigma_row * np.sin(2 * np.pi * (rows + generator.random())) for frame in frames]
+
+    return Planted(f"bands, {share:g} sigma_row", fault)
+
+
+def drift(share: float) -> Planted:
+    """1/f in the rows' offsets, whose standard deviation is a share of sigma_row."""
+
+    def fault(frames: Frames, camera: Camera, generator: np.random.Generator) -> Frames:
+        lines = camera.shape[0]
+        frequency = np.fft.rfftfreq(lines)
+        weight = np.zeros(frequency.size)
+        weight[1:] = frequency[1:] ** -0.5
+        result = []
+        for frame in frames:
+            rows = np.fft.irfft(weight * np.fft.rfft(generator.standard_normal(lines)), lines)
+            result.append(frame + (share * camera.sigma_row / rows.std() * rows)[:, None])
+        return result
+
+    return Planted(f"slow drift, {share:g} sigma_row", fault)
+
+
+def spread_of_noise(share: float) -> Planted:
+    """Pixels of different noise, log-normal: no fault of the frames, but not the model either."""
+
+    def fault(frames: Frames, camera: Camera, generator: np.random.Generator) -> Frames:
+        factor = np.exp(share * generator.standard_normal(camera.shape))
+        level = np.mean(frames, axis=0)
+        return [level + factor * (frame - level) for frame in frames]
+
+    return Planted(f"noise of pixels differs by {share:.0%}", fault)
+
+
+NONE = Planted("none", lambda frames, _, __: frames)
+EVERY = (
+    *(corner_leak(peak) for peak in (20.0, 5.0, 2.0, 1.0)),
+    *(dark_signal(mean) for mean in (20.0, 5.0, 1.0, 0.3)),
+    *(telegraph(share, size) for share, size in ((0.01, 10.0), (0.01, 5.0), (0.01, 3.0), (0.001, 5.0), (0.0003, 5.0))),
+    *(blurred(share) for share in (0.2, 0.05, 0.02, 0.01)),
+    *(star_eater(size, both_sides=both) for both in (False, True) for size in (0.0, 2.0, 4.0)),
+    *(coarse(step) for step in (2, 4)),
+    *(wave(share) for share in (2.0, 0.5, 0.2)),
+    *(drift(share) for share in (1.0, 0.5, 0.25)),
+)

@@ -34,7 +34,7 @@ from eldata.calibration.photon_transfer import (
 )
 from eldata.calibration.read_noise import Residuals, probability_plot, read_noise
 from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs, transfer_remarks
-from eldata.calibration.reproduction import reproduction
+from eldata.calibration.reproduction import compared_piece, reproduction
 from eldata.calibration.results import IsoCalibration
 from eldata.calibration.row_noise import LineMeans, row_noise
 from eldata.calibration.spectrum import power_spectrum
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.calibration.frame_checks import IsoFrames
-    from eldata.datasets.calibration_frames import CalibrationFrames
+    from eldata.datasets.calibration_frames import CalibrationFrames, FlatPair
     from eldata.records import FrameRecord, RawFrame, Sensor
 
 HOLD_OUT_FROM = 6
@@ -109,22 +109,24 @@ class _Reader:
 
     def __init__(self, frames: CalibrationFrames, workers: Workers, done: Callable[[], object]) -> None:
         self._frames, self.workers, self._done = frames, workers, done
-        self._first: RawFrame | None = None
+        self._sensor: Sensor | None = None
         self._sensors: dict[FrameRecord, Sensor] = {}
         self.problems: list[Problem] = []
 
     def read(self, records: Sequence[FrameRecord]) -> Iterator[tuple[FrameRecord, RawFrame]]:
         """Yield the frames that are like the first one; :meth:`refuse` says what is wrong with the others."""
         decoded = self.workers.read_ahead(self._read, records)
-        for record, frame in zip(records, decoded, strict=True):
+        for record in records:  # no zip: it holds on to the last frame while the next one is decoded
+            frame = next(decoded)
             self._done()
             if isinstance(frame, RawFileError):
                 self.problems.append(unreadable(record, frame))
                 continue
-            self._first = self._first or frame
+            self._sensor = self._sensor or frame.sensor
             self._sensors[record] = frame.sensor
-            if not unlike(record, frame.sensor, self._first.sensor, ""):
+            if not unlike(record, frame.sensor, self._sensor, ""):
                 yield record, frame
+            del frame
 
     def _read(self, record: FrameRecord) -> RawFrame | RawFileError:
         try:
@@ -133,10 +135,11 @@ class _Reader:
             return error
 
     @property
-    def first(self) -> RawFrame:
-        if self._first is None:
+    def sensor(self) -> Sensor:
+        """The first frame's, which all frames must be like."""
+        if self._sensor is None:
             raise DatasetError("no bias frames: take ten or more with the lens capped, at the shortest exposure")
-        return self._first
+        return self._sensor
 
     def lossy(self, records: Sequence[FrameRecord]) -> str | None:
         """Return what loses data in the first of some files."""
@@ -151,7 +154,7 @@ class _Reader:
 
 def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
     fixed, held_out = _first_pass(reader, chosen.bias)
-    sensor = reader.first.sensor
+    sensor = reader.sensor
     estimated = _split(chosen.bias)[0]
     lines, residuals = LineMeans(fixed), Residuals(fixed)
     means = ChannelMeans(sensor.cfa, defects=fixed.defects)
@@ -160,6 +163,7 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
         if spectrum is None:
             spectrum, gaps = power_spectrum(frame.mosaic, fixed), missing_codes(frame.mosaic, fixed.pattern)
         in_threads(methodcaller("add", frame.mosaic), (residuals, lines, means), reader.workers.jobs)
+        del frame
     reader.refuse()
     if spectrum is None:
         raise DatasetError("no bias frame could be read")
@@ -208,7 +212,7 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
 
 
 def _first_pass(reader: _Reader, bias: Sequence[FrameRecord]) -> tuple[FixedPattern, NDArray[np.uint16] | None]:
-    """Return what stays from frame to frame, and the frame that the estimators do not see."""
+    """Return what stays from frame to frame, and of the frame that the estimators do not see what is compared."""
     estimated, held_out = _split(bias)
     if len(estimated) < MINIMUM_FRAMES:
         raise DatasetError(
@@ -221,9 +225,10 @@ def _first_pass(reader: _Reader, bias: Sequence[FrameRecord]) -> tuple[FixedPatt
         figures.append(FrameFigures.of(record, frame.mosaic))
         stack = stack or BiasStack(frame.sensor.cfa)
         if record in held_out:
-            kept = frame.mosaic
+            kept = compared_piece(frame.mosaic, len(frame.sensor.cfa))
         else:
             stack.add(frame.mosaic)
+        del frame  # before the next one is decoded
     reader.problems += odd_bias_frames(figures)
     reader.refuse()
     if stack is None:
@@ -237,30 +242,22 @@ def _flats(
     """Return K from pairs, K as published, and remarks."""
     if not chosen.pairs:
         return None, None, (no_pairs(chosen),)
-    sensor = reader.first.sensor
+    sensor = reader.sensor
     # The measured level of no light: the recorded one may be off by the colour bias.
     pairs = FlatPairs(sensor.cfa, fixed.level_dn, sensor.white_level_dn, defects=fixed.defects)
     singles = FlatFrames(sensor.cfa, fixed.level_dn, sensor.white_level_dn, defects=fixed.defects)
-    pair_of = {pair.second: pair for pair in chosen.pairs}
     remarks: list[str] = []
     gaps = 0.0
-    waiting: tuple[FrameRecord, RawFrame] | None = None
-    for record, frame in reader.read([record for pair in chosen.pairs for record in (pair.first, pair.second)]):
-        pair = pair_of.get(record)
-        if pair is None:
-            waiting = record, frame
-            continue
-        if waiting is None or waiting[0] != pair.first:
-            continue  # its partner was refused, and is named
-        first = waiting[1]
-        unequal = unequal_pair(pair, first, frame)
+    for pair, first, second in _pairs(reader, chosen.pairs):
+        unequal = unequal_pair(pair, first, second)
         if unequal is not None:
             remarks.append(unequal)
-            continue
-        pairs.add(first.mosaic, frame.mosaic)
-        singles.add(first.mosaic)
-        singles.add(frame.mosaic)
-        gaps = max(gaps, missing_codes(first.mosaic, fixed.pattern))
+        else:
+            pairs.add(first.mosaic, second.mosaic)
+            singles.add(first.mosaic)
+            singles.add(second.mosaic)
+            gaps = max(gaps, missing_codes(first.mosaic, fixed.pattern))
+        del first, second  # before the next ones are decoded
     reader.refuse()
     if len(remarks) == len(chosen.pairs):
         raise DatasetError(f"no pair of flats is usable: {'; '.join(remarks)}")
@@ -270,3 +267,17 @@ def _flats(
         spatial = None  # it needs three brightnesses; it is for comparison alone
     transfer = photon_transfer(pairs)
     return transfer, spatial, (*remarks, *flat_remarks(chosen, gaps))
+
+
+def _pairs(reader: _Reader, pairs: Sequence[FlatPair]) -> Iterator[tuple[FlatPair, RawFrame, RawFrame]]:
+    """Yield the pairs of which both frames can be used; the others are named by the reader."""
+    pair_of = {pair.second: pair for pair in pairs}
+    waiting: tuple[FrameRecord, RawFrame] | None = None
+    for record, frame in reader.read([record for pair in pairs for record in (pair.first, pair.second)]):
+        pair = pair_of.get(record)
+        if pair is None:
+            waiting = record, frame
+        elif waiting is not None and waiting[0] == pair.first:
+            yield pair, waiting[1], frame
+            waiting = None
+        del frame

@@ -28,8 +28,8 @@ MINIMUM_FRAMES = 4
 _MOST_FRAMES = 16_384  # twice their sum fits 31 bits
 _CLIPPED_SHARE = 0.01  # of pixels that reach 0
 _BLOCK = 16  # periods of the CFA a side, for the local level
-_SQUARED_PIXELS = 1 << 22  # of a frame with more, every seventh row tells the variance over time
-_ROW_STEP = 7  # one more than a multiple of every CFA's period, so that such rows have the frame's own CFA
+_SQUARED_PIXELS = 1 << 22  # of a frame with more, a seventh tells the variance over time: every
+_STEP = 7  # seventh period of its rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ class FixedPattern:
         Mean of the sound pixels, per channel.
     temporal_variance_dn2
         Mean variance over time of the sound pixels, per channel; with row noise and quantisation. Of large frames, of
-        those in every seventh row.
+        those in a seventh of the rows.
     shading_error_dn
         Noise of an entry of the summary's shading, per channel.
     summary
@@ -124,14 +124,15 @@ class BiasStack(FrameSums):
             self.total = np.zeros(shape, dtype=np.uint32)
             self.lowest = np.full(shape, 65535, dtype=np.uint16)
             self.highest = np.zeros(shape, dtype=np.uint16)
-            self.row_step = _ROW_STEP if mosaic.size > _SQUARED_PIXELS else 1
-            self.squares = np.zeros((-(-shape[0] // self.row_step), shape[1]), dtype=np.int64)
-        add_to_stack(mosaic, self.total, self.lowest, self.highest, self.squares, self.row_step)
+            step = _STEP if mosaic.size > _SQUARED_PIXELS else 1
+            self.squared_rows = np.flatnonzero(np.arange(shape[0]) // len(self.pattern) % step == 0)
+            self.squares = np.zeros((len(self.squared_rows), shape[1]), dtype=np.int64)
+        add_to_stack(mosaic, self.total, self.lowest, self.highest, self.squared_rows, self.squares)
 
     @property
     def scatter(self) -> NDArray[np.int64]:
-        """Each pixel's variance over time, times n (n - 1), in every ``row_step``-th row."""
-        total = self.total[:: self.row_step].astype(np.int64)
+        """Each pixel's variance over time, times n (n - 1), in ``squared_rows``, which have the frame's own CFA."""
+        total = self.total[self.squared_rows].astype(np.int64)
         np.multiply(total, total, out=total)
         np.subtract(self.frames * self.squares, total, out=total)
         return total
@@ -191,7 +192,7 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
         return far
 
     limits = [limit(channel) for channel in range(channels)]
-    defect_rows = defects[:: stack.row_step]
+    defect_rows = defects[stack.squared_rows]
 
     def measure(channel: int) -> _Channel:
         blocks: list[tuple[NDArray[Any], ...]] = []
@@ -274,7 +275,7 @@ def _stuck(stack: BiasStack, scatter: NDArray[np.int64]) -> NDArray[np.bool_]:
             "nearly all pixels have the same value in every frame: the frames are copies of one another, or black is "
             "clipped; calibrate raw files whose black level lies above 0"
         )
-    middle = float(np.median(scatter[:: _ROW_STEP // stack.row_step, ::5]))
+    middle = float(np.median(scatter[::7, ::5]))
     sigma = math.sqrt(middle / (frames * (frames - 1)) / 0.9)
     # All n values alike: below (1 / (sigma sqrt(2 pi)))^(n - 1) / sqrt(n) for Gaussian noise of sigma > 1/2 DN.
     chance = (1 / (sigma * math.sqrt(2 * math.pi))) ** (frames - 1) / math.sqrt(frames) if sigma > 0.5 else 1.0

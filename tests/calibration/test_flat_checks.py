@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from eldata.calibration.joint import step_findings
 from eldata.calibration.photon_transfer import FlatPairs, photon_transfer
-from eldata.errors import DatasetError
 from tests.calibration import flats_study as study
 from tests.calibration.simulation import BAYER
+from tests.calibration.trees import calibrated_iso, made_tree, relative, rewritten
 from tests.cases import in_one_test
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 SMALL = (256, 384)
 BLACKS = (study.BLACK,) * 4
@@ -189,7 +193,22 @@ def test_a_step_is_seldom_seen_where_none_is() -> None:
     assert study.step_alarms(-0.4, 0.03, 9, 50) > 0.9
 
 
-def test_refusals_name_what_flats_were_used() -> None:
-    flats = FlatPairs(BAYER, BLACKS, study.WHITE)
-    with pytest.raises(DatasetError, match="no flat frames"):
-        photon_transfer(flats)
+# --- from files -------------------------------------------------------------------------------------------------------
+
+
+def test_saturation_is_said_of_an_iso_and_what_withholds_k_names_the_pairs(tmp_path: Path) -> None:
+    tree = made_tree(tmp_path / "tree", isos=(400,), bias_frames=4, flat_levels=4)
+    for path in tree.files("flat", 400):
+        rewritten(path, mosaic=lambda mosaic: np.minimum(mosaic, 9000))
+    found = calibrated_iso(tree.frames(), 400)
+    assert [one.check for one in found.findings] == ["saturation"]
+    assert found.gain is not None
+    assert abs(found.gain.value - tree.truth["isos"][0]["gain_dn_per_e"]) < 5 * found.gain.error
+    for path in tree.files("flat", 400):
+        rewritten(path, mosaic=lambda mosaic: np.minimum(mosaic, 600))
+    found = calibrated_iso(tree.frames(), 400)
+    assert found.gain is None
+    assert [one.effect for one in found.findings] == ["remark", "withheld"]
+    assert "saturate at 600 DN" in found.findings[0].text
+    for path in tree.files("flat", 400):
+        assert relative(tree, path) in found.findings[1].text

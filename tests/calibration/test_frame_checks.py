@@ -252,7 +252,7 @@ PIXELS: dict[str, tuple[Callable[[Path], None], str, list[str]]] = {
         "cfa",
         ["((0, 1), (3, 2))", "(0, 2, 1, 2, 0, 1)"],
     ),
-    "no mosaic": (rgb_dng, "content", ["a mosaic of a Bayer or X-Trans sensor is needed"]),
+    "no mosaic": (rgb_dng, "content", ["a mosaic of a Bayer, quad-Bayer, nona-Bayer or X-Trans sensor is needed"]),
 }
 
 

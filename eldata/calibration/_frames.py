@@ -98,6 +98,18 @@ def sums_by_row(values: NDArray[Any], pattern: NDArray[np.int64]) -> NDArray[np.
     return sums
 
 
+def sums_by_line(
+    values: NDArray[Any], defects: NDArray[np.bool_], pattern: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the sums of the sound pixels by (row, channel) and by (column, channel)."""
+    from eldata.calibration._kernels import masked_sums
+
+    channels = channels_of(pattern)
+    rows, columns = (np.zeros((length, channels), dtype=np.int64) for length in values.shape)
+    masked_sums(values, defects, pattern, rows, columns)
+    return rows, columns
+
+
 def classes_of_rows(pattern: NDArray[np.int64]) -> int:
     """Return how many degrees of freedom channel means take from row means: the rank of the rows' composition."""
     composition = np.stack([np.bincount(row, minlength=channels_of(pattern)) for row in pattern])

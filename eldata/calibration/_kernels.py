@@ -19,19 +19,112 @@ if TYPE_CHECKING:
 def add_to_stack(
     mosaic: NDArray[np.uint16],
     total: NDArray[np.uint32],
-    squares: NDArray[np.int64],
     lowest: NDArray[np.uint16],
     highest: NDArray[np.uint16],
+    squared_rows: NDArray[np.intp],
+    squares: NDArray[np.int64],
 ) -> None:
-    """Add one frame to the per-pixel sums, and keep each pixel's lowest and highest value."""
+    """Add one frame to the sums by pixel, those of squares in some rows; keep the lowest and highest values."""
     for row in range(mosaic.shape[0]):
         for column in range(mosaic.shape[1]):
             value = mosaic[row, column]
-            wide = np.int64(value)
             total[row, column] += np.uint32(value)
-            squares[row, column] += wide * wide
             lowest[row, column] = value if value < lowest[row, column] else lowest[row, column]
             highest[row, column] = value if value > highest[row, column] else highest[row, column]
+    for place in range(squared_rows.size):
+        for column in range(mosaic.shape[1]):
+            wide = np.int64(mosaic[squared_rows[place], column])
+            squares[place, column] += wide * wide
+
+
+@kernel
+def distances_from_median(
+    total: NDArray[np.uint32],
+    lowest: NDArray[np.uint16],
+    highest: NDArray[np.uint16],
+    side: int,
+    distances: NDArray[np.int32],
+) -> None:
+    """Write twice the distance of ``total - lowest - highest`` from its median in blocks of ``side`` x ``side``.
+
+    The arrays hold one site of the CFA. Blocks that reach over an edge are filled up with what lies before it, as in a
+    mirror.
+    """
+    height, width = total.shape
+    half = side * side // 2
+    values = np.empty(side * side, dtype=np.int64)
+    for top in range(0, height, side):
+        for left in range(0, width, side):
+            for i in range(side * side):
+                row = (top + i // side) % (2 * height)
+                column = (left + i % side) % (2 * width)
+                row = row if row < height else 2 * height - 1 - row
+                column = column if column < width else 2 * width - 1 - column
+                values[i] = (
+                    np.int64(total[row, column]) - np.int64(lowest[row, column]) - np.int64(highest[row, column])
+                )
+            ordered = np.partition(values, half)
+            twice_median = ordered[half] + ordered[:half].max()
+            for row in range(top, min(top + side, height)):
+                for column in range(left, min(left + side, width)):
+                    value = values[(row - top) * side + column - left]
+                    distances[row, column] = abs(2 * value - twice_median)
+
+
+@kernel
+def block_moments(
+    total: NDArray[np.uint32],
+    defects: NDArray[np.bool_],
+    side: int,
+    count: NDArray[np.int64],
+    sums: NDArray[np.int64],
+    squares: NDArray[np.float64],
+) -> None:
+    """Write count, sum and sum of squared deviations of the sound pixels of each block of ``side`` x ``side``.
+
+    The arrays hold one site of the CFA.
+    """
+    height, width = total.shape
+    for i in range(count.shape[0]):
+        for j in range(count.shape[1]):
+            rows = range(i * side, min((i + 1) * side, height))
+            columns = range(j * side, min((j + 1) * side, width))
+            number: Any = 0
+            added: Any = 0
+            for row in rows:
+                for column in columns:
+                    if not defects[row, column]:
+                        number += 1
+                        added += np.int64(total[row, column])
+            mean = added / max(number, 1)
+            squared = 0.0
+            for row in rows:
+                for column in columns:
+                    if not defects[row, column]:
+                        squared += (total[row, column] - mean) ** 2
+            count[i, j], sums[i, j], squares[i, j] = number, added, squared
+
+
+@kernel
+def masked_sums(
+    values: NDArray[np.integer[Any]],
+    defects: NDArray[np.bool_],
+    pattern: NDArray[np.int64],
+    rows: NDArray[np.int64],
+    columns: NDArray[np.int64],
+) -> None:
+    """Add the values of sound pixels by (row, channel) and by (column, channel)."""
+    period = pattern.shape[0]
+    for row in range(values.shape[0]):
+        for phase in range(period):
+            channel = pattern[row % period, phase]
+            added: Any = 0
+            for column in range(phase, values.shape[1], period):
+                if not defects[row, column]:
+                    value = np.int64(values[row, column])
+                    added += value
+                    columns[column, channel] += value
+            rows[row, channel] += added
 
 
 @kernel

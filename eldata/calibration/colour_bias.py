@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.calibration._frames import FrameSums, checked_black_level, sums_by_row
+from eldata.calibration._frames import FrameSums, checked_black_level, sums_by_line, sums_by_row
 from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
@@ -70,10 +70,10 @@ class ChannelMeans(FrameSums):
 
     def add(self, mosaic: NDArray[np.uint16]) -> None:
         """Add a bias frame."""
-        sound = ~self._check(mosaic)
+        defects = self._check(mosaic)
         if self.frames == 1:
-            self._pixels = sums_by_row(sound, self.pattern)
-        sums = sums_by_row(mosaic * sound, self.pattern)
+            self._pixels = sums_by_row(~defects, self.pattern)
+        sums, _ = sums_by_line(mosaic, defects, self.pattern)
         pixels = self._pixels.sum(axis=0)
         if not np.all(pixels > 0):
             raise DatasetError("a channel has no sound pixel: the mask of defects covers it; raise its threshold")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,9 +25,11 @@ if TYPE_CHECKING:
 MINIMUM_FRAMES = 4
 """Bias frames that the calibration needs; ten or more are advised."""
 
-_MOST_FRAMES = 65_536  # their sum fits 32 bits
+_MOST_FRAMES = 16_384  # twice their sum fits 31 bits
 _CLIPPED_SHARE = 0.01  # of pixels that reach 0
 _BLOCK = 16  # periods of the CFA a side, for the local level
+_SQUARED_PIXELS = 1 << 22  # of a frame with more, a seventh tells the variance over time: every
+_STEP = 7  # seventh period of its rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +77,8 @@ class FixedPattern:
     level_dn
         Mean of the sound pixels, per channel.
     temporal_variance_dn2
-        Mean variance over time of the sound pixels, per channel; with row noise and quantisation.
+        Mean variance over time of the sound pixels, per channel; with row noise and quantisation. Of large frames, of
+        those in a seventh of the rows.
     shading_error_dn
         Noise of an entry of the summary's shading, per channel.
     summary
@@ -99,7 +102,7 @@ class FixedPattern:
 
 
 class BiasStack(FrameSums):
-    """Accumulates bias frames for :func:`fixed_pattern`: the memory of eight mosaics, for any number of frames.
+    """Accumulates bias frames for :func:`fixed_pattern`: the memory of some four mosaics, for any number of frames.
 
     Parameters
     ----------
@@ -119,10 +122,20 @@ class BiasStack(FrameSums):
         shape = self._check(mosaic).shape
         if self.frames == 1:
             self.total = np.zeros(shape, dtype=np.uint32)
-            self.squares = np.zeros(shape, dtype=np.int64)
             self.lowest = np.full(shape, 65535, dtype=np.uint16)
             self.highest = np.zeros(shape, dtype=np.uint16)
-        add_to_stack(mosaic, self.total, self.squares, self.lowest, self.highest)
+            step = _STEP if mosaic.size > _SQUARED_PIXELS else 1
+            self.squared_rows = np.flatnonzero(np.arange(shape[0]) // len(self.pattern) % step == 0)
+            self.squares = np.zeros((len(self.squared_rows), shape[1]), dtype=np.int64)
+        add_to_stack(mosaic, self.total, self.lowest, self.highest, self.squared_rows, self.squares)
+
+    @property
+    def scatter(self) -> NDArray[np.int64]:
+        """Each pixel's variance over time, times n (n - 1), in ``squared_rows``, which have the frame's own CFA."""
+        total = self.total[self.squared_rows].astype(np.int64)
+        np.multiply(total, total, out=total)
+        np.subtract(self.frames * self.squares, total, out=total)
+        return total
 
 
 def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
@@ -143,6 +156,8 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
     DatasetError
         If there are too few frames, black is clipped, or nearly all pixels never change.
     """
+    from eldata.calibration._kernels import block_moments, distances_from_median
+
     if not threshold > 0:
         raise ArgumentError(f"the threshold is a positive number of standard deviations; found {threshold}")
     if stack.frames < MINIMUM_FRAMES:
@@ -151,42 +166,54 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
             f"{MINIMUM_FRAMES} are needed, ten or more advised, all at one ISO"
         )
     pattern, channels, frames = stack.pattern, stack.channels, stack.frames
-    total, squares, lowest, highest = stack.total, stack.squares, stack.lowest, stack.highest
+    total, lowest, highest = stack.total, stack.lowest, stack.highest
 
-    stuck = _stuck(stack)
-    off_level = np.zeros(total.shape, dtype=np.bool_)
+    scatter = stack.scatter
+    defects = _stuck(stack, scatter)
+    stuck = int(defects.sum())
+    off_level = 0
 
     def limit(channel: int) -> float:
         """Mark the channel's pixels that are off their neighbourhood's level, and return what counts as off."""
+        nonlocal off_level
         distances = []
         for site in _sites(pattern, channel):
-            trimmed = (total[site] - lowest[site] - highest[site].astype(np.uint32)).astype(np.float32) / (frames - 2)
-            distances.append((site, trimmed - _local_median(trimmed)))
-        spread = 1.4826 * float(np.median(np.concatenate([np.abs(distance).ravel() for _, distance in distances])))
+            distance = np.empty(total[site].shape, dtype=np.int32)
+            distances_from_median(total[site], lowest[site], highest[site], _BLOCK, distance)
+            distances.append((site, distance))
+        per_dn = 2 * (frames - 2)
+        every = np.concatenate([distance.ravel() for _, distance in distances])
+        spread = 1.4826 * float(np.median(every, overwrite_input=True)) / per_dn
         far = threshold * max(spread, 1 / frames)
         for site, distance in distances:
-            off_level[site] = np.abs(distance) > far
+            off = distance > far * per_dn
+            defects[site] |= off
+            off_level += int(off.sum())
         return far
 
     limits = [limit(channel) for channel in range(channels)]
-    defects = off_level | stuck
+    defect_rows = defects[stack.squared_rows]
 
     def measure(channel: int) -> _Channel:
-        temporal = count = 0.0
-        blocks: list[tuple[NDArray[np.float64], ...]] = []
+        blocks: list[tuple[NDArray[Any], ...]] = []
+        added, squared, counted = 0, 0.0, 0
         for site in _sites(pattern, channel):
-            sound = ~defects[site]
-            exact = frames * squares[site] - total[site].astype(np.int64) ** 2
-            temporal += float(exact[sound].sum()) / (frames * (frames - 1))
-            count += float(sound.sum())
-            blocks.append(_block_moments(total[site] / frames, sound))
-        if count < 2:
+            exact = scatter[site][~defect_rows[site]]
+            added, counted = added + int(exact.sum()), counted + exact.size
+            squared += float(np.square(exact, dtype=np.float64).sum())
+            shape = tuple(-(-length // _BLOCK) for length in total[site].shape)
+            (count, sums), squares = np.zeros((2, *shape), dtype=np.int64), np.zeros(shape)
+            block_moments(total[site], defects[site], _BLOCK, count, sums, squares)
+            blocks.append((count, sums / np.maximum(count, 1) / frames, squares / frames**2))
+        if counted < 2:
             raise DatasetError(f"channel {channel} has no sound pixel left: raise the threshold ({threshold:g})")
-        variance = temporal / count
+        freedom = frames * (frames - 1)
+        variance = added / freedom / counted
+        variance_error = math.sqrt(max(squared / counted - (added / counted) ** 2, 0.0) / counted) / freedom
         pixels = sum(block[0] for block in blocks)
         level = sum(block[0] * block[1] for block in blocks) / np.maximum(pixels, 1)
         mean = float((level * pixels).sum() / np.sum(pixels))
-        dsnu, dsnu_error = _non_uniformity(blocks, variance / frames)
+        dsnu, dsnu_error = _non_uniformity(blocks, variance / frames, variance_error / frames)
         shading = np.where(pixels > 0, level - mean, 0.0)
         return _Channel(variance, mean, dsnu, dsnu_error, shading, max(float(np.median(pixels)), 1.0))
 
@@ -202,8 +229,8 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
         shading_error_dn=tuple(math.sqrt((one.variance / frames + one.dsnu**2) / one.block_pixels) for one in measured),
         summary=PatternSummary(
             defects=int(defects.sum()),
-            off_level=int(off_level.sum()),
-            stuck=int(stuck.sum()),
+            off_level=off_level,
+            stuck=stuck,
             pixels=defects.size,
             dsnu_dn=tuple(one.dsnu for one in measured),
             dsnu_error_dn=tuple(one.dsnu_error for one in measured),
@@ -233,7 +260,7 @@ def _sites(pattern: NDArray[np.int64], channel: int) -> Iterator[Site]:
         yield slice(y, None, period), slice(x, None, period)
 
 
-def _stuck(stack: BiasStack) -> NDArray[np.bool_]:
+def _stuck(stack: BiasStack, scatter: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return the pixels that never change, if the noise of the others makes that improbable."""
     lowest, highest, frames = stack.lowest, stack.highest, stack.frames
     constant = lowest == highest
@@ -248,45 +275,22 @@ def _stuck(stack: BiasStack) -> NDArray[np.bool_]:
             "nearly all pixels have the same value in every frame: the frames are copies of one another, or black is "
             "clipped; calibrate raw files whose black level lies above 0"
         )
-    exact = frames * stack.squares[::7, ::5] - stack.total[::7, ::5].astype(np.int64) ** 2
-    sigma = math.sqrt(float(np.median(exact)) / (frames * (frames - 1)) / 0.9)
+    middle = float(np.median(scatter[::7, ::5]))
+    sigma = math.sqrt(middle / (frames * (frames - 1)) / 0.9)
     # All n values alike: below (1 / (sigma sqrt(2 pi)))^(n - 1) / sqrt(n) for Gaussian noise of sigma > 1/2 DN.
     chance = (1 / (sigma * math.sqrt(2 * math.pi))) ** (frames - 1) / math.sqrt(frames) if sigma > 0.5 else 1.0
     return constant if chance < 1e-4 else np.zeros_like(constant)
 
 
-def _blocked(plane: NDArray[Any], beyond: Literal["symmetric", "constant"]) -> NDArray[Any]:
-    """Return a plane as (rows, columns, pixels) of blocks; beyond its edges it is mirrored or 0."""
-    height, width = plane.shape
-    padded = np.pad(plane, ((0, -height % _BLOCK), (0, -width % _BLOCK)), mode=beyond)
-    rows, columns = padded.shape[0] // _BLOCK, padded.shape[1] // _BLOCK
-    return padded.reshape(rows, _BLOCK, columns, _BLOCK).swapaxes(1, 2).reshape(rows, columns, -1)
-
-
-def _local_median(plane: NDArray[Any]) -> NDArray[Any]:
-    median = np.median(_blocked(plane, "symmetric"), axis=2)
-    full: NDArray[Any] = np.repeat(np.repeat(median, _BLOCK, axis=0), _BLOCK, axis=1)
-    return full[: plane.shape[0], : plane.shape[1]]
-
-
-def _block_moments(
-    mean: NDArray[np.float64], sound: NDArray[np.bool_]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return count, mean and sum of squared deviations of the sound pixels of each block."""
-    values, use = _blocked(mean, "constant"), _blocked(sound.astype(np.float64), "constant")
-    count = use.sum(axis=2)
-    level = (values * use).sum(axis=2) / np.maximum(count, 1)
-    return count, level, ((values - level[..., None]) ** 2 * use).sum(axis=2)
-
-
-def _non_uniformity(blocks: list[tuple[NDArray[np.float64], ...]], noise: float) -> tuple[float, float]:
-    """Return the pooled DSNU and its standard error, from the scatter of the blocks' variances."""
+def _non_uniformity(blocks: list[tuple[NDArray[Any], ...]], noise: float, noise_error: float) -> tuple[float, float]:
+    """Return the pooled DSNU and its standard error: of the blocks' variances, by their scatter, and of the noise."""
     freedom = np.concatenate([np.maximum(block[0] - 1, 0).ravel() for block in blocks])
     squares = np.concatenate([block[2].ravel() for block in blocks])
     excess = float(squares.sum() / freedom.sum()) - noise
     deviations = squares - freedom * (excess + noise)
     used = int(np.count_nonzero(freedom))
-    error = math.sqrt(float(np.square(deviations).sum()) * used / max(used - 1, 1)) / float(freedom.sum())
+    of_blocks = math.sqrt(float(np.square(deviations).sum()) * used / max(used - 1, 1)) / float(freedom.sum())
+    error = math.hypot(of_blocks, noise_error)
     if excess <= 0:
         return 0.0, math.sqrt(error)
     return math.sqrt(excess), min(error / (2 * math.sqrt(excess)), math.sqrt(error))

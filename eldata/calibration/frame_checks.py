@@ -216,7 +216,7 @@ def unreadable(record: FrameRecord, error: EldataError) -> Problem:
 
 def clipped_black(record: FrameRecord, mosaic: NDArray[np.uint16]) -> list[Problem]:
     """Return a problem if more than 1 % of a bias frame's pixels are 0."""
-    share = float(np.count_nonzero(mosaic == 0)) / mosaic.size
+    share = (mosaic.size - int(np.count_nonzero(mosaic))) / mosaic.size
     if share <= _CLIPPED_SHARE:
         return []
     return [

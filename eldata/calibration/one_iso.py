@@ -44,7 +44,7 @@ from eldata.calibration.photon_transfer import (
 )
 from eldata.calibration.read_noise import Residuals, probability_plot, read_noise
 from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs, transfer_remarks
-from eldata.calibration.reproduction import reproduction
+from eldata.calibration.reproduction import compared_piece, reproduction
 from eldata.calibration.results import IsoCalibration, IsoGain
 from eldata.calibration.row_noise import LineMeans, row_noise
 from eldata.calibration.single_frame import single_frame_plot
@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.calibration.frame_checks import IsoFrames
-    from eldata.datasets.calibration_frames import CalibrationFrames
+    from eldata.datasets.calibration_frames import CalibrationFrames, FlatPair
     from eldata.records import FrameRecord, RawFrame, Sensor
 
 OneIso = TypeVar("OneIso", bound=IsoGain)
@@ -119,7 +119,7 @@ def calibrate_flats(
         found = of_flats.on(
             IsoGain(
                 iso=float(chosen.iso),
-                sensor=reader.first.sensor,
+                sensor=reader.sensor,
                 flat_frames=0,
                 transfer=None,
                 spatial=None,
@@ -160,7 +160,7 @@ class _Reader:
 
     def __init__(self, frames: CalibrationFrames, workers: Workers, done: Callable[[], object]) -> None:
         self._frames, self.workers, self._done = frames, workers, done
-        self._first: RawFrame | None = None
+        self._sensor: Sensor | None = None
         self._sensors: dict[FrameRecord, Sensor] = {}
         self.problems: list[Problem] = []
         self.copies = Copies()
@@ -168,15 +168,17 @@ class _Reader:
     def read(self, records: Sequence[FrameRecord]) -> Iterator[tuple[FrameRecord, RawFrame]]:
         """Yield the frames that are like the first one; :meth:`refuse` says what is wrong with the others."""
         decoded = self.workers.read_ahead(self._read, records)
-        for record, frame in zip(records, decoded, strict=True):
+        for record in records:  # no zip: it holds on to the last frame while the next one is decoded
+            frame = next(decoded)
             self._done()
             if isinstance(frame, RawFileError):
                 self.problems.append(unreadable(record, frame))
                 continue
-            self._first = self._first or frame
+            self._sensor = self._sensor or frame.sensor
             self._sensors[record] = frame.sensor
-            if not unlike(record, frame.sensor, self._first.sensor, ""):
+            if not unlike(record, frame.sensor, self._sensor, ""):
                 yield record, frame
+            del frame
 
     def _read(self, record: FrameRecord) -> RawFrame | RawFileError:
         try:
@@ -185,10 +187,11 @@ class _Reader:
             return error
 
     @property
-    def first(self) -> RawFrame:
-        if self._first is None:
+    def sensor(self) -> Sensor:
+        """The first frame's, which all frames must be like."""
+        if self._sensor is None:
             raise DatasetError("no frame could be read")
-        return self._first
+        return self._sensor
 
     def lossy(self, records: Sequence[FrameRecord]) -> str | None:
         """Return what loses data in the first of some files."""
@@ -203,7 +206,7 @@ class _Reader:
 
 def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
     fixed, estimated, held_out = _first_pass(reader, chosen.bias)
-    sensor = reader.first.sensor
+    sensor = reader.sensor
     lines, residuals, audit = LineMeans(fixed), Residuals(fixed), BiasAudit(fixed)
     means = ChannelMeans(sensor.cfa, defects=fixed.defects)
     spectrum, single, gaps, step = None, None, 0.0, 1
@@ -212,6 +215,7 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
             spectrum, gaps = power_spectrum(frame.mosaic, fixed), missing_codes(frame.mosaic, fixed.pattern)
             single, step = single_frame_plot(frame.mosaic, fixed), code_step(frame.mosaic, fixed.pattern)
         in_threads(methodcaller("add", frame.mosaic), (residuals, audit, lines, means), reader.workers.jobs)
+        del frame
     reader.refuse()
     if spectrum is None:
         raise DatasetError("no bias frame could be read")
@@ -265,7 +269,7 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
 def _first_pass(
     reader: _Reader, bias: Sequence[FrameRecord]
 ) -> tuple[FixedPattern, Sequence[FrameRecord], NDArray[np.uint16] | None]:
-    """Return what stays from frame to frame, of which frames, and the frame that the estimators do not see."""
+    """Return what stays from frame to frame, of which frames, and what is compared of the frame that is kept out."""
     estimated, held_out = _split(bias)
     if len(estimated) < MINIMUM_FRAMES:
         raise _too_few(len(estimated))
@@ -277,16 +281,18 @@ def _first_pass(
         if reader.copies.original(record, frame.mosaic) is not None:
             continue
         if record in held_out:
-            kept = frame.mosaic
+            kept = compared_piece(frame.mosaic, len(frame.sensor.cfa))
         else:
             stack.add(frame.mosaic)
             used.append(record)
+        del frame  # before the next one is decoded
     reader.problems += odd_bias_frames(figures)
     reader.refuse()
     if stack is None:
         raise DatasetError("no bias frame could be read")
     if len(used) < MINIMUM_FRAMES and kept is not None:  # without its copies, the set has none to spare
-        stack.add(kept)
+        for _, frame in reader.read(held_out):
+            stack.add(frame.mosaic)
         used, kept = [*used, *held_out], None
     if len(used) < MINIMUM_FRAMES:
         raise _too_few(len(used), reader.copies.remarks)
@@ -321,40 +327,27 @@ def _flats(reader: _Reader, chosen: IsoFrames, fixed: FixedPattern | None) -> _F
     if not chosen.pairs:
         return _FromFlats(None, None, () if chosen.stated_gain_dn_per_e is not None else (no_pairs(chosen),))
     pairs, singles = None, None
-    pair_of = {pair.second: pair for pair in chosen.pairs}
     used: list[PairLevels] = []
     remarks: list[str] = []
     gaps = 0.0
-    copied: set[FrameRecord] = set()
-    waiting: tuple[FrameRecord, RawFrame] | None = None
-    for record, frame in reader.read([record for pair in chosen.pairs for record in (pair.first, pair.second)]):
-        pair = pair_of.get(record)
-        if reader.copies.original(record, frame.mosaic) is not None:
-            copied.add(record)
-        if pair is None:
-            waiting = record, frame
-            continue
-        if waiting is None or waiting[0] != pair.first:
-            continue  # its partner was refused, and is named
-        if copied & {pair.first, pair.second}:
-            continue  # the difference of a frame and its copy holds no noise
-        first = waiting[1]
+    for pair, first, second in _pairs(reader, chosen.pairs):
         if pairs is None or singles is None:
-            sensor = frame.sensor
+            sensor = first.sensor
             # The measured level of no light: the recorded one may be off by the colour bias.
             black, defects = (sensor.black_level_dn, None) if fixed is None else (fixed.level_dn, fixed.defects)
             pairs = FlatPairs(sensor.cfa, black, sensor.white_level_dn, defects=defects)
             singles = FlatFrames(sensor.cfa, black, sensor.white_level_dn, defects=defects)
-        levels = PairLevels.of(pair, first, frame)
+        levels = PairLevels.of(pair, first, second)
         unequal = unequal_pair(levels)
         if unequal is not None:
             remarks.append(unequal)
-            continue
-        used.append(levels)
-        pairs.add(first.mosaic, frame.mosaic)
-        singles.add(first.mosaic)
-        singles.add(frame.mosaic)
-        gaps = max(gaps, missing_codes(first.mosaic, pairs.pattern))
+        else:
+            used.append(levels)
+            pairs.add(first.mosaic, second.mosaic)
+            singles.add(first.mosaic)
+            singles.add(second.mosaic)
+            gaps = max(gaps, missing_codes(first.mosaic, pairs.pattern))
+        del first, second  # before the next ones are decoded
     reader.refuse()
     said = (*remarks, *flat_remarks(chosen, gaps))
     if pairs is None or singles is None or not pairs.frames:
@@ -374,3 +367,24 @@ def _flats(reader: _Reader, chosen: IsoFrames, fixed: FixedPattern | None) -> _F
 def _no_line(why: str) -> Finding:
     """Return that there is no photon transfer line; the read noise is measured all the same."""
     return Finding("photon transfer", ("gain",), "withheld", math.nan, math.nan, why)
+
+
+def _pairs(reader: _Reader, pairs: Sequence[FlatPair]) -> Iterator[tuple[FlatPair, RawFrame, RawFrame]]:
+    """Yield the pairs of which both frames can be used; the reader names the others.
+
+    The difference of a frame and its copy holds no noise: a pair with a copy is left out.
+    """
+    pair_of = {pair.second: pair for pair in pairs}
+    copied: set[FrameRecord] = set()
+    waiting: tuple[FrameRecord, RawFrame] | None = None
+    for record, frame in reader.read([record for pair in pairs for record in (pair.first, pair.second)]):
+        if reader.copies.original(record, frame.mosaic) is not None:
+            copied.add(record)
+        pair = pair_of.get(record)
+        if pair is None:
+            waiting = record, frame
+        elif waiting is not None and waiting[0] == pair.first:
+            if not copied & {pair.first, pair.second}:
+                yield pair, waiting[1], frame
+            waiting = None
+        del frame

@@ -96,6 +96,11 @@ class Reproduction:
         return {name: getattr(self, name) for name in names}
 
 
+def compared_piece(mosaic: NDArray[np.uint16], period: int) -> NDArray[np.uint16]:
+    """Return a copy of all that :func:`reproduction` needs of a frame whose CFA repeats itself after ``period``."""
+    return mosaic[_middle(mosaic.shape, (_SIDE, _SIDE), period)].copy()
+
+
 def reproduction(
     held_out: NDArray[np.uint16],
     fixed: FixedPattern,
@@ -105,18 +110,23 @@ def reproduction(
 ) -> Reproduction:
     """Compare a bias frame that is not part of ``fixed`` with simulated ones, in the middle of the sensor.
 
+    ``held_out`` is the frame, or what :func:`compared_piece` has kept of it.
+
     Raises
     ------
     ArgumentError
         If the frame's shape is not that of the fixed pattern, or it is smaller than 128 x 192.
     """
-    if held_out.shape != fixed.total_dn.shape:
-        raise ArgumentError(f"the held-out frame is {held_out.shape}, the others are {fixed.total_dn.shape}")
-    if held_out.shape[0] < _SHOWN[0] or held_out.shape[1] < _SHOWN[1]:
-        raise ArgumentError(f"the comparison needs {_SHOWN[0]} x {_SHOWN[1]} pixels; found {held_out.shape}")
-    place = _middle(held_out.shape, (_SIDE, _SIDE), len(fixed.pattern))
+    shape, period = fixed.total_dn.shape, len(fixed.pattern)
+    place = _middle(shape, (_SIDE, _SIDE), period)
     sound = ~fixed.defects[place]
-    real = held_out[place] - fixed.total_dn[place] / fixed.frames
+    if held_out.shape == shape:
+        held_out = held_out[place]
+    if held_out.shape != sound.shape:
+        raise ArgumentError(f"the held-out frame is {held_out.shape}, the others are {shape}")
+    if shape[0] < _SHOWN[0] or shape[1] < _SHOWN[1]:
+        raise ArgumentError(f"the comparison needs {_SHOWN[0]} x {_SHOWN[1]} pixels; found {shape}")
+    real = held_out - fixed.total_dn[place] / fixed.frames
     channel = _channels(fixed.pattern, real.shape)
     block = _SHADING_BLOCK * len(fixed.pattern)
     rows_of, columns_of = (np.arange(part.start, part.stop) // block for part in place)
@@ -140,7 +150,10 @@ def reproduction(
     pixels = np.maximum(sound.sum(axis=1), 1)
     rows = [np.where(sound, residual, 0).sum(axis=1) / pixels for residual in (real, simulated)]
     power = [np.abs(np.fft.rfft(row)) ** 2 / len(row) for row in rows]
-    shown = _middle(held_out.shape, _SHOWN, len(fixed.pattern))
+    shown = tuple(
+        slice(part.start - whole.start, part.stop - whole.start)
+        for part, whole in zip(_middle(shape, _SHOWN, period), place, strict=True)
+    )
     black = np.asarray(sensor.black_level_dn)[_channels(fixed.pattern, _SHOWN)]
     return Reproduction(
         pixels=values[0].size,

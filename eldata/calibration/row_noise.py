@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.calibration._frames import channels_of, checked_mosaic, classes_of_rows, sums_by_row
+from eldata.calibration._frames import channels_of, checked_mosaic, classes_of_rows, sums_by_line, sums_by_row
 from eldata.calibration.spectrum import smoothed_power
 from eldata.errors import DatasetError
 
@@ -183,8 +183,7 @@ def row_noise(means: LineMeans) -> RowNoise:
     # Per pixel and row 1/n and 1/m of the freedom are gone.
     freedom = (frames - 1) * float(np.maximum(pixels - 1, 0).sum())
     pixel_variance = means.squares / freedom
-    sound = np.where(fixed.defects, 0, fixed.total_dn)
-    rows, columns = sums_by_row(sound, fixed.pattern), sums_by_row(sound.T, fixed.pattern.T)
+    rows, columns = sums_by_line(fixed.total_dn, fixed.defects, fixed.pattern)
     return RowNoise(
         rows=_line_noise(np.array(means.rows_dn), means.row_pixels, rows / frames, fixed.pattern, pixel_variance),
         columns=_line_noise(

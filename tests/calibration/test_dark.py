@@ -13,6 +13,7 @@ from eldata.calibration import (
     ChannelMeans,
     LineMeans,
     colour_bias,
+    defects,
     fit_log_log,
     fixed_pattern,
     row_noise,
@@ -36,6 +37,25 @@ def test_the_stack_is_plain_numpys() -> None:
     for channel in range(4):
         chosen = (CAMERA.channel == channel) & ~fixed.defects
         assert fixed.temporal_variance_dn2[channel] == pytest.approx(variance[chosen].mean())
+
+
+@pytest.mark.parametrize("cfa", [BAYER, XTRANS])
+def test_of_large_frames_a_seventh_of_the_rows_tells_the_noise(
+    cfa: tuple[tuple[int, ...], ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each channel has noise of its own, so that a row of the wrong channels would show."""
+    monkeypatch.setattr(defects, "_SQUARED_PIXELS", 0)
+    camera = CAMERA.with_(shape=(300, 420), cfa=cfa, bias=(0.0,) * (np.max(cfa) + 1))
+    sigma = 2.0 + camera.channel
+    generator = np.random.default_rng(12)
+    frames = [np.rint(generator.normal(500, sigma)).astype(np.uint16) for _ in range(5)]
+    fixed = stacked(camera, frames)
+    variance = np.stack(frames).var(axis=0, ddof=1, dtype=np.float64)
+    seventh = np.arange(300)[:, None] // len(cfa) % 7 == 0
+    for channel in range(len(camera.bias)):
+        chosen = (camera.channel == channel) & ~fixed.defects & seventh
+        assert fixed.temporal_variance_dn2[channel] == pytest.approx(variance[chosen].mean(), rel=1e-12)
+        assert variance[chosen].mean() == pytest.approx((2.0 + channel) ** 2, rel=0.1)
 
 
 def test_hot_and_stuck_pixels_are_found() -> None:

@@ -1,0 +1,73 @@
+"""Frames of one ISO that are arrays, or are made when they are asked for, as ``calibrate_iso`` takes them."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+from eldata.calibration.frame_checks import IsoFrames
+from eldata.calibration.one_iso import calibrate_iso
+from eldata.datasets.calibration_frames import FlatPair
+from eldata.records import Exposure, FrameRecord, RawFrame
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from eldata.base.workers import Workers
+    from eldata.calibration.results import IsoCalibration
+    from eldata.datasets.calibration_frames import CalibrationFrames
+    from eldata.records import Role, Sensor
+
+    Mosaic = NDArray[np.uint16]
+
+ISO = 100
+
+
+@dataclass(frozen=True)
+class FramesInMemory:
+    """Stands for :class:`~eldata.datasets.calibration_frames.CalibrationFrames`: ``take`` makes the n-th frame."""
+
+    sensor: Sensor
+    take: Callable[[Role, int], Mosaic]
+    camera: str = "Simulated"
+
+    def read(self, record: FrameRecord) -> RawFrame:
+        mosaic = self.take(record.role, int(Path(record.path).stem))
+        exposure = Exposure(Fraction(ISO), Fraction(1, 8000), Fraction(8))
+        return RawFrame(Path(record.path), mosaic, self.sensor, exposure)
+
+    def path(self, _: FrameRecord) -> Path:
+        """A file that says nothing about compression."""
+        return Path(os.devnull)
+
+
+def record(role: Role, number: int) -> FrameRecord:
+    return FrameRecord(f"{role}/{number}.dng", role, "Simulated", iso=Fraction(ISO))
+
+
+def calibrated_in_memory(
+    sensor: Sensor, bias: int, pairs: int, take: Callable[[Role, int], Mosaic], workers: Workers | None = None
+) -> IsoCalibration:
+    """Calibrate an ISO of so many bias frames and pairs of flats, whose frames are 0 and 1, 2 and 3, and so on."""
+    frames = cast("CalibrationFrames", FramesInMemory(sensor, take))
+    chosen = IsoFrames(
+        iso=Fraction(ISO),
+        bias=tuple(record("bias", number) for number in range(bias)),
+        pairs=tuple(FlatPair(record("flat", 2 * pair), record("flat", 2 * pair + 1)) for pair in range(pairs)),
+        single=(),
+        bias_exposure_s=Fraction(1, 8000),
+    )
+    return calibrate_iso(frames, chosen) if workers is None else calibrate_iso(frames, chosen, workers)
+
+
+def calibrated_arrays(sensor: Sensor, bias: Sequence[Mosaic], pairs: Sequence[tuple[Mosaic, Mosaic]]) -> IsoCalibration:
+    """Calibrate an ISO from arrays."""
+    flats = [flat for pair in pairs for flat in pair]
+    by_role = {"bias": bias, "flat": flats}
+    return calibrated_in_memory(sensor, len(bias), len(pairs), lambda role, number: by_role[role][number])

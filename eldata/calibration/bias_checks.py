@@ -7,7 +7,7 @@ does not meet one; thresholds follow from that and from the number of blocks, pi
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,6 +38,7 @@ _MOST_OF_BIAS_DN = 0.5  # that light may add to the colour bias
 _LEAST_EATEN = 0.52  # wins of outliers' own neighbours; one half without a filter, a little more with correlation
 _OF_LIGHTER_TAILS = 2.0  # what is added to the noise makes its tails lighter: sigma_TL goes up by twice sigma_G's share
 _OF_SKEWNESS = 0.5  # measured: shifts of lambda and both sigmas are up to the skewness
+_MOSTLY = 0.5
 _OF_UNLIKENESS = 2.0  # measured: shifts of lambda and both sigmas are 0.3 to 4 times the unlikeness
 GAPS = 0.02
 """Share of DN values that never occur, from which on it is told."""
@@ -121,18 +122,35 @@ class Ripple:
         return cls(float(mean), float(variance), float(size), float(ripple[3]))
 
 
-def judged(
-    check: str, shares: Mapping[Figure, tuple[float, float]], statistic: float, threshold: float, text: str
-) -> Iterator[Finding]:
-    """Yield what follows from a fault, given by what share it may put each figure off, and its relative error."""
+def judged(seen: Finding, shares: Mapping[Figure, tuple[float, float]]) -> Iterator[Finding]:
+    """Yield what follows from what was seen, given by what share it may put each figure off, and its relative error."""
     withheld = [figure for figure, (share, _) in shares.items() if share > MOST_ALLOWED]
     wider = {figure: share for figure, (share, error) in shares.items() if error < share <= MOST_ALLOWED}
     if withheld:
-        yield Finding(check, tuple(withheld), "withheld", statistic, threshold, text)
+        yield replace(seen, figures=tuple(withheld), effect="withheld")
     if wider:
-        yield Finding(check, tuple(wider), "wider", statistic, threshold, text, max(wider.values()))
+        yield replace(seen, figures=tuple(wider), effect="wider", allowance=max(wider.values()))
     if not withheld and not wider:
-        yield Finding(check, (), "remark", statistic, threshold, text)
+        yield seen
+
+
+def allowed(seen: Finding, share: float, read: ReadNoise) -> Finding:
+    """Return the finding of read noise that the model does not know. It is never withheld.
+
+    The figures are those of the distribution of the family that is most like it; the errors say how far off that may
+    be.
+    """
+    if share <= _read_error(read):
+        return seen
+    return replace(seen, figures=("read noise",), effect="wider", allowance=share)
+
+
+def over_black(seen: Finding, level_dn: float, bias: ColourBias) -> Iterator[Finding]:
+    """Yield what light of a mean level means for the colour bias, which it adds to."""
+    if level_dn > _MOST_OF_BIAS_DN:
+        yield replace(seen, figures=("colour bias",), effect="withheld")
+    elif level_dn > min(bias.standard_error_dn):
+        yield replace(seen, figures=("colour bias",), effect="wider", allowance=level_dn)
 
 
 def _read_error(read: ReadNoise) -> float:
@@ -171,18 +189,9 @@ def light(statistics: BiasStatistics, bias: ColourBias, read: ReadNoise, ripple:
         f"({slope * statistics.sigma_dn**2:.2g} DN^2 for each DN), which adds {share:.1%} or more to the read noise; "
         "cap the lens, cover the viewfinder, and take them in the dark at the shortest exposure"
     )
-    yield from judged("light", {"read noise": (share, _read_error(read))}, statistic, threshold, text)
-    yield from _over_black("light", over_dark, bias, statistic, threshold, text)
-
-
-def _over_black(
-    check: str, level_dn: float, bias: ColourBias, statistic: float, threshold: float, text: str
-) -> Iterator[Finding]:
-    """Yield what light of a mean level means for the colour bias, which it adds to."""
-    if level_dn > _MOST_OF_BIAS_DN:
-        yield Finding(check, ("colour bias",), "withheld", statistic, threshold, text)
-    elif level_dn > min(bias.standard_error_dn):
-        yield Finding(check, ("colour bias",), "wider", statistic, threshold, text, level_dn)
+    seen = Finding("light", (), "remark", statistic, threshold, text)
+    yield from judged(seen, {"read noise": (share, _read_error(read))})
+    yield from over_black(seen, over_dark, bias)
 
 
 def _slope(
@@ -216,7 +225,7 @@ def unlike_pixels(
     is dark current. A third sees few, but very noisy pixels: the sums of sizes over all pairs against what independent
     sizes give, the convolution of their histogram, by a Poisson count at each value.
     """
-    from scipy.special import pdtrc, stdtrit
+    from scipy.special import ndtri, pdtrc, stdtrit
 
     threshold = float(stdtrit(statistics.unlikeness.size - 1, 1 - CHANCE / 3))
     # Less what rounding can do: a variance that ripples by r over the levels has a slope of r / 2 at most, or less.
@@ -231,23 +240,25 @@ def unlike_pixels(
     expected = np.pad(expected, (0, max(0, 256 - expected.size)))[:256]
     above, by_chance = (np.cumsum(values[::-1])[::-1] for values in (statistics.totals, expected * pixels))
     chances = pdtrc(np.maximum(above - 1, 0), np.maximum(by_chance, 1e-12))
-    few = not is_lit and ripple.size < _FAINT_RIPPLE and bool(np.any((chances < CHANCE / 3 / 256) & (above > 0)))
+    # As standard deviations of a normal variable that is as rare, in the terms of the others.
+    rarest = -float(ndtri(max(float(chances[above > 0].min()), 1e-300)))
+    least_rare = -float(ndtri(CHANCE / 3 / 256))
+    few = not is_lit and ripple.size < _FAINT_RIPPLE and rarest > least_rare
     slope = float(statistics.level_score.sum() / statistics.level_freedom.sum())  # of the variance, per spread
     staying = (statistics.dsnu_dn / statistics.spread_dn) ** 2
     # The levels are blurred by the noise of the other frames, which hides as much of the slope.
     explained = slope**2 / max(staying, 0.05) if by_level > threshold else 0.0
     # The variance varies by four times as much as the size squared, where it varies little.
-    if by_level > threshold and (by_size <= threshold or explained > 0.75 * 4 * unlikeness):
+    if by_level > threshold and (by_size <= threshold or explained > _MOSTLY * 4 * unlikeness):
         share = math.sqrt(explained)
         text = (
             "dark current or light in the bias frames: pixels with a higher level also have more noise, which adds "
             f"{share:.1%} or more to the read noise; take them in the dark, at the shortest exposure and with a camera "
             "that is not warm"
         )
-        yield from judged(
-            "dark signal", {"read noise": (_OF_LIGHTER_TAILS * share, _read_error(read))}, by_level, threshold, text
-        )
-        yield from _over_black("dark signal", statistics.dsnu_dn, bias, by_level, threshold, text)
+        seen = Finding("dark signal", (), "remark", by_level, threshold, text)
+        yield from judged(seen, {"read noise": (_OF_LIGHTER_TAILS * share, _read_error(read))})
+        yield from over_black(seen, statistics.dsnu_dn, bias)
         return
     if by_size <= threshold and not few:
         return
@@ -256,18 +267,8 @@ def unlike_pixels(
         f"{least:.2%} of the pixels or more are noisier than the others (random telegraph noise, which jumps between "
         "levels, is the usual reason): lambda and sigma are those of all pixels together"
     )
-    statistic = max(by_size, threshold) if few else by_size
-    yield _allowed("unlike pixels", _OF_UNLIKENESS * unlikeness, read, statistic, threshold, text)
-
-
-def _allowed(check: str, share: float, read: ReadNoise, statistic: float, threshold: float, text: str) -> Finding:
-    """Return the finding of noise that the model does not know. Its figures are never withheld.
-
-    They are those of the distribution of the family that is most like it, and the errors say how far off that may be.
-    """
-    if share > _read_error(read):
-        return Finding(check, ("read noise",), "wider", statistic, threshold, text, share)
-    return Finding(check, (), "remark", statistic, threshold, text)
+    statistic, limit = (by_size, threshold) if by_size > threshold else (rarest, least_rare)
+    yield allowed(Finding("unlike pixels", (), "remark", statistic, limit, text), _OF_UNLIKENESS * unlikeness, read)
 
 
 def _student(scores: NDArray[np.float64], by_rounding: float) -> float:
@@ -298,7 +299,7 @@ def correlated(statistics: BiasStatistics, rows: RowNoise, read: ReadNoise, ripp
         "row noise": (of_rows, error),
     }
     text = _SHARED.format(largest=near.correlation[np.abs(near.correlation).argmax()])
-    yield from judged("correlated noise", shares, statistic, threshold, text)
+    yield from judged(Finding("correlated noise", (), "remark", statistic, threshold, text), shares)
 
 
 _SHARED = (
@@ -371,7 +372,8 @@ def filtered_outliers(statistics: BiasStatistics, read: ReadNoise, ripple: Rippl
             "other side, where the model has as much on both; random telegraph noise and filters against single bright "
             "pixels do this"
         )
-        yield _allowed("lopsided noise", _OF_SKEWNESS * abs(near.skewness), read, excess, threshold, text)
+        seen = Finding("lopsided noise", (), "remark", excess, threshold, text)
+        yield allowed(seen, _OF_SKEWNESS * abs(near.skewness), read)
 
 
 # --- values ---------------------------------------------------------------------------------------------------------
@@ -396,7 +398,8 @@ def coarse_values(step: int, gaps: float, read: ReadNoise) -> Iterator[Finding]:
         f"; rounding adds {added:.2g} DN^2 more than the model's; use a raw mode with all bits, or leave this ISO out"
     )
     share = _OF_LIGHTER_TAILS * (1 - math.sqrt(max(1 - added / max(read.sigma_gauss_dn, 1e-12) ** 2, 0.0)))
-    yield from judged("coarse values", {"read noise": (share, _read_error(read))}, size, 1 / (1 - GAPS), text)
+    seen = Finding("coarse values", (), "remark", size, 1 / (1 - GAPS), text)
+    yield from judged(seen, {"read noise": (share, _read_error(read))})
 
 
 # --- rows ---------------------------------------------------------------------------------------------------------
@@ -418,7 +421,7 @@ def row_waves(rows: RowNoise) -> Iterator[Finding]:
         )
         statistic = float(power[highest] / ground[highest])
         share = _share_of_sigma(variance, line)
-        yield from judged("banding", {"row noise": (share, error)}, statistic, threshold, text)
+        yield from judged(Finding("banding", (), "remark", statistic, threshold, text), {"row noise": (share, error)})
 
 
 def _standing_out(
@@ -478,7 +481,8 @@ def _slow_drift(
         "fast ones; the model draws row by row, so simulated frames show less of them"
     )
     share = _share_of_sigma(variance, line)
-    yield from judged("slow row drift", {"row noise": (share, error)}, statistic / mean, limit / mean, text)
+    seen = Finding("slow row drift", (), "remark", statistic / mean, limit / mean, text)
+    yield from judged(seen, {"row noise": (share, error)})
 
 
 def _periodogram(

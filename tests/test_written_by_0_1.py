@@ -154,7 +154,7 @@ def synthesised(files: Path, work: Path) -> Any:
             fields = ("gain_dn_per_e", "tukey_lambda", "sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn")
             drawn = {field: frame[field] for field in fields}
             found.append(
-                [frame["path"], asdict(NoiseParameters(**drawn, colour_bias_dn=tuple(frame["colour_bias_dn"])))]
+                [frame["path"], NoiseParameters(**drawn, colour_bias_dn=tuple(frame["colour_bias_dn"])).as_dict()]
             )
     return found
 
@@ -314,7 +314,7 @@ def camera_profile(files: Path, work: Path) -> Any:
     run("eldata profile show {0} --seed 5 --json {1}", path, work / "shown.json")
     profile = CameraProfile.load(str(path))
     generator = np.random.default_rng(11)
-    drawn = [asdict(profile.sample(generator, iso=iso, row="any")) for iso in (None, None, 400.0)]
+    drawn = [profile.sample(generator, iso=iso, row="any").as_dict() for iso in (None, None, 400.0)]
     return [asdict(profile), drawn]
 
 

@@ -27,7 +27,9 @@ from .read_noise import read_noise as read_noise
 from .reproduction import Reproduction as Reproduction
 from .reproduction import reproduction as reproduction
 from .results import Calibration as Calibration
+from .results import FailedIso as FailedIso
 from .results import IsoCalibration as IsoCalibration
+from .results import IsoGain as IsoGain
 from .row_noise import LineMeans as LineMeans
 from .row_noise import LineNoise as LineNoise
 from .row_noise import RowNoise as RowNoise

@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal
 
+from eldata.base.tables import with_error
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
@@ -64,10 +66,26 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class GivenFigure:
-    """A figure as it is given: its value, and its standard error with all allowances (nan: not known)."""
+    """A figure as it is given.
+
+    Attributes
+    ----------
+    value
+        The figure.
+    error
+        Its standard error with all allowances; nan if it is not known.
+    is_stated
+        Whether it was not measured: somebody has said so.
+    """
 
     value: float
     error: float
+    is_stated: bool = False
+
+    @property
+    def text(self) -> str:
+        """The figure with its error in as many digits as they bear; a stated one says that it is."""
+        return with_error(self.value, self.error) + (" (stated)" if self.is_stated else "")
 
 
 def given(findings: Iterable[Finding], figure: Figure, value: float, error: float, scale: float) -> GivenFigure | None:

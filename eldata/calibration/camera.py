@@ -4,32 +4,32 @@ from __future__ import annotations
 
 import copy
 import math
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
 from eldata import __version__
-from eldata.base.workers import AnyWorkers, Failed, Workers, accepts_jobs, require_files
+from eldata.base.workers import IN_THIS_PROCESS, AnyWorkers, Failed, Workers, accepts_jobs, require_files
 from eldata.calibration.frame_checks import FramesError, sorted_frames
 from eldata.calibration.joint import fit_log_log
-from eldata.calibration.one_iso import calibrate_iso, decodings
+from eldata.calibration.one_iso import calibrate_flats, calibrate_iso, decodings
 from eldata.calibration.remarks import overall_remarks
-from eldata.calibration.results import Calibration
+from eldata.calibration.results import Calibration, FailedIso, IsoCalibration, IsoGain
 from eldata.datasets.calibration_frames import CalibrationFrames
 from eldata.errors import ArgumentError
 from eldata.manifest.verify import Problem
 from eldata.noise.profile import CameraProfile, LogLogFit, ProfileRow
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Sequence
+    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from eldata.calibration.audit import GivenFigure
     from eldata.calibration.frame_checks import IsoFrames
     from eldata.calibration.joint import LogLogEstimate
-    from eldata.calibration.results import IsoCalibration
 
 _NO_NOISE_DN = 1e-9  # a scale that a log-log line can hold in place of 0
 
@@ -40,6 +40,7 @@ def calibrate(
     camera: str | None = None,
     *,
     isos: Collection[int] | None = None,
+    gains: Mapping[float, float] | CameraProfile | None = None,
     workers: AnyWorkers = 1,
 ) -> Calibration:
     """Measure a camera's noise from its bias and flat-field frames (section 3.3 of the paper).
@@ -52,6 +53,9 @@ def calibrate(
         The camera's name, if a folder is given and holds several, or if the profile is to have another name.
     isos
         Only these ISOs, if a folder is given.
+    gains
+        System gain K [DN/e-] by ISO, or a profile that knows it, for ISOs whose flats are missing or do not give it.
+        A measured K counts before a stated one, and a stated one is marked as such.
     workers
         Number of threads that decode, or an executor that measures whole ISOs side by side, with a thread each
         (:mod:`eldata.base.workers`). The figures do not depend on it, and the memory hardly does.
@@ -59,14 +63,16 @@ def calibrate(
     Returns
     -------
     Calibration
-        Figures with standard errors by ISO, fits, remarks, and the profile for the noise model.
+        Figures with standard errors by ISO, fits, remarks, and the profile for the noise model. ISOs whose frames are
+        missing, unreadable or unfit are not in it: ``failed`` has them, with every problem by file.
 
     Raises
     ------
     FramesError
-        If frames are missing, unreadable, or unfit: every problem of every ISO, by file.
+        If that is so of every ISO.
     ArgumentError
-        If ``isos`` is given with frames that are chosen already, or ``workers`` not positive.
+        If ``isos`` is given with frames that are chosen already, ``workers`` is not positive, or ``gains`` holds what
+        is not a gain or belongs to no ISO of the frames.
     DatasetError
         If there are no frames.
 
@@ -80,33 +86,81 @@ def calibrate(
     elif isos is not None:
         raise ArgumentError("isos is for a folder; choose them with CalibrationFrames(..., isos=...)")
     workers = Workers.of(workers)
+    stated = stated_gains(frames, gains)
     # The headers of a folder are read here: they are small, and an executor takes whole ISOs.
-    chosen = sorted_frames(frames, Workers(workers.jobs))
-    found = (_measured if workers.executor is None else _measured_on)(frames, chosen, workers)
-    measured = [one for one in found if not isinstance(one, FramesError)]
-    problems = [problem for one in found if isinstance(one, FramesError) for problem in one.problems]
-    if problems:
-        raise FramesError(problems)
-    return joined(camera or frames.camera, measured)
+    chosen = [
+        replace(one, stated_gain_dn_per_e=stated.get(float(one.iso)))
+        for one in sorted_frames(frames, Workers(workers.jobs))
+    ]
+    usable = [one for one in chosen if not one.problems]
+    found = (_measured if workers.executor is None else _measured_on)(frames, usable, workers)
+    failed = [FailedIso(float(one.iso), one.problems) for one in chosen if one.problems]
+    measured: list[IsoGain] = []
+    for one, outcome in zip(usable, found, strict=True):
+        if isinstance(outcome, FramesError):
+            failed.append(FailedIso(float(one.iso), outcome.problems))
+        else:
+            measured.append(outcome)
+    if not measured:
+        problems = [problem for one in failed for problem in one.problems]
+        raise FramesError(sorted(problems, key=lambda problem: problem.path))
+    return joined(camera or frames.camera, measured, failed)
 
 
-def _measured(
-    frames: CalibrationFrames, chosen: Sequence[IsoFrames], workers: Workers
-) -> list[IsoCalibration | FramesError]:
-    found: list[IsoCalibration | FramesError] = []
+def stated_gains(frames: CalibrationFrames, gains: Mapping[float, float] | CameraProfile | None) -> dict[float, float]:
+    """Return K by ISO as somebody states it; of a profile, at those of the frames' ISOs that it knows.
+
+    Raises
+    ------
+    ArgumentError
+        If K is not finite and positive, there are no frames of its ISO, or a profile knows K at none of the ISOs.
+    """
+    isos = [float(iso) for iso in frames.isos]
+    listed = ", ".join(f"{iso:g}" for iso in isos)
+    if isinstance(gains, CameraProfile):
+        known = {}
+        for iso in isos:
+            with suppress(ArgumentError):
+                known[iso] = gains.gain_at_iso(iso)
+        if not known:
+            raise ArgumentError(f"the profile of {gains.camera} knows K at none of the frames' ISOs ({listed})")
+        return known
+    stated = {float(iso): float(gain) for iso, gain in (gains or {}).items()}
+    for iso, gain in stated.items():
+        if not (math.isfinite(gain) and gain > 0):
+            raise ArgumentError(f"K at ISO {iso:g} must be finite and above 0; found {gain:g}")
+        if iso not in isos:
+            raise ArgumentError(f"K is stated at ISO {iso:g}, of which there are no frames; there are {listed}")
+    return stated
+
+
+def _ascending(failed: Iterable[FailedIso]) -> list[FailedIso]:
+    return sorted(failed, key=lambda one: one.iso)
+
+
+def _measured(frames: CalibrationFrames, chosen: Sequence[IsoFrames], workers: Workers) -> list[IsoGain | FramesError]:
+    found: list[IsoGain | FramesError] = []
     total = sum(map(decodings, chosen))
     with tqdm(total=total, desc=f"calibrating {frames.camera}", unit="frame", disable=None, leave=False) as bar:
         for one in chosen:
             try:
-                found.append(calibrate_iso(frames, one, workers, done=bar.update))
+                found.append(_of_iso(frames, one, workers, done=bar.update))
             except FramesError as error:
                 found.append(error)
     return found
 
 
+def _of_iso(
+    frames: CalibrationFrames, chosen: IsoFrames, workers: Workers = IN_THIS_PROCESS, **options: Any
+) -> IsoGain:
+    """Measure what an ISO has frames for."""
+    alone = chosen.pairs and not chosen.bias
+    return (calibrate_flats if alone else calibrate_iso)(frames, chosen, workers, **options)
+
+
 def _measured_on(
     frames: CalibrationFrames, chosen: Sequence[IsoFrames], workers: Workers
-) -> list[IsoCalibration | FramesError]:
+) -> list[IsoGain | FramesError]:
     # Frames are summed where they are decoded: to send them would take longer than that.
     there = copy.copy(frames)
     there.root = frames.root.absolute()  # workers have folders of their own to start from
@@ -118,11 +172,11 @@ def _measured_on(
     ]
 
 
-def _measured_there(frames: CalibrationFrames, chosen: IsoFrames) -> IsoCalibration:
+def _measured_there(frames: CalibrationFrames, chosen: IsoFrames) -> IsoGain:
     require_files(
         *map(frames.path, (*chosen.bias, *(flat for pair in chosen.pairs for flat in (pair.first, pair.second))))
     )
-    return calibrate_iso(frames, chosen)
+    return _of_iso(frames, chosen)
 
 
 def _failure(frames: CalibrationFrames, failed: Failed[IsoFrames]) -> FramesError:
@@ -133,23 +187,38 @@ def _failure(frames: CalibrationFrames, failed: Failed[IsoFrames]) -> FramesErro
     return FramesError([Problem(frames.camera, where, "work", "a finished estimate", failed.reason, advice)])
 
 
-def joined(camera: str, isos: Sequence[IsoCalibration]) -> Calibration:
-    """Return the calibration of a camera from that of its ISOs: fits over K, profile, remarks."""
-    ordered = tuple(sorted(isos, key=lambda one: one.iso))
-    remarks = overall_remarks(ordered)
+def joined(camera: str, measured: Iterable[IsoGain], failed: Iterable[FailedIso] = ()) -> Calibration:
+    """Return the calibration of a camera from that of its ISOs: fits over K, profile, remarks.
+
+    Parameters
+    ----------
+    camera
+        Its name.
+    measured
+        What was measured at each ISO, one or more.
+    failed
+        The ISOs that are left out.
+    """
+    everything = sorted(measured, key=lambda one: one.iso)
+    ordered = tuple(one for one in everything if isinstance(one, IsoCalibration))
+    left_out = tuple(_ascending(failed))
+    remarks = [*(one.remark for one in left_out), *overall_remarks(everything)]
     of_tukey_lambda, tukey_lambda_fit = _fitted("sigma_TL", _points(ordered, lambda one: one.sigma_tl_dn), remarks)
     of_gauss, gauss_fit = _fitted("sigma_G", _points(ordered, lambda one: one.sigma_gauss_dn), remarks)
     of_rows, row_fit = _fitted("sigma_row", _points(ordered, lambda one: one.sigma_row_dn), remarks)
     if any(one.gain for one in ordered) and not _points(ordered, lambda one: one.sigma_row_dn):
         remarks.append("sigma_row is withheld wherever K is known: the profile makes no row noise")
-    blacks = {level for one in ordered for level in one.sensor.black_level_dn}
-    whites = {one.sensor.white_level_dn for one in ordered}
+    blacks = {level for one in everything for level in one.sensor.black_level_dn}
+    whites = {one.sensor.white_level_dn for one in everything}
     for name, levels in (("black", blacks), ("white", whites)):
         if max(levels) - min(levels) >= 1:
             listed = ", ".join(f"{level:g}" for level in sorted(levels)[:6])
             remarks.append(f"the {name} level differs by ISO or channel ({listed} DN); the profile leaves it open")
-    bias, flat = sum(one.bias_frames for one in ordered), sum(one.flat_frames for one in ordered)
-    source = f"eldata {__version__} calibrate: {bias} bias and {flat} flat frames at {len(ordered)} ISO(s)"
+    bias, flat = sum(one.bias_frames for one in ordered), sum(one.flat_frames for one in everything)
+    source = f"eldata {__version__} calibrate: {bias} bias and {flat} flat frames at {len(everything)} ISO(s)"
+    stated = sum(one.gain is not None and one.gain.is_stated for one in ordered)
+    if stated:
+        source += f", K stated at {stated} of them"
     found = Calibration(
         camera=camera,
         isos=ordered,
@@ -160,6 +229,8 @@ def joined(camera: str, isos: Sequence[IsoCalibration]) -> Calibration:
         remarks=tuple(remarks),
         made_profile=None,
         no_profile=_no_profile(ordered),
+        gains=tuple(one for one in everything if not isinstance(one, IsoCalibration)),
+        failed=left_out,
     )
     if found.no_profile:
         return found
@@ -183,13 +254,19 @@ def joined(camera: str, isos: Sequence[IsoCalibration]) -> Calibration:
 
 def _no_profile(isos: Sequence[IsoCalibration]) -> str:
     """Return why these figures do not make a profile; empty if they do."""
+    if not isos:
+        return (
+            "there are flats alone, which give K and no noise of the dark: take ten bias frames or more of each ISO, "
+            "with the lens capped, at the shortest exposure"
+        )
     if not any(one.gain for one in isos):
-        if all(one.transfer is None for one in isos):
-            return (
-                "no ISO has two flats of the same exposure, so K is not known: take pairs of equal flats at four "
-                "exposures or more, from a tenth to nine tenths of the range"
-            )
-        return "K is withheld at every ISO that has flats; the remarks say why"
+        if any("gain" in one.withheld for one in isos):
+            return "K is withheld at every ISO that has flats; the remarks say why"
+        return (
+            "no ISO with bias frames has two flats of the same exposure, so K is not known: take pairs of equal flats "
+            "at four exposures or more, from a tenth to nine tenths of the range, or state K (--gain ISO=K, "
+            "gains={ISO: K})"
+        )
     if not any(_row(one) for one in isos):
         return "the read noise or the colour bias is withheld at every ISO; the remarks say why"
     if not _points(isos, lambda one: one.sigma_tl_dn):

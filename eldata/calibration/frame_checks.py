@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -47,24 +47,37 @@ class FramesError(DatasetError):
 
 @dataclass(frozen=True, slots=True)
 class IsoFrames:
-    """The frames of one ISO, sorted out: bias frames, pairs of equal flats, and flats without a partner."""
+    """The frames of one ISO, sorted out.
+
+    Attributes
+    ----------
+    iso
+        ISO speed.
+    bias, pairs, single
+        Bias frames, pairs of equal flats, and flats without a partner.
+    bias_exposure_s
+        Exposure time of the bias frames; ``None`` if none states it.
+    problems
+        What the headers show to be wrong with them; if anything is, the ISO cannot be used.
+    stated_gain_dn_per_e
+        K, where somebody states it.
+    """
 
     iso: Fraction
     bias: tuple[FrameRecord, ...]
     pairs: tuple[FlatPair, ...]
     single: tuple[FrameRecord, ...]
     bias_exposure_s: Fraction | None
+    problems: tuple[Problem, ...] = ()
+    stated_gain_dn_per_e: float | None = None
 
 
 def sorted_frames(frames: CalibrationFrames, workers: Workers = IN_THIS_PROCESS) -> tuple[IsoFrames, ...]:
     """Read every frame's header and sort the frames by ISO.
 
-    Raises
-    ------
-    FramesError
-        If a file is missing or unreadable, was taken by another camera model, at another ISO than its folder or row
-        says or another exposure time than its row says, states no exposure, or the bias frames of one ISO differ in
-        exposure time.
+    A problem of an ISO is a file that is missing or unreadable, was taken by another camera model, at another ISO than
+    its folder or row says or another exposure time than its row says, or states no exposure; and bias frames that
+    differ in exposure time.
     """
 
     def header_of(record: FrameRecord) -> RawHeader | EldataError:
@@ -73,28 +86,27 @@ def sorted_frames(frames: CalibrationFrames, workers: Workers = IN_THIS_PROCESS)
         except EldataError as error:
             return error
 
-    problems: list[Problem] = []
+    problems: dict[Fraction | None, list[Problem]] = defaultdict(list)
     headers: dict[FrameRecord, RawHeader] = {}
     for record, found in zip(frames.records, workers.read_ahead(header_of, frames.records), strict=True):
         if isinstance(found, EldataError):
-            problems.append(unreadable(record, found))
+            problems[record.iso].append(unreadable(record, found))
         else:
             headers[record] = found
     models = Counter(header.model for header in headers.values())
     model = models.most_common(1)[0][0] if models else ""
     for record, header in headers.items():
-        problems += _unlike_its_row(record, header, model)
+        problems[record.iso] += _unlike_its_row(record, header, model)
     time_of = {record: header.exposure.exposure_s for record, header in headers.items()}
     sorted_out = []
     for iso in frames.isos:
         bias = frames.of("bias", iso)
         usual, odd = _usual_time({record: time_of.get(record) for record in bias}, iso)
-        problems += odd
+        problems[iso] += odd
         flats = [replace(record, exposure_s=time_of.get(record)) for record in frames.of("flat", iso)]
         pairs, single = flat_pairs(flats)
-        sorted_out.append(IsoFrames(iso, bias, pairs, single, usual))
-    if problems:
-        raise FramesError(sorted(problems, key=lambda problem: problem.path))
+        wrong = tuple(sorted(problems[iso], key=lambda problem: problem.path))
+        sorted_out.append(IsoFrames(iso, bias, pairs, single, usual, wrong))
     return tuple(sorted_out)
 
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from operator import methodcaller
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from eldata.base.compiled import in_threads
 from eldata.base.workers import IN_THIS_PROCESS, Workers
+from eldata.calibration.audit import Finding
 from eldata.calibration.colour_bias import ChannelMeans, colour_bias
 from eldata.calibration.defects import MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
 from eldata.calibration.frame_checks import (
@@ -35,10 +38,10 @@ from eldata.calibration.photon_transfer import (
 from eldata.calibration.read_noise import Residuals, probability_plot, read_noise
 from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs, transfer_remarks
 from eldata.calibration.reproduction import reproduction
-from eldata.calibration.results import IsoCalibration
+from eldata.calibration.results import IsoCalibration, IsoGain
 from eldata.calibration.row_noise import LineMeans, row_noise
 from eldata.calibration.spectrum import power_spectrum
-from eldata.errors import DatasetError, RawFileError
+from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.manifest.verify import Problem
 from eldata.raw.compression import lossy_compression
 
@@ -50,6 +53,8 @@ if TYPE_CHECKING:
     from eldata.calibration.frame_checks import IsoFrames
     from eldata.datasets.calibration_frames import CalibrationFrames
     from eldata.records import FrameRecord, RawFrame, Sensor
+
+OneIso = TypeVar("OneIso", bound=IsoGain)
 
 HOLD_OUT_FROM = 6
 """From this many bias frames on, the last one is kept from the estimators, to test the result."""
@@ -79,15 +84,52 @@ def calibrate_iso(
     Raises
     ------
     FramesError
-        If frames differ in size, CFA or levels, are odd or clipped at 0; or if the estimators cannot use them. Every
-        problem found is in it.
+        If frames differ in size, CFA or levels, are odd or clipped at 0; or if the estimators of what bias frames show
+        cannot use them. Every problem found is in it. Flats without a line are no error: K is withheld.
     """
-    reader = _Reader(frames, workers, done)
+    with _unusable(frames, chosen):
+        return _calibrated(_Reader(frames, workers, done), chosen)
+
+
+def calibrate_flats(
+    frames: CalibrationFrames,
+    chosen: IsoFrames,
+    workers: Workers = IN_THIS_PROCESS,
+    *,
+    done: Callable[[], object] = lambda: None,
+) -> IsoGain:
+    """Measure K at an ISO that has flats alone: as :func:`calibrate_iso`, from the recorded black level.
+
+    Raises
+    ------
+    FramesError
+        If frames differ in size, CFA or levels, or cannot be read.
+    """
+    with _unusable(frames, chosen):
+        reader = _Reader(frames, workers, done)
+        of_flats = _flats(reader, chosen, None)
+        found = of_flats.on(
+            IsoGain(
+                iso=float(chosen.iso),
+                sensor=reader.first.sensor,
+                flat_frames=0,
+                transfer=None,
+                spatial=None,
+                remarks=("there are no bias frames, so K is all that is known",),
+                stated_gain_dn_per_e=chosen.stated_gain_dn_per_e,
+            )
+        )
+        return replace(found, remarks=(*found.remarks, *of_flats.remarks, *transfer_remarks(found)))
+
+
+@contextmanager
+def _unusable(frames: CalibrationFrames, chosen: IsoFrames) -> Iterator[None]:
+    """Turn what the estimators say of one ISO's frames into its problem."""
     try:
-        return _calibrated(reader, chosen)
+        yield
     except FramesError:
         raise
-    except DatasetError as error:
+    except (DatasetError, ArgumentError) as error:
         where = f"{frames.camera}, ISO {float(chosen.iso):g}"
         raise FramesError(
             [Problem(frames.camera, where, "frames", "what the estimate needs", str(error), "or leave this ISO out")]
@@ -95,7 +137,7 @@ def calibrate_iso(
 
 
 def decodings(chosen: IsoFrames) -> int:
-    """Return how many frames :func:`calibrate_iso` decodes: bias frames twice."""
+    """Return how many frames are decoded for an ISO: bias frames twice."""
     estimated, held_out = _split(chosen.bias)
     return 2 * len(estimated) + len(held_out) + 2 * len(chosen.pairs)
 
@@ -135,7 +177,7 @@ class _Reader:
     @property
     def first(self) -> RawFrame:
         if self._first is None:
-            raise DatasetError("no bias frames: take ten or more with the lens capped, at the shortest exposure")
+            raise DatasetError("no frame could be read")
         return self._first
 
     def lossy(self, records: Sequence[FrameRecord]) -> str | None:
@@ -182,6 +224,7 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
             spectrum_dn2=first_spectrum,
             reproduction=None,
             remarks=(),
+            stated_gain_dn_per_e=chosen.stated_gain_dn_per_e,
         )
         if held_out is None or dark.parameters is None:
             return dark
@@ -193,18 +236,17 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
     if reader.workers.jobs > 1:
         with ThreadPoolExecutor(1) as beside:
             waiting = beside.submit(from_bias_frames)
-            transfer, spatial, flat_remarks = _flats(reader, chosen, fixed)
-            found = waiting.result()
+            of_flats = _flats(reader, chosen, fixed)
+            found = of_flats.on(waiting.result())
     else:
-        found = from_bias_frames()
-        transfer, spatial, flat_remarks = _flats(reader, chosen, fixed)
-    if transfer is not None:
-        found = replace(found, transfer=transfer, spatial=spatial, flat_frames=transfer.frames)
+        dark = from_bias_frames()
+        of_flats = _flats(reader, chosen, fixed)
+        found = of_flats.on(dark)
     if found.parameters is None:
         found = replace(found, reproduction=None)  # what the flats showed withholds one of its parameters
     lossy = reader.lossy(estimated) or reader.lossy([pair.first for pair in chosen.pairs])
-    of_gain = transfer_remarks(found, sensor)
-    return replace(found, remarks=(*bias_remarks(found, chosen, lossy, gaps), *flat_remarks, *of_gain))
+    of_bias = bias_remarks(found, chosen, lossy, gaps)
+    return replace(found, remarks=(*of_bias, *of_flats.remarks, *transfer_remarks(found)))
 
 
 def _first_pass(reader: _Reader, bias: Sequence[FrameRecord]) -> tuple[FixedPattern, NDArray[np.uint16] | None]:
@@ -231,16 +273,27 @@ def _first_pass(reader: _Reader, bias: Sequence[FrameRecord]) -> tuple[FixedPatt
     return fixed_pattern(stack), kept
 
 
-def _flats(
-    reader: _Reader, chosen: IsoFrames, fixed: FixedPattern
-) -> tuple[PhotonTransfer | None, PhotonTransfer | None, tuple[str, ...]]:
-    """Return K from pairs, K as published, and remarks."""
+@dataclass(frozen=True, slots=True)
+class _FromFlats:
+    """What the flats of an ISO gave: K from pairs, K as published, remarks and findings."""
+
+    transfer: PhotonTransfer | None
+    spatial: PhotonTransfer | None
+    remarks: tuple[str, ...]
+    findings: tuple[Finding, ...] = ()
+
+    def on(self, one: OneIso) -> OneIso:
+        """Return an ISO's figures with those of its flats, but for the remarks."""
+        frames = 0 if self.transfer is None else self.transfer.frames
+        findings = (*one.findings, *self.findings)
+        return replace(one, transfer=self.transfer, spatial=self.spatial, flat_frames=frames, findings=findings)
+
+
+def _flats(reader: _Reader, chosen: IsoFrames, fixed: FixedPattern | None) -> _FromFlats:
+    """Read the flats; without bias frames, black is what the files record and no pixel is a defect."""
     if not chosen.pairs:
-        return None, None, (no_pairs(chosen),)
-    sensor = reader.first.sensor
-    # The measured level of no light: the recorded one may be off by the colour bias.
-    pairs = FlatPairs(sensor.cfa, fixed.level_dn, sensor.white_level_dn, defects=fixed.defects)
-    singles = FlatFrames(sensor.cfa, fixed.level_dn, sensor.white_level_dn, defects=fixed.defects)
+        return _FromFlats(None, None, () if chosen.stated_gain_dn_per_e is not None else (no_pairs(chosen),))
+    pairs, singles = None, None
     pair_of = {pair.second: pair for pair in chosen.pairs}
     remarks: list[str] = []
     gaps = 0.0
@@ -253,6 +306,12 @@ def _flats(
         if waiting is None or waiting[0] != pair.first:
             continue  # its partner was refused, and is named
         first = waiting[1]
+        if pairs is None or singles is None:
+            sensor = frame.sensor
+            # The measured level of no light: the recorded one may be off by the colour bias.
+            black, defects = (sensor.black_level_dn, None) if fixed is None else (fixed.level_dn, fixed.defects)
+            pairs = FlatPairs(sensor.cfa, black, sensor.white_level_dn, defects=defects)
+            singles = FlatFrames(sensor.cfa, black, sensor.white_level_dn, defects=defects)
         unequal = unequal_pair(pair, first, frame)
         if unequal is not None:
             remarks.append(unequal)
@@ -260,13 +319,22 @@ def _flats(
         pairs.add(first.mosaic, frame.mosaic)
         singles.add(first.mosaic)
         singles.add(frame.mosaic)
-        gaps = max(gaps, missing_codes(first.mosaic, fixed.pattern))
+        gaps = max(gaps, missing_codes(first.mosaic, pairs.pattern))
     reader.refuse()
-    if len(remarks) == len(chosen.pairs):
-        raise DatasetError(f"no pair of flats is usable: {'; '.join(remarks)}")
+    said = (*remarks, *flat_remarks(chosen, gaps))
+    if pairs is None or singles is None or not pairs.frames:
+        return _FromFlats(None, None, said, (_no_line("no pair of flats is usable"),))
+    try:
+        transfer = photon_transfer(pairs)
+    except DatasetError as error:
+        return _FromFlats(None, None, said, (_no_line(str(error)),))
     try:
         spatial = spatial_photon_transfer(singles)
     except DatasetError:
         spatial = None  # it needs three brightnesses; it is for comparison alone
-    transfer = photon_transfer(pairs)
-    return transfer, spatial, (*remarks, *flat_remarks(chosen, gaps))
+    return _FromFlats(transfer, spatial, said)
+
+
+def _no_line(why: str) -> Finding:
+    """Return that there is no photon transfer line; the read noise is measured all the same."""
+    return Finding("photon transfer", ("gain",), "withheld", math.nan, math.nan, why)

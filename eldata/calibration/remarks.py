@@ -15,8 +15,7 @@ if TYPE_CHECKING:
 
     from eldata.calibration.frame_checks import IsoFrames
     from eldata.calibration.photon_transfer import PhotonTransferLine
-    from eldata.calibration.results import IsoCalibration
-    from eldata.records import Sensor
+    from eldata.calibration.results import IsoCalibration, IsoGain
 
 _LONGEST_BIAS_S = 1 / 250
 _GAPS = 0.02  # share of DN values that never occur
@@ -105,11 +104,17 @@ def flat_remarks(chosen: IsoFrames, gaps: float) -> tuple[str, ...]:
     return tuple(remarks)
 
 
-def transfer_remarks(found: IsoCalibration, sensor: Sensor) -> tuple[str, ...]:
-    """Return what the photon transfer shows; nothing without one."""
-    transfer, remarks = found.transfer, list[str]()
+def transfer_remarks(found: IsoGain) -> tuple[str, ...]:
+    """Return what is to be said of K: what the photon transfer shows, and what somebody states."""
+    transfer, sensor, remarks = found.transfer, found.sensor, list[str]()
+    stated = found.stated_gain_dn_per_e
+    if found.gain is not None and stated is not None:
+        if found.gain.is_stated:
+            remarks.append(f"K is stated, not measured: {stated:g} DN/e-")
+        elif abs(stated - found.gain.value) > _DISAGREEMENT * found.gain.error:
+            remarks.append(f"K is measured here, and the stated {stated:g} DN/e- does not count")
     if transfer is None:
-        return ()
+        return tuple(remarks)
     if transfer.left_out > 0.5:
         remarks.append(
             f"{transfer.left_out:.0%} of the flats' area is saturated or clipped and was left out; expose less"
@@ -142,7 +147,7 @@ def _is_bent(line: PhotonTransferLine) -> bool:
     return line.chi2_per_dof > _POOR_FIT and float(chdtrc(freedom, freedom * line.chi2_per_dof)) < _BY_CHANCE
 
 
-def overall_remarks(isos: Sequence[IsoCalibration]) -> list[str]:
+def overall_remarks(isos: Sequence[IsoGain]) -> list[str]:
     """Return what shows only when the ISOs are seen together."""
     ratios = {one.iso: one.gain_dn_per_e / one.iso for one in isos if one.gain_dn_per_e is not None}
     if len(ratios) < 3:

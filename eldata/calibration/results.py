@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.base.tables import text_table, with_error
-from eldata.calibration.audit import SYMBOLS, given, withheld
+from eldata.calibration.audit import SYMBOLS, GivenFigure, given, withheld
 from eldata.calibration.spectrum import SpectrumLines
 from eldata.errors import DatasetError
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.audit import Figure, Finding, GivenFigure
+    from eldata.calibration.audit import Figure, Finding
     from eldata.calibration.colour_bias import ColourBias
     from eldata.calibration.defects import PatternSummary
     from eldata.calibration.joint import LogLogEstimate
@@ -26,18 +26,18 @@ if TYPE_CHECKING:
     from eldata.calibration.read_noise import ProbabilityPlot, ReadNoise
     from eldata.calibration.reproduction import Reproduction
     from eldata.calibration.row_noise import LineNoise, RowNoise
+    from eldata.manifest.verify import Problem
     from eldata.noise.parameters import NoiseParameters
     from eldata.noise.profile import CameraProfile
     from eldata.records import Sensor
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class IsoCalibration:
-    """All that was measured at one ISO.
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class IsoGain:
+    """What the flats of one ISO give; all that there is without bias frames.
 
-    ``transfer``, ``bias``, ``rows`` and ``read`` are what the estimators found, whatever the frames are like. What of
-    it is given, and with which error, are ``gain``, ``tukey_lambda``, ``sigma_tl_dn``, ``sigma_gauss_dn``,
-    ``sigma_row_dn`` and ``colour_bias``: tables, JSON, profile and page take it from there.
+    ``transfer`` and ``spatial`` are what the estimators found, whatever the frames are like. What of it is given, and
+    with which error, are ``gain``, ``channel_gains`` and ``spatial_gain``.
 
     Attributes
     ----------
@@ -45,45 +45,33 @@ class IsoCalibration:
         ISO speed.
     sensor
         As the frames state it: CFA, size, black and white levels.
-    bias_frames, flat_frames
+    flat_frames
         How many went into the estimates.
     transfer
-        Photon transfer from pairs of flats; ``None`` without flats of this ISO.
+        Photon transfer from pairs of flats; ``None`` without flats of this ISO, or where no line can be found.
     spatial
         The published single-frame method on the same flats, for comparison; ``None`` where it is not available.
-    bias, rows, read
-        Colour bias, row (and column) noise, read noise.
-    plot
-        Quantiles of the residuals for the probability plots.
-    pattern
-        What stays from frame to frame.
-    spectrum_dn2
-        (256, 256) power spectrum of a bias frame less its channels' means, zero frequency in the centre, averaged over
-        tiles of 256 x 256 pixels; white noise of variance s^2 gives s^2 throughout.
-    reproduction
-        The noise model with these parameters against a bias frame that no estimator saw; ``None`` if there were too
-        few frames to hold one out, or one of the parameters is withheld.
     remarks
         What else a person should know before believing these figures.
     findings
         Which assumptions the frames do not keep, and what becomes of the figures that rest on them.
+    stated_gain_dn_per_e
+        K, where somebody states it; it counts only where none is measured.
     """
 
     iso: float
     sensor: Sensor
-    bias_frames: int
     flat_frames: int
     transfer: PhotonTransfer | None
     spatial: PhotonTransfer | None
-    bias: ColourBias
-    rows: RowNoise
-    read: ReadNoise
-    plot: ProbabilityPlot
-    pattern: PatternSummary
-    spectrum_dn2: NDArray[np.float32] = field(repr=False)
-    reproduction: Reproduction | None
     remarks: tuple[str, ...]
     findings: tuple[Finding, ...] = ()
+    stated_gain_dn_per_e: float | None = None
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the CFA's channels."""
+        return ("R", "G1", "B", "G2") if len(self.sensor.black_level_dn) == 4 else ("R", "G", "B")
 
     @property
     def withheld(self) -> frozenset[Figure]:
@@ -101,8 +89,18 @@ class IsoCalibration:
 
     @property
     def gain(self) -> GivenFigure | None:
-        """System gain K [DN/e-]; ``None`` without flats, or if it is withheld."""
-        return None if self.transfer is None else self._of_gain(self.transfer.gain_dn_per_e, self.transfer.gain_error)
+        """System gain K [DN/e-], measured or else stated; ``None`` if it is not known, or withheld."""
+        measured = None
+        if self.transfer is not None:
+            measured = self._of_gain(self.transfer.gain_dn_per_e, self.transfer.gain_error)
+        if measured is None and self.stated_gain_dn_per_e is not None:
+            return GivenFigure(self.stated_gain_dn_per_e, math.nan, is_stated=True)
+        return measured
+
+    @property
+    def gain_dn_per_e(self) -> float | None:
+        """System gain K; ``None`` if it is not known, or withheld."""
+        return None if self.gain is None else self.gain.value
 
     @property
     def channel_gains(self) -> tuple[GivenFigure, ...] | None:
@@ -118,6 +116,49 @@ class IsoCalibration:
 
     def _of_gain(self, value: float, error: float) -> GivenFigure | None:
         return given(self.findings, "gain", value, error, value)
+
+    @property
+    def gain_text(self) -> str:
+        """K with its error as tables show it: "-" if it was never measured, "withheld" if that is not given."""
+        if self.gain is None:
+            return "withheld" if "gain" in self.withheld else "-"
+        return self.gain.text
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class IsoCalibration(IsoGain):
+    """All that was measured at one ISO.
+
+    ``bias``, ``rows`` and ``read``, like ``transfer``, are what the estimators found. What of it is given are
+    ``tukey_lambda``, ``sigma_tl_dn``, ``sigma_gauss_dn``, ``sigma_row_dn`` and ``colour_bias``: tables, JSON, profile
+    and page take the figures from there.
+
+    Attributes
+    ----------
+    bias_frames
+        How many went into the estimates.
+    bias, rows, read
+        Colour bias, row (and column) noise, read noise.
+    plot
+        Quantiles of the residuals for the probability plots.
+    pattern
+        What stays from frame to frame.
+    spectrum_dn2
+        (256, 256) power spectrum of a bias frame less its channels' means, zero frequency in the centre, averaged over
+        tiles of 256 x 256 pixels; white noise of variance s^2 gives s^2 throughout.
+    reproduction
+        The noise model with these parameters against a bias frame that no estimator saw; ``None`` if there were too
+        few frames to hold one out, or one of the parameters is withheld.
+    """
+
+    bias_frames: int
+    bias: ColourBias
+    rows: RowNoise
+    read: ReadNoise
+    plot: ProbabilityPlot
+    pattern: PatternSummary
+    spectrum_dn2: NDArray[np.float32] = field(repr=False)
+    reproduction: Reproduction | None
 
     @property
     def tukey_lambda(self) -> GivenFigure | None:
@@ -164,11 +205,6 @@ class IsoCalibration:
         return SpectrumLines.of(self.spectrum_dn2)
 
     @property
-    def gain_dn_per_e(self) -> float | None:
-        """System gain K; ``None`` without flats, or if it is withheld."""
-        return None if self.gain is None else self.gain.value
-
-    @property
     def colour_bias_dn(self) -> tuple[float, float, float, float] | None:
         """Colour bias of R, G1, B, G2; X-Trans has one green, which stands for both. ``None`` if it is withheld."""
         if self.colour_bias is None:
@@ -198,7 +234,21 @@ class IsoCalibration:
         )
 
 
-def usual_gain_per_iso(isos: Iterable[IsoCalibration]) -> float:
+@dataclass(frozen=True, slots=True)
+class FailedIso:
+    """An ISO that is left out of a calibration, and all that is wrong with its frames."""
+
+    iso: float
+    problems: tuple[Problem, ...]
+
+    @property
+    def remark(self) -> str:
+        """What the calibration says of it."""
+        more = f" (and {len(self.problems) - 1} more problems)" if len(self.problems) > 1 else ""
+        return f"ISO {self.iso:g} was left out: {self.problems[0]}{more}"
+
+
+def usual_gain_per_iso(isos: Iterable[IsoGain]) -> float:
     """Return the median of K / ISO, DN per electron at ISO 1; nan if no gain is known."""
     ratios = [one.gain_dn_per_e / one.iso for one in isos if one.gain_dn_per_e is not None]
     return float(np.median(ratios)) if ratios else math.nan
@@ -213,7 +263,11 @@ class Calibration:
     camera
         The camera's name.
     isos
-        One record per ISO, ascending.
+        One record per ISO that has bias frames, ascending.
+    gains
+        One record per ISO that has flats alone, ascending: K, and nothing else.
+    failed
+        The ISOs whose frames cannot be used, which nothing else contains.
     source
         What the figures come from, in words.
     tukey_lambda_fit, gauss_fit, row_fit
@@ -236,6 +290,18 @@ class Calibration:
     remarks: tuple[str, ...]
     made_profile: CameraProfile | None
     no_profile: str = ""
+    gains: tuple[IsoGain, ...] = ()
+    failed: tuple[FailedIso, ...] = ()
+
+    @property
+    def all_isos(self) -> tuple[IsoGain, ...]:
+        """The ISOs that have bias frames and those that have flats alone, ascending."""
+        return tuple(sorted((*self.isos, *self.gains), key=lambda one: one.iso))
+
+    @property
+    def problems(self) -> tuple[Problem, ...]:
+        """What is wrong with the frames of the ISOs that are left out."""
+        return tuple(problem for one in self.failed for problem in one.problems)
 
     @property
     def profile(self) -> CameraProfile:
@@ -253,19 +319,24 @@ class Calibration:
     @property
     def usual_gain_per_iso(self) -> float:
         """The median of K / ISO; nan if no gain is known."""
-        return usual_gain_per_iso(self.isos)
+        return usual_gain_per_iso(self.all_isos)
 
     @property
     def all_remarks(self) -> tuple[str, ...]:
         """Every remark, those of one ISO with its ISO in front."""
-        return (*(f"ISO {one.iso:g}: {remark}" for one in self.isos for remark in one.all_remarks), *self.remarks)
+        of_isos = (f"ISO {one.iso:g}: {remark}" for one in self.all_isos for remark in one.all_remarks)
+        return (*of_isos, *self.remarks)
 
     def format_text(self) -> str:
         """Return the measured figures as aligned tables, the fits, and the remarks."""
-        header, rows = self.table()
-        parts = [text_table(header, rows, left=())]
-        header, rows = self.bias_table()
-        parts.append("colour bias over the recorded black level [DN]\n" + text_table(header, rows, left=()))
+        parts = []
+        for title, (header, rows) in (
+            ("", self.table()),
+            ("K alone, from flats without bias frames\n", self.gain_table()),
+            ("colour bias over the recorded black level [DN]\n", self.bias_table()),
+        ):
+            if rows:
+                parts.append(title + text_table(header, rows, left=()))
         fits = self.fit_table()
         if fits:
             parts.append(text_table(("fit over ln K", "slope", "intercept", "sigma", "R2"), fits))
@@ -295,7 +366,7 @@ class Calibration:
                     f"{one.iso:g}",
                     str(one.bias_frames) + (" + 1" if one.reproduction is not None else ""),
                     str(one.flat_frames),
-                    "-" if one.transfer is None else _cell(one.gain),
+                    one.gain_text,
                     *map(_cell, figures),
                     f"{one.read.r_squared_tl:.5f}",
                     f"{one.read.r_squared_gauss:.5f}",
@@ -304,17 +375,23 @@ class Calibration:
             )
         return header, rows
 
+    def gain_table(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+        """Return header and rows of K at the ISOs that have flats alone."""
+        return ("ISO", "flat", "K [DN/e-]"), [
+            (f"{one.iso:g}", str(one.flat_frames), one.gain_text) for one in self.gains
+        ]
+
     def bias_table(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         """Return header and rows of the colour bias by ISO and CFA channel."""
         rows = [
             (
                 f"{one.iso:g}",
-                *map(_cell, one.colour_bias or (None,) * len(one.bias.channels)),
+                *map(_cell, one.colour_bias or (None,) * len(one.channels)),
                 f"{max(one.pattern.dsnu_dn):.2f}",
             )
             for one in self.isos
         ]
-        return ("ISO", *self.isos[0].bias.channels, "DSNU"), rows
+        return ("ISO", *(self.isos[0].channels if self.isos else ()), "DSNU"), rows
 
     def fit_table(self) -> list[tuple[str, ...]]:
         """Return the rows of the joint fits that could be made."""
@@ -368,6 +445,9 @@ class Calibration:
         return {
             "camera": self.camera,
             "isos": [_iso_dict(one) for one in self.isos],
+            "gains": [_plain(_gain_dict(one)) for one in self.gains],
+            "failed_isos": [one.iso for one in self.failed],
+            "problems": [asdict(problem) for problem in self.problems],
             "fits": {name: None if estimate is None else asdict(estimate) for name, estimate in fits.items()},
             "profile": None if self.made_profile is None else asdict(self.made_profile),
             "no_profile": self.no_profile or None,
@@ -376,7 +456,7 @@ class Calibration:
 
 
 def _cell(figure: GivenFigure | None) -> str:
-    return "withheld" if figure is None else with_error(figure.value, figure.error)
+    return "withheld" if figure is None else figure.text
 
 
 def _with_error(name: str, figure: GivenFigure | None) -> dict[str, float | None]:
@@ -386,21 +466,32 @@ def _with_error(name: str, figure: GivenFigure | None) -> dict[str, float | None
     return {name: None if figure is None else figure.value, error: None if figure is None else figure.error}
 
 
-def _iso_dict(one: IsoCalibration) -> dict[str, Any]:
+def _gain_dict(one: IsoGain) -> dict[str, Any]:
     from dataclasses import asdict
 
-    read, bias, channel_gains = one.read, one.colour_bias, one.channel_gains
-    ppcc = None if "read noise" in one.withheld else read
-    found = {
+    channel_gains = one.channel_gains
+    return {
         "iso": one.iso,
         "black_level_dn": one.sensor.black_level_dn,
         "white_level_dn": one.sensor.white_level_dn,
-        "bias_frames": one.bias_frames,
         "flat_frames": one.flat_frames,
         "gain_dn_per_e": one.gain_dn_per_e,
         "gain_error": None if one.gain is None else one.gain.error,
+        "gain_is_stated": one.gain is not None and one.gain.is_stated,
         "gain_by_channel": None if channel_gains is None else [channel.value for channel in channel_gains],
         "gain_spatial_dn_per_e": None if one.spatial_gain is None else one.spatial_gain.value,
+        "withheld": {figure: one.why_withheld(figure) for figure in SYMBOLS if figure in one.withheld},
+        "findings": [asdict(finding) for finding in one.findings],
+        "remarks": list(one.all_remarks),
+    }
+
+
+def _iso_dict(one: IsoCalibration) -> dict[str, Any]:
+    read, bias = one.read, one.colour_bias
+    ppcc = None if "read noise" in one.withheld else read
+    found = {
+        **_gain_dict(one),
+        "bias_frames": one.bias_frames,
         **_with_error("tukey_lambda", one.tukey_lambda),
         **_with_error("sigma_tl_dn", one.sigma_tl_dn),
         **_with_error("sigma_gauss_dn", one.sigma_gauss_dn),
@@ -418,9 +509,6 @@ def _iso_dict(one: IsoCalibration) -> dict[str, Any]:
         "dsnu_dn": one.pattern.dsnu_dn,
         "defects": one.pattern.defects,
         "reproduction": None if one.reproduction is None else one.reproduction.as_dict(),
-        "withheld": {figure: one.why_withheld(figure) for figure in SYMBOLS if figure in one.withheld},
-        "findings": [asdict(finding) for finding in one.findings],
-        "remarks": list(one.all_remarks),
     }
     return {name: _plain(value) for name, value in found.items()}
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from argparse import ArgumentTypeError
 from typing import TYPE_CHECKING
 
 from eldata.base.console import OK, PROBLEMS, add_output, add_shared, chosen_workers, each_of, whole_number
+from eldata.base.fields import number_of, whole_of
 from eldata.base.files import write_json
 from eldata.base.visible import in_line
+from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from eldata.manifest.verify import Problem
 
@@ -23,9 +26,12 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         description=(
             "Measure system gain, colour bias, row noise and read noise at each ISO from bias frames (lens capped, "
             "shortest exposure) and pairs of flat-field frames, fit their joint distribution, and write the camera's "
-            "profile for the noise model. If frames cannot be used, each is listed and nothing is written."
+            "profile for the noise model. Frames that cannot be used are listed, and their ISO is left out; figures "
+            "that the frames cannot bear are withheld, and the text says why. Flats alone give K; with bias frames "
+            "alone, state K with --gain. Exit code 1 if an ISO is left out, a figure is withheld, or the profile that "
+            "-o asks for cannot be made."
         ),
-        epilog="What to shoot, and how failures show: docs/calibration.md.",
+        epilog="What to shoot, how failures show and what to do about each: docs/calibration.md.",
     )
     parser.add_argument(
         "frames",
@@ -43,7 +49,30 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="ISO",
         help="only this ISO; may be repeated",
     )
+    parser.add_argument(
+        "--gain",
+        action="append",
+        dest="gains",
+        default=[],
+        type=_stated_gain,
+        metavar="ISO=K",
+        help=(
+            "K in DN per photoelectron at an ISO that has no flats, or a profile that knows it, by name or path; may "
+            "be repeated. A measured K counts before a stated one"
+        ),
+    )
     add_shared(parser, run, "root", "workers", "isolation", "json")
+
+
+def _stated_gain(text: str) -> tuple[int, float] | str:
+    """Return ISO and K, or what names a profile."""
+    iso, equals, gain = text.partition("=")
+    if not (equals and iso.isdecimal()):
+        return text
+    try:
+        return whole_of(iso, at_least=1), number_of(gain, above=0)
+    except ArgumentError as error:
+        raise ArgumentTypeError(f"{error}, in {text!r}") from None
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -51,11 +80,11 @@ def run(arguments: argparse.Namespace) -> int:
     from dataclasses import asdict
 
     from eldata.base.files import write_text
-    from eldata.calibration.camera import calibrate
+    from eldata.calibration.camera import calibrate, stated_gains
     from eldata.calibration.frame_checks import FramesError
     from eldata.datasets.calibration_frames import CalibrationFrames
-    from eldata.errors import ArgumentError
     from eldata.manifest.catalogue import load_manifest
+    from eldata.noise.profile import CameraProfile
 
     if arguments.frames.endswith(".csv"):
         folder = load_manifest(arguments.frames).folder(arguments.root)
@@ -64,14 +93,18 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.root:
             raise ArgumentError("--root says where a manifest's files lie; with a folder of frames, leave it out")
         frames = CalibrationFrames(arguments.frames, arguments.camera, isos=arguments.isos)
+    gains: dict[float, float] = {}
+    for profile in (name for name in arguments.gains if isinstance(name, str)):
+        gains |= stated_gains(frames, CameraProfile.load(profile))
+    gains |= dict(stated for stated in arguments.gains if not isinstance(stated, str))
     try:
         with chosen_workers(arguments) as workers:
-            found = calibrate(frames, workers=workers)
+            found = calibrate(frames, gains=gains, workers=workers)
     except FramesError as error:
         problems = error.problems
         data = {"camera": frames.camera, "problems": [asdict(one) for one in problems]}
         each_of(
-            lambda: _show_problems(frames.camera, problems),
+            lambda: _show_problems(frames.camera, problems, "nothing was written"),
             arguments.json and (lambda: write_json(arguments.json, data)),
         )
         return PROBLEMS
@@ -81,6 +114,10 @@ def run(arguments: argparse.Namespace) -> int:
         if frames.skipped:
             left = in_line(frames.skipped[0])
             print(f"\n{len(frames.skipped)} file(s) that are not raw files were left alone, such as {left}")
+
+        if found.problems:
+            print()
+            _show_problems(found.camera, found.problems, f"left out: ISO {_listed(one.iso for one in found.failed)}")
 
     def write_profile() -> None:
         if found.made_profile is None:
@@ -102,11 +139,15 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.html and write_page,
     )
     lacking = arguments.output and found.made_profile is None
-    return PROBLEMS if lacking or any(one.withheld for one in found.isos) else OK
+    return PROBLEMS if lacking or found.problems or any(one.withheld for one in found.all_isos) else OK
 
 
-def _show_problems(camera: str, problems: Sequence[Problem]) -> None:
+def _listed(isos: Iterable[float]) -> str:
+    return ", ".join(f"{iso:g}" for iso in isos)
+
+
+def _show_problems(camera: str, problems: Sequence[Problem], outcome: str) -> None:
     for problem in problems:
         print(problem.format_text())
     count = len(problems)
-    print(f"{camera}: {count} problem{'s' if count > 1 else ''}; nothing was written")
+    print(f"{camera}: {count} problem{'s' if count > 1 else ''}; {outcome}")

@@ -33,6 +33,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     where.add_argument("--iso", type=float, metavar="ISO", help="at this ISO (default: a gain drawn from the profile)")
     where.add_argument("--gain", type=float, metavar="K", help="at this system gain, DN per photoelectron")
     show.add_argument(
+        "--extrapolate", action="store_true", help="take --iso or --gain beyond the range of the calibration"
+    )
+    show.add_argument(
         "--model", default="P*+G*+B+R+U", metavar="SPEC", help="components of the noise (default: %(default)s)"
     )
     show.add_argument(
@@ -52,7 +55,13 @@ def run_show(arguments: argparse.Namespace) -> int:
     from eldata.noise.profile import CameraProfile
 
     profile = CameraProfile.load(arguments.camera)
-    parameters = sample_parameters(profile, arguments.seed, iso=arguments.iso, gain_dn_per_e=arguments.gain)
+    parameters = sample_parameters(
+        profile,
+        arguments.seed,
+        iso=arguments.iso,
+        gain_dn_per_e=arguments.gain,
+        extrapolate=arguments.extrapolate,
+    )
     diagnostics = diagnose(profile, parameters, spec=arguments.model, seed=arguments.seed)
 
     low, high = profile.gain_range_dn_per_e

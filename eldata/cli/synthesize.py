@@ -27,7 +27,16 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument("--iso", type=float, help="simulate this ISO in place of drawing the gain")
     parser.add_argument(
-        "--row", choices=("any", "nearest-gain"), default="any", help="which rows lambda and bias come from"
+        "--extrapolate", action="store_true", help="take --iso beyond the range that the profile was calibrated over"
+    )
+    parser.add_argument(
+        "--row",
+        choices=("any", "nearest-gain"),
+        default="any",
+        help=(
+            "which rows lambda and colour bias come from: any, as in the paper, or those of the nearest gain, which "
+            "--iso is best given with (default: any)"
+        ),
     )
     parser.add_argument(
         "--format", choices=("dng", "npy"), default="dng", help="of noisy frames (default: %(default)s)"
@@ -60,6 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
         seed=arguments.seed,
         iso=arguments.iso,
         row=arguments.row,
+        extrapolate=arguments.extrapolate,
         per_image=arguments.per_image,
         format=arguments.format,
     )

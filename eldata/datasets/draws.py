@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypedDict
 
 import torch
@@ -46,7 +46,7 @@ class NoiseDraw:
 
     def facts(self) -> dict[str, Any]:
         """Return the draw as fields of a sample: a :class:`NoiseFacts`."""
-        facts = {"ratio": self.ratio, "camera": self.camera, **asdict(self.parameters)}
+        facts = {"ratio": self.ratio, "camera": self.camera, **self.parameters.as_dict()}
         return facts | {"colour_bias_dn": torch.tensor(self.parameters.colour_bias_dn, dtype=torch.float64)}
 
 
@@ -58,6 +58,7 @@ class NoiseChoice:
     ratio: tuple[float, float]
     iso: float | None
     row: RowChoice
+    extrapolate: bool
 
     @classmethod
     def of(
@@ -66,6 +67,7 @@ class NoiseChoice:
         ratio: float | tuple[float, float],
         iso: float | None,
         row: RowChoice,
+        extrapolate: bool = False,
     ) -> NoiseChoice:
         """Load profiles by name or path and check the ratio.
 
@@ -83,10 +85,10 @@ class NoiseChoice:
         if not given:
             raise ArgumentError("give at least one camera profile")
         loaded = tuple(CameraProfile.load(item) if isinstance(item, str) else item for item in given)
-        return cls(loaded, (float(low), float(high)), iso, row)
+        return cls(loaded, (float(low), float(high)), iso, row, extrapolate)
 
     def draw(self, generator: np.random.Generator) -> NoiseDraw:
         """Draw a profile, parameters from it, and a ratio, in this order."""
         profile = self.profiles[int(generator.integers(len(self.profiles)))]
-        parameters = profile.sample(generator, iso=self.iso, row=self.row)
+        parameters = profile.sample(generator, iso=self.iso, row=self.row, extrapolate=self.extrapolate)
         return NoiseDraw(profile.camera, parameters, float(generator.uniform(*self.ratio)))

@@ -32,7 +32,7 @@ class Noise(TypedDict, total=False):
         The noise model; by default (``None``) the full one, clipped to [0, 1] as the published loaders' input is.
     ratio
         Low-light factors: (lowest, highest), drawn uniformly; by default the paper's, 100 to 300. Or one fixed number.
-    iso, row
+    iso, row, extrapolate
         As in :meth:`eldata.noise.CameraProfile.sample`.
     """
 
@@ -40,6 +40,7 @@ class Noise(TypedDict, total=False):
     ratio: float | tuple[float, float]
     iso: float | None
     row: RowChoice
+    extrapolate: bool
 
 
 class NoiseOptions(Cropping, Noise, total=False):
@@ -73,7 +74,7 @@ class NoisyItems(CroppedItems[Item, Sample]):
         cropping, noise = keywords(type(self).__name__, options, Cropping, Noise, renamed={})
         super().__init__({"crop": 512, "augment": True} | cropping, crops)
         ratio, row = noise.get("ratio", (100.0, 300.0)), noise.get("row", "any")
-        self.noise = NoiseChoice.of(profiles, ratio, noise.get("iso"), row)
+        self.noise = NoiseChoice.of(profiles, ratio, noise.get("iso"), row, noise.get("extrapolate", False))
         self.model: NoiseModel = noise.get("model") or NoiseModel(clip="both")
         self._length = len(source) * crops[1]
 

@@ -56,7 +56,7 @@ class Recipe:
         (lowest, highest) low-light factor, drawn uniformly in steps of 1/100.
     seed
         First part of each frame's seed: (seed, place of the file, number of the copy).
-    iso, row
+    iso, row, extrapolate
         As in :meth:`eldata.noise.CameraProfile.sample`.
     per_image
         Noisy frames per clean one.
@@ -70,6 +70,7 @@ class Recipe:
     seed: int = 0
     iso: float | None = None
     row: RowChoice = "any"
+    extrapolate: bool = False
     per_image: int = 1
     format: Format = "dng"
 
@@ -81,7 +82,9 @@ class Recipe:
             raise ArgumentError(f"seed must be 0 or more and per_image 1 or more; found {self.seed}, {self.per_image}")
         check_choice("format", self.format, get_args(Format))
         if self.iso is not None:
-            self.profile.gain_at_iso(self.iso)  # refuses an ISO that the profile does not know
+            self.profile.gain_at_iso(
+                self.iso, extrapolate=self.extrapolate
+            )  # refuses an ISO that the profile does not know
         self.model()
 
     def model(self) -> NoiseModel:
@@ -181,7 +184,7 @@ def _write_tables(
             draw = _Draw.of(recipe, clean, scene.index, copy)
             of_copy = record(path=f"{base}/{draw.name}", role="noisy", iso=draw.iso, exposure_s=draw.exposure_s)
             records.append(replace(of_copy, ratio=draw.ratio, reference=reference.path))
-            parameters = asdict(draw.parameters)
+            parameters = draw.parameters.as_dict()
             drawn.append({"path": of_copy.path, "clean": str(path), "ratio": float(draw.ratio)} | parameters)
     roles = [record.role for record in records]
     card = Card(
@@ -225,7 +228,7 @@ class _Draw:
     def of(cls, recipe: Recipe, clean: CleanFacts, index: int, copy: int) -> _Draw:
         """Draw it; the generator goes on to the noise."""
         generator = np.random.default_rng([recipe.seed, index, copy])
-        parameters = recipe.profile.sample(generator, iso=recipe.iso, row=recipe.row)
+        parameters = recipe.profile.sample(generator, iso=recipe.iso, row=recipe.row, extrapolate=recipe.extrapolate)
         low, high = recipe.ratio
         ratio = Fraction(round(float(generator.uniform(low, high)) * 100), 100)
         iso = _iso_of(recipe.profile, parameters.gain_dn_per_e, clean.iso)

@@ -56,7 +56,12 @@ _ROUNDING = 2.0**-21
 
 
 def sample_parameters(
-    profile: CameraProfile, seed: int, *, iso: float | None = None, gain_dn_per_e: float | None = None
+    profile: CameraProfile,
+    seed: int,
+    *,
+    iso: float | None = None,
+    gain_dn_per_e: float | None = None,
+    extrapolate: bool = False,
 ) -> NoiseParameters:
     """Draw the parameters to examine.
 
@@ -66,10 +71,11 @@ def sample_parameters(
     Raises
     ------
     ArgumentError
-        If the ISO is not known or the gain lies outside of the profile's range (by more than 1 %, for rounding).
+        If the ISO is not known, or it or the gain lies outside of the profile's range (by more than 1 %, for rounding)
+        and ``extrapolate`` does not allow that.
     """
     low, high = profile.gain_range_dn_per_e
-    if gain_dn_per_e is not None and not low / 1.01 <= gain_dn_per_e <= high * 1.01:
+    if gain_dn_per_e is not None and not extrapolate and not low / 1.01 <= gain_dn_per_e <= high * 1.01:
         raise ArgumentError(
             f"gain {gain_dn_per_e:g} DN/e- is outside of the calibrated range {low:.4g} to {high:.4g} of "
             f"{profile.camera}"
@@ -81,6 +87,7 @@ def sample_parameters(
         iso=iso,
         gain_dn_per_e=gain_dn_per_e,
         row="nearest-gain" if fixed and known else "any",
+        extrapolate=extrapolate,
     )
 
 

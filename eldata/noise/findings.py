@@ -220,7 +220,7 @@ class Diagnostics:
             "profile": {key: profile[key] for key in ("source", "gain_range_dn_per_e", "iso_range", "notes")},
             "model": self.spec,
             "seed": self.seed,
-            "parameters": asdict(self.parameters),
+            "parameters": self.parameters.as_dict(),
             "limit_standard_errors": LIMIT,
             "ok": not self.off,
             "comparisons": [comparison.as_dict() for comparison in self.comparisons],

@@ -64,7 +64,7 @@ class NoiseModel:
     >>> generator = np.random.default_rng(0)
     >>> parameters = CameraProfile.load("SonyA7S2").sample(generator)
     >>> clean = np.full((4, 64, 64), 0.2, dtype=np.float32)
-    >>> noisy = NoiseModel()(clean, parameters=parameters, ratio=100.0, range_dn=15871.0, generator=generator)
+    >>> noisy = NoiseModel()(clean, parameters=parameters, ratio=100.0, generator=generator)
     >>> noisy.shape, noisy.dtype
     ((4, 64, 64), dtype('float32'))
     """
@@ -89,8 +89,8 @@ class NoiseModel:
         *,
         parameters: NoiseParameters | Sequence[NoiseParameters],
         ratio: float | Sequence[float],
-        range_dn: float,
         generator: Generator,
+        range_dn: float | None = None,
         threads: int | None = None,
     ) -> Image:
         """Return a noisy exposure of clean packed data.
@@ -104,10 +104,10 @@ class NoiseModel:
             One draw for everything (a clip), or one for each image of a batch (N, C, h, w).
         ratio
             Exposure ratio, above 0: one, or one for each image.
-        range_dn
-            White level minus black level, DN.
         generator
             numpy's or torch's; for a tensor on another device than the CPU, a torch generator of that device.
+        range_dn
+            White level minus black level, DN; by default that of the camera whose profile the parameters come from.
         threads
             Of the compiled engine; default one per CPU. The result does not depend on it.
 
@@ -138,6 +138,8 @@ class NoiseModel:
             raise ArgumentError(f"ratio must be one number, or one for each image; found {ratio!r}") from error
         if not all(math.isfinite(value) and value > 0 for value in ratios):
             raise ArgumentError(f"ratio must be finite and above 0; found {ratio}")
+        if range_dn is None:
+            range_dn = _range_dn(drawn)
         if not (math.isfinite(range_dn) and range_dn > 0):
             raise ArgumentError(f"range_dn must be finite and above 0; found {range_dn}")
         exposures = Exposures.of(
@@ -174,8 +176,8 @@ class NoiseModel:
         cfa: Cfa,
         parameters: NoiseParameters | Sequence[NoiseParameters],
         ratio: float | Sequence[float],
-        range_dn: float,
         generator: Generator,
+        range_dn: float | None = None,
         threads: int | None = None,
     ) -> Image:
         """Return a noisy exposure of clean mosaics (..., H, W), normalised, of any size and CFA phase.
@@ -233,6 +235,15 @@ def _in_numpy(
 
     flat = np.ascontiguousarray(clean, dtype=np.float32).reshape(math.prod(clean.shape[:-3]), *clean.shape[-3:])
     return expose_compiled(flat, exposures, key=key_from(generator), threads=threads).reshape(clean.shape)
+
+
+def _range_dn(drawn: Sequence[NoiseParameters]) -> float:
+    """Return the range from black to white that the parameters bring with them."""
+    known = {item.range_dn for item in drawn}
+    if len(known) == 1 and (range_dn := known.pop()) is not None:
+        return range_dn
+    found = "differ in it" if len(known) > 1 else "do not know it (their profile states no levels)"
+    raise ArgumentError(f"give range_dn, the white level minus the black level in DN: the parameters {found}")
 
 
 def _one_each(value: Any, images: int, name: str) -> list[Any]:

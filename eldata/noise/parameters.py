@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
+from typing import Any
 
 from eldata.errors import ArgumentError
 
@@ -34,6 +35,9 @@ class NoiseParameters:
         Standard deviation of the row noise, DN.
     colour_bias_dn
         Mean of the read noise in R, G1, B, G2, DN.
+    range_dn
+        White level minus black level of the camera that they are of, DN, where its profile states it: what the noise
+        model takes if it is not told another. Not a parameter of the noise: draws that differ in it alone are equal.
 
     Raises
     ------
@@ -47,13 +51,15 @@ class NoiseParameters:
     sigma_gauss_dn: float
     sigma_row_dn: float
     colour_bias_dn: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    range_dn: float | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
+        for name, value in self.as_dict().items():
             values = value if isinstance(value, tuple) else (value,)
             if not all(math.isfinite(item) for item in values):
-                raise ArgumentError(f"{field.name} must be finite; found {value}")
+                raise ArgumentError(f"{name} must be finite; found {value}")
+        if self.range_dn is not None and not (math.isfinite(self.range_dn) and self.range_dn > 0):
+            raise ArgumentError(f"range_dn must be finite and above 0; found {self.range_dn}")
         if len(self.colour_bias_dn) != 4:
             raise ArgumentError(f"colour_bias_dn has four values, for R, G1, B and G2; found {self.colour_bias_dn}")
         if not self.gain_dn_per_e > 0:
@@ -64,6 +70,10 @@ class NoiseParameters:
         problem = shape_problem(self.tukey_lambda)
         if problem is not None:
             raise ArgumentError(f"tukey_lambda must lie {problem}; found {self.tukey_lambda}")
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the parameters of the noise by name."""
+        return {one.name: getattr(self, one.name) for one in fields(self) if one.compare}
 
 
 def tukey_lambda_variance(tukey_lambda: float) -> float:

@@ -94,6 +94,11 @@ class CameraProfile:
     def __post_init__(self) -> None:
         if not self.rows:
             raise ProfileError(f"the profile of {self.camera} has no row")
+        if self.range_dn is not None and not self.range_dn > 0:
+            raise ProfileError(
+                f"the profile of {self.camera}: the white level, {self.white_level_dn:g} DN, must lie above the black "
+                f"level, {self.black_level_dn:g} DN"
+            )
 
     @classmethod
     def load(cls, name: str | Path) -> CameraProfile:
@@ -116,27 +121,75 @@ class CameraProfile:
         """Write the profile as JSON, whole or not at all."""
         write_json(path, {"schema": SCHEMA} | asdict(self), indent=1)
 
-    def gain_at_iso(self, iso: float) -> float:
+    @property
+    def range_dn(self) -> float | None:
+        """White level minus black level, DN; ``None`` if the profile does not state both."""
+        if self.black_level_dn is None or self.white_level_dn is None:
+            return None
+        return self.white_level_dn - self.black_level_dn
+
+    def gain_at_iso(self, iso: float, *, extrapolate: bool = False) -> float:
         """Return K at an ISO: the row's where one was measured, else in proportion between the known limits.
+
+        Parameters
+        ----------
+        iso
+            ISO speed, within ``iso_range`` if the profile has one.
+        extrapolate
+            Allow ISOs beyond it: at a row's K where one has it, else in proportion. The fits hold there only if the
+            camera goes on as it was measured; its extended ISOs often do not.
 
         Raises
         ------
         ArgumentError
             If the profile does not know its ISOs, or this one lies outside.
         """
+        if not (math.isfinite(iso) and iso > 0):
+            raise ArgumentError(f"an ISO is finite and above 0; found {iso:g}")
         measured = [row.gain_dn_per_e for row in self.rows if row.iso == iso and row.gain_dn_per_e is not None]
+        if self.iso_range is not None and not self.iso_range[0] <= iso <= self.iso_range[1] and not extrapolate:
+            low, high = self.iso_range
+            raise ArgumentError(
+                f"ISO {iso:g} is outside of the calibrated range {low:g} to {high:g} of {self.camera}; extrapolating "
+                "beyond it has to be asked for (extrapolate=True, --extrapolate)"
+            )
         if measured:
             return sum(measured) / len(measured)
         if self.iso_range is None:
             raise ArgumentError(f"the profile of {self.camera} does not say which ISO its gains belong to; give a gain")
-        low, high = self.iso_range
-        if not low <= iso <= high:
-            raise ArgumentError(f"ISO {iso:g} is outside of the calibrated range {low:g} to {high:g} of {self.camera}")
-        first, last = self.gain_range_dn_per_e
+        (low, high), (first, last) = self.iso_range, self.gain_range_dn_per_e
         if low == high:
-            return first
+            return first * iso / low
         share = math.log(iso / low) / math.log(high / low)
         return math.exp(math.log(first) + share * math.log(last / first))
+
+    def measured(self, iso: float) -> NoiseParameters:
+        """Return the figures that were measured at an ISO, without the spread of the fits; the first of several.
+
+        Raises
+        ------
+        ArgumentError
+            If this ISO was not measured, or not all of its figures are known; the message lists those that were.
+        """
+        complete: dict[float, NoiseParameters] = {}
+        for row in self.rows:
+            gain, scale, gauss, rows = row.gain_dn_per_e, row.sigma_tl_dn, row.sigma_gauss_dn, row.sigma_row_dn
+            if row.iso is None or gain is None or scale is None or gauss is None or rows is None:
+                continue
+            found = NoiseParameters(gain, row.tukey_lambda, scale, gauss, rows, row.colour_bias_dn, self.range_dn)
+            complete.setdefault(row.iso, found)
+        if iso in complete:
+            return complete[iso]
+        if not complete:
+            raise ArgumentError(
+                f"no row of {self.camera}'s profile has K and all scales of its ISO, so none can be given as it was "
+                "measured; sample(iso=..., row='nearest-gain') draws the scales from their fits"
+            )
+        listed = ", ".join(f"{known:g}" for known in sorted(complete))
+        raise ArgumentError(
+            f"ISO {iso:g} of {self.camera} was not measured, or not completely; ISO {listed} were. "
+            "sample(iso=..., row='nearest-gain') draws what is likely between them"
+        )
 
     def sample(
         self,
@@ -145,6 +198,7 @@ class CameraProfile:
         iso: float | None = None,
         gain_dn_per_e: float | None = None,
         row: RowChoice = "any",
+        extrapolate: bool = False,
     ) -> NoiseParameters:
         """Draw parameters jointly (equation "sampling" of the paper).
 
@@ -159,12 +213,16 @@ class CameraProfile:
             Fix the ISO, or K itself, in place of drawing K.
         row
             ``"any"``: every row alike, as in the paper. ``"nearest-gain"``: the row measured at the gain nearest to K
-            (one of them at random if several are).
+            (one of them at random if several are). To simulate one ISO take the latter: with lambda of another row, a
+            scale makes another variance.
+        extrapolate
+            Allow an ISO beyond the calibrated range (:meth:`gain_at_iso`).
 
         Raises
         ------
         ArgumentError
-            If both ``iso`` and ``gain_dn_per_e`` are given, the ISO is unknown, or no row has a gain to be near to.
+            If both ``iso`` and ``gain_dn_per_e`` are given, the ISO is unknown or outside of the calibrated range, or
+            no row has a gain to be near to.
         """
         # Always five numbers, whatever is fixed: fixing one parameter leaves the others' draws as they were.
         u_gain, u_row = uniforms(generator, 2)
@@ -172,7 +230,7 @@ class CameraProfile:
         if iso is not None and gain_dn_per_e is not None:
             raise ArgumentError("give iso or gain_dn_per_e, not both")
         if iso is not None:
-            gain = self.gain_at_iso(iso)
+            gain = self.gain_at_iso(iso, extrapolate=extrapolate)
         elif gain_dn_per_e is not None:
             gain = float(gain_dn_per_e)
             if not (math.isfinite(gain) and gain > 0):
@@ -189,6 +247,7 @@ class CameraProfile:
             sigma_gauss_dn=self.gauss_fit.scale_dn(gain, z_gauss),
             sigma_row_dn=self.row_fit.scale_dn(gain, z_row),
             colour_bias_dn=chosen.colour_bias_dn,
+            range_dn=self.range_dn,
         )
 
     def _rows_for(self, gain: float, row: RowChoice) -> Sequence[ProfileRow]:

@@ -128,6 +128,8 @@ def test_the_profile_holds_what_was_measured(found: Calibration) -> None:
             sigma_row_dn=row.sigma_row_dn or 0.0,
             colour_bias_dn=row.colour_bias_dn,
         )
+        assert profile.measured(one.iso) == one.parameters
+        assert profile.measured(one.iso).range_dn == 16383.0 - 512.0
     assert list(profile.notes) == list(found.all_remarks)
     assert sum(note.startswith("ISO 400: 5 bias frames were used") for note in profile.notes) == 1
 
@@ -269,6 +271,36 @@ def test_no_flats_at_all(tree: FrameTree) -> None:
     assert_no_profile(dark, "K is not known: take pairs of equal flats")
     assert dark.table()[1][0][3] == "-"
     assert dark.isos[0].tukey_lambda is not None
+
+
+def test_a_stated_gain_takes_the_place_of_flats(found: Calibration, tree: FrameTree) -> None:
+    """As a number or from a profile; one ISO keeps its flats, whose K counts."""
+    shutil.rmtree(tree.camera / "flat" / "ISO100")
+    shutil.rmtree(tree.camera / "flat" / "ISO1600")
+    gains = {float(row.iso or 0): row.gain_dn_per_e or 0.0 for row in found.profile.rows}
+    stated = calibrate(tree.root, gains={100: gains[100.0], 1600: gains[1600.0]})
+    assert [one.gain is not None and one.gain.is_stated for one in stated.isos] == [True, False, True]
+    assert [one.gain_dn_per_e for one in stated.isos] == list(gains.values())
+    assert stated.tukey_lambda_fit == found.tukey_lambda_fit
+    assert stated.profile.gain_range_dn_per_e == found.profile.gain_range_dn_per_e
+    assert stated.table()[1][0][3] == f"{gains[100.0]:.5g} (stated)"
+    from_profile = calibrate(tree.root, gains=found.profile)
+    assert from_profile.profile == stated.profile
+    other = CameraProfile.load("SonyA7S2")
+    assert calibrate(tree.root, gains=other).isos[2].gain_dn_per_e == other.gain_at_iso(1600)
+
+
+def test_wrong_gains(pristine: FrameTree, found: Calibration) -> None:
+    for gain in (0.0, -1.0, math.nan, math.inf):
+        with pytest.raises(ArgumentError, match="K at ISO 100 must be finite and above 0"):
+            calibrate(pristine.root, gains={100: gain})
+    with pytest.raises(ArgumentError, match="K is stated at ISO 50, of which there are no frames"):
+        calibrate(pristine.root, gains={50: 1.0})
+    elsewhere = replace(
+        found.profile, iso_range=(25600.0, 51200.0), rows=(replace(found.profile.rows[0], iso=25600.0),)
+    )
+    with pytest.raises(ArgumentError, match=r"knows K at none of the frames' ISOs \(100, 400, 1600\)"):
+        calibrate(pristine.root, gains=elsewhere)
 
 
 def test_four_bias_frames_leave_none_to_compare_with(tree: FrameTree) -> None:

@@ -8,7 +8,7 @@ import shutil
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from eldata.calibration import IsoCalibration
     from eldata.manifest.verify import Problem
 
 ISOS = (100, 1600)
@@ -169,11 +170,7 @@ def test_the_manifests_exposure(tree: FrameTree) -> None:
             tree.manifest, [*rows[:chosen], replace(rows[chosen], exposure_s=time * factor), *rows[chosen + 1 :]]
         )
         frames = tree.frames(manifest=tree.manifest, isos=[100])
-        try:
-            sorted_frames(frames)
-            problems: list[Problem] = []
-        except FramesError as error:
-            problems = list(error.problems)
+        problems = [problem for one in sorted_frames(frames) for problem in one.problems]
         assert [problem.path for problem in problems] == found
         assert {problem.field for problem in problems} <= {"exposure_s"}
 
@@ -382,13 +379,28 @@ def test_saturated_flats_are_left_out(pristine: FrameTree, tree: FrameTree) -> N
     assert any("67% of the flats' area is saturated or clipped and was left out" in remark for remark in remarks)
 
 
+def assert_no_line(found: IsoCalibration, why: str) -> None:
+    """Flats without a line cost K, and it is said why."""
+    assert (found.transfer, found.spatial, found.gain) == (None, None, None)
+    assert found.flat_frames == 0
+    assert found.withheld == {"gain"}
+    assert why in found.why_withheld("gain")
+    assert found.gain_text == "withheld"
+
+
+def assert_read_noise_is_given(found: IsoCalibration, true: dict[str, Any]) -> None:
+    assert found.sigma_tl_dn is not None
+    assert abs(found.sigma_tl_dn.value - true["sigma_tl_dn"]) < 5 * found.sigma_tl_dn.error
+    assert found.reproduction is not None
+
+
 def test_flats_that_are_all_saturated(tree: FrameTree) -> None:
     for path in tree.files("flat", 100):
         rewritten(path, mosaic=saturated)
-    problem = only(problems_of(tree.frames(isos=[100])))
-    assert problem.path == "DemoGamma, ISO 100"
-    assert "usable level" in problem.found
-    assert "saturated" in problem.found
+    found = calibrated_iso(tree.frames(isos=[100]), 100)
+    assert_no_line(found, "usable level")
+    assert "saturated" in found.why_withheld("gain")
+    assert_read_noise_is_given(found, tree.truth["isos"][0])
 
 
 def dimmed(mosaic: NDArray[np.uint16]) -> NDArray[np.uint16]:
@@ -407,9 +419,10 @@ def test_a_partner_of_another_level_is_left_out_and_said(pristine: FrameTree, tr
     assert abs(found.transfer.gain_dn_per_e - truth) < 4 * found.transfer.gain_error
     for path in tree.files("flat", 1600)[1:6:4]:
         rewritten(path, mosaic=dimmed)
-    problem = only(problems_of(tree.frames(isos=[1600])))
-    assert "no pair of flats is usable" in problem.found
-    assert problem.found.count("left out") == 3
+    found = calibrated_iso(tree.frames(isos=[1600]), 1600)
+    assert_no_line(found, "no pair of flats is usable")
+    assert sum("were left out: their levels over black are" in remark for remark in found.remarks) == 3
+    assert_read_noise_is_given(found, tree.truth["isos"][1])
 
 
 def test_swapped_partners_of_other_exposures(tree: FrameTree) -> None:

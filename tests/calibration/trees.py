@@ -92,11 +92,10 @@ def rewritten(
 
 def problems_of(frames: CalibrationFrames) -> list[Problem]:
     """What the checks of the headers and, where they find nothing, of the pixels list."""
-    try:
-        chosen = sorted_frames(frames)
-    except FramesError as error:
-        return list(error.problems)
-    found: list[Problem] = []
+    chosen = sorted_frames(frames)
+    found = [problem for one in chosen for problem in one.problems]
+    if found:
+        return found
     for one in chosen:
         try:
             calibrate_iso(frames, one)

@@ -135,13 +135,13 @@ def test_files_that_are_no_raw_files_are_mentioned(eldata: Cli, tree: FrameTree)
 # --- problems -------------------------------------------------------------------------------------------------------
 
 
-def test_problems_are_listed_and_nothing_is_written(eldata: Cli, tree: FrameTree, tmp_path: Path) -> None:
+def test_nothing_is_written_if_no_iso_is_usable(eldata: Cli, tree: FrameTree, tmp_path: Path) -> None:
     spoilt = [tree.files("bias", 100)[1], tree.files("flat", 1600)[2]]
     spoilt[0].write_bytes(b"")
     spoilt[1].write_bytes(spoilt[1].read_bytes()[:-3000])
     (tmp_path / "p.json").write_text("older")
     targets = ("-o", tmp_path / "p.json", "--json", tmp_path / "d.json", "--html", tmp_path / "r.html")
-    outcome = eldata("calibrate", tree.root, *targets)
+    outcome = eldata("calibrate", tree.root, "--iso", "100", "--iso", "1600", *targets)
     assert (outcome.code, outcome.err) == (1, "")
     for path in spoilt:
         assert f"{relative(tree, path)}: content\n    expected  a whole raw file\n" in outcome.out
@@ -153,13 +153,131 @@ def test_problems_are_listed_and_nothing_is_written(eldata: Cli, tree: FrameTree
     assert [problem["path"] for problem in data["problems"]] == [relative(tree, path) for path in spoilt]
 
 
-def test_problems_that_pixels_show(eldata: Cli, tree: FrameTree) -> None:
-    path = tree.files("bias", 400)[2]
-    rewritten(path, mosaic=lambda mosaic: (mosaic + 100.0).astype(np.uint16))
-    outcome = eldata("calibrate", tree.root)
-    assert outcome.code == 1
-    assert outcome.out.endswith(f"{CAMERA}: 1 problem; nothing was written\n")
-    assert f"{relative(tree, path)}: level" in outcome.out
+def test_one_bad_iso_does_not_stop_the_others(eldata: Cli, tree: FrameTree, tmp_path: Path) -> None:
+    """A header tells of one, its pixels of another."""
+    level, size = tree.files("bias", 400)[2], tree.files("flat", 1600)[1]
+    rewritten(level, mosaic=lambda mosaic: (mosaic + 100.0).astype(np.uint16))
+    size.write_bytes(b"")
+    targets = ("-o", tmp_path / "p.json", "--json", tmp_path / "d.json", "--html", tmp_path / "r.html")
+    outcome = eldata("calibrate", tree.root, *targets)
+    assert (outcome.code, outcome.err) == (1, "")
+    assert f"{CAMERA}: 2 problems; left out: ISO 400, 1600\n" in outcome.out
+    assert f"{relative(tree, level)}: level\n    expected" in outcome.out
+    assert f"{relative(tree, size)}: content\n    expected" in outcome.out
+    assert f"profile: {tmp_path / 'p.json'}" in outcome.out
+
+    profile = CameraProfile.load(tmp_path / "p.json")
+    assert [row.iso for row in profile.rows] == [100]
+    assert any(note.startswith(f"ISO 400 was left out: {relative(tree, level)}: level") for note in profile.notes)
+    data = json.loads((tmp_path / "d.json").read_text())
+    assert data["failed_isos"] == [400, 1600]
+    assert [problem["path"] for problem in data["problems"]] == [relative(tree, level), relative(tree, size)]
+    assert [one["iso"] for one in data["isos"]] == [100]
+    assert "ISO 1600 was left out" in (tmp_path / "r.html").read_text(encoding="utf-8")
+
+
+def test_flats_without_a_line_cost_k_alone(eldata: Cli, tree: FrameTree, tmp_path: Path) -> None:
+    """Of one ISO every second flat is far brighter; its pairs are named, its read noise is measured."""
+    changed = [tree.files("flat", 400)[index] for index in (1, 3)]
+    for path in changed:
+        rewritten(path, mosaic=lambda mosaic: (512 + 0.5 * (mosaic - 512.0)).astype(np.uint16))
+    outcome = eldata("calibrate", tree.root, "-o", tmp_path / "p.json")
+    assert (outcome.code, outcome.err) == (1, "")
+    assert "ISO 400: no pair of flats is usable (withheld: K)" in outcome.out
+    for path in changed:
+        assert f" and {relative(tree, path)} were left out: their levels over black are" in outcome.out
+    rows = CameraProfile.load(tmp_path / "p.json").rows
+    assert [(row.iso, row.gain_dn_per_e is None) for row in rows] == [(100, False), (400, True), (1600, False)]
+
+
+# --- K that is stated, flats alone ------------------------------------------------------------------------------------
+
+
+def without_flats(tree: FrameTree, *isos: int) -> None:
+    for iso in isos:
+        for path in tree.files("flat", iso):
+            path.unlink()
+
+
+def test_bias_frames_alone_with_a_stated_gain(eldata: Cli, tree: FrameTree, tmp_path: Path) -> None:
+    without_flats(tree, *ISOS)
+    stated = [option for iso in ISOS for option in ("--gain", f"{iso}={iso / 400}")]
+    targets = ("-o", tmp_path / "p.json", "--json", tmp_path / "d.json", "--html", tmp_path / "r.html")
+    outcome = eldata("calibrate", tree.root, *stated, *targets)
+    assert (outcome.code, outcome.err) == (0, "")
+    assert "12 bias and 0 flat frames at 3 ISO(s), K stated at 3 of them" in outcome.out
+    assert "0.25 (stated)" in outcome.out
+    assert "ISO 100: K is stated, not measured: 0.25 DN/e-" in outcome.out
+    assert "K is not known" not in outcome.out
+    profile = CameraProfile.load(tmp_path / "p.json")
+    assert [row.gain_dn_per_e for row in profile.rows] == [0.25, 1.0, 4.0]
+    assert profile.source.endswith("K stated at 3 of them")
+    assert profile.tukey_lambda_fit.sigma > 0
+    data = json.loads((tmp_path / "d.json").read_text())
+    assert [(one["gain_error"], one["gain_is_stated"]) for one in data["isos"]] == [(None, True)] * 3
+    assert "0.25 (stated)" in (tmp_path / "r.html").read_text(encoding="utf-8")
+
+
+def test_a_gain_from_another_profile(eldata: Cli, pristine: FrameTree, tree: FrameTree, tmp_path: Path) -> None:
+    """It serves where there are no flats; a single ISO's K wins over the profile's, a measured one over both."""
+    assert eldata("calibrate", pristine.root, "-o", tmp_path / "known.json").code == 0
+    known = CameraProfile.load(tmp_path / "known.json")
+    without_flats(tree, 400, 1600)
+    options = ("--gain", tmp_path / "known.json", "--gain", "1600=7.5", "-o", tmp_path / "p.json")
+    outcome = eldata("calibrate", tree.root, *options)
+    assert "does not count" not in outcome.out
+    assert (outcome.code, outcome.err) == (0, "")
+    rows = CameraProfile.load(tmp_path / "p.json").rows
+    assert [row.gain_dn_per_e for row in rows] == [known.rows[0].gain_dn_per_e, known.rows[1].gain_dn_per_e, 7.5]
+    outcome = eldata("calibrate", tree.root, "--iso", "100", "--gain", "100=0.5")
+    assert outcome.code == 0
+    assert "ISO 100: K is measured here, and the stated 0.5 DN/e- does not count" in outcome.out
+
+
+@pytest.mark.parametrize(
+    ("stated", "words"),
+    [
+        ("200=1", "K is stated at ISO 200, of which there are no frames; there are 100, 400, 1600"),
+        ("400=0", "expected a finite number above 0, found '0', in '400=0'"),
+        ("400=x", "expected a finite number above 0, found 'x', in '400=x'"),
+        ("0=1", "in '0=1'"),
+        ("Leica", "no camera profile is called 'Leica'"),
+        ("none.json", "none.json"),
+    ],
+)
+def test_wrong_gains_are_one_line(stated: str, words: str, eldata: Cli, pristine: FrameTree) -> None:
+    assert_one_line(eldata("calibrate", pristine.root, "--gain", stated), words)
+
+
+def test_flats_alone_give_k(eldata: Cli, pristine: FrameTree, tree: FrameTree, tmp_path: Path) -> None:
+    for path in tree.camera.glob("bias/*/*"):
+        path.unlink()
+    outcome = eldata("calibrate", tree.root, "--json", tmp_path / "d.json", "--html", tmp_path / "r.html")
+    assert (outcome.code, outcome.err) == (0, "")
+    assert "K alone, from flats without bias frames" in outcome.out
+    assert "no profile can be made: there are flats alone, which give K" in outcome.out
+    data = json.loads((tmp_path / "d.json").read_text())
+    assert (data["isos"], data["profile"]) == ([], None)
+    for one, true in zip(data["gains"], pristine.truth["isos"], strict=True):
+        assert one["iso"] == true["iso"]
+        assert abs(one["gain_dn_per_e"] - true["gain_dn_per_e"]) < 5 * one["gain_error"] < 0.1 * true["gain_dn_per_e"]
+        assert "there are no bias frames, so K is all that is known" in one["remarks"]
+    page = (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert "K alone, from flats without bias frames" in page
+    assert "No profile can be made: there are flats alone" in page
+    assert eldata("calibrate", tree.root, "-o", tmp_path / "p.json").code == 1
+    assert not (tmp_path / "p.json").exists()
+
+
+def test_flats_alone_at_one_iso(eldata: Cli, pristine: FrameTree, tree: FrameTree, tmp_path: Path) -> None:
+    for path in tree.files("bias", 400):
+        path.unlink()
+    outcome = eldata("calibrate", tree.root, "-o", tmp_path / "p.json", "--json", tmp_path / "d.json")
+    assert (outcome.code, outcome.err) == (0, "")
+    data = json.loads((tmp_path / "d.json").read_text())
+    assert [one["iso"] for one in data["isos"]] == [100, 1600]
+    assert [one["iso"] for one in data["gains"]] == [400]
+    assert [row.iso for row in CameraProfile.load(tmp_path / "p.json").rows] == [100, 1600]
 
 
 def test_without_a_gain_there_are_figures_and_no_profile(eldata: Cli, tree: FrameTree, tmp_path: Path) -> None:
@@ -167,7 +285,7 @@ def test_without_a_gain_there_are_figures_and_no_profile(eldata: Cli, tree: Fram
         path.unlink()
     outcome = eldata("calibrate", tree.root, "--iso", "400")
     assert (outcome.code, outcome.err) == (0, "")
-    assert "no profile can be made: no ISO has two flats of the same exposure, so K is not known" in outcome.out
+    assert "no profile can be made: no ISO with bias frames has two flats of the same exposure" in outcome.out
     targets = ("-o", tmp_path / "p.json", "--json", tmp_path / "d.json", "--html", tmp_path / "r.html")
     outcome = eldata("calibrate", tree.root, "--iso", "400", *targets)
     assert (outcome.code, outcome.err) == (1, ""), "a profile was asked for"
@@ -242,7 +360,8 @@ def test_a_report_that_cannot_be_written_costs_no_profile(
 def test_help_names_every_option(eldata: Cli) -> None:
     outcome = eldata("calibrate", "--help")
     assert (outcome.code, outcome.err) == (0, "")
-    for words in ("FRAMES", "--camera", "--output", "--html", "--iso", "--root", "--jobs", "--json", "--debug"):
+    options = ("--camera", "--output", "--html", "--iso", "--gain", "--root", "--jobs", "--json", "--debug")
+    for words in ("FRAMES", *options):
         assert words in outcome.out
 
 

@@ -148,13 +148,25 @@ def test_list(profile: Cli) -> None:
     assert [item["profile"] for item in listed] == list(shipped_profiles())
 
 
+def test_show_beyond_the_calibrated_range(profile: Cli) -> None:
+    refused = profile("show", "SonyA7S2", "--iso", "12800")
+    assert (refused.code, refused.out) == (2, "")
+    assert "outside of the calibrated range 100 to 6400 of SonyA7S2" in refused.err
+    assert "--extrapolate" in refused.err
+    for where in (("--iso", "12800"), ("--gain", "12.0212608")):
+        shown = profile("show", "SonyA7S2", *where, "--extrapolate")
+        assert shown.code == 0
+        assert f"{'K':<10}{'12.021':>10} DN/e-" in shown.out
+        assert "black   512 DN" in shown.out
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         (["show", "Leica"], "no camera profile is called 'Leica'"),
         (["show", "absent.json"], "absent.json: cannot be read"),
         (["show", "SonyA7S2", "--iso", "99999999"], "outside of the calibrated range"),
-        (["show", "SonyA7S2", "--iso", "nan"], "outside of the calibrated range"),
+        (["show", "SonyA7S2", "--iso", "nan"], "an ISO is finite and above 0"),
         (["show", "SonyA7S2", "--gain", "-1"], "outside of the calibrated range 0.09392 to 6.011 of SonyA7S2"),
         (["show", "SonyA7S2", "--model", "Q"], "'Q' is not a component"),
         (["show", "SonyA7S2", "--seed", "-1"], "expected a whole number of 0 or more"),

@@ -242,6 +242,14 @@ def test_npy_is_the_models_output(clean: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.load(out / "data" / "out" / frame["path"]), expected)
 
 
+def test_an_iso_beyond_the_calibrated_range_has_to_be_asked_for(clean: Path, tmp_path: Path) -> None:
+    with pytest.raises(ArgumentError, match="ISO 12800 is outside of the calibrated range 100 to 6400"):
+        Recipe(SONY, iso=12800)
+    synthesize(clean, tmp_path / "out", Recipe(SONY, iso=12800, extrapolate=True))
+    for frame in recorded(tmp_path / "out"):
+        assert frame["gain_dn_per_e"] == pytest.approx(SONY.gain_range_dn_per_e[1] * 2, rel=1e-6)
+
+
 def test_xtrans_at_an_offset_and_odd_sizes(tmp_path: Path) -> None:
     cfa = tuple(tuple(XTRANS_CFA[(y + 2) % 6][(x + 1) % 6] for x in range(6)) for y in range(6))
     mosaic = np.random.default_rng(0).integers(2000, 9000, (101, 113), dtype=np.uint16)

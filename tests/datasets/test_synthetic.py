@@ -534,6 +534,7 @@ def test_profiles_that_make_no_sense() -> None:
 def test_an_iso_or_row_that_the_profile_does_not_know() -> None:
     with pytest.raises(ArgumentError, match="ISO 50 is outside of the calibrated range"):
         flat(iso=50)[0]
+    assert flat(iso=50, extrapolate=True)[0]["gain_dn_per_e"] == pytest.approx(flat(iso=100)[0]["gain_dn_per_e"] / 2)
     with pytest.raises(ArgumentError, match="row must be"):
         flat(row="best")[0]
 

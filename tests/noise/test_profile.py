@@ -15,7 +15,7 @@ import torch
 from scipy import stats
 
 from eldata.errors import ArgumentError, ProfileError
-from eldata.noise import CameraProfile, NoiseParameters, shipped_profiles
+from eldata.noise import CameraProfile, NoiseModel, NoiseParameters, shipped_profiles
 from eldata.noise.profile import LogLogFit, ProfileRow
 from tests.cases import in_one_test
 
@@ -502,10 +502,102 @@ def test_a_measured_gain_wins_over_the_proportion() -> None:
     assert dataclasses.replace(profile, iso_range=None).gain_at_iso(200) == pytest.approx(0.4)
 
 
-@pytest.mark.parametrize("iso", [99.0, 6401.0, 0.0, -100.0, math.nan, math.inf])
+@pytest.mark.parametrize("iso", [99.0, 6401.0, 10000.0, 12800.0, 25600.0])
 def test_an_iso_outside_of_the_range(iso: float) -> None:
-    with pytest.raises(ArgumentError, match=r"outside of the calibrated range 100 to 6400 of SonyA7S2"):
-        CameraProfile.load("SonyA7S2").gain_at_iso(iso)
+    """Whether a row has it or not: beyond the range K has to be asked for."""
+    sony = CameraProfile.load("SonyA7S2")
+    with pytest.raises(ArgumentError, match=r"outside of the calibrated range 100 to 6400 of SonyA7S2; extrapolating"):
+        sony.gain_at_iso(iso)
+    with pytest.raises(ArgumentError, match=r"outside of the calibrated range"):
+        sony.sample(np.random.default_rng(0), iso=iso)
+    gain = sony.gain_at_iso(iso, extrapolate=True)
+    assert gain == pytest.approx(iso / 100 * sony.gain_range_dn_per_e[0], rel=1e-6)
+    drawn = sony.sample(np.random.default_rng(0), iso=iso, row="nearest-gain", extrapolate=True)
+    assert drawn.gain_dn_per_e == gain
+
+
+def test_beyond_a_single_iso_in_proportion() -> None:
+    profile = dataclasses.replace(FULL, rows=FULL.rows[1:], iso_range=(800.0, 800.0), gain_range_dn_per_e=(0.5, 0.5))
+    assert profile.gain_at_iso(1600, extrapolate=True) == pytest.approx(1.0)
+    with pytest.raises(ArgumentError, match="outside of the calibrated range 800 to 800"):
+        profile.gain_at_iso(1600)
+
+
+@pytest.mark.parametrize("iso", [0.0, -100.0, math.nan, math.inf])
+def test_what_is_no_iso(iso: float) -> None:
+    for extrapolate in (False, True):
+        with pytest.raises(ArgumentError, match="an ISO is finite and above 0"):
+            CameraProfile.load("SonyA7S2").gain_at_iso(iso, extrapolate=extrapolate)
+
+
+# --- as it was measured ---------------------------------------------------------------------------------------------
+
+
+def test_the_measured_parameters_of_an_iso() -> None:
+    found = FULL.measured(100)
+    assert found == NoiseParameters(0.1, 0.1, 1.5, 2.5, 0.5, (1.0, 2.0, 3.0, 4.0))
+    assert found.range_dn == 16383.0 - 512.0
+    # A sample's scales are off their lines, whatever the row.
+    assert FULL.sample(np.random.default_rng(0), iso=100, row="nearest-gain").sigma_tl_dn != 1.5
+
+
+def test_an_iso_that_was_not_measured() -> None:
+    row = FULL.rows[0]
+    partly = (row, dataclasses.replace(row, iso=200.0, sigma_row_dn=None), dataclasses.replace(row, iso=400.0))
+    profile = dataclasses.replace(FULL, rows=partly)
+    for iso in (200, 300):
+        with pytest.raises(ArgumentError, match=rf"ISO {iso} of .* was not measured, or not completely; ISO 100, 400"):
+            profile.measured(iso)
+    with pytest.raises(ArgumentError, match="no row of SonyA7S2's profile has K and all scales"):
+        CameraProfile.load("SonyA7S2").measured(100)
+
+
+# --- levels ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_levels_of_shipped_profiles_and_where_they_come_from() -> None:
+    ranges = {name: CameraProfile.load(name).range_dn for name in CAMERAS}
+    expected = {"SonyA7S2": 15871.0, "NikonD850": 15120.0, "NikonD850-2": 15120.0}
+    assert ranges == {name: expected.get(name) for name in CAMERAS}
+    for name in CAMERAS:
+        note = CameraProfile.load(name).notes[-1]
+        assert ("DN are those" in note) == (name in expected)
+        assert ("no source states them" in note) == (name not in expected)
+
+
+def test_the_range_of_a_profile_is_what_the_model_takes() -> None:
+    clean = np.full((4, 16, 16), 0.25, dtype=np.float32)
+    sony = CameraProfile.load("SonyA7S2").sample(np.random.default_rng(1))
+    seeds = [np.random.default_rng(2) for _ in range(3)]
+    told = NoiseModel()(clean, parameters=sony, ratio=100.0, range_dn=15871.0, generator=seeds[0])
+    by_default = NoiseModel()(clean, parameters=sony, ratio=100.0, generator=seeds[1])
+    other = NoiseModel()(clean, parameters=sony, ratio=100.0, range_dn=4095.0, generator=seeds[2])
+    np.testing.assert_array_equal(by_default, told)
+    assert not np.array_equal(other, told)
+
+
+def test_parameters_that_do_not_know_their_range() -> None:
+    clean = np.full((2, 4, 16, 16), 0.25, dtype=np.float32)
+    generator = np.random.default_rng(0)
+    canon, sony, nikon = (
+        CameraProfile.load(name).sample(generator) for name in ("CanonEOS70D", "SonyA7S2", "NikonD850")
+    )
+    with pytest.raises(ArgumentError, match=r"give range_dn.*do not know it"):
+        NoiseModel()(clean, parameters=canon, ratio=100.0, generator=generator)
+    with pytest.raises(ArgumentError, match=r"give range_dn.*differ in it"):
+        NoiseModel()(clean, parameters=[sony, nikon], ratio=100.0, generator=generator)
+    NoiseModel()(clean, parameters=[sony, sony], ratio=100.0, generator=generator)
+
+
+@pytest.mark.parametrize("range_dn", [0.0, -1.0, math.nan, math.inf])
+def test_a_range_that_makes_no_sense(range_dn: float) -> None:
+    with pytest.raises(ArgumentError, match="range_dn must be finite and above 0"):
+        dataclasses.replace(FULL.measured(100), range_dn=range_dn)
+
+
+def test_levels_that_make_no_sense() -> None:
+    with pytest.raises(ProfileError, match="the white level, 512 DN, must lie above the black level, 512 DN"):
+        dataclasses.replace(FULL, white_level_dn=512.0)
 
 
 def test_an_iso_of_a_profile_that_knows_none() -> None:

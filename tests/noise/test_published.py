@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import builtins
+import dataclasses
 import io
 import os
 import pickle
@@ -337,7 +338,9 @@ def test_a_shipped_camera_from_its_published_form(tmp_path: Path) -> None:
     }
     path = tmp_path / "SonyA7S2_params.npy"
     np.save(path, np.array(data, dtype=object), allow_pickle=True)
-    assert profiles_from_published("SonyA7S2", read_published(path)) == (shipped,)
+    # Its levels are from elsewhere, and the last note says so.
+    published_alone = dataclasses.replace(shipped, black_level_dn=None, white_level_dn=None, notes=shipped.notes[:-1])
+    assert profiles_from_published("SonyA7S2", read_published(path)) == (published_alone,)
 
 
 def without(data: dict[str, Any], *keys: str) -> dict[str, Any]:

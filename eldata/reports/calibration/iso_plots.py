@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from eldata.calibration.audit import GivenFigure
     from eldata.calibration.photon_transfer import PhotonTransfer
     from eldata.calibration.reproduction import Reproduction
-    from eldata.calibration.results import IsoCalibration
+    from eldata.calibration.results import IsoCalibration, IsoGain
 
 GAUSSIAN_LAMBDA = 0.14
 """The shape at which the Tukey-lambda distribution is nearest to the normal one."""
@@ -48,10 +48,12 @@ _FRAMES_SHOWN = 32
 
 def estimated(figure: GivenFigure | None, unit: str = "") -> str:
     """Return a figure with its error and unit, or "withheld"."""
-    return "withheld" if figure is None else measured(figure.value, figure.error, unit)
+    if figure is None:
+        return "withheld"
+    return measured(figure.value, figure.error, unit) + (" (stated)" if figure.is_stated else "")
 
 
-def _plot(kind: str, one: IsoCalibration, alt: str, draw: Callable[[Theme], Figure], more: str = "") -> Plot:
+def _plot(kind: str, one: IsoGain, alt: str, draw: Callable[[Theme], Figure], more: str = "") -> Plot:
     """Return a plot of one ISO, with the words of its kind."""
     said = plot_words("calibration")[kind]
     return drawn(f"{kind}-{one.iso:g}", said["title"], alt, said["caption"] + more, draw)
@@ -60,7 +62,7 @@ def _plot(kind: str, one: IsoCalibration, alt: str, draw: Callable[[Theme], Figu
 # --- photon transfer ----------------------------------------------------------------------------------------------
 
 
-def transfer_plot(one: IsoCalibration, transfer: PhotonTransfer) -> Plot:
+def transfer_plot(one: IsoGain, transfer: PhotonTransfer) -> Plot:
     """Draw the variance over the signal, the fitted lines, and the deviations from them."""
     spatial, spatial_gain = one.spatial, one.spatial_gain
     worst = max((line.chi2_per_dof for line in transfer.channels if math.isfinite(line.chi2_per_dof)), default=math.nan)
@@ -78,9 +80,7 @@ def transfer_plot(one: IsoCalibration, transfer: PhotonTransfer) -> Plot:
     def draw(theme: Theme) -> Figure:
         drawing, main, below = two_axes(2.6)
         furthest = 0.0
-        for name, line, marker, colour in zip(
-            one.bias.channels, transfer.channels, MARKERS, theme.channels, strict=False
-        ):
+        for name, line, marker, colour in zip(one.channels, transfer.channels, MARKERS, theme.channels, strict=False):
             signal, variance, error = line.pooled(_LEVELS_SHOWN)
             deviation = (variance - line.variance_at(signal)) / error
             furthest = max(furthest, float(np.abs(deviation).max()))

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from eldata.calibration.audit import GivenFigure
     from eldata.calibration.joint import LogLogEstimate
-    from eldata.calibration.results import Calibration, IsoCalibration
+    from eldata.calibration.results import Calibration, IsoGain
 
 _ISOS_LABELLED = 5
 _CHANNEL_STEP = 0.07  # of ln ISO: side by side, where the channels' values are alike
@@ -53,14 +53,15 @@ def joint_plots(calibration: Calibration) -> tuple[Plot, ...]:
         )
         if (usable := _points([gain for gain, _ in known], scales))
     ]
-    if known:
-        found.append(_gain_plot([one for _, one in known], calibration.usual_gain_per_iso))
+    with_gain = [one for one in calibration.all_isos if one.gain is not None]
+    if with_gain:
+        found.append(_gain_plot(with_gain, calibration.usual_gain_per_iso))
     shapes = [(one.iso, shape) for one in calibration.isos if (shape := one.tukey_lambda) is not None]
     biases = [(one.iso, bias) for one in calibration.isos if (bias := one.colour_bias) is not None]
     if shapes:
         found.append(_lambda_plot(shapes))
     if biases:
-        found.append(_bias_plot(calibration.isos[0].bias.channels, biases))
+        found.append(_bias_plot(calibration.isos[0].channels, biases))
     return tuple(found)
 
 
@@ -122,7 +123,7 @@ def _by_iso(name: str, isos: Sequence[float], alt: str, draw: Callable[[Theme], 
     return drawn(name, said["title"], alt, said["caption"], with_isos)
 
 
-def _gain_plot(known: Sequence[IsoCalibration], usual: float) -> Plot:
+def _gain_plot(known: Sequence[IsoGain], usual: float) -> Plot:
     isos, gains = [one.iso for one in known], [one.gain_dn_per_e or 0.0 for one in known]
     relative = [gain / iso / usual for gain, iso in zip(gains, isos, strict=True)]
     errors = [0.0 if one.gain is None else _bar(one.gain.error) for one in known]

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from eldata.calibration.audit import Figure, GivenFigure
-    from eldata.calibration.results import Calibration, IsoCalibration
+    from eldata.calibration.results import Calibration, IsoCalibration, IsoGain
     from eldata.reports.figures import Plot
     from eldata.reports.pictures import Pictures
 
@@ -43,7 +43,7 @@ def calibration_page(calibration: Calibration) -> str:
         remarks=_remarks(calibration),
         tables=[table for table in _tables(calibration) if table.rows],
         joint=joint_plots(calibration),
-        sections=[(f"{one.iso:g}", _summary(one), one.all_remarks, _groups(one)) for one in calibration.isos],
+        sections=_sections(calibration),
         made_from=_made_from(calibration),
     )
 
@@ -70,6 +70,7 @@ class _Group:
 def _tables(calibration: Calibration) -> tuple[_Table, ...]:
     return (
         _Table("figures", "Figures, value ± standard error", *calibration.table()),
+        _Table("gains", "K alone, from flats without bias frames", *calibration.gain_table()),
         _Table("colour-bias", "Colour bias over the recorded black level [DN]", *calibration.bias_table()),
         _Table("fits", "Lines of ln σ over ln K", _FIT_HEADER, calibration.fit_table()),
         _Table("reproduction", "A bias frame kept out, against simulated ones", *calibration.reproduction_table()),
@@ -81,12 +82,12 @@ def _tables(calibration: Calibration) -> tuple[_Table, ...]:
 
 def _verdict(calibration: Calibration) -> str:
     """Return how much was measured, in a sentence."""
-    isos = calibration.isos
+    isos = calibration.all_isos
     where = f"ISO {isos[0].iso:g}" if len(isos) == 1 else f"{len(isos)} ISOs from {isos[0].iso:g} to {isos[-1].iso:g}"
     gains = [one.gain_dn_per_e for one in isos if one.gain_dn_per_e is not None]
     if not gains:
-        unknown = all(one.transfer is None for one in isos)
-        return f"{where}; K is {'not known, for want of flats' if unknown else 'withheld'}."
+        is_withheld = any("gain" in one.withheld for one in isos)
+        return f"{where}; K is {'withheld' if is_withheld else 'not known, for want of flats'}."
     low, high = digits(min(gains)), digits(max(gains))
     found = f"K is {low} DN/e⁻" if low == high else f"K from {low} to {high} DN/e⁻"
     missing = len(isos) - len(gains)
@@ -100,13 +101,13 @@ def _without_profile(calibration: Calibration) -> str:
 
 def _wary(calibration: Calibration) -> str:
     """Return where there is something to be wary of, in a sentence; empty if nowhere."""
-    places = [f"ISO {one.iso:g}" for one in calibration.isos if one.all_remarks]
+    places = [f"ISO {one.iso:g}" for one in calibration.all_isos if one.all_remarks]
     if not places and not calibration.remarks:
         return ""
-    if len(places) == len(calibration.isos) > 1:
+    if len(places) == len(calibration.all_isos) > 1:
         places = ["every ISO"]
     elif len(places) > 3:
-        places = [f"{len(places)} of {len(calibration.isos)} ISOs"]
+        places = [f"{len(places)} of {len(calibration.all_isos)} ISOs"]
     about = [*places, *(["the calibration as a whole"] if calibration.remarks else [])]
     number = len(calibration.all_remarks)
     return f"{number} {'remark' if number == 1 else 'remarks'}, on {_and(about)}."
@@ -115,7 +116,7 @@ def _wary(calibration: Calibration) -> str:
 def _remarks(calibration: Calibration) -> list[tuple[str, str]]:
     """Return of which ISOs (of the whole if empty) and what is remarked; what is said of several ISOs is said once."""
     isos: dict[str, list[str]] = {}
-    for one in calibration.isos:
+    for one in calibration.all_isos:
         for remark in one.all_remarks:
             isos.setdefault(remark, []).append(f"{one.iso:g}")
     of_isos = [(f"ISO {_and(places)}", remark) for remark, places in isos.items()]
@@ -127,11 +128,11 @@ def _and(items: Sequence[str]) -> str:
 
 
 def _made_from(calibration: Calibration) -> str:
-    isos = calibration.isos
+    isos = calibration.all_isos
     sizes = sorted({(one.sensor.width, one.sensor.height) for one in isos})
     shapes = _and([f"{width} × {height}" for width, height in sizes])
-    bias, flat = sum(one.bias_frames for one in isos), sum(one.flat_frames for one in isos)
-    kept = sum(one.reproduction is not None for one in isos)
+    bias, flat = sum(one.bias_frames for one in calibration.isos), sum(one.flat_frames for one in isos)
+    kept = sum(one.reproduction is not None for one in calibration.isos)
     frames = f"{bias} bias and {flat} flat frames of {shapes} pixels"
     return f"{frames}, and compared with {kept} more bias {'frame' if kept == 1 else 'frames'}" if kept else frames
 
@@ -139,18 +140,31 @@ def _made_from(calibration: Calibration) -> str:
 # --- one ISO ------------------------------------------------------------------------------------------------------
 
 
+def _sections(calibration: Calibration) -> list[tuple[str, str, tuple[str, ...], tuple[_Group, ...]]]:
+    """Return ISO, summary, remarks and groups of each ISO, ascending."""
+    of_gain = [(one, _gain_summary(one), (_gain(one),)) for one in calibration.gains]
+    of_all = [(one, _summary(one), _groups(one)) for one in calibration.isos]
+    ascending = sorted((*of_gain, *of_all), key=lambda section: section[0].iso)
+    return [(f"{one.iso:g}", summary, one.all_remarks, groups) for one, summary, groups in ascending]
+
+
+def _gain_summary(one: IsoGain) -> str:
+    return "K not known" if one.gain_text == "-" else f"K {_alone(one.gain)}"
+
+
 def _summary(one: IsoCalibration) -> str:
-    gain = "not known" if one.transfer is None else _alone(one.gain)
     shape, scale, row = _alone(one.tukey_lambda, 2), _alone(one.sigma_tl_dn), _alone(one.sigma_row_dn)
-    return f"K {gain}, λ {shape}, σ TL {scale}, σ row {row}"
+    return f"{_gain_summary(one)}, λ {shape}, σ TL {scale}, σ row {row}"
 
 
 def _alone(figure: GivenFigure | None, count: int = 3) -> str:
     """Return a figure without its error."""
-    return "withheld" if figure is None else digits(figure.value, count)
+    if figure is None:
+        return "withheld"
+    return digits(figure.value, count) + (" (stated)" if figure.is_stated else "")
 
 
-def _withheld(one: IsoCalibration, figure: Figure) -> str:
+def _withheld(one: IsoGain, figure: Figure) -> str:
     """Return in a sentence why a figure is not given; empty if it is."""
     why = one.why_withheld(figure)
     return f"Withheld: {why.rstrip('.')}." if why else ""
@@ -160,16 +174,19 @@ def _groups(one: IsoCalibration) -> tuple[_Group, ...]:
     return _gain(one), _colour_bias(one), _rows(one), _read_noise(one), _reproduction(one), _pattern(one)
 
 
-def _by_channel(template: str, one: IsoCalibration, values: Sequence[str]) -> list[tuple[str, str]]:
+def _by_channel(template: str, one: IsoGain, values: Sequence[str]) -> list[tuple[str, str]]:
     """Return a text for each CFA channel, with the template's name for it."""
-    return [(template.format(name), value) for name, value in zip(one.bias.channels, values, strict=True)]
+    return [(template.format(name), value) for name, value in zip(one.channels, values, strict=True)]
 
 
-def _gain(one: IsoCalibration) -> _Group:
+def _gain(one: IsoGain) -> _Group:
     title = "System gain K"
     if one.transfer is None:
+        stated = () if one.gain is None else (("K [DN/e⁻]", estimated(one.gain)),)
         note = "There are no pairs of equal flats of this ISO, so K is not known and there is no photon transfer line."
-        return _Group(title, (), note=note)
+        if stated:
+            note = "K is stated: there is no photon transfer line that gives it."
+        return _Group(title, stated, note=_withheld(one, "gain") or note)
     transfer = one.transfer
     numbers = [("K [DN/e⁻]", estimated(one.gain))]
     if one.channel_gains is not None:

@@ -1,9 +1,9 @@
 """Shape and scale of the read noise from counts of residuals: maximum likelihood, then rounding as it is.
 
-The likelihood takes rounding for independent and uniform, and so is a smooth function whatever the fixed pattern. Its
-scores s then have an expectation other than 0 where that is not so, which :mod:`eldata.calibration._rounding` knows: the
-estimate solves ``sum s (counts - N P) = 0`` with the true probabilities P. Where rounding is independent both are the
-same. So the estimate does not take ripples, whose size hangs on the fixed pattern, for information on the noise.
+The likelihood takes rounding for independent and uniform, and so is a smooth function whatever the fixed pattern. Where
+that is not so, the expectation of its scores s is not 0, but known (:mod:`eldata.calibration._rounding`): the estimate
+solves ``sum s (counts - N P) = 0`` with the true probabilities P. Where rounding is independent both are the same. So
+the estimate does not take ripples, whose size hangs on the fixed pattern, for information on the noise.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class ResidualCells:
     @property
     def edges_dn(self) -> Values:
         """Lower edge of each cell."""
-        return np.maximum(self.starts - 0.5, 0.0) * self.cell_dn
+        return np.asarray(np.maximum(self.starts - 0.5, 0.0) * self.cell_dn)
 
     def of_lattice(self, values: Values, frames: int) -> Values:
         """Add up what is given by points 0, 1, ... 1/n DN, (..., points), by cells: (..., cells)."""
@@ -196,7 +196,8 @@ class _Smooth:
         step = 1e-4
         return np.stack(
             [
-                (np.log(self.probabilities(at + step * unit)) - np.log(self.probabilities(at - step * unit))) / (2 * step)
+                (np.log(self.probabilities(at + step * unit)) - np.log(self.probabilities(at - step * unit)))
+                / (2 * step)
                 for unit in np.eye(2)
             ]
         )
@@ -294,14 +295,15 @@ class _Rounding:
             converged=converged,
         )
 
-
     def _response(
         self, rounded: Rounded, beside: list[list[tuple[Values, Rounded]]], influence: Values
     ) -> OffsetResponse:
         """Return the response with what the errors of shape and scale make of the offsets behind the measured ones."""
         n = self._smooth.model.frames
         seen = max(self._fractions.offset_variance_dn2, 1e-4) / (1 - 1 / n)
-        slopes = [(up[1].response.sigma_dn(seen) - down[1].response.sigma_dn(seen)) / (2 * _STEP) for up, down in beside]
+        slopes = [
+            (up[1].response.sigma_dn(seen) - down[1].response.sigma_dn(seen)) / (2 * _STEP) for up, down in beside
+        ]
         error = math.sqrt(float(np.sum((influence @ np.array(slopes)) ** 2)))
         return replace(rounded.response, relative_error=error / rounded.response.sigma_dn(seen))
 

@@ -4,8 +4,8 @@ Rounding adds an independent uniform error only where a pixel's level may lie an
 noise is wide enough: where its characteristic function is 0 at 2 pi. In a quiet body without fixed pattern all levels
 have one fraction. Near 0 it hides noise, and row offsets with it; near 1/2 it enlarges them.
 
-A pixel of level m and row offset r, s = m + r, is recorded as round(s + e), with noise e of characteristic function phi.
-The recorded value less s has the characteristic function ::
+A pixel of level m and row offset r, s = m + r, is recorded as round(s + e), with noise e of characteristic function
+phi. The recorded value less s has the characteristic function ::
 
     sum over l of exp(2 pi i l s) Q(w + 2 pi l),   Q(w) = phi(w) sin(w / 2) / (w / 2)
 
@@ -56,7 +56,7 @@ class LevelFractions:
     remainders
         (groups of rows, channels, n) sound pixels by the sum of their n frames modulo n.
     local_levels
-        (channels, bins) share of the pixels by the fraction of their neighbourhood's mean, in bins of even width from 0.
+        (channels, bins) share of the pixels by the fraction of their neighbourhood's mean, in even bins from 0 on.
     dsnu_dn
         (channels,) standard deviation of the pixels' levels around it.
     rows
@@ -78,7 +78,7 @@ class LevelFractions:
     @property
     def pixels(self) -> NDArray[np.int64]:
         """By group and channel."""
-        return self.remainders.sum(axis=2)
+        return np.asarray(self.remainders.sum(axis=2))
 
     def waves(self) -> Values:
         """Return the mean of exp(2 pi i l sum / n): (groups, channels, 2 k), k real parts, then k imaginary ones."""
@@ -219,9 +219,9 @@ class RoundedResiduals:
         return replace(rounded, variance_dn2=rounded.variance_dn2 + float(rounded.change @ points**2))
 
     def _levels(self, noise: _Noise, offsets: float) -> tuple[Complex, Complex]:
-        """Return the mean of exp(2 pi i l m) by channel, and its derivative by real and imaginary parts of the observed waves.
+        """Return the mean of exp(2 pi i l m) by channel, and its derivative by the observed waves.
 
-        The observed waves are linear in these means; where the noise blurs them, what is expected stays.
+        These are linear in these means; where the noise blurs them, what is expected stays.
         """
         counts = self.fractions.pixels
         of_channel = counts.sum(axis=0)
@@ -273,7 +273,7 @@ class RoundedResiduals:
         return expected, errors
 
     def _changes(self, noise: _Noise, offsets: float, response: OffsetResponse, kind: int) -> tuple[Values, float]:
-        """Return ``by_fraction`` of one kind of rows, and the variance of what offsets lose when they are rounded to 1/n DN."""
+        """Return ``by_fraction`` of one kind of rows, and the variance that rounding to 1/n DN takes from offsets."""
         n = self.frames
         points = 2 * n * noise.reach
         frequency = 2 * math.pi * np.arange(points // 2 + 1) * n / points
@@ -303,7 +303,9 @@ class RoundedResiduals:
         left = nodes - follows * seen
         base = _product(chance, np.exp(1j * np.outer(follows * offset - taken, frequency)))
         nearest = -np.rint(own * frequency / (2 * math.pi))
-        base *= shares[:, None] * np.exp(1j * (np.outer(own * left, frequency) + 2 * math.pi * np.outer(nodes, nearest)))
+        base *= shares[:, None] * np.exp(
+            1j * (np.outer(own * left, frequency) + 2 * math.pi * np.outer(nodes, nearest))
+        )
         of_nodes = np.exp(2j * math.pi * np.outer(noise.terms, nodes))
         mine = _product(of_nodes, base) * noise(own * frequency + 2 * math.pi * (nearest + noise.terms[:, None]))
         theirs = _product(of_nodes * shares, np.exp(-1j * np.outer(share * left, frequency)))
@@ -320,7 +322,10 @@ class RoundedResiduals:
         for alias in (-1, 0, 1):
             w = frequency + 2 * math.pi * n * alias
             independent += (
-                noise(own * w) * noise(share * w) ** (n - 1) * np.exp(-0.5 * of_row * w**2) * np.sinc(w / (2 * math.pi * n))
+                noise(own * w)
+                * noise(share * w) ** (n - 1)
+                * np.exp(-0.5 * of_row * w**2)
+                * np.sinc(w / (2 * math.pi * n))
             )
         change = np.fft.irfft(whole.real - independent, points, axis=1)
         folded: Values = change[:, : points // 2].copy()

@@ -35,7 +35,7 @@ from eldata.calibration.photon_transfer import (
     photon_transfer,
     spatial_photon_transfer,
 )
-from eldata.calibration.read_noise import Residuals, probability_plot, read_noise
+from eldata.calibration.read_noise import Residuals, probability_plot, read_noise, read_noise_findings
 from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs, transfer_remarks
 from eldata.calibration.reproduction import reproduction
 from eldata.calibration.results import IsoCalibration, IsoGain
@@ -209,6 +209,7 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
     first_spectrum = spectrum
 
     def from_bias_frames() -> IsoCalibration:
+        read, bias = read_noise(histogram), colour_bias(means, sensor.black_level_dn)
         dark = IsoCalibration(
             iso=float(chosen.iso),
             sensor=sensor,
@@ -216,14 +217,15 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
             flat_frames=0,
             transfer=None,
             spatial=None,
-            bias=colour_bias(means, sensor.black_level_dn),
-            rows=row_noise(lines),
-            read=read_noise(histogram),
+            bias=bias,
+            rows=row_noise(lines, read.response),
+            read=read,
             plot=probability_plot(histogram),
             pattern=fixed.summary,
             spectrum_dn2=first_spectrum,
             reproduction=None,
             remarks=(),
+            findings=read_noise_findings(read, bias, fixed.summary),
             stated_gain_dn_per_e=chosen.stated_gain_dn_per_e,
         )
         if held_out is None or dark.parameters is None:

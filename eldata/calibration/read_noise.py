@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.calibration._frames import sums_by_row
+from eldata.calibration.audit import Finding
 from eldata.calibration.row_noise import check_same_frames, line_sums
 from eldata.errors import ArgumentError, DatasetError
 
@@ -30,13 +31,16 @@ if TYPE_CHECKING:
     from eldata.calibration._residual_fit import ResidualFit
     from eldata.calibration._rounding import LevelFractions, OffsetResponse
     from eldata.calibration._tukey_lambda import ResidualModel
-    from eldata.calibration.defects import FixedPattern
+    from eldata.calibration.audit import Figure
+    from eldata.calibration.colour_bias import ColourBias
+    from eldata.calibration.defects import FixedPattern, PatternSummary
 
 _FRACTIONS = 128  # of a DN, in which local levels are counted
 _HALF = 8192  # cells on each side of 0
 _GROUPS = 64  # of rows, whose scatter gives the standard errors
 _TAIL = 1000  # residuals beyond the point from which on the variance is the fitted distribution's
-_MOST_LAMBDA_ERROR, _MOST_SIGMA_ERROR = 0.1, 0.25  # of lambda, and relative: beyond, no error holds
+_MOST_ERROR = 0.15  # of lambda, and of sigma_TL as a share: beyond, neither figure nor error means anything
+_BY_CHANCE = 1e-6  # of the fit's chi^2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,6 +125,8 @@ class ReadNoise:
         Whether the fit came to an end.
     response
         By how much row means move with row offsets, where rounding makes that uneven; else ``None``.
+    shift_dn
+        By how much rounding moves the mean of pixels whose levels share a fraction of a DN, at most.
     """
 
     tukey_lambda: float
@@ -144,12 +150,12 @@ class ReadNoise:
     beyond: int
     converged: bool
     response: OffsetResponse | None = field(default=None, repr=False)
+    shift_dn: float = 0.0
 
     @property
-    def is_reliable(self) -> bool:
-        """Whether the errors hold: not where rounding, or the number of pixels, leaves next to nothing of the shape."""
-        errors = self.tukey_lambda_error, self.sigma_tl_error_dn / self.sigma_tl_dn
-        return self.converged and errors[0] < _MOST_LAMBDA_ERROR and errors[1] < _MOST_SIGMA_ERROR
+    def largest_error(self) -> float:
+        """Of lambda, and of sigma_TL as a share of it."""
+        return max(self.tukey_lambda_error, self.sigma_tl_error_dn / self.sigma_tl_dn)
 
     @property
     def highest_correlation(self) -> float:
@@ -270,9 +276,7 @@ class Residuals:
         local = np.stack([np.bincount(of_channel, minlength=_FRACTIONS) for of_channel in places]) / places.shape[1]
         period = len(fixed.pattern)
         rows = np.stack([self._pixels[kind::period].sum(axis=0) for kind in range(period)]) / self._pixels.sum()
-        return LevelFractions(
-            remainders, local, np.array(fixed.summary.dsnu_dn), rows, offset_variance, pixel_variance
-        )
+        return LevelFractions(remainders, local, np.array(fixed.summary.dsnu_dn), rows, offset_variance, pixel_variance)
 
 
 def read_noise(histogram: ResidualHistogram) -> ReadNoise:
@@ -354,7 +358,60 @@ def read_noise(histogram: ResidualHistogram) -> ReadNoise:
         beyond=beyond,
         converged=fit.converged,
         response=None if fit.rounded is None else fit.rounded.response,
+        shift_dn=0.0 if fit.rounded is None else fit.rounded.shift_dn,
     )
+
+
+def read_noise_findings(read: ReadNoise, bias: ColourBias, pattern: PatternSummary) -> tuple[Finding, ...]:
+    """Return what the fit shows of its own assumptions, and what rounding does to the colour bias.
+
+    The fit's chi^2 has as many degrees of freedom as cells, less the parameters. What it is above 1 per degree, the
+    errors are to be larger: a misfit of that size along the direction that a parameter moves would shift it so far.
+    """
+    from scipy.special import chdtri
+
+    found: list[Finding] = []
+    limit = float(chdtri(read.chi2_freedom, _BY_CHANCE)) / read.chi2_freedom
+    misfit = math.sqrt(read.chi2_per_dof - 1) if read.chi2_per_dof > limit else 0.0
+    error = math.hypot(1.0, misfit) * read.largest_error
+    # Where rounding hides offsets, how many of them it hides hangs on the read noise.
+    figures: tuple[Figure, ...] = ("read noise",) if read.response is None else ("read noise", "row noise")
+    if not read.converged or not error < _MOST_ERROR:
+        found.append(
+            Finding(
+                "shape of the read noise",
+                figures,
+                "withheld",
+                error if read.converged else math.inf,
+                _MOST_ERROR,
+                "rounding to whole DN, or too few pixels, leave too little of the read noise to tell its shape: use a "
+                "raw mode of more bits, more frames, or the figures of a higher ISO",
+            )
+        )
+    elif misfit:
+        text = (
+            f"the residuals do not follow the fitted Tukey-lambda distribution (chi2 per degree of freedom "
+            f"{read.chi2_per_dof:.1f}, by chance at most {limit:.1f}): the read noise is of another family, often "
+            "random telegraph noise; look at its plots"
+        )
+        allowance = misfit * read.largest_error
+        found.append(Finding("fit of the read noise", figures, "wider", read.chi2_per_dof, limit, text, allowance))
+    errors = [error for error in bias.standard_error_dn if math.isfinite(error)]
+    shift = read.shift_dn * math.exp(-2 * (math.pi * min(pattern.dsnu_dn)) ** 2)
+    if errors and shift > min(errors):
+        found.append(
+            Finding(
+                "rounding moves black",
+                ("colour bias",),
+                "wider",
+                shift,
+                min(errors),
+                f"the read noise is quiet and the pixels' levels hardly differ, so that rounding moves their mean by "
+                f"up to {shift:.2g} DN",
+                allowance=shift,
+            )
+        )
+    return tuple(found)
 
 
 def probability_plot(histogram: ResidualHistogram, *, points: int = 121) -> ProbabilityPlot:
@@ -459,7 +516,7 @@ def _standard_deviation(histogram: ResidualHistogram, model: ResidualModel, fit:
     number = float(numbers.sum())
     tail = np.cumsum(both.sum(axis=0)[::-1])[::-1]
     far = int(np.count_nonzero(tail >= _TAIL))
-    far = max(1, min(far, int(histogram.reach_dn / histogram.cell_dn), both.shape[1] - 1))
+    far = max(1, int(min(far, histogram.reach_dn / histogram.cell_dn, both.shape[1] - 1)))
     squares_of_cells = (np.arange(both.shape[1]) * histogram.cell_dn) ** 2
     if histogram.squares_dn2 is None:
         # A cell's width adds its own twelfth of a square.
@@ -469,7 +526,7 @@ def _standard_deviation(histogram: ResidualHistogram, model: ResidualModel, fit:
     edge = (far - 0.5) * histogram.cell_dn
 
     def beyond(shape: float, sigma: float) -> float:
-        """The mean of r^2 where abs(r) > edge, by parts: 2 (edge^2 P(edge) + integral of 2 r P(r))."""
+        """Return the mean of r^2 where abs(r) > edge, by parts: 2 (edge^2 P(edge) + integral of 2 r P(r))."""
         points = edge * np.exp(np.linspace(0.0, 8.0, 800))
         tails = model.tails(points, shape, sigma)
         return 2 * (edge**2 * float(tails[0]) + 2 * float(np.trapezoid(points**2 * tails, np.log(points))))

@@ -500,7 +500,6 @@ def _iso_dict(one: IsoCalibration) -> dict[str, Any]:
         "r_squared_tl": read.r_squared_tl,
         "r_squared_gauss": read.r_squared_gauss,
         "read_chi2_per_dof": read.chi2_per_dof,
-        "read_is_reliable": read.is_reliable,
         **_with_error("sigma_row_dn", one.sigma_row_dn),
         "row_shapiro_p": one.rows.rows.shapiro_p,
         **_with_error("sigma_column_dn", one.sigma_column_dn),

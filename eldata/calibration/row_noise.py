@@ -195,8 +195,9 @@ def row_noise(means: LineMeans, response: OffsetResponse | None = None) -> RowNo
     pixel_variance = means.squares / freedom
     sound = np.where(fixed.defects, 0, fixed.total_dn)
     rows, columns = sums_by_row(sound, fixed.pattern), sums_by_row(sound.T, fixed.pattern.T)
-    lines = (means.rows_dn, means.row_pixels, rows, fixed.pattern), (
-        *(means.columns_dn, means.column_pixels, columns, fixed.pattern.T),
+    lines = (
+        (means.rows_dn, means.row_pixels, rows, fixed.pattern),
+        (*(means.columns_dn, means.column_pixels, columns, fixed.pattern.T),),
     )
     of_rows, of_columns = (
         _line_noise(np.array(deviations), counts, sums / frames, pattern, pixel_variance, response)

@@ -241,6 +241,7 @@ def _noise(datasets: Mapping[str, Any], folder: Path, rounds: int) -> list[Row]:
     source = StoredFrames(folder / "none.h5")
     profile = "SonyA7S2"
     ours = SyntheticPairs(source, profile, crop=CROP, augment=False, crops_per_frame=-(-_COUNT // len(source)))
+    ours.set_epoch(0)  # each round reads the same items
     published = LmdbWithNoise(datasets["LMDB of fixed patches"])
     clean = CleanCrops(source, _COUNT)
     rows = []

@@ -49,6 +49,7 @@ def run(files: Files, rounds: int, cores: int) -> list[Row]:  # noqa: ARG001 # e
     ours = SyntheticPairs(
         Arrays(list(frames), range_dn=plain_noise.RANGE_DN), "SonyA7S2", crop=_CROP, crops_per_frame=_PER_FRAME
     )
+    ours.set_epoch(0)  # each round makes the same items
     loaders: dict[str, DataLoader[object]] = {
         name: DataLoader(
             dataset, batch_size=4, num_workers=2, persistent_workers=True, multiprocessing_context="forkserver"

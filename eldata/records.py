@@ -77,10 +77,11 @@ class Sensor:
     make, model
         Camera maker and model as EXIF has them; empty if the file does not say.
     cfa
-        Colour filter array: rows of channel indices of its smallest period, 2x2 (Bayer) or 6x6 (X-Trans), for
-        the visible area. Bayer: 0 = R, 1 = G1 (in R's rows), 2 = B, 3 = G2. X-Trans: 0 = R, 1 = G, 2 = B.
+        Colour filter array: rows of channel indices of its smallest period, 2x2 (Bayer), 4x4 (quad-Bayer) or 6x6
+        (nona-Bayer, X-Trans), for the visible area. Bayer, quad and nona: 0 = R, 1 = G1 (in R's rows), 2 = B, 3 = G2
+        (:func:`eldata.raw.bayer_cfa`). X-Trans: 0 = R, 1 = G, 2 = B.
     black_level_dn
-        Black level in DN per channel index: four values for Bayer, three for X-Trans.
+        Black level in DN per channel index: three values for X-Trans, else four.
     white_level_dn
         White level in DN.
     height, width
@@ -107,7 +108,7 @@ class Sensor:
 
     @property
     def cfa_pattern(self) -> NDArray[np.uint8]:
-        """The CFA's channel indices as an array, (2, 2) or (6, 6)."""
+        """The CFA's channel indices as an array, (2, 2), (4, 4) or (6, 6)."""
         import numpy as np
 
         return np.asarray(self.cfa, dtype=np.uint8)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from eldata.raw.cfa import BAYER_CHANNELS, XTRANS_CHANNELS, packed_black_level_dn
+from eldata.raw.cfa import packed_black_level_dn, packing_sites
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -88,7 +88,6 @@ def reduce_to_cells(mosaic: Mosaic, sensor: Sensor, packed: NDArray[np.uint16]) 
     clipped = np.zeros(mean.shape, dtype=np.bool_) if counts is None else counts > 0
     step = max(1, math.isqrt(mosaic.size // 100_000)) | 1  # odd: every site of the CFA takes part
     low, high = np.quantile(mosaic[::step, ::step], (0.159, 0.841))
-    names = BAYER_CHANNELS if len(black) == len(BAYER_CHANNELS) else XTRANS_CHANNELS
     return Cells(
         mean_dn=mean,
         clipped=clipped,
@@ -96,7 +95,7 @@ def reduce_to_cells(mosaic: Mosaic, sensor: Sensor, packed: NDArray[np.uint16]) 
         clipped_share=0.0 if counts is None else float(np.count_nonzero(mosaic >= saturated)) / mosaic.size,
         zero_share=1 - float(np.count_nonzero(mosaic)) / mosaic.size,
         spread_dn=float(high - low) / 2,
-        colours=tuple(name[0] for name in names),
+        colours=tuple(name[0] for name in packing_sites(sensor.cfa).names),
     )
 
 

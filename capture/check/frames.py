@@ -52,7 +52,9 @@ class ReducedFrame:
     @property
     def scale(self) -> int:
         """Mosaic pixels along each side of a packed pixel."""
-        return 2 if len(self.sensor.cfa) == 2 else 3
+        from eldata.raw.cfa import packing_sites
+
+        return packing_sites(self.sensor.cfa).scale
 
 
 def reduced_frames(unit: Unit, group: CheckedGroup) -> Iterator[ReducedFrame]:

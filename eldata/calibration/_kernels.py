@@ -105,6 +105,68 @@ def residual_histogram(
                     counts[group, place if place < last else last] += 1
 
 
+SEGMENT = 96
+"""Mosaic columns of a piece of a row: whole periods of Bayer and of X-Trans."""
+
+BLOCK = 12
+"""Columns of a part of a segment, likewise."""
+
+_BLOCKS = SEGMENT // BLOCK
+
+
+@kernel
+def segment_means(
+    first: NDArray[np.uint16],
+    second: NDArray[np.uint16],
+    defects: NDArray[np.bool_],
+    pattern: NDArray[np.int64],
+    means: NDArray[np.float32],
+) -> None:
+    """Write the mean of A + B in each segment, ``means`` (rows, segments, channels); nan where none is sound."""
+    period = pattern.shape[0]
+    total = np.empty(means.shape[2], dtype=np.int64)
+    count = np.empty(means.shape[2], dtype=np.int64)
+    for row in range(first.shape[0]):
+        for place in range(means.shape[1]):
+            total[:] = 0
+            count[:] = 0
+            for phase in range(period):
+                channel = pattern[row % period, phase]
+                sums: Any = 0
+                sound: Any = 0
+                for column in range(place * SEGMENT + phase, (place + 1) * SEGMENT, period):
+                    is_sound = np.int64(not defects[row, column])
+                    sums += is_sound * (np.int64(first[row, column]) + np.int64(second[row, column]))
+                    sound += is_sound
+                total[channel] += sums
+                count[channel] += sound
+            for channel in range(means.shape[2]):
+                means[row, place, channel] = total[channel] / count[channel] if count[channel] else np.nan
+
+
+@kernel
+def offset_histogram(
+    mosaic: NDArray[np.uint16],
+    defects: NDArray[np.bool_],
+    offsets: NDArray[np.int64],
+    units: int,
+    step: int,
+    counts: NDArray[np.int64],
+) -> None:
+    """Count ``units`` times each sound value less ``offsets`` (row, column phase) in cells of an odd ``step``."""
+    period = offsets.shape[1]
+    last = counts.size - 1
+    start = (counts.size // 2) * step + step // 2
+    for row in range(mosaic.shape[0]):
+        for phase in range(period):
+            shift = start - offsets[row, phase]
+            for column in range(phase, mosaic.shape[1], period):
+                if not defects[row, column]:
+                    value = units * np.int64(mosaic[row, column]) + shift
+                    place = value // step if value > 0 else 0
+                    counts[place if place < last else last] += 1
+
+
 @kernel
 def remainder_counts(
     total: NDArray[np.uint32], defects: NDArray[np.bool_], pattern: NDArray[np.int64], counts: NDArray[np.int64]
@@ -129,53 +191,162 @@ def pair_segments(
     pattern: NDArray[np.int64],
     black: NDArray[np.float64],
     limit: float,
-    width: int,
     level_dn: float,
+    means: NDArray[np.float32],
+    ratios: NDArray[np.float64],
+    bright: float,
+    step: float,
+    counts: NDArray[np.int64],
     segments: NDArray[np.int64],
-    clipped: NDArray[np.int64],
-    freedom: NDArray[np.float64],
-    variance: NDArray[np.float64],
-    mean: NDArray[np.float64],
+    sums: NDArray[np.float64],
 ) -> None:
-    """Add the segments of a pair to their levels, all (channel, levels).
+    """Add the segments of a pair to their levels, and their pixels to ``counts`` (channel, 65536).
 
-    A segment is ``width`` columns of one row in one channel. Its level is its mean over black; added are its degrees
-    of freedom, and times these Var(A - B) / 2 and the mean.
+    A segment is ``SEGMENT`` columns of one row in one channel; its level is its mean over black. ``segments`` (channel,
+    levels, 3) counts those that are whole, clipped, and crossed by an edge. ``sums`` (channel, levels, 7) are of the
+    whole ones: degrees of freedom; times these, with r the ratio of A to B, Var(A - r B) / (1 + r^2), the mean that
+    goes with it, and the variance of single frames; neighbours of one colour, and the products of their differences;
+    degrees of freedom times the square of the first variance.
+
+    ``ratios`` are those of the whole frames; a segment whose mean is ``bright`` times its noise has its own. There is
+    an edge where a block departs from the straight line through the segment's blocks and the two beside it, or the
+    segment from the next two of the same channel above or below (``means``, of :func:`segment_means`), by more than the
+    share ``step`` of the segment and five standard errors.
     """
     period = pattern.shape[0]
     levels = segments.shape[1]
+    block, size = np.empty(_BLOCKS + 2), np.empty(_BLOCKS + 2)
+    phases = np.empty(period, dtype=np.int64)
     for row in range(first.shape[0]):
-        for start in range(0, first.shape[1] - width + 1, width):
-            for channel in range(black.size):
-                count = 0
-                sums: Any = 0
-                differences: Any = 0
-                squares: Any = 0
-                is_clipped: Any = False
-                for phase in range(period):
-                    if pattern[row % period, (start + phase) % period] != channel:
+        for channel in range(black.size):
+            places = 0
+            for phase in range(period):
+                if pattern[row % period, phase] == channel:
+                    phases[places] = phase
+                    places += 1
+            if places == 0:
+                continue
+            ones, twos, bad = first[row], second[row], defects[row]
+            for start in range(0, first.shape[1] - SEGMENT + 1, SEGMENT):
+                # Whole numbers: of the pixels, and of neighbours with a' and b' before a and b.
+                whole: Any = (0, 0, 0, 0, 0, 0)
+                n, clipped, neighbours, a_sum, b_sum, jumps = whole
+                aa, bb, ab, aa_two, bb_two, ab_two = whole
+                a_two, b_two = whole[:2]
+                block[:] = 0.0
+                size[:] = 0.0
+                for place in range(-1, _BLOCKS + 1):
+                    begin = start + place * BLOCK
+                    if begin < 0 or begin + BLOCK > first.shape[1]:
                         continue
-                    for column in range(start + phase, start + width, period):
-                        if defects[row, column]:
-                            continue
-                        a = np.int64(first[row, column])
-                        b = np.int64(second[row, column])
-                        is_clipped = is_clipped or a == 0 or b == 0 or a >= limit or b >= limit
-                        count += 1
-                        sums += a + b
-                        differences += a - b
-                        squares += (a - b) * (a - b)
-                if count < 8:
+                    is_within = 0 <= place < _BLOCKS
+                    both: Any = 0
+                    sound: Any = 0
+                    for phase in phases[:places]:
+                        a_before: Any = 0
+                        b_before: Any = 0
+                        is_beside: Any = False
+                        for column in range(begin + phase, begin + BLOCK, period):
+                            if bad[column]:
+                                is_beside = False
+                                continue
+                            a, b = np.int64(ones[column]), np.int64(twos[column])
+                            both += a + b
+                            sound += 1
+                            if not is_within:
+                                continue
+                            counts[channel, a] += 1
+                            counts[channel, b] += 1
+                            clipped += np.int64(a == 0 or b == 0 or a >= limit or b >= limit)
+                            a_sum += a
+                            b_sum += b
+                            aa += a * a
+                            bb += b * b
+                            ab += a * b
+                            if is_beside:
+                                neighbours += 1
+                                a_two += a + a_before
+                                b_two += b + b_before
+                                aa_two += a * a_before
+                                bb_two += b * b_before
+                                ab_two += a * b_before + b * a_before
+                                jumps += (a + b - a_before - b_before) ** 2
+                            a_before, b_before, is_beside = a, b, True
+                    block[place + 1] = both
+                    size[place + 1] = sound
+                    if is_within:
+                        n += sound
+                if n < 8:
                     continue
-                signal = 0.5 * sums / count - black[channel]
-                level = min(max(int(signal / level_dn), 0), levels - 1)
-                segments[channel, level] += 1
-                if is_clipped:
-                    clipped[channel, level] += 1
+                mean_a, mean_b = a_sum / n - black[channel], b_sum / n - black[channel]
+                level = min(max(int(0.5 * (mean_a + mean_b) / level_dn), 0), levels - 1)
+                if clipped:
+                    segments[channel, level, 1] += 1
                     continue
-                freedom[channel, level] += count - 1
-                variance[channel, level] += 0.5 * (squares - differences * (differences / count))
-                mean[channel, level] += (count - 1) * signal
+                noise = jumps / max(2 * neighbours, 1)
+                least = step * abs(mean_a + mean_b)
+                apart: Any = 0.0
+                for beside_row in (row - 2 * period, row - period, row + period, row + 2 * period):
+                    if 0 <= beside_row < first.shape[0]:
+                        there = means[beside_row, start // SEGMENT, channel]
+                        apart = max(apart, abs(there - means[row, start // SEGMENT, channel]))  # no nan is larger
+                if apart > least + 5 * np.sqrt(2 * noise / n) or _has_edge(block, size, noise, least):
+                    segments[channel, level, 2] += 1
+                    continue
+                segments[channel, level, 0] += 1
+                freedom = n - 1
+                a_square, b_square = aa - a_sum * (a_sum / n), bb - b_sum * (b_sum / n)
+                product = ab - a_sum * (b_sum / n)
+                plain = (a_square + b_square - 2 * product) / (2 * freedom)
+                ratio = ratios[channel]
+                if min(mean_a, mean_b) > 0 and mean_a * mean_b > bright * bright * plain:
+                    ratio = mean_a / mean_b
+                scale = 1 + ratio * ratio
+                variance = (a_square - 2 * ratio * product + ratio * ratio * b_square) / scale
+                centre = (a_sum - ratio * b_sum) / n
+                together = (
+                    aa_two
+                    - ratio * ab_two
+                    + ratio * ratio * bb_two
+                    - centre * (a_two - ratio * b_two)
+                    + neighbours * centre * centre
+                )
+                sums[channel, level, 0] += freedom
+                sums[channel, level, 1] += variance
+                sums[channel, level, 2] += freedom * (mean_a + ratio * ratio * mean_b) / scale
+                sums[channel, level, 3] += 0.5 * (a_square + b_square)
+                sums[channel, level, 4] += neighbours
+                # About their own mean, independent values have a covariance of -1/n of their variance.
+                sums[channel, level, 5] += together / scale + neighbours * variance / (freedom * n)
+                sums[channel, level, 6] += variance * variance / freedom
+
+
+@kernel
+def _has_edge(block: NDArray[np.float64], size: NDArray[np.float64], noise: float, least: float) -> Any:
+    """Whether a block's mean, of sums and sizes, is off the line through all; ``noise`` is a pixel's variance."""
+    count: Any = 0.0
+    middle: Any = 0.0
+    centre: Any = 0.0
+    for j in range(block.size):
+        if size[j] > 0:  # at the frame's edge, or where all are defects, there is none
+            count += 1.0
+            middle += j
+            centre += block[j] / size[j]
+    middle /= count
+    centre /= count
+    slope: Any = 0.0
+    lever: Any = 0.0
+    for j in range(block.size):
+        if size[j] > 0:
+            slope += (j - middle) * block[j] / size[j]
+            lever += (j - middle) ** 2
+    slope /= max(lever, 1.0)
+    for j in range(block.size):
+        if size[j] > 0 and abs(block[j] / size[j] - centre - slope * (j - middle)) > least + 5 * np.sqrt(
+            noise / size[j]
+        ):
+            return True
+    return False
 
 
 @kernel

@@ -16,7 +16,7 @@ Figure = Literal["gain", "read noise", "row noise", "colour bias"]
 
 SYMBOLS: Final[Mapping[Figure, str]] = {
     "gain": "K",
-    "read noise": "lambda, sigma_TL and sigma_G",
+    "read noise": "lambda, sigma_TL, sigma_G",
     "row noise": "sigma_row",
     "colour bias": "the colour bias",
 }
@@ -59,7 +59,7 @@ class Finding:
         """The text, and what becomes of the figures for it."""
         if self.effect == "remark" or not self.figures:
             return self.text
-        named = " and ".join(SYMBOLS[figure] for figure in self.figures)
+        named = ", ".join(SYMBOLS[figure] for figure in self.figures)
         fate = f"withheld: {named}" if self.effect == "withheld" else f"errors made larger: {named}"
         return f"{self.text} ({fate})"
 

@@ -9,12 +9,13 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from tqdm import tqdm
 
 from eldata import __version__
 from eldata.base.workers import IN_THIS_PROCESS, AnyWorkers, Failed, Workers, accepts_jobs, require_files
 from eldata.calibration.frame_checks import FramesError, sorted_frames
-from eldata.calibration.joint import fit_log_log
+from eldata.calibration.joint import fit_log_log, step_findings
 from eldata.calibration.one_iso import calibrate_flats, calibrate_iso, decodings
 from eldata.calibration.remarks import overall_remarks
 from eldata.calibration.results import Calibration, FailedIso, IsoCalibration, IsoGain
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from eldata.calibration.frame_checks import IsoFrames
     from eldata.calibration.joint import LogLogEstimate
 
+_LEVELS_APART = 0.001  # of the range
 _NO_NOISE_DN = 1e-9  # a scale that a log-log line can hold in place of 0
 
 
@@ -203,17 +205,19 @@ def joined(camera: str, measured: Iterable[IsoGain], failed: Iterable[FailedIso]
     ordered = tuple(one for one in everything if isinstance(one, IsoCalibration))
     left_out = tuple(_ascending(failed))
     remarks = [*(one.remark for one in left_out), *overall_remarks(everything)]
-    of_tukey_lambda, tukey_lambda_fit = _fitted("sigma_TL", _points(ordered, lambda one: one.sigma_tl_dn), remarks)
-    of_gauss, gauss_fit = _fitted("sigma_G", _points(ordered, lambda one: one.sigma_gauss_dn), remarks)
-    of_rows, row_fit = _fitted("sigma_row", _points(ordered, lambda one: one.sigma_row_dn), remarks)
-    if any(one.gain for one in ordered) and not _points(ordered, lambda one: one.sigma_row_dn):
+    points = {
+        "sigma_TL": _points(ordered, lambda one: one.sigma_tl_dn),
+        "sigma_G": _points(ordered, lambda one: one.sigma_gauss_dn),
+        "sigma_row": _points(ordered, lambda one: one.sigma_row_dn),
+    }
+    of_tukey_lambda, tukey_lambda_fit = _fitted("sigma_TL", points["sigma_TL"], remarks)
+    of_gauss, gauss_fit = _fitted("sigma_G", points["sigma_G"], remarks)
+    of_rows, row_fit = _fitted("sigma_row", points["sigma_row"], remarks)
+    iso_of = {one.gain_dn_per_e: one.iso for one in ordered if one.gain_dn_per_e is not None}
+    remarks += [one.remark for one in step_findings(points, iso_of)]
+    if any(one.gain for one in ordered) and not points["sigma_row"]:
         remarks.append("sigma_row is withheld wherever K is known: the profile makes no row noise")
-    blacks = {level for one in everything for level in one.sensor.black_level_dn}
-    whites = {one.sensor.white_level_dn for one in everything}
-    for name, levels in (("black", blacks), ("white", whites)):
-        if max(levels) - min(levels) >= 1:
-            listed = ", ".join(f"{level:g}" for level in sorted(levels)[:6])
-            remarks.append(f"the {name} level differs by ISO or channel ({listed} DN); the profile leaves it open")
+    black, white = _common_levels(everything, remarks)
     bias, flat = sum(one.bias_frames for one in ordered), sum(one.flat_frames for one in everything)
     source = f"eldata {__version__} calibrate: {bias} bias and {flat} flat frames at {len(everything)} ISO(s)"
     stated = sum(one.gain is not None and one.gain.is_stated for one in ordered)
@@ -245,11 +249,31 @@ def joined(camera: str, measured: Iterable[IsoGain], failed: Iterable[FailedIso]
         row_fit=row_fit,
         rows=tuple(row for one in ordered if (row := _row(one)) is not None),
         iso_range=(lowest, highest) if lowest <= highest else None,
-        black_level_dn=min(blacks) if max(blacks) - min(blacks) < 1 else None,
-        white_level_dn=min(whites) if len(whites) == 1 else None,
+        black_level_dn=black,
+        white_level_dn=white,
         notes=found.all_remarks,
     )
     return replace(found, made_profile=profile)
+
+
+def _common_levels(isos: Sequence[IsoGain], remarks: list[str]) -> tuple[float | None, float | None]:
+    """Return the black and the white level that hold for all frames, ``None`` where one does not; add to the remarks.
+
+    Cameras record black levels that differ by channel or ISO by a DN or some. A profile's levels are there to scale
+    values by their difference: what is a thousandth of it changes no figure by more than that.
+    """
+    blacks = [level for one in isos for level in one.sensor.black_level_dn]
+    whites = [one.sensor.white_level_dn for one in isos]
+    least = _LEVELS_APART * (min(whites) - max(blacks))
+    common: list[float | None] = []
+    for name, levels in (("black", blacks), ("white", whites)):
+        if max(levels) - min(levels) <= least:
+            common.append(float(np.median(levels)))
+            continue
+        listed = ", ".join(f"{level:g}" for level in sorted(set(levels))[:6])
+        remarks.append(f"the {name} level differs by ISO or channel ({listed} DN); the profile leaves it open")
+        common.append(None)
+    return common[0], common[1]
 
 
 def _no_profile(isos: Sequence[IsoCalibration]) -> str:

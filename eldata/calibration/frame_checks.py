@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.base.workers import IN_THIS_PROCESS, Workers
+from eldata.calibration.audit import Finding
 from eldata.datasets.calibration_frames import flat_pairs
 from eldata.errors import DatasetError, EldataError, RawFileError
 from eldata.manifest.table import number_text
@@ -28,7 +29,10 @@ if TYPE_CHECKING:
 ADVISED_BIAS_FRAMES = 10
 
 _CLIPPED_SHARE = 0.01  # of pixels at 0 DN
-_PAIR_DIFFERENCE = 0.05  # of the signal; drift below it does no harm (eldata.calibration.photon_transfer)
+# Of the signal. Pairs are scaled to each other, and K is right at any ratio; but light that changes so much between two
+# equal exposures is worth a word, and beyond the second limit it is doubtful that nothing else has changed.
+_PAIR_DIFFERENCE = 0.05
+_UNLIKE_PAIR = 0.25
 _CENTRAL = (0.05, 0.95)
 _FEW = 30  # occurrences per code, below which a gap may be chance
 
@@ -249,16 +253,56 @@ def odd_bias_frames(figures: Sequence[FrameFigures]) -> list[Problem]:
     return problems
 
 
-def unequal_pair(pair: FlatPair, first: RawFrame, second: RawFrame) -> str | None:
-    """Return a remark if the two flats of a pair differ by more than 5 % of their signal, else ``None``."""
-    black = float(np.mean(first.sensor.black_level_dn))
-    levels = [FrameFigures.of(pair.first, frame.mosaic).level_dn - black for frame in (first, second)]
-    if abs(levels[0] - levels[1]) <= _PAIR_DIFFERENCE * max(levels[0], levels[1], 1.0) + 1.0:
+@dataclass(frozen=True, slots=True)
+class PairLevels:
+    """The mean levels over black of a pair of flats, DN."""
+
+    pair: FlatPair
+    first_dn: float
+    second_dn: float
+
+    @classmethod
+    def of(cls, pair: FlatPair, first: RawFrame, second: RawFrame) -> PairLevels:
+        """Measure a pair on some 100,000 pixels of each frame."""
+        black = float(np.mean(first.sensor.black_level_dn))
+        one, two = (FrameFigures.of(pair.first, frame.mosaic).level_dn - black for frame in (first, second))
+        return cls(pair, one, two)
+
+    @property
+    def difference(self) -> float:
+        """Of the two, as a share of the brighter; a DN is none."""
+        apart = max(0.0, abs(self.first_dn - self.second_dn) - 1.0)
+        return apart / max(self.first_dn, self.second_dn, 1.0)
+
+    def __str__(self) -> str:
+        return f"{self.pair.first.path} and {self.pair.second.path} ({self.first_dn:.0f} and {self.second_dn:.0f} DN)"
+
+
+def unequal_pair(levels: PairLevels) -> str | None:
+    """Return a remark if the two flats of a pair are too unlike to be one scene in one light, else ``None``."""
+    if levels.difference <= _UNLIKE_PAIR:
         return None
     return (
-        f"{pair.first.path} and {pair.second.path} were left out: their levels over black are {levels[0]:.0f} and "
-        f"{levels[1]:.0f} DN; equal exposures of a constant light differ by less than {_PAIR_DIFFERENCE:.0%}"
+        f"{levels.pair.first.path} and {levels.pair.second.path} were left out: their levels over black are "
+        f"{levels.first_dn:.0f} and {levels.second_dn:.0f} DN; equal exposures of a constant light differ by less than "
+        f"{_PAIR_DIFFERENCE:.0%}, and beyond {_UNLIKE_PAIR:.0%} they are not taken for two frames of one scene"
     )
+
+
+def uneven_light(used: Sequence[PairLevels]) -> Iterator[Finding]:
+    """Yield a remark if pairs differ by more than equal exposures of a constant light do."""
+    uneven = [levels for levels in used if levels.difference > _PAIR_DIFFERENCE]
+    if uneven:
+        worst = max(uneven, key=lambda levels: levels.difference)
+        yield Finding(
+            "pairs of unequal brightness",
+            (),
+            "remark",
+            worst.difference,
+            _PAIR_DIFFERENCE,
+            f"{len(uneven)} of {len(used)} pairs of flats differ in light by up to {worst.difference:.0%}: {worst}; "
+            "they were scaled to each other, so K holds, but a constant light and a mechanical shutter are better",
+        )
 
 
 def missing_codes(mosaic: NDArray[np.uint16], pattern: NDArray[np.int64]) -> float:

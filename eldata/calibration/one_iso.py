@@ -16,14 +16,17 @@ from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.calibration.audit import Finding
 from eldata.calibration.colour_bias import ChannelMeans, colour_bias
 from eldata.calibration.defects import MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
+from eldata.calibration.flat_checks import flat_findings, saturation_findings
 from eldata.calibration.frame_checks import (
     ADVISED_BIAS_FRAMES,
     FrameFigures,
     FramesError,
+    PairLevels,
     clipped_black,
     missing_codes,
     odd_bias_frames,
     unequal_pair,
+    uneven_light,
     unlike,
     unlike_most,
     unreadable,
@@ -40,6 +43,7 @@ from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs, tra
 from eldata.calibration.reproduction import reproduction
 from eldata.calibration.results import IsoCalibration, IsoGain
 from eldata.calibration.row_noise import LineMeans, row_noise
+from eldata.calibration.single_frame import single_frame_plot
 from eldata.calibration.spectrum import power_spectrum
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.manifest.verify import Problem
@@ -197,16 +201,17 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
     estimated = _split(chosen.bias)[0]
     lines, residuals = LineMeans(fixed), Residuals(fixed)
     means = ChannelMeans(sensor.cfa, defects=fixed.defects)
-    spectrum, gaps = None, 0.0
+    spectrum, single, gaps = None, None, 0.0
     for _, frame in reader.read(estimated):
         if spectrum is None:
             spectrum, gaps = power_spectrum(frame.mosaic, fixed), missing_codes(frame.mosaic, fixed.pattern)
+            single = single_frame_plot(frame.mosaic, fixed)
         in_threads(methodcaller("add", frame.mosaic), (residuals, lines, means), reader.workers.jobs)
     reader.refuse()
     if spectrum is None:
         raise DatasetError("no bias frame could be read")
     histogram = residuals.histogram()
-    first_spectrum = spectrum
+    of_first_frame = spectrum, single
 
     def from_bias_frames() -> IsoCalibration:
         read, bias = read_noise(histogram), colour_bias(means, sensor.black_level_dn)
@@ -222,7 +227,8 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
             read=read,
             plot=probability_plot(histogram),
             pattern=fixed.summary,
-            spectrum_dn2=first_spectrum,
+            spectrum_dn2=of_first_frame[0],
+            single_frame=of_first_frame[1],
             reproduction=None,
             remarks=(),
             findings=read_noise_findings(read, bias, fixed.summary),
@@ -297,6 +303,7 @@ def _flats(reader: _Reader, chosen: IsoFrames, fixed: FixedPattern | None) -> _F
         return _FromFlats(None, None, () if chosen.stated_gain_dn_per_e is not None else (no_pairs(chosen),))
     pairs, singles = None, None
     pair_of = {pair.second: pair for pair in chosen.pairs}
+    used: list[PairLevels] = []
     remarks: list[str] = []
     gaps = 0.0
     waiting: tuple[FrameRecord, RawFrame] | None = None
@@ -314,10 +321,12 @@ def _flats(reader: _Reader, chosen: IsoFrames, fixed: FixedPattern | None) -> _F
             black, defects = (sensor.black_level_dn, None) if fixed is None else (fixed.level_dn, fixed.defects)
             pairs = FlatPairs(sensor.cfa, black, sensor.white_level_dn, defects=defects)
             singles = FlatFrames(sensor.cfa, black, sensor.white_level_dn, defects=defects)
-        unequal = unequal_pair(pair, first, frame)
+        levels = PairLevels.of(pair, first, frame)
+        unequal = unequal_pair(levels)
         if unequal is not None:
             remarks.append(unequal)
             continue
+        used.append(levels)
         pairs.add(first.mosaic, frame.mosaic)
         singles.add(first.mosaic)
         singles.add(frame.mosaic)
@@ -329,12 +338,13 @@ def _flats(reader: _Reader, chosen: IsoFrames, fixed: FixedPattern | None) -> _F
     try:
         transfer = photon_transfer(pairs)
     except DatasetError as error:
-        return _FromFlats(None, None, said, (_no_line(str(error)),))
+        no_line = _no_line(f"{error}; pairs used: {', '.join(map(str, used))}")
+        return _FromFlats(None, None, said, (*saturation_findings(pairs.saturation, pairs.left_out), no_line))
     try:
         spatial = spatial_photon_transfer(singles)
     except DatasetError:
         spatial = None  # it needs three brightnesses; it is for comparison alone
-    return _FromFlats(transfer, spatial, said)
+    return _FromFlats(transfer, spatial, said, (*uneven_light(used), *flat_findings(transfer)))
 
 
 def _no_line(why: str) -> Finding:

@@ -10,12 +10,13 @@ The intercept is free and never used as read noise: it also holds row noise, qua
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from eldata.calibration._frames import FrameSums, checked_black_level
+from eldata.calibration.saturation import saturation
 from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
@@ -23,12 +24,19 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from eldata.calibration.saturation import Saturation
     from eldata.raw.cfa import Cfa
 
 _LEVELS = 512  # from black to saturation
-_SEGMENT = 96  # mosaic columns: whole periods of Bayer and of X-Trans
 _CLIPPED_SHARE = 0.01  # of a level's segments; more, and the level is left out
 _MARGIN = 0.02  # of the range from black to white
+# A segment of n pixels, whose mean is SNR times its noise, knows the ratio of its two frames to sqrt(2 / n) / SNR. The
+# ratio's error adds 1 / (n SNR^2) of the variance: below 1e-4 from an SNR of 20 on. What a wrong ratio would leave of a
+# fixed pattern of share p is (p SNR d)^2 of it, with d the error of the whole frames' ratio: below 4e-4 up to there, at
+# p = 2 % and d = 5 %.
+_BRIGHT = 20.0
+# Of a block against its segment. A lens that darkens the corners by a half bends 96 columns of 768 by 0.4 %.
+_STEP = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,6 +96,13 @@ class PhotonTransfer:
         Flat frames that went in.
     left_out
         Share of the measurements that clipping or saturation excluded.
+    edges
+        Share of the measurements that have an edge in them, as on a colour chart, and were left out.
+    correlation, correlation_error
+        Of neighbours of one colour in the differences of pairs, and its standard error; 0 in honest frames.
+    saturation
+        Where each channel saturates below the recorded white level; ``None`` where nothing shows. Empty for single
+        frames, as the three above.
     """
 
     gain_dn_per_e: float
@@ -96,6 +111,10 @@ class PhotonTransfer:
     channels: tuple[PhotonTransferLine, ...]
     frames: int
     left_out: float
+    edges: float = math.nan
+    correlation: float = math.nan
+    correlation_error: float = math.nan
+    saturation: tuple[Saturation | None, ...] = ()
 
 
 class _Flats(FrameSums):
@@ -134,20 +153,27 @@ class FlatPairs(_Flats):
 
     def _make_room(self) -> None:
         self._level_dn = (self._limit - float(self._black.min())) / _LEVELS
-        self._segments, self._clipped = np.zeros((2, self.channels, _LEVELS), dtype=np.int64)
-        self._freedom, self._variance, self._mean = np.zeros((3, self.channels, _LEVELS))
+        self._segments = np.zeros((self.channels, _LEVELS, 3), dtype=np.int64)
+        self._sums = np.zeros((self.channels, _LEVELS, 7))
+        self._counts = np.zeros((self.channels, 65536), dtype=np.int64)
+        self._saturation: tuple[Saturation | None, ...] | None = None
 
     def add(self, first: NDArray[np.uint16], second: NDArray[np.uint16]) -> None:
         """Add two frames of the same scene, exposure and ISO; use each frame in one pair only.
 
-        A slow drift of the light between the two is harmless: each segment of a row is taken about its own difference.
+        The light may change between the two, at once or from row to row: each segment of a row is scaled by its own
+        ratio, so that what stays in the pixels cancels. Where a segment has an edge in it, as on a colour chart, it is
+        left out: a camera that moves a tenth of a pixel would be seen there.
         """
-        from eldata.calibration._kernels import pair_segments
+        from eldata.calibration._kernels import SEGMENT, pair_segments, segment_means
 
         self._check(first)
         defects = self._check(second)
-        if first.shape[1] < _SEGMENT:
-            raise ArgumentError(f"flat frames must be {_SEGMENT} pixels wide or more; found {first.shape[1]}")
+        self._saturation = None
+        if first.shape[1] < SEGMENT:
+            raise ArgumentError(f"flat frames must be {SEGMENT} pixels wide or more; found {first.shape[1]}")
+        means = np.empty((len(first), first.shape[1] // SEGMENT, self.channels), dtype=np.float32)
+        segment_means(first, second, defects, self.pattern, means)
         pair_segments(
             first,
             second,
@@ -155,42 +181,124 @@ class FlatPairs(_Flats):
             self.pattern,
             self._black,
             self._limit,
-            _SEGMENT,
             self._level_dn,
+            means,
+            self._ratios(first, second, defects),
+            _BRIGHT,
+            _STEP,
+            self._counts,
             self._segments,
-            self._clipped,
-            self._freedom,
-            self._variance,
-            self._mean,
+            self._sums,
         )
+
+    def _ratios(
+        self, first: NDArray[np.uint16], second: NDArray[np.uint16], defects: NDArray[np.bool_]
+    ) -> NDArray[np.float64]:
+        """Return the light of the first frame over that of the second, by channel; 1 where it is not well known."""
+        period = len(self.pattern)
+        ratios = np.ones(self.channels)
+        for channel in range(self.channels):
+            one, two = [], []
+            for y, x in np.argwhere(self.pattern == channel):
+                rows = slice(y, None, period * max(1, len(first) // (64 * period)))
+                a, b = first[rows, x::period].astype(np.int64), second[rows, x::period].astype(np.int64)
+                used = ~defects[rows, x::period] & (np.minimum(a, b) > 0) & (np.maximum(a, b) < self._limit)
+                one.append(a[used])
+                two.append(b[used])
+            a, b = np.concatenate(one), np.concatenate(two)
+            if len(a) < 2:
+                continue
+            light = (a.mean() - self._black[channel], b.mean() - self._black[channel])
+            if min(light) > 0 and (a - b).std() < 0.01 * min(light) * math.sqrt(len(a)):
+                ratios[channel] = light[0] / light[1]
+        return ratios
 
     @property
     def left_out(self) -> float:
-        """Share of the measurements in levels that are left out, clipped segments included."""
+        """Share of the measurements in levels that are left out as saturated, clipped segments included."""
+        whole, clipped, _ = np.moveaxis(self._segments, 2, 0)
+        total = int(whole.sum() + clipped.sum())
+        return 1 - float(whole[self._usable].sum()) / total if total else 0.0
+
+    @property
+    def edges(self) -> float:
+        """Share of the measurements that have an edge in them and were left out."""
         total = int(self._segments.sum())
-        kept = np.where(self._usable, self._segments - self._clipped, 0).sum()
-        return 1 - float(kept) / total if total else 0.0
+        return float(self._segments[:, :, 2].sum()) / total if total else 0.0
+
+    @property
+    def saturation(self) -> tuple[Saturation | None, ...]:
+        """Where each channel saturates below the white level; ``None`` where nothing shows."""
+        if self._saturation is None:
+            self._saturation = tuple(
+                saturation(self._counts[channel], self._black[channel], self._limit, *self._of(channel, chosen))
+                for channel, chosen in enumerate(self._unclipped)
+            )
+        return self._saturation
+
+    @property
+    def correlation(self) -> tuple[float, float]:
+        """Correlation of neighbours of one colour in the differences, and its standard error: 0 in honest frames."""
+        chosen = self._usable
+        variance = self._sums[chosen, 1] / self._sums[chosen, 0]
+        neighbours, products = self._sums[chosen, 4], self._sums[chosen, 5]
+        total = float(neighbours.sum())
+        if not total or not (variance > 0).all():
+            return math.nan, math.nan
+        return float((products / variance).sum()) / total, total**-0.5
+
+    @property
+    def _unclipped(self) -> NDArray[np.bool_]:
+        whole, clipped, _ = np.moveaxis(self._segments, 2, 0)
+        unclipped: NDArray[np.bool_] = (self._sums[:, :, 0] > 0) & (clipped <= _CLIPPED_SHARE * (whole + clipped))
+        return unclipped
 
     @property
     def _usable(self) -> NDArray[np.bool_]:
-        usable: NDArray[np.bool_] = (self._freedom > 0) & (self._clipped <= _CLIPPED_SHARE * self._segments)
+        usable = self._unclipped
+        for channel, found in enumerate(self.saturation):
+            if found is not None:
+                chosen = usable[channel].copy()
+                signal, _, _, spread = self._of(channel, chosen)
+                usable[channel, chosen] = found.is_below(signal, spread)
         return usable
+
+    def _of(self, channel: int, chosen: NDArray[np.bool_]) -> tuple[NDArray[np.float64], ...]:
+        """Return signal, variance, degrees of freedom, and variance of single frames of some levels of a channel."""
+        freedom, variance, mean, spread = self._sums[channel, chosen, :4].T
+        return mean / freedom, variance / freedom, freedom, spread / freedom
 
     def points(self, channel: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Return signal (DN over black), variance (DN^2) and degrees of freedom of a channel's usable levels."""
+        signal, variance, freedom, _ = self._of(channel, self._usable[channel])
+        return signal, variance, freedom
+
+    def scatter(self, channel: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Return how the variances of a channel's usable levels scatter, and the segments that show it.
+
+        The mean square deviation of the segments' own variances from their level's, times their degrees of freedom,
+        DN^4.
+        """
         chosen = self._usable[channel]
-        freedom = self._freedom[channel, chosen]
-        return self._mean[channel, chosen] / freedom, self._variance[channel, chosen] / freedom, freedom
+        segments = self._segments[channel, chosen, 0]
+        freedom, variance, squares = self._sums[channel, chosen][:, [0, 1, 6]].T
+        return (squares - variance**2 / freedom) / np.maximum(segments - 1, 1), segments
 
 
 def photon_transfer(flats: FlatPairs) -> PhotonTransfer:
     """Estimate K by weighted least squares of the temporal variance over the mean (equation "photon-transfer").
 
-    Per segment of a row and channel, ``s^2 = Var(A - B) / 2`` about the segment's own mean difference and
-    ``mean = (A + B) / 2 - black``; segments pool by level. So shading inside a frame gives levels, and drift, row
-    noise and flicker between the frames of a pair do not enter. The weights are
-    ``1 / Var(s^2)``, ``Var(s^2) = (2 sigma^4 + K^3 mean / 2) / nu`` with nu degrees of freedom and sigma^2 from the
-    fitted line, repeated until it stays; the second term is the fourth cumulant of shot noise.
+    Per segment of a row and channel, ``s^2 = Var(A - r B) / (1 + r^2)`` with r the segment's own ratio of A to B, black
+    level subtracted. Fixed pattern, PRNU and shading cancel, however unequal the light was. Shot noise of both frames
+    and what is independent of light add up to ``(1 + r^2) (K mean + Var(N_o))`` with
+    ``mean = (A + r^2 B) / (1 + r^2)``, for any r. Segments pool by level: so shading inside a frame gives levels, and
+    drift, row noise and flicker between the frames of a pair do not enter.
+
+    The weights are ``1 / Var(s^2)``, ``Var(s^2) = (2 sigma^4 + K^3 mean / 2) / nu`` with nu degrees of freedom and
+    sigma^2 from the fitted line, repeated until it stays; the second term is the fourth cumulant of shot noise. The
+    standard errors allow for that of the read noise too, as the scatter of the segments' own variances shows it.
+
+    Levels at and near saturation are left out, wherever it lies (:mod:`eldata.calibration.saturation`).
 
     Raises
     ------
@@ -199,12 +307,26 @@ def photon_transfer(flats: FlatPairs) -> PhotonTransfer:
     """
     if flats.frames == 0:
         raise DatasetError("no flat frames were given: take pairs of equal flats at several exposures")
-    lines = tuple(_weighted_line(*flats.points(channel), channel) for channel in range(flats.channels))
-    return _joined(lines, flats.frames, flats.left_out)
+    lines = tuple(
+        _weighted_line(*flats.points(channel), *flats.scatter(channel), channel) for channel in range(flats.channels)
+    )
+    correlation, error = flats.correlation
+    return replace(
+        _joined(lines, flats.frames, flats.left_out),
+        edges=flats.edges,
+        correlation=correlation,
+        correlation_error=error,
+        saturation=flats.saturation,
+    )
 
 
 def _weighted_line(
-    signal: NDArray[np.float64], variance: NDArray[np.float64], freedom: NDArray[np.float64], channel: int
+    signal: NDArray[np.float64],
+    variance: NDArray[np.float64],
+    freedom: NDArray[np.float64],
+    scatter: NDArray[np.float64],
+    segments: NDArray[np.int64],
+    channel: int,
 ) -> PhotonTransferLine:
     if len(signal) < 2 or not np.ptp(signal) > 0:
         raise DatasetError(
@@ -213,13 +335,14 @@ def _weighted_line(
             "tenths of the range"
         )
     spread = np.maximum(variance, 1e-12)
-    error2 = 2 * spread**2 / freedom
+    expected2 = 2 * spread**2
     gain = intercept = math.nan
     for _ in range(50):
         before = gain
-        gain, intercept, covariance = _line(signal, variance, error2)
+        weight = freedom / expected2
+        gain, intercept, _ = _line(signal, variance, weight, 1 / weight)
         expected = np.maximum(gain * signal + intercept, 0.05 * spread)
-        error2 = (2 * expected**2 + 0.5 * max(gain, 0.0) ** 3 * np.maximum(signal, 0.0)) / freedom
+        expected2 = 2 * expected**2 + 0.5 * max(gain, 0.0) ** 3 * np.maximum(signal, 0.0)
         if abs(gain - before) <= 1e-10 * abs(gain):
             break
     if not gain > 0:
@@ -227,6 +350,11 @@ def _weighted_line(
             f"the variance of channel {channel} does not grow with its signal (slope {gain:.3g}): these are not pairs "
             "of flats at different exposures, or the camera has filtered them"
         )
+    # Heavy tails of the read noise scatter more. They are left out of the weights: a level whose variance came out high
+    # by a few pixels would have less weight for it, and the line a bias.
+    known = np.maximum(segments - 1, 1e-9) / expected2**2
+    error2 = (expected2 + max(float(np.average(scatter - expected2, weights=known)), 0.0)) / freedom
+    gain, intercept, covariance = _line(signal, variance, weight, error2)
     residuals = (variance - gain * signal - intercept) ** 2 / error2
     return PhotonTransferLine(
         gain_dn_per_e=gain,
@@ -241,17 +369,16 @@ def _weighted_line(
 
 
 def _line(
-    x: NDArray[np.float64], y: NDArray[np.float64], error2: NDArray[np.float64]
+    x: NDArray[np.float64], y: NDArray[np.float64], weight: NDArray[np.float64], error2: NDArray[np.float64]
 ) -> tuple[float, float, tuple[float, float]]:
-    """Return slope, intercept and the variances of both."""
-    weight = 1 / error2
+    """Return slope and intercept with these weights, and the variances of both if y has these."""
     total = float(weight.sum())
     centre = float(weight @ x) / total
     deviation = x - centre
-    lever = float(weight @ deviation**2)
-    slope = float(weight @ (deviation * y)) / lever
-    intercept = float(weight @ y) / total - slope * centre
-    return slope, intercept, (1 / lever, 1 / total + centre**2 / lever)
+    of_slope = weight * deviation / float(weight @ deviation**2)
+    of_intercept = weight / total - centre * of_slope
+    slope, intercept = float(of_slope @ y), float(of_intercept @ y)
+    return slope, intercept, (float(of_slope**2 @ error2), float(of_intercept**2 @ error2))
 
 
 def _joined(lines: tuple[PhotonTransferLine, ...], frames: int, left_out: float) -> PhotonTransfer:
@@ -333,7 +460,8 @@ def _plain_line(points: Sequence[tuple[float, float]], channel: int) -> PhotonTr
             f"channel {channel} has {len(signal)} usable flat frame(s) and the spatial method needs three of different "
             "brightness: take flats at four exposures or more, from a tenth to nine tenths of the range"
         )
-    slope, intercept, scales = _line(signal, variance, np.ones(len(signal)))
+    even = np.ones(len(signal))
+    slope, intercept, scales = _line(signal, variance, even, even)
     scatter = float(((variance - slope * signal - intercept) ** 2).sum()) / (len(signal) - 2)
     return PhotonTransferLine(
         gain_dn_per_e=slope,

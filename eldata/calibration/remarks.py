@@ -14,15 +14,12 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from eldata.calibration.frame_checks import IsoFrames
-    from eldata.calibration.photon_transfer import PhotonTransferLine
     from eldata.calibration.results import IsoCalibration, IsoGain
 
 _LONGEST_BIAS_S = 1 / 250
 _GAPS = 0.02  # share of DN values that never occur
 _LEAST_PAIRS = 4
-_POOR_FIT = 3.0  # chi^2 per degree of freedom of the photon transfer line
-_BY_CHANCE = 1e-5  # of one line
-_DISAGREEMENT = 6.0  # of the channels' K, likewise
+_DISAGREEMENT = 6.0  # of K with what was stated, standard errors
 _POOR_PLOT = 0.995  # R^2 of the Tukey-lambda probability plot; simulated cameras stay above from 1.5 megapixels on
 _GAIN_TOLERANCE = 0.1  # of K / ISO around its median
 
@@ -123,28 +120,7 @@ def transfer_remarks(found: IsoGain) -> tuple[str, ...]:
     share = brightest / (sensor.white_level_dn - float(np.mean(sensor.black_level_dn)))
     if share < 0.25:
         remarks.append(f"the brightest usable flat reaches {share:.0%} of the range; some nine tenths are better")
-    if "gain" in found.withheld:
-        return tuple(remarks)  # a finding says more
-    worst = max((line.chi2_per_dof for line in transfer.channels if _is_bent(line)), default=0.0)
-    if worst > 0:
-        remarks.append(
-            f"the variance does not follow a line over the signal (chi2 per degree of freedom {worst:.1f}): flicker, "
-            "lossy compression, or a sensor that is not linear"
-        )
-    if transfer.agreement_chi2_per_dof > _DISAGREEMENT:
-        gains = ", ".join(f"{line.gain_dn_per_e:.4g}" for line in transfer.channels)
-        remarks.append(
-            f"K differs between the channels: {gains} DN/e-; does the camera scale colours in its raw files?"
-        )
     return tuple(remarks)
-
-
-def _is_bent(line: PhotonTransferLine) -> bool:
-    """Whether the points are off their line by more than a little, and by more than chance: few points scatter more."""
-    from scipy.special import chdtrc
-
-    freedom = len(line.signal_dn) - 2
-    return line.chi2_per_dof > _POOR_FIT and float(chdtrc(freedom, freedom * line.chi2_per_dof)) < _BY_CHANCE
 
 
 def overall_remarks(isos: Sequence[IsoGain]) -> list[str]:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from eldata.calibration.read_noise import ProbabilityPlot, ReadNoise
     from eldata.calibration.reproduction import Reproduction
     from eldata.calibration.row_noise import LineNoise, RowNoise
+    from eldata.calibration.single_frame import SingleFramePlot
     from eldata.manifest.verify import Problem
     from eldata.noise.parameters import NoiseParameters
     from eldata.noise.profile import CameraProfile
@@ -143,6 +144,8 @@ class IsoCalibration(IsoGain):
         Quantiles of the residuals for the probability plots.
     pattern
         What stays from frame to frame.
+    single_frame
+        R^2 as the paper takes it; ``None`` if it was not.
     spectrum_dn2
         (256, 256) power spectrum of a bias frame less its channels' means, zero frequency in the centre, averaged over
         tiles of 256 x 256 pixels; white noise of variance s^2 gives s^2 throughout.
@@ -159,6 +162,7 @@ class IsoCalibration(IsoGain):
     pattern: PatternSummary
     spectrum_dn2: NDArray[np.float32] = field(repr=False)
     reproduction: Reproduction | None
+    single_frame: SingleFramePlot | None = None
 
     @property
     def tukey_lambda(self) -> GivenFigure | None:
@@ -487,7 +491,7 @@ def _gain_dict(one: IsoGain) -> dict[str, Any]:
 
 
 def _iso_dict(one: IsoCalibration) -> dict[str, Any]:
-    read, bias = one.read, one.colour_bias
+    read, bias, single = one.read, one.colour_bias, one.single_frame
     ppcc = None if "read noise" in one.withheld else read
     found = {
         **_gain_dict(one),
@@ -499,6 +503,8 @@ def _iso_dict(one: IsoCalibration) -> dict[str, Any]:
         "ppcc_sigma_tl_dn": None if ppcc is None else ppcc.ppcc_sigma_tl_dn,
         "r_squared_tl": read.r_squared_tl,
         "r_squared_gauss": read.r_squared_gauss,
+        "single_frame_r_squared_tl": None if single is None else single.r_squared_tl,
+        "single_frame_r_squared_gauss": None if single is None else single.r_squared_gauss,
         "read_chi2_per_dof": read.chi2_per_dof,
         **_with_error("sigma_row_dn", one.sigma_row_dn),
         "row_shapiro_p": one.rows.rows.shapiro_p,

@@ -31,11 +31,11 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument(
         "--row",
-        choices=("any", "nearest-gain"),
+        choices=("any", "nearest-gain", "measured"),
         default="any",
         help=(
             "which rows lambda and colour bias come from: any, as in the paper, or those of the nearest gain, which "
-            "--iso is best given with (default: any)"
+            "--iso is best given with; measured: all figures as they were measured at --iso (default: any)"
         ),
     )
     parser.add_argument(

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
+from eldata.base.numbers import checked_number
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.manifest.patterns import sequence_of
-from eldata.raw.cfa import XTRANS_CFA, unpack
+from eldata.noise.model import check_normalised
+from eldata.raw.cfa import packing_sites, unpack
 from eldata.raw.extensions import RAW_EXTENSIONS, raws_below
 from eldata.raw.levels import LEVELS, Levels
 from eldata.sources.frames import Files, Frame
@@ -155,22 +157,21 @@ class Arrays:
     ) -> None:
         if len(arrays) == 0:
             raise ArgumentError("no array was given")
-        if not range_dn > 0:
-            raise ArgumentError(f"range_dn must be above 0; found {range_dn}")
         self.arrays = arrays
-        self.range_dn = range_dn
+        self.range_dn = checked_number("range_dn", range_dn, above=0)
         self.cfa = cfa
+        check_normalised(np.asarray(arrays[0]), "array 0")
 
     def __len__(self) -> int:
         return len(self.arrays)
 
     def frame(self, index: int) -> CleanFrame:
         """Return one array as a mosaic."""
-        packed = np.asarray(self.arrays[index], dtype=np.float32)
-        mosaic = unpack(packed, self.cfa) * np.float32(self.range_dn)
-        # Packed X-Trans data starts where the pattern does, whatever the offset of the sensor that it came from.
-        cfa, channels = (self.cfa, 4) if len(self.cfa) == 2 else (XTRANS_CFA, 3)
-        return CleanFrame(mosaic, cfa, (0.0,) * channels, self.range_dn, f"array {index}")
+        packed = np.asarray(self.arrays[index])
+        check_normalised(packed, f"array {index}")
+        mosaic = unpack(packed.astype(np.float32, copy=False), self.cfa) * np.float32(self.range_dn)
+        sites = packing_sites(self.cfa)  # packed data starts where packing does, whatever the offset of its sensor
+        return CleanFrame(mosaic, sites.cfa, (0.0,) * sites.levels, self.range_dn, f"array {index}")
 
     def __repr__(self) -> str:
         return f"Arrays({len(self)} frames of shape {self.arrays[0].shape}, range_dn={self.range_dn:g})"

@@ -19,6 +19,7 @@ from eldata.raw.cfa import (
     pack_normalised,
     packed_area,
     packed_shape,
+    packing_sites,
 )
 from eldata.sources.frames import RGB_WHITE
 
@@ -154,7 +155,7 @@ def _grid(frame: Frame) -> tuple[PackedArea, int, int]:
     if not frame.cfa:
         return PackedArea(0, 0, *frame.shape), 1, 1
     period = len(frame.cfa)
-    return packed_area(frame.shape, frame.cfa), period, 2 if period == 2 else 3
+    return packed_area(frame.shape, frame.cfa), period, packing_sites(frame.cfa).scale
 
 
 def _cfa(frame: Frame, area: PackedArea) -> CfaRows:

@@ -27,8 +27,8 @@ class DnSample(PairFacts):
     """One pair in DN: half as much to send from a worker as a :class:`~eldata.datasets.base.Sample`.
 
     ``input_dn`` and ``target_dn`` are (H, W) uint16, mosaics in DN as the files have them, the input not multiplied by
-    ``ratio`` yet. ``cfa`` (their CFA, 2 x 2 or 6 x 6, uint8), ``input_black_dn``, ``target_black_dn`` (per CFA channel,
-    float64) and the white levels are for :func:`normalise_batch`. The rest is as in
+    ``ratio`` yet. ``cfa`` (theirs, 2 x 2, 4 x 4 or 6 x 6, uint8), ``input_black_dn``, ``target_black_dn`` (per CFA
+    channel, float64) and the white levels are for :func:`normalise_batch`. The rest is as in
     :class:`~eldata.datasets.base.Sample`.
     """
 

@@ -2,32 +2,42 @@
 
 from __future__ import annotations
 
-import math
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypedDict
+from itertools import accumulate
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict
 
+import numpy as np
 import torch
 
+from eldata.base.numbers import checked_number
 from eldata.errors import ArgumentError
 from eldata.noise.profile import CameraProfile
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    import numpy as np
-
     from eldata.noise.parameters import NoiseParameters
     from eldata.noise.profile import RowChoice
+
+Camera: TypeAlias = CameraProfile | str | Path
+Cameras: TypeAlias = Camera | Sequence[Camera]
+Isos: TypeAlias = float | Sequence[float] | Mapping[float, float]
+
+_MOST_NAMED = 4  # cameras in a repr
 
 
 class NoiseFacts(TypedDict):
     """The parameters that an item's noise was made with (:class:`eldata.noise.NoiseParameters`) and its exposure ratio.
 
-    ``colour_bias_dn`` is (4,) float64.
+    ``colour_bias_dn`` is (4,) float64. ``iso`` is the ISO that was given or drawn, 0 where the gain was drawn;
+    ``camera_id`` the place of the camera among those of the dataset.
     """
 
     ratio: float
     camera: str
+    camera_id: int
+    iso: float
     gain_dn_per_e: float
     tukey_lambda: float
     sigma_tl_dn: float
@@ -38,57 +48,149 @@ class NoiseFacts(TypedDict):
 
 @dataclass(frozen=True, slots=True)
 class NoiseDraw:
-    """One draw: camera, noise parameters, exposure ratio."""
+    """One draw: camera and its number, ISO if that is known, noise parameters, exposure ratio."""
 
     camera: str
+    camera_id: int
+    iso: float | None
     parameters: NoiseParameters
     ratio: float
 
     def facts(self) -> dict[str, Any]:
         """Return the draw as fields of a sample: a :class:`NoiseFacts`."""
-        facts = {"ratio": self.ratio, "camera": self.camera, **self.parameters.as_dict()}
-        return facts | {"colour_bias_dn": torch.tensor(self.parameters.colour_bias_dn, dtype=torch.float64)}
+        facts = {"ratio": self.ratio, "camera": self.camera, "camera_id": self.camera_id, "iso": self.iso or 0.0}
+        bias = torch.tensor(self.parameters.colour_bias_dn, dtype=torch.float64)
+        return facts | self.parameters.as_dict() | {"colour_bias_dn": bias}
 
 
 @dataclass(frozen=True, slots=True)
 class NoiseChoice:
-    """What a draw is made from: profiles, (lowest, highest) ratio, and how a profile is sampled."""
+    """What a draw is made from.
+
+    Attributes
+    ----------
+    profiles
+        The cameras.
+    ratio
+        (lowest, highest).
+    isos
+        Those to draw from; ``(None,)``: the gain is drawn.
+    shares
+        Probability of each ISO and those before it.
+    rows
+        For each camera and each ISO, how the profile is sampled there.
+    extrapolate
+        As in :meth:`eldata.noise.CameraProfile.sample`.
+    """
 
     profiles: tuple[CameraProfile, ...]
     ratio: tuple[float, float]
-    iso: float | None
-    row: RowChoice
+    isos: tuple[float | None, ...]
+    shares: tuple[float, ...]
+    rows: tuple[tuple[RowChoice, ...], ...]
     extrapolate: bool
 
     @classmethod
     def of(
         cls,
-        profiles: CameraProfile | str | Sequence[CameraProfile | str],
+        profiles: Cameras,
         ratio: float | tuple[float, float],
-        iso: float | None,
-        row: RowChoice,
+        iso: Isos | None = None,
+        row: RowChoice | None = None,
         extrapolate: bool = False,
     ) -> NoiseChoice:
-        """Load profiles by name or path and check the ratio.
+        """Load profiles by name or path, and check that they can be sampled in this way.
 
         Raises
         ------
         ArgumentError
-            If the ratio is invalid, or there is no profile.
+            If the ratio or an ISO is invalid, there is no profile, or one cannot be sampled in this way.
         ProfileError
             If a profile is unknown or malformed.
         """
-        low, high = ratio if isinstance(ratio, tuple) else (ratio, ratio)
-        if not 0 < low <= high < math.inf:
-            raise ArgumentError(f"ratio must be finite and above 0, the lower first; found {ratio}")
-        given = [profiles] if isinstance(profiles, (str, CameraProfile)) else list(profiles)
-        if not given:
-            raise ArgumentError("give at least one camera profile")
-        loaded = tuple(CameraProfile.load(item) if isinstance(item, str) else item for item in given)
-        return cls(loaded, (float(low), float(high)), iso, row, extrapolate)
+        limits = tuple(ratio) if isinstance(ratio, (tuple, list)) else (ratio, ratio)
+        if len(limits) != 2:
+            raise ArgumentError(f"ratio must be one number, or the lowest and the highest; found {ratio!r:.100}")
+        low, high = (checked_number("ratio", limit, above=0) for limit in limits)
+        if low > high:
+            raise ArgumentError(f"ratio must be the lowest, then the highest; found {ratio!r:.100}")
+        loaded = _loaded(profiles)
+        isos: tuple[float | None, ...] = (None,)
+        weights: tuple[float, ...] = (1.0,)
+        usual: RowChoice | None = "any"
+        if isinstance(iso, np.ndarray):
+            iso = iso.tolist()
+        if isinstance(iso, Mapping) or (isinstance(iso, Sequence) and not isinstance(iso, str)):
+            isos, weights = _weighted(iso)
+            usual = None  # each ISO has a row of its own
+        elif iso is not None:
+            isos = (checked_number("iso", iso, above=0),)
+        rows = tuple(tuple(row or usual or _own_row(profile, one) for one in isos) for profile in loaded)
+        for profile, row_each in zip(loaded, rows, strict=True):  # refuses now what it would refuse in each item
+            for one, how in zip(isos, row_each, strict=True):
+                profile.sample(np.random.default_rng(0), iso=one, row=how, extrapolate=extrapolate)
+        shares = tuple(total / sum(weights) for total in accumulate(weights))
+        return cls(loaded, (low, high), isos, shares, rows, extrapolate)
 
     def draw(self, generator: np.random.Generator) -> NoiseDraw:
-        """Draw a profile, parameters from it, and a ratio, in this order."""
-        profile = self.profiles[int(generator.integers(len(self.profiles)))]
-        parameters = profile.sample(generator, iso=self.iso, row=self.row, extrapolate=self.extrapolate)
-        return NoiseDraw(profile.camera, parameters, float(generator.uniform(*self.ratio)))
+        """Draw a profile, one of several ISOs, parameters, and a ratio, in this order."""
+        number = int(generator.integers(len(self.profiles)))
+        place = 0 if len(self.isos) == 1 else bisect_right(self.shares[:-1], generator.random())
+        profile, iso = self.profiles[number], self.isos[place]
+        parameters = profile.sample(generator, iso=iso, row=self.rows[number][place], extrapolate=self.extrapolate)
+        return NoiseDraw(profile.camera, number, iso, parameters, float(generator.uniform(*self.ratio)))
+
+    def __str__(self) -> str:
+        """Return the cameras, and the ISOs of each by how they are sampled there."""
+        named = [
+            profile.camera + (f" ({_listed(self.isos, rows)})" if self.isos != (None,) else "")
+            for profile, rows in zip(self.profiles, self.rows, strict=True)
+        ]
+        return ", ".join(named if len(named) <= _MOST_NAMED else [*named[:2], f"... {len(named)} in all"])
+
+
+def _weighted(isos: Sequence[float] | Mapping[float, float]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return ISOs, each once, and their weights, alike if none are given."""
+    given = tuple(checked_number("iso", iso, above=0) for iso in isos)
+    weights = tuple(isos.values()) if isinstance(isos, Mapping) else (1.0,) * len(given)
+    weights = tuple(
+        checked_number(f"the weight of ISO {iso:g}", w, above=0) for iso, w in zip(given, weights, strict=True)
+    )
+    if not given:
+        raise ArgumentError("iso must be one ISO or several; found none")
+    for iso in given:
+        if given.count(iso) > 1:
+            raise ArgumentError(
+                f"ISO {iso:g} is there twice; to draw some more often give weights, iso={{{iso:g}: 2, ...}}"
+            )
+    return given, weights
+
+
+def _own_row(profile: CameraProfile, iso: float | None) -> RowChoice:
+    """Return how to sample an ISO with its own row: as measured, or around the fits if not all was measured there."""
+    try:
+        profile.sample(np.random.default_rng(0), iso=iso, row="measured")
+    except ArgumentError:
+        return "nearest-gain"
+    return "measured"
+
+
+def _listed(isos: Sequence[float | None], rows: Sequence[RowChoice]) -> str:
+    by_row: dict[str, list[str]] = {}
+    for iso, row in zip(isos, rows, strict=True):
+        by_row.setdefault(row, []).append(f"{iso:g}")
+    return "; ".join(f"ISO {', '.join(listed)}: {row}" for row, listed in by_row.items())
+
+
+def _loaded(cameras: Any) -> tuple[CameraProfile, ...]:
+    """Return profiles that were given by name, path or themselves, one or several."""
+    if isinstance(cameras, (str, Path, CameraProfile)):
+        cameras = [cameras]
+    if not isinstance(cameras, Sequence) or not all(isinstance(one, (str, Path, CameraProfile)) for one in cameras):
+        raise ArgumentError(
+            f"expected a camera profile or several: each a shipped one's name, a path or a CameraProfile; found "
+            f"{cameras!r:.100}"
+        )
+    if not cameras:
+        raise ArgumentError("give at least one camera profile")
+    return tuple(one if isinstance(one, CameraProfile) else CameraProfile.load(one) for one in cameras)

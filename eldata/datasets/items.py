@@ -9,17 +9,18 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypedDict, TypeVar
 
-import numpy as np
 import torch
 from torch.utils.data import Dataset
 
 from eldata.base.compiled import in_threads
+from eldata.base.seeds import checked_epoch, checked_seed, item_generator
 from eldata.datasets.batches import Batch, Field, new_arrays, new_batch, reading_threads
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
+    import numpy as np
     from numpy.typing import NDArray
 
     from eldata.datasets.crops import Crop
@@ -52,11 +53,9 @@ class SharedEpoch:
         Raises
         ------
         ArgumentError
-            If it is negative.
+            If it is not a whole number from 0 up to below 2^32.
         """
-        if epoch < 0:
-            raise ArgumentError(f"epoch must be 0 or more; found {epoch}")
-        self._value.fill_(epoch)
+        self._value.fill_(checked_epoch(epoch))
 
 
 class Part(NamedTuple):
@@ -203,7 +202,7 @@ class Cropping(TypedDict, total=False):
     augment
         Draw one of the eight orientations; a mosaic's CFA stays in order.
     seed
-        First part of each item's seed.
+        First part of each item's seed, below 2^128.
     """
 
     crop: int | None
@@ -228,9 +227,7 @@ class CroppedItems(ReadItems[Item, Sample]):
     """
 
     def __init__(self, cropping: Cropping, crops: tuple[str, int]) -> None:
-        crop, seed = cropping.get("crop"), cropping.get("seed", 0)
-        if seed < 0:
-            raise ArgumentError(f"seed must be 0 or more; found {seed}")
+        crop, seed = cropping.get("crop"), checked_seed(cropping.get("seed", 0))
         if crops[1] < 1 or (crop is not None and crop < 2):
             raise ArgumentError(f"{crops[0]} must be 1 or more and crop 2 or more; found {crops[1]}, {crop}")
         self.crop = crop
@@ -252,7 +249,7 @@ class CroppedItems(ReadItems[Item, Sample]):
         if not -len(self) <= index < len(self):
             raise IndexError(f"index {index} is outside of {len(self)} items")
         index %= len(self)
-        return self.drawn(index, np.random.default_rng([self.seed, self.epoch, index]))
+        return self.drawn(index, item_generator(self.seed, self.epoch, index))
 
     @property
     def epoch(self) -> int:

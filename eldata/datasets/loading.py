@@ -20,6 +20,8 @@ import torch
 from torch.utils.data import DataLoader, IterableDataset
 
 from eldata.base.keywords import keywords
+from eldata.base.seeds import checked_epoch, checked_seed, purpose_sequence
+from eldata.datasets.items import CroppedItems
 from eldata.datasets.ranks import Rank, ShuffledSampler, current_rank
 from eldata.datasets.worker_count import START_METHODS, loader_workers
 from eldata.errors import ArgumentError, check_choice
@@ -150,11 +152,10 @@ def set_epoch(loader: DataLoader[Any], epoch: int) -> None:
     Raises
     ------
     ArgumentError
-        If the loader was not made here, or the epoch is negative.
+        If the loader was not made here, or the epoch is not a whole number from 0 up to below 2^32.
     """
     known = _known(loader)
-    if epoch < 0:
-        raise ArgumentError(f"epoch must be 0 or more; found {epoch}")
+    epoch = checked_epoch(epoch)
     if isinstance(loader.sampler, ShuffledSampler):
         loader.sampler.set_epoch(epoch)
     for part in _parts(loader.dataset):
@@ -229,6 +230,10 @@ class _Loader(DataLoader[Any]):
             promise = "every item exactly once over all of them, so they may differ by one batch"
             stay = "workers end with each pass, which gives their memory back"
         told.append("ranks: one process" if rank.of == 1 else f"ranks: number {rank.number} of {rank.of}; {promise}")
+        if not is_training:  # which is meant to give the same items in each pass
+            for part in _parts(dataset):
+                if isinstance(part, CroppedItems):
+                    part.set_epoch(part.epoch)
         settings = _settings(dataset, batch_size, chosen, rank, told)
         if settings["num_workers"] > 0:
             told.append(stay)
@@ -247,7 +252,7 @@ class _Loader(DataLoader[Any]):
 
     def seed_workers(self, epoch: int) -> None:
         """Seed the generator from which torch seeds its workers' torch, numpy and random."""
-        sequence = np.random.SeedSequence((self.seed, epoch), spawn_key=(_WORKERS, self.rank.number))
+        sequence = purpose_sequence(self.seed, epoch, _WORKERS, self.rank.number)
         self.generator.manual_seed(int(sequence.generate_state(1, np.uint64)[0] >> 1))  # torch takes a signed number
 
 
@@ -255,11 +260,10 @@ def _chosen(name: str, batch_size: int, options: LoaderOptions) -> LoaderOptions
     """Return the options of a loader, those that were not given by their defaults."""
     (given,) = keywords(name, options, LoaderOptions, renamed={})
     chosen: LoaderOptions = {**_DEFAULTS, **given}
-    prefetch, seed, start_method = chosen["prefetch"], chosen["seed"], chosen["start_method"]
+    prefetch, start_method = chosen["prefetch"], chosen["start_method"]
     if batch_size < 1 or prefetch < 1:
         raise ArgumentError(f"batch_size and prefetch must be 1 or more; found {batch_size}, {prefetch}")
-    if seed < 0:
-        raise ArgumentError(f"seed must be 0 or more; found {seed}")
+    chosen["seed"] = checked_seed(chosen["seed"])
     check_choice("start_method", start_method, START_METHODS)
     if start_method not in multiprocessing.get_all_start_methods():
         raise ArgumentError(f"this system has no start method {start_method!r}; take 'spawn'")

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch.utils.data import Sampler
 
+from eldata.base.seeds import purpose_sequence
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -71,6 +72,6 @@ class ShuffledSampler(Sampler[int]):
         return self.length // self.rank.of
 
     def __iter__(self) -> Iterator[int]:
-        sequence = np.random.SeedSequence((self.seed, self.epoch), spawn_key=(_ORDER,))
+        sequence = purpose_sequence(self.seed, self.epoch, _ORDER)
         order = np.random.default_rng(sequence).permutation(self.length)
         yield from order[self.rank.number :: self.rank.of][: len(self)].tolist()

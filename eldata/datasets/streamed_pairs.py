@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack
 import numpy as np
 from torch.utils.data import IterableDataset, get_worker_info
 
+from eldata.base.seeds import checked_seed, item_generator, purpose_sequence
 from eldata.datasets.augmentation import Orientation
 from eldata.datasets.base import OpenedPair, PairItem, PairItems, Sample
 from eldata.datasets.choices import Representation, understood
@@ -122,8 +123,6 @@ class StreamedPairs(IterableDataset[Sample]):
         super().__init__()
         (given,) = understood(self, options, StreamOptions)
         crops_per_frame: int = given.get("crops_per_frame", 1)
-        if seed < 0:
-            raise ArgumentError(f"seed must be 0 or more; found {seed}")
         if crops_per_frame < 1 or shuffle_buffer < 1 or (crop is not None and crop < 2):
             raise ArgumentError(
                 "crops_per_frame and shuffle_buffer must be 1 or more and crop 2 or more; found "
@@ -137,7 +136,7 @@ class StreamedPairs(IterableDataset[Sample]):
         self.augment = augment
         self.crops_per_frame = crops_per_frame
         self.shuffle_buffer = shuffle_buffer
-        self.seed = seed
+        self.seed = checked_seed(seed)
         self.levels: FrameLevels = given.get("levels", "published")
         self.clip: Clip = given.get("clip", "both")
         self.amplification: Amplification = given.get("amplification", "metadata")
@@ -223,8 +222,8 @@ class StreamedPairs(IterableDataset[Sample]):
                 crops = _Crops(batch, self.clip)
                 yield from crops if self._batch_size is None else crops.__getitems__(range(len(batch)))
 
-    def _generator(self, epoch: int, *what: int) -> np.random.Generator:
-        return np.random.default_rng(np.random.SeedSequence((self.seed, epoch), spawn_key=what))
+    def _generator(self, epoch: int, purpose: int, *place: int) -> np.random.Generator:
+        return np.random.default_rng(purpose_sequence(self.seed, epoch, purpose, *place))
 
     def _items(self, places: range, epoch: int) -> Generator[PairItem]:
         """Yield the items at some places of the epoch's sequence."""
@@ -248,7 +247,7 @@ class StreamedPairs(IterableDataset[Sample]):
 
     def _item(self, sample: StoredSample, crop: int, epoch: int) -> PairItem:
         # The same as PackedStore's, where whole frames were written: its items are numbered in this way.
-        generator = np.random.default_rng([self.seed, epoch, sample.number + crop * len(self.index)])
+        generator = item_generator(self.seed, epoch, sample.number + crop * len(self.index))
         facts = sample.facts
         name = f"{self.folder.address}: {facts.record.path}"
         frames = [

@@ -20,15 +20,16 @@ import numpy as np
 
 from eldata import __version__
 from eldata.base.files import atomic_write, json_text, remove_leftovers, sha256_of, write_json
+from eldata.base.seeds import checked_seed, item_generator
 from eldata.base.workers import AnyWorkers, Workers, accepts_jobs, require_files
 from eldata.datasets.clean import RawFiles
 from eldata.datasets.synthesis_journal import CleanFacts, WrittenScene, opened_journal
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError, check_choice
-from eldata.manifest.card import CameraCard, Card
+from eldata.manifest.card import CameraCard, Card, cfa_word
 from eldata.manifest.catalogue import Manifest, save_manifest
 from eldata.noise.components import parse_components
 from eldata.noise.model import NoiseModel
-from eldata.raw.cfa import cfa_from, pack_normalised, packed_area, packed_black_level_dn, unpack
+from eldata.raw.cfa import cfa_from, pack_normalised, packed_area, packed_black_level_dn, packing_sites, unpack
 from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
 from eldata.records import Exposure, FrameRecord, RawFrame
@@ -78,13 +79,12 @@ class Recipe:
         low, high = self.ratio
         if not 0 < low <= high < 1e6:
             raise ArgumentError(f"ratio must be above 0, the lower first; found {low:g} to {high:g}")
-        if self.seed < 0 or self.per_image < 1:
-            raise ArgumentError(f"seed must be 0 or more and per_image 1 or more; found {self.seed}, {self.per_image}")
+        checked_seed(self.seed)
+        if self.per_image < 1:
+            raise ArgumentError(f"per_image must be 1 or more; found {self.per_image}")
         check_choice("format", self.format, get_args(Format))
-        if self.iso is not None:
-            self.profile.gain_at_iso(
-                self.iso, extrapolate=self.extrapolate
-            )  # refuses an ISO that the profile does not know
+        # Refuses now what the profile cannot be sampled with.
+        self.profile.sample(np.random.default_rng(0), iso=self.iso, row=self.row, extrapolate=self.extrapolate)
         self.model()
 
     def model(self) -> NoiseModel:
@@ -195,7 +195,7 @@ def _write_tables(
         citation="none: made by eldata synthesize",
         licence="that of the clean frames",
         homepage="made by eldata synthesize",
-        cfa="bayer" if all(scene.clean.is_bayer for scene in scenes) else "xtrans",
+        cfa=cfa_word(scene.clean.cfa for scene in scenes),
         cameras={recipe.profile.camera: CameraCard(tuple(sorted({scene.clean.model for scene in scenes})))},
         counts={role: roles.count(role) for role in sorted(set(roles))},
         sources=(f"noise model {recipe.spec}, profile {recipe.profile.camera}: {recipe.profile.source}",),
@@ -227,7 +227,7 @@ class _Draw:
     @classmethod
     def of(cls, recipe: Recipe, clean: CleanFacts, index: int, copy: int) -> _Draw:
         """Draw it; the generator goes on to the noise."""
-        generator = np.random.default_rng([recipe.seed, index, copy])
+        generator = item_generator(recipe.seed, index, copy)
         parameters = recipe.profile.sample(generator, iso=recipe.iso, row=recipe.row, extrapolate=recipe.extrapolate)
         low, high = recipe.ratio
         ratio = Fraction(round(float(generator.uniform(low, high)) * 100), 100)
@@ -251,7 +251,7 @@ def _synthesize_file(
             path, f"states no {'ISO' if iso is None else 'exposure time'}, which the noisy frame's follows"
         )
     sensor = frame.sensor
-    facts = CleanFacts(iso, exposure_s, sensor.width, sensor.height, sensor.model, len(sensor.cfa) == 2)
+    facts = CleanFacts(iso, exposure_s, sensor.width, sensor.height, sensor.model, packing_sites(sensor.cfa).name)
     place.mkdir(parents=True, exist_ok=True)
     remove_leftovers(place)
     names = ["clean.dng"]

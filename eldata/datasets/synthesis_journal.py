@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 NAME = ".begun.jsonl"
 FORMAT = "eldata synthesize"
-VERSION = 1
+VERSION = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class CleanFacts:
     width: int
     height: int
     model: str
-    is_bayer: bool
+    cfa: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +127,6 @@ def _scene(line: Fields) -> WrittenScene:
         width=clean.whole("width"),
         height=clean.whole("height"),
         model=clean.text("model", empty=True),
-        is_bayer=clean.flag("is_bayer"),
+        cfa=clean.text("cfa"),
     )
     return WrittenScene(line.whole("scene"), facts, {name: sums.text(name) for name in sums.data})

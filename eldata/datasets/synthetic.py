@@ -11,13 +11,13 @@ from eldata.datasets.items import Part
 from eldata.datasets.noisy_items import NoiseOptions, NoisyItem, NoisyItems
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
     import numpy as np
     import torch
 
     from eldata.datasets.clean import CleanSource
-    from eldata.noise.profile import CameraProfile
+    from eldata.datasets.draws import Cameras
 
 
 class SyntheticSample(NoiseFacts):
@@ -61,12 +61,12 @@ class SyntheticPairs(NoisyItems[NoisyItem, SyntheticSample]):
     def __init__(
         self,
         source: CleanSource,
-        profiles: CameraProfile | str | Sequence[CameraProfile | str],
+        profiles: Cameras,
         *,
         crops_per_frame: int = 1,
         **options: Unpack[NoiseOptions],
     ) -> None:
-        super().__init__(source, profiles, ("crops_per_frame", crops_per_frame), options)
+        super().__init__(source, "frame", profiles, ("crops_per_frame", crops_per_frame), options)
         self.source = source
         self.crops_per_frame = crops_per_frame
 
@@ -74,7 +74,7 @@ class SyntheticPairs(NoisyItems[NoisyItem, SyntheticSample]):
         """Draw a crop of frame ``index`` modulo their number, and its noise."""
         frame = self.source.frame(index % len(self.source))
         crop = Crop.draw(frame, generator, crop=self.crop, augment=self.augment)
-        return NoisyItem(frame, crop, self.noise.draw(generator), generator)
+        return NoisyItem(frame, crop, self.noise.draw(generator), generator, index)
 
     def shapes(self, item: NoisyItem) -> dict[str, tuple[int, ...]]:
         """Return the shapes of input and target."""

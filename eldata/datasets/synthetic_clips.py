@@ -17,13 +17,13 @@ from eldata.datasets.noisy_items import NoiseOptions, NoisyItem, NoisyItems
 from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
     import numpy as np
     import torch
 
     from eldata.datasets.clean import CleanSource, ClipSource
-    from eldata.noise.profile import CameraProfile
+    from eldata.datasets.draws import Cameras
     from eldata.sources.frames import Frame
 
 
@@ -77,7 +77,7 @@ class SyntheticClips(NoisyItems[_Item, SyntheticClipSample]):
     def __init__(
         self,
         source: ClipSource,
-        profiles: CameraProfile | str | Sequence[CameraProfile | str],
+        profiles: Cameras,
         *,
         frames: int = 5,
         windows_per_clip: int = 1,
@@ -85,7 +85,7 @@ class SyntheticClips(NoisyItems[_Item, SyntheticClipSample]):
     ) -> None:
         if frames < 1 or windows_per_clip < 1:
             raise ArgumentError(f"frames and windows_per_clip must be 1 or more; found {frames}, {windows_per_clip}")
-        super().__init__(source, profiles, ("windows_per_clip", windows_per_clip), options)
+        super().__init__(source, "clip", profiles, ("windows_per_clip", windows_per_clip), options)
         self.source = source
         self.frames = frames
         self.windows_per_clip = windows_per_clip
@@ -104,7 +104,7 @@ class SyntheticClips(NoisyItems[_Item, SyntheticClipSample]):
         start = int(generator.integers(len(clip) - self.frames + 1))
         first = clip.frame(start)
         crop = Crop.draw(first, generator, crop=self.crop, augment=self.augment)
-        return _Item(first, crop, self.noise.draw(generator), generator, clip, place, start)
+        return _Item(first, crop, self.noise.draw(generator), generator, index, clip, place, start)
 
     def shapes(self, item: _Item) -> dict[str, tuple[int, ...]]:
         """Return the shapes of input and target."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.evaluation.inspected_frame import MARGIN, Blocks, Candidate, inner_entries
-from eldata.raw.cfa import BAYER_CHANNELS, XTRANS_CFA, pack, unpack
+from eldata.raw.cfa import BAYER_CHANNELS, BAYER_PHASES, bayer_cfa, pack, packing_sites, unpack
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -32,13 +32,31 @@ _COLOURS = ("R", "G", "B")
 
 # What codes that take a 2x2 cell of another phase for R, G, B, G make of it, row by row or around the cell, and R and B
 # exchanged: by the place in the prediction, the channel that lies there.
-_USUAL_ORDERS = {
+_USUAL_ORDERS: dict[int, tuple[tuple[int, ...], ...]] = {
     4: (
         *((0, 1, 3, 2), (2, 1, 0, 3), (2, 3, 0, 1), (2, 3, 1, 0)),
         *((1, 0, 3, 2), (1, 0, 2, 3), (3, 2, 1, 0), (3, 2, 0, 1)),
     ),
     9: ((2, 1, 0, 4, 3, 5, 6, 7, 8),),
     3: ((2, 1, 0),),
+}
+
+
+def _of_blocks(order: Sequence[int], count: int) -> tuple[int, ...]:
+    """Return an order of Bayer's channels as one of blocks of so many channels."""
+    return tuple(count * at + site for at in order for site in range(count))
+
+
+# What a pixel_unshuffle gives: the sites of the pattern row by row, of each phase.
+_BY_ROW = {
+    tuple(map(int, packing_sites(bayer_cfa(first, block)).table[:, 2])) for first in BAYER_PHASES for block in (2, 3)
+}
+_USUAL_ORDERS |= {
+    channels: (
+        *(_of_blocks(order, channels // 4) for order in _USUAL_ORDERS[4]),
+        *sorted(order for order in _BY_ROW if len(order) == channels),
+    )
+    for channels in {len(order) for order in _BY_ROW}
 }
 
 
@@ -66,6 +84,12 @@ def _orders(agreement: Array) -> Iterator[tuple[int, ...]]:
 def _order_words(order: Sequence[int], *, colours: bool) -> str:
     if len(order) == len(BAYER_CHANNELS):
         return f"packed {', '.join(BAYER_CHANNELS[channel] for channel in order)}"
+    if tuple(order) in _BY_ROW:
+        return "packed with the sites of the pattern row by row"
+    count = len(order) // len(BAYER_CHANNELS)
+    blocks = [channel // count for channel in order[::count]] if count else []
+    if tuple(order) == _of_blocks(blocks, count):
+        return f"packed in the order {', '.join(BAYER_CHANNELS[channel] for channel in blocks)} of its blocks"
     if colours:
         return f"in the order {', '.join(_COLOURS[channel] for channel in order)}"
     return f"packed in the order {', '.join(map(str, order))} of its channels"
@@ -183,7 +207,7 @@ def best_place(
 
 def _mosaic_shifts(p: NDArray[np.float32], sensor: Sensor) -> Iterator[tuple[NDArray[np.float32], Candidate]]:
     """Yield the blocks moved back by a pixel of the mosaic, which changes colours too."""
-    cfa = XTRANS_CFA if len(sensor.cfa) == len(XTRANS_CFA) else sensor.cfa  # the packed area begins with its pattern
+    cfa = packing_sites(sensor.cfa).cfa  # as the packed area has it
     flat = p.ravel()
     for (down, right), entries in _moved_entries(cfa, p.shape).items():
         back = _shifted_back(down, right)

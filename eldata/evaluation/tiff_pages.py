@@ -26,7 +26,7 @@ COMPRESSIONS = {
 }
 """Those of which a decoder can be told how much to make: none that holds a picture of its own."""
 
-_MOST_PAGES = 64  # the planes of a packed frame are 4 or 9
+_MOST_PAGES = 64  # the planes of a packed frame are 4 to 36
 _MOST_TAGS = 256
 _MOST_TAG_BYTES = 16 << 20  # of all pages; 100,000 strips of offsets and lengths take 1.6 MB
 _LARGEST_TILE = 1 << 20  # pixels, where the image is smaller

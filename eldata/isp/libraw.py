@@ -10,6 +10,7 @@ import numpy as np
 
 from eldata.base.isolation import Limits, guarded_file
 from eldata.errors import ArgumentError, RawFileError
+from eldata.raw.cfa import packing_sites
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -50,7 +51,8 @@ def render_libraw(path: Path | str, *, bits: Bits = 8) -> NDArray[np.uint8] | ND
     ------
     RawFileError
         Like :func:`eldata.raw.read_raw`; or if the file has no as-shot white balance or no colour matrix, in place of
-        which LibRaw would put its own; or is X-Trans with a side under 512 pixels, which LibRaw does not demosaic.
+        which LibRaw would put its own; or is quad-Bayer, nona-Bayer, or
+        X-Trans with a side under 512 pixels, which LibRaw does not demosaic.
     ArgumentError
         If ``bits`` is neither 8 nor 16.
     """
@@ -71,7 +73,12 @@ def _rendered(path: Path, *, bits: Bits) -> NDArray[np.uint8] | NDArray[np.uint1
         raise RawFileError(
             path, "has no colour matrix, and LibRaw has none for its camera; LibRaw would show the camera's own colours"
         )
-    if len(frame.sensor.cfa) == 6 and min(frame.mosaic.shape) < _LEAST_XTRANS_SIDE:
+    kind = packing_sites(frame.sensor.cfa)
+    if kind.block > 1:
+        raise RawFileError(
+            path, f"LibRaw does not demosaic {kind.name}; pack it and use eldata.isp.Rendering, which bins its colours"
+        )
+    if kind.name == "X-Trans" and min(frame.mosaic.shape) < _LEAST_XTRANS_SIDE:
         raise RawFileError(
             path,
             f"{frame.sensor.height} x {frame.sensor.width} pixels: LibRaw does not demosaic X-Trans pictures with a "

@@ -8,6 +8,7 @@ import numpy as np
 
 from eldata.errors import ArgumentError
 from eldata.isp.steps import CHANNELS_OF_COLOUR
+from eldata.raw.cfa import packed_forms
 from eldata.raw.colour import camera_to_srgb
 
 if TYPE_CHECKING:
@@ -39,10 +40,10 @@ def preview(packed: NDArray[np.floating[Any]], sensor: Sensor) -> NDArray[np.uin
     Raises
     ------
     ArgumentError
-        If there are not 4 or 9 channels.
+        If there are not 4, 9, 16 or 36 channels.
     """
     if packed.ndim != 3 or packed.shape[0] not in CHANNELS_OF_COLOUR:
-        raise ArgumentError(f"expected packed data (4, h, w) or (9, h, w); found shape {packed.shape}")
+        raise ArgumentError(f"expected packed data {packed_forms('({channels}, h, w)')}; found shape {packed.shape}")
     clipped = np.clip(packed, 0, 1)
     camera = np.stack([clipped[list(indices)].mean(axis=0) for indices in CHANNELS_OF_COLOUR[packed.shape[0]]])
     if sensor.white_balance is not None:

@@ -152,8 +152,8 @@ class Rendering:
         Parameters
         ----------
         packed
-            (..., 4, h, w) Bayer or (..., 9, h, w) X-Trans, normalised, floating point. With several cameras the first
-            dimension counts them.
+            (..., C, h, w), normalised, floating point: Bayer (C = 4), X-Trans (9), quad-Bayer (16) or nona-Bayer (36).
+            With several cameras the first dimension counts them.
 
         Returns
         -------

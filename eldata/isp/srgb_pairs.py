@@ -34,7 +34,7 @@ def render_pair_for_scoring(
     Parameters
     ----------
     prediction, target
-        Packed and normalised, (4, h, w) or (9, h, w), of the same shape. Values outside [0, 1] are clipped after white
+        Packed and normalised, (C, h, w), of the same shape. Values outside [0, 1] are clipped after white
         balance. The ELD code has this for Bayer alone.
     sensor
         The reference's.

@@ -10,14 +10,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from eldata.errors import ArgumentError
-from eldata.raw.cfa import BAYER_CHANNELS, XTRANS_CHANNELS
+from eldata.raw.cfa import packed_forms, packed_layouts
 
 if TYPE_CHECKING:
     import torch
 
 # Which of R, G, B (0, 1, 2) each packed channel shows, by the number of packed channels.
 COLOUR_OF_CHANNEL = {
-    len(names): tuple("RGB".index(name[0]) for name in names) for names in (BAYER_CHANNELS, XTRANS_CHANNELS)
+    channels: tuple("RGB".index(name[0]) for name in sites.names) for channels, sites in packed_layouts().items()
 }
 # The packed channels of each of R, G, B.
 CHANNELS_OF_COLOUR = {
@@ -35,7 +35,7 @@ def white_balance(packed: torch.Tensor, multipliers: torch.Tensor) -> torch.Tens
     Parameters
     ----------
     packed
-        (..., 4, h, w) Bayer or (..., 9, h, w) X-Trans, normalised.
+        (..., C, h, w), normalised: Bayer (C = 4), X-Trans (9), quad-Bayer (16) or nona-Bayer (36).
     multipliers
         (4,), or (N, 4) for a batch of N items: those of R, G1, B, G2. X-Trans takes R, G1 and B.
 
@@ -51,21 +51,20 @@ def white_balance(packed: torch.Tensor, multipliers: torch.Tensor) -> torch.Tens
     """
     _check_packed(packed)
     per_item = _per_item(multipliers, (4,), packed, "the white balance's multipliers")
-    channels = packed.shape[-3]
-    order = list(range(4)) if channels == 4 else list(COLOUR_OF_CHANNEL[channels])
+    order = list(packed_layouts()[packed.shape[-3]].colours)
     return packed * per_item[..., order, None, None]
 
 
 def bin_colours(packed: torch.Tensor) -> torch.Tensor:
     """Average the packed channels of each colour: one RGB pixel per packed pixel, no demosaicing.
 
-    Bayer: R, (G1 + G2) / 2, B. X-Trans: the means of the 2 reds, 5 greens and 2 blues of a 3 x 3 block, which the paper
-    does not have.
+    Bayer: R, (G1 + G2) / 2, B. X-Trans: the means of the 2 reds, 5 greens and 2 blues of a 3 x 3 block; quad and nona:
+    those of a period's 4, 8 and 4 or 9, 18 and 9. The paper has Bayer alone.
 
     Parameters
     ----------
     packed
-        (..., 4, h, w) or (..., 9, h, w).
+        (..., C, h, w), C as for :func:`white_balance`.
 
     Returns
     -------
@@ -143,7 +142,8 @@ def round_to_8_bits(image: torch.Tensor) -> torch.Tensor:
 
 def _check_packed(packed: torch.Tensor) -> None:
     if packed.ndim < 3 or packed.shape[-3] not in COLOUR_OF_CHANNEL:
-        raise ArgumentError(f"expected packed data (..., 4, h, w) or (..., 9, h, w); found shape {tuple(packed.shape)}")
+        forms = packed_forms("(..., {channels}, h, w)")
+        raise ArgumentError(f"expected packed data {forms}; found shape {tuple(packed.shape)}")
     if not packed.is_floating_point():
         raise ArgumentError(f"expected normalised floating-point data; found {packed.dtype}")
 

@@ -12,7 +12,10 @@ from eldata.errors import ArgumentError, ManifestError
 from eldata.manifest.subsets import Subset
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
     from pathlib import Path
+
+CFA_WORDS = ("bayer", "xtrans", "quad-bayer", "nona-bayer", "both", "mixed")
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +72,7 @@ class Card:
     folder
         The dataset's folder below the data root; the manifest's paths start there.
     cfa
-        ``bayer``, ``xtrans``, or ``both``: files of either.
+        ``bayer``, ``xtrans``, ``quad-bayer``, ``nona-bayer``; ``both``: files of the first two; ``mixed``: of others.
     cameras
         EXIF identity of each camera in the manifest.
     counts
@@ -117,6 +120,14 @@ class Card:
             )
 
 
+def cfa_word(names: Iterable[str]) -> str:
+    """Return a card's word for files of these colour filter arrays, as :class:`eldata.raw.cfa.Sites` names them."""
+    words = {"xtrans" if name == "X-Trans" else name.lower() for name in names}
+    if len(words) == 1:
+        return words.pop()
+    return "both" if words == {"bayer", "xtrans"} else "mixed"
+
+
 def load_card(path: Path, content: bytes | None = None) -> Card:
     """Read a dataset card, from its ``content`` if that is given.
 
@@ -142,7 +153,7 @@ def load_card(path: Path, content: bytes | None = None) -> Card:
         citation=top.text("citation", empty=True),
         licence=top.text("licence", empty=True),
         homepage=top.text("homepage", empty=True),
-        cfa=top.choice("cfa", ("bayer", "xtrans", "both")),
+        cfa=top.choice("cfa", CFA_WORDS),
         cameras={name: _camera(cameras, name) for name in cameras.data},
         counts={role: counts.whole(role) for role in counts.data},
         downloads=tuple(map(_download, top.objects("downloads", missing_ok=True))),

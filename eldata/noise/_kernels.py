@@ -257,7 +257,7 @@ def large_poisson(mean: float, first: Any, second: Any, pixel: Any) -> float:
         u = (np.float64(_word(first, second, counter) >> _U8(12)) + 0.5) * 2.0**-52 - 0.5
         v = (np.float64(_word(first, second, counter + _U8(1)) >> _U8(12)) + 0.5) * 2.0**-52
         us = 0.5 - abs(u)
-        k = math.floor((2.0 * a / us + b) * u + mean + 0.43)
+        k = np.floor((2.0 * a / us + b) * u + mean + 0.43)  # math.floor is an int64, which ends at 9e18
         if us >= 0.07 and v <= v_r:
             return float(k)
         if k < 0 or (us < 0.013 and v > us):

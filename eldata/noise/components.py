@@ -58,8 +58,11 @@ def parse_components(spec: str) -> Components:
     Raises
     ------
     ArgumentError
-        If a name is unknown or repeated, there are none, or two models of one noise source are asked for.
+        If it is not a text, a name is unknown or repeated, there are none, or two models of one noise source are asked
+        for.
     """
+    if not isinstance(spec, str):
+        raise ArgumentError(f"a noise model's spec is a text such as 'P*+G*+B+R+U'; found {spec!r:.100}")
     names = [name.strip().replace("^", "") for name in spec.split("+")]
     for name in names:
         if name not in _NAMES:

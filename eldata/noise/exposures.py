@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from eldata.base.numbers import checked_number
 from eldata.errors import ArgumentError
 from eldata.noise.packed_rows import channel_bias_dn
 
@@ -28,7 +29,8 @@ class Adc:
     white_level_dn: float
 
     def __post_init__(self) -> None:
-        if not 0 <= self.black_level_dn < self.white_level_dn < math.inf:
+        black = checked_number("black_level_dn", self.black_level_dn)
+        if not 0 <= black < checked_number("white_level_dn", self.white_level_dn):
             raise ArgumentError(f"expected 0 <= black level < white level; found {self}")
 
 

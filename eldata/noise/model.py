@@ -15,12 +15,14 @@ torch
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from eldata.base.numbers import checked_number, checked_whole
 from eldata.base.tensors import is_tensor
 from eldata.errors import ArgumentError, check_choice
 from eldata.noise.components import Components, parse_components
@@ -48,14 +50,15 @@ class NoiseModel:
         Such as ``"P*+G*+B+R+U"``, the full model.
     clip
         Of the result: ``"none"``, ``"upper"`` (at 1: negative read noise is kept) or ``"both"`` ([0, 1], what the
-        published ELD loader gives a network).
+        published ELD loader gives a network). ``None``, the default, leaves it to who uses the model: called by itself
+        it does not clip, and a dataset clips as its own ``clip`` says.
     adc
         Round to whole DN and saturate as a converter does, in place of component U.
 
     Raises
     ------
     ArgumentError
-        If the spec or the clip is unknown, or the spec has U and there is an ``adc`` too.
+        If the spec or the clip is unknown, ``adc`` is not an :class:`Adc`, or the spec has U and there is one too.
 
     Examples
     --------
@@ -69,19 +72,29 @@ class NoiseModel:
     ((4, 64, 64), dtype('float32'))
     """
 
-    def __init__(self, spec: str = "P*+G*+B+R+U", *, clip: Clip = "none", adc: Adc | None = None) -> None:
+    def __init__(self, spec: str = "P*+G*+B+R+U", *, clip: Clip | None = None, adc: Adc | None = None) -> None:
         self.components: Components = parse_components(spec)
-        check_choice("clip", clip, CLIP_RANGES)
+        if clip is not None:
+            check_choice("clip", clip, CLIP_RANGES)
+        if adc is not None and not isinstance(adc, Adc):
+            raise ArgumentError(f"adc must be an Adc, such as Adc(512, 16383); found {adc!r:.100}")
         if adc is not None and self.components.quantisation:
             raise ArgumentError(
                 f"noise model {spec!r}: U stands for the converter's rounding; leave it out with adc=..."
             )
-        self.clip: Clip = clip
+        self.clip: Clip | None = clip
         self.adc = adc
 
     def __repr__(self) -> str:
-        adc = "" if self.adc is None else f", adc={self.adc}"
-        return f"NoiseModel({self.components.spec!r}, clip={self.clip!r}{adc})"
+        options = [f", {name}={value!r}" for name in ("clip", "adc") if (value := getattr(self, name)) is not None]
+        return f"NoiseModel({self.components.spec!r}{''.join(options)})"
+
+    def with_clip(self, clip: Clip) -> NoiseModel:
+        """Return this model with another clip."""
+        check_choice("clip", clip, CLIP_RANGES)
+        changed = copy.copy(self)
+        changed.clip = clip
+        return changed
 
     def __call__(
         self,
@@ -98,8 +111,9 @@ class NoiseModel:
         Parameters
         ----------
         clean
-            (..., C, h, w), normalised, C = 4 or 9; a numpy array or a torch tensor. Leading dimensions are images of a
-            batch or frames of a clip; each gets fresh noise. Values below 0 count as no light.
+            (..., C, h, w), normalised, C = 4, 9, 16 or 36 (:mod:`eldata.raw.cfa`); a numpy array or a torch tensor of
+            floating numbers: whole numbers are DN, which are refused. Leading dimensions are images of a batch or
+            frames of a clip; each gets fresh noise. Values below 0 count as no light.
         parameters
             One draw for everything (a clip), or one for each image of a batch (N, C, h, w).
         ratio
@@ -109,20 +123,19 @@ class NoiseModel:
         range_dn
             White level minus black level, DN; by default that of the camera whose profile the parameters come from.
         threads
-            Of the compiled engine; default one per CPU. The result does not depend on it.
+            Of the compiled engine, 1 or more; default one per CPU. The result does not depend on it.
 
         Returns
         -------
         ndarray or Tensor
-            As ``clean``: shape, device, and dtype if that is floating; computed in float32. Detached.
+            As ``clean``: shape, device and dtype; computed in float32. Detached.
 
         Raises
         ------
         ArgumentError
-            If shapes, parameters, ratio, range or generator do not fit.
+            If shapes, dtype, parameters, ratio, range, generator or threads do not fit.
         """
-        if not (is_tensor(clean) or isinstance(clean, np.ndarray)):
-            raise ArgumentError(f"clean must be a numpy array or a torch tensor, not {type(clean).__name__}")
+        check_normalised(clean)
         if clean.ndim < 3:
             raise ArgumentError(f"expected clean data (..., C, h, w); found shape {tuple(clean.shape)}")
         images = math.prod(clean.shape[:-3])
@@ -131,17 +144,10 @@ class NoiseModel:
         drawn = _one_each(parameters, images, "parameters")
         if not all(isinstance(item, NoiseParameters) for item in drawn):
             raise ArgumentError(f"parameters must be NoiseParameters, one or one for each image; found {parameters!r}")
-        ratio_each = _one_each(ratio, images, "ratio")
-        try:
-            ratios = [float(value) for value in ratio_each]
-        except (TypeError, ValueError) as error:
-            raise ArgumentError(f"ratio must be one number, or one for each image; found {ratio!r}") from error
-        if not all(math.isfinite(value) and value > 0 for value in ratios):
-            raise ArgumentError(f"ratio must be finite and above 0; found {ratio}")
-        if range_dn is None:
-            range_dn = _range_dn(drawn)
-        if not (math.isfinite(range_dn) and range_dn > 0):
-            raise ArgumentError(f"range_dn must be finite and above 0; found {range_dn}")
+        ratios = [checked_number("ratio", value, above=0) for value in _one_each(ratio, images, "ratio")]
+        range_dn = _range_dn(drawn) if range_dn is None else checked_number("range_dn", range_dn, above=0)
+        if threads is not None:
+            checked_whole("threads", threads, at_least=1)
         exposures = Exposures.of(
             self.components,
             drawn,
@@ -149,11 +155,10 @@ class NoiseModel:
             channels,
             range_dn=range_dn,
             adc=self.adc,
-            limits=CLIP_RANGES[self.clip],
+            limits=CLIP_RANGES[self.clip or "none"],
         )
         if isinstance(clean, np.ndarray):
-            noisy = _in_numpy(clean, exposures, generator, threads)
-            return noisy.astype(clean.dtype, copy=False) if clean.dtype.kind == "f" else noisy
+            return _in_numpy(clean, exposures, generator, threads).astype(clean.dtype, copy=False)
         import torch
 
         if clean.device.type == "cpu":
@@ -167,7 +172,7 @@ class NoiseModel:
                 raise ArgumentError(f"clean is on {clean.device}: give a torch.Generator of that device")
             flat = clean.detach().to(torch.float32).reshape(images, *clean.shape[-3:])
             drawn_here = expose_on_device(flat, exposures, generator).reshape(clean.shape)
-        return drawn_here.to(clean.dtype if clean.is_floating_point() else torch.float32)
+        return drawn_here.to(clean.dtype)
 
     def on_mosaic(
         self,
@@ -192,8 +197,7 @@ class NoiseModel:
         """
         from eldata.noise.mosaic import pack_whole, unpack_whole
 
-        if not (is_tensor(clean) or isinstance(clean, np.ndarray)):
-            raise ArgumentError(f"clean must be a numpy array or a torch tensor, not {type(clean).__name__}")
+        check_normalised(clean)
         noisy = self(
             pack_whole(clean, cfa),
             parameters=parameters,
@@ -228,6 +232,31 @@ class NoiseModel:
         return shot + read + row + quantisation
 
 
+def check_normalised(clean: Any, name: str = "clean") -> None:
+    """Refuse what cannot be normalised data.
+
+    Raises
+    ------
+    ArgumentError
+        If it is neither an array nor a tensor, or of anything but floating numbers.
+    """
+    if is_tensor(clean):
+        is_float, is_whole = clean.is_floating_point(), not clean.is_complex()
+    elif isinstance(clean, np.ndarray):
+        is_float, is_whole = clean.dtype.kind == "f", clean.dtype.kind in "iu"
+    else:
+        raise ArgumentError(f"{name} must be a numpy array or a torch tensor, not {type(clean).__name__}")
+    if is_float:
+        return
+    if is_whole:
+        raise ArgumentError(
+            f"{name} is {clean.dtype}, whole numbers as a file has them, and expected is normalised data, where 0 is "
+            "black and 1 is white; give (clean - black) / (white - black) in float32, as eldata.raw.normalise makes it "
+            "of packed DN and eldata.raw.pack_normalised of a mosaic"
+        )
+    raise ArgumentError(f"{name} is {clean.dtype}; expected floating numbers, such as float32, where 1 is white")
+
+
 def _in_numpy(
     clean: NDArray[Any], exposures: Exposures, generator: Generator, threads: int | None
 ) -> NDArray[np.float32]:
@@ -249,7 +278,7 @@ def _range_dn(drawn: Sequence[NoiseParameters]) -> float:
 def _one_each(value: Any, images: int, name: str) -> list[Any]:
     if isinstance(value, np.ndarray) or is_tensor(value):
         value = value.tolist()
-    if not isinstance(value, Sequence):
+    if isinstance(value, str) or not isinstance(value, Sequence):
         return [value] * images
     if len(value) != images:
         raise ArgumentError(f"{name}: expected one, or one for each of {images} images; found {len(value)}")

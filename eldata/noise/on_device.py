@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 _HALF_STEP = 2.0**-54
 _LARGEST = 1 - 2.0**-53
 
+_LARGEST_MEAN = 2.0**30
+
 
 def expose_on_device(clean: torch.Tensor, exposures: Exposures, generator: torch.Generator) -> torch.Tensor:
     """Return noisy exposures of ``clean`` (N, C, h, w) float32 on its device."""
@@ -28,8 +30,7 @@ def expose_on_device(clean: torch.Tensor, exposures: Exposures, generator: torch
     # DN above black: K I. An infinite clean value stays the largest number, which the clip then takes.
     signal = clean.clamp(0.0, torch.finfo(torch.float32).max) * scale
     if components.shot == "poisson":
-        electrons = torch.poisson(torch.nan_to_num(signal / gain, nan=0.0), generator=generator)
-        dn = torch.where(signal.isnan(), signal, electrons * gain)
+        dn = torch.where(signal.isnan(), signal, _poisson(torch.nan_to_num(signal / gain, nan=0.0), generator) * gain)
     elif components.shot == "gaussian":
         normal = torch.randn(clean.shape, generator=generator, device=device)
         dn = signal + (gain * signal).sqrt() * normal
@@ -49,6 +50,17 @@ def expose_on_device(clean: torch.Tensor, exposures: Exposures, generator: torch
     if adc is not None:
         dn = (dn + adc.black_level_dn).round().clamp(0.0, adc.white_level_dn) - adc.black_level_dn
     return (dn / scale).clamp(*exposures.limits)
+
+
+def _poisson(mean: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+    """Return Poisson draws as float32, for any mean.
+
+    torch counts in integers, of 32 bits on a GPU and of 64 on the CPU. From 2^30 on the law is the normal one to 1 part
+    in 30,000 (its skewness), so the draw of that mean is stretched.
+    """
+    drawn = torch.poisson(mean.clamp(max=_LARGEST_MEAN), generator=generator)
+    far = mean + (mean / _LARGEST_MEAN).sqrt() * (drawn - _LARGEST_MEAN)
+    return torch.where(mean > _LARGEST_MEAN, far, drawn)
 
 
 def _tukey_lambda(size: torch.Size, shape: torch.Tensor, generator: torch.Generator) -> torch.Tensor:

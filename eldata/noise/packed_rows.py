@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.errors import ArgumentError
+from eldata.raw.cfa import packed_forms, packed_layouts
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -39,32 +40,29 @@ class PackedRows:
 
 @cache
 def packed_rows(channels: int) -> PackedRows:
-    """Return which mosaic rows lie under packed data with 4 (Bayer) or 9 (X-Trans) channels.
+    """Return which mosaic rows lie under packed data with 4 (Bayer), 9 (X-Trans), 16 (quad) or 36 (nona) channels.
 
-    Bayer: R and G1 share a row, B and G2 the other; which of the two comes first depends on the phase and changes no
-    statistic.
+    Bayer: R and G1 share a row, B and G2 the other; quad and nona: the same, of each row of the blocks. Which come
+    first depends on the phase and changes no statistic.
 
     Raises
     ------
     ArgumentError
         For any other number of channels.
     """
-    if channels == 4:
-        return PackedRows(np.array([[[0]], [[0]], [[1]], [[1]]], dtype=np.int64), 2)
-    if channels == 9:
-        from eldata.raw.cfa import XTRANS_CFA, packing_sites
-
-        table = np.empty((9, 2, 2), dtype=np.int64)
-        for row, _, channel, y, x in packing_sites(XTRANS_CFA).table:
-            table[channel, y, x] = row
-        return PackedRows(table, 6)
-    raise ArgumentError(f"packed data has 4 (Bayer) or 9 (X-Trans) channels; found {channels}")
+    sites = packed_layouts().get(channels)
+    if sites is None:
+        raise ArgumentError(f"packed data has {packed_forms()} channels; found {channels}")
+    table = np.empty((channels, sites.sub, sites.sub), dtype=np.int64)
+    for row, _, channel, y, x in sites.table:
+        table[channel, y, x] = row
+    return PackedRows(table, sites.period)
 
 
 def channel_bias_dn(parameters: NoiseParameters, channels: int) -> tuple[float, ...]:
-    """Return the colour bias of each packed channel. X-Trans has one green: the mean of G1's and G2's bias."""
+    """Return the colour bias of each packed channel: its colour's. X-Trans has one green: the mean of G1's and G2's."""
+    sites = packed_layouts()[channels]
     red, green, blue, second_green = parameters.colour_bias_dn
-    if channels == 4:
-        return red, green, blue, second_green
-    mean = (green + second_green) / 2
-    return red, mean, blue, red, blue, mean, mean, mean, mean
+    one_green = red, (green + second_green) / 2, blue
+    of_colour = one_green if sites.levels == len(one_green) else parameters.colour_bias_dn
+    return tuple(of_colour[colour] for colour in sites.colours)

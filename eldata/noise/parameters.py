@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field, fields
 from typing import Any
 
+from eldata.base.numbers import checked_number
 from eldata.errors import ArgumentError
 
 # The Tukey-lambda family has finite variance for lambda > -1/2 only; beyond 2 its shape repeats.
@@ -34,7 +35,7 @@ class NoiseParameters:
     sigma_row_dn
         Standard deviation of the row noise, DN.
     colour_bias_dn
-        Mean of the read noise in R, G1, B, G2, DN.
+        Mean of the read noise in R, G1, B, G2, DN: four numbers, kept as a tuple.
     range_dn
         White level minus black level of the camera that they are of, DN, where its profile states it: what the noise
         model takes if it is not told another. Not a parameter of the noise: draws that differ in it alone are equal.
@@ -42,7 +43,7 @@ class NoiseParameters:
     Raises
     ------
     ArgumentError
-        If a value is not finite or out of its range; the message names it.
+        If a value is not a finite number or out of its range; the message names it.
     """
 
     gain_dn_per_e: float
@@ -55,13 +56,18 @@ class NoiseParameters:
 
     def __post_init__(self) -> None:
         for name, value in self.as_dict().items():
-            values = value if isinstance(value, tuple) else (value,)
-            if not all(math.isfinite(item) for item in values):
-                raise ArgumentError(f"{name} must be finite; found {value}")
-        if self.range_dn is not None and not (math.isfinite(self.range_dn) and self.range_dn > 0):
-            raise ArgumentError(f"range_dn must be finite and above 0; found {self.range_dn}")
-        if len(self.colour_bias_dn) != 4:
-            raise ArgumentError(f"colour_bias_dn has four values, for R, G1, B and G2; found {self.colour_bias_dn}")
+            if name != "colour_bias_dn":
+                checked_number(name, value)
+        # Lists, and the arrays and tensors that samples have, become a tuple: a draw can be compared and is a key.
+        bias: Any = self.colour_bias_dn
+        values = tuple(bias) if isinstance(bias, (tuple, list)) else _values(bias)
+        if len(values) != 4:
+            raise ArgumentError(f"colour_bias_dn has four values, for R, G1, B and G2; found {bias!r:.100}")
+        for value in values:
+            checked_number("colour_bias_dn", value)
+        object.__setattr__(self, "colour_bias_dn", values)
+        if self.range_dn is not None:
+            checked_number("range_dn", self.range_dn, above=0)
         if not self.gain_dn_per_e > 0:
             raise ArgumentError(f"gain_dn_per_e must be above 0; found {self.gain_dn_per_e}")
         for name in ("sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn"):
@@ -74,6 +80,11 @@ class NoiseParameters:
     def as_dict(self) -> dict[str, Any]:
         """Return the parameters of the noise by name."""
         return {one.name: getattr(self, one.name) for one in fields(self) if one.compare}
+
+
+def _values(array: Any) -> tuple[Any, ...]:
+    found = array.tolist() if hasattr(array, "tolist") else array
+    return tuple(found) if isinstance(found, list) else (found,)
 
 
 def tukey_lambda_variance(tukey_lambda: float) -> float:

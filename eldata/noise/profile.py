@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 SCHEMA = 1
-RowChoice = Literal["any", "nearest-gain"]
+RowChoice = Literal["any", "nearest-gain", "measured"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,21 +214,26 @@ class CameraProfile:
         row
             ``"any"``: every row alike, as in the paper. ``"nearest-gain"``: the row measured at the gain nearest to K
             (one of them at random if several are). To simulate one ISO take the latter: with lambda of another row, a
-            scale makes another variance.
+            scale makes another variance. ``"measured"``: nothing is drawn, the figures are those of :meth:`measured`
+            at ``iso``.
         extrapolate
             Allow an ISO beyond the calibrated range (:meth:`gain_at_iso`).
 
         Raises
         ------
         ArgumentError
-            If both ``iso`` and ``gain_dn_per_e`` are given, the ISO is unknown or outside of the calibrated range, or
-            no row has a gain to be near to.
+            If both ``iso`` and ``gain_dn_per_e`` are given, the ISO is unknown or outside of the calibrated range, no
+            row has a gain to be near to, or the ISO was not measured.
         """
         # Always five numbers, whatever is fixed: fixing one parameter leaves the others' draws as they were.
         u_gain, u_row = uniforms(generator, 2)
         z_tl, z_gauss, z_row = standard_normals(generator, 3)
         if iso is not None and gain_dn_per_e is not None:
             raise ArgumentError("give iso or gain_dn_per_e, not both")
+        if row == "measured":
+            if iso is None:
+                raise ArgumentError("row='measured' gives the figures of one ISO; give iso")
+            return self.measured(iso)
         if iso is not None:
             gain = self.gain_at_iso(iso, extrapolate=extrapolate)
         elif gain_dn_per_e is not None:
@@ -254,7 +259,7 @@ class CameraProfile:
         if row == "any":
             return self.rows
         if row != "nearest-gain":
-            raise ArgumentError(f"row must be 'any' or 'nearest-gain'; found {row!r}")
+            raise ArgumentError(f"row must be 'any', 'nearest-gain' or 'measured'; found {row!r}")
         distances = [
             abs(math.log(candidate.gain_dn_per_e / gain)) if candidate.gain_dn_per_e is not None else math.inf
             for candidate in self.rows

@@ -1,3 +1,5 @@
+from .buffers import read_buffer as read_buffer
+from .cfa import bayer_cfa as bayer_cfa
 from .cfa import denormalise as denormalise
 from .cfa import normalise as normalise
 from .cfa import pack as pack

@@ -1,8 +1,8 @@
 """Compiled loops of CFA packing.
 
 A site table says where each site of one CFA period goes: rows of (mosaic row, mosaic column, channel, packed
-row, packed column), with ``period`` the CFA's size and ``sub`` the packed image's share of it (1 for Bayer, 2
-for X-Trans). The Bayer loops are written out for their constant stride of two, which the compiler vectorises.
+row, packed column), with ``period`` the CFA's size and ``sub`` the packed image's share of it (2 for X-Trans, else 1).
+The Bayer loops are written out for their constant stride of two, which the compiler vectorises.
 """
 
 from __future__ import annotations
@@ -88,25 +88,28 @@ def pack_bayer_normalised(
 
 
 @kernel
-def pack_xtrans_normalised(
+def pack_sites_normalised(
     mosaic: NDArray[np.uint16],
     packed: NDArray[np.float32],
     sites: NDArray[np.int64],
+    period: int,
+    sub: int,
     black: NDArray[np.float32],
     white: np.float32,
     low: np.float32,
     high: np.float32,
     gain: np.float32,
 ) -> None:
-    """:func:`pack_bayer_normalised` for X-Trans: each row is normalised in one vector loop, then distributed."""
-    width = 2 * (packed.shape[2] // 2) * 3
-    row_black = np.empty((6, width), np.float32)
+    """:func:`pack_bayer_normalised` for larger periods: each row is normalised in one vector loop, then distributed."""
+    periods = packed.shape[2] // sub
+    width = periods * period
+    row_black = np.empty((period, width), np.float32)
     for k in range(sites.shape[0]):
-        row_black[sites[k, 0], sites[k, 1] :: 6] = black[sites[k, 2]]
+        row_black[sites[k, 0], sites[k, 1] :: period] = black[sites[k, 2]]
     row = np.empty(width, np.float32)
-    for i in range(packed.shape[1] // 2):
-        for y in range(6):
-            source = mosaic[6 * i + y]
+    for i in range(packed.shape[1] // sub):
+        for y in range(period):
+            source = mosaic[period * i + y]
             zero = row_black[y]
             for j in range(width):
                 value = (np.float32(source[j]) - zero[j]) / (white - zero[j])
@@ -114,11 +117,11 @@ def pack_xtrans_normalised(
                 value = value if value < high else high
                 value = value * gain
                 row[j] = value if value < high else high
-            for k in range(6 * y, 6 * y + 6):  # the sites are listed row by row
-                target = packed[sites[k, 2], 2 * i + sites[k, 3]]
+            for k in range(period * y, period * (y + 1)):  # the sites are listed row by row
+                target = packed[sites[k, 2], sub * i + sites[k, 3]]
                 column, x = sites[k, 1], sites[k, 4]
-                for j in range(packed.shape[2] // 2):
-                    target[x + 2 * j] = row[column + 6 * j]
+                for j in range(periods):
+                    target[x + sub * j] = row[column + period * j]
 
 
 @kernel

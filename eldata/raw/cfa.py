@@ -7,18 +7,30 @@ Bayer (2x2, any phase)
     colour's site of every 2x2 cell.
 X-Trans (6x6, any offset)
     (9, H/3, W/3) in the order of the SID code [1]_: R, G, B, R, B, G, G, G, G.
+Quad-Bayer (4x4: Bayer of 2x2 blocks, any offset)
+    (16, H/4, W/4): the sites of R's block row by row (R.00, R.01, R.10, R.11), then those of G1's, of B's, of G2's.
+Nona-Bayer (6x6: Bayer of 3x3 blocks, any offset)
+    (36, H/6, W/6): likewise, nine sites a block.
+
+Each site of a block has a channel of its own, so that every channel is one regular grid, as Bayer's are: nothing in
+it alternates from pixel to pixel, and a network may shift it. Android's calibration of quad-Bayer noise has the same 16
+channels [2]_. It also leaves no doubt: 4, 9, 16 or 36 channels name the CFA. The order makes the two other forms in use
+one step away, in the order R, G1, B, G2: with n = 2 or 3, ``torch.nn.functional.pixel_shuffle(packed, n)`` is
+(4, H/2, W/2) with the sites of a block side by side, as published remosaicing code has it, and
+``packed.reshape(4, n * n, h, w).mean(1)`` what the sensor gives when it bins.
 
 The packed area
 ---------------
 A mosaic is cropped before packing (:func:`packed_area`): X-Trans first loses the rows at the top and the columns at
 the left (0 to 5 each, the fewest in all, and then the fewer rows) up to where its pattern starts as it does in the SID
-code, so that every X-Trans camera packs to the same geometry; then each CFA loses the rows at the bottom and the
-columns at the right that do not fill a whole period. Within that area packing is a permutation:
-``unpack(pack(x)) == x`` exactly.
+code, so that every X-Trans camera packs to the same geometry; quad and nona lose those up to the first whole block (0
+to 1, 0 to 2), so that the sites of a block stay together. Then each CFA loses the rows at the bottom and the columns at
+the right that do not fill a whole period. Within that area packing is a permutation: ``unpack(pack(x)) == x`` exactly.
 
 References
 ----------
 .. [1] C. Chen, Q. Chen, J. Xu and V. Koltun, "Learning to See in the Dark", CVPR 2018, test_Fuji.py.
+.. [2] Android Open Source Project, CameraITS, noise_model_utils.py (QUAD_BAYER_COLORS); there G2 stands before B.
 """
 
 from __future__ import annotations
@@ -51,7 +63,14 @@ CLIP_RANGES: dict[Clip, tuple[float, float]] = {
 BAYER_CHANNELS = ("R", "G1", "B", "G2")
 XTRANS_CHANNELS = ("R", "G", "B", "R", "B", "G", "G", "G", "G")
 
-BAYER_CFAS: tuple[CfaRows, ...] = (((0, 1), (3, 2)), ((1, 0), (2, 3)), ((3, 2), (0, 1)), ((2, 3), (1, 0)))
+_BLOCK_NAMES = {2: "quad-Bayer", 3: "nona-Bayer"}
+
+BAYER_PHASES: dict[str, CfaRows] = {
+    "RGGB": ((0, 1), (3, 2)),
+    "GRBG": ((1, 0), (2, 3)),
+    "GBRG": ((3, 2), (0, 1)),
+    "BGGR": ((2, 3), (1, 0)),
+}
 XTRANS_CFA: CfaRows = (
     (0, 2, 1, 2, 0, 1),
     (1, 1, 0, 1, 1, 2),
@@ -94,10 +113,16 @@ class Sites:
 
     Attributes
     ----------
+    name
+        ``"Bayer"``, ``"X-Trans"``, ``"quad-Bayer"`` or ``"nona-Bayer"``.
+    cfa
+        As it is where packing begins.
     period, sub
         Side of the period in the mosaic, and in the packed image.
     top, left
         Rows and columns that packing drops first.
+    names
+        Of the packed channels, each beginning with its colour's letter.
     table
         (sites, 5) int64, read-only: mosaic row and column, packed channel, packed row and column, the last two below
         ``sub``.
@@ -105,10 +130,13 @@ class Sites:
         Channel index in the CFA, and so in ``black_level_dn``, of each packed channel.
     """
 
+    name: str
+    cfa: CfaRows
     period: int
     sub: int
     top: int
     left: int
+    names: tuple[str, ...]
     table: NDArray[np.int64]
     colours: tuple[int, ...]
 
@@ -116,6 +144,21 @@ class Sites:
     def channels(self) -> int:
         """Number of packed channels."""
         return len(self.colours)
+
+    @property
+    def scale(self) -> int:
+        """Mosaic pixels along each side of a packed pixel."""
+        return self.period // self.sub
+
+    @property
+    def block(self) -> int:
+        """Sites along each side of a block of one colour: 1 for Bayer, 2 for quad, 3 for nona; 1 for X-Trans."""
+        return self.period // 2 if self.sub == 1 else 1
+
+    @property
+    def levels(self) -> int:
+        """Number of the CFA's channels, and so of black levels."""
+        return max(self.colours) + 1
 
 
 def _rows(cfa: Cfa) -> CfaRows:
@@ -128,10 +171,53 @@ def cfa_from(cfa: CfaRows, top: int, left: int) -> CfaRows:
     return tuple(tuple(cfa[(y + top) % period][(x + left) % period] for x in range(period)) for y in range(period))
 
 
-def _as_table(period: int, channel_of: CfaRows) -> NDArray[np.int64]:
-    block = 2 if period == 2 else 3
+def bayer_cfa(first: str = "RGGB", block: int = 1) -> CfaRows:
+    """Return a Bayer CFA, or one whose sites are blocks of one colour.
+
+    Parameters
+    ----------
+    first
+        The colours of its first 2 x 2 sites or blocks, row by row: ``"RGGB"``, ``"BGGR"``, ``"GRBG"`` or ``"GBRG"``.
+    block
+        Sites along each side of a block: 1 for Bayer, 2 for quad-Bayer, 3 for nona-Bayer.
+
+    Returns
+    -------
+    tuple of tuples
+        Channel indices by row, as :attr:`eldata.records.Sensor.cfa` has them.
+
+    Raises
+    ------
+    ArgumentError
+        If the colours are not those of a Bayer pattern, or the block is of another size.
+    """
+    if block not in (1, *_BLOCK_NAMES):
+        raise ArgumentError(f"block must be 1 (Bayer), 2 (quad-Bayer) or 3 (nona-Bayer); found {block!r}")
+    check_choice("first", first, BAYER_PHASES)
+    return _in_blocks(BAYER_PHASES[first], block)
+
+
+def cfa_of_letters(rows: Sequence[str]) -> CfaRows | None:
+    """Return the CFA that has these colours (R, G, B), one period by row; None if it is unsupported."""
+    # Of a pattern that tells its greens apart, G1 is that of R's rows.
+    two_greens = tuple(tuple({"R": 0, "B": 2}.get(c, 1 if "R" in row else 3) for c in row) for row in rows)
+    one_green = tuple(tuple({"R": 0, "B": 2}.get(c, 1) for c in row) for row in rows)
+    if set("".join(rows)) == set("RGB"):
+        for cfa in (two_greens, one_green):
+            if _found(cfa) is not None:
+                return cfa
+    return None
+
+
+def _in_blocks(cfa: CfaRows, block: int) -> CfaRows:
+    return tuple(tuple(index for index in row for _ in range(block)) for row in cfa for _ in range(block))
+
+
+def _as_table(sub: int, channel_of: CfaRows) -> NDArray[np.int64]:
+    period = len(channel_of)
+    scale = period // sub
     sites = [
-        (row, column, channel_of[row][column], row // block, column // block)
+        (row, column, channel_of[row][column], row // scale, column // scale)
         for row, column in np.ndindex(period, period)
     ]
     table = np.array(sites, dtype=np.int64)
@@ -139,19 +225,62 @@ def _as_table(period: int, channel_of: CfaRows) -> NDArray[np.int64]:
     return table
 
 
-@cache
-def _sites(cfa: CfaRows) -> Sites:
-    if cfa in BAYER_CFAS:
-        return Sites(2, 1, 0, 0, _as_table(2, cfa), (0, 1, 2, 3))
-    if len(cfa) == 6 and all(len(row) == 6 for row in cfa):
-        for top, left in sorted(np.ndindex(6, 6), key=sum):
-            if cfa_from(cfa, top, left) == XTRANS_CFA:
-                colours = tuple("RGB".index(name) for name in XTRANS_CHANNELS)
-                return Sites(6, 2, top, left, _as_table(6, _XTRANS_CHANNEL), colours)
-    raise ArgumentError(
-        f"unsupported CFA {cfa}: expected a 2x2 Bayer pattern (0 = R, 1 = G1 in R's row, 2 = B, 3 = G2) or a 6x6 "
-        "X-Trans pattern (0 = R, 1 = G, 2 = B) at any offset"
+def _sites_of_blocks(cfa: CfaRows, block: int, top: int, left: int) -> Sites:
+    """Return the sites of a pattern of blocks that begins with a whole one after ``top`` rows and ``left`` columns."""
+    count = block * block
+    names = tuple(f"{name}.{y}{x}" for name in BAYER_CHANNELS for y, x in np.ndindex(block, block))
+    channel_of = tuple(
+        tuple(count * index + block * (y % block) + x % block for x, index in enumerate(row))
+        for y, row in enumerate(cfa)
     )
+    colours = tuple(index for index in range(len(BAYER_CHANNELS)) for _ in range(count))
+    return Sites(_BLOCK_NAMES[block], cfa, 2 * block, 1, top, left, names, _as_table(1, channel_of), colours)
+
+
+@cache
+def _found(cfa: CfaRows) -> Sites | None:
+    if cfa in BAYER_PHASES.values():
+        return Sites("Bayer", cfa, 2, 1, 0, 0, BAYER_CHANNELS, _as_table(1, cfa), (0, 1, 2, 3))
+    period = len(cfa)
+    if period not in (4, 6) or any(len(row) != period for row in cfa):
+        return None
+    in_blocks = {_in_blocks(bayer, period // 2) for bayer in BAYER_PHASES.values()}
+    for top, left in sorted(np.ndindex(period, period), key=sum):
+        here = cfa_from(cfa, top, left)
+        if here in in_blocks:
+            return _sites_of_blocks(here, period // 2, top, left)
+        if here == XTRANS_CFA:
+            colours = tuple("RGB".index(name) for name in XTRANS_CHANNELS)
+            return Sites("X-Trans", here, 6, 2, top, left, XTRANS_CHANNELS, _as_table(2, _XTRANS_CHANNEL), colours)
+    return None
+
+
+def _sites(cfa: CfaRows) -> Sites:
+    found = _found(cfa)
+    if found is None:
+        raise ArgumentError(
+            f"unsupported CFA {cfa}: expected a 2x2 Bayer pattern (0 = R, 1 = G1 in R's row, 2 = B, 3 = G2), one of "
+            "2x2 or 3x3 blocks of these (quad-Bayer, nona-Bayer) or a 6x6 X-Trans pattern (0 = R, 1 = G, 2 = B), the "
+            "last three at any offset"
+        )
+    return found
+
+
+@cache
+def packed_layouts() -> dict[int, Sites]:
+    """Return the sites of a CFA of each kind, by its number of packed channels, which tells them apart.
+
+    Of the phases of a kind, which change no channel's meaning, that which begins with R.
+    """
+    first = BAYER_PHASES["RGGB"]
+    each = (first, XTRANS_CFA, *(_in_blocks(first, block) for block in _BLOCK_NAMES))
+    return {sites.channels: sites for sites in map(packing_sites, each)}
+
+
+def packed_forms(form: str = "{channels} ({name})") -> str:
+    """Return the numbers of packed channels that there are, in words: ``"4 (Bayer), ... or 36 (nona-Bayer)"``."""
+    *others, last = (form.format(channels=sites.channels, name=sites.name) for sites in packed_layouts().values())
+    return f"{', '.join(others)} or {last}"
 
 
 def packing_sites(cfa: Cfa) -> Sites:
@@ -160,13 +289,13 @@ def packing_sites(cfa: Cfa) -> Sites:
     Raises
     ------
     ArgumentError
-        If the CFA is neither Bayer nor X-Trans.
+        If the CFA is unsupported.
     """
     return _sites(_rows(cfa))
 
 
 def packed_channels(cfa: Cfa) -> int:
-    """Return the number of channels of the packed form: 4 for Bayer, 9 for X-Trans."""
+    """Return the number of channels of the packed form: 4 for Bayer, 9 for X-Trans, 16 for quad, 36 for nona."""
     return packing_sites(cfa).channels
 
 
@@ -176,7 +305,7 @@ def packed_area(shape: tuple[int, int], cfa: Cfa) -> PackedArea:
     Raises
     ------
     ArgumentError
-        If the CFA is neither Bayer nor X-Trans, or the mosaic does not hold one whole period.
+        If the CFA is unsupported, or the mosaic does not hold one whole period.
     """
     sites = packing_sites(cfa)
     height = (shape[0] - sites.top) // sites.period * sites.period
@@ -193,8 +322,7 @@ def packed_shape(shape: tuple[int, int], cfa: Cfa) -> tuple[int, int, int]:
     """Return the packed shape (C, h, w) of a mosaic of ``shape`` (H, W)."""
     sites = packing_sites(cfa)
     area = packed_area(shape, cfa)
-    scale = sites.period // sites.sub
-    return sites.channels, area.height // scale, area.width // scale
+    return sites.channels, area.height // sites.scale, area.width // sites.scale
 
 
 def _area_of(mosaic: NDArray[Scalar], cfa: Cfa) -> NDArray[Scalar]:
@@ -238,7 +366,8 @@ def unpack(packed: NDArray[Scalar], cfa: Cfa) -> NDArray[Scalar]:
     Parameters
     ----------
     packed
-        (C, h, w) with C = 4 for Bayer or 9 for X-Trans (then h and w are even), any dtype of 1, 2, 4 or 8 bytes.
+        (C, h, w) with C = 4 for Bayer, 9 for X-Trans (then h and w are even), 16 for quad-Bayer or 36 for nona-Bayer;
+        any dtype of 1, 2, 4 or 8 bytes.
     cfa
         The CFA that ``pack`` was given.
 
@@ -258,8 +387,7 @@ def unpack(packed: NDArray[Scalar], cfa: Cfa) -> NDArray[Scalar]:
     if packed.ndim != 3 or packed.shape[0] != sites.channels or any(n % sites.sub for n in packed.shape[1:]):
         even = "" if sites.sub == 1 else " with even h and w"
         raise ArgumentError(f"expected packed data ({sites.channels}, h, w){even}; found shape {packed.shape}")
-    scale = sites.period // sites.sub
-    mosaic = np.empty((packed.shape[1] * scale, packed.shape[2] * scale), dtype=packed.dtype)
+    mosaic = np.empty((packed.shape[1] * sites.scale, packed.shape[2] * sites.scale), dtype=packed.dtype)
     scatter(_as_bits(packed), _as_bits(mosaic), sites.table, sites.period, sites.sub)
     return mosaic
 
@@ -277,12 +405,12 @@ def packed_black_level_dn(cfa: Cfa, black_level_dn: Sequence[float]) -> NDArray[
     Raises
     ------
     ArgumentError
-        If there are not as many levels as the CFA has channels (4 for Bayer, 3 for X-Trans).
+        If there are not as many levels as the CFA has channels (3 for X-Trans, else 4).
     """
-    colours = packing_sites(cfa).colours
-    if len(black_level_dn) != max(colours) + 1:
-        raise ArgumentError(f"expected {max(colours) + 1} black levels for this CFA, found {len(black_level_dn)}")
-    return np.array([black_level_dn[colour] for colour in colours], dtype=np.float32)
+    sites = packing_sites(cfa)
+    if len(black_level_dn) != sites.levels:
+        raise ArgumentError(f"expected {sites.levels} black levels for this CFA, found {len(black_level_dn)}")
+    return np.array([black_level_dn[colour] for colour in sites.colours], dtype=np.float32)
 
 
 def _checked_levels(black: NDArray[np.float32], white_level_dn: float) -> np.float32:
@@ -342,7 +470,7 @@ def pack_normalised(
     ArgumentError
         If the mosaic is not uint16, the levels or the gain are invalid, or the CFA is unsupported.
     """
-    from eldata.raw._kernels import pack_bayer_normalised, pack_xtrans_normalised
+    from eldata.raw._kernels import pack_bayer_normalised, pack_sites_normalised
 
     if mosaic.dtype != np.uint16:
         raise ArgumentError(f"a mosaic in DN is uint16; found {mosaic.dtype}")
@@ -364,7 +492,7 @@ def pack_normalised(
     if sites.period == 2:
         pack_bayer_normalised(area, out, sites.table[:, 2].reshape(2, 2), black, white, low, high, factor)
     else:
-        pack_xtrans_normalised(area, out, sites.table, black, white, low, high, factor)
+        pack_sites_normalised(area, out, sites.table, sites.period, sites.sub, black, white, low, high, factor)
     return out
 
 

@@ -6,7 +6,8 @@ mosaic
     LibRaw's visible area, copied; the file is closed before the function returns.
 CFA
     Asked of LibRaw for the visible area's own first sites. rawpy's ``raw_pattern`` counts from the corner of the
-    full raw image and is out of phase where a margin is odd.
+    full raw image and is out of phase where a margin is odd. Of quad-Bayer and nona-Bayer the file's own tags: LibRaw
+    decodes their pixels as any others, but takes a pattern of 4 x 4 for one of 8 x 2, and of 6 x 6 for X-Trans.
 black level
     A DNG's own BlackLevel, exactly, at the sites of the visible area; LibRaw keeps its whole DN, and where an active
     area starts at an odd row or column gives its pattern to the wrong channels. Else LibRaw's per-channel figure: it
@@ -53,22 +54,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eldata.base.isolation import guarded_file
-from eldata.errors import ArgumentError, RawFileError
-from eldata.raw.cfa import packed_channels
+from eldata.errors import RawFileError
+from eldata.raw.cfa import cfa_from, cfa_of_letters, packing_sites
 from eldata.raw.containers import check_container
 from eldata.raw.damage import check_damage, check_samples
 from eldata.raw.exif import exif_tags, header_of
 from eldata.raw.sensor_facts import as_shot_multipliers, camera_matrix, channel_whites, dng_black_level
-from eldata.raw.tiff import read_directories
+from eldata.raw.tiff import ACTIVE_AREA, BLACK_DELTAS, read_directories
 from eldata.raw.unsupported import NEEDED, refuse_unsupported, unsupported_cfa
 from eldata.records import RawFrame, Sensor
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
     from fractions import Fraction
 
     import rawpy
 
+    from eldata.raw.cfa import CfaRows
+    from eldata.raw.tiff import Directory
     from eldata.records import RawHeader
 
 
@@ -105,7 +108,7 @@ def read_raw(path: Path | str) -> RawFrame:
     ------
     RawFileError
         If the file is missing, empty, truncated, not a raw file, already demosaiced (an RGB raw), without a CFA or
-        with one that is neither Bayer nor X-Trans; or, with :func:`eldata.isolation`, if its decoder crashes, hangs or
+        with one that is not supported; or, with :func:`eldata.isolation`, if its decoder crashes, hangs or
         needs too much memory. The message names the file and the reason.
     """
     return guarded_file(_decoded, Path(path), RawFileError)
@@ -128,7 +131,7 @@ def _decoded(path: Path) -> RawFrame:
             if len(shape) == 3 and header.make == "Canon" and "Image Tag 0xC612" not in tags:  # no DNG
                 kind = "already demosaiced (Canon's sRAW or mRAW)"
             raise RawFileError(path, f"{kind}: {shape} samples; {NEEDED}")
-        cfa, index_of = _cfa(path, raw)
+        cfa, index_of = _cfa_of_blocks(path, raw, directories) or _cfa(path, raw)
         mosaic = raw.raw_image_visible.copy()
         black = dng_black_level(path, raw, directories, cfa) or tuple(
             float(raw.black_level_per_channel[index]) for index in index_of
@@ -242,7 +245,7 @@ def _set_openmp_threads() -> Callable[[int], object]:
 # --- sensor ---------------------------------------------------------------------------------------------------
 
 
-def _cfa(path: Path, raw: rawpy.RawPy) -> tuple[tuple[tuple[int, ...], ...], tuple[int, ...]]:
+def _cfa(path: Path, raw: rawpy.RawPy) -> tuple[CfaRows, tuple[int, ...]]:
     """Return the visible area's CFA in our channel indices, and LibRaw's colour index of each of them."""
     names = raw.color_desc.decode("ascii", "replace")
     try:
@@ -252,18 +255,35 @@ def _cfa(path: Path, raw: rawpy.RawPy) -> tuple[tuple[tuple[int, ...], ...], tup
     period = 0 if pattern is None else len(pattern)
     top, left = raw.sizes.top_margin, raw.sizes.left_margin
     sites = [[raw.raw_color(top + y, left + x) for x in range(period)] for y in range(period)]
-    colours = [[names[index] for index in row] for row in sites]
-    flat = sorted(colour for row in colours for colour in row)
-    if period == 2 and flat == ["B", "G", "G", "R"]:
-        ours = [[{"R": 0, "B": 2}.get(c, 1 if "R" in row else 3) for c in row] for row in colours]
-    elif period == 6 and set(flat) == {"R", "G", "B"}:
-        ours = [["RGB".index(c) for c in row] for row in colours]
-    else:
-        raise RawFileError(path, unsupported_cfa(["".join(row) for row in colours]))
-    rows = tuple(map(tuple, ours))
-    try:
-        packed_channels(rows)
-    except ArgumentError as error:
-        raise RawFileError(path, unsupported_cfa(["".join(row) for row in colours])) from error
-    libraw_index = dict(zip(chain(*ours), chain(*sites), strict=True))
-    return rows, tuple(libraw_index[channel] for channel in sorted(libraw_index))
+    letters = ["".join(names[index] for index in row) for row in sites]
+    cfa = cfa_of_letters(letters)
+    if cfa is None:
+        raise RawFileError(path, unsupported_cfa(letters))
+    libraw_index = dict(zip(chain(*cfa), chain(*sites), strict=True))
+    return cfa, tuple(libraw_index[channel] for channel in sorted(libraw_index))
+
+
+def _cfa_of_blocks(
+    path: Path, raw: rawpy.RawPy, directories: Sequence[Directory]
+) -> tuple[CfaRows, tuple[int, ...]] | None:
+    """Return what :func:`_cfa` does of a file whose tags declare quad-Bayer or nona-Bayer; None for any other."""
+    found: set[CfaRows] = set()
+    for directory in directories:
+        cfa = cfa_of_letters(directory.cfa_letters or ()) if directory.is_mosaic else None
+        if cfa is None or directory.shape != (raw.sizes.raw_height, raw.sizes.raw_width):
+            continue  # another image of the file, such as a binned one
+        if packing_sites(cfa).block > 1 and any(tag in directory.values for tag in BLACK_DELTAS):
+            raise RawFileError(
+                path,
+                f"{packing_sites(cfa).name} with BlackLevelDeltaH or BlackLevelDeltaV, which is not supported: convert "
+                "it to a DNG with BlackLevel alone",
+            )
+        # The pattern starts at the active area; LibRaw moves an odd margin on to the next even one.
+        top, left = map(int, directory.values.get(ACTIVE_AREA, (0, 0))[:2])
+        found.add(cfa_from(cfa, raw.sizes.top_margin - top, raw.sizes.left_margin - left))
+    if all(packing_sites(cfa).block == 1 for cfa in found):
+        return None
+    if len(found) > 1:
+        raise RawFileError(path, "declares several colour filter arrays for images of one size; one is needed")
+    names = raw.color_desc.decode("ascii", "replace")
+    return found.pop(), (names.index("R"), names.index("G"), names.index("B"), names.rindex("G"))

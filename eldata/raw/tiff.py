@@ -7,6 +7,7 @@ may share their entries, and values their bytes, so that a small file can declar
 
 from __future__ import annotations
 
+import math
 import struct
 from dataclasses import dataclass
 from fractions import Fraction
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 MAGIC = (b"II*\0", b"MM\0*")
+COLOURS = "RGBCMYW"  # of a DNG's CFAPattern, by number
 
 WIDTH, HEIGHT, COMPRESSION, PHOTOMETRIC = 256, 257, 259, 262
 TILE_WIDTH, TILE_HEIGHT = 322, 323
@@ -42,7 +44,7 @@ _READ = _EXIF | {
 }
 
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4}
-_CODES = {1: "B", 3: "H", 4: "I", 5: "II", 6: "b", 8: "h", 9: "i", 10: "ii", 13: "I"}
+_CODES = {1: "B", 3: "H", 4: "I", 5: "II", 6: "b", 7: "B", 8: "h", 9: "i", 10: "ii", 13: "I"}
 # Of all directories together; a file with more is damaged, or made to keep a reader busy. Cameras write some hundred
 # entries. The values are those of the tags above: two for each strip or tile, of which 150 megapixels in rows or in
 # tiles of 128 x 128 pixels have 20,000.
@@ -68,6 +70,19 @@ class Directory:
         return CFA_PHOTOMETRIC in self.values.get(PHOTOMETRIC, ())
 
     @property
+    def cfa_letters(self) -> tuple[str, ...] | None:
+        """One period of its colour filter array by row; None if it states none, or one that does not fit its size.
+
+        It begins at the active area's first pixel, as LibRaw has it too.
+        """
+        rows, columns = map(int, self.values.get(CFA_REPEAT, (2, 2)))
+        numbers = self.values.get(CFA_PATTERN, ())
+        if not numbers or len(numbers) != rows * columns or not all(0 <= number < len(COLOURS) for number in numbers):
+            return None
+        letters = "".join(COLOURS[int(number)] for number in numbers)
+        return tuple(letters[columns * y : columns * (y + 1)] for y in range(rows))
+
+    @property
     def extents(self) -> tuple[tuple[int, int], ...]:
         """Offset and byte count of each strip or tile."""
         return tuple(
@@ -77,10 +92,15 @@ class Directory:
         )
 
     @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W) in pixels that it declares; 0 for one that it does not."""
+        height, width = (int(next(iter(self.values.get(tag, ())), 0)) for tag in (HEIGHT, WIDTH))
+        return height, width
+
+    @property
     def pixels(self) -> int:
         """Number of pixels that it declares."""
-        width, height = (next(iter(self.values.get(tag, ())), 0) for tag in (WIDTH, HEIGHT))
-        return int(width * height)
+        return math.prod(self.shape)
 
 
 def read_directories(path: Path) -> tuple[Directory, ...]:

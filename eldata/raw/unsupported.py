@@ -1,6 +1,6 @@
 """Raw files that this package cannot use, by name and with what to do: said before LibRaw misreads or refuses them.
 
-LibRaw takes the first colours of a declared pattern for the whole pattern: a pattern of 4 x 4 may come out as Bayer.
+LibRaw takes the colours of a declared pattern of 4 x 4 for one of 8 x 2: it may come out as Bayer.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from eldata.errors import RawFileError
 from eldata.raw import tiff
+from eldata.raw.cfa import cfa_of_letters
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
     from eldata.raw.tiff import Directory
 
-NEEDED = "a mosaic of a Bayer or X-Trans sensor is needed"
+NEEDED = "a mosaic of a Bayer, quad-Bayer, nona-Bayer or X-Trans sensor is needed"
 
 _BY_HEAD = {
     b"FOVb": f"is a Sigma X3F: its Foveon sensor has no colour filter array; {NEEDED}",
@@ -29,8 +30,7 @@ _BY_COMPRESSION = {
     52546: "is a DNG with JPEG XL compression (DNG 1.7), which LibRaw cannot decode: convert it to one with lossless "
     "JPEG compression (Adobe DNG Converter, compatibility 1.6 or earlier)",
 }
-_COLOURS = "RGBCMYW"  # of a DNG's CFAPattern, by number
-_BLOCKS = {2: "quad-Bayer", 3: "nona-Bayer", 4: "hexadeca-Bayer"}
+_HEXADECA = 4  # sites along a side of its blocks
 _LAYOUT_RECTANGULAR = 1
 
 
@@ -61,13 +61,9 @@ def refuse_unsupported(path: Path, directories: Sequence[Directory]) -> None:
                 f"unsupported colour filter array: its CFALayout is {layout} (staggered rows or columns, such as a "
                 f"Super CCD's); {NEEDED}",
             )
-        rows, columns = map(int, values.get(tiff.CFA_REPEAT, (2, 2)))
-        colours = values.get(tiff.CFA_PATTERN, ())
-        if len(colours) != rows * columns or not all(0 <= colour < len(_COLOURS) for colour in colours):
-            continue  # LibRaw's word counts
-        letters = "".join(_COLOURS[int(colour)] for colour in colours)
-        pattern = [letters[columns * y : columns * (y + 1)] for y in range(rows)]
-        if (rows, columns) not in {(2, 2), (6, 6)} or not set(letters) <= set("RGB") or _kind(pattern):
+        pattern = directory.cfa_letters  # without one LibRaw's word counts
+        monochrome = pattern is not None and len(set("".join(pattern))) == 1  # said of the decoded samples
+        if pattern is not None and not monochrome and cfa_of_letters(pattern) is None:
             raise RawFileError(path, unsupported_cfa(pattern))
 
 
@@ -80,9 +76,8 @@ def unsupported_cfa(rows: Sequence[str]) -> str:
 def _kind(rows: Sequence[str]) -> str:
     """Return the name of an unsupported colour filter array with a comma behind it; nothing if it has none."""
     colours = set("".join(rows))
-    for side, name in _BLOCKS.items():
-        if len(rows) == 2 * side and all(len(row) == 2 * side for row in rows) and _is_bayer_of_blocks(rows, side):
-            return f"{name} (blocks of {side} x {side} sites of one colour), "
+    if {len(rows), *map(len, rows)} == {2 * _HEXADECA} and _is_bayer_of_blocks(rows, _HEXADECA):
+        return f"hexadeca-Bayer (blocks of {_HEXADECA} x {_HEXADECA} sites of one colour), "
     if colours == set("CYGM"):
         return "CYGM (cyan, yellow, green, magenta), "
     if "W" in colours:

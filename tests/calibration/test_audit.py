@@ -196,7 +196,7 @@ def test_findings_are_among_the_remarks_once(isos: tuple[IsoCalibration, ...]) -
         replace(finding("gain", effect="wider"), text="B"),
         Finding("c", (), "remark", 1.0, 0.5, "C"),
     )
-    expected = (f"{WHY} (withheld: K and sigma_row)", "B (errors made larger: K)", "C")
+    expected = (f"{WHY} (withheld: K, sigma_row)", "B (errors made larger: K)", "C")
     assert found.isos[1].all_remarks == expected
     for text in ("\n".join(found.profile.notes), "\n".join(as_json(found)["remarks"]), found.format_text()):
         for remark in expected:

@@ -18,10 +18,12 @@ from eldata.base.workers import Workers
 from eldata.calibration import FramesError
 from eldata.calibration.frame_checks import (
     FrameFigures,
+    PairLevels,
     missing_codes,
     odd_bias_frames,
     sorted_frames,
     unequal_pair,
+    uneven_light,
     unlike,
     unlike_most,
 )
@@ -250,7 +252,7 @@ PIXELS: dict[str, tuple[Callable[[Path], None], str, list[str]]] = {
         "cfa",
         ["((0, 1), (3, 2))", "(0, 2, 1, 2, 0, 1)"],
     ),
-    "no mosaic": (rgb_dng, "content", ["a mosaic of a Bayer or X-Trans sensor is needed"]),
+    "no mosaic": (rgb_dng, "content", ["a mosaic of a Bayer, quad-Bayer, nona-Bayer or X-Trans sensor is needed"]),
 }
 
 
@@ -404,7 +406,7 @@ def test_flats_that_are_all_saturated(tree: FrameTree) -> None:
 
 
 def dimmed(mosaic: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    return np.rint(512 + 0.9 * (mosaic.astype(float) - 512)).astype(np.uint16)
+    return np.rint(512 + 0.7 * (mosaic.astype(float) - 512)).astype(np.uint16)
 
 
 def test_a_partner_of_another_level_is_left_out_and_said(pristine: FrameTree, tree: FrameTree) -> None:
@@ -524,12 +526,17 @@ def test_unequal_pairs() -> None:
     def frame(level: float) -> RawFrame:
         return RawFrame(Path("x"), body.flat_frame(level, shaded=False), body.camera.sensor, exposure)
 
-    assert unequal_pair(pair, frame(5000), frame(5100)) is None
-    assert unequal_pair(pair, frame(5000), frame(5300)) is not None
-    remark = unequal_pair(pair, frame(4000), frame(5000))
+    def levels(first: float, second: float) -> PairLevels:
+        return PairLevels.of(pair, frame(first), frame(second))
+
+    assert list(uneven_light([levels(5000, 5100), levels(10, 11)])) == [], "a DN is no difference"
+    (finding,) = uneven_light([levels(5000, 5100), levels(5000, 5400), levels(5000, 5900)])
+    assert finding.text.startswith("2 of 3 pairs of flats differ in light by up to 15%: a and b (")
+    assert (finding.effect, finding.figures) == ("remark", ())
+    assert unequal_pair(levels(4000, 5000)) is None
+    remark = unequal_pair(levels(4000, 5500))
     assert remark is not None
     assert remark.startswith("a and b were left out: ")
-    assert unequal_pair(pair, frame(10), frame(11)) is None, "a DN is no difference"
 
 
 # --- gaps -------------------------------------------------------------------------------------------------------------

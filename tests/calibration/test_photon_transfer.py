@@ -70,14 +70,16 @@ def test_hot_pixels_that_are_not_masked_change_little() -> None:
 def test_one_channel_against_plain_numpy() -> None:
     """Segments of one row: temporal variance and mean as numpy computes them."""
     body = Body(Camera(shape=(12, 96), hot_share=0.0), np.random.default_rng(6))
-    first, second = body.flat_frame(3000), body.flat_frame(3000)
+    first, second = body.flat_frame(3000, shaded=False), body.flat_frame(3300, shaded=False)
     flats = FlatPairs(BAYER, BLACK, 16383)
     flats.add(first, second)
     signal, variance, freedom = flats.points(1)
-    a, b = first[::2, 1::2].astype(np.float64), second[::2, 1::2].astype(np.float64)
+    a, b = first[::2, 1::2] - 512.0, second[::2, 1::2] - 512.0
+    ratio = (a.mean(axis=1) / b.mean(axis=1))[:, None]
+    scale = 1 + ratio[:, 0] ** 2
     assert freedom.sum() == 6 * 47
-    assert variance @ freedom / freedom.sum() == pytest.approx(((a - b).var(axis=1, ddof=1) / 2).mean())
-    assert signal @ freedom / freedom.sum() == pytest.approx(((a + b) / 2).mean() - 512)
+    assert variance @ freedom / freedom.sum() == pytest.approx(((a - ratio * b).var(axis=1, ddof=1) / scale).mean())
+    assert signal @ freedom / freedom.sum() == pytest.approx(((a + ratio**2 * b).mean(axis=1) / scale).mean())
 
 
 def test_unusable_input() -> None:

@@ -9,6 +9,7 @@ import pytest
 from scipy import stats
 
 from eldata.calibration import Finding, read_noise_findings
+from eldata.raw import bayer_cfa
 from tests.calibration.chain import Calibration, calibrated, transferred
 from tests.calibration.simulation import XTRANS, Body, Camera
 
@@ -23,6 +24,8 @@ CAMERAS = {
     ),
     "below 1 DN": Camera(gain=0.094, tukey_lambda=0.11, sigma_tl=0.6, sigma_row=0.16),
     "X-Trans": Camera(shape=(1026, 1536), cfa=XTRANS, bias=(1.0, -0.5, 0.3), shading=1.0),
+    "quad-Bayer": Camera(cfa=bayer_cfa("GRBG", block=2), shading=1.0),
+    "nona-Bayer": Camera(shape=(1026, 1536), cfa=bayer_cfa("RGGB", block=3)),
 }
 LEVELS = (600.0, 2500.0, 6000.0, 12000.0)
 
@@ -48,7 +51,7 @@ def test_the_truth_comes_back(name: str) -> None:
     for channel, measured in enumerate(found.bias.bias_dn):
         truth = float(body.fixed[sound & (camera.channel == channel)].mean(dtype=np.float64)) - camera.black
         # From the truth: row noise of the channel's rows, and the pixels' own, over ten frames.
-        rows = camera.shape[0] / (2 if len(camera.cfa) == 2 else 1)
+        rows = camera.shape[0] / (2 if len(camera.bias) == 4 else 1)
         error = math.sqrt((camera.sigma_row**2 / rows + (4 * camera.sigma_tl) ** 2 / 150_000) / 10)
         assert abs(measured - truth) < max(0.005, 5 * error)
         assert abs(measured - truth) < 0.05 or camera.sigma_tl > 30

@@ -16,7 +16,7 @@ from capture.check.flicker import flicker_of_contrast, flicker_of_level
 from capture.check.measures import Measure, MeasureKind, worst
 from capture.check.ratio import RatioFit, fit_ratio
 from capture.check.shift import make_tiles, measure_focus, measure_shift, moved_tiles
-from eldata.raw.cfa import XTRANS_CFA, pack
+from eldata.raw.cfa import XTRANS_CFA, bayer_cfa, pack
 from eldata.records import Sensor
 from tests.capture.simulated_scenes import ALPHA, BETA, moved, radiance
 
@@ -66,6 +66,15 @@ def test_cells_of_x_trans_and_of_odd_sizes() -> None:
     assert "".join(cells.colours) == "RGBRBGGGG"
     assert int(cells.clipped.sum()) == 1
     assert cells.clipped_share == pytest.approx(1 / mosaic.size)
+
+
+def test_cells_of_quad_bayer() -> None:
+    sensor = Sensor("", "", bayer_cfa("BGGR", block=2), (100.0, 101.0, 102.0, 103.0), 1000.0, 64, 80)
+    mosaic = np.full((64, 80), 500, dtype=np.uint16)
+    cells = reduce_to_cells(mosaic, sensor, pack(mosaic, sensor.cfa))
+    assert cells.mean_dn.shape == (16, 4, 5)
+    assert "".join(cells.colours) == "RRRRGGGGBBBBGGGG"
+    assert cells.mean_dn[:, 0, 0].tolist() == [400] * 4 + [399] * 4 + [398] * 4 + [397] * 4
 
 
 def test_saturation_below_the_recorded_white_level_is_seen() -> None:

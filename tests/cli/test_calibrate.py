@@ -326,7 +326,7 @@ def test_wrong_usage_is_one_line(arguments: list[str], words: list[str], eldata:
     assert_one_line(eldata("calibrate", *arguments), *words)
 
 
-@pytest.mark.parametrize("option", ["-o", "--json"])
+@pytest.mark.parametrize("option", ["-o", "--json", "--html"])
 def test_a_target_that_cannot_be_written(option: str, eldata: Cli, pristine: FrameTree, tmp_path: Path) -> None:
     target = tmp_path / "no" / "such" / "x"
     outcome = eldata("calibrate", pristine.root, "--iso", "400", option, target)

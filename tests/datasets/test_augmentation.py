@@ -11,9 +11,12 @@ from eldata.datasets.augmentation import ORIENTATIONS, Orientation, copy_oriente
 from eldata.errors import ArgumentError
 from eldata.raw.cfa import XTRANS_CFA, pack
 from tests.cases import in_one_test
-from tests.raw.helpers import BAYER, BAYER_COLOURS, SOME_CFAS, XTRANS, XTRANS_COLOURS, Cfa
+from tests.raw.helpers import BAYER, NONA, QUAD, SOME_CFAS, XTRANS, Cfa, colours_of
 
-ALL_CFAS: dict[str, Cfa] = {**BAYER, **XTRANS}
+# Of nona those where a period may begin: 36 phases of it would take longer than all else.
+ALL_CFAS: dict[str, Cfa] = {
+    **BAYER, **XTRANS, **QUAD, **{name: NONA[name] for name in ("nona-00", "nona-03", "nona-33", "nona-14")}
+}  # fmt: skip
 
 
 def colours(cfa: Cfa, height: int, width: int) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
@@ -92,8 +95,7 @@ def test_it_is_a_view(cfa: Cfa, orientation: Orientation) -> None:
 @in_one_test("cfa", SOME_CFAS.values())
 def test_packed_channels_hold_their_own_colour(cfa: Cfa, orientation: Orientation) -> None:
     packed = pack(oriented(colours(cfa, 36, 48), cfa, orientation), cfa)
-    letters = BAYER_COLOURS if len(cfa) == 2 else XTRANS_COLOURS
-    for channel, letter in zip(packed, letters, strict=True):
+    for channel, letter in zip(packed, colours_of(cfa), strict=True):
         assert (channel == "RGB".index(letter)).all()
 
 
@@ -133,7 +135,7 @@ def test_a_copy_is_the_view(cfa: Cfa, orientation: Orientation) -> None:
 
 def test_the_identity_loses_nothing() -> None:
     for cfa in ALL_CFAS.values():
-        mosaic = np.arange(12 * 18).reshape(12, 18)
+        mosaic = np.arange(12 * 24).reshape(12, 24)
         np.testing.assert_array_equal(oriented(mosaic, cfa, Orientation()), mosaic)
 
 
@@ -145,6 +147,7 @@ def test_the_identity_loses_nothing() -> None:
         ((6, 8), XTRANS_CFA),
         ((9, 6), XTRANS_CFA),
         ((6,), XTRANS_CFA),
+        ((6, 8), QUAD["quad-13"]),
         ((2, 2, 2), BAYER["RGGB"]),
         ((), BAYER["RGGB"]),
     ],

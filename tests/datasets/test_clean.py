@@ -211,7 +211,7 @@ def test_no_arrays_at_all() -> None:
 
 @pytest.mark.parametrize("range_dn", [0.0, -1.0, float("nan")])
 def test_a_range_that_makes_no_sense(range_dn: float) -> None:
-    with pytest.raises(ArgumentError, match="range_dn must be above 0; found"):
+    with pytest.raises(ArgumentError, match="range_dn must be finite and above 0; found"):
         arrays_of(np.zeros((1, 4, 2, 2)), range_dn=range_dn)
 
 

@@ -21,7 +21,7 @@ from eldata.datasets.synthesis_journal import NAME
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError
 from eldata.manifest import verify
 from eldata.noise import CameraProfile, NoiseModel, NoiseParameters
-from eldata.raw import read_raw, write_dng
+from eldata.raw import bayer_cfa, read_raw, write_dng
 from eldata.raw.cfa import XTRANS_CFA, pack, pack_normalised
 from eldata.records import Exposure, RawFrame, Sensor, exact_fraction
 from tests.raw.helpers import write_plain_dng
@@ -101,6 +101,37 @@ def test_noise_is_that_of_the_recorded_parameters(clean: Path, tmp_path: Path) -
             assert abs(dn[channel].var() / variance - 1) < 5 * (
                 np.sqrt(5 / n) + np.sqrt(2 / rows) * p.sigma_row_dn**2 / variance
             )
+
+
+@pytest.mark.parametrize(("block", "word"), [(2, "quad-bayer"), (3, "nona-bayer")])
+def test_noise_of_quad_and_nona(block: int, word: str, tmp_path: Path) -> None:
+    """Of each colour the mean, of all mosaic rows the variance of their means, within 5 standard errors."""
+    cfa, clean, out = bayer_cfa("GRBG", block), tmp_path / "clean", tmp_path / "out"
+    clean.mkdir()
+    whole = replace(sensor(252, 241), cfa=cfa)  # of odd width: what fills no period is left out
+    write_dng(clean / "a.dng", np.full((252, 241), round(BLACK + LEVEL * RANGE), np.uint16), whole, EXPOSURE)
+    manifest = synthesize(clean, out, Recipe(SONY, per_image=4))
+    assert manifest.card.cfa == word
+    model = NoiseModel("P*+G*+B+R+U")
+    for frame in recorded(out):
+        p = parameters_of(frame)
+        raw = read_raw(out / "data" / "out" / frame["path"])
+        assert raw.sensor.cfa == cfa
+        dn = raw.mosaic.astype(np.float64) - BLACK
+        height, width = dn.shape
+        assert (height, width) == (252, 240)
+        electrons = LEVEL * RANGE / frame["ratio"] / p.gain_dn_per_e
+        variance = model.expected_variance_dn2(electrons, p)
+        pixel, row = variance - p.sigma_row_dn**2, p.sigma_row_dn**2
+        channel = np.array(cfa)[np.arange(height)[:, None] % len(cfa), np.arange(width) % len(cfa)]
+        for index in range(4):
+            found = dn[channel == index]
+            error = np.sqrt(pixel / found.size + row / (height / 2))
+            assert abs(found.mean() - model.expected_mean_dn(electrons, p, index)) < 5 * error
+        biases = np.array([p.colour_bias_dn[index] for index in range(4)])
+        means = (dn - biases[channel]).mean(axis=1)  # one draw a row, and what the row's pixels leave
+        expected = row + pixel / width
+        assert abs(means.var(ddof=1) / expected - 1) < 5 * np.sqrt(2 / (height - 1))
 
 
 def test_files_depend_on_the_seed_alone(clean: Path, tmp_path: Path) -> None:
@@ -248,6 +279,21 @@ def test_an_iso_beyond_the_calibrated_range_has_to_be_asked_for(clean: Path, tmp
     synthesize(clean, tmp_path / "out", Recipe(SONY, iso=12800, extrapolate=True))
     for frame in recorded(tmp_path / "out"):
         assert frame["gain_dn_per_e"] == pytest.approx(SONY.gain_range_dn_per_e[1] * 2, rel=1e-6)
+
+
+def test_a_measured_iso_or_none(clean: Path, tmp_path: Path) -> None:
+    """Every noisy frame has the figures of that ISO; what was not measured is refused before the first file."""
+    with pytest.raises(ArgumentError, match="no row of SonyA7S2's profile has K and all scales of its ISO"):
+        Recipe(SONY, iso=800, row="measured")
+    rows = tuple(replace(row, sigma_tl_dn=4.0, sigma_gauss_dn=4.5, sigma_row_dn=0.75) for row in SONY.rows)
+    profile = replace(SONY, rows=rows)
+    with pytest.raises(ArgumentError, match="row='measured' gives the figures of one ISO; give iso"):
+        Recipe(profile, row="measured")
+    synthesize(clean, tmp_path / "out", Recipe(profile, iso=800, row="measured"))
+    frames = json.loads((tmp_path / "out" / "parameters.json").read_text())["frames"]
+    assert len(frames) > 1
+    measured = json.loads(json.dumps(profile.measured(800).as_dict()))
+    assert all(frame | measured == frame for frame in frames)
 
 
 def test_xtrans_at_an_offset_and_odd_sizes(tmp_path: Path) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
+import hashlib
 import math
 import pickle
 from typing import TYPE_CHECKING, Any
@@ -12,15 +14,32 @@ import pytest
 import torch
 from torch.utils.data import DataLoader, default_collate
 
-from eldata.datasets.clean import Arrays, CleanFrame, RawFiles
+from eldata.datasets.base import SourcePairs
+from eldata.datasets.clean import Arrays, CleanFrame, RawFiles, StoredFrames
+from eldata.datasets.items import ReadItems
 from eldata.datasets.synthetic import SyntheticPairs, SyntheticSample
 from eldata.errors import ArgumentError, DatasetError, ProfileError
 from eldata.noise import CameraProfile, NoiseModel, NoiseParameters
 from eldata.raw import write_dng
 from eldata.raw.cfa import XTRANS_CFA, pack, pack_normalised, unpack
+from eldata.sources.store import build_store, source_of_folder
 from tests.datasets.methods import METHODS
 from tests.noise.helpers import Law
-from tests.raw.helpers import BAYER, BAYER_COLOURS, EXPOSURE, XTRANS, XTRANS_COLOURS, Cfa, make_sensor, random_mosaic
+from tests.raw.helpers import (
+    BAYER,
+    CFAS,
+    EXPOSURE,
+    NONA,
+    XTRANS,
+    XTRANS_COLOURS,
+    Cfa,
+    colours_of,
+    layout_of,
+    levels_of,
+    make_sensor,
+    random_mosaic,
+    start_of,
+)
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -47,7 +66,7 @@ class Mosaics:
         return len(self.mosaics)
 
     def frame(self, index: int) -> CleanFrame:
-        levels = (self.black,) * (4 if len(self.cfa) == 2 else 3)
+        levels = (self.black,) * levels_of(self.cfa)
         return CleanFrame(self.mosaics[index], self.cfa, levels, self.white, f"mosaic {index}")
 
 
@@ -239,6 +258,7 @@ def test_lengths_and_frames() -> None:
 
 def test_default_collate(folder: Path) -> None:
     dataset = raw_pairs(folder)
+    dataset.set_epoch(0)
     batch = next(iter(DataLoader(dataset, batch_size=4)))
     assert batch["input"].shape == batch["target"].shape == (4, 4, 8, 8)
     assert batch["input"].dtype == batch["target"].dtype == torch.float32
@@ -261,14 +281,13 @@ def numbered(height: int, width: int) -> NDArray[np.uint16]:
 
 def places(item: SyntheticSample, cfa: Cfa, width: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Row and column, in the clean frame, of each pixel of the target's mosaic."""
-    start = cfa if len(cfa) == 2 else XTRANS_CFA
-    value = np.rint(unpack(item["target"].numpy().astype(np.float64), start) * 65535).astype(np.int64)
+    value = np.rint(unpack(item["target"].numpy().astype(np.float64), start_of(cfa)) * 65535).astype(np.int64)
     return value // width, value % width
 
 
-@pytest.mark.parametrize("name", [*BAYER, "xtrans-00", "xtrans-42"])
+@pytest.mark.parametrize("name", [*BAYER, "xtrans-00", "xtrans-42", "quad-00", "quad-31", "nona-00", "nona-25"])
 def test_a_target_is_an_exact_crop_of_the_normalised_frame(name: str) -> None:
-    cfa = {**BAYER, **XTRANS}[name]
+    cfa = {**CFAS, **NONA}[name]
     mosaic = numbered(121, 123)
     source = Mosaics([mosaic], cfa, black=64.0, white=16000.0)
     whole = pack_normalised(mosaic, cfa, source.frame(0).black_level_dn, 16000.0)
@@ -286,17 +305,17 @@ def test_a_target_is_an_exact_crop_of_the_normalised_frame(name: str) -> None:
     assert len(starts) > 30
 
 
-@pytest.mark.parametrize("name", [*BAYER, "xtrans-00", "xtrans-15", "xtrans-42"])
+@pytest.mark.parametrize("name", [*BAYER, "xtrans-00", "xtrans-15", "xtrans-42", "quad-00", "quad-13", "nona-25"])
 def test_all_eight_orientations_occur_and_keep_the_cfa(name: str) -> None:
     """150 items: one of eight is missed with probability 2e-8."""
-    cfa = {**BAYER, **XTRANS}[name]
+    cfa = {**CFAS, **NONA}[name]
     height, width = 91, 99
-    colours = BAYER_COLOURS if len(cfa) == 2 else XTRANS_COLOURS
+    colours = colours_of(cfa)
     period = len(cfa)
     seen = set()
     for item in items(pairs(Mosaics([numbered(height, width)], cfa), crop=6, crops_per_frame=150)):
         rows, columns = places(item, cfa, width)
-        side = 6 * (2 if period == 2 else 3)
+        side = 6 * layout_of(cfa)[2]
         assert rows.shape == (side, side)
         # Neighbours stay neighbours, in one direction.
         down, right = (
@@ -338,12 +357,12 @@ def test_every_place_is_reached(augment: bool) -> None:
 
 
 @pytest.mark.parametrize("augment", [False, True])
-@pytest.mark.parametrize("name", ["GRBG", "xtrans-42"])
+@pytest.mark.parametrize("name", ["GRBG", "xtrans-42", "quad-12", "nona-41"])
 def test_whole_frames(name: str, augment: bool) -> None:
-    cfa = {**BAYER, **XTRANS}[name]
+    cfa = CFAS[name]
     mosaic = numbered(66, 78)
     whole = pack(mosaic, cfa).shape
-    lost = (1 if len(cfa) == 2 else 2) if augment else 0
+    lost = layout_of(cfa)[1] if augment else 0
     shapes = set()
     for item in items(pairs(Mosaics([mosaic], cfa), crop=None, augment=augment, crops_per_frame=40)):
         shapes.add(tuple(item["target"].shape))
@@ -357,6 +376,31 @@ def test_float_frames_are_clipped_and_normalised() -> None:
     source = Mosaics([mosaic], BAYER["RGGB"], black=0.0, white=1000.0)
     item = pairs(source, crop=None, augment=False)[0]
     np.testing.assert_allclose(item["target"].numpy(), np.clip(pack(mosaic, BAYER["RGGB"]) / 1000, 0, 1), rtol=1e-6)
+
+
+@pytest.mark.parametrize(("name", "channels"), [("quad-13", 16), ("nona-52", 36)])
+def test_quad_and_nona_have_the_noise_of_the_model(name: str, channels: int, tmp_path: Path) -> None:
+    """From files, arrays and stores alike; row noise is one draw for each mosaic row of the crop."""
+    cfa = CFAS[name]
+    write_dng(tmp_path / "a.dng", random_mosaic(110, 120), make_sensor(cfa, 110, 120), EXPOSURE)
+    build_store(source_of_folder(tmp_path), tmp_path / "a.h5")
+    sides = []
+    for source in (
+        RawFiles(tmp_path),
+        StoredFrames(tmp_path / "a.h5"),
+        arrays(np.full((1, channels, 18, 20), 0.5, np.float32), range_dn=1000.0, cfa=cfa),
+    ):
+        for augment in (False, True):
+            item = pairs(source, crop=6, augment=augment)[0]
+            assert item["input"].shape == item["target"].shape == (channels, 6, 6)
+            sides.append(item["input"].numpy())
+        rows = pairs(source, crop=6, augment=False, model=NoiseModel("R"), ratio=1.0, clip="none")[0]
+        noise = (rows["input"] - rows["target"]).numpy().astype(np.float64)
+        on_mosaic = unpack(noise, start_of(cfa))
+        assert np.ptp(on_mosaic, axis=1).max() < 1e-6  # what float32 leaves of the difference
+        assert len(np.unique(np.round(on_mosaic[:, 0], 7))) == 6 * len(cfa)
+    np.testing.assert_array_equal(sides[0], sides[2])
+    np.testing.assert_array_equal(sides[1], sides[3])
 
 
 def test_an_xtrans_source_gives_nine_channels(tmp_path: Path) -> None:
@@ -386,7 +430,7 @@ def test_the_items_parameters_are_those_of_its_noise(channels: int) -> None:
     dataset = pairs(
         source,
         ("SonyA7S2", "CanonEOS70D"),
-        model=NoiseModel(clip="none"),
+        clip="none",
         crop=None,
         augment=False,
         crops_per_frame=8,
@@ -432,18 +476,18 @@ def test_ratios_are_uniform_between_their_limits() -> None:
 
 
 def test_a_fixed_ratio() -> None:
-    for ratio in (150, 150.0, (150, 150.0)):
+    for ratio in (150, 150.0, (150, 150.0), [150, 150]):
         assert {item["ratio"] for item in items(flat(ratio=ratio, crops_per_frame=10))} == {150.0}
 
 
 def test_cameras_are_drawn_alike() -> None:
     """200 items of 2 cameras: within 5 standard deviations of a half; one profile by name, path or object."""
     nikon = CameraProfile.load("NikonD850")
-    dataset = flat(profiles=["SonyA7S2", nikon])
-    cameras = [item["camera"] for item in items(dataset)]
+    found = items(flat(profiles=["SonyA7S2", nikon]))
+    cameras = [item["camera"] for item in found]
     assert abs(cameras.count("SonyA7S2") - 100) < 5 * math.sqrt(50)
     assert set(cameras) == {"SonyA7S2", "NikonD850"}
-    for item in items(dataset):
+    for item in found:
         low, high = CameraProfile.load(item["camera"]).gain_range_dn_per_e
         assert low <= item["gain_dn_per_e"] <= high
 
@@ -452,7 +496,8 @@ def test_a_profile_by_name_path_or_object(tmp_path: Path) -> None:
     profile = CameraProfile.load("SonyA7S2")
     profile.save(tmp_path / "mine.json")
     wanted = flat(profiles="SonyA7S2")[0]
-    for profiles in (profile, [profile], ("SonyA7S2",), str(tmp_path / "mine.json")):
+    path = tmp_path / "mine.json"
+    for profiles in (profile, [profile], ("SonyA7S2",), str(path), path, [path]):
         same(flat(profiles=profiles)[0], wanted)
 
 
@@ -467,19 +512,200 @@ def test_the_iso_and_the_row_are_passed_on() -> None:
     assert everywhere == {row.tukey_lambda for row in sony.rows}
 
 
+def measured_profile() -> CameraProfile:
+    """The Sony with all figures of ISO 800 and 1600, off the lines of its fits, and not all of ISO 3200."""
+    sony = CameraProfile.load("SonyA7S2")
+    rows = tuple(
+        dataclasses.replace(
+            row, sigma_tl_dn=None if row.iso == 3200 else row.iso / 200, sigma_gauss_dn=4.5, sigma_row_dn=0.75
+        )
+        if row.iso in (800, 1600, 3200)
+        else row
+        for row in sony.rows
+    )
+    return dataclasses.replace(sony, rows=rows)
+
+
+def figures(item: Mapping[str, Any]) -> tuple[Any, ...]:
+    return (*(item[name] for name in NUMBERS), tuple(item["colour_bias_dn"].tolist()))
+
+
+def test_one_of_several_isos_with_weights() -> None:
+    """600 items: each count within 5 standard deviations of its weight's share."""
+    for iso, weights in (
+        ([800, 1600, 3200], {800: 1, 1600: 1, 3200: 1}),
+        ((6400,), {6400: 1}),
+        (np.array([200, 400]), {200: 1, 400: 1}),
+        ({100: 1, 800: 4.5, 6400: 0.5}, {100: 1, 800: 4.5, 6400: 0.5}),
+    ):
+        found = items(flat(iso=iso, crops_per_frame=600))
+        total = sum(weights.values())
+        for value, weight in weights.items():
+            share = weight / total
+            of_iso = [item for item in found if item["iso"] == value]
+            assert abs(len(of_iso) - 600 * share) <= 5 * math.sqrt(600 * share * (1 - share))
+            assert {item["gain_dn_per_e"] for item in of_iso} == {CameraProfile.load("SonyA7S2").gain_at_iso(value)}
+        assert {item["iso"] for item in found} == set(weights)
+
+
+def test_each_of_several_isos_has_its_own_row() -> None:
+    """As measured where the profile has all of it; else lambda and bias of the ISO's rows, and scales off its lines."""
+    profile = measured_profile()
+    dataset = flat(profiles=profile, iso=[800, 1600, 3200])
+    found = items(dataset)
+    for iso in (800, 1600):
+        p = profile.measured(iso)
+        wanted = (*(getattr(p, name) for name in NUMBERS), p.colour_bias_dn)
+        assert {figures(item) for item in found if item["iso"] == iso} == {wanted}
+    near = {(row.tukey_lambda, row.colour_bias_dn) for row in profile.rows if row.iso == 3200}
+    rest = [figures(item) for item in found if item["iso"] == 3200]
+    assert {(numbers[1], numbers[-1]) for numbers in rest} == near
+    assert len({numbers[2] for numbers in rest}) == len(rest) > 30
+    assert "SonyA7S2 (ISO 800, 1600: measured; ISO 3200: nearest-gain)" in repr(dataset)
+    same(
+        flat(profiles=profile, iso={800: 2}, crops_per_frame=1)[0],
+        flat(profiles=profile, iso=[800], crops_per_frame=1)[0],
+    )
+
+
+def test_the_row_of_several_isos_may_be_given() -> None:
+    profile = measured_profile()
+    drawn = {item["tukey_lambda"] for item in items(flat(profiles=profile, iso=[800, 1600], row="any"))}
+    assert drawn == {row.tukey_lambda for row in profile.rows}
+    p = profile.measured(800)
+    assert figures(flat(profiles=profile, iso=800, row="measured")[0])[2] == p.sigma_tl_dn
+    with pytest.raises(
+        ArgumentError, match=r"ISO 3200 of SonyA7S2 was not measured, or not completely; ISO 800, 1600 were"
+    ):
+        flat(profiles=profile, iso=[800, 3200], row="measured")
+
+
+def test_every_camera_has_to_know_the_isos() -> None:
+    canon = dataclasses.replace(CameraProfile.load("CanonEOS70D"), iso_range=(200.0, 6400.0))
+    with pytest.raises(ArgumentError, match="ISO 100 is outside of the calibrated range 200 to 6400 of CanonEOS70D"):
+        flat(profiles=["SonyA7S2", canon], iso=[100, 800])
+    found = items(flat(profiles=["SonyA7S2", canon], iso=[200, 800]))
+    assert {(item["camera"], item["camera_id"], item["iso"]) for item in found} == {
+        (camera, number, iso) for number, camera in enumerate(("SonyA7S2", "CanonEOS70D")) for iso in (200.0, 800.0)
+    }
+
+
+@pytest.mark.parametrize(
+    ("iso", "words"),
+    [
+        ([], "iso must be one ISO or several; found none"),
+        ({}, "iso must be one ISO or several; found none"),
+        ([800, 1600, 800], r"ISO 800 is there twice; to draw some more often give weights, iso=\{800: 2, \.\.\.\}"),
+        (["800"], "iso must be one number, finite and above 0; found '800'"),
+        ([800, -1], "iso must be finite and above 0; found -1"),
+        ({800: 0, 1600: 1}, "the weight of ISO 800 must be finite and above 0; found 0"),
+        ({800: None}, "the weight of ISO 800 must be one number"),
+        ([800, 12800], "ISO 12800 is outside of the calibrated range"),
+        ("800", "iso must be one number, finite and above 0; found '800'"),
+    ],
+)
+def test_isos_that_make_no_sense(iso: Any, words: str) -> None:
+    with pytest.raises(ArgumentError, match=words):
+        flat(iso=iso)
+
+
+@pytest.mark.parametrize(
+    ("seed", "iso", "epoch", "wanted"),
+    [
+        (0, None, 0, ("SonyA7S2", 1.0347833592241122, 121.49811849702728, "5b058a5ea300f901")),
+        (3, 800, 2, ("SonyA7S2", 0.7513288, 272.9721099788428, "0ce006f03f00c33f")),
+        (2**32 - 1, None, 7, ("NikonD850", 4.193193475833979, 209.24141458234968, "eda0f37f011c8484")),
+    ],
+)
+def test_items_are_those_of_0_1(seed: int, iso: float | None, epoch: int, wanted: tuple[Any, ...]) -> None:
+    """To the bit: draws and noise of the release, written down here."""
+    dataset = flat(profiles=["SonyA7S2", "NikonD850"], crops_per_frame=4, seed=seed, iso=iso)
+    dataset.set_epoch(epoch)
+    item = dataset[1]
+    digest = hashlib.sha256(item["input"].numpy().tobytes()).hexdigest()[:16]
+    assert (item["camera"], item["gain_dn_per_e"], item["ratio"], digest) == wanted
+    assert item["iso"] == (iso or 0)
+
+
 def test_the_model_is_passed_on_and_clips_both_ways_by_default() -> None:
     # At this gain and ratio the noise has a deviation of about 0.5 around 0.3; 5120 pixels.
     bright: dict[str, Any] = {"iso": 6400, "ratio": 900.0, "crops_per_frame": 20}
     inputs = torch.stack([item["input"] for item in items(flat(**bright))])
     assert (float(inputs.min()), float(inputs.max())) == (0, 1)
-    free = torch.stack([item["input"] for item in items(flat(**bright, model=NoiseModel()))])
+    free = torch.stack([item["input"] for item in items(flat(**bright, clip="none"))])
     assert free.min() < 0
     assert free.max() > 1
     assert torch.equal(free.clamp(0, 1), inputs)
-    item = flat(model=NoiseModel("B", clip="none"))[0]
+    item = flat(model=NoiseModel("B"), clip="none")[0]
     shift = (item["input"] - item["target"]).double() * 15871.0 / item["ratio"]
     for channel, bias in zip(shift, item["colour_bias_dn"].tolist(), strict=True):
         np.testing.assert_allclose(channel.numpy(), bias, rtol=1e-3, atol=1e-4)
+
+
+def test_the_dataset_decides_the_clip_as_for_pairs_to_test_on() -> None:
+    """One default for all; a model without a clip of its own is clipped like the default one."""
+    bright: dict[str, Any] = {"iso": 6400, "ratio": 900.0, "crops_per_frame": 5}
+    assert flat().clip == SourcePairs.clip == ReadItems.clip == "both"
+    limits = {"both": (0, 1), "upper": (-math.inf, 1), "none": (-math.inf, math.inf)}
+    free = torch.stack([item["input"] for item in items(flat(**bright, clip="none"))])
+    for clip, (low, high) in limits.items():
+        for model in (None, NoiseModel(), NoiseModel(clip=clip)):  # type: ignore[arg-type]
+            dataset = flat(**bright, model=model, clip=clip)
+            found = items(dataset)
+            assert torch.equal(torch.stack([item["input"] for item in found]), free.clamp(low, high))
+            assert (dataset.clip, dataset.model.clip) == (clip, clip)  # type: ignore[attr-defined]
+    given = NoiseModel()
+    flat(model=given, clip="upper")
+    assert given.clip is None
+    assert torch.equal(torch.stack([item["input"] for item in items(flat(**bright, model=given))]), free.clamp(0, 1))
+
+
+def test_the_target_is_light_whatever_the_clip() -> None:
+    source = arrays(np.linspace(-0.5, 1.5, 4 * 16 * 16, dtype=np.float32).reshape(1, 4, 16, 16), range_dn=15871.0)
+    wanted = pairs(source)[0]["target"]
+    assert (float(wanted.min()), float(wanted.max())) == (0, 1)
+    for clip in ("upper", "none"):
+        assert torch.equal(pairs(source, clip=clip)[0]["target"], wanted)
+
+
+def test_clips_that_disagree_are_named() -> None:
+    with pytest.raises(
+        ArgumentError, match="SyntheticPairs: clip='both', but the noise model's own clip is 'none'; leave"
+    ):
+        flat(model=NoiseModel(clip="none"), clip="both")
+    with pytest.raises(ArgumentError, match="clip must be one of 'both', 'upper', 'none'; found 'lower'"):
+        flat(clip="lower")
+    # As 0.1 understood it, until 0.3.
+    words = (
+        "SyntheticPairs: the noise model has clip='none', but pairs to test on have 'both' unless told otherwise; give"
+    )
+    with pytest.warns(DeprecationWarning, match=words) as warned:
+        dataset = flat(model=NoiseModel(clip="none"))
+    assert warned[0].filename == __file__
+    same(dataset[0], flat(clip="none")[0])
+    same(flat(model=NoiseModel(clip="both"))[0], flat()[0])
+
+
+@pytest.mark.parametrize("array", [np.full((1, 4, 8, 8), 3000, np.uint16), [np.ones((4, 8, 8), np.int32)]])
+def test_arrays_of_whole_numbers_are_dn(array: Any) -> None:
+    with pytest.raises(ArgumentError, match=r"^array 0 is u?int(16|32), whole numbers .* give \(clean - black\)"):
+        arrays(array, range_dn=15871.0)
+    mixed = arrays([np.ones((4, 8, 8), np.float32), np.ones((4, 8, 8), np.uint8)], range_dn=15871.0)
+    with pytest.raises(ArgumentError, match=r"^array 1 is uint8, whole numbers"):
+        mixed.frame(1)
+
+
+def test_large_seeds_are_seeds_of_their_own() -> None:
+    """2^32 was epoch 1 of seed 0: its words are those."""
+    large, small = flat(seed=2**32), flat(seed=0)
+    for epoch in range(3):
+        large.set_epoch(epoch)
+        small.set_epoch(1)
+        different(large[0], small[epoch])
+    again = flat(seed=2**32)
+    again.set_epoch(2)
+    same(again[0], large[0])
+    different(flat(seed=2**128 - 1)[0], flat(seed=2**128 - 2)[0])
 
 
 def test_the_range_of_the_noise_is_the_frames(folder: Path) -> None:
@@ -489,7 +715,7 @@ def test_the_range_of_the_noise_is_the_frames(folder: Path) -> None:
         sensor = make_sensor()
         range_dn = sensor.white_level_dn - float(np.mean(sensor.black_level_dn))
         assert dataset.source.frame(index).range_dn == range_dn
-        item = raw_pairs(folder, model=NoiseModel("P*"), ratio=100.0)[index]
+        item = raw_pairs(folder, model=NoiseModel("P*"), ratio=100.0, clip="none")[index]
         counts = item["input"].double().numpy() * range_dn / 100.0 / item["gain_dn_per_e"]
         np.testing.assert_allclose(counts, np.rint(counts), atol=2e-3)
 
@@ -497,7 +723,10 @@ def test_the_range_of_the_noise_is_the_frames(folder: Path) -> None:
 # --- refusals -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("ratio", [0.0, -1.0, (300.0, 100.0), (0.0, 100.0), math.nan, (100.0, math.nan), math.inf])
+@pytest.mark.parametrize(
+    "ratio",
+    [0.0, -1.0, (300.0, 100.0), (0.0, 100.0), math.nan, (100.0, math.nan), math.inf, "100", (1, 2, 3), [], None],
+)
 def test_a_ratio_that_makes_no_sense(ratio: Any) -> None:
     with pytest.raises(ArgumentError, match="ratio must be"):
         flat(ratio=ratio)
@@ -512,37 +741,50 @@ def test_a_number_that_makes_no_sense(name: str, value: int) -> None:
     assert str(value) in str(caught.value)
 
 
-def test_a_negative_seed() -> None:
-    with pytest.raises(ArgumentError, match="seed"):
-        flat(seed=-1)
+@pytest.mark.parametrize("seed", [-1, 1.5, "0", None, 2**128])
+def test_a_seed_that_makes_no_sense(seed: Any) -> None:
+    with pytest.raises(ArgumentError, match=r"^seed must be"):
+        flat(seed=seed)
 
 
-def test_a_negative_epoch() -> None:
+@pytest.mark.parametrize("epoch", [-1, 1.5, "0", 2**32])
+def test_an_epoch_that_makes_no_sense(epoch: Any) -> None:
     dataset = flat()
-    with pytest.raises(ArgumentError, match="epoch must be 0 or more; found -1"):
-        dataset.set_epoch(-1)
+    with pytest.raises(ArgumentError, match="epoch must be"):
+        dataset.set_epoch(epoch)
     assert dataset.epoch == 0
+
+
+@pytest.mark.parametrize("source", ["clean", np.zeros((1, 4, 8, 8)), None])
+def test_a_source_that_is_none(source: Any) -> None:
+    with pytest.raises(ArgumentError, match=r"SyntheticPairs: the source of clean data has len and frame\(index\), as"):
+        pairs(source)
 
 
 def test_profiles_that_make_no_sense() -> None:
     with pytest.raises(ArgumentError, match="give at least one camera profile"):
         flat(profiles=[])
+    for profiles in (None, 3, [None], {"SonyA7S2"}, b"SonyA7S2"):
+        with pytest.raises(ArgumentError, match="expected a camera profile or several: each a shipped one's name"):
+            flat(profiles=profiles)
     with pytest.raises(ProfileError, match="no camera profile is called 'Leica'"):
         flat(profiles="Leica")
 
 
 def test_an_iso_or_row_that_the_profile_does_not_know() -> None:
     with pytest.raises(ArgumentError, match="ISO 50 is outside of the calibrated range"):
-        flat(iso=50)[0]
+        flat(iso=50)
     assert flat(iso=50, extrapolate=True)[0]["gain_dn_per_e"] == pytest.approx(flat(iso=100)[0]["gain_dn_per_e"] / 2)
+    with pytest.raises(ArgumentError, match="iso must be one number, finite and above 0; found '800'"):
+        flat(iso="800")
     with pytest.raises(ArgumentError, match="row must be"):
-        flat(row="best")[0]
+        flat(row="best")
 
 
-@pytest.mark.parametrize("name", ["RGGB", "xtrans-00"])
+@pytest.mark.parametrize("name", ["RGGB", "xtrans-00", "quad-00", "nona-00"])
 def test_a_crop_that_is_too_large(name: str) -> None:
-    cfa = {**BAYER, **XTRANS}[name]
-    scale, period = (2, 2) if len(cfa) == 2 else (3, 6)
+    cfa = CFAS[name]
+    scale, period = layout_of(cfa)[2], len(cfa)
     for augment in (False, True):
         side = 8 * scale + (period if augment else 0)
         fits = pairs(Mosaics([numbered(side, side)], cfa), augment=augment, crops_per_frame=20)

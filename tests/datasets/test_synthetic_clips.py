@@ -139,7 +139,7 @@ def test_one_draw_for_all_frames_and_fresh_noise_in_each() -> None:
     """
     height, width = 1024, 8
     gains = set()
-    dataset = flat(3, 0.5, height, width, model=NoiseModel(clip="none"), windows_per_clip=8)
+    dataset = flat(3, 0.5, height, width, clip="none", windows_per_clip=8)
     for item in dataset:
         bias = item["colour_bias_dn"].tolist()
         parameters = NoiseParameters(
@@ -165,7 +165,7 @@ def test_one_draw_for_all_frames_and_fresh_noise_in_each() -> None:
 
 
 def test_the_ratio_the_model_and_the_iso_are_passed_on() -> None:
-    item = flat(ratio=150.0, iso=800, model=NoiseModel("P*", clip="none"))[0]
+    item = flat(ratio=150.0, iso=800, model=NoiseModel("P*"), clip="none")[0]
     assert item["ratio"] == 150.0
     counts = item["input"].double().numpy() * RANGE_DN / 150.0 / item["gain_dn_per_e"]
     np.testing.assert_allclose(counts, np.rint(counts), atol=2e-3)

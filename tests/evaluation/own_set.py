@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.manifest.card import CameraCard, Card, save_card
+from eldata.manifest.card import CameraCard, Card, cfa_word, save_card
 from eldata.manifest.table import save_records
+from eldata.raw.cfa import packing_sites
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, FrameRecord, Sensor
 
@@ -114,7 +115,7 @@ def build_own_set(
         citation="none",
         licence="ours",
         homepage="https://example.org/mine",
-        cfa="bayer" if len(cfa) == 2 else "xtrans",
+        cfa=cfa_word([packing_sites(cfa).name]),
         cameras={"Mine": CameraCard(("Mine 1",))},
         counts=dict(Counter(record.role for record in records)),
     )

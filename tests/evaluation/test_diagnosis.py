@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,12 +23,14 @@ from eldata.evaluation.suspicions import (
     suspicions_of,
 )
 from eldata.protocols.named import PROTOCOLS
+from eldata.raw import bayer_cfa, pack, unpack
 from eldata.reports.evaluation.page import write_evaluation_page
 from tests.cases import in_one_test
 from tests.evaluation import diagnosis_cases as cases
 from tests.evaluation.helpers import Tree, place, small_tree
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -46,6 +49,49 @@ def test_mistakes_are_named(camera: str, protocol: str, denoiser: str) -> None:
         if not found.named and found.cost_db >= 1:
             unnamed.append((mistake, round(found.cost_db, 1), [str(one) for one in found.said]))
     assert unnamed == []
+
+
+def _in_blocks(p: NDArray[Any], order: tuple[int, ...]) -> NDArray[Any]:
+    return np.concatenate([np.split(p, 4)[index] for index in order])
+
+
+def _by_row(p: NDArray[Any], cfa: Any) -> NDArray[Any]:
+    """What a pixel_unshuffle of the mosaic gives."""
+    mosaic, period = unpack(np.ascontiguousarray(p), cfa), len(cfa)
+    return np.stack([mosaic[y::period, x::period] for y in range(period) for x in range(period)])
+
+
+def _moved(p: NDArray[Any], cfa: Any) -> NDArray[Any]:
+    return pack(np.roll(unpack(np.ascontiguousarray(p), cfa), (0, 1), (0, 1)), cfa)
+
+
+OF_BLOCKS: dict[str, Callable[[NDArray[Any], Any], NDArray[Any]]] = {
+    "as if packed in the order R, G1, G2, B of its blocks": lambda p, _cfa: _in_blocks(p, (0, 1, 3, 2)),
+    "as if packed in the order B, G1, R, G2 of its blocks": lambda p, _cfa: _in_blocks(p, (2, 1, 0, 3)),
+    "as if packed with the sites of the pattern row by row": _by_row,
+    "as if shifted by (0, 1) pixels of the mosaic (down, right)": _moved,
+    "as if flipped left to right": lambda p, _cfa: p[:, :, ::-1],
+}
+
+
+@pytest.mark.parametrize(("block", "height"), [(2, 384), (3, 576)])
+def test_mistakes_with_blocks_of_one_colour_are_named(block: int, height: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Among them other codes' orders: Android's, with G2 before B, and that of a pixel_unshuffle."""
+    cfa, name, protocol = bayer_cfa("GRBG", block), f"blocks of {block}", PROTOCOLS["eld"]
+    camera = replace(cases.ALPHA, name=name, sensor=replace(cases.ALPHA.sensor, cfa=cfa))
+    monkeypatch.setitem(cases.SIMULATED, name, camera)
+    shots = [cases.photograph(name, 1 + number, iso, 100, 0, height) for number, iso in enumerate((800, 1600, 3200))]
+    near = next(iter(cases.NEAR))
+    assert cases.suspicions(shots, protocol, lambda shot: cases.predicted(shot, "eld", near)) == ()
+    mistakes = OF_BLOCKS if block == 2 else {words: OF_BLOCKS[words] for words in list(OF_BLOCKS)[:4:2]}
+    for words, mistake in mistakes.items():
+        (said,) = cases.suspicions(
+            shots,
+            protocol,
+            lambda shot: mistake(cases.predicted(shot, "eld", near), cfa),  # noqa: B023 (called here)
+        )
+        assert said.words == words
+        assert (said.shown, said.looked) == (3, 3)
 
 
 QUICK_DENOISERS = [name for name in cases.HONEST if not name.startswith(("bilateral", "non-local", "total", "sliding"))]

@@ -25,7 +25,7 @@ from eldata.records import Exposure, Sensor
 from tests.evaluation import oracle, published_code
 from tests.evaluation.helpers import scored_pairs
 from tests.evaluation.own_set import MATRIX, WHITE_BALANCE, OwnSet, build_own_set, mosaic_of, sensor_of
-from tests.raw.helpers import BAYER, CFAS, xtrans_at
+from tests.raw.helpers import BAYER, CFAS, indices_of, is_xtrans, levels_of, reference_pack, xtrans_at
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
     from eldata.records import FrameRecord, PairRecord
     from tests.evaluation.published_code import Route, Score
+    from tests.raw.helpers import Cfa
 
 PSNR_TOLERANCE_DB = 1e-6
 SSIM_TOLERANCE = 1e-6
@@ -456,7 +457,7 @@ def test_lrd_on_its_own_set(tmp_path: Path) -> None:
 # --- every colour filter array, in a set of one's own -----------------------------------------------------------------
 
 WHOLE = [*ELD_COUNTS, *SID_COUNTS]
-ODD_LEVELS = {2: (497.0, 509.0, 516.0, 530.0), 6: (1019.0,) * 3}  # by the period of the pattern
+ODD_LEVELS = {3: (1019.0,) * 3, 4: (497.0, 509.0, 516.0, 530.0)}  # by their number
 
 
 def own_xtrans(name: str, top: int, left: int) -> Route:
@@ -474,20 +475,43 @@ def own_xtrans(name: str, top: int, left: int) -> Route:
     return replace(published_code.BAYER[name], arranged=arranged, target=target)
 
 
-@pytest.mark.parametrize("cfa", [*BAYER, "xtrans-00", "xtrans-42"])
+def own_blocks(name: str, pattern: Cfa) -> Route:
+    """A protocol's way on quad-Bayer and nona-Bayer, which no code knows: packed in strided slices.
+
+    The pixels are LibRaw's; it does not understand the pattern, so the levels are those that the file was written with.
+    """
+    levels = np.array([ODD_LEVELS[4][index] for index in indices_of(pattern)], np.float32)[:, None, None]
+
+    def arranged(mosaic: NDArray[np.float32], raw: rawpy.RawPy) -> NDArray[np.float32]:
+        del raw
+        return reference_pack(mosaic, pattern)
+
+    def target(raw: rawpy.RawPy) -> NDArray[np.float32]:
+        black = np.float32(512) if name.startswith("pmn") else levels
+        white = np.float32(raw.white_level if name.startswith(("led", "lrd")) else 16383)
+        return published_code.unit((arranged(published_code.dn(raw), raw) - black) / (white - black))
+
+    return replace(published_code.BAYER[name], arranged=arranged, target=target)
+
+
+@pytest.mark.parametrize("cfa", [*BAYER, "xtrans-00", "xtrans-42", "quad-00", "quad-31", "nona-00", "nona-14"])
 def test_a_set_of_ones_own_in_every_cfa(cfa: str, tmp_path: Path) -> None:
     """All protocols that score whole frames, with black and white levels that no code has as a constant."""
     pattern = CFAS[cfa]
-    own = build_own_set(tmp_path, cfa=pattern, black=ODD_LEVELS[len(pattern)], size=(72, 84))
+    own = build_own_set(tmp_path, cfa=pattern, black=ODD_LEVELS[levels_of(pattern)], size=(120, 132))
     reference = own.files / "s0/clean.dng"
     with rawpy.imread(str(reference)) as raw:
         clean = raw.raw_image_visible.copy()
     written = {path: prediction_of(clean, path) for path in ("s0/x50.dng", "s0/x100.dng")}
     for path, mosaic in written.items():
         save_prediction(tmp_path / "p", path, mosaic)
-    top, left = (-int(digit) % 6 for digit in cfa[-2:]) if len(pattern) == 6 else (0, 0)
     for name in WHOLE:
-        route = own_xtrans(name, top, left) if len(pattern) == 6 else published_code.BAYER[name]
+        if cfa in BAYER:
+            route = published_code.BAYER[name]
+        elif is_xtrans(pattern):
+            route = own_xtrans(name, *(-int(digit) % 6 for digit in cfa[-2:]))
+        else:
+            route = own_blocks(name, pattern)
         result = evaluate(tmp_path / "p", manifest=own.manifest, root=own.root, protocol=name)
         assert result.scored == 2
         scores = {path: route.of_prediction(mosaic, reference) for path, mosaic in written.items()}

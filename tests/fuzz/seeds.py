@@ -19,6 +19,8 @@ from eldata.records import Exposure, PairRecord, Sensor
 from tests.raw.helpers import (
     BAYER,
     EXPOSURE,
+    NONA,
+    QUAD,
     active_area,
     black_levels,
     letters,
@@ -37,6 +39,9 @@ BY_0_1 = TESTS / "written_by_0_1"
 
 SENSOR = make_sensor(BAYER["RGGB"], 60, 64)
 """Of the reference that predictions belong to."""
+
+BUFFER = (60, 64)
+"""Rows and columns of the sensor's buffer without a header."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +107,8 @@ def raws() -> list[Seed]:
             (BAYER["GRBG"], "lossless-jpeg", (140, 132)),
             (xtrans_at(1, 2), "none", (60, 66)),
             (xtrans_at(0, 0), "lossless-jpeg", (120, 132)),
+            (QUAD["quad-31"], "lossless-jpeg", (96, 104)),
+            (NONA["nona-14"], "none", (66, 72)),
         )
     ):
 
@@ -134,6 +141,7 @@ def raws() -> list[Seed]:
         Seed("made.cr3", "raw", _canon_boxes()),
         Seed("made.crw", "raw", _canon_heap()),
         Seed("made.raf", "raw", _fuji_file(found[4].content)),
+        Seed("made-16.raw", "buffer", _scene(*BUFFER, 3).astype("<u2").tobytes()),
     ]
     fixtures = sorted(
         path

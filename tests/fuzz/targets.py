@@ -65,6 +65,14 @@ def _read_raw(path: Path) -> object:
     return read_raw(path)
 
 
+def _buffer(path: Path) -> object:
+    from eldata.raw import bayer_cfa, read_buffer
+
+    return read_buffer(
+        path, seeds.BUFFER, bits=14, packing="le16", cfa=bayer_cfa("RGGB", block=2), black=512, white=16383
+    )
+
+
 def _mosaic(frame: Any) -> NDArray[Any]:
     mosaic: NDArray[Any] = frame.mosaic
     return mosaic
@@ -316,8 +324,9 @@ _WHOLE_NPY = (containers.npy, containers.npy)
 KINDS: dict[str, Kind] = {
     "raws": Kind(
         seeds.raws,
-        {"raw": _read_raw},
+        {"raw": _read_raw, "buffer": _buffer},
         {
+            ".raw": (),
             "": (*_TIFF, *_TIFF, *_TIFF, containers.jpeg_end, tiffs.crowded),
             ".cr3": (containers.boxes, containers.boxes, containers.boxes, *tiffs.CHANGES),
             ".crw": (containers.heap, containers.heap),

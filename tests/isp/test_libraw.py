@@ -11,7 +11,7 @@ import rawpy
 from eldata.errors import ArgumentError, RawFileError
 from eldata.isp.libraw import render_libraw, sixteen_to_eight_bits
 from eldata.raw.dng import write_dng
-from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, make_sensor, random_mosaic
+from tests.raw.helpers import BAYER, EXPOSURE, NONA, QUAD, XTRANS, levels_of, make_sensor, random_mosaic
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def written(path: Path, cfa: Cfa = BAYER["RGGB"], height: int = 60, width: int = 64, **fields: Any) -> Path:
-    sensor = make_sensor(cfa, height, width, black_level_dn=(512.0,) * (4 if len(cfa) == 2 else 3), **fields)
+    sensor = make_sensor(cfa, height, width, black_level_dn=(512.0,) * levels_of(cfa), **fields)
     write_dng(path, random_mosaic(height, width), sensor, EXPOSURE)
     return path
 
@@ -52,6 +52,18 @@ def test_a_truncated_file_is_refused(tmp_path: Path) -> None:
     path = written(tmp_path / "frame.dng")
     path.write_bytes(path.read_bytes()[:-3000])
     with pytest.raises(RawFileError, match=r"frame\.dng: .*truncated"):
+        render_libraw(path)
+
+
+@pytest.mark.parametrize("cfa", [QUAD["quad-00"], NONA["nona-00"]], ids=["quad-Bayer", "nona-Bayer"])
+def test_blocks_of_one_colour_are_refused(cfa: Cfa, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+    """LibRaw would demosaic them as other patterns, without a word, but for some phases of nona-Bayer."""
+    path = written(tmp_path / "frame.dng", cfa, 528, 540)
+    with rawpy.imread(str(path)) as raw:
+        assert raw.postprocess(use_camera_wb=True).shape == (528, 540, 3)  # the trap is set
+    with pytest.raises(
+        RawFileError, match=rf"frame\.dng: LibRaw does not demosaic {request.node.callspec.id}; pack it"
+    ):
         render_libraw(path)
 
 

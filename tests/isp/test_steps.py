@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 # Which of R, G, B each packed channel shows (the SID code's order for nine).
 COLOURS = {4: [0, 1, 2, 1], 9: [0, 1, 2, 0, 2, 1, 1, 1, 1]}
+COLOURS |= {4 * n: [colour for colour in COLOURS[4] for _ in range(n)] for n in (4, 9)}  # quad-Bayer and nona-Bayer
 MULTIPLIERS = torch.tensor([2.0, 1.0, 1.5, 1.25], dtype=torch.float64)
 MATRIX = torch.tensor([[1.6, -0.5, -0.1], [-0.2, 1.5, -0.3], [0.0, -0.6, 1.6]], dtype=torch.float64)
 LEADING = [(), (2,), (2, 3)]
@@ -34,16 +35,18 @@ def packed_data(channels: int, leading: tuple[int, ...] = (), seed: int = 0) -> 
 
 
 @pytest.mark.parametrize("leading", LEADING)
-@pytest.mark.parametrize("channels", [4, 9])
+@pytest.mark.parametrize("channels", COLOURS)
 def test_white_balance(channels: int, leading: tuple[int, ...]) -> None:
     packed = packed_data(channels, leading)
-    factors = [2.0, 1.0, 1.5, 1.25] if channels == 4 else [[2.0, 1.0, 1.5][colour] for colour in COLOURS[9]]
+    factors = [[2.0, 1.0, 1.5][colour] for colour in COLOURS[9]]
+    if channels != 9:
+        factors = np.repeat([2.0, 1.0, 1.5, 1.25], channels // 4).tolist()
     expected = packed.numpy() * np.array(factors)[:, None, None]
     np.testing.assert_allclose(white_balance(packed, MULTIPLIERS).numpy(), expected, rtol=1e-15)
 
 
 @pytest.mark.parametrize("leading", LEADING)
-@pytest.mark.parametrize("channels", [4, 9])
+@pytest.mark.parametrize("channels", COLOURS)
 def test_binning_averages_the_channels_of_a_colour(channels: int, leading: tuple[int, ...]) -> None:
     packed = packed_data(channels, leading)
     colours = np.array(COLOURS[channels])

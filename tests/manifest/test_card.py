@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import copy
 import json
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from eldata.errors import ManifestError
-from eldata.manifest.card import CameraCard, Card, Download, load_card, save_card
+from eldata.manifest.card import CFA_WORDS, CameraCard, Card, Download, cfa_word, load_card, save_card
 from eldata.manifest.catalogue import find_manifests, load_manifest, shipped_manifest
 from tests.cases import in_one_test
 
@@ -92,6 +93,18 @@ def spoilt(where: tuple[str | int, ...], value: Any) -> dict[str, Any]:
 
 
 DELETE = object()
+
+
+def test_the_word_for_colour_filter_arrays(tmp_path: Path) -> None:
+    kinds = {"Bayer": "bayer", "X-Trans": "xtrans", "quad-Bayer": "quad-bayer", "nona-Bayer": "nona-bayer"}
+    assert {name: cfa_word([name, name]) for name in kinds} == kinds
+    assert cfa_word(["Bayer", "X-Trans"]) == "both"
+    assert cfa_word(["Bayer", "quad-Bayer"]) == cfa_word(kinds) == "mixed"
+    for word in CFA_WORDS:
+        save_card(tmp_path / "a.json", replace(CARD, cfa=word))
+        assert load_card(tmp_path / "a.json").cfa == word
+
+
 REQUIRED = ("name", "title", "version", "folder", "citation", "licence", "homepage", "cfa", "cameras", "counts")
 
 

@@ -13,7 +13,7 @@ from eldata.noise import NoiseModel, NoiseParameters
 from eldata.noise.mosaic import pack_whole, unpack_whole
 from eldata.raw.cfa import pack
 from tests.cases import in_one_test
-from tests.raw.helpers import BAYER, CFAS
+from tests.raw.helpers import BAYER, CFAS, levels_of
 
 RANGE = 15000.0
 PARAMETERS = NoiseParameters(1.5, -0.1, 2.0, 3.0, 4.0, (10.0, 20.0, 30.0, 40.0))
@@ -35,7 +35,9 @@ def test_of_even_size_it_is_the_packer(name: str) -> None:
     np.testing.assert_array_equal(pack_whole(mosaic, BAYER[name]), pack(mosaic, BAYER[name]))
 
 
-@pytest.mark.parametrize("name", ["RGGB", "GBRG", "BGGR", "xtrans-00", "xtrans-23"])
+@pytest.mark.parametrize(
+    "name", ["RGGB", "GBRG", "BGGR", "xtrans-00", "xtrans-23", "quad-00", "quad-23", "nona-00", "nona-14"]
+)
 def test_rows_and_biases_are_those_of_the_mosaic(name: str) -> None:
     """R alone: every mosaic row is constant, and the rows are independent. B alone: the bias follows the CFA."""
     cfa = np.asarray(CFAS[name])
@@ -59,7 +61,7 @@ def test_rows_and_biases_are_those_of_the_mosaic(name: str) -> None:
     bias = noise("B")
     y, x = np.indices(clean.shape)
     index = cfa[y % len(cfa), x % len(cfa)]
-    levels = np.array([10.0, 20.0, 30.0, 40.0] if len(cfa) == 2 else [10.0, 30.0, 30.0])
+    levels = np.array([10.0, 20.0, 30.0, 40.0] if levels_of(CFAS[name]) == 4 else [10.0, 30.0, 30.0])
     np.testing.assert_allclose(bias, levels[index], rtol=1e-5)
 
 

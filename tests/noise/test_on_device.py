@@ -11,7 +11,7 @@ import torch
 from scipy import stats
 
 from eldata.errors import ArgumentError
-from eldata.noise import PAPER_MODELS, NoiseModel, NoiseParameters
+from eldata.noise import PAPER_MODELS, NoiseModel, NoiseParameters, parse_components
 from eldata.noise.exposures import Adc, Exposures
 from eldata.noise.on_device import expose_on_device
 from eldata.raw.cfa import XTRANS_CFA, pack, unpack
@@ -28,7 +28,7 @@ from tests.noise.helpers import (
     on_device,
     poisson_p_value,
 )
-from tests.raw.helpers import XTRANS_COLOURS
+from tests.raw.helpers import NONA, QUAD, XTRANS_COLOURS, Cfa
 
 CUDA = torch.cuda.is_available()
 FULL = "P*+G*+B+R+U"
@@ -58,6 +58,20 @@ def test_shot_noise_is_poisson(signal_e: float, device: str) -> None:
     clean = clean_of(np.array([signal_e]), (4, 256, 256), PARAMETERS)
     dn = device_dn("P*", clean, PARAMETERS, seed=2, device=device)
     assert poisson_p_value(dn / PARAMETERS.gain_dn_per_e, signal_e) > LEAST_P_VALUE
+
+
+@pytest.mark.parametrize("mean_e", [1e9, 1e12, 9e18, 1e19, 1e30])
+def test_any_number_of_photoelectrons(mean_e: float, device: str) -> None:
+    """4096 draws: none is off by more than 7 deviations and the rounding to float32, and the spread by 5 errors."""
+    parameters = NoiseParameters(1.0, 0.0, 0.0, 0.0, 0.0)
+    exposures = Exposures.of(parse_components("P*"), [parameters], [1.0], 4, range_dn=1.0)
+    clean = torch.full((1, 4, 32, 32), mean_e, device=device)
+    drawn = expose_on_device(clean, exposures, torch.Generator(device).manual_seed(0)).double().cpu().numpy()
+    off, rounding, deviation = drawn - float(np.float32(mean_e)), mean_e * 2.0**-23, math.sqrt(mean_e)
+    assert np.abs(off).max() < 7 * deviation + rounding
+    assert abs(off.mean()) < 6 * deviation / 64 + rounding
+    if mean_e <= 1e12:  # where float32 resolves it
+        assert abs(off.std() / deviation - 1) < 5 / math.sqrt(2 * 4096)
 
 
 @pytest.mark.parametrize("shape", LAMBDAS)
@@ -136,6 +150,10 @@ def test_each_channel_has_its_bias(device: str) -> None:
     xtrans = device_dn("B", dark(2, 9, 3, 5), PARAMETERS, device=device)
     for channel, colour in enumerate(XTRANS_COLOURS):
         np.testing.assert_allclose(xtrans[:, channel], colours[colour], rtol=1e-6)
+    for count in (4, 9):  # sites of a block: quad-Bayer, nona-Bayer
+        blocks = device_dn("B", dark(2, 4 * count, 3, 5), PARAMETERS, device=device)
+        for channel, bias in enumerate(np.repeat([red, green, blue, other_green], count)):
+            np.testing.assert_allclose(blocks[:, channel], bias, rtol=1e-6)
 
 
 SIZES = [(1, 1), (1, 2), (2, 1), (1, 7), (7, 1), (2, 2), (3, 5), (5, 3), (4, 6), (9, 9)]
@@ -159,6 +177,18 @@ def test_xtrans_rows(height: int, width: int, device: str) -> None:
     for image in dn.reshape(3, -1):
         np.testing.assert_array_equal(image[:, None] == image, rows[:, None] == rows)
     assert np.unique(dn).size == 3 * np.unique(rows).size
+
+
+@pytest.mark.parametrize(("height", "width"), SIZES)
+@pytest.mark.parametrize("cfa", [QUAD["quad-00"], NONA["nona-30"]], ids=["quad", "nona"])
+def test_rows_of_blocks(cfa: Cfa, height: int, width: int, device: str) -> None:
+    """Entries have the same noise just if they come from the same mosaic row."""
+    whole = pack(np.repeat(np.arange(60)[:, None], 60, axis=1), cfa)
+    rows = whole[:, :height, :width].ravel()
+    dn = device_dn("R", dark(2, len(whole), height, width), PARAMETERS, device=device)
+    for image in dn.reshape(2, -1):
+        np.testing.assert_array_equal(image[:, None] == image, rows[:, None] == rows)
+    assert np.unique(dn).size == 2 * np.unique(rows).size
 
 
 def test_row_noise_is_normal_and_independent(device: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import math
 import pickle
@@ -10,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from scipy import integrate, stats
 
 from eldata.errors import ArgumentError
@@ -28,8 +28,30 @@ NUMBERS = [name for name in GOOD if name != "colour_bias_dn"]
 
 def test_good_values_stay_as_they_are() -> None:
     parameters = NoiseParameters(**GOOD)
-    assert dataclasses.asdict(parameters) == GOOD
+    assert parameters.as_dict() == GOOD
     assert pickle.loads(pickle.dumps(parameters)) == parameters
+
+
+@pytest.mark.parametrize("make", [list, np.array, torch.tensor, tuple])
+def test_a_colour_bias_of_any_kind_is_kept_as_a_tuple(make: Any) -> None:
+    bias = make(GOOD["colour_bias_dn"])
+    parameters = NoiseParameters(**GOOD | {"colour_bias_dn": bias})
+    assert parameters == NoiseParameters(**GOOD)
+    assert type(parameters.colour_bias_dn) is tuple
+    assert hash(parameters) == hash(NoiseParameters(**GOOD))
+
+
+@pytest.mark.parametrize("value", ["1.5", None, [1.0], 1j])
+@pytest.mark.parametrize("name", NUMBERS)
+def test_what_is_not_a_number_is_named(name: str, value: Any) -> None:
+    with pytest.raises(ArgumentError, match=rf"^{name} must be one number, finite; found"):
+        NoiseParameters(**GOOD | {name: value})
+
+
+@pytest.mark.parametrize("value", [1.0, None, "0000", ("a", 0.0, 0.0, 0.0), [[0.0] * 4]])
+def test_a_colour_bias_that_makes_no_sense(value: Any) -> None:
+    with pytest.raises(ArgumentError, match=r"^colour_bias_dn (has four values|must be one number)"):
+        NoiseParameters(**GOOD | {"colour_bias_dn": value})
 
 
 def test_the_colour_bias_is_0_by_default() -> None:

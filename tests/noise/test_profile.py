@@ -541,6 +541,19 @@ def test_the_measured_parameters_of_an_iso() -> None:
     assert FULL.sample(np.random.default_rng(0), iso=100, row="nearest-gain").sigma_tl_dn != 1.5
 
 
+def test_a_measured_row_is_sampled_as_it_is_and_takes_as_many_numbers() -> None:
+    generators = [np.random.default_rng(0) for _ in range(2)]
+    assert FULL.sample(generators[0], iso=100, row="measured") == FULL.measured(100)
+    FULL.sample(generators[1])
+    assert generators[0].random() == generators[1].random()
+    with pytest.raises(ArgumentError, match=r"row='measured' gives the figures of one ISO; give iso"):
+        FULL.sample(generators[0], row="measured")
+    with pytest.raises(ArgumentError, match=r"row='measured' gives the figures of one ISO; give iso"):
+        FULL.sample(generators[0], gain_dn_per_e=0.1, row="measured")
+    with pytest.raises(ArgumentError, match=r"ISO 300 of .* was not measured"):
+        FULL.sample(generators[0], iso=300, row="measured")
+
+
 def test_an_iso_that_was_not_measured() -> None:
     row = FULL.rows[0]
     partly = (row, dataclasses.replace(row, iso=200.0, sigma_row_dn=None), dataclasses.replace(row, iso=400.0))
@@ -622,7 +635,7 @@ def test_an_iso_and_a_gain() -> None:
 
 @pytest.mark.parametrize("row", ["all", "nearest", "", None, 3])
 def test_an_unknown_choice_of_rows(row: Any) -> None:
-    with pytest.raises(ArgumentError, match=r"row must be 'any' or 'nearest-gain'; found"):
+    with pytest.raises(ArgumentError, match=r"row must be 'any', 'nearest-gain' or 'measured'; found"):
         FULL.sample(np.random.default_rng(0), row=row)
 
 

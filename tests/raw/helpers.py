@@ -40,10 +40,30 @@ def xtrans_at(down: int, right: int) -> Cfa:
 
 
 XTRANS: dict[str, Cfa] = {f"xtrans-{y}{x}": xtrans_at(y, x) for y in range(6) for x in range(6)}
-CFAS: dict[str, Cfa] = {**BAYER, **XTRANS}
+
+
+def blocks_at(side: int, down: int, right: int) -> Cfa:
+    """The CFA of a mosaic whose corner lies (down, right) inside of R R.. G G.. / G G.. B B.., in blocks of a side."""
+    rows = ["R" * side + "G" * side] * side + ["g" * side + "B" * side] * side
+    period = 2 * side
+    return tuple(
+        tuple("RGBg".index(rows[(y + down) % period][(x + right) % period]) for x in range(period))
+        for y in range(period)
+    )
+
+
+QUAD: dict[str, Cfa] = {f"quad-{y}{x}": blocks_at(2, y, x) for y in range(4) for x in range(4)}
+NONA: dict[str, Cfa] = {f"nona-{y}{x}": blocks_at(3, y, x) for y in range(6) for x in range(6)}
+CFAS: dict[str, Cfa] = {
+    **BAYER,
+    **XTRANS,
+    **QUAD,
+    **{name: cfa for name, cfa in NONA.items() if (int(name[-2]) - int(name[-1])) % 3 == 0},
+}
 SOME_CFAS: dict[str, Cfa] = {
     **BAYER,
-    **{name: XTRANS[name] for name in ("xtrans-00", "xtrans-15", "xtrans-42")},
+    **{name: CFAS[name] for name in ("xtrans-00", "xtrans-15", "xtrans-42")},
+    **{name: CFAS[name] for name in ("quad-00", "quad-13", "nona-00", "nona-41")},
 }
 
 # By packed channel.
@@ -51,6 +71,39 @@ BAYER_COLOURS = "RGBG"
 XTRANS_COLOURS = "RGBRBGGGG"
 
 EXPOSURE = Exposure(iso=Fraction(800), exposure_s=Fraction(1, 30), f_number=Fraction(28, 10))
+
+
+def is_xtrans(cfa: Cfa) -> bool:
+    return len(cfa) == 6 and max(map(max, cfa)) == 2  # it does not tell its greens apart
+
+
+def levels_of(cfa: Cfa) -> int:
+    """How many black levels it has."""
+    return 3 if is_xtrans(cfa) else 4
+
+
+def layout_of(cfa: Cfa) -> tuple[int, int, int]:
+    """Packed channels, packed pixels along a period, mosaic pixels along a packed one."""
+    return (9, 2, 3) if is_xtrans(cfa) else (len(cfa) ** 2, 1, len(cfa))
+
+
+def colours_of(cfa: Cfa) -> str:
+    """By packed channel, as letters."""
+    return XTRANS_COLOURS if is_xtrans(cfa) else "".join(colour * (len(cfa) // 2) ** 2 for colour in BAYER_COLOURS)
+
+
+def indices_of(cfa: Cfa) -> list[int]:
+    """Index in the CFA, and of its black level, by packed channel."""
+    if is_xtrans(cfa):
+        return ["RGB".index(colour) for colour in XTRANS_COLOURS]
+    return [index for index in range(4) for _ in range((len(cfa) // 2) ** 2)]
+
+
+def start_of(cfa: Cfa) -> Cfa:
+    """The CFA at the corner of the packed area."""
+    rows, columns = reference_area((100, 100), cfa)
+    rolled = np.roll(np.array(cfa), (-rows.start, -columns.start), (0, 1))
+    return tuple(tuple(row) for row in rolled.tolist())
 
 
 def letters(cfa: Cfa) -> list[str]:
@@ -68,7 +121,7 @@ def make_sensor(cfa: Cfa = BAYER["RGGB"], height: int = 60, width: int = 64, **f
         "make": "Acme",
         "model": "Nocturne 1",
         "cfa": cfa,
-        "black_level_dn": (512.0, 509.0, 511.0, 514.0) if len(cfa) == 2 else (256.0, 256.0, 256.0),
+        "black_level_dn": (256.0, 256.0, 256.0) if is_xtrans(cfa) else (512.0, 509.0, 511.0, 514.0),
         "white_level_dn": 15871.0,
         "height": height,
         "width": width,
@@ -117,27 +170,36 @@ def restarts(cfa: Cfa) -> set[tuple[int, int]]:
 def reference_area(shape: tuple[int, int], cfa: Cfa) -> tuple[slice, slice]:
     """The packed area by the stated crop rule (of two ties, the one that loses fewer rows)."""
     period = len(cfa)
-    top, left = (0, 0) if period == 2 else min(restarts(cfa), key=lambda crop: (sum(crop), crop))
+    if is_xtrans(cfa):
+        top, left = min(restarts(cfa), key=lambda crop: (sum(crop), crop))
+    elif period == 2:
+        top, left = 0, 0
+    else:  # up to where another block begins
+        columns = list(zip(*cfa, strict=True))
+        top = next(y for y in range(period) if cfa[y] != cfa[y - 1])
+        left = next(x for x in range(period) if columns[x] != columns[x - 1])
     height = (shape[0] - top) // period * period
     width = (shape[1] - left) // period * period
     return slice(top, top + height), slice(left, left + width)
 
 
 def reference_pack(mosaic: NDArray[Scalar], cfa: Cfa) -> NDArray[Scalar]:
-    """Packing by strided slices: Bayer by where its colours stand, X-Trans by the SID code."""
-    im = mosaic[reference_area((mosaic.shape[0], mosaic.shape[1]), cfa)]
-    if len(cfa) == 6:
+    """Packing by strided slices: by where the colours stand, X-Trans by the SID code."""
+    rows, columns = reference_area((mosaic.shape[0], mosaic.shape[1]), cfa)
+    im = mosaic[rows, columns]
+    if is_xtrans(cfa):
         return sid_pack(im)
-    grid = letters(cfa)
-    row, column = next((y, x) for y in range(2) for x in range(2) if grid[y][x] == "R")
-    return np.stack(
-        [
-            im[row::2, column::2],
-            im[row::2, 1 - column :: 2],
-            im[1 - row :: 2, 1 - column :: 2],
-            im[1 - row :: 2, column::2],
-        ]
+    period = len(cfa)
+    side = period // 2
+    row, column = next(
+        (y, x)
+        for y in (0, side)
+        for x in (0, side)
+        if letters(cfa)[(rows.start + y) % period][(columns.start + x) % period] == "R"
     )
+    corners = ((row, column), (row, side - column), (side - row, side - column), (side - row, column))
+    within = [(y, x) for y in range(side) for x in range(side)]
+    return np.stack([im[y + down :: period, x + right :: period] for y, x in corners for down, right in within])
 
 
 Tag = tuple[int, str, int, object, bool]

@@ -11,21 +11,26 @@ from hypothesis import strategies as st
 
 from eldata.errors import ArgumentError
 from eldata.raw import pack, packed_area, packed_shape, unpack
-from eldata.raw.cfa import packed_channels
+from eldata.raw.cfa import bayer_cfa, cfa_of_letters, packed_channels, packed_layouts, packing_sites
 from tests.cases import in_one_test
 from tests.raw.helpers import (
     BAYER,
-    BAYER_COLOURS,
     CFAS,
+    NONA,
+    QUAD,
     XTRANS,
-    XTRANS_COLOURS,
     Cfa,
+    blocks_at,
+    colours_of,
+    indices_of,
+    layout_of,
     letters,
     random_mosaic,
     reference_area,
     reference_pack,
     restarts,
     sid_pack,
+    start_of,
     xtrans_at,
 )
 
@@ -38,14 +43,11 @@ DTYPES = ["uint8", "uint16", "int32", "int64", "float32", "float64", "bool", "co
 @in_one_test("name", CFAS)
 def test_each_packed_channel_holds_just_its_colour(name: str) -> None:
     cfa = CFAS[name]
-    tiled = np.tile(np.array(cfa, np.uint8), (8, 8))[: 16 + 29, : 16 + 30]
+    tiled = np.tile(np.array(cfa, np.uint8), (25, 25))[: 16 + 29, : 16 + 30]
     packed = pack(tiled, cfa)
-    if name in BAYER:
-        expected = [{channel} for channel in range(4)]
-        assert [BAYER_COLOURS[channel] for channel in range(4)] == ["R", "G", "B", "G"]
-    else:
-        expected = [{"RGB".index(colour)} for colour in XTRANS_COLOURS]
+    expected = [{index} for index in indices_of(cfa)]
     assert [set(np.unique(channel).tolist()) for channel in packed] == expected
+    assert [sites_name[0] for sites_name in packing_sites(cfa).names] == list(colours_of(cfa))
 
 
 @pytest.mark.parametrize("name", BAYER)
@@ -101,7 +103,7 @@ def test_packed_shape_is_what_pack_returns(name: str, shape: tuple[int, int]) ->
     cfa = CFAS[name]
     packed = pack(np.zeros(shape, np.uint16), cfa)
     assert packed.shape == packed_shape(shape, cfa) == reference_pack(np.zeros(shape, np.uint16), cfa).shape
-    assert packed.shape[0] == packed_channels(cfa) == (4 if name in BAYER else 9)
+    assert packed.shape[0] == packed_channels(cfa) == layout_of(cfa)[0]
 
 
 @given(
@@ -140,14 +142,13 @@ def test_unpack_inverts_pack_exactly(cfa: Cfa, dtype: str, height: int, width: i
 @settings(deadline=None, max_examples=60)
 def test_pack_inverts_unpack_of_any_prediction(cfa: Cfa, height: int, width: int, seed: int) -> None:
     # The mosaic of a prediction starts at the packed area, so there the CFA starts as packing wants it.
-    channels, sub = (4, 1) if len(cfa) == 2 else (9, 2)
+    channels, sub, _ = layout_of(cfa)
     packed = np.random.default_rng(seed).random((channels, sub * height, sub * width)).astype(np.float32)
     mosaic = unpack(packed, cfa)
-    start = cfa if len(cfa) == 2 else xtrans_at(0, 0)
-    np.testing.assert_array_equal(pack(mosaic, start), packed)
+    np.testing.assert_array_equal(pack(mosaic, start_of(cfa)), packed)
 
 
-@pytest.mark.parametrize("name", ["GRBG", "xtrans-24"])
+@pytest.mark.parametrize("name", ["GRBG", "xtrans-24", "quad-31", "nona-14"])
 @pytest.mark.parametrize("view", ["strided", "reversed", "fortran", "column of a bigger array", "read-only"])
 def test_views_of_any_memory_layout(name: str, view: str) -> None:
     big = random_mosaic(62, 70, seed=3)
@@ -184,9 +185,71 @@ def test_dtypes_that_numba_does_not_know_are_packed_or_refused(dtype: str) -> No
     np.testing.assert_array_equal(unpack(packed, BAYER["GBRG"]), mosaic)
 
 
+@in_one_test("name", [*QUAD, *NONA])
+def test_quad_and_nona_are_the_sites_of_their_blocks_row_by_row(name: str) -> None:
+    cfa, mosaic = {**QUAD, **NONA}[name], random_mosaic(31, 40)
+    side = len(cfa) // 2
+    area = packed_area((31, 40), cfa)
+    assert (area.top, area.left) == tuple(-int(offset) % side for offset in name[-2:])
+    np.testing.assert_array_equal(pack(mosaic, cfa), reference_pack(mosaic, cfa))
+
+
+@pytest.mark.parametrize(("name", "side"), [("quad-00", 2), ("quad-32", 2), ("nona-00", 3), ("nona-43", 3)])
+def test_one_step_makes_the_other_two_forms(name: str, side: int) -> None:
+    """Binned, and half the size with the blocks side by side, as the module's text says; both from the mosaic."""
+    import torch
+
+    cfa = {**QUAD, **NONA}[name]
+    mosaic = random_mosaic(37, 41).astype(np.float64)
+    rows, columns = reference_area((37, 41), cfa)
+    im, start = mosaic[rows, columns], start_of(cfa)
+    blocks = im.reshape(im.shape[0] // side, side, im.shape[1] // side, side)
+    as_bayer: Cfa = tuple(row[::side] for row in start[::side])
+    packed = pack(mosaic, cfa)
+    binned = packed.reshape(4, side * side, *packed.shape[1:]).mean(1)
+    np.testing.assert_allclose(binned, pack(blocks.mean((1, 3)), as_bayer), rtol=1e-12)
+    shuffled = torch.nn.functional.pixel_shuffle(torch.from_numpy(packed)[None], side)[0].numpy()
+    for y in range(side):
+        for x in range(side):
+            of_bayer = pack(np.ascontiguousarray(blocks[:, y, :, x]), as_bayer)
+            np.testing.assert_array_equal(shuffled[:, y::side, x::side], of_bayer)
+
+
+def test_the_number_of_channels_tells_the_kinds_apart() -> None:
+    assert {channels: sites.name for channels, sites in packed_layouts().items()} == {
+        4: "Bayer", 9: "X-Trans", 16: "quad-Bayer", 36: "nona-Bayer"
+    }  # fmt: skip
+    assert packing_sites(QUAD["quad-13"]).names[:6] == ("R.00", "R.01", "R.10", "R.11", "G1.00", "G1.01")
+
+
+@in_one_test("name", CFAS)
+def test_letters_are_the_cfa(name: str) -> None:
+    assert cfa_of_letters(letters(CFAS[name])) == CFAS[name]
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [(), ("RG",), ("RG", "GR"), ("RG", "BG"), ("RW", "GB"), ("RGRG", "GBGB") * 2, ("RRGG", "GGBB") * 2, ("RGB",) * 3],
+)
+def test_letters_of_other_patterns(rows: tuple[str, ...]) -> None:
+    assert cfa_of_letters(rows) is None
+
+
+def test_bayer_by_name_and_in_blocks() -> None:
+    assert {first: bayer_cfa(first) for first in BAYER} == BAYER
+    assert bayer_cfa(block=2) == QUAD["quad-00"]
+    assert bayer_cfa("BGGR", block=2) == QUAD["quad-22"]
+    assert bayer_cfa("GRBG", block=3) == NONA["nona-03"]
+    for arguments in (("RGB", 1), ("rggb", 2)):
+        with pytest.raises(ArgumentError, match="first must be one of 'RGGB', 'GRBG', 'GBRG', 'BGGR'; found"):
+            bayer_cfa(*arguments)
+    with pytest.raises(ArgumentError, match=r"block must be 1 \(Bayer\), 2 \(quad-Bayer\) or 3 .*found 4"):
+        bayer_cfa("RGGB", 4)
+
+
 def test_the_cfa_may_be_an_array_or_lists() -> None:
     mosaic = random_mosaic(24, 24)
-    for cfa in (BAYER["BGGR"], XTRANS["xtrans-13"]):
+    for cfa in (BAYER["BGGR"], XTRANS["xtrans-13"], QUAD["quad-01"], NONA["nona-55"]):
         expected = pack(mosaic, cfa)
         np.testing.assert_array_equal(pack(mosaic, np.array(cfa, np.uint8)), expected)
         np.testing.assert_array_equal(pack(mosaic, [list(row) for row in cfa]), expected)
@@ -203,7 +266,7 @@ def test_a_mosaic_below_one_period_is_refused(name: str) -> None:
     cfa = CFAS[name]
     rows, columns = reference_area((100, 100), cfa)
     height, width = rows.start + len(cfa), columns.start + len(cfa)
-    assert pack(np.zeros((height, width), np.uint16), cfa).shape[1:] == ((1, 1) if name in BAYER else (2, 2))
+    assert pack(np.zeros((height, width), np.uint16), cfa).shape[1:] == (layout_of(cfa)[1],) * 2
     for shape in ((height - 1, width), (height, width - 1), (0, 0)):
         with pytest.raises(ArgumentError, match="does not hold one whole"):
             pack(np.zeros(shape, np.uint16), cfa)
@@ -232,6 +295,10 @@ def test_only_two_dimensions_are_a_mosaic(shape: tuple[int, ...]) -> None:
         (*xtrans_at(0, 0)[:5], (1, 1, 0, 1, 1, 0)),  # one site wrong
         xtrans_at(0, 0)[:5],
         tuple(row[:5] for row in xtrans_at(0, 0)),
+        (*QUAD["quad-11"][:3], (0, 1, 1, 1)),
+        tuple(tuple(min(index, 2) for index in row) for row in NONA["nona-00"]),  # G2 under B's index
+        tuple(tuple(index if index < 3 else 1 for index in row) for row in QUAD["quad-00"]),  # greens under one index
+        blocks_at(4, 0, 0),
     ],
 )
 def test_other_patterns_are_refused(cfa: Cfa) -> None:
@@ -266,6 +333,9 @@ def test_a_pattern_with_its_greens_in_one_column_is_refused(cfa: Cfa) -> None:
         ("xtrans-00", (9, 5, 6)),
         ("xtrans-00", (9, 6, 5)),
         ("xtrans-00", (9, 36)),
+        ("quad-00", (4, 6, 6)),
+        ("quad-00", (15, 6, 6)),
+        ("nona-00", (9, 6, 6)),
     ],
 )
 def test_unpack_refuses_other_shapes(name: str, shape: tuple[int, ...]) -> None:

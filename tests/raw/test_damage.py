@@ -25,6 +25,7 @@ from tests.raw.helpers import (
     EXPOSURE,
     SOME_CFAS,
     active_area,
+    levels_of,
     make_sensor,
     random_mosaic,
     write_plain_dng,
@@ -64,7 +65,7 @@ KINDS: dict[str, tuple[Cfa, Compression]] = {
 def write(path: Path, mosaic: NDArray[np.uint16], kind: str = "compressed", black: float = 512) -> Path:
     cfa, compression = KINDS[kind]
     height, width = mosaic.shape
-    sensor = make_sensor(cfa, height, width, black_level_dn=(black,) * (4 if len(cfa) == 2 else 3))
+    sensor = make_sensor(cfa, height, width, black_level_dn=(black,) * levels_of(cfa))
     write_dng(path, mosaic, sensor, EXPOSURE, compression=compression)
     return path
 
@@ -203,7 +204,7 @@ def test_zeros_over_a_black_level_of_zero_are_darkness(kind: str, tmp_path: Path
 @in_one_test("cfa", SOME_CFAS.values())
 @in_one_test("shape", [(22, 22), (24, 70), (64, 96)])
 def test_frames_of_any_shape(cfa: Cfa, shape: tuple[int, int]) -> None:
-    assert mosaic_fault(random_mosaic(*shape), (512.0,) * (4 if len(cfa) == 2 else 3), 15871.0) is None
+    assert mosaic_fault(random_mosaic(*shape), (512.0,) * levels_of(cfa), 15871.0) is None
 
 
 def test_in_tiles(tmp_path: Path) -> None:

@@ -284,11 +284,10 @@ def in_blocks(side: int, rows: tuple[str, str] = ("RG", "GB")) -> list[str]:
 
 
 NAMED = {
-    "quad-Bayer": (in_blocks(2), r"quad-Bayer \(blocks of 2 x 2 sites of one colour\), 4 x 4 sites of BGR"),
-    "quad-Bayer from green": (in_blocks(2, ("GR", "BG")), "quad-Bayer"),
-    "nona-Bayer": (in_blocks(3), r"nona-Bayer \(blocks of 3 x 3 sites of one colour\), 6 x 6 sites of BGR"),
-    "nona-Bayer from blue": (in_blocks(3, ("BG", "GR")), "nona-Bayer"),
-    "hexadeca-Bayer": (in_blocks(4), "hexadeca-Bayer"),
+    "hexadeca-Bayer": (in_blocks(4), r"hexadeca-Bayer \(blocks of 4 x 4 sites of one colour\), 8 x 8 sites of BGR"),
+    "hexadeca-Bayer from green": (in_blocks(4, ("GR", "BG")), "hexadeca-Bayer"),
+    "nearly quad-Bayer": (["RRGG", "RRGG", "GGBB", "GGBG"], "4 x 4 sites of BGR"),
+    "nearly nona-Bayer": ([*in_blocks(3)[:5], "GGGBBG"], "6 x 6 sites of BGR"),
     # Regression: LibRaw takes the first four colours of the next for the pattern, so it was read as Bayer.
     "four columns": (["RGGB", "RGGB", "GRBG", "BGGR"], "4 x 4 sites of BGR"),
 }

@@ -31,7 +31,9 @@ from tests.raw.helpers import (
     BAYER,
     CFAS,
     EXPOSURE,
+    indices_of,
     letters,
+    levels_of,
     make_sensor,
     random_mosaic,
     reference_pack,
@@ -179,7 +181,7 @@ def test_what_a_foreign_dng_states_comes_back_to_the_last_digit(
     found = stated(frame.sensor)
     red, green, blue = (Fraction(*value) for value in neutral)
     assert found["white_balance"] == (green / red, 1, green / blue, 1)
-    assert found["black_level_dn"] == tuple(Fraction(*value) for value in black[: 4 if len(cfa) == 2 else 3])
+    assert found["black_level_dn"] == tuple(Fraction(*value) for value in black[: levels_of(cfa)])
     assert sum(found["xyz_to_camera"], ()) == tuple(Fraction(*value) for value in matrix)
     assert found["matrix_illuminant"] == illuminant
 
@@ -275,22 +277,21 @@ def test_more_digits_than_private_data_holds_are_refused() -> None:
 # --- black levels -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["GBRG", "xtrans-13"])
+@pytest.mark.parametrize("name", ["GBRG", "xtrans-13", "quad-11", "nona-30"])
 def test_pixels_are_normalised_with_a_fraction_of_a_dn(name: str, tmp_path: Path) -> None:
     cfa, mosaic = CFAS[name], random_mosaic(60, 66)
-    levels = (1023 / 4, 256.125, 255.5, 254.0)[: 4 if len(cfa) == 2 else 3]
+    levels = (1023 / 4, 256.125, 255.5, 254.0)[: levels_of(cfa)]
     write_dng(tmp_path / "a.dng", mosaic, make_sensor(cfa, 60, 66, black_level_dn=levels), EXPOSURE)
     frame = read_raw(tmp_path / "a.dng")
     assert frame.sensor.black_level_dn == levels
-    colours = (0, 1, 2, 3) if len(cfa) == 2 else (0, 1, 2, 0, 2, 1, 1, 1, 1)
-    black = np.array([levels[colour] for colour in colours])[:, None, None]
+    black = np.array([levels[index] for index in indices_of(cfa)])[:, None, None]
     expected = (reference_pack(mosaic, cfa) - black) / (15871.0 - black)
     found = pack_normalised(frame.mosaic, cfa, frame.sensor.black_level_dn, frame.sensor.white_level_dn, clip="none")
     np.testing.assert_allclose(found, expected, atol=2e-7)
 
 
 @given(
-    name=st.sampled_from(["RGGB", "GBRG", "xtrans-00", "xtrans-31"]),
+    name=st.sampled_from(["RGGB", "GBRG", "xtrans-00", "xtrans-31", "quad-00", "quad-12", "nona-30"]),
     repeat=st.tuples(st.integers(1, 8), st.integers(1, 8)),
     margins=st.tuples(*[st.integers(0, 7)] * 4),
     seed=st.integers(0, 10**6),

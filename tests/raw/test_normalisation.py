@@ -13,7 +13,18 @@ from eldata.errors import ArgumentError
 from eldata.raw import denormalise, normalise, pack, pack_normalised, packed_shape, unpack
 from eldata.raw.cfa import packed_black_level_dn
 from tests.cases import in_one_test
-from tests.raw.helpers import BAYER, CFAS, XTRANS_COLOURS, Cfa, random_mosaic, reference_pack, xtrans_at
+from tests.raw.helpers import (
+    BAYER,
+    CFAS,
+    Cfa,
+    indices_of,
+    is_xtrans,
+    layout_of,
+    levels_of,
+    random_mosaic,
+    reference_pack,
+    xtrans_at,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,15 +39,14 @@ XTRANS_BLACK = (1022.0, 1023.5, 1021.0)
 
 
 def black_of(cfa: Cfa) -> tuple[float, ...]:
-    return BAYER_BLACK if len(cfa) == 2 else XTRANS_BLACK
+    return XTRANS_BLACK if is_xtrans(cfa) else BAYER_BLACK
 
 
 def formula(
     packed: NDArray[np.uint16], cfa: Cfa, black: Sequence[float], white: float, clip: Clip, gain: float
 ) -> NDArray[np.float32]:
     """clip(gain * clip((DN - black) / (white - black))), each step in float32."""
-    order = range(4) if len(cfa) == 2 else ("RGB".index(colour) for colour in XTRANS_COLOURS)
-    black32 = np.array([black[index] for index in order], np.float32)[:, None, None]
+    black32 = np.array([black[index] for index in indices_of(cfa)], np.float32)[:, None, None]
     low = np.float32(0 if clip == "both" else -np.inf)
     high = np.float32(np.inf if clip == "none" else 1)
     x = packed.astype(np.float32)
@@ -81,13 +91,13 @@ def test_pack_normalised_is_the_formula_for_any_levels(
     cfa: Cfa, clip: Clip, gain: float, black: list[float], white: float, seed: int, shape: tuple[int, int]
 ) -> None:
     mosaic = random_mosaic(*shape, seed=seed, low=0, high=65535)
-    levels = black if len(cfa) == 2 else black[:3]
+    levels = black[: levels_of(cfa)]
     expected = formula(reference_pack(mosaic, cfa), cfa, levels, white, clip, gain)
     result = pack_normalised(mosaic, cfa, levels, white, clip=clip, gain=gain)
     np.testing.assert_array_equal(result, expected, strict=True)
 
 
-@pytest.mark.parametrize("name", ["GBRG", "xtrans-31"])
+@pytest.mark.parametrize("name", ["GBRG", "xtrans-31", "quad-03", "nona-30"])
 def test_out_is_filled_and_returned(name: str) -> None:
     cfa, mosaic = CFAS[name], random_mosaic(33, 40)
     expected = pack_normalised(mosaic, cfa, black_of(cfa), 15871.0)
@@ -98,7 +108,7 @@ def test_out_is_filled_and_returned(name: str) -> None:
     assert np.isnan(store[[0, 2]]).all()
 
 
-@pytest.mark.parametrize("name", ["GRBG", "xtrans-52"])
+@pytest.mark.parametrize("name", ["GRBG", "xtrans-52", "quad-21", "nona-52"])
 def test_non_contiguous_and_read_only_mosaics(name: str) -> None:
     cfa, big = CFAS[name], random_mosaic(80, 90, low=0, high=20000)
     for view in (big[::2, ::-2], np.asfortranarray(big), big[3:50, 7:]):
@@ -118,8 +128,8 @@ def test_normalise_after_pack_is_pack_normalised(name: str, clip: Clip) -> None:
 @in_one_test("name", CFAS)
 def test_black_becomes_zero_and_white_one_in_every_channel(name: str) -> None:
     cfa = CFAS[name]
-    black = (512.0, 509.0, 511.0, 514.0) if name in BAYER else (1022.0, 1023.0, 1021.0)
-    tiled = np.tile(np.array(cfa), (6, 6))[:24, :24]
+    black = (512.0, 509.0, 511.0, 514.0)[: levels_of(cfa)]
+    tiled = np.tile(np.array(cfa), (12, 12))[:24, :24]
     mosaic = np.take(np.array(black, np.uint16), tiled)
     assert not pack_normalised(mosaic, cfa, black, 15871.0, clip="none").any()
     white = pack_normalised(np.full((24, 24), 15871, np.uint16), cfa, black, 15871.0, clip="none")
@@ -128,11 +138,11 @@ def test_black_becomes_zero_and_white_one_in_every_channel(name: str) -> None:
 
 def every_dn(cfa: Cfa) -> NDArray[np.uint16]:
     """A packed array in which each channel has every DN from 0 to 65535."""
-    channels = 4 if len(cfa) == 2 else 9
+    channels = layout_of(cfa)[0]
     return np.tile(np.arange(65536, dtype=np.uint16).reshape(256, 256), (channels, 1, 1))
 
 
-@pytest.mark.parametrize("name", ["RGGB", "GBRG", "xtrans-00", "xtrans-25"])
+@pytest.mark.parametrize("name", ["RGGB", "GBRG", "xtrans-00", "xtrans-25", "quad-12"])
 @pytest.mark.parametrize("white", [1100.0, 15871.0, 65535.0])
 def test_denormalise_inverts_normalise_for_every_dn(name: str, white: float) -> None:
     cfa = CFAS[name]
@@ -162,9 +172,10 @@ def test_denormalise_rounds_to_the_nearest_and_stays_in_16_bits() -> None:
 def test_black_levels_of_the_packed_channels() -> None:
     assert packed_black_level_dn(BAYER["GBRG"], (1, 2, 3, 4)).tolist() == [1, 2, 3, 4]
     assert packed_black_level_dn(xtrans_at(2, 5), (1, 2, 3)).tolist() == [1, 2, 3, 1, 3, 2, 2, 2, 2]
+    assert packed_black_level_dn(CFAS["quad-10"], (1, 2, 3, 4)).tolist() == [1] * 4 + [2] * 4 + [3] * 4 + [4] * 4
 
 
-@pytest.mark.parametrize(("name", "count"), [("RGGB", 1), ("RGGB", 3), ("RGGB", 5), ("xtrans-00", 4), ("xtrans-00", 9)])
+@pytest.mark.parametrize(("name", "count"), [("RGGB", 1), ("RGGB", 3), ("RGGB", 5), ("xtrans-00", 4), ("quad-00", 16)])
 def test_as_many_black_levels_as_the_cfa_has_channels(name: str, count: int) -> None:
     cfa, mosaic = CFAS[name], random_mosaic(24, 24)
     packed = reference_pack(mosaic, cfa)

@@ -7,9 +7,11 @@ import struct
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
+import imagecodecs
 import numpy as np
 import pytest
 import rawpy
+import tifffile
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
@@ -22,6 +24,8 @@ from tests.cases import in_one_test
 from tests.raw.helpers import (
     BAYER,
     EXPOSURE,
+    NONA,
+    QUAD,
     Cfa,
     Tag,
     active_area,
@@ -77,6 +81,70 @@ def test_the_xtrans_offset_is_that_of_the_visible_area(margins: tuple[int, int],
     frame = read_raw(path)
     top, left = where(frame.mosaic, whole)
     assert frame.sensor.cfa == shifted(cfa, top - margins[0], left - margins[1])
+
+
+@in_one_test("margins", MARGINS)
+@in_one_test("name", [*QUAD, "nona-00", "nona-12", "nona-45"])
+def test_quad_and_nona_are_those_of_the_tags_at_the_visible_area(
+    name: str, margins: tuple[int, int], tmp_path: Path
+) -> None:
+    """LibRaw moves odd margins of a 4 x 4 pattern on, as Bayer's, and keeps those of 6 x 6."""
+    path, whole, cfa = tmp_path / "a.dng", random_mosaic(64, 66), {**QUAD, **NONA}[name]
+    of_channel = (100, 101, 102, 103)
+    levels = [[of_channel[channel] for channel in row] for row in cfa]
+    write_plain_dng(path, whole, letters(cfa), active_area(*margins, 62, 65), *black_levels(levels))
+    frame = read_raw(path)
+    top, left = where(frame.mosaic, whole)
+    assert 0 <= top - margins[0] <= 1
+    assert 0 <= left - margins[1] <= 1
+    assert frame.sensor.cfa == shifted(cfa, top - margins[0], left - margins[1])
+    assert frame.sensor.black_level_dn == (100.0, 101.0, 102.0, 103.0)
+    assert frame.mosaic.shape == (frame.sensor.height, frame.sensor.width)
+
+
+def test_what_libraw_says_of_quad_is_not_taken(tmp_path: Path) -> None:
+    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), letters(QUAD["quad-00"]))
+    with rawpy.imread(str(tmp_path / "a.dng")) as raw:
+        assert raw.raw_pattern is not None
+        assert ["".join("RGBG"[index] for index in row) for row in raw.raw_pattern] == ["RR", "GG"]  # the trap is set
+    assert read_raw(tmp_path / "a.dng").sensor.cfa == QUAD["quad-00"]
+
+
+@pytest.mark.parametrize("name", ["quad-21", "nona-34"])
+def test_quad_and_nona_in_tiles_and_in_lossless_jpeg(name: str, tmp_path: Path) -> None:
+    cfa, whole = {**QUAD, **NONA}[name], random_mosaic(128, 192)
+    write_plain_dng(tmp_path / "a.dng", whole, letters(cfa), tile=(64, 64))
+    parts = [whole[y : y + 64, x : x + 64] for y in (0, 64) for x in (0, 64, 128)]
+    codes = iter([bytes(imagecodecs.ljpeg_encode(np.ascontiguousarray(part), bitspersample=16)) for part in parts])
+    write_plain_dng(
+        tmp_path / "b.dng", codes, letters(cfa), tile=(64, 64), shape=whole.shape, dtype=np.uint16, compression=7
+    )
+    for path in (tmp_path / "a.dng", tmp_path / "b.dng"):
+        frame = read_raw(path)
+        np.testing.assert_array_equal(frame.mosaic, whole)
+        assert frame.sensor.cfa == cfa
+        assert frame.sensor.black_level_dn == (0.0,) * 4
+
+
+@pytest.mark.parametrize("kind", ["B", "undefined"])
+def test_the_pattern_may_be_bytes_of_any_kind(kind: str, tmp_path: Path) -> None:
+    pattern = letters(QUAD["quad-00"])
+    path = tmp_path / "a.dng"
+    write_plain_dng(path, random_mosaic(64, 66), pattern)
+    with tifffile.TiffFile(path) as tiff:
+        entry = tiff.pages.first.tags[33422].offset
+    if kind == "undefined":
+        content = bytearray(path.read_bytes())
+        content[entry + 2 : entry + 4] = struct.pack("<H", 7)
+        path.write_bytes(content)
+    assert read_raw(path).sensor.cfa == QUAD["quad-00"]
+
+
+def test_deltas_of_the_black_level_are_not_read_of_quad(tmp_path: Path) -> None:
+    tags: list[Tag] = [(50714, "I", 1, 64, True), (50716, "2i", 64, (1, 1) * 64, True)]
+    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), letters(QUAD["quad-00"]), *tags)
+    with pytest.raises(RawFileError, match=r"quad-Bayer with BlackLevelDelta.*convert it to a DNG with BlackL"):
+        read_raw(tmp_path / "a.dng")
 
 
 @pytest.mark.parametrize("name", BAYER)

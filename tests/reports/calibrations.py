@@ -15,6 +15,7 @@ from eldata.calibration.read_noise import Residuals, probability_plot, read_nois
 from eldata.calibration.reproduction import reproduction
 from eldata.calibration.results import Calibration, IsoCalibration
 from eldata.calibration.row_noise import LineMeans, row_noise
+from eldata.calibration.single_frame import single_frame_plot
 from eldata.calibration.spectrum import power_spectrum
 from eldata.records import Sensor
 from tests.calibration.simulation import Body, Camera
@@ -68,6 +69,7 @@ def measured(iso: float, camera: Camera, *, frames: int = 6, levels: Sequence[fl
         pattern=fixed.summary,
         spectrum_dn2=power_spectrum(bias[0], fixed),
         reproduction=None,
+        single_frame=single_frame_plot(bias[0], fixed),
         remarks=(),
     )
     if held_out is None or found.parameters is None:

@@ -238,11 +238,24 @@ def _read_noise(one: IsoCalibration) -> _Group:
         ("σ G", estimated(one.sigma_gauss_dn, "DN")),
         *(by_ppcc if shape is not None else ()),
         ("χ² per d.o.f.", digits(read.chi2_per_dof)),
+        ("R², Tukey lambda", digits(read.r_squared_tl, 6)),
+        ("R², Gaussian", digits(read.r_squared_gauss, 6)),
+        *_as_published(one),
         ("Residuals", grouped(read.residuals)),
     )
     note = _withheld(one, "read noise")
     of_shape = () if shape is None else (ppcc_plot(one, shape),)
     return _Group("Read noise", numbers, plots=(*of_shape, gaussian_plot(one), tukey_lambda_plot(one)), note=note)
+
+
+def _as_published(one: IsoCalibration) -> tuple[tuple[str, str], ...]:
+    single = one.single_frame
+    if single is None:
+        return ()
+    return (
+        ("R² as published, Tukey lambda", digits(single.r_squared_tl, 6)),
+        ("R² as published, Gaussian", digits(single.r_squared_gauss, 6)),
+    )
 
 
 def _reproduction(one: IsoCalibration) -> _Group:

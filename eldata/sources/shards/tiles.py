@@ -7,7 +7,7 @@ from itertools import product
 from typing import TYPE_CHECKING
 
 from eldata.errors import ArgumentError, DatasetError
-from eldata.raw.cfa import cfa_from, packed_area
+from eldata.raw.cfa import cfa_from, packed_area, packing_sites
 
 if TYPE_CHECKING:
     from eldata.raw.cfa import CfaRows
@@ -62,7 +62,7 @@ def grid(name: str, sensor: Sensor, tile: int, overlap: int) -> list[Tile]:
         If the frame is smaller than a tile.
     """
     period = len(sensor.cfa)
-    scale = 2 if period == 2 else 3
+    scale = packing_sites(sensor.cfa).scale
     if tile < 2 or not 0 <= overlap < tile:
         raise ArgumentError(f"tile must be 2 or more and overlap from 0 up to below it; found {tile}, {overlap}")
     side, stride = tile * scale, (tile - overlap) * scale

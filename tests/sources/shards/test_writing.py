@@ -16,13 +16,13 @@ import pytest
 from eldata.datasets import PackedStore
 from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.raw import read_raw
-from eldata.raw.cfa import XTRANS_CFA, packed_area
+from eldata.raw.cfa import packed_area
 from eldata.sources.shards import ShardError, members, verify_shards, write_shards, writing
 from eldata.sources.shards.index import INDEX, index_text, parse_index
 from eldata.sources.shards.tiles import grid
 from eldata.sources.shards.writing import BEGUN
 from tests.cases import in_one_test
-from tests.raw.helpers import BAYER, XTRANS, make_sensor
+from tests.raw.helpers import BAYER, CFAS, layout_of, make_sensor, start_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -114,12 +114,12 @@ def test_a_part_of_the_store(eld: Path, tmp_path: Path) -> None:
 # --- where tiles lie ----------------------------------------------------------------------------------------------
 
 
-@in_one_test("cfa", [*BAYER.values(), XTRANS["xtrans-00"], XTRANS["xtrans-42"]])
-@in_one_test("height, width", [(64, 96), (61, 99), (38, 38)])
+@in_one_test("cfa", [*BAYER.values(), *(CFAS[name] for name in ("xtrans-00", "xtrans-42", "quad-12", "nona-41"))])
+@in_one_test("height, width", [(64, 96), (61, 99), (57, 57)])
 @in_one_test("overlap", [0, 4])
 def test_tiles_cover_what_packing_keeps(cfa: Any, height: int, width: int, overlap: int) -> None:
     sensor = make_sensor(cfa, height, width)
-    period, scale = (2, 2) if len(cfa) == 2 else (6, 3)
+    period, scale = len(cfa), layout_of(cfa)[2]
     area = packed_area((height, width), cfa)
     count = np.zeros((height, width), int)
     places = grid("x", sensor, 8, overlap)
@@ -127,8 +127,7 @@ def test_tiles_cover_what_packing_keeps(cfa: Any, height: int, width: int, overl
     for tile in places:
         assert tile.height == tile.width == 8 * scale + period
         assert ((tile.top - area.top) % period, (tile.left - area.left) % period) == (0, 0)
-        if period == 6:
-            assert tile.cfa == XTRANS_CFA  # so that packing a tile loses nothing
+        assert tile.cfa == start_of(cfa)  # so that packing a tile loses nothing
         for y in range(period):
             assert tile.cfa[y] == tuple(cfa[(tile.top + y) % period][(tile.left + x) % period] for x in range(period))
         count[tile.slices] += 1

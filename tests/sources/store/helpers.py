@@ -13,7 +13,7 @@ import numpy as np
 
 from eldata.raw import write_dng
 from eldata.sources.store import build_store, source_of_dataset, source_of_folder
-from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, make_sensor, random_mosaic
+from tests.raw.helpers import BAYER, EXPOSURE, NONA, QUAD, XTRANS, make_sensor, random_mosaic
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from tests.sid_tree import SmallTree
     from tests.trees import Tree
 
-CFAS = (BAYER["RGGB"], BAYER["GBRG"], XTRANS["xtrans-00"], XTRANS["xtrans-42"])
-SHAPES = ((300, 400), (131, 515), (60, 66), (150, 133))
+CFAS = (BAYER["RGGB"], BAYER["GBRG"], XTRANS["xtrans-00"], XTRANS["xtrans-42"], QUAD["quad-31"], NONA["nona-14"])
+SHAPES = ((300, 400), (131, 515), (60, 66), (150, 133), (133, 270), (61, 75))
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ def write_clean(folder: Path, count: int = 4) -> Path:
     """Write raws of several cameras: sizes below, at and above a chunk, none of them a multiple."""
     folder.mkdir(parents=True)
     for number in range(count):
-        cfa, (height, width) = CFAS[number % 4], SHAPES[number % 4]
+        cfa, (height, width) = CFAS[number % 6], SHAPES[number % 6]
         sensor = make_sensor(cfa, height, width)
         write_dng(folder / f"{number}.dng", random_mosaic(height, width, seed=number), sensor, EXPOSURE)
     return folder

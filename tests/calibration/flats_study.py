@@ -1,0 +1,382 @@
+"""What faults of flats do to K, and what is said: ``python -m tests.calibration.flats_study``."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.special import erf
+
+from eldata.calibration.audit import given
+from eldata.calibration.flat_checks import flat_findings
+from eldata.calibration.joint import step_findings
+from eldata.calibration.photon_transfer import FlatPairs, photon_transfer
+from eldata.demo.body import Body, FixedFeatures, KnownNoise
+from eldata.errors import DatasetError
+from eldata.records import Sensor
+from tests.calibration.simulation import BAYER, XTRANS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from eldata.calibration.audit import Finding
+
+    Pair = tuple[NDArray[np.uint16], NDArray[np.uint16]]
+
+BLACK, WHITE = 512.0, 16383.0
+# Published reflectances of the 24 patches, rounded: red, green, blue.
+PATCHES = np.array(
+    [
+        *[(17, 8, 5), (55, 30, 21), (12, 19, 33), (10, 15, 5), (23, 22, 43), (13, 51, 41)],
+        *[(68, 20, 2), (6, 10, 38), (54, 9, 12), (11, 4, 14), (34, 50, 5), (75, 36, 2)],
+        *[(2, 5, 29), (6, 30, 6), (43, 3, 4), (84, 57, 1), (50, 9, 30), (1, 24, 36)],
+        *[(90, 90, 87), (59, 59, 58), (36, 36, 36), (19, 19, 19), (9, 9, 9), (3, 3, 3)],
+    ]
+)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A camera and its flats; the levels are shares of the range, in the middle of the frame."""
+
+    gain: float = 1.0
+    levels: Sequence[float] = (0.1, 0.3, 0.5, 0.7, 0.9)
+    prnu: float = 0.01
+    vignetting: float = 0.3
+    sigma_tl: float = 2.0
+    tukey_lambda: float = -0.05
+    sigma_row: float = 0.5
+    shape: tuple[int, int] = (512, 768)
+    cfa: tuple[tuple[int, ...], ...] = BAYER
+
+    @property
+    def channels(self) -> int:
+        return max(map(max, self.cfa)) + 1
+
+
+def body_of(setting: Setting, generator: np.random.Generator) -> tuple[Body, KnownNoise]:
+    sensor = Sensor("eldata", "Study", setting.cfa, (BLACK,) * setting.channels, WHITE, *setting.shape)
+    features = FixedFeatures(
+        prnu=setting.prnu, dsnu_dn=0.6, column_pattern_dn=0.3, vignetting=setting.vignetting, gain_dn_per_e=setting.gain
+    )
+    noise = KnownNoise(
+        100, setting.gain, setting.tukey_lambda, setting.sigma_tl, setting.sigma_row, (0.0,) * setting.channels
+    )
+    return Body(sensor, features, generator), noise
+
+
+def clean(setting: Setting, generator: np.random.Generator, drift: float = 0.0) -> list[Pair]:
+    body, noise = body_of(setting, generator)
+    return [
+        (
+            body.flat_frame(noise, share * (WHITE - BLACK), generator),
+            body.flat_frame(noise, share * (WHITE - BLACK), generator, drift),
+        )
+        for share in setting.levels
+    ]
+
+
+def clipped(white: float, spread: float = 0.0) -> Callable[..., list[Pair]]:
+    def make(setting: Setting, generator: np.random.Generator) -> list[Pair]:
+        well = BLACK + (white - BLACK) * (1 + spread * generator.standard_normal(setting.shape))
+        ceiling = np.rint(well).astype(np.uint16)
+        return [(np.minimum(a, ceiling), np.minimum(b, ceiling)) for a, b in clean(setting, generator)]
+
+    return make
+
+
+def unequal(step: float) -> Callable[..., list[Pair]]:
+    return lambda setting, generator: clean(setting, generator, step)
+
+
+def flickering(depth: float) -> Callable[..., list[Pair]]:
+    """The second frame has bands of light."""
+
+    def make(setting: Setting, generator: np.random.Generator) -> list[Pair]:
+        body, noise = body_of(setting, generator)
+        steady = body.light
+        pairs = []
+        for share in setting.levels:
+            frames = []
+            for _ in range(2):
+                phase = generator.uniform(0, 2 * np.pi)
+                bands = 1 + depth * np.sin(np.arange(setting.shape[0])[:, None] / 40 + phase)
+                body.light = (steady * bands).astype(np.float32)
+                frames.append(body.flat_frame(noise, share * (WHITE - BLACK) / (1 + depth), generator))
+            pairs.append((frames[0], frames[1]))
+        return pairs
+
+    return make
+
+
+def chart_light(shape: tuple[int, int], shift: tuple[float, float], blur: float = 1.5) -> NDArray[np.float32]:
+    """The light of a chart that is turned by a degree, by CFA site: reflectances, blurred by a lens."""
+    y, x = np.mgrid[: shape[0], : shape[1]].astype(np.float64)
+    y, x = y - shape[0] / 2 - shift[0], x - shape[1] / 2 - shift[1]
+    angle = math.radians(1)
+    across = (x * math.cos(angle) + y * math.sin(angle)) / (0.9 * shape[1] / 6) + 3
+    down = (y * math.cos(angle) - x * math.sin(angle)) / (0.9 * shape[0] / 4) + 2
+
+    def within(place: NDArray[np.float64], cells: int, size: float) -> list[NDArray[np.float64]]:
+        width = blur / size * math.sqrt(2)
+        return [0.5 * (erf((place - k - 0.08) / width) - erf((place - k - 0.92) / width)) for k in range(cells)]
+
+    columns, rows = within(across, 6, 0.9 * shape[1] / 6), within(down, 4, 0.9 * shape[0] / 4)
+    light = np.full(shape, 0.03)
+    for number, colour in enumerate(PATCHES):
+        cover = rows[number // 6] * columns[number % 6]
+        for (row, column), channel in np.ndenumerate(np.array(BAYER)):
+            reflectance = colour[(0, 1, 2, 1)[channel]] / 90
+            light[row::2, column::2] += (reflectance - 0.03) * cover[row::2, column::2]
+    return light.astype(np.float32)
+
+
+def chart(pixels: float) -> Callable[..., list[Pair]]:
+    """Pairs of a chart that moves between any two frames by so many pixels, one standard deviation."""
+
+    def make(setting: Setting, generator: np.random.Generator) -> list[Pair]:
+        body, noise = body_of(setting, generator)
+        shading = body.light
+        pairs = []
+        for share in setting.levels:
+            frames = []
+            for _ in range(2):
+                shift = pixels * generator.standard_normal(2)
+                body.light = shading * chart_light(setting.shape, (float(shift[0]), float(shift[1])))
+                frames.append(body.flat_frame(noise, share * (WHITE - BLACK), generator))
+            pairs.append((frames[0], frames[1]))
+        return pairs
+
+    return make
+
+
+def bent(share: float) -> Callable[..., list[Pair]]:
+    """A response that is this share too low at white: s - share s^2 / range."""
+
+    def make(setting: Setting, generator: np.random.Generator) -> list[Pair]:
+        def respond(frame: NDArray[np.uint16]) -> NDArray[np.uint16]:
+            signal = frame - BLACK + generator.random(frame.shape) - 0.5
+            return np.rint(BLACK + signal - share * signal**2 / (WHITE - BLACK)).clip(0, WHITE).astype(np.uint16)
+
+        return [(respond(a), respond(b)) for a, b in clean(setting, generator)]
+
+    return make
+
+
+def smoothed(weight: float) -> Callable[..., list[Pair]]:
+    """Each pixel gets so much of the mean of its four neighbours of one colour."""
+
+    def smooth(frame: NDArray[np.uint16]) -> NDArray[np.uint16]:
+        wide = np.pad(frame.astype(np.float64), 2, mode="edge")
+        around = (wide[:-4, 2:-2] + wide[4:, 2:-2] + wide[2:-2, :-4] + wide[2:-2, 4:]) / 4
+        return np.rint((1 - weight) * frame + weight * around).astype(np.uint16)
+
+    return lambda setting, generator: [(smooth(a), smooth(b)) for a, b in clean(setting, generator)]
+
+
+def scaled(factor: float) -> Callable[..., list[Pair]]:
+    """One channel is multiplied in the file."""
+
+    def scale(frame: NDArray[np.uint16], generator: np.random.Generator) -> NDArray[np.uint16]:
+        made = frame.copy()
+        part = (frame[0::2, 0::2] - BLACK) * factor + BLACK + generator.random(frame[0::2, 0::2].shape) - 0.5
+        made[0::2, 0::2] = np.rint(part).clip(0, WHITE)
+        return made
+
+    return lambda setting, generator: [(scale(a, generator), scale(b, generator)) for a, b in clean(setting, generator)]
+
+
+@dataclass(frozen=True)
+class Case:
+    fault: str
+    size: str
+    make: Callable[..., list[Pair]]
+    setting: Setting = field(default_factory=Setting)
+
+
+QUIET = Setting(gain=0.09, sigma_tl=0.65)
+LOUD = Setting(gain=27.0, sigma_tl=33.0)
+EVEN = Setting(vignetting=0.0)
+LARGE = Setting(shape=(1024, 1536))
+CASES = (
+    Case("none", "K 1", clean),
+    Case("none", "K 0.09", clean, QUIET),
+    Case("none", "K 27", clean, LOUD),
+    Case("none", "even light", clean, EVEN),
+    Case("saturation", "hard, 13583 of 16383", clipped(13583)),
+    Case("saturation", "hard, 13583, K 0.09", clipped(13583), QUIET),
+    Case("saturation", "hard, 13583, K 27", clipped(13583), LOUD),
+    Case("saturation", "hard, 13583, even light", clipped(13583), EVEN),
+    Case("saturation", "hard, 15000", clipped(15000)),
+    Case("saturation", "soft 1 %, 13583", clipped(13583, 0.01)),
+    Case("saturation", "soft 1 %, 13583, K 0.09", clipped(13583, 0.01), QUIET),
+    Case("saturation", "soft 3 %, 13583", clipped(13583, 0.03)),
+    Case("saturation", "soft 1 %, 13583, even", clipped(13583, 0.01), EVEN),
+    Case("saturation", "soft 1 %, 14500", clipped(14500, 0.01)),
+    Case("pairs unequal", "4 %", unequal(0.04)),
+    Case("pairs unequal", "4 %, K 0.09", unequal(0.04), QUIET),
+    Case("pairs unequal", "4 %, K 0.09, 2 % PRNU", unequal(0.04), replace(QUIET, prnu=0.02)),
+    Case("pairs unequal", "20 %, K 0.09", unequal(-0.2), QUIET),
+    Case("flicker in rows", "3 %, K 0.09", flickering(0.03), QUIET),
+    Case("flicker in rows", "15 %, K 0.09", flickering(0.15), QUIET),
+    Case("colour chart", "still", chart(0.0), LARGE),
+    Case("colour chart", "moved 0.1 px", chart(0.1), LARGE),
+    Case("colour chart", "moved 0.5 px", chart(0.5), LARGE),
+    Case("colour chart", "moved 0.5 px, K 0.09", chart(0.5), replace(QUIET, shape=LARGE.shape)),
+    Case("colour chart", "one exposure, 0.1 px", chart(0.1), replace(LARGE, levels=(0.9,) * 7)),
+    Case("not linear", "1 % at white", bent(0.01)),
+    Case("not linear", "5 % at white", bent(0.05)),
+    Case("smoothed", "0.02", smoothed(0.02)),
+    Case("smoothed", "0.2", smoothed(0.2)),
+    Case("one channel scaled", "1.1", scaled(1.1)),
+)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of one camera: K and its error with all allowances (nan: withheld or refused), and what was said."""
+
+    off: float
+    error: float
+    findings: tuple[Finding, ...]
+    refused: str = ""
+
+
+def outcome(setting: Setting, pairs: Sequence[Pair]) -> Outcome:
+    """K as a share of the truth, from pairs as a calibration takes them."""
+    flats = FlatPairs(setting.cfa, (BLACK,) * setting.channels, WHITE)
+    for first, second in pairs:
+        flats.add(first, second)
+    try:
+        transfer = photon_transfer(flats)
+    except DatasetError as error:
+        return Outcome(math.nan, math.nan, (), str(error))
+    findings = flat_findings(transfer)
+    gain = given(findings, "gain", transfer.gain_dn_per_e, transfer.gain_error, transfer.gain_dn_per_e)
+    off = transfer.gain_dn_per_e / setting.gain - 1
+    return Outcome(off, math.nan if gain is None else gain.error / setting.gain, findings)
+
+
+def drawn(generator: np.random.Generator) -> Setting:
+    """A sound camera and honest flats, over the ranges of the shipped profiles."""
+    gain = float(np.exp(generator.uniform(math.log(0.09), math.log(29))))
+    return Setting(
+        gain=gain,
+        levels=tuple(generator.uniform(0.07, 0.95, generator.integers(4, 9))),
+        prnu=float(generator.uniform(0.002, 0.02)),
+        vignetting=float(generator.uniform(0, 0.5)),
+        sigma_tl=float(2 * gain**0.5 * generator.uniform(0.7, 1.4)),
+        tukey_lambda=float(generator.uniform(-0.24, 0.2)),
+        sigma_row=float(0.4 * gain**0.5 * generator.uniform(0.5, 1.5)),
+        shape=(384, 576),
+        cfa=BAYER if generator.random() < 0.8 else XTRANS,
+    )
+
+
+def alarms(cameras: int) -> Counter[str]:
+    """What the checks say of sound cameras, each with pairs that differ by some percent."""
+    said: Counter[str] = Counter()
+    for seed in range(cameras):
+        generator = np.random.default_rng((7, seed))
+        setting = drawn(generator)
+        found = outcome(setting, unequal(float(generator.normal(0, 0.015)))(setting, generator))
+        said.update({one.check for one in found.findings})
+        said["refused"] += bool(found.refused)
+    return said
+
+
+REGIMES: dict[str, tuple[Callable[..., list[Pair]], Setting]] = {
+    "clean": (clean, Setting()),
+    "pairs unequal by 8 %": (unequal(0.08), Setting(gain=0.09, sigma_tl=0.65)),
+    "hard saturation at 13583": (clipped(13583), Setting()),
+    "soft saturation at 13583": (clipped(13583, 0.01), Setting()),
+    "two levels, even light": (clean, Setting(levels=(0.2, 0.7), vignetting=0.0)),
+    "high ISO, heavy tails": (
+        clean,
+        Setting(gain=27.0, sigma_tl=33.0, tukey_lambda=-0.24, levels=(0.02, 0.1, 0.4, 0.8)),
+    ),
+    "3 % not linear": (bent(0.03), Setting(shape=(384, 576))),
+    "smoothed by 0.02": (smoothed(0.02), Setting(shape=(384, 576))),
+    "one channel scaled by 1.1": (scaled(1.1), Setting()),
+}
+
+
+def coverage(name: str, repetitions: int) -> tuple[float, float, int]:
+    """Of the K that are given: the share whose 1.96 errors reach the truth, their mean in errors, how many."""
+    make, setting = REGIMES[name]
+    if setting.shape == Setting.shape:
+        setting = replace(setting, shape=(192, 288))
+    scores = []
+    for seed in range(repetitions):
+        found = outcome(setting, make(setting, np.random.default_rng((11, seed))))
+        if math.isfinite(found.error):
+            scores.append(found.off / found.error)
+    return float(np.mean(np.abs(scores) < 1.96)), float(np.mean(scores)), len(scores)
+
+
+def step_alarms(step: float, scatter: float, isos: int, cameras: int) -> float:
+    """The share of cameras of so many ISOs at which a step of ln(sigma) is said to be in one of three fits."""
+    said = 0
+    for seed in range(cameras):
+        generator = np.random.default_rng((13, seed))
+        gains = 0.1 * 2.0 ** np.arange(isos)
+        after = np.arange(isos) >= int(generator.integers(2, isos - 1))
+        points = {
+            name: [
+                (float(gain), float(np.exp(0.5 * math.log(gain) + step * late + scatter * generator.standard_normal())))
+                for gain, late in zip(gains, after, strict=True)
+            ]
+            for name in ("sigma_TL", "sigma_G", "sigma_row")
+        }
+        said += any(step_findings(points, {float(gain): 1000 * float(gain) for gain in gains}))
+    return said / cameras
+
+
+def show_table(seed: int, only: str) -> None:
+    for case in CASES:
+        if only not in case.fault:
+            continue
+        found = outcome(case.setting, case.make(case.setting, np.random.default_rng(seed)))
+        if found.refused:
+            print(f"| {case.fault} | {case.size} | refused: {found.refused} |")
+            continue
+        said = "; ".join(
+            f"{one.check}: {one.effect}{f' by {one.allowance:.1%}' if one.allowance else ''} "
+            f"({one.statistic:.3g} > {one.threshold:.3g})"
+            for one in found.findings
+        )
+        error = f"{found.error:.2%}" if math.isfinite(found.error) else "withheld"
+        print(f"| {case.fault} | {case.size} | {found.off:+.2%} | {error} | {said or 'nothing'} |")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", nargs="*", default=["table"], help="table, clean, coverage, step")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", default="", help="only faults or regimes of this name")
+    parser.add_argument("--repetitions", type=int, default=200)
+    given = parser.parse_args()
+    if "table" in given.what:
+        print("| fault | size | K off by | stated error | said |\n|---|---|---|---|---|")
+        show_table(given.seed, given.only)
+    if "clean" in given.what:
+        print(f"of {given.repetitions} sound cameras: {dict(alarms(given.repetitions)) or 'no alarm'}")
+    if "coverage" in given.what:
+        for name in REGIMES:
+            if given.only in name:
+                share, mean, count = coverage(name, given.repetitions)
+                print(f"{name}: {share:.1%} of {count} cover the truth, mean {mean:+.2f} errors")
+    if "step" in given.what:
+        for isos in (5, 7, 9, 12):
+            for step, scatter in ((0.0, 0.05), (-0.2, 0.03), (-0.4, 0.03), (-0.4, 0.08)):
+                print(f"{isos} ISOs, step {step}, scatter {scatter}: {step_alarms(step, scatter, isos, 1000):.1%}")
+
+
+if __name__ == "__main__":
+    main()

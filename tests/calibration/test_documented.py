@@ -1,0 +1,86 @@
+"""docs/calibration.md says what to do about each remark and each check: from the sources, so that none is forgotten."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+ROOT = Path(__file__).parents[2]
+DOCS = (ROOT / "docs" / "calibration.md").read_text(encoding="utf-8")
+SOURCES = {path.stem: path.read_text(encoding="utf-8") for path in sorted((ROOT / "eldata/calibration").glob("*.py"))}
+# Where remarks are made otherwise than by remarks.append(...): the functions that return them.
+RETURNED = {("remarks", "no_pairs"), ("frame_checks", "unequal_pair"), ("results", "FailedIso")}
+
+
+def text_of(node: ast.expr) -> str:
+    """A text as it is written, with "…" for what is put in."""
+    match node:
+        case ast.Constant(value=str() as text):
+            return text
+        case ast.JoinedStr(values=parts):
+            return "".join(text_of(part) for part in parts)
+        case ast.FormattedValue():
+            return "…"
+    return ""
+
+
+def remarks_in(module: str, source: str) -> Iterator[str]:
+    for node in ast.walk(ast.parse(source)):
+        match node:
+            case ast.Call(func=ast.Attribute(value=ast.Name(id="remarks"), attr="append"), args=[given]):
+                if text_of(given):
+                    yield text_of(given)
+            case ast.FunctionDef(name=name) | ast.ClassDef(name=name) if (module, name) in RETURNED:
+                for inner in ast.walk(node):
+                    if isinstance(inner, ast.Return) and inner.value is not None and len(text_of(inner.value)) > 1:
+                        yield text_of(inner.value)
+
+
+def checks_in(source: str) -> Iterator[str]:
+    """The first argument of each Finding(...), which is written out."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "Finding":
+            first = node.args[0] if node.args else next(word.value for word in node.keywords if word.arg == "check")
+            assert isinstance(first, ast.Constant), f"write the check's name out: {ast.unparse(node)}"
+            assert isinstance(first.value, str)
+            yield first.value
+
+
+REMARKS = sorted({remark for module, source in SOURCES.items() for remark in remarks_in(module, source)})
+CHECKS = sorted({check for source in SOURCES.values() for check in checks_in(source)})
+
+
+def phrases() -> list[list[str]]:
+    """What the first column of the table of remarks quotes; "…" in it stands for anything."""
+    table = DOCS[DOCS.index("### What a remark says") : DOCS.index("### What a plot shows")]
+    cells = [line.split(" | ")[0] for line in table.splitlines() if line.startswith('| "')]
+    return [quoted.split(" … ") for cell in cells for quoted in re.findall(r'"([^"]+)"', cell)]
+
+
+def test_there_are_remarks_and_checks_to_document() -> None:
+    assert len(REMARKS) > 20
+    assert "photon transfer" in CHECKS
+
+
+@pytest.mark.parametrize("remark", REMARKS)
+def test_each_remark_is_documented(remark: str) -> None:
+    assert any(all(part in remark for part in phrase) for phrase in phrases()), remark
+
+
+@pytest.mark.parametrize("phrase", phrases(), ids=" … ".join)
+def test_each_documented_remark_is_made(phrase: list[str]) -> None:
+    """Some are literal elsewhere: the figures' names, or the remark of flats alone."""
+    made = re.sub(r'"\s*f?"', "", "\n".join(SOURCES.values()))
+    assert all(part in made for part in phrase)
+
+
+@pytest.mark.parametrize("check", CHECKS)
+def test_each_check_is_documented(check: str) -> None:
+    assert f"| `{check}` |" in DOCS

@@ -24,6 +24,7 @@ from .read_noise import Residuals as Residuals
 from .read_noise import ppcc as ppcc
 from .read_noise import probability_plot as probability_plot
 from .read_noise import read_noise as read_noise
+from .read_noise import read_noise_findings as read_noise_findings
 from .reproduction import Reproduction as Reproduction
 from .reproduction import reproduction as reproduction
 from .results import Calibration as Calibration

@@ -261,6 +261,22 @@ def offset_histogram(
 
 
 @kernel
+def remainder_counts(
+    total: NDArray[np.uint32], defects: NDArray[np.bool_], pattern: NDArray[np.int64], counts: NDArray[np.int64]
+) -> None:
+    """Count the sound pixels' sums of n frames modulo n, in ``counts`` (group of rows, channel, n)."""
+    period = pattern.shape[0]
+    groups, frames = counts.shape[0], counts.shape[2]
+    for row in range(total.shape[0]):
+        group = (row // 2) % groups
+        for phase in range(period):
+            channel = pattern[row % period, phase]
+            for column in range(phase, total.shape[1], period):
+                if not defects[row, column]:
+                    counts[group, channel, total[row, column] % frames] += 1
+
+
+@kernel
 def pair_segments(
     first: NDArray[np.uint16],
     second: NDArray[np.uint16],
@@ -424,6 +440,23 @@ def _has_edge(block: NDArray[np.float64], size: NDArray[np.float64], noise: floa
         ):
             return True
     return False
+
+
+@kernel
+def product(
+    left: NDArray[np.inexact[Any]],
+    right: NDArray[np.complexfloating[Any, Any]],
+    result: NDArray[np.complexfloating[Any, Any]],
+) -> None:
+    """Write the matrix product of two small matrices, in this thread alone; entries of ``left`` near 0 cost nothing."""
+    for i in range(left.shape[0]):
+        for k in range(right.shape[1]):
+            result[i, k] = 0.0
+        for j in range(left.shape[1]):
+            factor = left[i, j]
+            if abs(factor) > 1e-15:
+                for k in range(right.shape[1]):
+                    result[i, k] += factor * right[j, k]
 
 
 # --- the Tukey-lambda distribution ----------------------------------------------------------------------------

@@ -42,7 +42,7 @@ from eldata.calibration.photon_transfer import (
     photon_transfer,
     spatial_photon_transfer,
 )
-from eldata.calibration.read_noise import Residuals, probability_plot, read_noise
+from eldata.calibration.read_noise import Residuals, probability_plot, read_noise, read_noise_findings
 from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs, transfer_remarks
 from eldata.calibration.reproduction import compared_piece, reproduction
 from eldata.calibration.results import IsoCalibration, IsoGain
@@ -223,7 +223,8 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
     of_first_frame = spectrum, single
 
     def from_bias_frames() -> IsoCalibration:
-        bias, rows, read = colour_bias(means, sensor.black_level_dn), row_noise(lines), read_noise(histogram)
+        read, bias = read_noise(histogram), colour_bias(means, sensor.black_level_dn)
+        rows = row_noise(lines, read.response)
         dark = IsoCalibration(
             iso=float(chosen.iso),
             sensor=sensor,
@@ -240,7 +241,10 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
             single_frame=of_first_frame[1],
             reproduction=None,
             remarks=(),
-            findings=bias_findings(audit.statistics(), bias, rows, read, step=step, gaps=gaps),
+            findings=(
+                *read_noise_findings(read, bias, fixed.summary),
+                *bias_findings(audit.statistics(), bias, rows, read, step=step, gaps=gaps),
+            ),
             stated_gain_dn_per_e=chosen.stated_gain_dn_per_e,
         )
         if held_out is None or dark.parameters is None:

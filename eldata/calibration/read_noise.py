@@ -21,28 +21,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.calibration._frames import sums_by_row
+from eldata.calibration.audit import Finding
 from eldata.calibration.row_noise import check_same_frames, line_sums
 from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from eldata.calibration._residual_fit import ResidualFit
+    from eldata.calibration._rounding import LevelFractions, OffsetResponse
     from eldata.calibration._tukey_lambda import ResidualModel
-    from eldata.calibration.defects import FixedPattern
+    from eldata.calibration.audit import Figure
+    from eldata.calibration.colour_bias import ColourBias
+    from eldata.calibration.defects import FixedPattern, PatternSummary
 
+_FRACTIONS = 128  # of a DN, in which local levels are counted
 _HALF = 8192  # cells on each side of 0
-_CELLS_PER_SIGMA = 20
 _GROUPS = 64  # of rows, whose scatter gives the standard errors
-_CORE = 6 * _CELLS_PER_SIGMA  # cells that stay as they are; beyond, they merge to ever wider ones
-_GROWTH = 1.05
-_LEAST_IN_TAIL = 20  # residuals in the outermost cell of the likelihood
-
-RELIABLE_SIGMA_DN = 0.7
-"""Below this standard deviation of the read noise, rounding to whole DN is no longer independent of the noise.
-
-In simulations the likelihood is then biased (by 0.002 in lambda and 0.5 % in sigma_TL at 0.55 DN, by 0.13 and 44 % at
-0.22 DN), the probability plot less (0.001 and 0.2 %; 0.07 and 5 %), with a fixed pattern of 0.3 DN or more.
-"""
+_TAIL = 1000  # residuals beyond the point from which on the variance is the fitted distribution's
+_MOST_ERROR = 0.15  # of lambda, and of sigma_TL as a share: beyond, neither figure nor error means anything
+_BY_CHANCE = 1e-6  # of the fit's chi^2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +62,10 @@ class ResidualHistogram:
         (whole DN, counted as they are).
     reach_dn
         Residuals beyond, of either sign, count as "beyond" only: there the recorded values end at 0.
+    squares_dn2
+        (groups,) exact sums of the squared residuals; without, the counts tell them.
+    fractions
+        Where between whole DN the pixels' levels lie; without, rounding counts as independent of the noise.
     """
 
     counts: NDArray[np.int64] = field(repr=False)
@@ -72,6 +74,8 @@ class ResidualHistogram:
     row_pixels: float = math.inf
     rounding_dn: float = 1.0
     reach_dn: float = math.inf
+    squares_dn2: NDArray[np.float64] | None = field(default=None, repr=False)
+    fractions: LevelFractions | None = field(default=None, repr=False)
 
     @property
     def values_dn(self) -> NDArray[np.float64]:
@@ -84,9 +88,8 @@ class ResidualHistogram:
 class ReadNoise:
     """Read noise of one ISO.
 
-    The reported values are those of the maximum likelihood, whose bias was below its standard error in simulations of
-    1.6 to 6 megapixels wherever the noise was above :data:`RELIABLE_SIGMA_DN`. Below, the probability plot's are
-    reported, and the errors include the difference of the two.
+    Shape and scale are those of the maximum likelihood with rounding as it is, whatever the fixed pattern; the errors
+    say what rounding leaves of them.
 
     Attributes
     ----------
@@ -94,16 +97,15 @@ class ReadNoise:
         Shape and its standard error.
     sigma_tl_dn, sigma_tl_error_dn
         Scale (not the standard deviation) without the rounding's share, and its standard error, DN.
-    likelihood_lambda, likelihood_sigma_tl_dn
-        Of the maximum likelihood, always.
     correlation
         Between the errors of the two.
     information_errors
-        Standard errors of shape and scale from the information matrix, which takes all residuals for independent.
-        The ones above come from the scatter of the score between groups of rows and allow for their dependence.
+        Standard errors of shape and scale if all residuals were independent. The ones above come from the scatter
+        between groups of rows, which allows for their dependence.
     sigma_gauss_dn, sigma_gauss_error_dn
         Standard deviation of the read noise without the rounding's share, and its standard error: the Gaussian model.
-        Of what was recorded: clipping at 0 takes from it, as from the two probability plots.
+        Of the residuals themselves, but for the outermost thousand: of heavy tails a few pixels would decide it. Their
+        share is that of the fitted distribution.
     ppcc_lambda, ppcc_sigma_tl_dn
         Shape of the highest probability-plot correlation and the plot's slope, with the model's own answer to the same
         question compared with the truth it was made with, so that rounding and the mean over frames are allowed for.
@@ -113,23 +115,24 @@ class ReadNoise:
         (2, points): shapes and correlations, the PPCC plot.
     r_squared_tl, r_squared_gauss
         Of the probability plots of the residuals against Tukey lambda at its best shape and against the normal one.
-    chi2_per_dof
-        Of the fitted distribution over the cells with 25 residuals or more: far above 1, the noise is not of the
-        family (or the fixed pattern is so faint that rounding shows as ripples, which average out of the estimates).
+    chi2_per_dof, chi2_freedom
+        Of the fitted distribution over the cells with 25 residuals or more, and how many of these count.
     residuals
         How many there were.
     beyond
         How many lay outside of the histogram (more than 400 standard deviations).
-    is_reliable
-        False below 0.7 DN of standard deviation: the errors are then no more than an order of magnitude.
+    converged
+        Whether the fit came to an end.
+    response
+        By how much row means move with row offsets, where rounding makes that uneven; else ``None``.
+    shift_dn
+        By how much rounding moves the mean of pixels whose levels share a fraction of a DN, at most.
     """
 
     tukey_lambda: float
     tukey_lambda_error: float
     sigma_tl_dn: float
     sigma_tl_error_dn: float
-    likelihood_lambda: float
-    likelihood_sigma_tl_dn: float
     correlation: float
     information_errors: tuple[float, float]
     sigma_gauss_dn: float
@@ -142,9 +145,17 @@ class ReadNoise:
     r_squared_tl: float
     r_squared_gauss: float
     chi2_per_dof: float
+    chi2_freedom: int
     residuals: int
     beyond: int
-    is_reliable: bool
+    converged: bool
+    response: OffsetResponse | None = field(default=None, repr=False)
+    shift_dn: float = 0.0
+
+    @property
+    def largest_error(self) -> float:
+        """Of lambda, and of sigma_TL as a share of it."""
+        return max(self.tukey_lambda_error, self.sigma_tl_error_dn / self.sigma_tl_dn)
 
     @property
     def highest_correlation(self) -> float:
@@ -186,23 +197,33 @@ class Residuals:
     """
 
     def __init__(self, fixed: FixedPattern) -> None:
+        from eldata.calibration._residual_fit import CELLS_PER_SIGMA
+
         self._fixed = fixed
         self._pixels = sums_by_row(~fixed.defects, fixed.pattern)
         self._added = 0
         sigma = math.sqrt(float(np.mean(fixed.temporal_variance_dn2)))
-        step = round(fixed.frames * sigma / _CELLS_PER_SIGMA)
+        step = round(fixed.frames * sigma / CELLS_PER_SIGMA)
         self._step = max(1, step - 1 + step % 2)  # odd, so that cell 0 is symmetric; in units of 1/n DN
         self._counts = np.zeros((min(_GROUPS, len(self._pixels) // 4), 2 * _HALF + 1), dtype=np.int64)
+        self._group = np.arange(len(self._pixels)) // 2 % len(self._counts)  # as the kernel has it
+        self._squares = np.zeros(len(self._counts))  # of residuals and of offsets, in units of 1/n DN
+        self._offset_squares = 0.0
 
     def add(self, mosaic: NDArray[np.uint16]) -> None:
         """Add a bias frame."""
         from eldata.calibration._kernels import residual_histogram
 
         fixed = self._fixed
-        sums, _, _ = line_sums(mosaic, fixed)
+        sums, squares, _ = line_sums(mosaic, fixed)
         level = sums.sum(axis=0) / np.maximum(self._pixels.sum(axis=0), 1)
         row = (sums - self._pixels * level).sum(axis=1) / np.maximum(self._pixels.sum(axis=1), 1)
         phases = np.arange(len(row)) % len(fixed.pattern)
+        by_channel = row[:, None] + level
+        of_offsets = (by_channel**2 * self._pixels).sum(axis=1)
+        left = squares - 2 * (by_channel * sums).sum(axis=1) + of_offsets
+        self._squares += np.bincount(self._group, left, minlength=len(self._squares))
+        self._offset_squares += float(of_offsets.sum())
         offsets = np.rint(row[:, None] + level[fixed.pattern[phases]]).astype(np.int64)
         residual_histogram(
             mosaic, fixed.total_dn, fixed.defects, fixed.frames, offsets, self._step, len(self._counts), self._counts
@@ -229,7 +250,33 @@ class Residuals:
                 f"{math.sqrt(variance):.1f} DN: much of it is clipped; calibrate raw files whose black level lies well "
                 "above 0"
             )
-        return ResidualHistogram(self._counts.copy(), self._step / frames, frames, pixels, reach_dn=reach)
+        return ResidualHistogram(
+            self._counts.copy(),
+            self._step / frames,
+            frames,
+            pixels,
+            reach_dn=reach,
+            squares_dn2=self._squares / frames**2,
+            fractions=self._fractions(pixels),
+        )
+
+    def _fractions(self, row_pixels: float) -> LevelFractions:
+        from eldata.calibration._kernels import remainder_counts
+        from eldata.calibration._rounding import LevelFractions
+
+        fixed, frames = self._fixed, self._fixed.frames
+        channels = len(fixed.level_dn)
+        remainders = np.zeros((len(self._counts), channels, frames), dtype=np.int64)
+        remainder_counts(fixed.total_dn, fixed.defects, fixed.pattern, remainders)
+        residuals = float(self._pixels.sum()) * frames
+        pixel_variance = float(self._squares.sum()) / residuals / frames**2 / ((1 - 1 / frames) * (1 - 1 / row_pixels))
+        offset_variance = self._offset_squares / residuals / frames**2 - pixel_variance * (1 - 1 / frames) / row_pixels
+        levels = np.array(fixed.level_dn)[:, None] + fixed.summary.shading_dn.reshape(channels, -1)
+        places = np.rint(levels % 1 * _FRACTIONS).astype(np.int64) % _FRACTIONS
+        local = np.stack([np.bincount(of_channel, minlength=_FRACTIONS) for of_channel in places]) / places.shape[1]
+        period = len(fixed.pattern)
+        rows = np.stack([self._pixels[kind::period].sum(axis=0) for kind in range(period)]) / self._pixels.sum()
+        return LevelFractions(remainders, local, np.array(fixed.summary.dsnu_dn), rows, offset_variance, pixel_variance)
 
 
 def read_noise(histogram: ResidualHistogram) -> ReadNoise:
@@ -246,6 +293,7 @@ def read_noise(histogram: ResidualHistogram) -> ReadNoise:
     DatasetError
         If it holds too few residuals, or all in a few cells.
     """
+    from eldata.calibration._residual_fit import ResidualCells, residual_fit
     from eldata.calibration._tukey_lambda import HIGHEST, LOWEST, ResidualModel, correlation, normal_correlation
 
     counts = histogram.counts
@@ -272,53 +320,98 @@ def read_noise(histogram: ResidualHistogram) -> ReadNoise:
     plain_lambda, plain_sigma, curve = ppcc(values, inner)
 
     model = ResidualModel(histogram.frames, histogram.row_pixels, histogram.rounding_dn)
-    folded = _folded(counts)
-    starts = _cell_starts(folded.sum(axis=0), histogram.reach_dn / histogram.cell_dn)
-    edges = np.maximum(starts - 0.5, 0.0) * histogram.cell_dn
-    observed = np.add.reduceat(folded, starts, axis=1).astype(np.float64)
+    cells = ResidualCells.of(counts, histogram.cell_dn, histogram.reach_dn)
     variance = float(inner @ values**2) / float(inner.sum())
     start = (min(max(plain_lambda, LOWEST + 0.1), HIGHEST - 0.1), max(plain_sigma, 0.05 * math.sqrt(variance)))
-    shape, sigma, probabilities, gradient = _maximised(observed.sum(axis=0), edges, model, start)
-    covariance, information = _covariance(observed, probabilities, gradient)
+    deviation = math.sqrt(variance / model.own)
+    fit = residual_fit(cells, model, histogram.fractions, start, deviation)
+    shape, sigma = fit.shape, fit.scale
+    covariance = fit.covariance
     errors = np.sqrt(np.diag(covariance))
 
     # What the same probability plot says of the fitted model, whose truth is known.
-    expected = _expected(histogram, model, shape, sigma)
+    expected = _expected(histogram, model, fit)
     model_lambda, model_sigma, _ = ppcc(values, expected * number)
     best, _ = correlation(values[inner > 0], inner[inner > 0].astype(np.float64), plain_lambda)
     normal, _ = normal_correlation(values[inner > 0], inner[inner > 0].astype(np.float64))
-    gauss, gauss_error = _standard_deviation(counts, histogram)
-    filled = probabilities * number >= 25
-    misfit = ((observed.sum(axis=0) - probabilities * number) ** 2 / (probabilities * number))[filled]
-    ppcc_lambda, ppcc_sigma = plain_lambda + shape - model_lambda, plain_sigma * sigma / model_sigma
-    is_reliable = gauss >= RELIABLE_SIGMA_DN
-    lambda_error, sigma_error = float(errors[0]), float(errors[1]) * sigma
-    if not is_reliable:
-        lambda_error = math.hypot(lambda_error, ppcc_lambda - shape)
-        sigma_error = math.hypot(sigma_error, ppcc_sigma - sigma)
+    gauss, gauss_error = _standard_deviation(histogram, model, fit)
+    chi2, freedom = fit.chi2_per_dof(cells)
     return ReadNoise(
-        tukey_lambda=shape if is_reliable else ppcc_lambda,
-        tukey_lambda_error=lambda_error,
-        sigma_tl_dn=sigma if is_reliable else ppcc_sigma,
-        sigma_tl_error_dn=sigma_error,
-        likelihood_lambda=shape,
-        likelihood_sigma_tl_dn=sigma,
+        tukey_lambda=shape,
+        tukey_lambda_error=float(errors[0]),
+        sigma_tl_dn=sigma,
+        sigma_tl_error_dn=float(errors[1]) * sigma,
         correlation=float(covariance[0, 1] / (errors[0] * errors[1])),
-        information_errors=(math.sqrt(information[0, 0]), math.sqrt(information[1, 1]) * sigma),
+        information_errors=(math.sqrt(fit.information[0, 0]), math.sqrt(fit.information[1, 1]) * sigma),
         sigma_gauss_dn=gauss,
         sigma_gauss_error_dn=gauss_error,
-        ppcc_lambda=ppcc_lambda,
-        ppcc_sigma_tl_dn=ppcc_sigma,
+        ppcc_lambda=plain_lambda + shape - model_lambda,
+        ppcc_sigma_tl_dn=plain_sigma * sigma / model_sigma,
         ppcc_lambda_plain=plain_lambda,
         ppcc_sigma_plain_dn=plain_sigma,
         curve=curve,
         r_squared_tl=best**2,
         r_squared_gauss=normal**2,
-        chi2_per_dof=float(misfit.sum()) / max(1, len(misfit) - 3),
+        chi2_per_dof=chi2,
+        chi2_freedom=freedom,
         residuals=number,
         beyond=beyond,
-        is_reliable=is_reliable,
+        converged=fit.converged,
+        response=None if fit.rounded is None else fit.rounded.response,
+        shift_dn=0.0 if fit.rounded is None else fit.rounded.shift_dn,
     )
+
+
+def read_noise_findings(read: ReadNoise, bias: ColourBias, pattern: PatternSummary) -> tuple[Finding, ...]:
+    """Return what the fit shows of its own assumptions, and what rounding does to the colour bias.
+
+    The fit's chi^2 has as many degrees of freedom as cells, less the parameters. What it is above 1 per degree, the
+    errors are to be larger: a misfit of that size along the direction that a parameter moves would shift it so far.
+    """
+    from scipy.special import chdtri
+
+    found: list[Finding] = []
+    limit = float(chdtri(read.chi2_freedom, _BY_CHANCE)) / read.chi2_freedom
+    misfit = math.sqrt(read.chi2_per_dof - 1) if read.chi2_per_dof > limit else 0.0
+    error = math.hypot(1.0, misfit) * read.largest_error
+    # Where rounding hides offsets, how many of them it hides hangs on the read noise.
+    figures: tuple[Figure, ...] = ("read noise",) if read.response is None else ("read noise", "row noise")
+    if not read.converged or not error < _MOST_ERROR:
+        found.append(
+            Finding(
+                "shape of the read noise",
+                figures,
+                "withheld",
+                error if read.converged else math.inf,
+                _MOST_ERROR,
+                "rounding to whole DN, or too few pixels, leave too little of the read noise to tell its shape: use a "
+                "raw mode of more bits, more frames, or the figures of a higher ISO",
+            )
+        )
+    elif misfit:
+        text = (
+            f"the residuals do not follow the fitted Tukey-lambda distribution (chi2 per degree of freedom "
+            f"{read.chi2_per_dof:.1f}, by chance at most {limit:.1f}): the read noise is of another family, often "
+            "random telegraph noise; look at its plots"
+        )
+        allowance = misfit * read.largest_error
+        found.append(Finding("fit of the read noise", figures, "wider", read.chi2_per_dof, limit, text, allowance))
+    errors = [error for error in bias.standard_error_dn if math.isfinite(error)]
+    shift = read.shift_dn * math.exp(-2 * (math.pi * min(pattern.dsnu_dn)) ** 2)
+    if errors and shift > min(errors):
+        found.append(
+            Finding(
+                "rounding moves black",
+                ("colour bias",),
+                "wider",
+                shift,
+                min(errors),
+                f"the read noise is quiet and the pixels' levels hardly differ, so that rounding moves their mean by "
+                f"up to {shift:.2g} DN",
+                allowance=shift,
+            )
+        )
+    return tuple(found)
 
 
 def probability_plot(histogram: ResidualHistogram, *, points: int = 121) -> ProbabilityPlot:
@@ -392,108 +485,69 @@ def ppcc(
     return shape, correlation(values, weights, shape)[1], np.stack([shapes, curve])
 
 
-def _folded(counts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the counts of abs(residual): the distribution is symmetric."""
-    centre = counts.shape[1] // 2
-    folded = counts[:, centre:].copy()
-    folded[:, 1:] += counts[:, :centre][:, ::-1]
-    return folded
-
-
-def _cell_starts(folded: NDArray[np.int64], reach: float) -> NDArray[np.int64]:
-    """Return where the cells of the likelihood start: one by one in the core, then ever wider; the last is open."""
-    starts = list(range(min(_CORE, len(folded) - 1)))
-    width = 1.0
-    while starts[-1] + math.ceil(width) < len(folded):
-        starts.append(starts[-1] + math.ceil(width))
-        width *= _GROWTH
-    tail = np.cumsum(folded[::-1])[::-1]
-    kept = [start for start in starts if start == 0 or (tail[start] >= _LEAST_IN_TAIL and start <= reach)]
-    return np.array(kept, dtype=np.int64)
-
-
-def _maximised(
-    observed: NDArray[Any], edges: NDArray[Any], model: ResidualModel, start: tuple[float, float]
-) -> tuple[float, float, NDArray[Any], NDArray[Any]]:
-    """Return shape, scale, the cells' probabilities there and d ln P / d (shape, ln scale), by Fisher scoring."""
-    from eldata.calibration._tukey_lambda import HIGHEST, LOWEST
-
-    number = float(observed.sum())
-
-    def evaluated(at: NDArray[Any]) -> tuple[float, NDArray[Any]]:
-        probabilities = model.probabilities(edges, float(at[0]), math.exp(float(at[1])))
-        return float(observed @ np.log(probabilities)), probabilities
-
-    def gradient_at(at: NDArray[Any]) -> NDArray[Any]:
-        step = 1e-4
-        return np.stack(
-            [
-                (np.log(evaluated(at + step * unit)[1]) - np.log(evaluated(at - step * unit)[1])) / (2 * step)
-                for unit in np.eye(2)
-            ]
-        )
-
-    at = np.array([start[0], math.log(start[1])])
-    value, probabilities = evaluated(at)
-    gradient = gradient_at(at)
-    for _ in range(60):
-        information = (gradient * probabilities) @ gradient.T * number
-        move = np.linalg.solve(information, gradient @ observed)
-        scale = min(1.0, 0.1 / float(np.abs(move).max()))
-        while scale > 1e-4:
-            proposed = at + scale * move
-            proposed[0] = min(max(float(proposed[0]), LOWEST + 1e-3), HIGHEST)
-            new_value, new_probabilities = evaluated(proposed)
-            if new_value >= value - 1e-9 * abs(value) * 1e-3:
-                break
-            scale /= 2
-        else:
-            break
-        moved = float(np.abs(proposed - at).max())
-        at, value, probabilities = proposed, new_value, new_probabilities
-        gradient = gradient_at(at)
-        if moved < 1e-6:
-            break
-    return float(at[0]), math.exp(float(at[1])), probabilities, gradient
-
-
-def _covariance(
-    observed: NDArray[Any], probabilities: NDArray[Any], gradient: NDArray[Any]
-) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return the covariance of (shape, ln scale) from the groups' scores, and the inverse information."""
-    groups = len(observed)
-    inverse = np.linalg.inv((gradient * probabilities) @ gradient.T * float(observed.sum()))
-    if groups < 8:
-        return inverse, inverse
-    scores = observed @ gradient.T
-    scores -= scores.sum(axis=0) * (observed.sum(axis=1) / observed.sum())[:, None]
-    scatter = scores.T @ scores * groups / (groups - 1)
-    return inverse @ scatter @ inverse, inverse
-
-
-def _expected(histogram: ResidualHistogram, model: ResidualModel, shape: float, sigma: float) -> NDArray[Any]:
+def _expected(histogram: ResidualHistogram, model: ResidualModel, fit: ResidualFit) -> NDArray[np.float64]:
     """Return the probability of each inner cell of the histogram."""
+    from eldata.calibration._residual_fit import ResidualCells, folded
+
+    both = folded(histogram.counts).sum(axis=0)
     half = histogram.counts.shape[1] // 2
-    wanted = np.count_nonzero(_folded(histogram.counts).sum(axis=0)[:half].cumsum() < histogram.counts[:, 1:-1].sum())
-    cells = min(half, int(wanted) + 1)
-    edges = np.concatenate([[0.0], np.arange(cells) + 0.5]) * histogram.cell_dn
-    folded = np.zeros(half)
-    folded[:cells] = model.probabilities(edges, shape, sigma)[:cells]
-    return np.concatenate([folded[:0:-1] / 2, folded[:1], folded[1:] / 2])
+    cells = min(half, int(np.count_nonzero(both[:half].cumsum() < histogram.counts[:, 1:-1].sum())) + 1)
+    starts = np.arange(cells + 1)
+    edges = np.maximum(starts - 0.5, 0.0) * histogram.cell_dn
+    probabilities = model.probabilities(edges, fit.shape, fit.scale)
+    if fit.rounded is not None:
+        each = ResidualCells(starts, np.zeros((1, cells + 1)), histogram.cell_dn)
+        probabilities = np.maximum(probabilities + each.of_lattice(fit.rounded.change, histogram.frames), 0.0)
+    side = np.zeros(half)
+    side[:cells] = probabilities[:cells]
+    return np.concatenate([side[:0:-1] / 2, side[:1], side[1:] / 2])
 
 
-def _standard_deviation(counts: NDArray[np.int64], histogram: ResidualHistogram) -> tuple[float, float]:
-    """Return the standard deviation of the noise without the rounding's share, and its error between groups."""
-    values = histogram.values_dn
-    squares, numbers = counts @ values**2, counts.sum(axis=1)
-    # A cell's width adds its own twelfth of a square; 1/own undoes what the means took.
-    own = (1 - 1 / histogram.frames if histogram.frames > 1 else 1.0) * (1 - 1 / histogram.row_pixels)
-    mean = float(squares.sum() / numbers.sum())
-    variance = (mean - histogram.cell_dn**2 / 12) / own - histogram.rounding_dn**2 / 12
-    groups = len(counts)
-    error = math.nan
-    if groups > 1:
-        deviations = squares - numbers * mean
-        error = math.sqrt(float(deviations @ deviations) * groups / (groups - 1)) / float(numbers.sum()) / own
-    sigma = math.sqrt(max(variance, 0.0))
-    return sigma, error / (2 * sigma) if sigma else math.nan
+def _standard_deviation(histogram: ResidualHistogram, model: ResidualModel, fit: ResidualFit) -> tuple[float, float]:
+    """Return the standard deviation of the noise without the rounding's share, and its error between groups.
+
+    The mean square of the residuals is the measured one up to where :data:`_TAIL` lie further out, and the fitted one
+    beyond: the mean square of heavy tails hangs on a few pixels, and of shapes below -1/4 it has no error.
+    """
+    from eldata.calibration._residual_fit import centred, folded
+
+    both = folded(histogram.counts)
+    numbers = both.sum(axis=1)
+    number = float(numbers.sum())
+    tail = np.cumsum(both.sum(axis=0)[::-1])[::-1]
+    far = int(np.count_nonzero(tail >= _TAIL))
+    far = max(1, int(min(far, histogram.reach_dn / histogram.cell_dn, both.shape[1] - 1)))
+    squares_of_cells = (np.arange(both.shape[1]) * histogram.cell_dn) ** 2
+    if histogram.squares_dn2 is None:
+        # A cell's width adds its own twelfth of a square.
+        squares = both[:, :far] @ (squares_of_cells[:far] - histogram.cell_dn**2 / 12)
+    else:
+        squares = histogram.squares_dn2 - both[:, far:] @ squares_of_cells[far:]
+    edge = (far - 0.5) * histogram.cell_dn
+
+    def beyond(shape: float, sigma: float) -> float:
+        """Return the mean of r^2 where abs(r) > edge, by parts: 2 (edge^2 P(edge) + integral of 2 r P(r))."""
+        points = edge * np.exp(np.linspace(0.0, 8.0, 800))
+        tails = model.tails(points, shape, sigma)
+        return 2 * (edge**2 * float(tails[0]) + 2 * float(np.trapezoid(points**2 * tails, np.log(points))))
+
+    step = 1e-3
+    slope = np.array(
+        [
+            (beyond(fit.shape + step, fit.scale) - beyond(fit.shape - step, fit.scale)) / (2 * step),
+            (beyond(fit.shape, fit.scale * (1 + step)) - beyond(fit.shape, fit.scale * (1 - step))) / (2 * step),
+        ]
+    )
+    mean = float(squares.sum()) / number + beyond(fit.shape, fit.scale)
+    by_rounding = histogram.rounding_dn**2 / 12
+    if fit.rounded is not None:
+        points = np.arange(fit.rounded.change.size) / histogram.frames
+        mean += float(fit.rounded.change @ np.where(points > edge, points, 0.0) ** 2)
+        by_rounding += fit.rounded.variance_dn2 / model.own
+    sigma = math.sqrt(max(mean / model.own - by_rounding, 0.0))  # 1/own undoes what the means took
+    by_group = centred(squares, numbers) / number + fit.influence @ (slope - fit.rounded_slope)
+    groups = len(by_group)
+    if groups < 2 or sigma == 0:
+        return sigma, math.nan
+    error = math.sqrt(float(by_group @ by_group) * groups / (groups - 1)) / model.own
+    return sigma, error / (2 * sigma)

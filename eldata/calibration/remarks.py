@@ -9,7 +9,6 @@ import numpy as np
 
 from eldata.calibration.bias_checks import GAPS
 from eldata.calibration.frame_checks import ADVISED_BIAS_FRAMES
-from eldata.calibration.read_noise import RELIABLE_SIGMA_DN
 from eldata.calibration.results import usual_gain_per_iso
 
 if TYPE_CHECKING:
@@ -40,11 +39,6 @@ def bias_remarks(found: IsoCalibration, chosen: IsoFrames, lossy: str | None) ->
         remarks.append(f"the files have {lossy}, which changes noise: no figure here is the sensor's own")
     if "read noise" in found.withheld:
         pass  # a finding says more
-    elif not read.is_reliable:
-        remarks.append(
-            f"the read noise ({read.sigma_gauss_dn:.2f} DN) is below {RELIABLE_SIGMA_DN:g} DN, so rounding hides its "
-            "shape: lambda and sigma_TL are uncertain by more than they say"
-        )
     elif read.r_squared_tl < _POOR_PLOT - 1 / (12 * (found.bias_frames * read.sigma_gauss_dn) ** 2):
         # Residuals are multiples of 1/n DN; those steps alone take 1/(12 n^2 sigma^2) from R^2.
         remarks.append(

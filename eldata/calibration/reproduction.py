@@ -132,8 +132,8 @@ def reproduction(
     rows_of, columns_of = (np.arange(part.start, part.stop) // block for part in place)
     level = fixed.summary.shading_dn[channel, rows_of[:, None], columns_of]
     spread = np.asarray(fixed.summary.dsnu_dn)[channel]
-    first, simulated = _simulated(level, spread, fixed.frames, sensor, parameters, generator)
-    _, again = _simulated(level, spread, fixed.frames, sensor, parameters, generator)
+    first, simulated = _simulated(level, spread, channel, fixed.frames, sensor, parameters, generator)
+    _, again = _simulated(level, spread, channel, fixed.frames, sensor, parameters, generator)
     for residual in (real, simulated, again):
         for index in range(int(channel.max()) + 1):
             chosen = channel == index
@@ -191,6 +191,7 @@ def _channels(pattern: NDArray[np.int64], shape: tuple[int, ...]) -> NDArray[np.
 def _simulated(
     level_dn: NDArray[np.float64],
     spread_dn: NDArray[np.float64],
+    channel: NDArray[np.int64],
     frames: int,
     sensor: Sensor,
     parameters: NoiseParameters,
@@ -198,14 +199,15 @@ def _simulated(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return one simulated bias frame in DN, and its residual to the mean of n more.
 
-    Pixels scatter by ``spread_dn`` around ``level_dn``, which comes on top of the colour bias.
+    Pixels scatter by ``spread_dn`` around ``level_dn``, which comes on top of their channel's black level and bias.
     """
     from eldata.noise.exposures import Adc
     from eldata.noise.model import NoiseModel
 
-    # The model's converter has one black level; with a pattern of several, clipping at 0 happens elsewhere by their
-    # difference, which is far from any bias frame that the estimators take.
-    black = float(np.mean(sensor.black_level_dn))
+    # The model's converter has one black level: a whole one, as another would round the noise elsewhere. By what a
+    # channel's own differs from it, its pixels' levels are shifted.
+    black = float(np.rint(np.mean(sensor.black_level_dn)))
+    level_dn = level_dn + (np.asarray(sensor.black_level_dn) - black)[channel]
     range_dn = sensor.white_level_dn - black
     model = NoiseModel("G*+B+R", adc=Adc(black, sensor.white_level_dn))
     # Without shot noise, the model adds its noise to what it is given and rounds the sum. Values below 0 count as no

@@ -506,7 +506,6 @@ def _iso_dict(one: IsoCalibration) -> dict[str, Any]:
         "single_frame_r_squared_tl": None if single is None else single.r_squared_tl,
         "single_frame_r_squared_gauss": None if single is None else single.r_squared_gauss,
         "read_chi2_per_dof": read.chi2_per_dof,
-        "read_is_reliable": read.is_reliable,
         **_with_error("sigma_row_dn", one.sigma_row_dn),
         "row_shapiro_p": one.rows.rows.shapiro_p,
         **_with_error("sigma_column_dn", one.sigma_column_dn),

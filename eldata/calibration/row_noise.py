@@ -20,6 +20,7 @@ from eldata.errors import DatasetError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from eldata.calibration._rounding import OffsetResponse
     from eldata.calibration.defects import FixedPattern
 
 SHAPIRO_VALUES = 5000
@@ -36,7 +37,7 @@ class LineNoise:
         Standard deviation and its standard error, DN; 0 where the pixels' own noise explains all of it, with the error
         then the scale that would just have been seen.
     variance_dn2, variance_error_dn2
-        Before the square root; may be negative.
+        Of the lines' recorded means, less the share of the pixels' noise; may be negative.
     fixed_sigma_dn
         Standard deviation of the fixed pattern of the lines (shading included), the noise's share taken off.
     shapiro_p, shapiro_values
@@ -164,13 +165,22 @@ def _line_means(sums: NDArray[np.float64], pixels: NDArray[np.int64]) -> NDArray
     return means
 
 
-def row_noise(means: LineMeans) -> RowNoise:
+def row_noise(means: LineMeans, response: OffsetResponse | None = None) -> RowNoise:
     """Estimate sigma_row (and the columns' sigma) from the line means over time.
 
     With r the mean of one mosaic row over its channels, less the channels' means and the row's mean over the n frames,
     ``sigma_row^2 = sum r^2 / nu - sigma_pixel^2 / n_columns``, nu = (n - 1) (rows - classes of rows): the maximum
     likelihood for normal offsets, made unbiased, less what the mean of finitely many pixels scatters.
     Its variance is ``2 (sum r^2 / nu)^2 / nu``.
+
+    Parameters
+    ----------
+    means
+        Of the same frames as the fixed pattern's.
+    response
+        By how much recorded means move with offsets, where that is not simply by as much: rounding hides offsets in
+        quiet noise or enlarges them (:attr:`~eldata.calibration.read_noise.ReadNoise.response`). The offsets are then
+        those whose recorded variance this is.
 
     Raises
     ------
@@ -184,11 +194,17 @@ def row_noise(means: LineMeans) -> RowNoise:
     freedom = (frames - 1) * float(np.maximum(pixels - 1, 0).sum())
     pixel_variance = means.squares / freedom
     rows, columns = sums_by_line(fixed.total_dn, fixed.defects, fixed.pattern)
+    lines = (
+        (means.rows_dn, means.row_pixels, rows, fixed.pattern),
+        (means.columns_dn, means.column_pixels, columns, fixed.pattern.T),
+    )
+    of_rows, of_columns = (
+        _line_noise(np.array(deviations), counts, sums / frames, pattern, pixel_variance, response)
+        for deviations, counts, sums, pattern in lines
+    )
     return RowNoise(
-        rows=_line_noise(np.array(means.rows_dn), means.row_pixels, rows / frames, fixed.pattern, pixel_variance),
-        columns=_line_noise(
-            np.array(means.columns_dn), means.column_pixels, columns / frames, fixed.pattern.T, pixel_variance
-        ),
+        rows=of_rows,
+        columns=of_columns,
         pixel_variance_dn2=pixel_variance,
         frames=frames,
     )
@@ -200,6 +216,7 @@ def _line_noise(
     fixed_sums: NDArray[np.float64],
     pattern: NDArray[np.int64],
     pixel_variance: float,
+    response: OffsetResponse | None,
 ) -> LineNoise:
     from scipy import stats
 
@@ -213,7 +230,7 @@ def _line_noise(
     scatter = float((deviations**2).sum()) / freedom
     of_pixels = pixel_variance * float((1 / counts[used]).mean())
     variance, variance_error = scatter - of_pixels, scatter * math.sqrt(2 / freedom)
-    sigma = math.sqrt(max(variance, 0.0))
+    sigma, error = _sigma(variance, variance_error, response)
     values = deviations.ravel() * math.sqrt(frames / (frames - 1))
     thinned = values[np.linspace(0, values.size - 1, min(values.size, SHAPIRO_VALUES)).astype(np.int64)]
     (quantiles, ordered), (_, _, correlation) = stats.probplot(thinned)
@@ -221,9 +238,7 @@ def _line_noise(
     fixed_variance = float((fixed[used] ** 2).sum()) / (lines - classes_of_rows(pattern)) - scatter / frames
     return LineNoise(
         sigma_dn=sigma,
-        sigma_error_dn=min(variance_error / (2 * sigma), math.sqrt(variance_error))
-        if sigma
-        else math.sqrt(variance_error),
+        sigma_error_dn=error,
         variance_dn2=variance,
         variance_error_dn2=variance_error,
         fixed_sigma_dn=math.sqrt(max(fixed_variance, 0.0)),
@@ -238,3 +253,19 @@ def _line_noise(
         deviations_dn=deviations,
         fixed_dn=fixed,
     )
+
+
+def _sigma(variance: float, error: float, response: OffsetResponse | None) -> tuple[float, float]:
+    """Return the standard deviation of offsets whose recorded variance is given with its error, and its error."""
+    highest = _offset_sigma(error, response)
+    if variance <= 0:
+        return 0.0, highest
+    sigma = _offset_sigma(variance, response)
+    step = 1e-3 * variance
+    slope = (_offset_sigma(variance + step, response) - _offset_sigma(variance - step, response)) / (2 * step)
+    of_response = 0.0 if response is None else response.relative_error * sigma
+    return sigma, math.hypot(min(error * slope, highest), of_response)
+
+
+def _offset_sigma(variance: float, response: OffsetResponse | None) -> float:
+    return math.sqrt(variance) if response is None else response.sigma_dn(variance)

@@ -56,7 +56,8 @@ def calibrated(camera: Camera, frames: Sequence[NDArray[np.uint16]]) -> Calibrat
         residuals.add(frame)
         means.add(frame)
     black = [camera.black] * len(camera.bias)
-    return Calibration(fixed, row_noise(lines), read_noise(residuals.histogram()), colour_bias(means, black))
+    read = read_noise(residuals.histogram())
+    return Calibration(fixed, row_noise(lines, read.response), read, colour_bias(means, black))
 
 
 def transferred(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -191,3 +192,17 @@ def test_a_frame_of_another_shape_is_refused() -> None:
     held_out, fixed = taken(Camera(shape=(256, 384)))
     with pytest.raises(ArgumentError, match="the held-out frame is"):
         reproduction(held_out[:-2], fixed, Camera().sensor, true_parameters(Camera()), np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("black", [(512.0, 513.0, 512.0, 513.0), (511.75, 512.0, 512.25, 513.5)])
+def test_black_levels_by_channel_round_where_the_camera_does(black: tuple[float, ...]) -> None:
+    """Their mean is not a whole DN, and noise of half a DN without fixed pattern shows where whole DN lie."""
+    camera = CAMERAS["quiet, no pattern"].with_(sigma_tl=0.3)
+    held_out, fixed = taken(camera)
+    # The same frames, of which the file states other black levels: the colour bias makes up for them.
+    sensor = replace(camera.sensor, black_level_dn=black)
+    bias = tuple(camera.black + offset - level for offset, level in zip(camera.bias, black, strict=True))
+    parameters = replace(true_parameters(camera), colour_bias_dn=bias)  # type: ignore[arg-type] # four numbers
+    found = reproduction(held_out, fixed, sensor, parameters, np.random.default_rng(7))
+    assert found.histogram_distance < 2 * found.histogram_distance_by_chance
+    assert found.histogram_distance < 0.03, "rounded at the mean of the levels, it was 0.21"

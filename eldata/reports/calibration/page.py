@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from eldata.reports.figures import Plot
     from eldata.reports.pictures import Pictures
 
-_HIGH_CHI2 = 5.0  # per degree of freedom
 _FIT_HEADER = ("fit over ln K", "slope", "intercept", "σ", "R²")
 
 
@@ -245,16 +244,6 @@ def _read_noise(one: IsoCalibration) -> _Group:
         ("Residuals", grouped(read.residuals)),
     )
     note = _withheld(one, "read noise")
-    if note:
-        pass
-    elif not read.is_reliable:
-        note = "Rounding to whole DN hides the shape: λ and σ TL are only rough."
-    elif read.chi2_per_dof > _HIGH_CHI2:
-        note = (
-            "χ² is far above 1: the noise is not of this family, or the fixed pattern is so faint that rounding to "
-            "whole DN shows as ripples, which average out of λ and σ TL. The plots below tell which: ripples do not "
-            "bend them."
-        )
     of_shape = () if shape is None else (ppcc_plot(one, shape),)
     return _Group("Read noise", numbers, plots=(*of_shape, gaussian_plot(one), tukey_lambda_plot(one)), note=note)
 

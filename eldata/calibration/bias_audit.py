@@ -180,6 +180,11 @@ class BiasAudit:
         self._size_squares[index] += sizes[:, 1]
         self._size_products[index] += sizes[:, 0].astype(np.float64) ** 2
 
+    def _squares_of_totals(self, band: NDArray[np.uint8]) -> NDArray[np.int64]:
+        """Return the sum of the squares by block of a band."""
+        squares: NDArray[np.int64] = band.astype(np.int64) ** 2
+        return squares.reshape(_BLOCK, self._columns, _BLOCK).sum(axis=(0, 2))
+
     def statistics(self) -> BiasStatistics:
         """Return what was found.
 
@@ -195,10 +200,9 @@ class BiasAudit:
         # Defects have no size, and so add to no sum; only to the count of size 0.
         sizes = self._sizes.copy()
         sizes[0] -= pairs * np.count_nonzero(~sound)
-        squares = self._totals[:, :, :width].astype(np.int64) ** 2
-        squares = squares.reshape(len(self._bands), _BLOCK, self._columns, _BLOCK)
+        squares = np.stack([self._squares_of_totals(totals[:, :width]) for totals in self._totals])
         # Products of sizes in two different pairs: of the same pixel, and of any two pixels of the block.
-        same = squares.sum(axis=(1, 3)) - self._size_squares
+        same = squares - self._size_squares
         both = self._size_sums**2 - self._size_products
         covariance = (same / pixels - (both - same) / (pixels * (pixels - 1))) / (pairs * (pairs - 1))
         # A size stands for a step, whose middle lies half of one above it.

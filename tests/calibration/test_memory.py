@@ -43,8 +43,8 @@ def peak_bytes_per_pixel(camera: Camera, bias: int, jobs: int) -> float:
 
 # Bytes per pixel, two a mosaic. In the first pass: the sum 4, the lowest and highest value 4, squares of a seventh of
 # the rows 8 / 7; beside them either frames, or what finds the defects: their mask 1, and for each pixel of a channel
-# (5/9 of X-Trans are green) its distance from the median twice, 4 each. Threads hold one frame more than there are. X-Trans needs
-# most where its flats are compared (18.2).
+# (5/9 of X-Trans are green) its distance from the median twice, 4 each. Threads hold one frame more than there are.
+# X-Trans needs most where its flats are compared (18.2).
 @pytest.mark.memory
 @pytest.mark.parametrize(
     ("cfa", "bias", "jobs", "most"),

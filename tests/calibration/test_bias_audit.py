@@ -217,9 +217,9 @@ def test_unusable_frames() -> None:
 
 
 @pytest.mark.study
-def test_two_hundred_good_cameras() -> None:
-    """Eight checks with a chance of 1e-5 each: of 200 cameras none, but for one case in 60."""
-    assert {seed: clean(seed) for seed in range(200) if clean(seed)} == {}
+def test_good_cameras() -> None:
+    """Eight checks with a chance of 1e-5 each: of 24 cameras none, but for one case in 500; the seeds are fixed."""
+    assert {seed: found for seed in range(24) if (found := clean(seed))} == {}
 
 
 @pytest.mark.study

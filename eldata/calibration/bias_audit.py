@@ -182,8 +182,9 @@ class BiasAudit:
 
     def _squares_of_totals(self, band: NDArray[np.uint8]) -> NDArray[np.int64]:
         """Return the sum of the squares by block of a band."""
-        squares: NDArray[np.int64] = band.astype(np.int64) ** 2
-        return squares.reshape(_BLOCK, self._columns, _BLOCK).sum(axis=(0, 2))
+        squares = (band.astype(np.int64) ** 2).reshape(_BLOCK, self._columns, _BLOCK)
+        totals: NDArray[np.int64] = squares.sum(axis=(0, 2))
+        return totals
 
     def statistics(self) -> BiasStatistics:
         """Return what was found.

@@ -44,6 +44,7 @@ _REACH = 25.0  # standard deviations at which that density ends; further out the
 _FRACTION_ERROR = 0.02, 0.5  # of expected waves, and of what takes the non-uniformity for normal
 _NODE_DN = 0.04  # spacing of row offsets: HARMONICS turns per DN are still resolved
 _NODES_REACH = 5.0
+_WIDE_DN = 1.0  # of row offsets: beyond, residuals depend on them by their fraction of a DN alone, and that is even
 _PARTS = 70  # per DN at least, into which offsets are divided where they are rounded to 1/n DN
 
 
@@ -202,7 +203,7 @@ class RoundedResiduals:
         turns = np.exp(-2j * math.pi * np.outer(noise.fractions, np.arange(1, noise.harmonics + 1)))
         weights = (1 + 2 * (levels[:, : noise.harmonics] @ turns.T).real) / noise.fractions.size
         weights_by_wave = 2 * (turns @ by_wave[:, : noise.harmonics]).real / noise.fractions.size
-        changes = [self._changes(noise, offsets, response, kind) for kind in range(len(rows))]
+        changes = [self._changes(noise, min(offsets, _WIDE_DN), response, kind) for kind in range(len(rows))]
         by_fraction = np.stack([change for change, _ in changes])
         rounding = float(response.shares @ [lost for _, lost in changes])
         rounded = Rounded(

@@ -81,6 +81,7 @@ REGIMES = {
     "light tails, 0.3 DN": Regime(0.1, 0.3, 0.1, 1.0, MIXED),
     "light tails, 0.3 DN, no pattern": Regime(0.1, 0.3, 0.1, 0.0, HALF),
     "heavy tails, 0.3 DN, no pattern": Regime(-0.2, 0.3, 0.1, 0.0),
+    "heavy tails, 0.3 DN, rows of 3 DN": Regime(-0.2, 0.3, 3.0, 0.2, MIXED),
     "four frames": Regime(-0.1, 2.0, 0.5, 0.6, MIXED, frames=4),
     "four frames, 0.75 DN, no pattern": Regime(-0.2, 0.75, 0.1, 0.0, frames=4),
     "four frames, 0.5 DN": Regime(0.1, 0.5, 0.1, 0.3, frames=4),

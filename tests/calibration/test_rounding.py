@@ -27,12 +27,17 @@ FRAMES, ROWS, COLUMNS = 5, 400, 1000
         (-0.2, 0.3, 0.2, 0.0, 0.0),
         (0.1, 0.3, 0.5, 0.0, 0.05),
         (-0.2, 0.3, 0.0, 1.0, 0.3),
+        (-0.2, 0.3, 0.2, 0.0, 3.0),
     ],
 )
 def test_the_distribution_is_that_of_simulated_residuals(
     shape: float, deviation: float, level: float, dsnu: float, sigma_row: float
 ) -> None:
-    """Two million residuals. chi^2 over some 20 lattice points was 40 to 200,000 with independent uniform rounding."""
+    """Two million residuals. chi^2 over some 20 lattice points was 40 to 200,000 with independent uniform rounding.
+
+    Under row offsets of several DN the other frames' offsets set both the rounding of their pixels and what is taken
+    off, which the model takes for independent; 2 % of the probabilities are left, and 400 rows have not all phases.
+    """
     generator = np.random.default_rng(15)
     scale = deviation / float(stats.tukeylambda(shape).std())
     levels = level + dsnu * generator.standard_normal((ROWS, COLUMNS))
@@ -68,7 +73,7 @@ def test_the_distribution_is_that_of_simulated_residuals(
     change = np.zeros(60)
     change[: min(60, rounded.change.size)] = rounded.change[:60]
     assert chi2(independent) > 25
-    assert chi2(independent + change) < 12
+    assert chi2(independent + change) < (12 if sigma_row < 1 else chi2(independent) / 50)
     variance = float(((scaled - seen) / FRAMES).var())
     modelled = plain.own * (deviation**2 + 1 / 12) + rounded.variance_dn2
     assert modelled == pytest.approx(variance, rel=0.01)

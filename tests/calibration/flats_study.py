@@ -13,7 +13,7 @@ from scipy.special import erf
 
 from eldata.calibration.audit import given
 from eldata.calibration.flat_checks import flat_findings
-from eldata.calibration.joint import step_findings
+from eldata.calibration.joint import gain_steps
 from eldata.calibration.photon_transfer import FlatPairs, photon_transfer
 from eldata.demo.body import Body, FixedFeatures, KnownNoise
 from eldata.errors import DatasetError
@@ -334,7 +334,7 @@ def step_alarms(step: float, scatter: float, isos: int, cameras: int) -> float:
             ]
             for name in ("sigma_TL", "sigma_G", "sigma_row")
         }
-        said += any(step_findings(points, {float(gain): 1000 * float(gain) for gain in gains}))
+        said += any(gain_steps(points))
     return said / cameras
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from eldata.calibration.joint import step_findings
+from eldata.calibration.joint import gain_steps
 from eldata.calibration.photon_transfer import FlatPairs, photon_transfer
 from tests.calibration import flats_study as study
 from tests.calibration.simulation import BAYER
@@ -170,21 +170,23 @@ def points(step: float, scatter: float, bend: float = 0.0) -> dict[str, list[tup
 
 
 def test_a_step_is_said_with_its_place_and_height() -> None:
-    (finding,) = step_findings(points(-0.4, 0.02), ISO_OF)
+    (step,) = gain_steps(points(-0.4, 0.02))
+    finding = step.finding(ISO_OF, is_taken=False)
     assert finding.effect == "remark"
     assert "between ISO 800 and 1600 there is a step over K of sigma_TL (-3" in finding.text
     both = points(-0.4, 0.02)
     both["sigma_G"] = [(gain, 1.8 * scale) for gain, scale in both["sigma_TL"]]
-    (finding,) = step_findings(both, ISO_OF)
+    (step,) = gain_steps(both)
+    finding = step.finding(ISO_OF, is_taken=True)
     assert "of sigma_TL (-31%) and sigma_G (-31%)" in finding.text
 
 
 def test_what_is_no_step() -> None:
-    assert not list(step_findings(points(0.0, 0.05), ISO_OF))
-    assert not list(step_findings(points(-0.1, 0.1), ISO_OF))
-    assert not list(step_findings(points(0.0, 0.005, bend=0.03), ISO_OF)), "a parabola explains more"
+    assert not gain_steps(points(0.0, 0.05))
+    assert not gain_steps(points(-0.1, 0.1))
+    assert not gain_steps(points(0.0, 0.005, bend=0.03)), "a parabola explains more"
     few = {"sigma_TL": points(-0.4, 0.02)["sigma_TL"][2:6]}
-    assert not list(step_findings(few, ISO_OF)), "four ISOs do not tell a step from scatter"
+    assert not gain_steps(few), "four ISOs do not tell a step from scatter"
 
 
 def test_a_step_is_seldom_seen_where_none_is() -> None:

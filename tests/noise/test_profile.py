@@ -16,7 +16,8 @@ from scipy import stats
 
 from eldata.errors import ArgumentError, ProfileError
 from eldata.noise import CameraProfile, NoiseModel, NoiseParameters, shipped_profiles
-from eldata.noise.profile import LogLogFit, ProfileRow
+from eldata.noise.gain_modes import LogLogFit
+from eldata.noise.profile import ProfileRow
 from tests.cases import in_one_test
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ FULL = CameraProfile(
 
 
 def test_the_shipped_cameras() -> None:
-    assert shipped_profiles() == CAMERAS
+    assert shipped_profiles() == (*CAMERAS, "SonyA7S2-PMN")
 
 
 @pytest.mark.parametrize("name", CAMERAS)
@@ -132,7 +133,7 @@ def test_every_field_survives_a_file(profile: CameraProfile, tmp_path: Path) -> 
     assert CameraProfile.load(path) == profile
     data = json.loads(path.read_text(encoding="utf-8"))
     assert data["schema"] == 1
-    assert set(data) == {"schema", *(field.name for field in dataclasses.fields(CameraProfile))}
+    assert set(data) == {"schema", *(field.name for field in dataclasses.fields(CameraProfile))} - {"modes"}
 
 
 def test_a_profile_pickles() -> None:
@@ -152,7 +153,7 @@ def test_optional_fields_may_be_absent(tmp_path: Path) -> None:
 
 
 def as_json(profile: CameraProfile) -> dict[str, Any]:
-    data: dict[str, Any] = json.loads(json.dumps({"schema": 1} | dataclasses.asdict(profile)))
+    data: dict[str, Any] = json.loads(json.dumps({"schema": 1} | profile.as_dict()))
     return data
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from eldata.calibration.audit import Finding
 from eldata.errors import ArgumentError, DatasetError
-from eldata.noise.gain_modes import LogLogFit
+from eldata.noise.gain_modes import GainMode, LogLogFit
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -85,6 +85,24 @@ def fit_log_log(gains_dn_per_e: Sequence[float], scales_dn: Sequence[float]) -> 
         r_squared=1 - squares / total if total > 0 else 1.0,
         points=len(x),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class FittedMode:
+    """A gain mode with the uncertainty of its lines.
+
+    Attributes
+    ----------
+    mode
+        As the profile has it.
+    tukey_lambda_fit, gauss_fit, row_fit
+        The estimates; ``None`` where fewer than three of the mode's ISOs can be fitted.
+    """
+
+    mode: GainMode
+    tukey_lambda_fit: LogLogEstimate | None
+    gauss_fit: LogLogEstimate | None
+    row_fit: LogLogEstimate | None
 
 
 _BY_CHANCE = 0.002  # of one fit: a calibration has three

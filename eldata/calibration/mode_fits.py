@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from eldata.calibration.joint import fit_log_log, gain_steps
+from eldata.calibration.joint import FittedMode, fit_log_log, gain_steps
 from eldata.noise.gain_modes import GainMode, LogLogFit, modes_problem
 
 if TYPE_CHECKING:
@@ -18,24 +18,6 @@ if TYPE_CHECKING:
     from eldata.calibration.results import IsoCalibration
 
 _NO_NOISE_DN = 1e-9  # a scale that a log-log line can hold in place of 0
-
-
-@dataclass(frozen=True, slots=True)
-class FittedMode:
-    """A gain mode with the uncertainty of its lines.
-
-    Attributes
-    ----------
-    mode
-        As the profile has it.
-    tukey_lambda_fit, gauss_fit, row_fit
-        The estimates; ``None`` where fewer than three of the mode's ISOs can be fitted.
-    """
-
-    mode: GainMode
-    tukey_lambda_fit: LogLogEstimate | None
-    gauss_fit: LogLogEstimate | None
-    row_fit: LogLogEstimate | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,8 +119,10 @@ def _fitted_mode(part: Sequence[IsoCalibration], is_one_of_several: bool, remark
         _fitted(f"{name}{where}", _points(part, scale_of), remarks) for name, scale_of in _SCALES.items()
     )
     if not _points(part, _SCALES["sigma_row"]):
-        withheld, what = (where.replace("from", "at"), "mode") if where else (" wherever K is known", "profile")
-        remarks.append(f"sigma_row is withheld{withheld}: the {what} makes no row noise")
+        if is_one_of_several:
+            remarks.append(f"sigma_row is withheld at ISO {lowest:g} to {highest:g}: that gain mode makes no row noise")
+        else:
+            remarks.append("sigma_row is withheld wherever K is known: the profile makes no row noise")
     mode = GainMode(
         gain_range_dn_per_e=(least_gain, most_gain),
         tukey_lambda_fit=tukey_lambda[1],

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from eldata.calibration.audit import Figure, Finding
     from eldata.calibration.colour_bias import ColourBias
     from eldata.calibration.defects import PatternSummary
-    from eldata.calibration.joint import LogLogEstimate
-    from eldata.calibration.mode_fits import FittedMode
+    from eldata.calibration.joint import FittedMode, LogLogEstimate
     from eldata.calibration.photon_transfer import PhotonTransfer
     from eldata.calibration.read_noise import ProbabilityPlot, ReadNoise
     from eldata.calibration.reproduction import Reproduction

@@ -144,7 +144,7 @@ def test_list(profile: Cli) -> None:
     assert done.code == 0
     lines = done.out.splitlines()
     assert [line.split()[0] for line in lines[2:]] == list(shipped_profiles())
-    assert "0.09392 to 6.011  100 to 6400" in lines[-1]
+    assert lines[-2].split()[1:7] == ["0.09392", "to", "6.011", "100", "to", "6400"]
     listed = json.loads(Path("list.json").read_text(encoding="utf-8"))
     assert [item["profile"] for item in listed] == list(shipped_profiles())
 

@@ -195,7 +195,8 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
     defect_rows = defects[stack.squared_rows]
 
     # One grid for all sites: of a frame whose size is no multiple of a block's, some may have no pixel in the last row.
-    grid = tuple(-(-length // (_BLOCK * len(pattern))) for length in total.shape)
+    side = _BLOCK * len(pattern)
+    grid = tuple(-(-length // side) for length in defects.shape)
 
     def measure(channel: int) -> _Channel:
         blocks: list[tuple[NDArray[Any], ...]] = []

@@ -85,7 +85,7 @@ REGIMES = {
     "four frames": Regime(-0.1, 2.0, 0.5, 0.6, MIXED, frames=4),
     "four frames, 0.75 DN, no pattern": Regime(-0.2, 0.75, 0.1, 0.0, frames=4),
     "four frames, 0.5 DN": Regime(0.1, 0.5, 0.1, 0.3, frames=4),
-    "few pixels": Regime(-0.2, 2.0, 0.5, 0.6, MIXED, shape=(64, 96)),
+    "the smallest frames": Regime(-0.2, 2.0, 0.5, 0.6, MIXED, shape=(256, 256)),
 }
 
 

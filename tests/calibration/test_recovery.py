@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -14,9 +13,6 @@ from eldata.raw import bayer_cfa
 from tests.calibration.chain import Calibration, calibrated, transferred
 from tests.calibration.in_memory import calibrated_arrays
 from tests.calibration.simulation import XTRANS, Body, Camera
-
-if TYPE_CHECKING:
-    from eldata.raw.cfa import Cfa
 
 # Over the ranges of the shipped cameras: K 0.09 to 29, lambda -0.24 to 0.2, sigma_TL 0.6 to 35 DN.
 CAMERAS = {
@@ -76,7 +72,7 @@ def test_the_truth_comes_back(name: str) -> None:
 
 
 @pytest.mark.parametrize("cfa", [bayer_cfa("GRBG"), XTRANS, bayer_cfa(block=2), bayer_cfa("GBRG", block=3)])
-def test_frames_of_odd_sizes(cfa: Cfa) -> None:
+def test_frames_of_odd_sizes(cfa: tuple[tuple[int, ...], ...]) -> None:
     """Of 257 x 389 pixels some sites of the CFA have a row or a column of blocks more than others."""
     channels = max(map(max, cfa)) + 1
     camera = Camera(shape=(257, 389), cfa=cfa, bias=(1.5, -0.75, 0.5, -2.0)[:channels])

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+from tqdm import tqdm
 
 from eldata.base.numbers import checked_whole
 from eldata.calibration._frames import channels_of, pattern_of
@@ -270,7 +271,7 @@ def check_iso_noise(
     for one in held_out:
         of_camera.add(dark_pair(*one, scale), mean_dn)
     camera.refuse()
-    for index in range(pairs):
+    for index in tqdm(range(pairs), desc=f"ISO {float(chosen.iso):g}", unit="pair", disable=None, leave=False):
         of_model.add(dark_pair(*made.pair(no_light, 2, index), scale), mean_dn)
     statistics = dark_statistics(reference, of_camera, of_model, 2 * first[0].size)
 
@@ -378,7 +379,7 @@ def _of_exposure(
         return [], 0
     for index in range(_REFERENCE):
         reference.add(flat_pair(*made.pair(light, stream, index), scale))
-    for index in range(pairs):
+    for index in tqdm(range(pairs), desc="flats", unit="pair", disable=None, leave=False):
         of_model.add(flat_pair(*made.pair(light, stream + 1, index), scale))
     where = light[compared_place(light.shape, len(pattern))] if made.whole_frames else light
     check = f"flats of {float(where.mean()):.0f} DN"

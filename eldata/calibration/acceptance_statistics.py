@@ -32,9 +32,9 @@ _DARK = (
     ("KS", ("difference of two", "distance of values (KS)", "1")),
     ("row halves", ("rows", "shared by left and right half", "DN^2")),
     ("row colours", ("rows", "shared by their colours", "DN^2")),
-    *((f"row {band}", ("rows", f"spectrum, {band} frequencies", "DN^2")) for band in ("low", "middle", "high")),
+    *((f"row {band}", ("rows", f"spectrum, {band} frequencies", "dB")) for band in ("low", "middle", "high")),
     ("column halves", ("columns", "shared by upper and lower half", "DN^2")),
-    *((f"column {band}", ("columns", f"spectrum, {band} frequencies", "DN^2")) for band in ("low", "middle", "high")),
+    *((f"column {band}", ("columns", f"spectrum, {band} frequencies", "dB")) for band in ("low", "middle", "high")),
     *((f"lag {y} {x}", ("neighbours", f"correlation {y} down, {x} across", "1")) for y, x in LAGS),
     ("pattern", ("fixed pattern", "energy", "DN^2")),
     ("pattern columns", ("fixed pattern", "energy of columns", "DN^2")),
@@ -177,7 +177,7 @@ def curves_of(camera: PairNumbers, model: PairNumbers, scale: FrameScale) -> tup
     for name, of in (("row-spectrum", "row_power"), ("column-spectrum", "column_power")):
         power = [np.mean(getattr(side, of), axis=0) for side in (camera, model)]
         lines = 2 * (len(power[0]) - 1)
-        groups = np.array_split(np.arange(1, len(power[0]) - 1), min(40, max(1, (len(power[0]) - 2) // 4)))
+        groups = np.array_split(np.arange(1, len(power[0]) - 1), min(24, max(1, (len(power[0]) - 2) // 4)))
         frequency = np.array([group.mean() / lines for group in groups])
         curves.append(Curve(name, frequency, *(np.array([of_side[g].mean() for g in groups]) for of_side in power)))
     return tuple(curves)

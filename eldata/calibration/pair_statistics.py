@@ -8,6 +8,7 @@ a number scatters as it does, and no count of independent pixels is needed.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +30,7 @@ _AROUND = 16  # sites on each side, over which light is smoothed
 # Cycles per line between which the spectrum's bands lie.
 _LOW, _HIGH = 1 / 64, 1 / 8
 _FEWEST_LINES = 4  # frequencies in the lowest band: one alone scatters by all of itself
+_NOTHING = 1e-12  # DN^2: in decibels, as a power of 0 would be, of a model without noise
 LAGS = ((0, 1), (0, 2), (1, 0), (2, 0), (1, 1), (2, 2))
 
 
@@ -313,7 +315,11 @@ def _less_channels(values: NDArray[Any], pattern: NDArray[np.int64]) -> tuple[Pl
 
 
 def _lines(change: Plane, period: int) -> tuple[dict[str, float], NDArray[np.float64], NDArray[np.float64]]:
-    """Return what rows and columns share, and the periodograms of their means."""
+    """Return what rows and columns share, and the periodograms of their means.
+
+    Bands of the spectra are in decibels: a band's power scatters in proportion to itself, and the more, the fewer its
+    frequencies. As a logarithm it scatters alike on both sides, however different they are.
+    """
     height, width = change.shape
     down, across = height // 2 // period * period, width // 2 // period * period
     colours = np.arange(width) % period < period / 2
@@ -330,7 +336,9 @@ def _lines(change: Plane, period: int) -> tuple[dict[str, float], NDArray[np.flo
     for name, of_lines, lines in (("row", of_rows, height), ("column", of_columns, width)):
         low, high = max(int(_LOW * lines), _FEWEST_LINES) + 1, int(_HIGH * lines) + 1
         bands = {"low": of_lines[1:low], "middle": of_lines[low:high], "high": of_lines[high:]}
-        numbers |= {f"{name} {band}": float(values.mean()) for band, values in bands.items()}
+        numbers |= {
+            f"{name} {band}": 10 * math.log10(max(float(values.mean()), _NOTHING)) for band, values in bands.items()
+        }
     return numbers, of_rows, of_columns
 
 

@@ -6,7 +6,7 @@ from itertools import groupby
 from typing import TYPE_CHECKING
 
 from eldata.noise.findings import LIMIT, parameter_rows
-from eldata.reports.acceptance.plots import plots
+from eldata.reports.acceptance.plots import acceptance_plots
 from eldata.reports.html import rendered
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ class _Iso:
         self.found = found
         self.name = f"{found.iso:g}"
         self.parameters = parameter_rows(found.parameters)
-        self.plots: tuple[Plot, ...] = plots(found)
+        self.plots: tuple[Plot, ...] = acceptance_plots(found)
         self.groups: list[tuple[str, tuple[FrameStatistic, ...]]] = [
             (check, tuple(group)) for check, group in groupby(found.statistics, lambda one: one.check)
         ]

@@ -6,7 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from eldata.noise.findings import LIMIT
-from eldata.reports.figures import drawn_axes
+from eldata.reports.figures import drawn_axes, log_ticks
 from eldata.reports.html import plot_words
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ _LABELS = {
 _REACH = 20.0  # standard errors: beyond, a point lies at the edge
 
 
-def plots(found: IsoAcceptance) -> tuple[Plot, ...]:
+def acceptance_plots(found: IsoAcceptance) -> tuple[Plot, ...]:
     """Draw the verdicts and the curves of one ISO."""
     said = plot_words("acceptance")
     worst = max((abs(one.deviation or 0.0) for one in found.statistics), default=0.0)
@@ -69,6 +69,10 @@ def _curve(curve: Curve, axes: Axes, theme: Theme) -> None:
         shown = values > 0
         axes.plot(curve.x[shown], values[shown], style, color=colour, label=label)
     axes.set_yscale("log")
+    if curve.name != "tails":  # room for three decades: the wiggles of chance look as small as they are
+        middle = float(curve.model[len(curve.model) // 2]) or 1.0
+        axes.set_ylim(min(middle / 30, *curve.frames), max(middle * 30, *curve.frames))
+    log_ticks(axes.yaxis, 3)
     axes.set_xlabel(x_label)
     axes.set_ylabel(y_label)
     axes.legend(loc="upper right")

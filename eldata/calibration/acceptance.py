@@ -288,7 +288,7 @@ def check_iso_noise(
         shape=(first[0].shape[0], first[0].shape[1]),
         statistics=(*statistics, *lit),
         curves=curves_of(of_camera, of_model, scale),
-        remarks=(*drawn, *few, *remarks, *camera.copies.remarks),
+        remarks=tuple(dict.fromkeys((*drawn, *few, *remarks, *camera.copies.remarks))),
     )
 
 

@@ -7,8 +7,10 @@ those that should pass. The seeds are fixed.
 
 from __future__ import annotations
 
+import json
 import math
 import runpy
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +20,7 @@ import pytest
 from eldata.calibration.acceptance import check_noise
 from eldata.calibration.acceptance_results import FrameStatistic
 from eldata.calibration.frame_checks import FramesError
+from eldata.cli.main import main
 from eldata.errors import ArgumentError
 from eldata.noise import CameraProfile, NoiseModel
 from eldata.noise.profile import LogLogFit, ProfileRow
@@ -79,6 +82,15 @@ def test_what_the_papers_model_misses() -> None:
 def test_another_specimens_pattern_has_the_energy_and_not_the_places() -> None:
     found = judged(Specimen(PATTERNED, seed=1), Specimen(PATTERNED, seed=2), pairs=16)
     assert "energy in common with the model's" in symbols(found, "fixed pattern")
+
+
+def test_whole_frames_for_a_model_that_knows_the_places(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The middle is compared: given that piece alone, the model's own pattern would lie elsewhere (and not fit)."""
+    monkeypatch.setattr(import_module("eldata.calibration.reproduction"), "_SIDE", 128)
+    specimen = Specimen(PATTERNED)
+    found = judged(specimen, specimen, flats=(2000.0,), pairs=16, whole_frames=True)
+    assert found.shape == (128, 128)
+    assert found.off == ()
 
 
 def test_xtrans() -> None:
@@ -160,12 +172,26 @@ def test_files_levels_and_what_is_missing(pristine: FrameTree, tmp_path: Path) -
         check_noise(NoiseModel(), few.frames(isos=[100]), profile())
 
 
-def test_the_example(pristine: FrameTree) -> None:
-    """A torch model in its adapter, on files."""
+def test_the_command(pristine: FrameTree, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Table, JSON, page and exit code, on files."""
+    made, page, numbers = (tmp_path / name for name in ("nobody.json", "page.html", "found.json"))
+    profile().save(made)
+    options = ["--iso", "100", "--pairs", "16", "--html", str(page), "--json", str(numbers)]
+    assert main(["noise", "check", str(made), "--frames", str(pristine.root), *options]) == 1
+    found = json.loads(numbers.read_text(encoding="utf-8"))
+    (one,) = found["isos"]
+    assert (one["iso"], one["bias_frames"], one["flat_frames"], one["parameters_as_measured"]) == (100, 4, 4, True)
+    assert {"rows", "fixed pattern"} <= set(one["missed"])
+    assert found["ok"] is False
+    printed = capsys.readouterr().out
+    assert "ISO 100: 4 bias frames and 4 flats held out, 192 x 288 pixels compared" in printed
+    assert f"of {len(one['statistics'])} statistics off by more than 4 standard errors" in printed
+    assert "Noise model against DemoGamma" in page.read_text(encoding="utf-8")
+
+
+def test_the_example() -> None:
+    """A torch model in its adapter: Gaussian noise of the true variance, and no rows."""
     example = runpy.run_path(str(Path(__file__).parents[2] / "examples" / "check_noise_model.py"))
-    adapter = example["Adapter"](example["GaussianNetwork"]())
-    found = check_noise(adapter, pristine.frames(isos=[100]), profile(), pairs=16)
-    assert {"rows", "fixed pattern"} <= missed(found.isos[0])
-    assert found.isos[0].flat_frames > 0
-    assert found.as_dict()["isos"][0]["ok"] is False
-    assert "statistics off by more than 4 standard errors" in found.format_text()
+    found = judged(example["Adapter"](example["GaussianNetwork"]()), Specimen(PLAIN), pairs=16)
+    assert {"level", "difference of two", "rows"} <= missed(found)
+    assert missed(found).isdisjoint({"columns", "neighbours", "fixed pattern"})

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.base.tables import text_table, with_error
-from eldata.calibration.audit import SYMBOLS, GivenFigure, given, withheld
+from eldata.calibration.audit import SYMBOLS, GivenFigure, given, named, widened, withheld
 from eldata.calibration.spectrum import SpectrumLines
 from eldata.errors import DatasetError
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.audit import Figure, Finding
+    from eldata.calibration.audit import Effect, Figure, Finding
     from eldata.calibration.colour_bias import ColourBias
     from eldata.calibration.defects import PatternSummary
     from eldata.calibration.joint import LogLogEstimate
@@ -79,9 +79,26 @@ class IsoGain:
         """The figures that are not given, since an assumption that they rest on does not hold."""
         return withheld(self.findings)
 
+    @property
+    def widened(self) -> frozenset[Figure]:
+        """The figures that are given with an error made larger, since an assumption holds only nearly."""
+        return widened(self.findings)
+
+    @property
+    def withheld_and_widened(self) -> tuple[str, str]:
+        """The symbols of both kinds of figures."""
+        return named(self.withheld), named(self.widened)
+
     def why_withheld(self, figure: Figure) -> str:
         """Return in words why a figure is not given; empty if it is."""
-        return "; ".join(one.text for one in self.findings if one.effect == "withheld" and figure in one.figures)
+        return self._why(figure, "withheld")
+
+    def why_widened(self, figure: Figure) -> str:
+        """Return in words why a figure is given with a larger error; empty if it is not."""
+        return self._why(figure, "wider") if figure in self.widened else ""
+
+    def _why(self, figure: Figure, effect: Effect) -> str:
+        return "; ".join(one.text for one in self.findings if one.effect == effect and figure in one.figures)
 
     @property
     def all_remarks(self) -> tuple[str, ...]:

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from eldata.calibration.flat_checks import flat_findings
 from eldata.calibration.joint import step_findings
-from eldata.calibration.photon_transfer import FlatPairs, photon_transfer
+from eldata.calibration.photon_transfer import FlatPairs, PhotonTransfer, PhotonTransferLine, photon_transfer
 from tests.calibration import flats_study as study
 from tests.calibration.simulation import BAYER
 from tests.calibration.trees import calibrated_iso, made_tree, relative, rewritten
@@ -120,6 +121,20 @@ def test_a_line_that_is_bent() -> None:
     found = study.outcome(setting, study.bent(0.08)(small(setting), np.random.default_rng(10)))
     assert [one.check for one in found.findings] == ["bent photon transfer"]
     assert "slower than the signal" in found.findings[0].text
+
+
+def test_channels_that_bend_alike_are_seen_together() -> None:
+    """A bend that each of four channels shows to 2.2 of its errors only: a parabola's points without noise."""
+    signal = np.linspace(1000.0, 14000.0, 12)
+    error = 0.01 * signal
+    straight = PhotonTransferLine(1.0, 0.002, 20.0, 1.0, 1.0, signal, signal + 20, error)
+    bent = replace(straight, variance_dn2=signal - 2.4e-6 * signal**2 + 20)
+    found = PhotonTransfer(1.0, 0.001, 1.0, (bent,) * 4, 8, 0.0, 0.0, 0.0, 0.001)
+    (finding,) = flat_findings(found)
+    assert finding.check == "bent photon transfer"
+    assert 4.2**2 < finding.statistic < 4.6**2
+    opposite = replace(straight, variance_dn2=signal + 2.4e-6 * signal**2 + 20)
+    assert not flat_findings(replace(found, channels=(bent, bent, opposite, opposite)))
 
 
 def test_a_channel_that_the_camera_scales() -> None:

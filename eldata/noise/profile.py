@@ -259,7 +259,9 @@ class CameraProfile:
             gain, scale, gauss, rows = row.gain_dn_per_e, row.sigma_tl_dn, row.sigma_gauss_dn, row.sigma_row_dn
             if row.iso is None or gain is None or scale is None or gauss is None or rows is None:
                 continue
-            found = NoiseParameters(gain, row.tukey_lambda, scale, gauss, rows, row.colour_bias_dn, self.range_dn)
+            found = NoiseParameters(
+                gain, row.tukey_lambda, scale, gauss, rows, row.colour_bias_dn, self.range_dn, row.iso
+            )
             complete.setdefault(row.iso, found)
         if iso in complete:
             return complete[iso]
@@ -337,6 +339,7 @@ class CameraProfile:
             sigma_row_dn=mode.row_fit.scale_dn(gain, z_row),
             colour_bias_dn=chosen.colour_bias_dn,
             range_dn=self.range_dn,
+            iso=iso,
         )
 
     def _gain_at(self, share: float) -> float:

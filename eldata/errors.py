@@ -47,6 +47,10 @@ class PredictionError(FileError):
     """A prediction cannot be scored."""
 
 
+class ShadingError(FileError):
+    """The file of a dark shading cannot be used."""
+
+
 class ManifestError(EldataError):
     """A manifest or a dataset card is malformed."""
 

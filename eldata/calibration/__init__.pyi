@@ -39,6 +39,8 @@ from .row_noise import LineMeans as LineMeans
 from .row_noise import LineNoise as LineNoise
 from .row_noise import RowNoise as RowNoise
 from .row_noise import row_noise as row_noise
+from .shading_fit import ShadingFit as ShadingFit
+from .shading_fit import dark_shading as dark_shading
 from .single_frame import SingleFramePlot as SingleFramePlot
 from .single_frame import single_frame_plot as single_frame_plot
 from .spectrum import power_spectrum as power_spectrum

@@ -131,6 +131,26 @@ def calibrate_flats(
         return replace(found, remarks=(*of_copies, *found.remarks, *of_flats.remarks, *transfer_remarks(found)))
 
 
+def bias_pattern(
+    frames: CalibrationFrames,
+    chosen: IsoFrames,
+    workers: Workers = IN_THIS_PROCESS,
+    *,
+    done: Callable[[], object] = lambda: None,
+) -> tuple[Sensor, FixedPattern]:
+    """Return the sensor, and what stays from frame to frame, of all bias frames of one ISO, each decoded once.
+
+    Raises
+    ------
+    FramesError
+        As of :func:`calibrate_iso`.
+    """
+    with _unusable(frames, chosen):
+        reader = _Reader(frames, workers, done)
+        fixed, _, _ = _first_pass(reader, chosen.bias, ())
+        return reader.sensor, fixed
+
+
 @contextmanager
 def _unusable(frames: CalibrationFrames, chosen: IsoFrames) -> Iterator[None]:
     """Turn what the estimators say of one ISO's frames into its problem."""
@@ -205,7 +225,8 @@ class _Reader:
 
 
 def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
-    fixed, estimated, held_out = _first_pass(reader, chosen.bias)
+    estimated, to_compare = _split(chosen.bias)
+    fixed, estimated, held_out = _first_pass(reader, estimated, to_compare)
     sensor = reader.sensor
     lines, residuals, audit = LineMeans(fixed), Residuals(fixed), BiasAudit(fixed)
     means = ChannelMeans(sensor.cfa, defects=fixed.defects)
@@ -271,14 +292,13 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
 
 
 def _first_pass(
-    reader: _Reader, bias: Sequence[FrameRecord]
+    reader: _Reader, estimated: Sequence[FrameRecord], held_out: Sequence[FrameRecord]
 ) -> tuple[FixedPattern, Sequence[FrameRecord], NDArray[np.uint16] | None]:
     """Return what stays from frame to frame, of which frames, and what is compared of the frame that is kept out."""
-    estimated, held_out = _split(bias)
     if len(estimated) < MINIMUM_FRAMES:
         raise _too_few(len(estimated))
     stack, kept, figures, used = None, None, [], []
-    for record, frame in reader.read(bias):
+    for record, frame in reader.read((*estimated, *held_out)):
         reader.problems += clipped_black(record, frame.mosaic)
         figures.append(FrameFigures.of(record, frame.mosaic))
         stack = stack or BiasStack(frame.sensor.cfa)

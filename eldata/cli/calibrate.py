@@ -29,7 +29,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
             "profile for the noise model. Frames that cannot be used are listed, and their ISO is left out; figures "
             "that the frames cannot bear are withheld, and the text says why. Flats alone give K; with bias frames "
             "alone, state K with --gain. Exit code 1 if an ISO is left out, a figure is withheld, or the profile that "
-            "-o asks for cannot be made."
+            "-o asks for, or the dark shading, cannot be made."
         ),
         epilog="What to shoot, how failures show and what to do about each: docs/calibration.md.",
     )
@@ -41,6 +41,14 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("--camera", metavar="NAME", help="the camera's name (default: the only camera there)")
     add_output(parser, "-o", "--output", help="write the camera profile to FILE (JSON)")
     add_output(parser, "--html", help="write a report with plots to FILE")
+    add_output(
+        parser,
+        "--dark-shading",
+        help=(
+            "write what the sensor shows of itself in the dark to FILE (.npz): a line over ISO in each pixel, and the "
+            "black level error of each ISO. Reads the bias frames once more"
+        ),
+    )
     parser.add_argument(
         "--iso",
         action="append",
@@ -97,6 +105,7 @@ def run(arguments: argparse.Namespace) -> int:
     from eldata.base.files import write_text
     from eldata.calibration.camera import calibrate, stated_gains
     from eldata.calibration.frame_checks import FramesError
+    from eldata.calibration.shading_fit import dark_shading
     from eldata.datasets.calibration_frames import CalibrationFrames
     from eldata.manifest.catalogue import load_manifest
     from eldata.noise.profile import CameraProfile
@@ -115,6 +124,8 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         with chosen_workers(arguments) as workers:
             found = calibrate(frames, gains=gains, modes=arguments.modes, workers=workers)
+            with_bias = arguments.dark_shading and any("colour bias" not in one.withheld for one in found.isos)
+            shading = dark_shading(frames, found, modes=arguments.modes, workers=workers) if with_bias else None
     except FramesError as error:
         problems = error.problems
         data = {"camera": frames.camera, "problems": [asdict(one) for one in problems]}
@@ -141,19 +152,36 @@ def run(arguments: argparse.Namespace) -> int:
         found.made_profile.save(arguments.output)
         print(f"\nprofile: {arguments.output}; look at it with eldata profile show {arguments.output}")
 
+    def write_shading() -> None:
+        if shading is None:
+            print(f"\n{arguments.dark_shading} was not written: no ISO has bias frames whose level is known")
+            return
+        shading.save(arguments.dark_shading)
+        listed, hot = _listed(one.iso for one in shading.isos), int(shading.hot.sum())
+        print(f"\ndark shading: {arguments.dark_shading}; ISO {listed}; {hot} hot pixel(s) left as they are")
+        print(f"    {shading.digest}")
+        for note in shading.notes:
+            print(f"    {note}")
+
     def write_page() -> None:
         from eldata.reports.calibration.page import calibration_page
 
         write_text(arguments.html, calibration_page(found))
         print(f"\nreport: {arguments.html}")
 
+    def write_data() -> None:
+        of_shading = {"dark_shading": None if shading is None else shading.summary()}
+        write_json(arguments.json, found.as_dict() | (of_shading if arguments.dark_shading else {}))
+
     each_of(
         show,
         arguments.output and write_profile,
-        arguments.json and (lambda: write_json(arguments.json, found.as_dict())),
+        arguments.dark_shading and write_shading,
+        arguments.json and write_data,
         arguments.html and write_page,
     )
     lacking = arguments.output and found.made_profile is None
+    lacking = lacking or (arguments.dark_shading and shading is None)
     return PROBLEMS if lacking or found.problems or any(one.withheld for one in found.all_isos) else OK
 
 

@@ -21,9 +21,7 @@ png
 
 from __future__ import annotations
 
-import io
 import math
-import zipfile
 import zlib
 from dataclasses import dataclass
 from itertools import product
@@ -34,6 +32,7 @@ import numpy as np
 from eldata.base.files import file_problem
 from eldata.base.isolation import GuardError, guarded
 from eldata.base.npy import read_npy
+from eldata.base.npz import opened_npz
 from eldata.base.png import read_png
 from eldata.base.visible import in_line
 from eldata.errors import PredictionError
@@ -145,35 +144,9 @@ def _of_npy(header: NpyHeader) -> Declared:
     return Declared(header.shape, header.values)
 
 
-class _SmallReads(io.BufferedReader):
-    """A file of which no part is read that is larger than a member's piece, such as an endless list of members."""
-
-    def read(self, size: int | None = -1, /) -> bytes:
-        if size is None or size < 0:
-            at = self.tell()
-            size = self.seek(0, io.SEEK_END) - at
-            self.seek(at)
-        if size > _PIECE_BYTES:
-            raise zipfile.BadZipFile(f"its list of members takes {size} bytes")
-        return super().read(size)
-
-
 def _read_npz(path: Path, check: Check) -> NDArray[Any]:
-    if not zipfile.is_zipfile(path):
-        raise PredictionError(path, "is not a whole npz archive; write it again")
-    with _SmallReads(path.open("rb", buffering=0)) as file, zipfile.ZipFile(file) as archive:
-        members = archive.infolist()
-        names = [member.filename.removesuffix(".npy") for member in members]
-        member = members[names.index(_only(path, names))]
-        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            raise zipfile.BadZipFile(f"compressed by method {member.compress_type}; expected numpy's savez_compressed")
-        with archive.open(member) as content:
-            array = read_npy(content, member.file_size, lambda header: check(_of_npy(header)))
-            if content.read(1):  # at the end zipfile compares the checksum
-                raise zipfile.BadZipFile("the member goes on after its array")
-            if content.tell() != member.file_size:
-                raise zipfile.BadZipFile(f"a member of {content.tell()} bytes that declares {member.file_size}")
-    return array
+    with opened_npz(path) as archive:
+        return archive.read(_only(path, archive.names), lambda header: check(_of_npy(header)))
 
 
 # --- h5 -----------------------------------------------------------------------------------------------------------

@@ -1,6 +1,8 @@
 from .components import PAPER_MODELS as PAPER_MODELS
 from .components import Components as Components
 from .components import parse_components as parse_components
+from .dark_shading import DarkShading as DarkShading
+from .dark_shading import ShadingIso as ShadingIso
 from .exposures import Adc as Adc
 from .exposures import DarkCrops as DarkCrops
 from .gain_modes import GainMode as GainMode

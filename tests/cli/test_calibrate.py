@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from eldata.noise import CameraProfile
+from eldata.noise import CameraProfile, DarkShading
 from tests.calibration.trees import CAMERA, FrameTree, made_tree, relative, rewritten
 from tests.cli.conftest import room_for
 from tests.waiting import PATIENCE_S
@@ -429,3 +429,34 @@ def test_ctrl_c_at_any_moment(pristine: FrameTree, tmp_path: Path) -> None:
         assert "p.json" not in out
         assert list(tmp_path.iterdir()) == []
         assert process.returncode in (130, -signal.SIGINT), err
+
+
+# --- dark shading ---------------------------------------------------------------------------------------------------
+
+
+def test_a_dark_shading(eldata: Cli, pristine: FrameTree, tmp_path: Path) -> None:
+    """The mean of the bias frames of each ISO is what it says, to the error that it states."""
+    target, data = tmp_path / "s.npz", tmp_path / "d.json"
+    outcome = eldata("calibrate", pristine.root, "--one-mode", "--dark-shading", target, "--json", data)
+    assert (outcome.code, outcome.err) == (0, "")
+    shading = DarkShading.load(target)
+    assert f"dark shading: {target}; ISO 100, 400, 1600; " in outcome.out
+    assert shading.digest in outcome.out
+    assert json.loads(data.read_text(encoding="utf-8"))["dark_shading"] == json.loads(json.dumps(shading.summary()))
+    frames = pristine.frames()
+    for iso in ISOS:
+        read = [frames.read(record) for record in frames.of("bias", iso)]
+        black = np.tile(np.array(read[0].sensor.black_level_dn)[np.array(read[0].sensor.cfa)], (128, 192))
+        off = (np.mean([frame.mosaic for frame in read], axis=0) - black - shading.at(iso))[~shading.hot]
+        assert abs(off.mean()) < 0.01
+        assert off.std() < shading.measured(iso).sigma_dn / np.sqrt(4), "a line of two parameters follows three means"
+
+
+def test_no_dark_shading_of_flats(eldata: Cli, tree: FrameTree, tmp_path: Path) -> None:
+    for iso in ISOS:
+        for path in tree.files("bias", iso):
+            path.unlink()
+    outcome = eldata("calibrate", tree.root, "--dark-shading", tmp_path / "s.npz")
+    assert outcome.code == 1
+    assert f"{tmp_path / 's.npz'} was not written: no ISO has bias frames whose level is known" in outcome.out
+    assert not (tmp_path / "s.npz").exists()

@@ -1,0 +1,269 @@
+"""Dark shading: a line over ISO through each pixel's mean of the bias frames, an ISO at a time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from tqdm import tqdm
+
+from eldata import __version__
+from eldata.base.workers import Workers
+from eldata.calibration.frame_checks import sorted_frames
+from eldata.calibration.one_iso import bias_pattern
+from eldata.errors import ArgumentError, DatasetError
+from eldata.noise.dark_shading import DarkShading, ShadingIso
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from eldata.base.workers import AnyWorkers
+    from eldata.calibration.defects import FixedPattern
+    from eldata.calibration.results import Calibration, IsoCalibration
+    from eldata.datasets.calibration_frames import CalibrationFrames
+
+_REACH = 2  # periods of the CFA around a hot pixel, whose sound pixels stand for it
+_ROWS = 64  # at a time
+_LEAST_VARIANCE_DN2 = 1 / 12  # of rounding: quieter noise is told by it
+
+
+@dataclass(slots=True, eq=False)
+class _Lines:
+    """The lines of one gain mode: weighted least squares, one mean frame after another.
+
+    With all weights the same in every pixel, a frame moves slope and offset by its distance from the line so far, times
+    two numbers that follow from the ISOs alone (recursive least squares). So there are two values a pixel, whatever the
+    number of ISOs, and no difference of large sums.
+    """
+
+    slope: NDArray[np.float32]
+    offset: NDArray[np.float32]
+    weight: float = 0.0
+    middle: float = 0.0
+    lever: float = 0.0
+
+    def gains(self, iso: float, weight: float) -> tuple[float, float]:
+        """Take the ISO into account, and return by how much of the distance from the line slope and offset move."""
+        self.weight += weight
+        before = iso - self.middle
+        self.middle += weight / self.weight * before
+        after = iso - self.middle
+        self.lever += weight * before * after
+        of_slope = weight * after / self.lever if self.lever > 0 else 0.0  # of one ISO, the line is level
+        return of_slope, weight / self.weight - self.middle * of_slope
+
+
+class ShadingFit:
+    """Fits ``k ISO + b + BLE[ISO]`` to the mean frames of one ISO after another.
+
+    Per gain mode, k and b of a pixel are the weighted least squares line through its means over the black level;
+    weights are one over the variance that noise leaves in a mean, so that what a line cannot follow lies where it is
+    least seen. BLE is what the mean of a channel's sound pixels keeps from its own such line: it adds up to 0 over
+    the ISOs of a mode, and has no slope, by this choice, since k and b can hold both.
+
+    The memory is that of eight bytes a pixel and gain mode, whatever the number of ISOs and frames.
+
+    Parameters
+    ----------
+    starts
+        The first ISO of each gain mode but the lowest, ascending.
+    """
+
+    def __init__(self, starts: Sequence[float] = ()) -> None:
+        self._starts = tuple(starts)
+        self._lines: dict[int, _Lines] = {}
+        self._isos: list[ShadingIso] = []
+        self._pattern: NDArray[np.int64] | None = None
+        self._hot: NDArray[np.bool_] | None = None
+
+    def add(
+        self, iso: float, fixed: FixedPattern, black_level_dn: Sequence[float], standard_error_dn: Sequence[float]
+    ) -> None:
+        """Add an ISO.
+
+        Parameters
+        ----------
+        iso
+            ISO speed.
+        fixed
+            Its bias frames' sum and defects.
+        black_level_dn
+            As recorded, per CFA channel.
+        standard_error_dn
+            Of the channels' mean levels, from frame to frame.
+
+        Raises
+        ------
+        ArgumentError
+            If the ISO was added before, or the frames have another size or CFA than those before.
+        """
+        if any(one.iso == iso for one in self._isos):
+            raise ArgumentError(f"ISO {iso:g} was added before; add all frames of an ISO together")
+        if self._pattern is None or self._hot is None:
+            self._pattern, self._hot = fixed.pattern, np.zeros_like(fixed.defects)
+        if fixed.defects.shape != self._hot.shape or not np.array_equal(fixed.pattern, self._pattern):
+            raise ArgumentError(
+                f"ISO {iso:g}: the frames have {fixed.defects.shape} pixels, those before {self._hot.shape}, or they "
+                "differ in their CFA; the frames of a dark shading are of one body and one raw format"
+            )
+        variance = max(float(np.mean(fixed.temporal_variance_dn2)), _LEAST_VARIANCE_DN2)
+        one = ShadingIso(
+            iso=iso,
+            mode=sum(start <= iso for start in self._starts),
+            frames=fixed.frames,
+            sigma_dn=math.sqrt(variance),
+            level_error_dn=tuple(np.subtract(fixed.level_dn, black_level_dn).tolist()),  # over black: the line is later
+            standard_error_dn=tuple(map(float, standard_error_dn)),
+        )
+        self._isos.append(one)
+        self._hot |= fixed.defects
+        if one.mode not in self._lines:
+            self._lines[one.mode] = _Lines(np.zeros(self._hot.shape, np.float32), np.zeros(self._hot.shape, np.float32))
+        lines = self._lines[one.mode]
+        of_slope, of_offset = lines.gains(iso, one.weight)
+        black = np.asarray(black_level_dn, np.float64)[self._pattern]
+        step = _ROWS * len(black)
+        whole = np.tile(black, (_ROWS, -(-self._hot.shape[1] // len(black))))[:, : self._hot.shape[1]]
+        for top in range(0, len(self._hot), step):
+            rows = slice(top, top + step)
+            slope, offset = lines.slope[rows], lines.offset[rows]
+            off = fixed.total_dn[rows] / fixed.frames - whole[: len(slope)]
+            off -= slope * iso + offset
+            slope += of_slope * off
+            offset += of_offset * off
+
+    def shading(self, camera: str, source: str, notes: Sequence[str] = ()) -> DarkShading:
+        """Return the dark shading; nothing can be added then.
+
+        Raises
+        ------
+        DatasetError
+            If no ISO was added.
+        """
+        if self._pattern is None or self._hot is None:
+            raise DatasetError(f"{camera}: no ISO gives a dark shading: {'; '.join(notes) or 'there are none'}")
+        isos: list[ShadingIso] = []
+        fields = []
+        present = sorted(self._lines)  # a mode that no ISO lies in has no line
+        for number, mode in enumerate(present):
+            isos += _over_their_line([one for one in self._isos if one.mode == mode], number)
+            lines = self._lines.pop(mode)
+            for values in (lines.slope, lines.offset):
+                _calm(values, self._hot, len(self._pattern))
+            fields.append((lines.slope, lines.offset))
+        slope, offset = (
+            values[0][None] if len(values) == 1 else np.stack(values) for values in zip(*fields, strict=True)
+        )
+        cfa = tuple(tuple(map(int, row)) for row in self._pattern)
+        return DarkShading(
+            camera=camera,
+            source=source,
+            cfa=cfa,
+            isos=tuple(isos),
+            slope_dn=slope,
+            offset_dn=offset,
+            hot=self._hot,
+            notes=tuple(notes),
+        )
+
+
+def _over_their_line(isos: Sequence[ShadingIso], mode: int) -> Iterator[ShadingIso]:
+    """Yield the ISOs of a mode, ascending, with what their levels keep from the line through them."""
+    ordered = sorted(isos, key=lambda one: one.iso)
+    weights, speeds = np.array([one.weight for one in ordered]), np.array([one.iso for one in ordered])
+    levels = np.array([one.level_error_dn for one in ordered])
+    centred = speeds - weights @ speeds / weights.sum()
+    rest = levels - weights @ levels / weights.sum()
+    if len(ordered) > 1:
+        rest -= np.outer(centred, (weights * centred) @ levels / (weights @ centred**2))
+    for one, over in zip(ordered, rest, strict=True):
+        yield replace(one, mode=mode, level_error_dn=tuple(over.tolist()))
+
+
+def _calm(values: NDArray[np.float32], hot: NDArray[np.bool_], period: int) -> None:
+    """Replace hot pixels by the mean of the sound ones at the same site of the CFA near them, else anywhere."""
+    for y in range(period):
+        for x in range(period):
+            of_site, hot_here = values[y::period, x::period], hot[y::period, x::period]
+            rows, columns = np.nonzero(hot_here)
+            if not len(rows):
+                continue
+            total, count = np.zeros(len(rows)), np.zeros(len(rows), np.int64)
+            for down in range(-_REACH, _REACH + 1):
+                for right in range(-_REACH, _REACH + 1):
+                    at = rows + down, columns + right
+                    inside = (at[0] >= 0) & (at[0] < of_site.shape[0]) & (at[1] >= 0) & (at[1] < of_site.shape[1])
+                    at = np.where(inside, at[0], 0), np.where(inside, at[1], 0)
+                    sound = inside & ~hot_here[at]
+                    total += np.where(sound, of_site[at], 0.0)
+                    count += sound
+            everywhere = float(of_site.mean(where=~hot_here, dtype=np.float64)) if not hot_here.all() else 0.0
+            of_site[rows, columns] = np.where(count > 0, total / np.maximum(count, 1), everywhere)
+
+
+def dark_shading(
+    frames: CalibrationFrames, found: Calibration, *, modes: Sequence[float] | None = None, workers: AnyWorkers = 1
+) -> DarkShading:
+    """Fit the dark shading of a camera body to its bias frames, each decoded once.
+
+    Parameters
+    ----------
+    frames
+        The frames.
+    found
+        What :func:`~eldata.calibration.camera.calibrate` found in them. ISOs that it left out, or whose level it
+        withheld, are left out here too.
+    modes
+        The first ISO of each gain mode of the camera but the lowest; by default as ``found`` has them.
+    workers
+        Number of threads that decode. The result does not depend on it.
+
+    Returns
+    -------
+    DarkShading
+        Its notes say which ISOs were left out, and why.
+
+    Raises
+    ------
+    DatasetError
+        If no ISO is left.
+    FramesError
+        If frames can no longer be read.
+    ArgumentError
+        If the ISOs differ in size or CFA, or ``workers`` is not positive.
+
+    Examples
+    --------
+    >>> from eldata import CalibrationFrames, calibrate
+    >>> from eldata.calibration import dark_shading
+    >>> frames = CalibrationFrames("data/calibration", "MyCamera")  # doctest: +SKIP
+    >>> dark_shading(frames, calibrate(frames)).save("mycamera.npz")  # doctest: +SKIP
+    """
+    threads = Workers(Workers.of(workers).jobs)
+    limits = [one.mode.iso_range for one in found.modes if one.mode.iso_range is not None]
+    starts = [low for low, _ in limits[1:]] if modes is None else list(modes)
+    notes = []
+    if modes is None and not found.modes and len(found.isos) > 1:
+        notes.append("K is not known, so a switch of the conversion gain would not be seen: all ISOs share one line")
+    usable: list[IsoCalibration] = []
+    for one in found.isos:
+        between = any(above < one.iso < start for (_, above), start in zip(limits, starts, strict=False))
+        if "colour bias" in one.withheld:
+            notes.append(f"ISO {one.iso:g} was left out: {one.why_withheld('colour bias')}")
+        elif modes is None and between:
+            notes.append(f"ISO {one.iso:g} was left out: it lies between two gain modes, and no K tells of which it is")
+        else:
+            usable.append(one)
+    chosen = {float(one.iso): one for one in sorted_frames(frames, threads)}
+    fit = ShadingFit(starts)
+    total = sum(len(chosen[one.iso].bias) for one in usable)
+    with tqdm(total=total, desc=f"dark shading {frames.camera}", unit="frame", disable=None, leave=False) as bar:
+        for one in usable:
+            sensor, fixed = bias_pattern(frames, chosen[one.iso], threads, done=bar.update)
+            fit.add(one.iso, fixed, sensor.black_level_dn, one.bias.standard_error_dn)
+    source = f"eldata {__version__} calibrate: {total} bias frames at {len(usable)} ISO(s)"
+    return fit.shading(found.camera, source, notes)

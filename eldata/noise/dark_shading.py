@@ -1,0 +1,373 @@
+"""Dark shading: what a sensor shows of itself in the dark, the same in every frame, as a line over ISO in each pixel.
+
+``DS(ISO) = k ISO + b + BLE[ISO]`` in DN over the recorded black level, after PMN [1]_: slope k and offset b of each
+pixel, and a black level error of each CFA channel at each ISO. Where a camera switches its conversion gain, each mode
+has a k and a b of its own.
+
+The file
+--------
+An .npz archive, not compressed, that numpy reads: ``slope_dn`` and ``offset_dn``, float32 (modes, H, W); ``hot``,
+boolean (H, W); and ``about``, the bytes of a JSON object with the rest, and the digest of it all.
+
+References
+----------
+.. [1] H. Feng, L. Wang, Y. Wang, H. Fan and H. Huang, "Learnability Enhancement for Low-light Raw Image Denoising: A
+   Data Perspective", IEEE Transactions on Pattern Analysis and Machine Intelligence, 2023.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eldata.base.fields import Fields, TextFile, names_of
+from eldata.base.files import atomic_write, file_problem, json_text
+from eldata.base.npy import NpyError
+from eldata.base.npz import opened_npz
+from eldata.errors import ArgumentError, ShadingError
+from eldata.raw.cfa import packed_channels
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from eldata.base.npy import NpyHeader
+    from eldata.base.npz import NpzArchive
+    from eldata.raw.cfa import CfaRows
+
+SCHEMA = 1
+_MOST_ABOUT_BYTES = 1 << 20
+_LONGEST_SIDE = 65_535
+_MOST_MODES = 16
+_FIELDS = ("slope_dn", "offset_dn")
+_ADVICE = "write it again with eldata calibrate --dark-shading"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShadingIso:
+    """What one ISO gave to a dark shading.
+
+    Attributes
+    ----------
+    iso
+        ISO speed.
+    mode
+        The number of its gain mode, from 0: whose slope and offset hold.
+    frames
+        Bias frames.
+    sigma_dn
+        Standard deviation of a pixel over time, DN.
+    level_error_dn
+        BLE: by how much the mean of each CFA channel lies over the line, DN.
+    standard_error_dn
+        Of the level, by the scatter between frames, DN.
+    """
+
+    iso: float
+    mode: int
+    frames: int
+    sigma_dn: float
+    level_error_dn: tuple[float, ...]
+    standard_error_dn: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        for name in ("iso", "sigma_dn"):  # as a file gives them back: they are in the digest
+            object.__setattr__(self, name, float(getattr(self, name)))
+        for name in ("level_error_dn", "standard_error_dn"):
+            object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
+
+    @property
+    def weight(self) -> float:
+        """Of its mean frame in the lines, 1 / DN^2: one over the variance that noise leaves in it."""
+        return self.frames / self.sigma_dn**2
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class DarkShading:
+    """The dark shading of one camera body.
+
+    Attributes
+    ----------
+    camera, source
+        The camera's name, and where the figures come from.
+    cfa
+        The CFA of pixel (0, 0).
+    isos
+        The measured ISOs, ascending.
+    slope_dn, offset_dn
+        k [DN per unit of ISO] and b [DN], (modes, H, W) float32. Where a mode has one ISO alone, k is 0.
+    hot
+        (H, W) True where a pixel is hot, cold or stuck at one of the ISOs: its k and b are those of its neighbours of
+        the same colour, so that it stays as it is when the shading is subtracted.
+    notes
+        What a user should know, such as which ISOs were left out.
+    digest
+        ``sha256:<hex>`` of all of these.
+
+    Raises
+    ------
+    ArgumentError
+        If they do not go together.
+    """
+
+    camera: str
+    source: str
+    cfa: CfaRows
+    isos: tuple[ShadingIso, ...]
+    slope_dn: NDArray[np.float32] = field(repr=False)
+    offset_dn: NDArray[np.float32] = field(repr=False)
+    hot: NDArray[np.bool_] = field(repr=False)
+    notes: tuple[str, ...] = ()
+    digest: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        speeds, modes = [one.iso for one in self.isos], [one.mode for one in self.isos]
+        if not speeds or speeds != sorted(set(speeds)):
+            raise ArgumentError(f"a dark shading has one ISO or more, each once, ascending; found {speeds}")
+        if modes != sorted(modes) or sorted(set(modes)) != list(range(len(self.slope_dn))):
+            raise ArgumentError(f"{len(self.slope_dn)} gain modes are numbered from 0, ascending; found {modes}")
+        packed_channels(self.cfa)
+        channels = max(map(max, self.cfa)) + 1
+        for one in self.isos:
+            if {len(one.level_error_dn), len(one.standard_error_dn)} != {channels}:
+                raise ArgumentError(f"ISO {one.iso:g}: expected {channels} levels, one per CFA channel")
+        if self.hot.dtype != np.bool_ or self.hot.ndim != 2:
+            raise ArgumentError(f"hot is boolean (H, W); found {self.hot.dtype} {self.hot.shape}")
+        expected = (len(self.slope_dn), *self.hot.shape)
+        for name in _FIELDS:
+            values: NDArray[np.float32] = getattr(self, name)
+            if values.dtype != np.float32 or values.shape != expected:
+                raise ArgumentError(f"{name} is float32 {expected}; found {values.dtype} {values.shape}")
+            if not all(np.isfinite(row).all() for row in _rows(values)):
+                raise ArgumentError(f"{name} holds values that are not finite")
+        object.__setattr__(self, "digest", self._digest())
+
+    def _digest(self) -> str:
+        found = hashlib.sha256(json_text(self._about(), indent=None).encode())
+        for values in (self.slope_dn, self.offset_dn, self.hot):
+            for row in _rows(values):
+                found.update(row.astype(row.dtype.newbyteorder("<"), copy=False).tobytes())
+        return f"sha256:{found.hexdigest()}"
+
+    def _about(self) -> dict[str, Any]:
+        modes, height, width = self.slope_dn.shape
+        return {
+            "schema": SCHEMA,
+            "camera": self.camera,
+            "source": self.source,
+            "cfa": [list(row) for row in self.cfa],
+            "modes": modes,
+            "height": height,
+            "width": width,
+            "isos": [asdict(one) for one in self.isos],
+            "notes": list(self.notes),
+        }
+
+    def summary(self) -> dict[str, Any]:
+        """Return what a person asks first, as plain types: all but the pixels."""
+        return {
+            "digest": self.digest,
+            "isos": [asdict(one) | {"error_dn": self.error_dn(one.iso)} for one in self.isos],
+            "modes": len(self.slope_dn),
+            "hot": int(self.hot.sum()),
+            "notes": list(self.notes),
+        }
+
+    # --- what it says ---------------------------------------------------------------------------------------------
+
+    def measured(self, iso: float) -> ShadingIso:
+        """Return what was measured at an ISO.
+
+        Raises
+        ------
+        ArgumentError
+            If nothing was: the black level error of an ISO follows from no other ISO's.
+        """
+        for one in self.isos:
+            if one.iso == iso:
+                return one
+        listed = ", ".join(f"{one.iso:g}" for one in self.isos)
+        raise ArgumentError(
+            f"the dark shading of {self.camera} was not measured at ISO {iso:g}, and no other ISO tells its black "
+            f"level error; there are {listed}. Take bias frames at ISO {iso:g} and calibrate again"
+        )
+
+    def at(self, iso: float, rows: slice = slice(None), columns: slice = slice(None)) -> NDArray[np.float32]:
+        """Return the shading of a part of the mosaic, (h, w) float32, in DN over the recorded black level.
+
+        Parameters
+        ----------
+        iso
+            One of the measured ISOs.
+        rows, columns
+            Which part; the whole by default. Steps are not for mosaics.
+
+        Raises
+        ------
+        ArgumentError
+            If the ISO was not measured.
+
+        Examples
+        --------
+        >>> shading = DarkShading.load("mycamera.npz")  # doctest: +SKIP
+        >>> corrected = frame.mosaic - shading.at(float(frame.exposure.iso))  # doctest: +SKIP
+        """
+        one = self.measured(iso)
+        part = self.slope_dn[one.mode, rows, columns] * np.float32(iso)
+        part += self.offset_dn[one.mode, rows, columns]
+        (top, _, _), (left, _, _) = rows.indices(self.hot.shape[0]), columns.indices(self.hot.shape[1])
+        pattern, period = np.asarray(self.cfa), len(self.cfa)
+        for y in range(period):
+            for x in range(period):
+                channel = pattern[(top + y) % period, (left + x) % period]
+                part[y::period, x::period] += np.float32(one.level_error_dn[channel])
+        return part
+
+    def error_dn(self, iso: float) -> float:
+        """Return the standard error that noise leaves in a pixel of the shading at an ISO, DN.
+
+        Raises
+        ------
+        ArgumentError
+            If the ISO was not measured.
+        """
+        one = self.measured(iso)
+        mode = [other for other in self.isos if other.mode == one.mode]
+        weights, speeds = np.array([other.weight for other in mode]), np.array([other.iso for other in mode])
+        middle = float(weights @ speeds / weights.sum())
+        lever = float(weights @ (speeds - middle) ** 2)
+        return math.sqrt(1 / weights.sum() + ((iso - middle) ** 2 / lever if len(mode) > 1 else 0.0))
+
+    def leverage(self, iso: float) -> float:
+        """Return h, the share that a bias frame of an ISO has in the shading there, of the frames that it is from.
+
+        Subtracted from such a frame, the shading takes a share of its noise with it: the variance of what is left is
+        ``1 - h`` of the frame's own, and ``1 / sqrt(1 - h)`` puts it back. A frame that the shading is not from has
+        ``1 + h`` instead.
+
+        Raises
+        ------
+        ArgumentError
+            If the ISO was not measured.
+        """
+        return (self.error_dn(iso) / self.measured(iso).sigma_dn) ** 2
+
+    # --- the file -------------------------------------------------------------------------------------------------
+
+    def save(self, path: Path | str) -> None:
+        """Write the .npz file, whole or not at all.
+
+        Raises
+        ------
+        EldataError
+            If the operating system refuses.
+        """
+        about = json_text(self._about() | {"digest": self.digest}, indent=None).encode()
+        with atomic_write(path) as file:
+            np.savez(
+                file,
+                allow_pickle=False,
+                about=np.frombuffer(about, np.uint8),
+                slope_dn=self.slope_dn.astype("<f4", copy=False),
+                offset_dn=self.offset_dn.astype("<f4", copy=False),
+                hot=self.hot,
+            )
+
+    @classmethod
+    def load(cls, path: Path | str) -> DarkShading:
+        """Read a file that :meth:`save` wrote.
+
+        What it declares is checked before anything is loaded, and it holds as many bytes as it declares.
+
+        Raises
+        ------
+        ShadingError
+            If it cannot be read, is damaged, or is not the file of a dark shading.
+        """
+        path = Path(path)
+        problem = file_problem(path)
+        if problem is not None:
+            raise ShadingError(path, problem)
+        try:
+            with opened_npz(path) as archive:
+                return _read(path, archive)
+        except NpyError as error:
+            raise ShadingError(path, f"is not the file of a dark shading: {error}; {_ADVICE}") from error
+        except OSError as error:
+            raise ShadingError(path, f"cannot be read: {error.strerror or error}") from error
+
+
+def _read(path: Path, archive: NpzArchive) -> DarkShading:
+    content = archive.read("about", _like("about", "uint8", None)).tobytes()
+    top = TextFile(path, ShadingError, _ADVICE, content=content).json()
+    top.only(("schema", "camera", "source", "cfa", "modes", "height", "width", "isos", "notes", "digest"))
+    top.schema(SCHEMA)
+    modes = top.whole("modes", at_least=1, at_most=_MOST_MODES)
+    height, width = (top.whole(name, at_least=2, at_most=_LONGEST_SIDE) for name in ("height", "width"))
+    if modes * height * width * 8 > path.stat().st_size:
+        raise top.problem("height", f"the file is too small for {modes} x {height} x {width} pixels: truncated?")
+    cfa = _cfa(top)
+    isos = tuple(map(_iso, top.objects("isos", fewest=1, expected="a list of at least one ISO")))
+    fields = {name: archive.read(name, _like(name, "float32", (modes, height, width))) for name in _FIELDS}
+    hot = archive.read("hot", _like("hot", "bool", (height, width)))
+    if hot.view(np.uint8).max() > 1:
+        raise top.problem("hot", "expected true and false alone, found other bytes")
+    try:
+        found = DarkShading(
+            camera=top.text("camera"),
+            source=top.text("source"),
+            cfa=cfa,
+            isos=isos,
+            hot=hot,
+            notes=top.texts("notes", empty=True),
+            **{name: np.ascontiguousarray(values, dtype=np.float32) for name, values in fields.items()},
+        )
+    except ArgumentError as error:
+        raise ShadingError(path, f"{error}; {_ADVICE}") from error
+    if top.text("digest") != found.digest:
+        raise top.wrong("digest", f"{found.digest}, that of the content", top.text("digest"))
+    return found
+
+
+def _rows(values: NDArray[Any]) -> NDArray[Any]:
+    """Return an array as its rows: what is done to one at a time takes no memory."""
+    return values.reshape(-1, values.shape[-1])
+
+
+def _like(name: str, values: str, shape: tuple[int, ...] | None) -> Callable[[NpyHeader], None]:
+    """Return a check that an array is of a type and shape; of any length up to a MiB, if that is not known."""
+
+    def check(header: NpyHeader) -> None:
+        fits = header.shape == shape if shape else len(header.shape) == 1 and header.shape[0] <= _MOST_ABOUT_BYTES
+        if header.values != values or header.fortran_order or not fits:
+            expected = f"{values} {shape}" if shape else f"up to {_MOST_ABOUT_BYTES} bytes"
+            raise NpyError(f"{name}: expected {expected}, found {header.values} {header.shape}")
+
+    return check
+
+
+def _cfa(top: Fields) -> CfaRows:
+    rows = top.each("cfa", lambda inner, name: inner.each(name, Fields.whole, at_most=3), expected="a list of rows")
+    try:
+        packed_channels(rows)
+    except (ArgumentError, ValueError) as error:
+        raise top.problem("cfa", str(error)) from error
+    return rows
+
+
+def _iso(one: Fields) -> ShadingIso:
+    one.only(names_of(ShadingIso))
+    return ShadingIso(
+        iso=one.number("iso", above=0),
+        mode=one.whole("mode", at_most=_MOST_MODES),
+        frames=one.whole("frames", at_least=1),
+        sigma_dn=one.number("sigma_dn", above=0),
+        level_error_dn=one.each("level_error_dn", Fields.number, expected="a list of numbers"),
+        standard_error_dn=one.each("standard_error_dn", Fields.number, expected="a list of numbers", at_least=0),
+    )

@@ -1,0 +1,172 @@
+"""Dark shading: lines over ISO come back from bias frames of a sensor that this file alone simulates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from eldata.calibration import BiasStack, ShadingFit, fixed_pattern
+from eldata.errors import ArgumentError, DatasetError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from eldata.noise import DarkShading
+
+CFA = ((1, 0), (2, 3))
+SHAPE = (96, 128)
+BLACK = (512.0, 511.5, 512.25, 512.0)
+BLACK_DN = np.tile(np.array(BLACK)[np.array(CFA)], (SHAPE[0] // 2, SHAPE[1] // 2))
+FRAMES = 9
+SPEEDS = (100, 200, 400, 800, 1600, 3200, 6400)
+STEP = 2000  # from here on another conversion gain
+
+
+@dataclass(frozen=True)
+class Truth:
+    slope: NDArray[np.float64]  # (2, H, W), DN per ISO
+    offset: NDArray[np.float64]  # (2, H, W), DN
+    levels: dict[int, NDArray[np.float64]]  # DN, by CFA channel
+    hot: NDArray[np.bool_]
+
+    @staticmethod
+    def sigma(iso: int) -> float:
+        return 1.5 + iso / 800
+
+    def shading(self, iso: int) -> NDArray[np.float64]:
+        mode = int(iso >= STEP)
+        level = np.tile(self.levels[iso][np.array(CFA)], (SHAPE[0] // 2, SHAPE[1] // 2))
+        found: NDArray[np.float64] = self.slope[mode] * iso + self.offset[mode] + level
+        return found
+
+    def frame(self, iso: int, generator: np.random.Generator) -> NDArray[np.uint16]:
+        noise = generator.normal(0.0, self.sigma(iso), SHAPE)
+        return np.rint(BLACK_DN + self.shading(iso) + noise + 400.0 * self.hot).astype(np.uint16)
+
+
+def made(generator: np.random.Generator) -> Truth:
+    """Slopes that differ from pixel to pixel and across the frame, by 1 to 2 sigma; 12 hot pixels, two of them near."""
+    across = np.linspace(-1, 1, SHAPE[1])[None, None] * np.array([1.0, -0.5])[:, None, None]
+    hot = np.zeros(SHAPE, dtype=np.bool_)
+    hot.ravel()[generator.choice(hot.size, 10, replace=False)] = True
+    hot[40, 50] = hot[40, 52] = True
+    return Truth(
+        slope=2e-3 * across + generator.normal(0.0, 1e-3, (2, *SHAPE)),
+        offset=across + generator.normal(0.0, 0.5, (2, *SHAPE)),
+        levels={iso: generator.normal(0.0, 2.0, 4) for iso in SPEEDS},
+        hot=hot,
+    )
+
+
+def fitted(truth: Truth, generator: np.random.Generator, starts: tuple[int, ...]) -> DarkShading:
+    fit = ShadingFit(starts)
+    for iso in generator.permutation(SPEEDS).tolist():  # in any order
+        stack = BiasStack(CFA)
+        for _ in range(FRAMES):
+            stack.add(truth.frame(iso, generator))
+        fit.add(iso, fixed_pattern(stack), BLACK, (0.1,) * 4)
+    return fit.shading("Simulated", "a test")
+
+
+@pytest.fixture(scope="module")
+def truth() -> Truth:
+    return made(np.random.default_rng(16))
+
+
+@pytest.fixture(scope="module")
+def shading(truth: Truth) -> DarkShading:
+    return fitted(truth, np.random.default_rng(17), (STEP,))
+
+
+def test_the_shading_comes_back_within_its_standard_errors(truth: Truth, shading: DarkShading) -> None:
+    """Of 12276 sound pixels, the standard deviation of z is 1 +- 0.0064: five of these, and 1 % for what rounding adds.
+
+    The mean over the pixels: a frame's own level is that of its pixels, so it is known to sigma / sqrt(9 x 12276).
+    """
+    sound = ~shading.hot
+    for iso in SPEEDS:
+        off = (shading.at(iso) - truth.shading(iso))[sound]
+        error = shading.error_dn(iso)
+        assert off.std() / error == pytest.approx(1.0, abs=0.042), iso
+        assert abs(off.mean()) < 5 * truth.sigma(iso) / np.sqrt(FRAMES * off.size) + 0.002, iso
+        if iso < STEP:
+            assert error < truth.sigma(iso) / 3, "five ISOs help each other"
+
+
+def test_slopes_and_offsets_come_back(truth: Truth, shading: DarkShading) -> None:
+    """Against numpy's own weighted line; a channel's level lies in BLE as far as no line over ISO can hold it."""
+    place = np.array(CFA)[np.arange(SHAPE[0])[:, None] % 2, np.arange(SHAPE[1]) % 2]
+    for mode, speeds in enumerate((SPEEDS[:5], SPEEDS[5:])):
+        weights = np.array([np.sqrt(FRAMES) / truth.sigma(iso) for iso in speeds])  # polyfit squares them
+        slope_of, offset_of = np.polyfit(speeds, np.stack([truth.levels[iso] for iso in speeds]), 1, w=weights)
+        covariance = np.linalg.inv(np.einsum("i,ij,ik->jk", weights**2, *2 * [np.vander(speeds, 2)]))
+        for name, found, true, error in (
+            ("k", shading.slope_dn[mode], truth.slope[mode] + slope_of[place], np.sqrt(covariance[0, 0])),
+            ("b", shading.offset_dn[mode], truth.offset[mode] + offset_of[place], np.sqrt(covariance[1, 1])),
+        ):
+            z = ((found - true) / error)[~shading.hot]
+            assert z.std() == pytest.approx(1.0, abs=0.042), (mode, name)
+            assert abs(z.mean()) < 5 / np.sqrt(z.size) + 0.01, (mode, name)
+        for iso in speeds:
+            over = truth.levels[iso] - slope_of * iso - offset_of
+            tolerance = 5 * truth.sigma(iso) / np.sqrt(FRAMES * SHAPE[0] * SHAPE[1] / 4) + 0.01
+            np.testing.assert_allclose(shading.measured(iso).level_error_dn, over, atol=tolerance)
+
+
+def test_one_line_does_not_hold_a_step(truth: Truth) -> None:
+    """Two modes whose slopes go apart: where the step is not known, the residual is far above the error."""
+    one = fitted(truth, np.random.default_rng(17), ())
+    off = (one.at(3200) - truth.shading(3200))[~one.hot]
+    assert off.std() > 2 * one.error_dn(3200)
+
+
+def test_hot_pixels_are_masked_and_stay(truth: Truth, shading: DarkShading) -> None:
+    assert np.array_equal(shading.hot, truth.hot)
+    assert np.abs(shading.at(6400)[shading.hot]).max() < 40, "not the 400 DN that the pixel itself has"
+
+
+def test_what_is_left_of_the_noise(truth: Truth) -> None:
+    """Less the shading, a frame that it is from keeps 1 - h of its variance, another one 1 + h.
+
+    Of 12288 pixels a variance is known to 1.3 %; weights by known frames: +- 5 of these, 6.5 %, where h is 0.1 or more.
+    """
+    generator = np.random.default_rng(18)
+    fit, kept = ShadingFit(), {}
+    for iso in (800, 1600):
+        frames = [truth.frame(iso, generator) for _ in range(4)]
+        stack = BiasStack(CFA)
+        for frame in frames:
+            stack.add(frame)
+        fit.add(iso, fixed_pattern(stack), BLACK, (0.1,) * 4)
+        kept[iso] = frames[0], truth.frame(iso, generator)
+    shading = fit.shading("Simulated", "a test")
+    for iso, (within, without) in kept.items():
+        assert shading.leverage(iso) == pytest.approx(0.25)  # two ISOs, two parameters: a quarter of its own mean
+        for frame, share in ((within, 0.75), (without, 1.25)):
+            left = (frame - BLACK_DN - shading.at(iso))[~shading.hot]
+            assert left.var() / (truth.sigma(iso) ** 2 + 1 / 12) == pytest.approx(share, rel=0.065), iso
+
+
+def test_a_fit_refuses_what_does_not_go_together() -> None:
+    generator = np.random.default_rng(3)
+
+    def pattern(shape: tuple[int, int]) -> object:
+        stack = BiasStack(CFA)
+        for _ in range(4):
+            stack.add(generator.normal(512, 3, shape).astype(np.uint16))
+        return fixed_pattern(stack)
+
+    fit = ShadingFit()
+    with pytest.raises(DatasetError, match="Simulated: no ISO gives a dark shading: there are none"):
+        fit.shading("Simulated", "a test")
+    fit.add(100, pattern((32, 32)), BLACK, (0.1,) * 4)  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match="ISO 100 was added before"):
+        fit.add(100, pattern((32, 32)), BLACK, (0.1,) * 4)  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match="ISO 200: the frames have"):
+        fit.add(200, pattern((32, 36)), BLACK, (0.1,) * 4)  # type: ignore[arg-type]
+    alone = fit.shading("Simulated", "a test")
+    assert not alone.slope_dn.any(), "one ISO has no slope"
+    assert alone.error_dn(100) == pytest.approx(alone.isos[0].sigma_dn / 2)

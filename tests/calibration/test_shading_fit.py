@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
-from eldata.calibration import BiasStack, ShadingFit, fixed_pattern
+from eldata.calibration import BiasStack, Finding, ShadingFit, calibrate, dark_shading, fixed_pattern
 from eldata.errors import ArgumentError, DatasetError
+from tests.calibration.trees import made_tree
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from numpy.typing import NDArray
 
     from eldata.noise import DarkShading
@@ -170,3 +173,26 @@ def test_a_fit_refuses_what_does_not_go_together() -> None:
     alone = fit.shading("Simulated", "a test")
     assert not alone.slope_dn.any(), "one ISO has no slope"
     assert alone.error_dn(100) == pytest.approx(alone.isos[0].sigma_dn / 2)
+
+
+def test_modes_and_isos_are_the_calibrations(tmp_path: Path) -> None:
+    """Stated modes count; else those found, and what lies between two of them or has a withheld level is left out."""
+    frames = made_tree(tmp_path, bias_frames=4, flat_levels=2).frames()
+    found = calibrate(frames)
+    (fitted_mode,) = found.modes
+    stated = dark_shading(frames, found, modes=[400])
+    assert [(one.iso, one.mode) for one in stated.isos] == [(100, 0), (400, 1), (1600, 1)]
+    assert stated.notes == ()
+    assert dark_shading(frames, found, modes=[400], workers=2).digest == stated.digest
+    two = tuple(replace(fitted_mode, mode=replace(fitted_mode.mode, iso_range=(iso, iso))) for iso in (100.0, 1600.0))
+    apart = dark_shading(frames, replace(found, modes=two))
+    assert [(one.iso, one.mode) for one in apart.isos] == [(100, 0), (1600, 1)]
+    assert apart.notes == ("ISO 400 was left out: it lies between two gain modes, and no K tells of which it is",)
+    lit = Finding("light", ("colour bias",), "withheld", 9.0, 5.0, "brighter frames are noisier")
+    isos = (replace(found.isos[0], findings=(lit,)), *found.isos[1:])
+    dimmer = dark_shading(frames, replace(found, isos=isos))
+    assert [one.iso for one in dimmer.isos] == [400, 1600]
+    assert dimmer.notes == ("ISO 100 was left out: brighter frames are noisier",)
+    assert dimmer.source.endswith("8 bias frames at 2 ISO(s)")
+    with pytest.raises(DatasetError, match="no ISO gives a dark shading: ISO 100 was left out: brighter frames"):
+        dark_shading(frames, replace(found, isos=isos[:1]))

@@ -17,6 +17,7 @@ from eldata.datasets.calibration_frames import CalibrationFrames
 from eldata.datasets.clean import RawFiles, SomeFrames
 from eldata.datasets.crops import Crop
 from eldata.errors import ArgumentError, DatasetError, check_choice
+from eldata.noise.dark_shading import DarkShading
 from eldata.noise.exposures import DarkCrops
 from eldata.raw.cfa import pack, packed_area, packed_black_level_dn, packed_shape, packing_sites
 from eldata.sources.store.format import SUFFIXES
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 
 Place = Literal["same", "free"]
 PLACES: tuple[Place, ...] = get_args(Place)
+ShadingFrom = Literal["these", "others"]
+SHADING_FROM: tuple[ShadingFrom, ...] = get_args(ShadingFrom)
 
 GAIN_SPREAD = 0.01
 """K of an item lies within this share of its ISO's, uniformly, as in PMN (H. Feng et al., TPAMI 2023)."""
@@ -66,6 +69,14 @@ class DarkFrames:
         Where a crop comes from: ``"same"``, from where the clean one lies on the sensor, so that the fixed pattern
         stays where the sensor has it, for clean frames of the same camera; or ``"free"``, from anywhere, in step with
         the CFA. A crop of a dark frame is never turned: rows stay rows.
+    shading
+        A dark shading (:class:`~eldata.noise.DarkShading`, or its file) to take off the frames, as it is taken off the
+        inputs that a network will see: ``D = (d - black - shading)[crop] + U(-1/2, 1/2)``. The fixed pattern is gone
+        then, and ``place="free"`` is right for any sensor.
+    shading_from
+        ``"these"``: the shading is from these frames, and has a share of their noise with it; what is left is scaled by
+        :meth:`1 / sqrt(1 - h) <eldata.noise.DarkShading.leverage>`, so that its variance is that of the noise.
+        ``"others"``: it is from other frames, and what is left stays as it is.
     dither
         Add U(-1/2, 1/2), which makes up for the rounding of the frames, and with it 1/12 DN^2 to their variance.
         ``False``: values as they are.
@@ -99,10 +110,13 @@ class DarkFrames:
         isos: Collection[float] | None = None,
         levels: Levels = "metadata",
         place: Place = "same",
+        shading: DarkShading | Path | str | None = None,
+        shading_from: ShadingFrom = "these",
         dither: bool = True,
         keep: int = 0,
     ) -> None:
         check_choice("place", place, PLACES)
+        check_choice("shading_from", shading_from, SHADING_FROM)
         self.place: Place = place
         self.dither = dither
         self._where, self._frames, there = _found(frames, camera, levels, keep)
@@ -116,6 +130,26 @@ class DarkFrames:
             self._check(self._first[iso], iso)
             for number in numbers if self._frames.reads_parts else ():  # which costs nothing; files are when decoded
                 self._check(self._frames.frame(number), iso)
+        self.shading = DarkShading.load(shading) if isinstance(shading, (str, Path)) else shading
+        self._scale = self._checked_scales(shading_from)
+
+    def _checked_scales(self, shading_from: ShadingFrom) -> dict[float, float]:
+        """Return by ISO what is left of a frame is times, once the shading is known to be of these frames' sensor."""
+        if self.shading is None:
+            return {}
+        scales = {}
+        for iso, first in self._first.items():
+            if (first.shape, first.cfa) != (self.shading.hot.shape, self.shading.cfa):
+                raise DatasetError(
+                    f"{first.name}: has {first.kind}, but the dark shading of {self.shading.camera} is of "
+                    f"{self.shading.hot.shape[0]} x {self.shading.hot.shape[1]} pixels, or another CFA; it belongs to "
+                    "one body and one raw format"
+                )
+            share = self.shading.leverage(iso)
+            if shading_from == "these" and not share < 1:
+                raise ArgumentError(f"ISO {iso:g}: one frame alone makes the dark shading; nothing of it is left")
+            scales[iso] = (1 - share) ** -0.5 if shading_from == "these" else 1.0
+        return scales
 
     @property
     def isos(self) -> tuple[float, ...]:
@@ -206,7 +240,10 @@ class DarkFrames:
             crop = Crop.region(frame, region)
             pack(crop.cut(frame), crop.cfa, out=dn[place])
             black[place] = packed_black_level_dn(crop.cfa, frame.black_level_dn)
-        return DarkCrops(dn, black)
+        if self.shading is None or not members:
+            return DarkCrops(dn, black)
+        taken = pack(self.shading.at(iso, *crop.slices), crop.cfa)
+        return DarkCrops(dn, black, np.stack([taken] * len(members)), np.full(len(members), self._scale[iso]))
 
     def _anywhere(self, iso: float, shape: tuple[int, int, int], generator: np.random.Generator) -> Region:
         dark = self._first[iso]
@@ -241,7 +278,8 @@ class DarkFrames:
 
     def __repr__(self) -> str:
         counts = ", ".join(f"ISO {iso:g}: {len(numbers)}" for iso, numbers in self._numbers.items())
-        return f"DarkFrames({self._where!r}, {counts}; place={self.place!r}, dither={self.dither})"
+        shading = "" if self.shading is None else f", shading={self.shading.digest[:15]}"
+        return f"DarkFrames({self._where!r}, {counts}; place={self.place!r}, dither={self.dither}{shading})"
 
 
 def _check_iso(iso: float, known: Collection[float], where: str) -> None:

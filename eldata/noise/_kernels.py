@@ -420,6 +420,12 @@ def _add_frame(offset: NDArray[np.float32], dn: NDArray[np.uint16]) -> None:
 
 
 @kernel
+def _take_shading(offset: NDArray[np.float32], shading: NDArray[np.float32], scale: Any) -> None:
+    for j in range(offset.size):
+        offset[j] = (offset[j] - shading[j]) * scale
+
+
+@kernel
 def _add_uniform(value: NDArray[np.float32], number: NDArray[np.uint32]) -> None:
     """Add U(-1/2, 1/2), from the high 24 bits."""
     for j in range(value.size):
@@ -450,6 +456,8 @@ def add_noise_rows(
     clean: NDArray[np.float32],
     out: NDArray[np.float32],
     dark: NDArray[np.uint16],
+    shading: NDArray[np.float32],
+    dark_scale: Any,
     first_row: int,
     last_row: int,
     settings: Any,
@@ -464,8 +472,9 @@ def add_noise_rows(
 ) -> None:
     """Fill rows ``first_row`` to ``last_row`` of one packed channel.
 
-    ``dark``, the channel of a dark frame, is empty where there is none; ``row_table`` (s, s) is the channel's part of
-    the table of mosaic rows, ``first_pixel`` the index of the channel's first pixel in its image.
+    ``dark``, the channel of a dark frame, and ``shading``, what is taken off it before the rest is scaled, are empty
+    where there are none; ``row_table`` (s, s) is the channel's part of the table of mosaic rows, ``first_pixel`` the
+    index of the channel's first pixel in its image.
     """
     columns = clean.shape[1]
     sub = row_table.shape[0]
@@ -532,6 +541,8 @@ def add_noise_rows(
                         offset[j] = dn
             if dark.size > 0:
                 _add_frame(offset, dark[row, start:stop])
+            if shading.size > 0:
+                _take_shading(offset, shading[row, start:stop], dark_scale)
 
             if settings.read == NONE:
                 _compose_noiseless(value, settings.gain, offset)

@@ -29,6 +29,7 @@ _QUANTISATION = {
     (True, True): _kernels.DITHERED_ADC,
 }
 _NO_FRAME = np.empty((0, 0), np.uint16)
+_NO_SHADING = np.empty((0, 0), np.float32)
 
 
 def expose_compiled(
@@ -62,7 +63,7 @@ def expose_compiled(
     result = np.empty_like(clean)
     if clean.size == 0:
         return result
-    parts, adc, rows_under = exposures.components, exposures.adc, packed_rows(channels)
+    parts, adc, dark, rows_under = exposures.components, exposures.adc, exposures.dark, packed_rows(channels)
     quantisation = _QUANTISATION[parts.quantisation or exposures.dithers, adc is not None]
     modes = _SHOT[parts.shot], _READ[parts.read], quantisation
     gain = exposures.gain_dn_per_e if parts.shot != "none" else np.ones(images)
@@ -91,7 +92,9 @@ def expose_compiled(
         _kernels.add_noise_rows(
             clean[image, channel],
             result[image, channel],
-            _NO_FRAME if exposures.dark is None else exposures.dark.dn[image, channel],
+            _NO_FRAME if dark is None else dark.dn[image, channel],
+            _NO_SHADING if dark is None or dark.shading_dn is None else dark.shading_dn[image, channel],
+            np.float32(1.0 if dark is None or dark.scale is None else dark.scale[image]),
             first_row,
             last_row,
             each[image][channel],

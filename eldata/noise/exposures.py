@@ -44,10 +44,16 @@ class DarkCrops:
         (N, C, h, w) uint16: DN as the files have them, packed.
     black_level_dn
         (N, C) float64: the black level of each packed channel.
+    shading_dn
+        (N, C, h, w) float32: a dark shading to be taken off, over the black level; ``None``: none is.
+    scale
+        (N,) float64: what is left of each image times this; goes with a shading.
     """
 
     dn: NDArray[np.uint16]
     black_level_dn: NDArray[np.float64]
+    shading_dn: NDArray[np.float32] | None = None
+    scale: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -349,7 +349,14 @@ def _drawn_dark(
         return of(drawn[0], len(drawn))
     each = [of(parameters, 1) for parameters in drawn]
     black = np.concatenate([one.black_level_dn for one in each])
-    return DarkCrops(np.concatenate([one.dn for one in each]), black)
+    shading = [one.shading_dn for one in each if one.shading_dn is not None]
+    scale = [one.scale for one in each if one.scale is not None]
+    return DarkCrops(
+        np.concatenate([one.dn for one in each]),
+        black,
+        np.concatenate(shading) if shading else None,
+        np.concatenate(scale) if scale else None,
+    )
 
 
 def _range_dn(drawn: Sequence[NoiseParameters]) -> float:

@@ -47,7 +47,13 @@ def expose_on_device(clean: torch.Tensor, exposures: Exposures, generator: torch
     if components.row:
         dn = dn + _row_noise(clean.shape, per_image(exposures.sigma_row_dn), generator)
     if exposures.dark is not None:
-        dn = dn + torch.as_tensor(exposures.dark.dn.astype(np.float32), device=device)
+        frames = per_image(exposures.dark.dn.astype(np.float32))
+        if exposures.dark.shading_dn is not None:
+            frames = frames - per_image(exposures.dark.shading_dn)
+        if exposures.dark.scale is not None:
+            black = per_image(exposures.bias_dn)  # below 0, and added before
+            frames = (frames + black) * per_image(exposures.dark.scale) - black
+        dn = dn + frames
     if components.quantisation or exposures.dithers:
         dn = dn + (torch.rand(clean.shape, generator=generator, device=device) - 0.5)
     if adc is not None:

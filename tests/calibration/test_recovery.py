@@ -139,14 +139,14 @@ def test_a_body_without_fixed_pattern(shape: float, deviation: float, level: flo
     assert "shape of the read noise" not in findings(found)
 
 
-DRAWS = 100
+DRAWS = 60
 
 
 @pytest.mark.study
 def test_standard_errors_cover_the_truth() -> None:
-    """100 cameras of 55 kilopixels, 8 bias frames, 4 pairs: 95 % intervals (Student's where few frames give them).
+    """60 cameras of 55 kilopixels, 8 bias frames, 4 pairs: 95 % intervals (Student's where few frames give them).
 
-    Nominal coverage is missed by chance: 100 draws have a standard error of 2.2 %; allowed are four.
+    Nominal coverage is missed by chance: 60 draws have a standard error of 2.8 %; allowed are four.
     """
     camera = Camera(shape=(192, 288), tukey_lambda=-0.1, sigma_tl=1.5, sigma_row=0.6, hot_share=0.0)
     deviation = 1.5 * float(stats.tukeylambda(-0.1).std())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from operator import methodcaller
 from typing import TYPE_CHECKING, TypeVar
@@ -27,7 +27,7 @@ from eldata.calibration.clipped_figures import (
 from eldata.calibration.clipped_values import ClippedValues
 from eldata.calibration.colour_bias import ChannelMeans, colour_bias
 from eldata.calibration.defects import MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
-from eldata.calibration.flat_checks import flat_findings, saturation_findings
+from eldata.calibration.flat_checks import edge_findings, flat_findings, saturation_findings
 from eldata.calibration.frame_checks import (
     ADVISED_BIAS_FRAMES,
     Copies,
@@ -387,11 +387,11 @@ def _flats(reader: _Reader, chosen: IsoFrames, fixed: FixedPattern | None) -> _F
     except DatasetError as error:
         no_line = _no_line(f"{error}; pairs used: {', '.join(map(str, used))}")
         return _FromFlats(None, None, said, (*saturation_findings(pairs.saturation, pairs.left_out), no_line))
-    try:
-        spatial = spatial_photon_transfer(singles)
-    except DatasetError:
-        spatial = None  # it needs three brightnesses; it is for comparison alone
-    return _FromFlats(transfer, spatial, said, (*uneven_light(used), *flat_findings(transfer)))
+    edges, spatial = tuple(edge_findings(transfer)), None
+    if not edges:
+        with suppress(DatasetError):  # it needs three brightnesses; it is for comparison alone
+            spatial = spatial_photon_transfer(singles)
+    return _FromFlats(transfer, spatial, said, (*uneven_light(used), *edges, *flat_findings(transfer)))
 
 
 def _no_line(why: str) -> Finding:

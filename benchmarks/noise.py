@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from fractions import Fraction
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -9,21 +11,41 @@ import numpy as np
 import torch
 
 from benchmarks import plain_noise
+from benchmarks.data import SIZE
 from benchmarks.harness import Row, in_turn
+from eldata.datasets import DarkFrames
 from eldata.demo.scenes import scene_radiance
 from eldata.noise import CameraProfile, NoiseModel
+from eldata.raw import bayer_cfa, write_dng
+from eldata.records import Exposure, Sensor
+from eldata.sources.store import build_store, source_of_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+    from pathlib import Path
 
     from benchmarks.data import Files
+    from eldata.noise import NoiseParameters
 
 _DRAWS = 8  # parameter draws a timed call: K is log-uniform, and the time of plain Poisson depends on it
 _PATCH = (4, 512, 512)
 _BATCH = 32
+_DARK_ISO, _DARK_FRAMES = 1600, 3
 
 
-def run(files: Files, rounds: int, cores: int) -> list[Row]:  # noqa: ARG001 # every benchmark gets the files
+def _dark_frames(folder: Path) -> DarkFrames:
+    """Bias frames of 12 megapixels in a store."""
+    place, generator = folder / "bias" / f"ISO{_DARK_ISO}", np.random.default_rng(3)
+    place.mkdir(parents=True)
+    sensor = Sensor("Acme", "Nocturne", bayer_cfa(), (512.0,) * 4, 512 + plain_noise.RANGE_DN, *SIZE)
+    for number in range(_DARK_FRAMES):
+        mosaic = np.rint(generator.normal(512, 4, SIZE)).astype(np.uint16)
+        write_dng(place / f"{number}.dng", mosaic, sensor, Exposure(Fraction(_DARK_ISO), Fraction(1, 4000)))
+    build_store(source_of_folder(folder), folder / "bias.h5")
+    return DarkFrames(folder / "bias.h5")
+
+
+def run(files: Files, rounds: int, cores: int) -> list[Row]:
     profile = CameraProfile.load("SonyA7S2")
     generator = np.random.default_rng(0)
     drawn = [profile.sample(generator) for _ in range(_DRAWS)]
@@ -32,6 +54,7 @@ def run(files: Files, rounds: int, cores: int) -> list[Row]:  # noqa: ARG001 # e
     clean = np.ascontiguousarray(radiance[[0, 1, 2, 1]], dtype=np.float32)
     tensor, torch_generator = torch.from_numpy(clean), torch.Generator().manual_seed(0)
     model = NoiseModel("P*+G*+B+R+U")
+    with_frames = NoiseModel("P*+D", dark_frames=_dark_frames(files.data.parent / "dark"))
     out = np.empty_like(clean)
 
     def every(work: Callable[..., object], image: object, source: object) -> Callable[[], None]:
@@ -44,12 +67,17 @@ def run(files: Files, rounds: int, cores: int) -> list[Row]:  # noqa: ARG001 # e
     def eldata(image: object, p: object, ratio: float, source: object, threads: int | None = None) -> None:
         model(image, parameters=p, ratio=ratio, range_dn=plain_noise.RANGE_DN, generator=source, threads=threads)  # type: ignore[type-var,arg-type] # arrays and tensors alike
 
+    def dark(image: object, p: NoiseParameters, ratio: float, source: object) -> None:
+        of_iso = replace(p, iso=_DARK_ISO)
+        with_frames(image, parameters=of_iso, ratio=ratio, range_dn=plain_noise.RANGE_DN, generator=source, threads=1)  # type: ignore[type-var,arg-type] # arrays and tensors alike
+
     ways = {
         "scipy's tukeylambda.rvs": every(plain_noise.with_scipy, clean, generator),
         "plain numpy": every(plain_noise.with_numpy, clean, generator),
         "plain torch": every(plain_noise.with_torch, tensor, torch_generator),
         "eldata": every(eldata, clean, generator),
         "eldata, one thread": every(partial(eldata, threads=1), clean, generator),
+        "eldata, P*+D from a store, one thread": every(dark, clean, generator),
         "numpy uniforms, float32": lambda: [generator.random(out=out, dtype=np.float32) for _ in range(_DRAWS)],
         "copy of the patch": lambda: [out.__setitem__(slice(None), clean) for _ in range(_DRAWS)],
     }
@@ -59,6 +87,7 @@ def run(files: Files, rounds: int, cores: int) -> list[Row]:  # noqa: ARG001 # e
         timings.faster(case, "eldata, one thread", "plain numpy", at_least=8 if cores == 1 else None),
         timings.faster(case, "eldata, one thread", "scipy's tukeylambda.rvs", at_least=12 if cores == 1 else None),
         timings.faster(case, "eldata", "plain torch"),
+        timings.faster(case, "eldata, P*+D from a store, one thread", "eldata, one thread", at_least=1.0),
         timings.cost(case, "eldata, one thread", "numpy uniforms, float32"),
         timings.cost(case, "eldata, one thread", "copy of the patch"),
     ]

@@ -1,3 +1,7 @@
+from .acceptance import check_noise as check_noise
+from .acceptance_results import Acceptance as Acceptance
+from .acceptance_results import FrameStatistic as FrameStatistic
+from .acceptance_results import IsoAcceptance as IsoAcceptance
 from .audit import Finding as Finding
 from .audit import GivenFigure as GivenFigure
 from .camera import calibrate as calibrate

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, Literal
 from eldata.base.tables import with_error
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Collection, Iterable, Mapping
 
 Figure = Literal["gain", "read noise", "row noise", "colour bias"]
 """What a calibration measures at one ISO. Read noise is lambda, sigma_TL and sigma_G."""
@@ -20,6 +20,12 @@ SYMBOLS: Final[Mapping[Figure, str]] = {
     "row noise": "sigma_row",
     "colour bias": "the colour bias",
 }
+
+
+def named(figures: Collection[Figure]) -> str:
+    """Return the figures' symbols as a list."""
+    return ", ".join(symbol for figure, symbol in SYMBOLS.items() if figure in figures)
+
 
 Effect = Literal["withheld", "wider", "remark"]
 
@@ -59,8 +65,9 @@ class Finding:
         """The text, and what becomes of the figures for it."""
         if self.effect == "remark" or not self.figures:
             return self.text
-        named = ", ".join(SYMBOLS[figure] for figure in self.figures)
-        fate = f"withheld: {named}" if self.effect == "withheld" else f"errors made larger: {named}"
+        fate = f"withheld: {named(self.figures)}"
+        if self.effect == "wider":
+            fate = f"errors made larger: {named(self.figures)}"
         return f"{self.text} ({fate})"
 
 
@@ -99,3 +106,9 @@ def given(findings: Iterable[Finding], figure: Figure, value: float, error: floa
 def withheld(findings: Iterable[Finding]) -> frozenset[Figure]:
     """Return the figures that are not given."""
     return frozenset(figure for one in findings if one.effect == "withheld" for figure in one.figures)
+
+
+def widened(findings: Iterable[Finding]) -> frozenset[Figure]:
+    """Return the figures that are given with a larger error."""
+    found = tuple(findings)
+    return frozenset(figure for one in found if one.effect == "wider" for figure in one.figures) - withheld(found)

@@ -213,6 +213,10 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
     limits = [limit(channel) for channel in range(channels)]
     defect_rows = defects[stack.squared_rows]
 
+    # One grid for all sites: of a frame whose size is no multiple of a block's, some may have no pixel in the last row.
+    side = _BLOCK * len(pattern)
+    grid = tuple(-(-length // side) for length in defects.shape)
+
     def measure(channel: int) -> _Channel:
         blocks: list[tuple[NDArray[Any], ...]] = []
         added, squared, counted = 0, 0.0, 0
@@ -220,8 +224,7 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
             exact = scatter[site][~defect_rows[site]]
             added, counted = added + int(exact.sum()), counted + exact.size
             squared += float(np.square(exact, dtype=np.float64).sum())
-            shape = tuple(-(-length // _BLOCK) for length in total[site].shape)
-            (count, sums), squares = np.zeros((2, *shape), dtype=np.int64), np.zeros(shape)
+            (count, sums), squares = np.zeros((2, *grid), dtype=np.int64), np.zeros(grid)
             block_moments(total[site], defects[site], _BLOCK, count, sums, squares)
             blocks.append((count, sums / np.maximum(count, 1) / frames, squares / frames**2))
         if counted < 2:
@@ -233,7 +236,7 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
         level = sum(block[0] * block[1] for block in blocks) / np.maximum(pixels, 1)
         mean = float((level * pixels).sum() / np.sum(pixels))
         dsnu, dsnu_error = _non_uniformity(blocks, variance / frames, variance_error / frames)
-        shading = np.where(pixels > 0, level - mean, 0.0)
+        shading = _with_edges(np.where(pixels > 0, level - mean, 0.0), np.asarray(pixels))
         return _Channel(variance, mean, dsnu, dsnu_error, shading, max(float(np.median(pixels)), 1.0))
 
     measured = [measure(channel) for channel in range(channels)]
@@ -277,6 +280,14 @@ def _sites(pattern: NDArray[np.int64], channel: int) -> Iterator[Site]:
     period = len(pattern)
     for y, x in np.argwhere(pattern == channel):
         yield slice(y, None, period), slice(x, None, period)
+
+
+def _with_edges(levels: NDArray[np.float64], pixels: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the levels of blocks, those of a last row or column without a pixel from the one before."""
+    for of_edge, counts in ((levels, pixels), (levels.T, pixels.T)):
+        if len(of_edge) > 1 and not counts[-1].any():
+            of_edge[-1] = of_edge[-2]
+    return levels
 
 
 def _stuck(stack: BiasStack, scatter: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 ADVISED_BIAS_FRAMES = 10
 
+_CLIPPED_SHARE = 0.01  # of pixels at 0 DN
 # Of the signal. Pairs are scaled to each other, and K is right at any ratio; but light that changes so much between two
 # equal exposures is worth a word, and beyond the second limit it is doubtful that nothing else has changed.
 _PAIR_DIFFERENCE = 0.05
@@ -211,6 +212,23 @@ def unreadable(record: FrameRecord, error: EldataError) -> Problem:
     """Return the problem of a file that cannot be read."""
     reason = error.reason if isinstance(error, RawFileError) else str(error)
     return _problem(record, "content", "a whole raw file", reason, "copy it again, or leave it out")
+
+
+def clipped_black(record: FrameRecord, mosaic: NDArray[np.uint16]) -> list[Problem]:
+    """Return a problem if more than 1 % of a bias frame's pixels are 0, where whole noise is needed."""
+    share = (mosaic.size - int(np.count_nonzero(mosaic))) / mosaic.size
+    if share <= _CLIPPED_SHARE:
+        return []
+    return [
+        _problem(
+            record,
+            "black",
+            "noise on both sides of a black level above 0",
+            f"{share:.0%} of the pixels at 0 DN",
+            "black is clipped in this file, and half of the noise cannot be compared: use raw files that keep the "
+            "black level; a calibration takes these",
+        )
+    ]
 
 
 def odd_bias_frames(figures: Sequence[FrameFigures]) -> list[Problem]:

@@ -98,7 +98,12 @@ class Reproduction:
 
 def compared_piece(mosaic: NDArray[np.uint16], period: int) -> NDArray[np.uint16]:
     """Return a copy of all that :func:`reproduction` needs of a frame whose CFA repeats itself after ``period``."""
-    return mosaic[_middle(mosaic.shape, (_SIDE, _SIDE), period)].copy()
+    return mosaic[compared_place(mosaic.shape, period)].copy()
+
+
+def compared_place(shape: tuple[int, ...], period: int) -> tuple[slice, slice]:
+    """Return the rows and columns of that piece: a million pixels in the middle, from the start of a CFA period on."""
+    return _middle(shape, (_SIDE, _SIDE), period)
 
 
 def reproduction(
@@ -118,7 +123,7 @@ def reproduction(
         If the frame's shape is not that of the fixed pattern, or it is smaller than 128 x 192.
     """
     shape, period = fixed.total_dn.shape, len(fixed.pattern)
-    place = _middle(shape, (_SIDE, _SIDE), period)
+    place = compared_place(shape, period)
     sound = ~fixed.defects[place]
     if held_out.shape == shape:
         held_out = held_out[place]

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 _COMMANDS = (
     *("demo", "info", "download", "verify", "lock"),
     *("protocols", "evaluate", "compare"),
-    *("calibrate", "synthesize", "profile"),
+    *("calibrate", "synthesize", "profile", "noise"),
     *("pack", "shard"),
 )
 

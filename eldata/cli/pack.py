@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 
 NAME_HELP = "a dataset's name, such as eld, drv or drv-raw (DRV's camera raws), or a folder of clean raws"
+_CALIBRATION = "calibration"
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -24,8 +25,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         description=(
             "Decode each file of a dataset's pairs or clips, or of a folder of clean raws, once, into one HDF5 file: "
             "the pixels in DN with levels, CFA, exposure and manifest (of preprocessed clips, their 16-bit RGB), "
-            "lossless. PackedStore, PackedClips, StoredFrames and StoredClips read random crops of it. Work that was "
-            "interrupted, even by kill -9, goes on where it was if the command is repeated."
+            "lossless. PackedStore, PackedClips, StoredFrames and StoredClips read random crops of it; DarkFrames "
+            "reads those of bias frames, CAMERA/bias/ISO100/... below the folder (that of DATASET calibration). Work "
+            "that was interrupted, even by kill -9, goes on where it was if the command is repeated."
         ),
     )
     parser.add_argument("dataset", metavar="DATASET", help=NAME_HELP)
@@ -68,6 +70,8 @@ def _source(arguments: argparse.Namespace) -> Source:
     from eldata.sources.store.sources import source_of_dataset, source_of_folder
 
     if not Path(arguments.dataset).is_dir() or arguments.manifest is not None:
+        if arguments.dataset == _CALIBRATION and arguments.manifest is None:
+            return _calibration(arguments)
         return source_of_dataset(
             arguments.dataset,
             root=arguments.root,
@@ -82,3 +86,19 @@ def _source(arguments: argparse.Namespace) -> Source:
             f"--root, --split, --subset, --clip and --camera are for datasets by name; {arguments.dataset} is a folder"
         )
     return source_of_folder(arguments.dataset)
+
+
+def _calibration(arguments: argparse.Namespace) -> Source:
+    from eldata.errors import DatasetError
+    from eldata.manifest.catalogue import data_root
+    from eldata.sources.store.sources import source_of_folder
+
+    if arguments.splits or arguments.subset or arguments.ids:
+        raise ArgumentError("--split, --subset and --clip are for datasets of pairs and clips, not for calibration")
+    cameras = arguments.cameras or [""]
+    if len(cameras) > 1:
+        raise ArgumentError("give --camera once, or not at all: a store then holds the frames of every camera")
+    folder = data_root(arguments.root) / _CALIBRATION / cameras[0]
+    if not folder.is_dir():
+        raise DatasetError(f"{folder}: there is no such folder; calibration frames lie in <camera>/bias/ISO100/...")
+    return source_of_folder(folder)

@@ -10,6 +10,7 @@ from .clean import RawClips as RawClips
 from .clean import RawFiles as RawFiles
 from .clean import StoredClips as StoredClips
 from .clean import StoredFrames as StoredFrames
+from .dark_frames import DarkFrames as DarkFrames
 from .dn_batches import DnPairs as DnPairs
 from .dn_batches import normalise_batch as normalise_batch
 from .drv import DRVDataset as DRVDataset

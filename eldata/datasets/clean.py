@@ -194,6 +194,8 @@ class StoredFrames(SomeFrames):
     ------
     StoreError
         If the file is not a store, truncated, not complete, or of a newer version.
+    DatasetError
+        If it holds no clean frames.
     ArgumentError
         If ``levels`` is unknown.
     """
@@ -204,6 +206,8 @@ class StoredFrames(SomeFrames):
         self.frames = tuple(
             sorted((frame for frame in source.store.frames if frame.role == "reference"), key=lambda frame: frame.path)
         )
+        if not self.frames:
+            raise DatasetError(f"{path}: holds no clean frames, but {len(source.store.every)} of other kinds")
         super().__init__(source, (frame.path for frame in self.frames), levels)
 
     def __repr__(self) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict
@@ -31,7 +31,8 @@ class NoiseFacts(TypedDict):
     """The parameters that an item's noise was made with (:class:`eldata.noise.NoiseParameters`) and its exposure ratio.
 
     ``colour_bias_dn`` is (4,) float64. ``iso`` is the ISO that was given or drawn, 0 where the gain was drawn;
-    ``camera_id`` the place of the camera among those of the dataset.
+    ``camera_id`` the place of the camera among those of the dataset. ``dark_frame`` says where the dark frame of
+    component D comes from, of a clip those of its frames in order; empty: there is none.
     """
 
     ratio: float
@@ -44,17 +45,19 @@ class NoiseFacts(TypedDict):
     sigma_gauss_dn: float
     sigma_row_dn: float
     colour_bias_dn: torch.Tensor
+    dark_frame: str
 
 
 @dataclass(frozen=True, slots=True)
 class NoiseDraw:
-    """One draw: camera and its number, ISO if that is known, noise parameters, exposure ratio."""
+    """One draw: camera and its number, ISO if known, noise parameters, exposure ratio, and numbers of dark frames."""
 
     camera: str
     camera_id: int
     iso: float | None
     parameters: NoiseParameters
     ratio: float
+    dark: tuple[int, ...] = ()
 
     def facts(self) -> dict[str, Any]:
         """Return the draw as fields of a sample: a :class:`NoiseFacts`."""
@@ -132,13 +135,28 @@ class NoiseChoice:
         shares = tuple(total / sum(weights) for total in accumulate(weights))
         return cls(loaded, (low, high), isos, shares, rows, extrapolate)
 
-    def draw(self, generator: np.random.Generator) -> NoiseDraw:
-        """Draw a profile, one of several ISOs, parameters, and a ratio, in this order."""
+    def draw(
+        self,
+        generator: np.random.Generator,
+        turn: tuple[int, tuple[int, ...]] | None = None,
+        *,
+        gain_spread: float = 0.0,
+    ) -> NoiseDraw:
+        """Draw a profile, one of several ISOs, parameters, and a ratio, in this order.
+
+        Dark frames that have their turn bring their ISO with them, by its place; K then lies within a share
+        ``gain_spread`` of that ISO's.
+        """
         number = int(generator.integers(len(self.profiles)))
-        place = 0 if len(self.isos) == 1 else bisect_right(self.shares[:-1], generator.random())
+        place, dark = turn or (0, ())
+        if turn is None and len(self.isos) > 1:
+            place = bisect_right(self.shares[:-1], generator.random())
         profile, iso = self.profiles[number], self.isos[place]
         parameters = profile.sample(generator, iso=iso, row=self.rows[number][place], extrapolate=self.extrapolate)
-        return NoiseDraw(profile.camera, number, iso, parameters, float(generator.uniform(*self.ratio)))
+        if gain_spread:
+            gain = parameters.gain_dn_per_e * float(generator.uniform(1 - gain_spread, 1 + gain_spread))
+            parameters = replace(parameters, gain_dn_per_e=gain)
+        return NoiseDraw(profile.camera, number, iso, parameters, float(generator.uniform(*self.ratio)), dark)
 
     def __str__(self) -> str:
         """Return the cameras, and the ISOs of each by how they are sampled there."""

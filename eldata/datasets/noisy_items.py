@@ -10,9 +10,11 @@ import numpy as np
 
 from eldata.base.keywords import keywords
 from eldata.datasets.batches import threads_here
+from eldata.datasets.dark_frames import GAIN_SPREAD, DarkFrames
 from eldata.datasets.draws import NoiseChoice
 from eldata.datasets.items import CroppedItems, Cropping
 from eldata.datasets.repeats import Repeats
+from eldata.datasets.turns import Turns, fewest_members
 from eldata.errors import ArgumentError, check_choice
 from eldata.noise.makers import check_noise_maker, made_exposure, maker_name
 from eldata.noise.model import NoiseModel
@@ -39,7 +41,8 @@ class Noise(TypedDict, total=False):
     ----------
     model
         The noise model: a :class:`~eldata.noise.model.NoiseModel`, by default (``None``) the full one, or a callable of
-        your own (:class:`~eldata.noise.makers.NoiseMaker`).
+        your own (:class:`~eldata.noise.makers.NoiseMaker`). With real dark frames it is
+        ``NoiseModel("P*+D", dark_frames=DarkFrames(...))``: each frame of an ISO is used once before any is used twice.
     clip
         Of the input, with the same meaning and the same default, ``"both"``, as in every dataset of pairs
         (:class:`~eldata.datasets.choices.Representation`): give those that you test on the same. The target, which
@@ -47,8 +50,8 @@ class Noise(TypedDict, total=False):
     ratio
         Low-light factors: (lowest, highest), drawn uniformly; by default the paper's, 100 to 300. Or one fixed number.
     iso
-        ``None``, the default: K is drawn anew for each item, as in the paper. One ISO; or several, as a sequence, which
-        are drawn alike, or as a mapping to their weights.
+        ``None``, the default: K is drawn anew for each item, as in the paper; with dark frames, their ISOs, drawn
+        alike. One ISO; or several, as a sequence, which are drawn alike, or as a mapping to their weights.
     row, extrapolate
         As in :meth:`eldata.noise.CameraProfile.sample`. By default each of several ISOs has its own row: as it was
         measured, where the profile has all figures of that ISO, else ``"nearest-gain"``; the repr says which. One ISO,
@@ -85,20 +88,31 @@ Sample = TypeVar("Sample")
 class NoisyItems(CroppedItems[Item, Sample]):
     """Items whose target is read, and whose input is that with noise.
 
-    ``method`` is what the source has beside ``len``.
+    ``method`` is what the source has beside ``len``, ``exposures`` how many frames an item has.
     """
 
     def __init__(
-        self, source: Sized, method: str, profiles: Cameras, crops: tuple[str, int], options: NoiseOptions
+        self,
+        source: Sized,
+        method: str,
+        profiles: Cameras,
+        crops: tuple[str, int],
+        options: NoiseOptions,
+        exposures: int = 1,
     ) -> None:
         owner = type(self).__name__
         cropping, noise = keywords(owner, options, Cropping, Noise, renamed={})
         _check_source(owner, source, method)
         super().__init__({"crop": 512, "augment": True} | cropping, crops)
-        sampling = {name: noise[name] for name in ("iso", "row", "extrapolate") if name in noise}
-        self.noise = NoiseChoice.of(profiles, noise.get("ratio", (100.0, 300.0)), **sampling)
         model = noise.get("model")
         self.clip, self.model = _clipped(owner, NoiseModel() if model is None else model, noise.get("clip"), self.clip)
+        frames = self.model.dark_frames if isinstance(self.model, NoiseModel) else None
+        self._dark = frames if isinstance(frames, DarkFrames) else None
+        sampling = {name: noise[name] for name in ("iso", "row", "extrapolate") if name in noise}
+        if self._dark is not None and sampling.get("iso") is None:
+            sampling["iso"] = self._dark.isos
+        self.noise = NoiseChoice.of(profiles, noise.get("ratio", (100.0, 300.0)), **sampling)
+        self._turns = None if self._dark is None else _turns(owner, self._dark, self.noise, self.seed, exposures)
         self._length = len(source) * crops[1]
         self._repeats = Repeats(owner, self._length)
 
@@ -110,13 +124,24 @@ class NoisyItems(CroppedItems[Item, Sample]):
         super().set_epoch(epoch)
         self._repeats.settle()
 
+    def draw_noise(self, generator: np.random.Generator, index: int) -> NoiseDraw:
+        """Draw an item's noise; dark frames have their turn by the item's place in the sequence of all epochs."""
+        if self._turns is None:
+            return self.noise.draw(generator)
+        turn = self._turns.at(self.epoch * self._length + index)
+        return self.noise.draw(generator, turn, gain_spread=GAIN_SPREAD)
+
     def fill(self, item: Item, part: Part, out: NDArray[Any]) -> None:
         """Read the clean crop."""
         item.crop.fill(part.frame, out, clip="both", gain=part.gain)
 
     def facts(self, item: Item) -> dict[str, Any]:
         """Return what the noise was made with, and where the frame comes from."""
-        return item.draw.facts() | {"path": item.frame.name}
+        facts = item.draw.facts() | {"dark_frame": "", "path": item.frame.name}
+        if self._dark is not None and item.draw.iso is not None:
+            names = self._dark.names(item.draw.iso)
+            facts["dark_frame"] = ", ".join(names[member] for member in item.draw.dark)
+        return facts
 
     def finish(self, item: Item, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Add the noise."""
@@ -128,6 +153,9 @@ class NoisyItems(CroppedItems[Item, Sample]):
             "generator": item.generator,
         }
         if isinstance(model, NoiseModel):
+            if self._dark is not None and (iso := item.draw.iso) is not None:
+                region = self._dark.region(iso, item.frame, item.crop, item.generator)
+                options["dark"] = self._dark.crops(iso, item.draw.dark, region)
             noisy[...] = model(clean, **options, threads=threads_here())
         else:
             np.clip(made_exposure(model, clean, **options), *CLIP_RANGES[self.clip], out=noisy)
@@ -152,6 +180,21 @@ def _check_source(owner: str, source: Any, method: str) -> None:
         f"{owner}: the source of clean data has len and {method}(index), as {known} of eldata.datasets have; found "
         f"{type(source).__name__}"
     )
+
+
+def _turns(owner: str, dark: DarkFrames, choice: NoiseChoice, seed: int, exposures: int) -> Turns:
+    """Return whose turn it is among the dark frames of the ISOs to draw from."""
+    if len(choice.profiles) > 1:
+        raise ArgumentError(f"{owner}: dark frames are of one camera; give its profile alone")
+    isos = [iso for iso in choice.isos if iso is not None]
+    counts = [len(dark.names(iso)) for iso in isos]
+    for iso, count in zip(isos, counts, strict=True):
+        if count < fewest_members(exposures):
+            raise ArgumentError(
+                f"{owner}: windows of {exposures} frames, each with a dark frame of its own, need "
+                f"{fewest_members(exposures)} dark frames of an ISO; ISO {iso:g} has {count}"
+            )
+    return Turns(seed, np.diff(choice.shares, prepend=0.0).tolist(), counts, exposures)
 
 
 def _clipped(owner: str, model: Any, clip: Clip | None, usual: Clip) -> tuple[Clip, NoiseMaker]:

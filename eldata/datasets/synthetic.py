@@ -74,7 +74,7 @@ class SyntheticPairs(NoisyItems[NoisyItem, SyntheticSample]):
         """Draw a crop of frame ``index`` modulo their number, and its noise."""
         frame = self.source.frame(index % len(self.source))
         crop = Crop.draw(frame, generator, crop=self.crop, augment=self.augment)
-        return NoisyItem(frame, crop, self.noise.draw(generator), generator, index)
+        return NoisyItem(frame, crop, self.draw_noise(generator, index), generator, index)
 
     def shapes(self, item: NoisyItem) -> dict[str, tuple[int, ...]]:
         """Return the shapes of input and target."""

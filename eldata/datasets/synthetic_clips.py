@@ -85,7 +85,7 @@ class SyntheticClips(NoisyItems[_Item, SyntheticClipSample]):
     ) -> None:
         if frames < 1 or windows_per_clip < 1:
             raise ArgumentError(f"frames and windows_per_clip must be 1 or more; found {frames}, {windows_per_clip}")
-        super().__init__(source, "clip", profiles, ("windows_per_clip", windows_per_clip), options)
+        super().__init__(source, "clip", profiles, ("windows_per_clip", windows_per_clip), options, frames)
         self.source = source
         self.frames = frames
         self.windows_per_clip = windows_per_clip
@@ -104,7 +104,7 @@ class SyntheticClips(NoisyItems[_Item, SyntheticClipSample]):
         start = int(generator.integers(len(clip) - self.frames + 1))
         first = clip.frame(start)
         crop = Crop.draw(first, generator, crop=self.crop, augment=self.augment)
-        return _Item(first, crop, self.noise.draw(generator), generator, index, clip, place, start)
+        return _Item(first, crop, self.draw_noise(generator, index), generator, index, clip, place, start)
 
     def shapes(self, item: _Item) -> dict[str, tuple[int, ...]]:
         """Return the shapes of input and target."""

@@ -2,6 +2,9 @@ from .components import PAPER_MODELS as PAPER_MODELS
 from .components import Components as Components
 from .components import parse_components as parse_components
 from .exposures import Adc as Adc
+from .exposures import DarkCrops as DarkCrops
+from .gain_modes import GainMode as GainMode
+from .makers import DarkSource as DarkSource
 from .makers import NoiseMaker as NoiseMaker
 from .model import NoiseModel as NoiseModel
 from .parameters import NoiseParameters as NoiseParameters

@@ -34,7 +34,7 @@ from eldata.noise._tables import COARSE_BITS, COARSE_STEP, FINE_BITS, FINE_STEPS
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-NONE, GAUSSIAN, POISSON, TUKEY_LAMBDA, UNIFORM, ADC = range(6)
+NONE, GAUSSIAN, POISSON, TUKEY_LAMBDA, UNIFORM, ADC, DITHERED_ADC = range(7)
 """What a component can be."""
 
 LAMBDA_FLOOR = 1e-20
@@ -48,7 +48,7 @@ Settings = namedtuple(  # noqa: PYI024 - numba compiles this kind
     [
         "shot",  # NONE, GAUSSIAN or POISSON
         "read",  # NONE, GAUSSIAN or TUKEY_LAMBDA
-        "quantisation",  # NONE, UNIFORM or ADC
+        "quantisation",  # NONE, UNIFORM, ADC or DITHERED_ADC
         "events",  # photoelectrons (DN without shot noise) for a clean value of 1
         "gain",  # DN per photoelectron (1 without shot noise)
         "shape",  # lambda
@@ -414,6 +414,12 @@ def _compose_noiseless(value: NDArray[np.float32], gain: Any, offset: NDArray[np
 
 
 @kernel
+def _add_frame(offset: NDArray[np.float32], dn: NDArray[np.uint16]) -> None:
+    for j in range(offset.size):
+        offset[j] += _F(np.int32(dn[j]))
+
+
+@kernel
 def _add_uniform(value: NDArray[np.float32], number: NDArray[np.uint32]) -> None:
     """Add U(-1/2, 1/2), from the high 24 bits."""
     for j in range(value.size):
@@ -443,6 +449,7 @@ def _finish(value: NDArray[np.float32], out: NDArray[np.float32], scale: Any, lo
 def add_noise_rows(
     clean: NDArray[np.float32],
     out: NDArray[np.float32],
+    dark: NDArray[np.uint16],
     first_row: int,
     last_row: int,
     settings: Any,
@@ -457,8 +464,8 @@ def add_noise_rows(
 ) -> None:
     """Fill rows ``first_row`` to ``last_row`` of one packed channel.
 
-    ``row_table`` (s, s) is the channel's part of the table of mosaic rows, ``first_pixel`` the index of the channel's
-    first pixel in its image.
+    ``dark``, the channel of a dark frame, is empty where there is none; ``row_table`` (s, s) is the channel's part of
+    the table of mosaic rows, ``first_pixel`` the index of the channel's first pixel in its image.
     """
     columns = clean.shape[1]
     sub = row_table.shape[0]
@@ -491,7 +498,8 @@ def add_noise_rows(
         for row in range(first_row, last_row):
             pixel = _U8(first_pixel) + _U8(row * columns + start)
             _events(clean[row, start:stop], settings.events, mean)
-            if settings.shot == POISSON or settings.quantisation == UNIFORM:
+            dithers = settings.quantisation == UNIFORM or settings.quantisation == DITHERED_ADC
+            if settings.shot == POISSON or dithers:
                 words(rest_number, quantisation_number, rest_1, rest_2, pixel)
 
             if settings.shot == POISSON:
@@ -522,6 +530,8 @@ def add_noise_rows(
                 else:
                     for j in range((x - start) % sub, size, sub):
                         offset[j] = dn
+            if dark.size > 0:
+                _add_frame(offset, dark[row, start:stop])
 
             if settings.read == NONE:
                 _compose_noiseless(value, settings.gain, offset)
@@ -533,8 +543,8 @@ def add_noise_rows(
                     tukey_lambda_draws(high, low, settings.shape, power, tail, noise)
                 _compose(value, settings.gain, settings.sigma_read, noise, offset)
 
-            if settings.quantisation == UNIFORM:
+            if dithers:
                 _add_uniform(value, quantisation_number)
-            elif settings.quantisation == ADC:
+            if settings.quantisation == ADC or settings.quantisation == DITHERED_ADC:
                 _convert(value, settings.black, settings.white)
             _finish(value, out[row, start:stop], settings.scale, settings.low, settings.high)

@@ -21,7 +21,14 @@ _PIECE = 1 << 16  # pixels in a band of rows: a fraction of a millisecond
 
 _SHOT = {"none": _kernels.NONE, "gaussian": _kernels.GAUSSIAN, "poisson": _kernels.POISSON}
 _READ = {"none": _kernels.NONE, "gaussian": _kernels.GAUSSIAN, "tukey-lambda": _kernels.TUKEY_LAMBDA}
-_QUANTISATION = {"none": _kernels.NONE, "uniform": _kernels.UNIFORM, "adc": _kernels.ADC}
+# By whether U(-1/2, 1/2) is added, and whether a converter rounds.
+_QUANTISATION = {
+    (False, False): _kernels.NONE,
+    (True, False): _kernels.UNIFORM,
+    (False, True): _kernels.ADC,
+    (True, True): _kernels.DITHERED_ADC,
+}
+_NO_FRAME = np.empty((0, 0), np.uint16)
 
 
 def expose_compiled(
@@ -56,8 +63,8 @@ def expose_compiled(
     if clean.size == 0:
         return result
     parts, adc, rows_under = exposures.components, exposures.adc, packed_rows(channels)
-    quantisation = "adc" if adc is not None else "uniform" if parts.quantisation else "none"
-    modes = _SHOT[parts.shot], _READ[parts.read], _QUANTISATION[quantisation]
+    quantisation = _QUANTISATION[parts.quantisation or exposures.dithers, adc is not None]
+    modes = _SHOT[parts.shot], _READ[parts.read], quantisation
     gain = exposures.gain_dn_per_e if parts.shot != "none" else np.ones(images)
     shape = exposures.tukey_lambda
     exponent = np.where(np.abs(shape) < _kernels.LAMBDA_FLOOR, _kernels.LAMBDA_FLOOR, shape).astype(np.float32)
@@ -84,6 +91,7 @@ def expose_compiled(
         _kernels.add_noise_rows(
             clean[image, channel],
             result[image, channel],
+            _NO_FRAME if exposures.dark is None else exposures.dark.dn[image, channel],
             first_row,
             last_row,
             each[image][channel],

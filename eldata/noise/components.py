@@ -8,10 +8,12 @@
 ``B``   colour bias: the read noise's mean per channel          colour_bias_dn
 ``R``   row noise, one Gaussian draw per mosaic row             sigma_row_dn
 ``U``   quantisation noise, uniform over one DN                 none
+``D``   real dark frames, in place of G, B, R and U             gain of their ISO
 ======  =====================================================  =========================
 
 Source: K. Wei, Y. Fu, Y. Zheng and J. Yang, "Physics-based Noise Modeling for Extreme Low-light Photography", TPAMI
-2021, section 3 and the ablation on SID.
+2021, section 3 and the ablation on SID. D, real frames in place of all that a model says of the dark, is the idea of
+Y. Zhang, H. Qin, X. Wang and H. Li, "Rethinking Noise Synthesis and Modeling in Raw Denoising", ICCV 2021 (SFRN).
 """
 
 from __future__ import annotations
@@ -27,8 +29,10 @@ Read = Literal["none", "gaussian", "tukey-lambda"]
 # In the paper's rows, from the simplest to the full model.
 PAPER_MODELS = ("G", "G+P", "G+P*", "G*+P*", "G*+P*+B", "G*+P*+B+R", "G*+P*+B+R+U")
 
-_NAMES = ("P", "P*", "G", "G*", "B", "R", "U")
+_NAMES = ("P", "P*", "G", "G*", "B", "R", "U", "D")
 _EXCLUSIVE = (("P", "P*", "photon shot noise"), ("G", "G*", "read noise"))
+# What dark frames have in them.
+_IN_DARK = {"G": "read noise", "G*": "read noise", "B": "colour bias", "R": "row noise", "U": "rounding"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +44,7 @@ class Components:
     colour_bias: bool
     row: bool
     quantisation: bool
+    dark: bool = False
 
     @property
     def spec(self) -> str:
@@ -48,7 +53,7 @@ class Components:
             {"gaussian": "P", "poisson": "P*"}.get(self.shot, ""),
             {"gaussian": "G", "tukey-lambda": "G*"}.get(self.read, ""),
         )
-        flags = (("B", self.colour_bias), ("R", self.row), ("U", self.quantisation))
+        flags = (("B", self.colour_bias), ("R", self.row), ("U", self.quantisation), ("D", self.dark))
         return "+".join([name for name in names if name] + [name for name, on in flags if on])
 
 
@@ -75,10 +80,17 @@ def parse_components(spec: str) -> Components:
             raise ArgumentError(
                 f"noise model {spec!r}: {first} and {second} are two models of the same {source}; take one"
             )
+    for name, source in _IN_DARK.items() if "D" in names else ():
+        if name in names:
+            raise ArgumentError(
+                f"noise model {spec!r}: the frames of D have their own {source}, and {name} would add it again; take "
+                "one, as in 'P*+D'"
+            )
     return Components(
         shot="poisson" if "P*" in names else "gaussian" if "P" in names else "none",
         read="tukey-lambda" if "G*" in names else "gaussian" if "G" in names else "none",
         colour_bias="B" in names,
         row="R" in names,
         quantisation="U" in names,
+        dark="D" in names,
     )

@@ -35,15 +35,31 @@ class Adc:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class DarkCrops:
+    """Crops of dark frames.
+
+    Attributes
+    ----------
+    dn
+        (N, C, h, w) uint16: DN as the files have them, packed.
+    black_level_dn
+        (N, C) float64: the black level of each packed channel.
+    """
+
+    dn: NDArray[np.uint16]
+    black_level_dn: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Exposures:
     """Noisy exposures to draw of a batch of N clean packed images (N, C, h, w).
 
     With I = clean range / (ratio K) photoelectrons::
 
-        D = K Poisson(I) + read noise + bias + row noise + U(-1/2, 1/2),    out = D ratio / range
+        D = K Poisson(I) + read noise + bias + row noise + dark frame + U(-1/2, 1/2),    out = D ratio / range
 
     each term if its component is there. An ``adc`` rounds D + black to an integer from 0 to white and takes black off
-    again, in place of the uniform term; ``limits`` bound the output.
+    again; ``limits`` bound the output.
 
     Attributes
     ----------
@@ -54,7 +70,11 @@ class Exposures:
     tukey_lambda, sigma_read_dn, sigma_row_dn
         (N,) float64: shape of the read noise, its scale, and the row noise; 0 where the component is off.
     bias_dn
-        (N, C) float64: colour bias, 0 where it is off.
+        (N, C) float64: colour bias, 0 where it is off; with dark frames, what is taken off them, the black level.
+    dark
+        Crops of dark frames; ``None``: the component is off.
+    dithers
+        Whether they are dithered: by U(-1/2, 1/2), before any rounding.
     """
 
     components: Components
@@ -67,6 +87,8 @@ class Exposures:
     bias_dn: NDArray[np.float64]
     adc: Adc | None = None
     limits: tuple[float, float] = (-math.inf, math.inf)
+    dark: DarkCrops | None = None
+    dithers: bool = False
 
     @classmethod
     def of(
@@ -79,6 +101,8 @@ class Exposures:
         range_dn: float,
         adc: Adc | None = None,
         limits: tuple[float, float] = (-math.inf, math.inf),
+        dark: DarkCrops | None = None,
+        dithers: bool = False,
     ) -> Exposures:
         """Take the parameters that the components need, one of each per image."""
 
@@ -87,6 +111,8 @@ class Exposures:
 
         tukey = components.read == "tukey-lambda"
         bias = [channel_bias_dn(p, channels) if components.colour_bias else (0.0,) * channels for p in drawn]
+        if dark is not None:
+            bias = np.negative(dark.black_level_dn).tolist()
         return cls(
             components=components,
             range_dn=range_dn,
@@ -100,4 +126,6 @@ class Exposures:
             bias_dn=np.array(bias, dtype=np.float64).reshape(len(drawn), channels),
             adc=adc,
             limits=limits,
+            dark=dark,
+            dithers=dithers,
         )

@@ -13,6 +13,7 @@ from eldata.errors import ArgumentError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from eldata.noise.exposures import DarkCrops
     from eldata.noise.parameters import NoiseParameters
 
 
@@ -25,8 +26,9 @@ class NoiseMaker(Protocol):
     Called with one image (C, h, w) or one clip (T, C, h, w), float32, normalised, in memory that it may write to, it
     returns an array (or a tensor on the CPU) of the same shape: the exposure, amplified by ``ratio`` back to the
     brightness of the clean data. The dataset clips it, as it says itself. ``parameters``, the draw of the dataset's
-    camera, ``ratio`` and ``range_dn``, white minus black in DN, may be used or not; they stand in the sample. All
-    random numbers are to come from ``generator``: then an item depends on (seed, epoch, index) alone.
+    camera (with its ``iso``, where one was drawn), ``ratio`` and ``range_dn``, white minus black in DN, may be used or
+    not; they stand in the sample. All random numbers are to come from ``generator``: then an item depends on (seed,
+    epoch, index) alone.
     """
 
     def __call__(
@@ -40,6 +42,17 @@ class NoiseMaker(Protocol):
         generator: np.random.Generator,
     ) -> Any:
         """Return a noisy exposure."""
+
+
+class DarkSource(Protocol):
+    """Where component D of a noise model has its frames from; :class:`eldata.datasets.DarkFrames` is one."""
+
+    @property
+    def dither(self) -> bool:
+        """Whether they are dithered by U(-1/2, 1/2)."""
+
+    def draw(self, iso: float, count: int, shape: tuple[int, int, int], generator: np.random.Generator) -> DarkCrops:
+        """Return crops (count, C, h, w) of as many frames of an ISO, from one place of them."""
 
 
 def check_noise_maker(maker: Any) -> None:

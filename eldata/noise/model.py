@@ -26,7 +26,7 @@ from eldata.base.numbers import checked_number, checked_whole
 from eldata.base.tensors import is_tensor
 from eldata.errors import ArgumentError, check_choice
 from eldata.noise.components import Components, parse_components
-from eldata.noise.exposures import Adc, Exposures
+from eldata.noise.exposures import Adc, DarkCrops, Exposures
 from eldata.noise.packed_rows import packed_rows
 from eldata.noise.parameters import NoiseParameters, tukey_lambda_variance
 from eldata.noise.randomness import Generator, key_from
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
+    from eldata.noise.makers import DarkSource
     from eldata.raw.cfa import Cfa, Clip
 
 Image = TypeVar("Image", "NDArray[Any]", "torch.Tensor")
@@ -54,11 +55,14 @@ class NoiseModel:
         it does not clip, and a dataset clips as its own ``clip`` says.
     adc
         Round to whole DN and saturate as a converter does, in place of component U.
+    dark_frames
+        The frames of component D: :class:`eldata.datasets.DarkFrames`.
 
     Raises
     ------
     ArgumentError
-        If the spec or the clip is unknown, ``adc`` is not an :class:`Adc`, or the spec has U and there is one too.
+        If the spec or the clip is unknown, ``adc`` is not an :class:`Adc`, the spec has U and there is one too, or D
+        without dark frames, or these without D.
 
     Examples
     --------
@@ -72,7 +76,14 @@ class NoiseModel:
     ((4, 64, 64), dtype('float32'))
     """
 
-    def __init__(self, spec: str = "P*+G*+B+R+U", *, clip: Clip | None = None, adc: Adc | None = None) -> None:
+    def __init__(
+        self,
+        spec: str = "P*+G*+B+R+U",
+        *,
+        clip: Clip | None = None,
+        adc: Adc | None = None,
+        dark_frames: DarkSource | None = None,
+    ) -> None:
         self.components: Components = parse_components(spec)
         if clip is not None:
             check_choice("clip", clip, CLIP_RANGES)
@@ -82,11 +93,25 @@ class NoiseModel:
             raise ArgumentError(
                 f"noise model {spec!r}: U stands for the converter's rounding; leave it out with adc=..."
             )
+        if self.components.dark and not callable(getattr(dark_frames, "draw", None)):
+            raise ArgumentError(
+                f"noise model {spec!r}: D takes real frames; give dark_frames=DarkFrames(...) of eldata.datasets; "
+                f"found {dark_frames!r:.100}"
+            )
+        if dark_frames is not None and not self.components.dark:
+            raise ArgumentError(f"noise model {spec!r} takes no dark frames: it has no component D, as 'P*+D' has")
+        if adc is not None and dark_frames is not None and not dark_frames.dither:
+            raise ArgumentError(
+                "adc rounds what dark frames and photons add up to, and without a dither it would round single photons "
+                "away; leave dither=False out"
+            )
         self.clip: Clip | None = clip
         self.adc = adc
+        self.dark_frames = dark_frames
 
     def __repr__(self) -> str:
-        options = [f", {name}={value!r}" for name in ("clip", "adc") if (value := getattr(self, name)) is not None]
+        names = ("clip", "adc", "dark_frames")
+        options = [f", {name}={value!r}" for name in names if (value := getattr(self, name)) is not None]
         return f"NoiseModel({self.components.spec!r}{''.join(options)})"
 
     def with_clip(self, clip: Clip) -> NoiseModel:
@@ -105,6 +130,7 @@ class NoiseModel:
         generator: Generator,
         range_dn: float | None = None,
         threads: int | None = None,
+        dark: DarkCrops | None = None,
     ) -> Image:
         """Return a noisy exposure of clean packed data.
 
@@ -124,6 +150,10 @@ class NoiseModel:
             White level minus black level, DN; by default that of the camera whose profile the parameters come from.
         threads
             Of the compiled engine, 1 or more; default one per CPU. The result does not depend on it.
+        dark
+            With component D: crops of dark frames that somebody drew, one for each image, of its shape. By default they
+            are drawn here, of the parameters' ISO; images that have one draw of parameters together, a clip, get
+            different frames, from one place of them.
 
         Returns
         -------
@@ -133,7 +163,7 @@ class NoiseModel:
         Raises
         ------
         ArgumentError
-            If shapes, dtype, parameters, ratio, range, generator or threads do not fit.
+            If shapes, dtype, parameters, ratio, range, generator, threads or dark frames do not fit.
         """
         check_normalised(clean)
         if clean.ndim < 3:
@@ -148,6 +178,12 @@ class NoiseModel:
         range_dn = _range_dn(drawn) if range_dn is None else checked_number("range_dn", range_dn, above=0)
         if threads is not None:
             checked_whole("threads", threads, at_least=1)
+        packed = (channels, int(clean.shape[-2]), int(clean.shape[-1]))
+        if dark is not None:
+            self._check_dark(dark, images, packed)
+        elif self.dark_frames is not None and images:
+            source = np.random.default_rng(key_from(generator))
+            dark = _drawn_dark(self.dark_frames, drawn, isinstance(parameters, NoiseParameters), packed, source)
         exposures = Exposures.of(
             self.components,
             drawn,
@@ -156,6 +192,8 @@ class NoiseModel:
             range_dn=range_dn,
             adc=self.adc,
             limits=CLIP_RANGES[self.clip or "none"],
+            dark=dark,
+            dithers=self.dark_frames is not None and self.dark_frames.dither,
         )
         if isinstance(clean, np.ndarray):
             return _in_numpy(clean, exposures, generator, threads).astype(clean.dtype, copy=False)
@@ -173,6 +211,13 @@ class NoiseModel:
             flat = clean.detach().to(torch.float32).reshape(images, *clean.shape[-3:])
             drawn_here = expose_on_device(flat, exposures, generator).reshape(clean.shape)
         return drawn_here.to(clean.dtype)
+
+    def _check_dark(self, dark: Any, images: int, packed: tuple[int, int, int]) -> None:
+        if self.dark_frames is None:
+            raise ArgumentError(f"dark= is for models with component D; this is {self!r}")
+        found = dark.dn.shape if isinstance(dark, DarkCrops) else type(dark).__name__
+        if found != (images, *packed):
+            raise ArgumentError(f"dark must be DarkCrops of shape {(images, *packed)}; found {found}")
 
     def on_mosaic(
         self,
@@ -209,7 +254,14 @@ class NoiseModel:
         return unpack_whole(noisy, cfa, (clean.shape[-2], clean.shape[-1]))
 
     def expected_mean_dn(self, signal_e: float, parameters: NoiseParameters, channel: int = 0) -> float:
-        """Return the closed-form mean of D, in DN above black: K I, plus the bias of a Bayer channel."""
+        """Return the closed-form mean of D, in DN above black: K I, plus the bias of a Bayer channel.
+
+        Raises
+        ------
+        ArgumentError
+            If the model has dark frames, whose mean is their own.
+        """
+        self._check_closed()
         bias = parameters.colour_bias_dn[channel] if self.components.colour_bias else 0.0
         return parameters.gain_dn_per_e * signal_e + bias
 
@@ -218,7 +270,13 @@ class NoiseModel:
 
         ``K (K I) + sigma_TL^2 Var(TL) + sigma_row^2 + 1/12``, each term if its component is there. For an ``adc`` 1/12
         is an approximation, good where the other noise is above half a DN.
+
+        Raises
+        ------
+        ArgumentError
+            If the model has dark frames, whose variance is their own.
         """
+        self._check_closed()
         parts = self.components
         gain = parameters.gain_dn_per_e
         shot = gain * gain * signal_e if parts.shot != "none" else 0.0
@@ -230,6 +288,10 @@ class NoiseModel:
         row = parameters.sigma_row_dn**2 if parts.row else 0.0
         quantisation = 1 / 12 if parts.quantisation or self.adc is not None else 0.0
         return shot + read + row + quantisation
+
+    def _check_closed(self) -> None:
+        if self.components.dark:
+            raise ArgumentError(f"noise model {self.components.spec!r}: there is no closed form for real dark frames")
 
 
 def check_normalised(clean: Any, name: str = "clean") -> None:
@@ -264,6 +326,30 @@ def _in_numpy(
 
     flat = np.ascontiguousarray(clean, dtype=np.float32).reshape(math.prod(clean.shape[:-3]), *clean.shape[-3:])
     return expose_compiled(flat, exposures, key=key_from(generator), threads=threads).reshape(clean.shape)
+
+
+def _drawn_dark(
+    source: DarkSource,
+    drawn: Sequence[NoiseParameters],
+    is_clip: bool,
+    packed: tuple[int, int, int],
+    generator: np.random.Generator,
+) -> DarkCrops:
+    """Return a dark crop for each image."""
+
+    def of(parameters: NoiseParameters, count: int) -> DarkCrops:
+        if parameters.iso is None:
+            raise ArgumentError(
+                "component D takes dark frames of the parameters' ISO, and they do not state it; draw them at one, as "
+                "profile.sample(generator, iso=800) does"
+            )
+        return source.draw(parameters.iso, count, packed, generator)
+
+    if is_clip or len(drawn) == 1:
+        return of(drawn[0], len(drawn))
+    each = [of(parameters, 1) for parameters in drawn]
+    black = np.concatenate([one.black_level_dn for one in each])
+    return DarkCrops(np.concatenate([one.dn for one in each]), black)
 
 
 def _range_dn(drawn: Sequence[NoiseParameters]) -> float:

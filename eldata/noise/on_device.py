@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
 import torch
 
 from eldata.noise.packed_rows import packed_rows
@@ -41,11 +42,13 @@ def expose_on_device(clean: torch.Tensor, exposures: Exposures, generator: torch
         dn = dn + per_image(exposures.sigma_read_dn) * _tukey_lambda(clean.shape, shape, generator)
     elif components.read == "gaussian":
         dn = dn + per_image(exposures.sigma_read_dn) * torch.randn(clean.shape, generator=generator, device=device)
-    if components.colour_bias:
+    if components.colour_bias or components.dark:
         dn = dn + per_image(exposures.bias_dn)
     if components.row:
         dn = dn + _row_noise(clean.shape, per_image(exposures.sigma_row_dn), generator)
-    if components.quantisation:
+    if exposures.dark is not None:
+        dn = dn + torch.as_tensor(exposures.dark.dn.astype(np.float32), device=device)
+    if components.quantisation or exposures.dithers:
         dn = dn + (torch.rand(clean.shape, generator=generator, device=device) - 0.5)
     if adc is not None:
         dn = (dn + adc.black_level_dn).round().clamp(0.0, adc.white_level_dn) - adc.black_level_dn

@@ -39,6 +39,8 @@ class NoiseParameters:
     range_dn
         White level minus black level of the camera that they are of, DN, where its profile states it: what the noise
         model takes if it is not told another. Not a parameter of the noise: draws that differ in it alone are equal.
+    iso
+        The ISO that they are of, where one was given or drawn: that of the dark frames of component D. Nor is it one.
 
     Raises
     ------
@@ -53,6 +55,7 @@ class NoiseParameters:
     sigma_row_dn: float
     colour_bias_dn: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     range_dn: float | None = field(default=None, compare=False)
+    iso: float | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         for name, value in self.as_dict().items():
@@ -68,6 +71,8 @@ class NoiseParameters:
         object.__setattr__(self, "colour_bias_dn", values)
         if self.range_dn is not None:
             checked_number("range_dn", self.range_dn, above=0)
+        if self.iso is not None:
+            checked_number("iso", self.iso, above=0)
         if not self.gain_dn_per_e > 0:
             raise ArgumentError(f"gain_dn_per_e must be above 0; found {self.gain_dn_per_e}")
         for name in ("sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn"):

@@ -331,7 +331,7 @@ def _area_of(mosaic: NDArray[Scalar], cfa: Cfa) -> NDArray[Scalar]:
     return mosaic[packed_area((mosaic.shape[0], mosaic.shape[1]), cfa).slices]
 
 
-def pack(mosaic: NDArray[Scalar], cfa: Cfa) -> NDArray[Scalar]:
+def pack(mosaic: NDArray[Scalar], cfa: Cfa, *, out: NDArray[Scalar] | None = None) -> NDArray[Scalar]:
     """Split a mosaic by CFA position.
 
     Parameters
@@ -340,6 +340,8 @@ def pack(mosaic: NDArray[Scalar], cfa: Cfa) -> NDArray[Scalar]:
         (H, W), any dtype of 1, 2, 4 or 8 bytes.
     cfa
         The CFA of its pixel (0, 0), as :attr:`eldata.records.Sensor.cfa`.
+    out
+        Where to write, of the packed shape and the mosaic's dtype.
 
     Returns
     -------
@@ -349,13 +351,16 @@ def pack(mosaic: NDArray[Scalar], cfa: Cfa) -> NDArray[Scalar]:
     Raises
     ------
     ArgumentError
-        If the CFA is unsupported or the mosaic smaller than one period.
+        If the CFA is unsupported, the mosaic smaller than one period, or ``out`` does not fit.
     """
     from eldata.raw._kernels import gather
 
     sites = packing_sites(cfa)
     area = _area_of(mosaic, cfa)
-    packed = np.empty(packed_shape(mosaic.shape, cfa), dtype=mosaic.dtype)
+    shape = packed_shape(mosaic.shape, cfa)
+    packed = np.empty(shape, dtype=mosaic.dtype) if out is None else out
+    if packed.shape != shape or packed.dtype != mosaic.dtype:
+        raise ArgumentError(f"out must be {mosaic.dtype} of shape {shape}; found {packed.dtype} {packed.shape}")
     gather(_as_bits(area), _as_bits(packed), sites.table, sites.period, sites.sub)
     return packed
 

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.base.tables import markdown_table
 from eldata.calibration.audit import given
 from eldata.calibration.bias_audit import BiasAudit
 from eldata.calibration.bias_checks import bias_findings
@@ -114,22 +113,37 @@ def clean(seed: int) -> tuple[Finding, ...]:
     return audited(camera, Body(camera, generator).bias_frames(int(generator.choice([4, 5, 9, 12])))).findings
 
 
+FIGURES: dict[str, tuple[str, ...]] = {"read noise": ("lambda", "sigma_TL", "sigma_G"), "row noise": ("sigma_row",)}
+HEADER = ("fault", *(name for names in FIGURES.values() for name in names), *FIGURES, "what is said")
+
+
+def off_by(name: str, runs: Sequence[Audited]) -> str:
+    """The mean error of a figure, and the same in errors as they were stated before there was an audit."""
+    off = float(np.mean([run.before[name].value - run.truth[name] for run in runs]))
+    errors = off / float(np.mean([run.before[name].error for run in runs]))
+    return (
+        f"{off:+.4f} ({errors:+.0f})"
+        if name == "lambda"
+        else f"{100 * off / runs[0].truth[name]:+.1f} % ({errors:+.0f})"
+    )
+
+
+def fate(names: Sequence[str], runs: Sequence[Audited]) -> str:
+    """How many cameras' figures are withheld, and how often the errors of those that are given reach the truth."""
+    given_in = [run for run in runs if run.after[names[0]] is not None]
+    if not given_in:
+        return "withheld"
+    covered = sorted({round(100 * float(np.mean([bool(run.covered(name)) for run in given_in]))) for name in names})
+    held = f"{covered[0]} %" if len(covered) == 1 else f"{covered[0]} to {covered[-1]} %"
+    return held if len(given_in) == len(runs) else f"withheld {len(runs) - len(given_in)}/{len(runs)}, else {held}"
+
+
 def row_of_table(fault: Planted, repeats: int, camera: Camera) -> tuple[str, ...]:
     runs = [planted(fault, seed, camera) for seed in range(repeats)]
-    cells = []
-    for name in ("lambda", "sigma_TL", "sigma_G", "sigma_row"):
-        off = np.array([run.before[name].value - run.truth[name] for run in runs])
-        errors = float(np.mean([run.before[name].error for run in runs]))
-        size = f"{off.mean():+.4f}" if name == "lambda" else f"{off.mean() / runs[0].truth[name]:+.1%}"
-        covered = [run.covered(name) for run in runs]
-        kept = [one for one in covered if one is not None]
-        after = (
-            "withheld" if not kept else f"{np.mean(kept):.0%}" + (" of those given" if len(kept) < len(runs) else "")
-        )
-        cells.append(f"{size} ({off.mean() / errors:+.0f}): {after}")
-    said = Counter(f"{one.check} ({one.effect})" for run in runs for one in run.findings)
-    named = "; ".join(what if count >= repeats else f"{what} {count}/{repeats}" for what, count in said.items())
-    return fault.name, *cells, named or "nothing"
+    said = Counter(check for run in runs for check in {one.check: None for one in run.findings})
+    named = ", ".join(what if count >= repeats else f"{what} {count}/{repeats}" for what, count in said.items())
+    off = [off_by(name, runs) for names in FIGURES.values() for name in names]
+    return fault.name, *off, *(fate(names, runs) for names in FIGURES.values()), named or "nothing"
 
 
 def main() -> None:
@@ -142,8 +156,9 @@ def main() -> None:
         alarms = ", ".join(f"{name} of {count}" for name, count in said.items()) or "nothing is said"
         print(f"{arguments.clean} cameras without a fault: {alarms}")
         return
-    header = ("fault", "lambda", "sigma_TL", "sigma_G", "sigma_row", "the audit says")
-    print(markdown_table(header, [row_of_table(fault, arguments.repeats, CAMERA) for fault in (NONE, *EVERY)]))
+    print(f"| {' | '.join(HEADER)} |\n|{'---|' * len(HEADER)}")
+    for fault in (NONE, *EVERY):
+        print(f"| {' | '.join(row_of_table(fault, arguments.repeats, CAMERA))} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -47,8 +47,8 @@ class FramesInMemory:
         return Path(os.devnull)
 
 
-def record(role: Role, number: int) -> FrameRecord:
-    return FrameRecord(f"{role}/{number}.dng", role, "Simulated", iso=Fraction(ISO))
+def record(role: Role, number: int, exposure_s: Fraction | None = None) -> FrameRecord:
+    return FrameRecord(f"{role}/{number}.dng", role, "Simulated", iso=Fraction(ISO), exposure_s=exposure_s)
 
 
 def calibrated_in_memory(

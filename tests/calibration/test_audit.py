@@ -15,6 +15,7 @@ from eldata.calibration.audit import SYMBOLS
 from eldata.calibration.camera import joined
 from eldata.noise import CameraProfile
 from eldata.reports.calibration.page import calibration_page
+from eldata.reports.html import typeset
 from tests.reports.calibrations import camera_at, measured
 from tests.reports.pages import checked
 
@@ -85,12 +86,24 @@ def test_a_withheld_figure_is_given_nowhere(figure: Figure, isos: tuple[IsoCalib
     assert (data["reproduction"] is None) == in_the_dark
     page = checked(calibration_page(found)).text
     assert f"Withheld: {WHY}." in page
+    assert f"Withheld, since an assumption does not hold: {typeset(SYMBOLS[figure])} at ISO 400." in page
+    assert "Not shown, since withheld: ISO 400." in page
     # No number that only the withheld figure has is left in the text, the page or the profile's notes.
     for text in (found.format_text(), page, *found.profile.notes):
         for cell in {whole.table()[1][1][index] for index in hidden} | (
             set(whole.bias_table()[1][1][1:5]) if figure == "colour bias" else set()
         ):
             assert cell not in text.replace("−", "-")
+
+
+def test_the_page_says_at_once_which_errors_are_larger(isos: tuple[IsoCalibration, ...]) -> None:
+    found = joined(
+        "TestCamera", [isos[0], replace(isos[1], findings=(finding("gain", effect="wider", allowance=0.05),))]
+    )
+    page = checked(calibration_page(found)).text
+    assert "Given with a larger error: K at ISO 400." in page
+    assert f"Errors made larger: {WHY}." in page
+    assert "Withheld" not in page
 
 
 def test_the_profile_of_what_is_left(isos: tuple[IsoCalibration, ...], tmp_path: Path) -> None:

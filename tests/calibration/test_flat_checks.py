@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from eldata.calibration.flat_checks import edge_findings
-from eldata.calibration.joint import step_findings
-from eldata.calibration.photon_transfer import FlatPairs, photon_transfer
+from eldata.calibration.flat_checks import edge_findings, flat_findings
+from eldata.calibration.joint import gain_steps
+from eldata.calibration.photon_transfer import FlatPairs, PhotonTransfer, PhotonTransferLine, photon_transfer
 from tests.calibration import flats_study as study
 from tests.calibration.in_memory import calibrated_arrays
 from tests.calibration.simulation import BAYER, Body, Camera
@@ -140,6 +140,20 @@ def test_a_line_that_is_bent() -> None:
     assert "slower than the signal" in found.findings[0].text
 
 
+def test_channels_that_bend_alike_are_seen_together() -> None:
+    """A bend that each of four channels shows to 2.2 of its errors only: a parabola's points without noise."""
+    signal = np.linspace(1000.0, 14000.0, 12)
+    error = 0.01 * signal
+    straight = PhotonTransferLine(1.0, 0.002, 20.0, 1.0, 1.0, signal, signal + 20, error)
+    bent = replace(straight, variance_dn2=signal - 2.4e-6 * signal**2 + 20)
+    found = PhotonTransfer(1.0, 0.001, 1.0, (bent,) * 4, 8, 0.0, 0.0, 0.0, 0.001)
+    (finding,) = flat_findings(found)
+    assert finding.check == "bent photon transfer"
+    assert 4.2**2 < finding.statistic < 4.6**2
+    opposite = replace(straight, variance_dn2=signal + 2.4e-6 * signal**2 + 20)
+    assert not flat_findings(replace(found, channels=(bent, bent, opposite, opposite)))
+
+
 def test_a_channel_that_the_camera_scales() -> None:
     found = study.outcome(study.Setting(), study.scaled(1.1)(small(study.Setting()), np.random.default_rng(11)))
     assert [(one.check, one.effect) for one in found.findings] == [("channels' gains", "wider")]
@@ -188,21 +202,23 @@ def points(step: float, scatter: float, bend: float = 0.0) -> dict[str, list[tup
 
 
 def test_a_step_is_said_with_its_place_and_height() -> None:
-    (finding,) = step_findings(points(-0.4, 0.02), ISO_OF)
+    (step,) = gain_steps(points(-0.4, 0.02))
+    finding = step.finding(ISO_OF, is_taken=False)
     assert finding.effect == "remark"
     assert "between ISO 800 and 1600 there is a step over K of sigma_TL (-3" in finding.text
     both = points(-0.4, 0.02)
     both["sigma_G"] = [(gain, 1.8 * scale) for gain, scale in both["sigma_TL"]]
-    (finding,) = step_findings(both, ISO_OF)
+    (step,) = gain_steps(both)
+    finding = step.finding(ISO_OF, is_taken=True)
     assert "of sigma_TL (-31%) and sigma_G (-31%)" in finding.text
 
 
 def test_what_is_no_step() -> None:
-    assert not list(step_findings(points(0.0, 0.05), ISO_OF))
-    assert not list(step_findings(points(-0.1, 0.1), ISO_OF))
-    assert not list(step_findings(points(0.0, 0.005, bend=0.03), ISO_OF)), "a parabola explains more"
+    assert not gain_steps(points(0.0, 0.05))
+    assert not gain_steps(points(-0.1, 0.1))
+    assert not gain_steps(points(0.0, 0.005, bend=0.03)), "a parabola explains more"
     few = {"sigma_TL": points(-0.4, 0.02)["sigma_TL"][2:6]}
-    assert not list(step_findings(few, ISO_OF)), "four ISOs do not tell a step from scatter"
+    assert not gain_steps(few), "four ISOs do not tell a step from scatter"
 
 
 def test_a_step_is_seldom_seen_where_none_is() -> None:

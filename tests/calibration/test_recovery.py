@@ -11,6 +11,7 @@ from scipy import stats
 from eldata.calibration import Finding, read_noise_findings
 from eldata.raw import bayer_cfa
 from tests.calibration.chain import Calibration, calibrated, transferred
+from tests.calibration.in_memory import calibrated_arrays
 from tests.calibration.simulation import XTRANS, Body, Camera
 
 # Over the ranges of the shipped cameras: K 0.09 to 29, lambda -0.24 to 0.2, sigma_TL 0.6 to 35 DN.
@@ -68,6 +69,21 @@ def test_the_truth_comes_back(name: str) -> None:
         assert read.chi2_per_dof == pytest.approx(1, abs=0.6)
     if camera.tukey_lambda < 0.1:
         assert read.r_squared_tl > read.r_squared_gauss
+
+
+@pytest.mark.parametrize("cfa", [bayer_cfa("GRBG"), XTRANS, bayer_cfa(block=2), bayer_cfa("GBRG", block=3)])
+def test_frames_of_odd_sizes(cfa: tuple[tuple[int, ...], ...]) -> None:
+    """Of 257 x 389 pixels some sites of the CFA have a row or a column of blocks more than others."""
+    channels = max(map(max, cfa)) + 1
+    camera = Camera(shape=(257, 389), cfa=cfa, bias=(1.5, -0.75, 0.5, -2.0)[:channels])
+    body = Body(camera, np.random.default_rng(5))
+    found = calibrated_arrays(camera.sensor, body.bias_frames(6), body.flat_pairs(LEVELS))
+    assert found.gain is not None
+    assert not found.findings
+    assert abs(found.gain.value - 1) < 5 * found.gain.error < 0.03
+    assert abs(found.read.tukey_lambda + 0.05) < 5 * found.read.tukey_lambda_error < 0.03
+    assert abs(found.rows.rows.sigma_dn - 0.5) < 5 * found.rows.rows.sigma_error_dn
+    assert found.pattern.shading_dn.all()  # a block without a pixel has its neighbour's level
 
 
 def test_four_frames_do() -> None:

@@ -56,6 +56,7 @@ ARGUMENTS = {
     "lock": ["none.csv"],
     "calibrate": ["none"],
     "profile show": ["none"],
+    "noise check": ["none", "--frames", "none"],
     "protocols": ["none"],
     "info": ["none"],
     "download": ["none"],
@@ -70,6 +71,7 @@ ARGUMENTS = {
         *(("calibrate", option) for option in ("-o", "--output", "--html")),
         ("compare", "--html"),
         ("profile show", "--html"),
+        ("noise check", "--html"),
     ],
 )
 def test_a_place_to_write_to_is_tried_before_the_input_is_read(command: str, option: str, eldata: Cli) -> None:

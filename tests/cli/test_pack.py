@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from eldata.datasets import DarkFrames
 from eldata.datasets.packed_clips import PackedClips, PackedUnpairedClips
 from eldata.datasets.packed_store import PackedStore
 from eldata.sources.store import source_of_dataset
 from eldata.sources.store.journal import journaled
 from tests.cli.test_usage import assert_one_line
+from tests.datasets.test_dark_frames import written
 from tests.drv_tree import small_drv, write_raw_clip
 from tests.sources.store.helpers import start_packing
 from tests.waiting import PATIENCE_S
@@ -188,3 +190,13 @@ def test_camera_raws_of_clips_are_packed(eldata: Cli, tmp_path: Path) -> None:
     assert (outcome.code, outcome.err) == (0, "")
     assert outcome.out.startswith(f"6 frames packed: {store}, ")
     assert eldata("verify", store, "--level", "full").code == 0
+
+
+def test_calibration_frames_of_a_camera(eldata: Cli, tmp_path: Path) -> None:
+    bias = written(tmp_path / "data" / "calibration", isos={400: 2}, side=24)
+    store = tmp_path / "bias.h5"
+    outcome = eldata("pack", "calibration", "--root", str(tmp_path / "data"), "--camera", "Nocturne", "-o", str(store))
+    assert (outcome.code, outcome.err) == (0, "")
+    assert DarkFrames(store).isos == DarkFrames(bias).isos == (400.0,)
+    lacking = eldata("pack", "calibration", "--root", str(tmp_path), "-o", str(tmp_path / "more.h5"))
+    assert_one_line(lacking, "there is no such folder; calibration frames lie in")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from eldata.reports.calibration.iso_pictures import reproduced_pictures, shading_pictures, spectrum_picture
@@ -24,11 +24,12 @@ from eldata.reports.html import digits, grouped, measured, rendered
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from eldata.calibration.audit import Figure, GivenFigure
+    from eldata.calibration.audit import Effect, Figure, GivenFigure
     from eldata.calibration.results import Calibration, IsoCalibration, IsoGain
     from eldata.reports.figures import Plot
     from eldata.reports.pictures import Pictures
 
+_GRAVEST: tuple[Effect, ...] = ("withheld", "wider", "remark")
 _FIT_HEADER = ("fit over ln K", "slope", "intercept", "σ", "R²")
 
 
@@ -39,6 +40,8 @@ def calibration_page(calibration: Calibration) -> str:
         calibration=calibration,
         verdict=_verdict(calibration) + _without_profile(calibration),
         wary=_wary(calibration),
+        withheld=_where([one.withheld_and_widened[0] for one in calibration.all_isos], calibration),
+        widened=_where([one.withheld_and_widened[1] for one in calibration.all_isos], calibration),
         remarks=_remarks(calibration),
         tables=[table for table in _tables(calibration) if table.rows],
         joint=joint_plots(calibration),
@@ -64,6 +67,7 @@ class _Group:
     plots: tuple[Plot, ...] = ()
     pictures: tuple[Pictures, ...] = ()
     note: str = ""
+    effect: Effect = "remark"
 
 
 def _tables(calibration: Calibration) -> tuple[_Table, ...]:
@@ -112,14 +116,32 @@ def _wary(calibration: Calibration) -> str:
     return f"{number} {'remark' if number == 1 else 'remarks'}, on {_and(about)}."
 
 
-def _remarks(calibration: Calibration) -> list[tuple[str, str]]:
-    """Return of which ISOs (of the whole if empty) and what is remarked; what is said of several ISOs is said once."""
+def _where(symbols: Sequence[str], calibration: Calibration) -> str:
+    """Return symbols of figures with the ISOs that each list of them belongs to; empty if there are none."""
     isos: dict[str, list[str]] = {}
+    for of_one, one in zip(symbols, calibration.all_isos, strict=True):
+        if of_one:
+            isos.setdefault(of_one, []).append(f"{one.iso:g}")
+    return "; ".join(f"{of_one} at ISO {_and(places)}" for of_one, places in isos.items())
+
+
+def _remarks(calibration: Calibration) -> list[tuple[str, str, Effect]]:
+    """Return of which ISOs (of the whole if empty) what is remarked, and what becomes of figures, gravest first.
+
+    What is said of several ISOs is said once.
+    """
+    isos: dict[tuple[str, Effect], list[str]] = {}
     for one in calibration.all_isos:
-        for remark in one.all_remarks:
+        for remark in _remarks_on(one):
             isos.setdefault(remark, []).append(f"{one.iso:g}")
-    of_isos = [(f"ISO {_and(places)}", remark) for remark, places in isos.items()]
-    return of_isos + [("", remark) for remark in calibration.remarks]
+    of_isos = [(f"ISO {_and(places)}", remark, effect) for (remark, effect), places in isos.items()]
+    of_all: list[tuple[str, str, Effect]] = [("", remark, "remark") for remark in calibration.remarks]
+    return sorted(of_isos + of_all, key=lambda remark: _GRAVEST.index(remark[2]))
+
+
+def _remarks_on(one: IsoGain) -> list[tuple[str, Effect]]:
+    of_findings = [(finding.remark, finding.effect) for finding in one.findings]
+    return [*of_findings, *((remark, "remark") for remark in one.remarks)]
 
 
 def _and(items: Sequence[str]) -> str:
@@ -139,12 +161,12 @@ def _made_from(calibration: Calibration) -> str:
 # --- one ISO ------------------------------------------------------------------------------------------------------
 
 
-def _sections(calibration: Calibration) -> list[tuple[str, str, tuple[str, ...], tuple[_Group, ...]]]:
+def _sections(calibration: Calibration) -> list[tuple[str, str, list[tuple[str, Effect]], tuple[_Group, ...]]]:
     """Return ISO, summary, remarks and groups of each ISO, ascending."""
     of_gain = [(one, _gain_summary(one), (_gain(one),)) for one in calibration.gains]
     of_all = [(one, _summary(one), _groups(one)) for one in calibration.isos]
     ascending = sorted((*of_gain, *of_all), key=lambda section: section[0].iso)
-    return [(f"{one.iso:g}", summary, one.all_remarks, groups) for one, summary, groups in ascending]
+    return [(f"{one.iso:g}", summary, _remarks_on(one), groups) for one, summary, groups in ascending]
 
 
 def _gain_summary(one: IsoGain) -> str:
@@ -163,10 +185,13 @@ def _alone(figure: GivenFigure | None, count: int = 3) -> str:
     return digits(figure.value, count) + (" (stated)" if figure.is_stated else "")
 
 
-def _withheld(one: IsoGain, figure: Figure) -> str:
-    """Return in a sentence why a figure is not given; empty if it is."""
-    why = one.why_withheld(figure)
-    return f"Withheld: {why.rstrip('.')}." if why else ""
+def _judged(one: IsoGain, figure: Figure, group: _Group) -> _Group:
+    """Return a group with the sentence why its figure is not given, or with which error; as it is if all is well."""
+    if why := one.why_withheld(figure):
+        return replace(group, note=f"Withheld: {why.rstrip('.')}.", effect="withheld")
+    if why := one.why_widened(figure):
+        return replace(group, note=f"Errors made larger: {why.rstrip('.')}.", effect="wider")
+    return group
 
 
 def _groups(one: IsoCalibration) -> tuple[_Group, ...]:
@@ -185,7 +210,7 @@ def _gain(one: IsoGain) -> _Group:
         note = "There are no pairs of equal flats of this ISO, so K is not known and there is no photon transfer line."
         if stated:
             note = "K is stated: there is no photon transfer line that gives it."
-        return _Group(title, stated, note=_withheld(one, "gain") or note)
+        return _judged(one, "gain", _Group(title, stated, note=note))
     transfer = one.transfer
     numbers = [("K [DN/e⁻]", estimated(one.gain))]
     if one.channel_gains is not None:
@@ -197,7 +222,7 @@ def _gain(one: IsoGain) -> _Group:
         ("Flat frames", str(transfer.frames)),
         ("Area left out", f"{transfer.left_out:.1%}"),
     ]
-    return _Group(title, tuple(numbers), plots=(transfer_plot(one, transfer),), note=_withheld(one, "gain"))
+    return _judged(one, "gain", _Group(title, tuple(numbers), plots=(transfer_plot(one, transfer),)))
 
 
 def _colour_bias(one: IsoCalibration) -> _Group:
@@ -210,7 +235,7 @@ def _colour_bias(one: IsoCalibration) -> _Group:
         ("Bias frames", str(bias.frames)),
     ]
     plots = () if given is None else (bias_plot(one, given),)
-    return _Group("Colour bias", tuple(numbers), plots=plots, note=_withheld(one, "colour bias"))
+    return _judged(one, "colour bias", _Group("Colour bias", tuple(numbers), plots=plots))
 
 
 def _rows(one: IsoCalibration) -> _Group:
@@ -224,8 +249,7 @@ def _rows(one: IsoCalibration) -> _Group:
         ("Excess kurtosis", digits(rows.excess_kurtosis, 2)),
     )
     plots = (rows_plot(one), line_spectrum_plot(one))
-    note = _withheld(one, "row noise")
-    return _Group("Row noise", numbers, plots=plots, pictures=(spectrum_picture(one),), note=note)
+    return _judged(one, "row noise", _Group("Row noise", numbers, plots=plots, pictures=(spectrum_picture(one),)))
 
 
 def _read_noise(one: IsoCalibration) -> _Group:
@@ -244,9 +268,9 @@ def _read_noise(one: IsoCalibration) -> _Group:
         *_as_published(one),
         ("Residuals", grouped(read.residuals)),
     )
-    note = _withheld(one, "read noise")
     of_shape = (ppcc_plot(one, shape),) if shape is not None and has_curve else ()
-    return _Group("Read noise", numbers, plots=(*of_shape, gaussian_plot(one), tukey_lambda_plot(one)), note=note)
+    plots = (*of_shape, gaussian_plot(one), tukey_lambda_plot(one))
+    return _judged(one, "read noise", _Group("Read noise", numbers, plots=plots))
 
 
 def _as_published(one: IsoCalibration) -> tuple[tuple[str, str], ...]:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, NamedTuple, Unpack
 
 from eldata.base.keywords import keywords
 from eldata.errors import ArgumentError, DatasetError
@@ -26,8 +27,27 @@ if TYPE_CHECKING:
     from eldata.manifest.card import Card
     from eldata.records import FrameRecord, Role
 
+# How calibration frames lie: <camera>/{bias,flat}/ISO<iso>/...
+_CALIBRATION = re.compile(r"(?:(?P<camera>[^/]+)/)?(?P<role>bias|flat)/ISO(?P<iso>[1-9][0-9]{0,8})/.+")
+
 # The name that a list of DRV's camera raws has (eldata.manifest.drv).
 _RAW_CLIPS = "drv-raw"
+
+
+class CalibrationPlace(NamedTuple):
+    """What the path of a calibration frame says of it; a camera that is not named is empty."""
+
+    camera: str
+    role: Role
+    iso: int
+
+
+def calibration_place(path: str) -> CalibrationPlace | None:
+    """Return what a path says of a calibration frame; ``None``: it is not one's."""
+    found = _CALIBRATION.fullmatch(path)
+    if found is None:
+        return None
+    return CalibrationPlace(found["camera"] or "", "bias" if found["role"] == "bias" else "flat", int(found["iso"]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,11 +192,15 @@ def _listing(manifest: Manifest) -> tuple[bytes, bytes]:
 def source_of_folder(folder: Path | str) -> Source:
     """Return the camera raws of a folder as clean frames, such as the long exposures of SID.
 
+    Bias and flat-field frames, below ``bias/ISO<iso>`` or ``flat/ISO<iso>``, are held as what they are.
+
     Raises
     ------
     DatasetError
         If it holds none.
     """
     folder = Path(folder)
-    files: list[tuple[str, Role]] = [(path.relative_to(folder).as_posix(), "reference") for path in raws_below(folder)]
+    paths = [path.relative_to(folder).as_posix() for path in raws_below(folder)]
+    places = {path: calibration_place(path) for path in paths}
+    files: list[tuple[str, Role]] = [(path, place.role if place else "reference") for path, place in places.items()]
     return Source(folder.resolve().name, folder, tuple(files))

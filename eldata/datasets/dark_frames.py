@@ -1,0 +1,301 @@
+"""Dark frames as noise: the read noise of real bias frames, for component D of a noise model.
+
+What no formula says of a sensor (its fixed pattern, how the noise of neighbours goes together, banding, telegraph
+pixels) is in its dark frames. To add a whole one is to have all of it.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
+
+from eldata.datasets.batches import Field, new_arrays
+from eldata.datasets.calibration_frames import CalibrationFrames
+from eldata.datasets.clean import RawFiles, SomeFrames
+from eldata.datasets.crops import Crop
+from eldata.errors import ArgumentError, DatasetError, check_choice
+from eldata.noise.exposures import DarkCrops
+from eldata.raw.cfa import pack, packed_area, packed_black_level_dn, packed_shape, packing_sites
+from eldata.sources.store.format import SUFFIXES
+from eldata.sources.store.read import StoreFrames
+from eldata.sources.store.sources import calibration_place
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    from eldata.datasets.crops import Region
+    from eldata.raw.levels import Levels
+    from eldata.sources.frames import Frame
+
+Place = Literal["same", "free"]
+PLACES: tuple[Place, ...] = get_args(Place)
+
+GAIN_SPREAD = 0.01
+"""K of an item lies within this share of its ISO's, uniformly, as in PMN (H. Feng et al., TPAMI 2023)."""
+
+_BIAS = "bias"
+_LEVELS_APART = 0.001  # of the range from black to white
+_BLACK_APART_DN = 1.0  # between frames of one ISO: cameras measure it in each
+
+
+class DarkFrames:
+    """Bias frames of one camera, whose noise is added as it is: component D of :class:`~eldata.noise.NoiseModel`.
+
+    ``D = (d - black)[crop] + U(-1/2, 1/2)`` in DN, d being a whole frame of the item's ISO; with photons, ``P*+D``. In
+    :class:`~eldata.datasets.SyntheticPairs` each frame of an ISO is used once before any is used twice.
+
+    Parameters
+    ----------
+    frames
+        The folder of a camera's bias frames, ``<camera>/bias`` with ``ISO<iso>/...`` in it, or the camera's folder, or
+        the one that holds it; a store of them (``eldata pack``), from which only crops are read; or
+        :class:`~eldata.datasets.CalibrationFrames`.
+    camera
+        Which, if the folder holds several.
+    isos
+        Only these ISOs.
+    levels
+        The same as of the clean frames (:class:`~eldata.datasets.RawFiles`), whose range from black to white must be
+        the dark frames' own.
+    place
+        Where a crop comes from: ``"same"``, from where the clean one lies on the sensor, so that the fixed pattern
+        stays where the sensor has it, for clean frames of the same camera; or ``"free"``, from anywhere, in step with
+        the CFA. A crop of a dark frame is never turned: rows stay rows.
+    dither
+        Add U(-1/2, 1/2), which makes up for the rounding of the frames, and with it 1/12 DN^2 to their variance.
+        ``False``: values as they are.
+    keep
+        Of files: number of decoded frames to keep in memory, per worker.
+
+    Raises
+    ------
+    DatasetError
+        If there is no bias frame, or frames differ in what they have in common: CFA, size, levels of an ISO.
+    FileError
+        If a file or a store cannot be read.
+    ArgumentError
+        If a value is out of its range.
+
+    Examples
+    --------
+    >>> from eldata.datasets import DarkFrames, RawFiles, SyntheticPairs
+    >>> from eldata.noise import NoiseModel
+    >>> dark = DarkFrames("calibration/MyCamera/bias")  # doctest: +SKIP
+    >>> pairs = SyntheticPairs(  # doctest: +SKIP
+    ...     RawFiles("clean"), "MyCamera.json", model=NoiseModel("P*+D", dark_frames=dark)
+    ... )
+    """
+
+    def __init__(
+        self,
+        frames: CalibrationFrames | Path | str,
+        camera: str | None = None,
+        *,
+        isos: Collection[float] | None = None,
+        levels: Levels = "metadata",
+        place: Place = "same",
+        dither: bool = True,
+        keep: int = 0,
+    ) -> None:
+        check_choice("place", place, PLACES)
+        self.place: Place = place
+        self.dither = dither
+        self._where, self._frames, there = _found(frames, camera, levels, keep)
+        for iso in () if isos is None else isos:
+            _check_iso(iso, there, self._where)
+        self._numbers = {iso: there[iso] for iso in sorted(there) if isos is None or iso in isos}
+        if not self._numbers:
+            raise ArgumentError(f"isos is empty; there are {_listed(there)}")
+        self._first = {iso: self._frames.frame(numbers[0]).without_pixels() for iso, numbers in self._numbers.items()}
+        for iso, numbers in self._numbers.items():
+            self._check(self._first[iso], iso)
+            for number in numbers if self._frames.reads_parts else ():  # which costs nothing; files are when decoded
+                self._check(self._frames.frame(number), iso)
+
+    @property
+    def isos(self) -> tuple[float, ...]:
+        """ISOs that there are frames of, ascending."""
+        return tuple(self._numbers)
+
+    def names(self, iso: float) -> tuple[str, ...]:
+        """Return where the frames of an ISO come from.
+
+        Raises
+        ------
+        ArgumentError
+            If there are none.
+        """
+        _check_iso(iso, self._numbers, self._where)
+        return tuple(self._frames.names[number] for number in self._numbers[iso])
+
+    def draw(self, iso: float, count: int, shape: tuple[int, int, int], generator: np.random.Generator) -> DarkCrops:
+        """Return crops (count, C, h, w) of frames of an ISO at random, from one place at random.
+
+        They are of different frames as long as there are enough. This is for models that are called by themselves,
+        which do not know where on the sensor the clean data lies.
+
+        Raises
+        ------
+        ArgumentError
+            If there are no frames of this ISO, or the shape does not fit them.
+        FileError, DatasetError
+            As :meth:`crops` does.
+        """
+        there = len(self.names(iso))
+        rounds = -(-count // there)
+        members = np.concatenate([generator.permutation(there) for _ in range(rounds)])[:count]
+        return self.crops(iso, members.tolist(), self._anywhere(iso, shape, generator))
+
+    def region(self, iso: float, frame: Frame, crop: Crop, generator: np.random.Generator) -> Region:
+        """Return where the noise of a clean crop comes from, in pixels of the packed dark frames.
+
+        Raises
+        ------
+        DatasetError
+            If clean and dark frames do not go together: another kind of CFA, another range from black to white, or,
+            where the place is to be the same, another size or phase.
+        """
+        dark, shape = self._first[iso], crop.packed_shape
+        sites = packing_sites(dark.cfa)
+        clean = packing_sites(frame.cfa).name if frame.cfa else "RGB"
+        if clean != sites.name:
+            raise DatasetError(f"{frame.name}: is {clean}, but the dark frames are {sites.name}, such as {dark.name}")
+        if abs(frame.range_dn - dark.range_dn) > _LEVELS_APART * dark.range_dn:
+            raise DatasetError(
+                f"{frame.name}: has {frame.range_dn:g} DN from black to white, but the dark frames have "
+                f"{dark.range_dn:g}, such as {dark.name}; take frames of one camera, with the same levels= "
+                '("metadata" or "published")'
+            )
+        if self.place == "free":
+            return self._anywhere(iso, shape, generator)
+        if (frame.shape, frame.cfa) != (dark.shape, dark.cfa):
+            raise DatasetError(
+                f"{frame.name}: has {frame.kind}, but the dark frames have {dark.kind}, such as {dark.name}; their "
+                'fixed pattern belongs to that sensor. DarkFrames(..., place="free") takes dark crops from anywhere'
+            )
+        area = packed_area(dark.shape, dark.cfa)
+        top, left = (part.start - start for part, start in zip(crop.slices, (area.top, area.left), strict=True))
+        if top + crop.height > area.height or left + crop.width > area.width:
+            raise DatasetError(
+                f"{frame.name}: dark frames are not turned, and its turned crop, {crop.height} x {crop.width} pixels, "
+                "is not within the sensor; give a square crop=, or augment=False for whole frames"
+            )
+        return top // sites.scale, left // sites.scale, shape[1], shape[2]
+
+    def crops(self, iso: float, members: Sequence[int], region: Region) -> DarkCrops:
+        """Return one part of some frames of an ISO, by their number.
+
+        Raises
+        ------
+        DatasetError
+            If a frame is unlike the others.
+        FileError
+            If it cannot be read.
+        """
+        shape = (len(members), packing_sites(self._first[iso].cfa).channels, *region[2:])
+        dn: NDArray[np.uint16] = new_arrays([Field("dark", shape, "<u2")])["dark"]
+        black = np.empty(shape[:2])
+        for place, member in enumerate(members):
+            frame = self._frames.frame(self._numbers[iso][member])
+            self._check(frame, iso)
+            crop = Crop.region(frame, region)
+            pack(crop.cut(frame), crop.cfa, out=dn[place])
+            black[place] = packed_black_level_dn(crop.cfa, frame.black_level_dn)
+        return DarkCrops(dn, black)
+
+    def _anywhere(self, iso: float, shape: tuple[int, int, int], generator: np.random.Generator) -> Region:
+        dark = self._first[iso]
+        whole, step = packed_shape(dark.shape, dark.cfa), packing_sites(dark.cfa).sub
+        _, height, width = shape
+        fits = shape[0] == whole[0] and height <= whole[1] and width <= whole[2]
+        if not fits or height % step or width % step:
+            raise ArgumentError(f"dark frames give crops of {whole} packed pixels or less, and none of {shape}")
+        top, left = (
+            step * int(generator.integers((of_all - side) // step + 1))
+            for of_all, side in zip(whole[1:], shape[1:], strict=True)
+        )
+        return top, left, height, width
+
+    def _check(self, frame: Frame, iso: float) -> None:
+        """Refuse a frame that is unlike the first of all, or of its ISO."""
+        first = next(iter(self._first.values()))
+        if (frame.shape, frame.cfa) != (first.shape, first.cfa):
+            raise DatasetError(
+                f"{frame.name}: has {frame.kind}, but {first.name} has {first.kind}; dark frames are of one camera"
+            )
+        first, stated = self._first[iso], frame.exposure.iso
+        if stated is not None and float(stated) != iso:
+            raise DatasetError(f"{frame.name}: was taken at ISO {float(stated):g}, but lies among those of ISO {iso:g}")
+        apart = np.abs(np.subtract(frame.black_level_dn, first.black_level_dn)).max()
+        if frame.white_level_dn != first.white_level_dn or apart > _BLACK_APART_DN:
+            raise DatasetError(
+                f"{frame.name}: has black level {frame.black_level_dn} and white level {frame.white_level_dn:g} DN, "
+                f"but {first.name} has {first.black_level_dn} and {first.white_level_dn:g}; dark frames of one ISO "
+                "have the same levels"
+            )
+
+    def __repr__(self) -> str:
+        counts = ", ".join(f"ISO {iso:g}: {len(numbers)}" for iso, numbers in self._numbers.items())
+        return f"DarkFrames({self._where!r}, {counts}; place={self.place!r}, dither={self.dither})"
+
+
+def _check_iso(iso: float, known: Collection[float], where: str) -> None:
+    if iso not in known:
+        raise ArgumentError(f"{where}: there are no dark frames of ISO {iso:g}; there are {_listed(known)}")
+
+
+def _found(
+    frames: CalibrationFrames | Path | str, camera: str | None, levels: Levels, keep: int
+) -> tuple[str, SomeFrames, dict[float, list[int]]]:
+    """Return what messages call them, the frames, and their numbers by ISO."""
+    if isinstance(frames, (str, Path)) and Path(frames).suffix.lower() in SUFFIXES:
+        source = StoreFrames(frames)
+        found = _of_camera(source, camera)
+        names = (f"{source.path.as_posix()}/{path}" for path in found)
+        return str(frames), SomeFrames(source, names, levels), _numbered(found.values())
+    if not isinstance(frames, CalibrationFrames):
+        folder = Path(frames)
+        frames = CalibrationFrames(folder.parent if folder.name == _BIAS else folder, camera)
+    bias = [record for record in frames.records if record.role == _BIAS and record.iso is not None]
+    if not bias:
+        raise DatasetError(f"{frames.root}: holds no bias frames of {frames.camera}")
+    files = RawFiles([frames.path(record) for record in bias], levels=levels, keep=keep)
+    return str(frames.root), files, _numbered(record.iso for record in bias)
+
+
+def _of_camera(source: StoreFrames, camera: str | None) -> dict[str, Fraction]:
+    """Return the bias frames of a store by their paths, and the ISO of each."""
+    found: dict[str, dict[str, Fraction]] = {}
+    for frame in source.store.frames:
+        place = calibration_place(frame.path)
+        if place is not None and place.role == _BIAS:
+            found.setdefault(place.camera or source.store.dataset, {})[frame.path] = Fraction(place.iso)
+    listed = ", ".join(sorted(found))
+    if not found:
+        raise DatasetError(
+            f"{source.path}: holds no bias frames; eldata pack makes such a store of the folder that holds "
+            "bias/ISO<iso>/... of a camera"
+        )
+    if camera is None and len(found) > 1:
+        raise DatasetError(f"{source.path}: holds frames of {len(found)} cameras; choose one: {listed}")
+    chosen = next(iter(found)) if camera is None else camera
+    if chosen not in found:
+        raise DatasetError(f"{source.path}: has no camera {camera!r}; there is {listed}")
+    return found[chosen]
+
+
+def _numbered(isos: Iterable[Fraction | None]) -> dict[float, list[int]]:
+    by_iso: dict[float, list[int]] = {}
+    for number, iso in enumerate(isos):
+        if iso is not None:
+            by_iso.setdefault(float(iso), []).append(number)
+    return by_iso
+
+
+def _listed(isos: Collection[float]) -> str:
+    return ", ".join(f"{iso:g}" for iso in sorted(isos))

@@ -1,0 +1,78 @@
+"""Plots of a noise model's acceptance test."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from eldata.noise.findings import LIMIT
+from eldata.reports.figures import drawn_axes, log_ticks
+from eldata.reports.html import plot_words
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from eldata.calibration.acceptance_results import Curve, IsoAcceptance
+    from eldata.reports.figures import Plot, Theme
+
+_LABELS = {
+    "tails": ("difference [σ]", "share beyond"),
+    "row-spectrum": ("cycles per row", "power of row means [DN²]"),
+    "column-spectrum": ("cycles per column", "power of column means [DN²]"),
+}
+_REACH = 20.0  # standard errors: beyond, a point lies at the edge
+
+
+def acceptance_plots(found: IsoAcceptance) -> tuple[Plot, ...]:
+    """Draw the verdicts and the curves of one ISO."""
+    said = plot_words("acceptance")
+    worst = max((abs(one.deviation or 0.0) for one in found.statistics), default=0.0)
+    alt = f"Deviations of {len(found.statistics)} statistics; {len(found.off)} are off, the furthest {worst:.3g} s.e."
+    name = f"deviations-{found.iso:g}"
+    first = drawn_axes(name, said["deviations"]["title"], alt, said["deviations"]["caption"], partial(_all, found))
+    return first, *(
+        drawn_axes(
+            f"{curve.name}-{found.iso:g}",
+            said[curve.name]["title"],
+            f"{said[curve.name]['title']}: the held-out frames and the model.",
+            said[curve.name]["caption"],
+            partial(_curve, curve),
+        )
+        for curve in found.curves
+    )
+
+
+def _all(found: IsoAcceptance, axes: Axes, theme: Theme) -> None:
+    checks = list(dict.fromkeys(one.check for one in found.statistics))
+    axes.axvspan(-LIMIT, LIMIT, color=theme.theory, alpha=0.13, linewidth=0)
+    axes.axvline(0, color=theme.theory, linewidth=1)
+    for verdict, marker in (("ok", "o"), ("off", "X")):
+        points = [
+            (max(-_REACH, min(_REACH, one.deviation)), checks.index(one.check))
+            for one in found.statistics
+            if one.deviation is not None and one.verdict == verdict
+        ]
+        if points:
+            axes.plot(*zip(*points, strict=True), marker, color=theme.found, alpha=0.7, label=verdict)
+    axes.set_yticks(range(len(checks)), checks)
+    axes.invert_yaxis()
+    axes.set_xlim(-1.1 * _REACH, 1.1 * _REACH)
+    axes.set_xlabel("model − frames [s.e.]")
+
+
+def _curve(curve: Curve, axes: Axes, theme: Theme) -> None:
+    x_label, y_label = _LABELS[curve.name]
+    for values, style, colour, label in (
+        (curve.frames, "-", theme.theory, "held-out frames"),
+        (curve.model, "--", theme.found, "model"),
+    ):
+        shown = values > 0
+        axes.plot(curve.x[shown], values[shown], style, color=colour, label=label)
+    axes.set_yscale("log")
+    if curve.name != "tails":  # room for three decades: the wiggles of chance look as small as they are
+        middle = float(curve.model[len(curve.model) // 2]) or 1.0
+        axes.set_ylim(min(middle / 30, *curve.frames), max(middle * 30, *curve.frames))
+    log_ticks(axes.yaxis, 3)
+    axes.set_xlabel(x_label)
+    axes.set_ylabel(y_label)
+    axes.legend(loc="upper right")

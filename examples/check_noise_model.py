@@ -1,0 +1,55 @@
+"""Judge a noise model of somebody else's, here a torch network, against held-out frames of a camera.
+
+    python examples/check_noise_model.py calibration/held-out profile.json page.html
+
+Folder: CAMERA/bias/ISO100/... and, if there are flats, CAMERA/flat/ISO100/...; frames that neither the profile nor the
+training has seen. The "network" here adds Gaussian noise of the profile's variance; put yours in its place.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from eldata.calibration import check_noise
+from eldata.noise import CameraProfile
+
+
+class GaussianNetwork(torch.nn.Module):
+    """Stands for a flow, a GAN or a diffusion model: clean packed images (N, C, h, w) in, noisy ones out."""
+
+    def forward(self, clean: torch.Tensor, variance: torch.Tensor, seed: int) -> torch.Tensor:
+        """Return clean data with noise of a variance per pixel."""
+        generator = torch.Generator().manual_seed(seed)
+        return clean + variance.sqrt() * torch.randn(clean.shape, generator=generator)
+
+
+class Adapter:
+    """Calls the network as eldata calls every noise model: one image (C, h, w), normalised, at a ratio."""
+
+    def __init__(self, network: torch.nn.Module) -> None:
+        self.network = network.eval()
+
+    def __call__(self, clean, *, parameters, ratio, range_dn, generator: np.random.Generator) -> np.ndarray:
+        """Return a noisy exposure; what the network wants to know is made of the parameters."""
+        image = torch.from_numpy(clean)[None] / ratio  # as bright as the sensor saw it
+        gain, read = parameters.gain_dn_per_e / range_dn, parameters.sigma_gauss_dn / range_dn
+        variance = gain * image.clamp(min=0) + read**2
+        seed = int(generator.integers(2**63 - 1))  # all randomness comes from the caller
+        with torch.no_grad():
+            return (self.network(image, variance, seed)[0] * ratio).numpy()
+
+
+def main(frames: Path, profile: Path, page: Path | None = None) -> None:
+    """Print the table, and write the page if it is asked for."""
+    found = check_noise(Adapter(GaussianNetwork()), frames, CameraProfile.load(profile))
+    print(found.format_text())
+    if page is not None:
+        from eldata.reports.acceptance.page import acceptance_page
+
+        page.write_text(acceptance_page(found), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(*map(Path, sys.argv[1:4]))

@@ -1,0 +1,123 @@
+"""Cameras whose noise models are judged: the simulated camera, faults planted in its frames, and frames as a model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from eldata.calibration.acceptance import check_iso_noise
+from eldata.calibration.frame_checks import IsoFrames
+from eldata.datasets.calibration_frames import FlatPair
+from eldata.noise.parameters import NoiseParameters
+from eldata.raw.cfa import packing_sites
+from tests.calibration.faults import NONE, Planted, digitised
+from tests.calibration.in_memory import ISO, FramesInMemory, record
+from tests.calibration.simulation import Body, Camera
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from eldata.calibration.acceptance_results import IsoAcceptance
+
+
+@dataclass
+class Specimen:
+    """One body with a fault, and as a noise model: its own further frames, of the light that it is given.
+
+    The fault is of the body, not of a frame: where it draws pixels, they are the same in every frame.
+    """
+
+    camera: Camera
+    fault: Planted = NONE
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        self.body = Body(self.camera, np.random.default_rng([self.seed, 1]))
+        self.response = self.body._even.response
+
+    def frame(self, light_dn: NDArray[np.float64] | float, generator: np.random.Generator) -> NDArray[np.uint16]:
+        gain = self.camera.gain
+        self.body.generator = generator
+        analogue = self.body.fixed + self.body.noise() + gain * generator.poisson(light_dn / gain * self.response)
+        places = np.random.default_rng([self.seed, 2])  # where pixels are faulty; see Both
+        faulty = self.fault.fault([analogue], self.camera, cast("np.random.Generator", Both(places, generator)))
+        return digitised(faulty)[0]
+
+    def __call__(self, clean: NDArray[np.float32], *, range_dn: float, generator: np.random.Generator, **_: Any) -> Any:
+        light = whole(clean, self.camera) * range_dn
+        mosaic = self.frame(np.maximum(light, 0), generator) - self.camera.black
+        return packed((mosaic / range_dn).astype(np.float32), self.camera, clean.shape)
+
+
+@dataclass
+class Both:
+    """What a fault draws: places, by ``random``, from one generator, and everything else from another."""
+
+    places: np.random.Generator
+    values: np.random.Generator
+
+    def random(self, *arguments: Any) -> Any:
+        return self.places.random(*arguments) if arguments else self.values.random()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.values, name)
+
+
+def packed(mosaic: NDArray[np.float32], camera: Camera, shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """Whole periods of a mosaic, packed as datasets do."""
+    result = np.empty(shape, dtype=np.float32)
+    sites = packing_sites(camera.cfa)
+    for row, column, channel, y, x in sites.table:
+        result[channel, y :: sites.sub, x :: sites.sub] = mosaic[row :: sites.period, column :: sites.period]
+    return result
+
+
+def whole(clean: NDArray[np.float32], camera: Camera) -> NDArray[np.float64]:
+    result = np.empty(camera.shape)
+    sites = packing_sites(camera.cfa)
+    for row, column, channel, y, x in sites.table:
+        result[row :: sites.period, column :: sites.period] = clean[channel, y :: sites.sub, x :: sites.sub]
+    return result
+
+
+def truth(camera: Camera) -> NoiseParameters:
+    sigma = camera.noise.sigma_gauss_dn
+    bias = camera.bias
+    return NoiseParameters(camera.gain, camera.tukey_lambda, camera.sigma_tl, sigma, camera.sigma_row, bias)  # type: ignore[arg-type] # four numbers
+
+
+def judged(
+    model: Any,
+    specimen: Specimen,
+    *,
+    bias: int = 8,
+    flats: tuple[float, ...] = (),
+    seed: int = 0,
+    parameters: NoiseParameters | None = None,
+    **options: Any,
+) -> IsoAcceptance:
+    """Judge a model against frames of a specimen that no model has seen."""
+
+    def take(role: str, number: int) -> NDArray[np.uint16]:
+        light: Any = 0.0
+        if role == "flat":
+            height, width = specimen.camera.shape
+            y, x = np.ogrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
+            light = flats[number // 2] * (1 - 0.1 * (y**2 + x**2))
+        return specimen.frame(light, np.random.default_rng([seed, 3, role == "flat", number]))
+
+    frames = cast("Any", FramesInMemory(specimen.camera.sensor, take))
+    chosen = IsoFrames(
+        iso=Fraction(ISO),
+        bias=tuple(record("bias", number) for number in range(bias)),
+        pairs=tuple(
+            FlatPair(*(record("flat", number, Fraction(1 + pair, 1000)) for number in (2 * pair, 2 * pair + 1)))
+            for pair in range(len(flats))
+        ),
+        single=(),
+        bias_exposure_s=Fraction(1, 8000),
+    )
+    return check_iso_noise(model, frames, chosen, parameters or truth(specimen.camera), seed=seed, **options)

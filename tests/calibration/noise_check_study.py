@@ -1,0 +1,77 @@
+"""How often the acceptance test of a noise model is wrong, and what it finds. Run it by hand, with a word:
+
+python -m tests.calibration.noise_check_study false-alarms [trials]   the camera's own further frames as the model
+python -m tests.calibration.noise_check_study table                   models by checks, on the same frames
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+
+from eldata.base.tables import markdown_table
+from eldata.noise.model import NoiseModel
+from tests.calibration.faults import NONE, Planted, drift, telegraph
+from tests.calibration.judged import Specimen, judged
+from tests.calibration.simulation import Camera
+
+SMALL = Camera(shape=(192, 288))
+FAULTS = (NONE, drift(1.0), telegraph(0.01, 5.0))
+
+
+def false_alarms(trials: int) -> None:
+    """Print which statistics were off, in how many trials, and the largest share of one."""
+    off: Counter[tuple[str, str]] = Counter()
+    judgements = checks = alarmed = 0
+    for trial in range(trials):
+        fault = FAULTS[trial % len(FAULTS)]
+        specimen = Specimen(SMALL, fault, seed=trial)
+        found = judged(specimen, specimen, bias=8, flats=(60.0, 3000.0), seed=1000 + trial)
+        # Flats are named by their level and tails by their threshold, which differ from trial to trial.
+        off.update((one.check.split(" of ")[0], one.symbol.rstrip(" 0123456789DN-")) for one in found.off)
+        judgements += len(found.statistics)
+        checks += 1
+        alarmed += bool(found.off)
+    print(f"{sum(off.values())} of {judgements} verdicts off; {alarmed} of {checks} checks with any")
+    for (check, symbol), times in off.most_common():
+        print(f"{times:4} {check}: {symbol}")
+
+
+MODELS = (
+    ("P-G", lambda _: NoiseModel("P+G")),
+    ("the paper's", lambda _: NoiseModel()),
+    ("its own further frames", lambda specimen: specimen),
+)
+"""Names and how each model is made for a specimen; add a line to have another one in the table."""
+
+
+def table(camera: Camera = Camera(shape=(384, 576))) -> None:  # noqa: B008 # is frozen
+    """Print how many statistics of each check each model misses, and then which."""
+    rows, lists = [], []
+    checks: dict[str, None] = {}
+    for fault in FAULTS:
+        specimen = Specimen(camera, fault)
+        for name, made in MODELS:
+            found = judged(made(specimen), specimen, bias=8, flats=(60.0, 3000.0))
+            total = Counter(_check(one.check) for one in found.statistics)
+            off = Counter(_check(one.check) for one in found.off)
+            checks |= dict.fromkeys(total)
+            rows.append((_words(fault), name, *(f"{off[check]} of {total[check]}" for check in checks)))
+            lists.append(f"{_words(fault)}, {name}: " + "; ".join(f"{one.check}: {one.symbol}" for one in found.off))
+    print(markdown_table(("camera", "model", *checks), rows, left=(0, 1)))
+    print("\n".join(lists))
+
+
+def _check(name: str) -> str:
+    return "flats" if name.startswith("flats") else name
+
+
+def _words(fault: Planted) -> str:
+    return "as simulated" if fault is NONE else fault.name
+
+
+if __name__ == "__main__":
+    if sys.argv[1] == "table":
+        table()
+    else:
+        false_alarms(int(sys.argv[2]) if len(sys.argv) > 2 else 100)

@@ -1,0 +1,378 @@
+"""Dark frames as noise: to the bit, in turns, with the statistics of frames that were kept out, or refused by name."""
+
+from __future__ import annotations
+
+import pickle
+from collections import Counter
+from dataclasses import replace
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import torch
+from torch.utils.data import DataLoader
+
+from eldata.datasets import ArrayClips, Arrays, DarkFrames, SyntheticClips, SyntheticPairs
+from eldata.datasets.clean import StoredFrames
+from eldata.errors import ArgumentError, DatasetError
+from eldata.noise import Adc, CameraProfile, NoiseModel, NoiseParameters
+from eldata.noise.components import parse_components
+from eldata.noise.exposures import DarkCrops, Exposures
+from eldata.noise.on_device import expose_on_device
+from eldata.raw import pack, read_raw, write_dng
+from eldata.records import Exposure
+from eldata.sources.store import build_store, source_of_folder
+from tests.datasets.test_synthetic import Mosaics
+from tests.raw.helpers import BAYER, NONA, QUAD, XTRANS, Cfa, make_sensor
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+SIDE = 72
+RANGE = 15871.0 - 511.5  # of make_sensor's Bayer cameras
+ISOS = {400: 5, 1600: 3}
+PARAMETERS = NoiseParameters(1.0, 0.0, 0.0, 0.0, 0.0, iso=400.0)
+
+
+def written(folder: Path, cfa: Cfa = BAYER["GRBG"], isos: dict[int, int] | None = None, side: int = SIDE) -> Path:
+    """Bias frames of one camera, whose pixels are at random; the folder bias."""
+    generator = np.random.default_rng(7)
+    for iso, count in (ISOS if isos is None else isos).items():
+        place = folder / "Nocturne" / "bias" / f"ISO{iso}"
+        place.mkdir(parents=True)
+        for number in range(count):
+            mosaic = generator.integers(480, 560, (side, side), dtype=np.uint16)
+            exposure = Exposure(Fraction(iso), Fraction(1, 4000))
+            write_dng(place / f"{number}.dng", mosaic, make_sensor(cfa, side, side), exposure)
+    return folder / "Nocturne" / "bias"
+
+
+@pytest.fixture(scope="module")
+def bias(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(tmp_path_factory.mktemp("calibration"))
+
+
+@pytest.fixture(scope="module")
+def store(bias: Path) -> Path:
+    path = bias.parents[1] / "bias.h5"
+    build_store(source_of_folder(bias.parents[1]), path)
+    return path
+
+
+def night(cfa: Cfa = BAYER["GRBG"], side: int = SIDE, white: float = 15871.0, count: int = 2) -> Mosaics:
+    """Clean frames of that camera without any light."""
+    black = 256.0 if len(cfa) == 6 and max(map(max, cfa)) == 2 else 511.5
+    return Mosaics([np.full((side, side), black, np.float32)] * count, cfa, black=black, white=white)
+
+
+def pairs(dark: DarkFrames, source: Any = None, **options: Any) -> SyntheticPairs:
+    model = NoiseModel("P*+D", dark_frames=dark)
+    given: dict[str, Any] = {"crop": 16, "crops_per_frame": 8, "ratio": 100.0, "clip": "none", **options}
+    return SyntheticPairs(night() if source is None else source, "SonyA7S2", model=model, **given)
+
+
+def in_dn(item: Any, range_dn: float = RANGE) -> NDArray[np.float64]:
+    dn: NDArray[np.float64] = item["input"].double().numpy() * range_dn / item["ratio"]
+    return dn
+
+
+def above_black(path: Path | str) -> NDArray[np.float64]:
+    """A frame in packed DN above black, by numpy's own arithmetic."""
+    raw = read_raw(path)
+    levels = raw.sensor.black_level_dn
+    black = np.array(levels)[np.array(raw.sensor.cfa)]
+    height, width = raw.mosaic.shape
+    tiled = np.tile(black, (height // len(black), width // len(black)))
+    return pack(raw.mosaic - tiled, raw.sensor.cfa)
+
+
+# --- to the bit -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "cfa",
+    [BAYER["GRBG"], BAYER["RGGB"], XTRANS["xtrans-00"], XTRANS["xtrans-23"], QUAD["quad-01"], NONA["nona-20"]],
+)
+def test_a_draw_is_the_frame_to_the_bit(cfa: Cfa, tmp_path: Path) -> None:
+    """Of each kind of CFA, whole and by crops: in the dark, without dither, DN that are the file's minus black."""
+    frames = DarkFrames(written(tmp_path, cfa, {400: 2}), dither=False)
+    model = NoiseModel("P*+D", dark_frames=frames)
+    each = [above_black(name) for name in frames.names(400)]
+    clean = np.zeros(each[0].shape, np.float32)
+    options: dict[str, Any] = {"parameters": PARAMETERS, "ratio": 1.0, "range_dn": 1.0}
+    drawn = [model(clean, generator=np.random.default_rng(seed), **options) for seed in range(8)]
+    for one in drawn:
+        assert sum(np.array_equal(one, frame) for frame in each) == 1
+    assert len({one.tobytes() for one in drawn}) == 2
+    source = night(cfa)
+    dataset = pairs(frames, source, crop=8)
+    for index in range(6):
+        dn, item = in_dn(dataset[index], source.frame(0).range_dn), dataset.item(index)
+        raw = read_raw(dataset[index]["dark_frame"])
+        top, left = (part.start for part in item.crop.slices)
+        area = slice(top, top + item.crop.height), slice(left, left + item.crop.width)
+        black = np.array(raw.sensor.black_level_dn)[np.array(raw.sensor.cfa)]
+        level = np.tile(black, (SIDE // len(black), SIDE // len(black)))
+        np.testing.assert_allclose(dn, pack((raw.mosaic - level)[area], item.crop.cfa), rtol=2e-6, atol=1e-4)
+
+
+def test_files_and_store_give_the_same_items(bias: Path, store: Path) -> None:
+    of_files, of_store = pairs(DarkFrames(bias)), pairs(DarkFrames(store))
+    for index in range(len(of_files)):
+        first, second = of_files[index], of_store[index]
+        assert torch.equal(first["input"], second["input"])
+        assert second["dark_frame"] == f"{store.as_posix()}/" + "/".join(first["dark_frame"].split("/")[-4:])
+    given = [DarkFrames(bias.parent), DarkFrames(bias.parents[1], "Nocturne"), DarkFrames(store, "Nocturne")]
+    assert [one.isos for one in given] == [(400.0, 1600.0)] * 3
+    assert "ISO 400: 5, ISO 1600: 3; place='same', dither=True" in repr(given[0])
+    assert DarkFrames(bias, isos=[1600]).isos == (1600.0,)
+    copy = pickle.loads(pickle.dumps(of_store))
+    assert torch.equal(copy[3]["input"], of_store[3]["input"])
+
+
+def test_the_dither_precedes_the_converter(bias: Path) -> None:
+    """207,360 numbers: uniform within half a DN, mean and variance to 5 standard errors; rounding takes it away.
+
+    But for those that float32 puts on the border of half a DN: its step at 512 is 6e-5, so 3e-5 of them.
+    """
+    plain, dithered = DarkFrames(bias, dither=False), DarkFrames(bias)
+    clean = np.zeros((40, 4, SIDE // 2, SIDE // 2), np.float32)
+    made = {}
+    for name, model in {
+        "plain": NoiseModel("D", dark_frames=plain),
+        "dithered": NoiseModel("D", dark_frames=dithered),
+        "rounded": NoiseModel("D", dark_frames=dithered, adc=Adc(512, 16383)),
+    }.items():
+        generator = np.random.default_rng(1)
+        made[name] = model(clean, parameters=PARAMETERS, ratio=1.0, range_dn=1.0, generator=generator)
+    added = (made["dithered"] - made["plain"]).astype(np.float64)
+    assert np.abs(added).max() <= 0.5
+    assert abs(added.mean()) < 5 * (1 / 12 / added.size) ** 0.5
+    assert abs(added.var() - 1 / 12) < 5 * (1 / 180 / added.size) ** 0.5
+    assert np.count_nonzero(made["rounded"] != made["plain"]) < 4e-4 * added.size
+    assert np.array_equal(made["rounded"], np.rint(made["rounded"] + 512) - 512)
+
+
+def test_the_other_engine_adds_the_same_frame() -> None:
+    generator = np.random.default_rng(2)
+    dn = generator.integers(400, 600, (2, 4, 6, 8), dtype=np.uint16)
+    black = np.array([[512.0, 509.0, 511.0, 514.0]] * 2)
+    exposures = Exposures.of(
+        parse_components("D"), [PARAMETERS] * 2, [1.0] * 2, 4, range_dn=1.0, dark=DarkCrops(dn, black)
+    )
+    made = expose_on_device(torch.zeros(2, 4, 6, 8), exposures, torch.Generator())
+    assert np.array_equal(made.numpy(), dn - black[:, :, None, None])
+
+
+# --- in turns ---------------------------------------------------------------------------------------------------------
+
+
+def test_each_frame_is_used_once_before_any_is_used_twice(store: Path) -> None:
+    """Over epochs, in order; by two workers, shuffled, and from a copy, the same frames."""
+    dataset = pairs(DarkFrames(store), iso=400)
+    used: Counter[str] = Counter()
+    for epoch in range(3):
+        dataset.set_epoch(epoch)
+        for item in dataset:
+            used[item["dark_frame"]] += 1
+            assert max(used.values()) - (min(used.values()) if len(used) == 5 else 0) <= 1
+            assert item["iso"] == 400
+    loader = DataLoader(dataset, batch_size=3, num_workers=2, multiprocessing_context="fork")
+    for batch, first in zip(loader, range(0, len(dataset), 3), strict=True):
+        for place, name in enumerate(batch["dark_frame"]):
+            assert dataset[first + place]["dark_frame"] == name
+            assert torch.equal(dataset[first + place]["input"], batch["input"][place])
+
+
+def test_isos_are_those_of_the_frames(store: Path) -> None:
+    """All of them alike, or those that are asked for; K lies within 1 % of the ISO's, uniformly (KS by quartiles)."""
+    dataset = pairs(DarkFrames(store), crops_per_frame=128)
+    profile = CameraProfile.load("SonyA7S2")
+    draws = [dataset.item(index).draw for index in range(len(dataset))]
+    assert Counter(draw.iso for draw in draws) == {400.0: 128, 1600.0: 128}
+    shares = np.array([draw.parameters.gain_dn_per_e / profile.gain_at_iso(draw.iso or 0) for draw in draws])
+    assert np.abs(shares - 1).max() <= 0.01
+    counts = np.histogram(shares, 4, (0.99, 1.01))[0]  # binomial (256, 1/4): deviation 6.9
+    assert np.abs(counts - 64).max() < 5 * 6.9
+    assert {draw.parameters.iso for draw in draws} == {400.0, 1600.0}
+    weighted = pairs(DarkFrames(store), crops_per_frame=128, iso={400: 3, 1600: 1})
+    assert Counter(weighted.item(index).draw.iso for index in range(256)) == {400.0: 192, 1600.0: 64}
+
+
+def test_frames_of_a_clip_have_dark_frames_of_their_own_from_one_place(bias: Path) -> None:
+    clips = ArrayClips([np.zeros((4, 4, 36, 36), np.float32)], range_dn=RANGE, cfa=BAYER["GRBG"])
+    options: dict[str, Any] = {"frames": 2, "crop": 16, "windows_per_clip": 12, "clip": "none", "iso": 1600}
+    model = NoiseModel("P*+D", dark_frames=DarkFrames(bias, dither=False))
+    dataset = SyntheticClips(clips, "SonyA7S2", model=model, **options)
+    for index in range(12):
+        item, drawn = dataset[index], dataset.item(index)
+        names = item["dark_frame"].split(", ")
+        assert len(set(names)) == 2
+        rows, columns = (slice(part.start // 2, part.start // 2 + 16) for part in drawn.crop.slices)
+        for dn, name in zip(in_dn(item), names, strict=True):
+            np.testing.assert_allclose(dn, above_black(name)[:, rows, columns], rtol=2e-6, atol=1e-4)
+    with pytest.raises(ArgumentError, match=r"windows of 3 frames, .* need 6 dark frames of an ISO; ISO 1600 has 3"):
+        SyntheticClips(clips, "SonyA7S2", model=model, **options | {"frames": 3})
+
+
+# --- statistics -------------------------------------------------------------------------------------------------------
+
+
+def sensor_frames(count: int, generator: np.random.Generator) -> NDArray[np.uint16]:
+    """A sensor with what formulas leave out: pattern, banding, rows, correlation, telegraph pixels, drift."""
+    pattern = np.random.default_rng(99).normal(0, 1.5, (SIDE * 2, SIDE * 2))
+    blinking = np.random.default_rng(98).random(pattern.shape) < 0.02
+    white = generator.normal(0, 3, (count, SIDE * 2, SIDE * 2 + 1))
+    frames = 0.8 * white[..., 1:] + 0.6 * white[..., :-1]  # of variance 9, correlation 0.48 along rows
+    frames += generator.normal(0, 1, (count, SIDE * 2, 1))
+    frames += np.sin(0.7 * np.arange(SIDE * 2)[:, None] + generator.uniform(0, 6.28, (count, 1, 1)))
+    frames += 20 * (blinking & (generator.random(frames.shape) < 0.3)) + pattern
+    frames += generator.normal(0, 0.3, (count, 1, 1))
+    return np.rint(frames + 512).astype(np.uint16)
+
+
+def figures(frames: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of each mosaic: mean, variance, fourth moment, correlations at lags, energy of rows, a line of the spectrum."""
+    centred = frames - frames.mean((1, 2), keepdims=True)
+    rows = centred.mean(2)
+    spectrum = np.abs(np.fft.rfft(rows, axis=1)) ** 2
+    lags = [(0, 1), (0, 2), (1, 0), (2, 0), (1, 1)]
+    products = [
+        (centred[:, y:, x:] * centred[:, : frames.shape[1] - y, : frames.shape[2] - x]).mean((1, 2)) for y, x in lags
+    ]
+    band = spectrum[:, round(0.7 * SIDE * 2 / 6.2832)]
+    return np.array([frames.mean((1, 2)), centred.var((1, 2)), (centred**4).mean((1, 2)), rows.var(1), band, *products])
+
+
+@pytest.mark.parametrize("dither", [False, True])
+def test_synthetic_frames_have_the_statistics_of_frames_that_were_kept_out(dither: bool, tmp_path: Path) -> None:
+    """48 frames and 48 others: ten figures, Welch's t below 6 (about 1e-7 each if seeds were not fixed).
+
+    The dither adds 1/12 to the variance, and to the fourth moment 6 v / 12 + 1/80, and nothing to what pixels share.
+    """
+    generator = np.random.default_rng(5)
+    frames, others = sensor_frames(48, generator), sensor_frames(48, generator)
+    place = tmp_path / "Nocturne" / "bias" / "ISO400"
+    place.mkdir(parents=True)
+    sensor = make_sensor(BAYER["RGGB"], SIDE * 2, SIDE * 2, black_level_dn=(512.0,) * 4)
+    for number, mosaic in enumerate(frames):
+        write_dng(place / f"{number:02d}.dng", mosaic, sensor, Exposure(Fraction(400), Fraction(1, 4000)))
+    dark = DarkFrames(tmp_path / "Nocturne", dither=dither)
+    source = Mosaics([np.full((SIDE * 2, SIDE * 2), 512.0, np.float32)], BAYER["RGGB"], black=512.0, white=15871.0)
+    dataset = pairs(dark, source, crop=None, augment=False, crops_per_frame=48)
+    made = np.empty((48, SIDE * 2, SIDE * 2))
+    for index, item in enumerate(dataset):
+        dn = in_dn(item, 15871.0 - 512)
+        for channel, (y, x) in enumerate(((0, 0), (0, 1), (1, 1), (1, 0))):
+            made[index, y::2, x::2] = dn[channel]
+    ours, theirs = figures(made), figures(others.astype(np.float64) - 512)
+    if dither:
+        theirs[2] += theirs[1] / 2 + 1 / 80
+        theirs[1] += 1 / 12
+    error = np.sqrt(ours.var(1, ddof=1) / 48 + theirs.var(1, ddof=1) / 48)
+    off = np.abs(ours.mean(1) - theirs.mean(1)) / error
+    assert off.max() < 6, off
+    parametric = NoiseModel("G")  # the same figures do tell a model that lacks most of it
+    p = replace(PARAMETERS, sigma_gauss_dn=float(np.sqrt(theirs[1].mean())))
+    white = np.zeros((48, 4, SIDE, SIDE), np.float32)
+    plain = parametric(white, parameters=p, ratio=1.0, range_dn=1.0, generator=np.random.default_rng(3))
+    for channel, (y, x) in enumerate(((0, 0), (0, 1), (1, 1), (1, 0))):
+        made[:, y::2, x::2] = plain[:, channel]
+    away = np.abs(figures(made).mean(1) - theirs.mean(1)) / error
+    assert (away > 6).sum() >= 6, away
+
+
+# --- refused by name --------------------------------------------------------------------------------------------------
+
+
+def test_clean_frames_that_do_not_go_with_them(bias: Path, tmp_path: Path) -> None:
+    dark, free = DarkFrames(bias), DarkFrames(bias, place="free")
+    for source, words in (
+        (night(XTRANS["xtrans-00"]), "mosaic 0: is X-Trans, but the dark frames are Bayer, such as .*ISO1600/0.dng"),
+        (
+            night(BAYER["RGGB"]),
+            "mosaic 0: has 72 x 72 pixels of the CFA .*, but the dark frames have 72 x 72 pixels of",
+        ),
+        (night(side=80), r'mosaic 0: has 80 x 80 .* DarkFrames\(..., place="free"\) takes dark crops from anywhere'),
+        (
+            night(white=4095.0),
+            "mosaic 0: has 3583.5 DN from black to white, but the dark frames have 15359.5, .*levels=",
+        ),
+    ):
+        with pytest.raises(DatasetError, match=words):
+            pairs(dark, source)[0]
+    bare = Arrays(np.zeros((1, 4, 20, 20), np.float32), range_dn=RANGE)
+    for clean in (night(BAYER["RGGB"]), night(side=80), bare):
+        assert pairs(free, clean)[0]["input"].shape == (4, 16, 16)
+    with pytest.raises(ArgumentError, match=r"dark frames give crops of \(4, 36, 36\) packed pixels or less, .*39"):
+        pairs(free, night(side=80), crop=39)[0]
+    wide = Mosaics([np.full((48, SIDE), 511.5, np.float32)], BAYER["GRBG"], black=511.5, white=15871.0)
+    folder = tmp_path / "C" / "bias" / "ISO400"
+    folder.mkdir(parents=True)
+    exposure = Exposure(Fraction(400), Fraction(1, 4000))
+    write_dng(folder / "0.dng", np.full((48, SIDE), 511, np.uint16), make_sensor(BAYER["GRBG"], 48, SIDE), exposure)
+    whole = pairs(DarkFrames(folder.parent), wide, crop=None)
+    with pytest.raises(DatasetError, match=r"dark frames are not turned, and its turned crop, 70 x 46 pixels"):
+        list(whole)
+
+
+def test_frames_that_do_not_go_together(tmp_path: Path) -> None:
+    bias = written(tmp_path)
+    spoilt = bias / "ISO400" / "1.dng"
+    raw = read_raw(spoilt)
+    for change, words in (
+        ({"white_level_dn": 4095.0}, "1.dng: has black level .* and white level 4095 DN, but .*0.dng has"),
+        ({"cfa": BAYER["RGGB"]}, "1.dng: has 72 x 72 pixels of the CFA .*, but .*0.dng has"),
+        ({"black_level_dn": (600.0,) * 4}, "1.dng: has black level"),
+        ({}, "1.dng: was taken at ISO 800, but lies among those of ISO 400"),
+    ):
+        exposure = raw.exposure if change else replace(raw.exposure, iso=Fraction(800))
+        write_dng(spoilt, raw.mosaic, replace(raw.sensor, **change), exposure)
+        with pytest.raises(DatasetError, match=words):
+            list(pairs(DarkFrames(bias), iso=400))
+        packed = tmp_path / f"{len(list(tmp_path.iterdir()))}.h5"
+        build_store(source_of_folder(tmp_path), packed)
+        with pytest.raises(DatasetError, match=words):  # at once: a store tells of each frame
+            DarkFrames(packed)
+
+
+def test_isos_and_models_that_are_refused(bias: Path, store: Path) -> None:
+    dark = DarkFrames(bias)
+    there = "there are no dark frames of ISO 800; there are 400, 1600"
+    for wrong, words in (
+        (lambda: pairs(dark, iso=800), there),
+        (lambda: pairs(dark, iso=[400, 800]), there),
+        (lambda: DarkFrames(bias, isos=[800]), there),
+        (lambda: DarkFrames(bias, isos=[]), "isos is empty; there are 400, 1600"),
+        (lambda: NoiseModel("P*+D"), r"D takes real frames; give dark_frames=DarkFrames\(...\)"),
+        (lambda: NoiseModel("P*+G*", dark_frames=dark), "takes no dark frames: it has no component D"),
+        (lambda: NoiseModel("P*+G*+D", dark_frames=dark), r"the frames of D have their own read noise, and G\* would"),
+        (lambda: NoiseModel("P*+D+U", dark_frames=dark), "the frames of D have their own rounding"),
+        (
+            lambda: NoiseModel("P*+D", dark_frames=DarkFrames(bias, dither=False), adc=Adc(512, 16383)),
+            "without a dither it would round single photons away",
+        ),
+        (lambda: NoiseModel("P*+D", dark_frames=dark).expected_mean_dn(1.0, PARAMETERS), "no closed form"),
+        (lambda: DarkFrames(bias, place="here"), "place"),  # type: ignore[arg-type]
+        (
+            lambda: SyntheticPairs(
+                night(), ["SonyA7S2", "NikonD850"], model=NoiseModel("P*+D", dark_frames=dark), crop=16
+            ),
+            "dark frames are of one camera; give its profile alone",
+        ),
+    ):
+        with pytest.raises(ArgumentError, match=words):
+            wrong()
+    model, clean = NoiseModel("P*+D", dark_frames=dark), np.zeros((4, 8, 8), np.float32)
+    options: dict[str, Any] = {"ratio": 1.0, "range_dn": 1.0, "generator": np.random.default_rng(0)}
+    with pytest.raises(ArgumentError, match="dark frames of the parameters' ISO, and they do not state it"):
+        model(clean, parameters=replace(PARAMETERS, iso=None), **options)
+    with pytest.raises(ArgumentError, match=r"dark must be DarkCrops of shape \(1, 4, 8, 8\); found ndarray"):
+        model(clean, parameters=PARAMETERS, **options | {"dark": clean})
+    with pytest.raises(DatasetError, match="holds no clean frames, but 8 of other kinds"):
+        StoredFrames(store)
+    with pytest.raises(DatasetError, match="has no camera 'Other'; there is Nocturne"):
+        DarkFrames(store, "Other")

@@ -260,10 +260,16 @@ def dark_shading(
             usable.append(one)
     chosen = {float(one.iso): one for one in sorted_frames(frames, threads)}
     fit = ShadingFit(starts)
+    used = isos = 0
     total = sum(len(chosen[one.iso].bias) for one in usable)
     with tqdm(total=total, desc=f"dark shading {frames.camera}", unit="frame", disable=None, leave=False) as bar:
         for one in usable:
             sensor, fixed = bias_pattern(frames, chosen[one.iso], threads, done=bar.update)
+            if fixed.clips_at_black:
+                notes.append(f"ISO {one.iso:g} was left out: black is clipped, so the mean of a pixel is not its level")
+                continue
             fit.add(one.iso, fixed, sensor.black_level_dn, one.bias.standard_error_dn)
-    source = f"eldata {__version__} calibrate: {total} bias frames at {len(usable)} ISO(s)"
+            used += fixed.frames
+            isos += 1
+    source = f"eldata {__version__} calibrate: {used} bias frames at {isos} ISO(s)"
     return fit.shading(found.camera, source, notes)

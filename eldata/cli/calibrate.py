@@ -9,7 +9,7 @@ from eldata.base.console import OK, PROBLEMS, add_output, add_shared, chosen_wor
 from eldata.base.fields import number_of, whole_of
 from eldata.base.files import write_json
 from eldata.base.visible import in_line
-from eldata.errors import ArgumentError
+from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
     import argparse
@@ -124,8 +124,12 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         with chosen_workers(arguments) as workers:
             found = calibrate(frames, gains=gains, modes=arguments.modes, workers=workers)
-            with_bias = arguments.dark_shading and any("colour bias" not in one.withheld for one in found.isos)
-            shading = dark_shading(frames, found, modes=arguments.modes, workers=workers) if with_bias else None
+            shading, no_shading = None, ""
+            try:
+                if arguments.dark_shading:
+                    shading = dark_shading(frames, found, modes=arguments.modes, workers=workers)
+            except DatasetError as error:  # the calibration is not lost for it
+                no_shading = str(error)
     except FramesError as error:
         problems = error.problems
         data = {"camera": frames.camera, "problems": [asdict(one) for one in problems]}
@@ -154,7 +158,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     def write_shading() -> None:
         if shading is None:
-            print(f"\n{arguments.dark_shading} was not written: no ISO has bias frames whose level is known")
+            print(f"\n{arguments.dark_shading} was not written: {no_shading}")
             return
         shading.save(arguments.dark_shading)
         listed, hot = _listed(one.iso for one in shading.isos), int(shading.hot.sum())

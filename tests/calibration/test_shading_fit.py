@@ -10,7 +10,7 @@ import pytest
 
 from eldata.calibration import BiasStack, Finding, ShadingFit, calibrate, dark_shading, fixed_pattern
 from eldata.errors import ArgumentError, DatasetError
-from tests.calibration.trees import made_tree
+from tests.calibration.trees import made_tree, rewritten
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -177,7 +177,8 @@ def test_a_fit_refuses_what_does_not_go_together() -> None:
 
 def test_modes_and_isos_are_the_calibrations(tmp_path: Path) -> None:
     """Stated modes count; else those found, and what lies between two of them or has a withheld level is left out."""
-    frames = made_tree(tmp_path, bias_frames=4, flat_levels=2).frames()
+    tree = made_tree(tmp_path, bias_frames=4, flat_levels=2)
+    frames = tree.frames()
     found = calibrate(frames)
     (fitted_mode,) = found.modes
     stated = dark_shading(frames, found, modes=[400])
@@ -196,3 +197,9 @@ def test_modes_and_isos_are_the_calibrations(tmp_path: Path) -> None:
     assert dimmer.source.endswith("8 bias frames at 2 ISO(s)")
     with pytest.raises(DatasetError, match="no ISO gives a dark shading: ISO 100 was left out: brighter frames"):
         dark_shading(frames, replace(found, isos=isos[:1]))
+    for path in tree.files("bias", 1600):  # as by a converter that subtracts black
+        rewritten(path, mosaic=lambda dn: np.maximum(dn, 512) - np.uint16(512), black_level_dn=(0.0,) * 4)
+    clipped = dark_shading(frames, found)
+    assert [one.iso for one in clipped.isos] == [100, 400]
+    assert clipped.notes == ("ISO 1600 was left out: black is clipped, so the mean of a pixel is not its level",)
+    assert clipped.source.endswith("8 bias frames at 2 ISO(s)")

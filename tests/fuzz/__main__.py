@@ -22,7 +22,16 @@ if TYPE_CHECKING:
     from tests.fuzz.running import Tally
 
 # Of one round where a time is set: the proportions of what docs/reliability.md reports.
-ROUND = {"raws": 2000, "texts": 400, "archives": 100, "predictions": 40, "pickles": 20, "stores": 20, "shards": 20}
+ROUND = {
+    "raws": 2000,
+    "texts": 400,
+    "archives": 100,
+    "predictions": 40,
+    "pickles": 20,
+    "stores": 20,
+    "shards": 20,
+    "shadings": 20,
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -417,3 +417,22 @@ def stores() -> list[Seed]:
 def shards() -> list[Seed]:
     """A shard; its index stays as it was written."""
     return [Seed("shard-000000.tar", "shard", (BY_0_1 / "shards" / "whole" / "shard-000000.tar").read_bytes())]
+
+
+def shadings() -> list[Seed]:
+    """The file of a dark shading of two gain modes."""
+    from eldata.noise import DarkShading, ShadingIso
+
+    generator = np.random.default_rng(6)
+    levels: dict[str, Any] = {"level_error_dn": (1.5, 0.0, -0.5, 2.0), "standard_error_dn": (0.1,) * 4}
+    slope, offset = generator.normal(0, 1, (2, 2, 12, 16)).astype(np.float32)
+    shading = DarkShading(
+        camera="Demo",
+        source="a test",
+        cfa=((1, 0), (2, 3)),
+        isos=tuple(ShadingIso(iso=400 * 4**mode, mode=mode, frames=9, sigma_dn=2.5, **levels) for mode in range(2)),
+        slope_dn=slope,
+        offset_dn=offset,
+        hot=generator.random((12, 16)) < 0.1,
+    )
+    return [Seed("shading.npz", "shading", _made(shading.save, "a.npz"))]

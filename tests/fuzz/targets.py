@@ -133,6 +133,12 @@ def _shard(path: Path) -> object:
     return problems
 
 
+def _shading(path: Path) -> object:
+    from eldata.noise import DarkShading
+
+    return DarkShading.load(path)
+
+
 # --- text ---------------------------------------------------------------------------------------------------------
 
 
@@ -390,6 +396,7 @@ KINDS: dict[str, Kind] = {
     ),
     "stores": Kind(seeds.stores, {"store": _store}, {}, isolated=True),
     "shards": Kind(seeds.shards, {"shard": _shard}, {".tar": (containers.tar_record, containers.npy)}),
+    "shadings": Kind(seeds.shadings, {"shading": _shading}, {"": (containers.zip_record, containers.npy)}),
     "drill": Kind(_drill_seeds, {"drill": _drill}, {"": (_unchanged,)}),
 }
 

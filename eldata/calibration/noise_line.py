@@ -186,15 +186,16 @@ class _Windows:
             return windows
         lost = np.stack([(~cut(channel)).sum(axis=(-2, -1)) for channel in usable])
         sound = lost == 0
-        for group in windows.groups(windows.sound):
+        for group in windows.groups(windows.sound, mean):
             if lost.ravel()[group].mean() > _CLIPPED_SHARE * WINDOW**2:
                 sound.ravel()[group] = False
         return cls(windows.mean, windows.beside, highest, middle, sound)
 
-    def groups(self, chosen: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
-        """Return the chosen windows' flat indices in groups of like brightness."""
+    def groups(self, chosen: NDArray[np.bool_], brightness: Values | None = None) -> list[NDArray[np.intp]]:
+        """Return the chosen windows' flat indices in groups of like brightness: that beside them, or this one."""
         places = np.flatnonzero(chosen)
-        places = places[np.argsort(self.beside.ravel()[places], kind="stable")]
+        sorting = self.beside if brightness is None else brightness
+        places = places[np.argsort(sorting.ravel()[places], kind="stable")]
         return np.array_split(places, max(1, min(_GROUPS, len(places) // _FEWEST_IN_GROUP)))
 
     def excess(self, line: _Line) -> Values:

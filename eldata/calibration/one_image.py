@@ -31,8 +31,8 @@ GAUSSIAN_SHAPE = 0.14
 """The Tukey-lambda shape nearest to the normal distribution (J. J. Filliben, Technometrics 17, 1975)."""
 
 NOT_KNOWN = (
-    f"not calibrated: read noise is taken as Gaussian (lambda {GAUSSIAN_SHAPE}); row noise and colour bias are not known "
-    "and 0 here; the fixed pattern of the sensor counts as read noise"
+    f"not calibrated: read noise is taken as Gaussian (lambda {GAUSSIAN_SHAPE}); row noise and colour bias are "
+    "not known and 0 here; the fixed pattern of the sensor counts as read noise"
 )
 """What every profile from one photograph says of itself."""
 
@@ -297,7 +297,8 @@ def _not_shown(figures: NoiseFigures) -> dict[str, str]:
     if not figures.variance_dn2 > _SHOWN * scatter:
         problems["read"] = (
             f"the read noise's variance, {figures.variance_dn2:.2g} +- {scatter:.2g} DN^2, is not above 0 by "
-            f"{_SHOWN:g} standard errors: the photograph has no dark smooth parts to show it; take one with deep shadows, or darker"
+            f"{_SHOWN:g} standard errors: the photograph has no dark smooth parts to show it; take one with "
+            "deep shadows, or darker"
         )
     return problems
 

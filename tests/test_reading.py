@@ -51,7 +51,7 @@ def as_number(content: Any, text: str) -> str:
 
 
 def read_profile(path: Path, text: str) -> None:
-    data = {"schema": 1} | asdict(CameraProfile.load("SonyA7S2"))
+    data = {"schema": 1} | CameraProfile.load("SonyA7S2").as_dict()
     path.write_text(as_number(changed(data, ("gauss_fit", "slope"), text), text))
     CameraProfile.load(path.rename(path.with_suffix(".json")))
 

@@ -315,7 +315,7 @@ def camera_profile(files: Path, work: Path) -> Any:
     profile = CameraProfile.load(str(path))
     generator = np.random.default_rng(11)
     drawn = [profile.sample(generator, iso=iso, row="any").as_dict() for iso in (None, None, 400.0)]
-    return [asdict(profile), drawn]
+    return [profile.as_dict(), drawn]
 
 
 @reader

@@ -478,11 +478,14 @@ class Fields:
         """Return ``read(name, **options)``; the default where the field is not there, null, or an empty cell."""
         return default if self.data.get(name) in self._absent else read(name, **options)
 
-    def schema(self, number: int, program: str = "eldata") -> None:
-        """Refuse a file of another schema number."""
+    def schema(self, number: int, program: str = "eldata", *, also: int | None = None) -> int:
+        """Return the schema number; refuse a file of another one than the known one or two."""
         found = self.data.get("schema", _MISSING)
-        if type(found) is not int or found != number:
-            raise self.wrong("schema", f"{number} (a newer file needs a newer {program})", found)
+        known = (number,) if also is None else (number, also)
+        if type(found) is not int or found not in known:
+            listed = " or ".join(map(str, known))
+            raise self.wrong("schema", f"{listed} (a newer file needs a newer {program})", found)
+        return found
 
     # --- objects and lists --------------------------------------------------------------------------------------------
 

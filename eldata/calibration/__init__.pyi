@@ -5,6 +5,9 @@ from .acceptance_results import IsoAcceptance as IsoAcceptance
 from .audit import Finding as Finding
 from .audit import GivenFigure as GivenFigure
 from .camera import calibrate as calibrate
+from .clipped_black import ClippedFit as ClippedFit
+from .clipped_black import clipped_fit as clipped_fit
+from .clipped_values import ClippedValues as ClippedValues
 from .colour_bias import ChannelMeans as ChannelMeans
 from .colour_bias import ColourBias as ColourBias
 from .colour_bias import colour_bias as colour_bias

@@ -131,14 +131,17 @@ def masked_sums(
 def channel_histograms(
     mosaic: NDArray[np.uint16], defects: NDArray[np.bool_], pattern: NDArray[np.int64], counts: NDArray[np.int64]
 ) -> None:
-    """Count the sound pixels by channel and value in ``counts`` (channel, 65536)."""
+    """Count the sound pixels by group of rows, channel and value in ``counts``; its last value takes all beyond."""
     period = pattern.shape[0]
+    groups, last = counts.shape[0], counts.shape[2] - 1
     for row in range(mosaic.shape[0]):
+        group = (row // 2) % groups
         for phase in range(period):
             channel = pattern[row % period, phase]
             for column in range(phase, mosaic.shape[1], period):
                 if not defects[row, column]:
-                    counts[channel, mosaic[row, column]] += 1
+                    value = np.int64(mosaic[row, column])
+                    counts[group, channel, value if value < last else last] += 1
 
 
 @kernel

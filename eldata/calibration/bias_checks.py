@@ -55,7 +55,14 @@ _NEAR = 15  # frequencies on each side, whose median is a wave's ground
 
 
 def bias_findings(
-    statistics: BiasStatistics, bias: ColourBias, rows: RowNoise, read: ReadNoise, *, step: int = 1, gaps: float = 0.0
+    statistics: BiasStatistics,
+    bias: ColourBias,
+    rows: RowNoise,
+    read: ReadNoise,
+    *,
+    step: int = 1,
+    gaps: float = 0.0,
+    is_clipped: bool = False,
 ) -> tuple[Finding, ...]:
     """Return what the bias frames' noise says against what the estimates take for granted.
 
@@ -68,14 +75,20 @@ def bias_findings(
     step, gaps
         What :func:`~eldata.calibration.frame_checks.code_step` and
         :func:`~eldata.calibration.frame_checks.missing_codes` say of a frame.
+    is_clipped
+        Whether values end at 0. The clip makes noise smaller where the level is lower, and goes for one side alone, so
+        that neither tells of light, unlike pixels or lopsided noise.
     """
     ripple = Ripple.of(read.tukey_lambda, read.sigma_tl_dn / (step if step > 1 else 1 / (1 - gaps)))
-    lit = tuple(light(statistics, bias, read, ripple))
+    of_whole: tuple[Finding, ...] = ()
+    if not is_clipped:
+        lit = tuple(light(statistics, bias, read, ripple))
+        unlike = unlike_pixels(statistics, bias, read, ripple, is_lit=bool(lit))
+        of_whole = (*lit, *unlike)
     return (
-        *lit,
-        *unlike_pixels(statistics, bias, read, ripple, is_lit=bool(lit)),
+        *of_whole,
         *correlated(statistics, rows, read, ripple),
-        *filtered_outliers(statistics, read, ripple),
+        *filtered_outliers(statistics, read, ripple, is_clipped=is_clipped),
         *coarse_values(step, gaps, read),
         *row_waves(rows),
     )
@@ -336,7 +349,9 @@ def _sum_of(near: NeighbourStatistics, chosen: NDArray[np.bool_] | bool = True) 
     return max(float(near.correlation[seen].sum()), -0.49)
 
 
-def filtered_outliers(statistics: BiasStatistics, read: ReadNoise, ripple: Ripple) -> Iterator[Finding]:
+def filtered_outliers(
+    statistics: BiasStatistics, read: ReadNoise, ripple: Ripple, *, is_clipped: bool = False
+) -> Iterator[Finding]:
     """Yield a finding if outliers do not stand alone, or the noise goes further to one side of the pixels' means.
 
     Independent neighbours of an outlier are like those of any other pixel: which of the two goes further is a fair
@@ -363,6 +378,8 @@ def filtered_outliers(statistics: BiasStatistics, read: ReadNoise, ripple: Rippl
             "star-eater), and with them the tails of the noise; switch such filters off or use another raw mode"
         )
         yield Finding("filtered outliers", ("read noise",), "withheld", statistic, threshold, text)
+        return
+    if is_clipped:
         return
     excess = (abs(near.skewness) - ripple.skewness / 2) / near.skewness_error
     if excess > threshold:

@@ -13,27 +13,25 @@ import numpy as np
 from tqdm import tqdm
 
 from eldata import __version__
+from eldata.base.numbers import checked_number
 from eldata.base.workers import IN_THIS_PROCESS, AnyWorkers, Failed, Workers, accepts_jobs, require_files
 from eldata.calibration.frame_checks import FramesError, sorted_frames
-from eldata.calibration.joint import fit_log_log, step_findings
+from eldata.calibration.mode_fits import joint_fits, whole_ranges
 from eldata.calibration.one_iso import calibrate_flats, calibrate_iso, decodings
 from eldata.calibration.remarks import overall_remarks
 from eldata.calibration.results import Calibration, FailedIso, IsoCalibration, IsoGain
 from eldata.datasets.calibration_frames import CalibrationFrames
 from eldata.errors import ArgumentError
 from eldata.manifest.verify import Problem
-from eldata.noise.profile import CameraProfile, LogLogFit, ProfileRow
+from eldata.noise.profile import CameraProfile, ProfileRow
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from eldata.calibration.audit import GivenFigure
     from eldata.calibration.frame_checks import IsoFrames
-    from eldata.calibration.joint import LogLogEstimate
 
 _LEVELS_APART = 0.001  # of the range
-_NO_NOISE_DN = 1e-9  # a scale that a log-log line can hold in place of 0
 
 
 @accepts_jobs
@@ -43,6 +41,7 @@ def calibrate(
     *,
     isos: Collection[int] | None = None,
     gains: Mapping[float, float] | CameraProfile | None = None,
+    modes: Sequence[float] | None = None,
     workers: AnyWorkers = 1,
 ) -> Calibration:
     """Measure a camera's noise from its bias and flat-field frames (section 3.3 of the paper).
@@ -58,6 +57,9 @@ def calibrate(
     gains
         System gain K [DN/e-] by ISO, or a profile that knows it, for ISOs whose flats are missing or do not give it.
         A measured K counts before a stated one, and a stated one is marked as such.
+    modes
+        The first ISO of each gain mode of the camera but the lowest, such as ``[2000]``; an empty list for a camera
+        that has one. By default modes are told by steps in the joint fits.
     workers
         Number of threads that decode, or an executor that measures whole ISOs side by side, with a thread each
         (:mod:`eldata.base.workers`). The figures do not depend on it, and the memory hardly does.
@@ -73,8 +75,9 @@ def calibrate(
     FramesError
         If that is so of every ISO.
     ArgumentError
-        If ``isos`` is given with frames that are chosen already, ``workers`` is not positive, or ``gains`` holds what
-        is not a gain or belongs to no ISO of the frames.
+        If ``isos`` is given with frames that are chosen already, ``workers`` is not positive, ``gains`` holds what
+        is not a gain or belongs to no ISO of the frames, or ``modes`` are not ascending ISOs among
+        those of the frames.
     DatasetError
         If there are no frames.
 
@@ -89,6 +92,7 @@ def calibrate(
         raise ArgumentError("isos is for a folder; choose them with CalibrationFrames(..., isos=...)")
     workers = Workers.of(workers)
     stated = stated_gains(frames, gains)
+    starts = None if modes is None else _starts(frames, modes)
     # The headers of a folder are read here: they are small, and an executor takes whole ISOs.
     chosen = [
         replace(one, stated_gain_dn_per_e=stated.get(float(one.iso)))
@@ -106,7 +110,19 @@ def calibrate(
     if not measured:
         problems = [problem for one in failed for problem in one.problems]
         raise FramesError(sorted(problems, key=lambda problem: problem.path))
-    return joined(camera or frames.camera, measured, failed)
+    return joined(camera or frames.camera, measured, failed, starts)
+
+
+def _starts(frames: CalibrationFrames, modes: Sequence[float]) -> tuple[float, ...]:
+    """Return the first ISO of each further gain mode, checked."""
+    low, high = min(frames.isos), max(frames.isos)
+    starts = tuple(checked_number("modes", iso, above=float(low)) for iso in modes)
+    if any(iso > high for iso in starts) or list(starts) != sorted(set(starts)):
+        raise ArgumentError(
+            f"modes are the first ISOs of the further gain modes, ascending, above ISO {float(low):g} and up to "
+            f"{float(high):g}, those of the frames; found {', '.join(f'{iso:g}' for iso in starts)}"
+        )
+    return starts
 
 
 def stated_gains(frames: CalibrationFrames, gains: Mapping[float, float] | CameraProfile | None) -> dict[float, float]:
@@ -189,7 +205,12 @@ def _failure(frames: CalibrationFrames, failed: Failed[IsoFrames]) -> FramesErro
     return FramesError([Problem(frames.camera, where, "work", "a finished estimate", failed.reason, advice)])
 
 
-def joined(camera: str, measured: Iterable[IsoGain], failed: Iterable[FailedIso] = ()) -> Calibration:
+def joined(
+    camera: str,
+    measured: Iterable[IsoGain],
+    failed: Iterable[FailedIso] = (),
+    modes: Sequence[float] | None = None,
+) -> Calibration:
     """Return the calibration of a camera from that of its ISOs: fits over K, profile, remarks.
 
     Parameters
@@ -200,23 +221,15 @@ def joined(camera: str, measured: Iterable[IsoGain], failed: Iterable[FailedIso]
         What was measured at each ISO, one or more.
     failed
         The ISOs that are left out.
+    modes
+        The first ISO of each gain mode but the lowest, where they are stated.
     """
     everything = sorted(measured, key=lambda one: one.iso)
     ordered = tuple(one for one in everything if isinstance(one, IsoCalibration))
     left_out = tuple(_ascending(failed))
     remarks = [*(one.remark for one in left_out), *overall_remarks(everything)]
-    points = {
-        "sigma_TL": _points(ordered, lambda one: one.sigma_tl_dn),
-        "sigma_G": _points(ordered, lambda one: one.sigma_gauss_dn),
-        "sigma_row": _points(ordered, lambda one: one.sigma_row_dn),
-    }
-    of_tukey_lambda, tukey_lambda_fit = _fitted("sigma_TL", points["sigma_TL"], remarks)
-    of_gauss, gauss_fit = _fitted("sigma_G", points["sigma_G"], remarks)
-    of_rows, row_fit = _fitted("sigma_row", points["sigma_row"], remarks)
-    iso_of = {one.gain_dn_per_e: one.iso for one in ordered if one.gain_dn_per_e is not None}
-    remarks += [one.remark for one in step_findings(points, iso_of)]
-    if any(one.gain for one in ordered) and not points["sigma_row"]:
-        remarks.append("sigma_row is withheld wherever K is known: the profile makes no row noise")
+    fits = joint_fits(ordered, modes)
+    remarks += fits.remarks
     black, white = _common_levels(everything, remarks)
     bias, flat = sum(one.bias_frames for one in ordered), sum(one.flat_frames for one in everything)
     source = f"eldata {__version__} calibrate: {bias} bias and {flat} flat frames at {len(everything)} ISO(s)"
@@ -227,31 +240,31 @@ def joined(camera: str, measured: Iterable[IsoGain], failed: Iterable[FailedIso]
         camera=camera,
         isos=ordered,
         source=source,
-        tukey_lambda_fit=of_tukey_lambda,
-        gauss_fit=of_gauss,
-        row_fit=of_rows,
+        modes=fits.modes,
         remarks=tuple(remarks),
         made_profile=None,
-        no_profile=_no_profile(ordered),
+        no_profile=_no_profile(ordered) or fits.problem,
         gains=tuple(one for one in everything if not isinstance(one, IsoCalibration)),
         failed=left_out,
     )
     if found.no_profile:
         return found
-    known = sorted((one.gain_dn_per_e, one.iso) for one in ordered if one.gain_dn_per_e is not None)
-    (least_gain, lowest), (most_gain, highest) = known[0], known[-1]
+    modes_found = [one.mode for one in fits.modes]
+    gain_range, iso_range = whole_ranges(modes_found)
+    only = modes_found[0] if len(modes_found) == 1 else None
     profile = CameraProfile(
         camera=camera,
         source=source,
-        gain_range_dn_per_e=(least_gain, most_gain),
-        tukey_lambda_fit=tukey_lambda_fit,
-        gauss_fit=gauss_fit,
-        row_fit=row_fit,
+        gain_range_dn_per_e=gain_range,
+        tukey_lambda_fit=None if only is None else only.tukey_lambda_fit,
+        gauss_fit=None if only is None else only.gauss_fit,
+        row_fit=None if only is None else only.row_fit,
         rows=tuple(row for one in ordered if (row := _row(one)) is not None),
-        iso_range=(lowest, highest) if lowest <= highest else None,
+        iso_range=iso_range,
         black_level_dn=black,
         white_level_dn=white,
         notes=found.all_remarks,
+        modes=() if only is not None else tuple(modes_found),
     )
     return replace(found, made_profile=profile)
 
@@ -293,20 +306,9 @@ def _no_profile(isos: Sequence[IsoCalibration]) -> str:
         )
     if not any(_row(one) for one in isos):
         return "the read noise or the colour bias is withheld at every ISO; the remarks say why"
-    if not _points(isos, lambda one: one.sigma_tl_dn):
+    if not any(one.gain and one.sigma_tl_dn for one in isos):
         return "no ISO has both K and the read noise; the remarks say why"
     return ""
-
-
-def _points(
-    isos: Sequence[IsoCalibration], scale_of: Callable[[IsoCalibration], GivenFigure | None]
-) -> list[tuple[float, float]]:
-    """Return K and a scale of the ISOs at which both are given."""
-    return [
-        (one.gain_dn_per_e, scale.value)
-        for one in isos
-        if one.gain_dn_per_e is not None and (scale := scale_of(one)) is not None
-    ]
 
 
 def _row(one: IsoCalibration) -> ProfileRow | None:
@@ -325,27 +327,3 @@ def _row(one: IsoCalibration) -> ProfileRow | None:
         r_squared_tl=one.read.r_squared_tl,
         r_squared_gauss=one.read.r_squared_gauss,
     )
-
-
-def _fitted(
-    name: str, points: Sequence[tuple[float, float]], remarks: list[str]
-) -> tuple[LogLogEstimate | None, LogLogFit]:
-    """Return the fit of a scale over K, or with too few ISOs for one the line that they do give; add to the remarks."""
-    usable = sorted((gain, scale) for gain, scale in points if scale > 0 and math.isfinite(scale))
-    lost = len(points) - len(usable)
-    if lost:
-        what = f"{lost} ISO(s), which its fit leaves out" if usable else "every ISO; the profile has none"
-        remarks.append(f"{name} was 0 at {what}")
-    gains = [gain for gain, _ in usable]
-    if len(usable) >= 3 and len(set(gains)) >= 3:
-        estimate = fit_log_log(gains, [scale for _, scale in usable])
-        return estimate, estimate.fit
-    if not usable:
-        return None, LogLogFit(0.0, math.log(_NO_NOISE_DN), 0.0)
-    (low, first), (high, last) = usable[0], usable[-1]
-    slope = math.log(last / first) / math.log(high / low) if high > low else 0.0
-    remarks.append(
-        f"{name} is known at {len(usable)} ISO(s): the profile has the line through them, without the spread around it "
-        "that three or more would show"
-    )
-    return None, LogLogFit(slope, math.log(first) - slope * math.log(low), 0.0)

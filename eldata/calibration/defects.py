@@ -27,6 +27,8 @@ MINIMUM_FRAMES = 4
 
 _MOST_FRAMES = 16_384  # twice their sum fits 31 bits
 _CLIPPED_SHARE = 0.01  # of pixels that reach 0
+_OUTER = (0.9, 1.645), (0.99, 2.576)  # shares of normal values, and how many standard deviations they lie within
+_LEAST_REACH = 2.0  # standard deviations below its mean that a residual must be able to go
 _BLOCK = 16  # periods of the CFA a side, for the local level
 _SQUARED_PIXELS = 1 << 22  # of a frame with more, a seventh tells the variance over time: every
 _STEP = 7  # seventh period of its rows
@@ -96,6 +98,20 @@ class FixedPattern:
     summary: PatternSummary
 
     @property
+    def reach_dn(self) -> float:
+        """How far below its mean a residual can go before some pixels' recorded values end at 0, by any frame's.
+
+        A residual is (1 - 1/n) of its own value less what the other frames put in, within five standard deviations.
+        """
+        own = 1 - 1 / self.frames
+        return own * min(self.level_dn) - 5 * math.sqrt(own * (1 - own) * max(self.temporal_variance_dn2))
+
+    @property
+    def clips_at_black(self) -> bool:
+        """Whether the noise reaches 0, where recorded values end, so that residuals are not those of the noise."""
+        return self.reach_dn < _LEAST_REACH * math.sqrt(max(self.temporal_variance_dn2))
+
+    @property
     def mean_dn(self) -> NDArray[np.float32]:
         """The mean frame, (H, W)."""
         return (self.total_dn / self.frames).astype(np.float32)
@@ -154,7 +170,7 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
     ArgumentError
         If the threshold is not positive.
     DatasetError
-        If there are too few frames, black is clipped, or nearly all pixels never change.
+        If there are too few frames, or nearly all pixels never change.
     """
     from eldata.calibration._kernels import block_moments, distances_from_median
 
@@ -169,6 +185,7 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
     total, lowest, highest = stack.total, stack.lowest, stack.highest
 
     scatter = stack.scatter
+    is_cut = float((lowest == 0).mean()) > _CLIPPED_SHARE
     defects = _stuck(stack, scatter)
     stuck = int(defects.sum())
     off_level = 0
@@ -184,6 +201,8 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
         per_dn = 2 * (frames - 2)
         every = np.concatenate([distance.ravel() for _, distance in distances])
         spread = 1.4826 * float(np.median(every, overwrite_input=True)) / per_dn
+        if is_cut:  # half of the pixels or more may lie within a fraction of the noise of the median, which is near 0
+            spread = max(spread, *(float(np.quantile(every, share)) / per_dn / size for share, size in _OUTER))
         far = threshold * max(spread, 1 / frames)
         for site, distance in distances:
             off = distance > far * per_dn
@@ -276,21 +295,17 @@ def _stuck(stack: BiasStack, scatter: NDArray[np.int64]) -> NDArray[np.bool_]:
     lowest, highest, frames = stack.lowest, stack.highest, stack.frames
     constant = lowest == highest
     share = float(constant.mean())
-    if float((lowest == 0).mean() - (highest == 0).mean()) > _CLIPPED_SHARE:
-        raise DatasetError(
-            "black is clipped: many pixels are 0 in some frame and above in another, so that neither mean nor noise "
-            "is known; calibrate raw files whose black level lies above 0, and never subtract it before"
-        )
     if share > 0.99:
         raise DatasetError(
-            "nearly all pixels have the same value in every frame: the frames are copies of one another, or black is "
-            "clipped; calibrate raw files whose black level lies above 0"
+            "nearly all pixels have the same value in every frame: the frames are copies of one another, or nearly all "
+            "of the noise lies below black, where it is clipped; calibrate raw files whose black level lies above 0"
         )
     middle = float(np.median(scatter[::7, ::5]))
     sigma = math.sqrt(middle / (frames * (frames - 1)) / 0.9)
     # All n values alike: below (1 / (sigma sqrt(2 pi)))^(n - 1) / sqrt(n) for Gaussian noise of sigma > 1/2 DN.
     chance = (1 / (sigma * math.sqrt(2 * math.pi))) ** (frames - 1) / math.sqrt(frames) if sigma > 0.5 else 1.0
-    return constant if chance < 1e-4 else np.zeros_like(constant)
+    # What is 0 throughout may be noise below black.
+    return constant & (highest > 0) if chance < 1e-4 else np.zeros_like(constant)
 
 
 def _non_uniformity(blocks: list[tuple[NDArray[Any], ...]], noise: float, noise_error: float) -> tuple[float, float]:

@@ -21,6 +21,9 @@ _BY_CHANCE = 1e-4  # of one check of one ISO
 # both, and takes 2 w from the variance: at most four times the correlation.
 _LOST_PER_CORRELATION = 4.0
 _LEAST_LOSS = 0.002  # of K: below it a correlation is not worth a word
+# Share of the measurements. Patches of 1000 pixels, six to a row of 24 megapixels, have edges in a tenth of its pieces.
+# A wall has none, but that light which falls off steeply over a few hundred pixels counts as some.
+_MOST_EDGES = 0.1
 _TOO_WIDE = 0.1  # of K: beyond it, no error says how wrong K may be
 
 
@@ -28,6 +31,21 @@ def flat_findings(transfer: PhotonTransfer) -> tuple[Finding, ...]:
     """Return what the checks of one ISO's flats say."""
     saturation = saturation_findings(transfer.saturation, transfer.left_out)
     return (*saturation, *_correlation(transfer), *_curvature(transfer), *_agreement(transfer))
+
+
+def edge_findings(transfer: PhotonTransfer) -> Iterator[Finding]:
+    """Yield a remark if the flats show a scene with edges: the variance within a frame is then the scene's own."""
+    if transfer.edges > _MOST_EDGES:
+        yield Finding(
+            "edges in flats",
+            (),
+            "remark",
+            transfer.edges,
+            _MOST_EDGES,
+            f"{transfer.edges:.0%} of the flats' area have edges in or near them, as on a colour chart, and were left "
+            "out of K; the published method, which takes a frame's variance for noise, says nothing of such frames and "
+            "is not given beside it",
+        )
 
 
 def saturation_findings(saturation: Sequence[Saturation | None], left_out: float) -> Iterator[Finding]:

@@ -215,7 +215,7 @@ def unreadable(record: FrameRecord, error: EldataError) -> Problem:
 
 
 def clipped_black(record: FrameRecord, mosaic: NDArray[np.uint16]) -> list[Problem]:
-    """Return a problem if more than 1 % of a bias frame's pixels are 0."""
+    """Return a problem if more than 1 % of a bias frame's pixels are 0, where whole noise is needed."""
     share = (mosaic.size - int(np.count_nonzero(mosaic))) / mosaic.size
     if share <= _CLIPPED_SHARE:
         return []
@@ -225,8 +225,8 @@ def clipped_black(record: FrameRecord, mosaic: NDArray[np.uint16]) -> list[Probl
             "black",
             "noise on both sides of a black level above 0",
             f"{share:.0%} of the pixels at 0 DN",
-            "black is clipped in this file, so neither mean nor noise is known: use raw files that keep the black "
-            "level, and never subtract it before",
+            "black is clipped in this file, and half of the noise cannot be compared: use raw files that keep the "
+            "black level; a calibration takes these",
         )
     ]
 

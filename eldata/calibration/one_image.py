@@ -16,9 +16,11 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 
 from eldata.base.tables import one_line
+from eldata.calibration.mode_fits import NO_NOISE_DN
 from eldata.errors import DatasetError, check_choice
+from eldata.noise.gain_modes import LogLogFit
 from eldata.noise.parameters import tukey_lambda_variance
-from eldata.noise.profile import CameraProfile, LogLogFit, ProfileRow
+from eldata.noise.profile import CameraProfile, ProfileRow
 from eldata.raw.cfa import pack, packed_black_level_dn
 
 if TYPE_CHECKING:
@@ -37,7 +39,6 @@ NOT_KNOWN = (
 """What every profile from one photograph says of itself."""
 
 _ROUNDING_DN2 = 1 / 12
-_NO_NOISE_DN = 1e-9  # a scale that a log-log line can hold in place of 0
 # How far the true black lies from the recorded one, as a share of the range: the colour bias of the five published
 # calibrations, mean over the channels, is 1.1 DN of 14 bits (root mean square over rows, then cameras).
 _BLACK_ERROR = 7e-5
@@ -128,6 +129,8 @@ class ImageEstimate:
             figures: NoiseFigures | None = getattr(self, name)
             if figures is not None:
                 content[name] |= {"sigma_dn": figures.sigma_dn, "sigma_error": figures.sigma_error}
+        if self.profile is not None:
+            content["profile"] = self.profile.as_dict()
         plain: dict[str, Any] = _finite(content)
         return plain
 
@@ -365,4 +368,4 @@ def _profile(
 
 
 def _constant(scale_dn: float) -> LogLogFit:
-    return LogLogFit(0.0, math.log(max(scale_dn, _NO_NOISE_DN)), 0.0)
+    return LogLogFit(0.0, math.log(max(scale_dn, NO_NOISE_DN)), 0.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from operator import methodcaller
 from typing import TYPE_CHECKING, TypeVar
@@ -16,16 +16,24 @@ from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.calibration.audit import Finding
 from eldata.calibration.bias_audit import BiasAudit
 from eldata.calibration.bias_checks import bias_findings
+from eldata.calibration.clipped_black import ClippedFit, clipped_fit
+from eldata.calibration.clipped_figures import (
+    clipped_bias,
+    clipped_findings,
+    clipped_plot,
+    clipped_read_noise,
+    unclipped_pattern,
+)
+from eldata.calibration.clipped_values import ClippedValues
 from eldata.calibration.colour_bias import ChannelMeans, colour_bias
 from eldata.calibration.defects import MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
-from eldata.calibration.flat_checks import flat_findings, saturation_findings
+from eldata.calibration.flat_checks import edge_findings, flat_findings, saturation_findings
 from eldata.calibration.frame_checks import (
     ADVISED_BIAS_FRAMES,
     Copies,
     FrameFigures,
     FramesError,
     PairLevels,
-    clipped_black,
     code_step,
     missing_codes,
     odd_bias_frames,
@@ -42,7 +50,13 @@ from eldata.calibration.photon_transfer import (
     photon_transfer,
     spatial_photon_transfer,
 )
-from eldata.calibration.read_noise import Residuals, probability_plot, read_noise, read_noise_findings
+from eldata.calibration.read_noise import (
+    ResidualHistogram,
+    Residuals,
+    probability_plot,
+    read_noise,
+    read_noise_findings,
+)
 from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs, transfer_remarks
 from eldata.calibration.reproduction import compared_piece, reproduction
 from eldata.calibration.results import IsoCalibration, IsoGain
@@ -92,7 +106,7 @@ def calibrate_iso(
     Raises
     ------
     FramesError
-        If frames differ in size, CFA or levels, are odd or clipped at 0; or if the estimators of what bias frames show
+        If frames differ in size, CFA or levels, or are odd; or if the estimators of what bias frames show
         cannot use them. Every problem found is in it. Flats without a line are no error: K is withheld.
     """
     with _unusable(frames, chosen):
@@ -205,25 +219,37 @@ class _Reader:
 
 
 def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
-    fixed, estimated, held_out = _first_pass(reader, chosen.bias)
-    sensor = reader.sensor
-    lines, residuals, audit = LineMeans(fixed), Residuals(fixed), BiasAudit(fixed)
-    means = ChannelMeans(sensor.cfa, defects=fixed.defects)
+    recorded, estimated, held_out = _first_pass(reader, chosen.bias)
+    sensor, is_clipped = reader.sensor, recorded.clips_at_black
+    values = ClippedValues(recorded) if is_clipped else Residuals(recorded)
+    lines, audit = LineMeans(recorded), BiasAudit(recorded)
+    means = ChannelMeans(sensor.cfa, defects=recorded.defects)
     spectrum, single, gaps, step = None, None, 0.0, 1
     for _, frame in reader.read(estimated):
         if spectrum is None:
-            spectrum, gaps = power_spectrum(frame.mosaic, fixed), missing_codes(frame.mosaic, fixed.pattern)
-            single, step = single_frame_plot(frame.mosaic, fixed), code_step(frame.mosaic, fixed.pattern)
-        in_threads(methodcaller("add", frame.mosaic), (residuals, audit, lines, means), reader.workers.jobs)
+            spectrum, gaps = power_spectrum(frame.mosaic, recorded), missing_codes(frame.mosaic, recorded.pattern)
+            single = None if is_clipped else single_frame_plot(frame.mosaic, recorded)
+            step = code_step(frame.mosaic, recorded.pattern)
+        in_threads(methodcaller("add", frame.mosaic), (values, audit, lines, means), reader.workers.jobs)
         del frame
     reader.refuse()
     if spectrum is None:
         raise DatasetError("no bias frame could be read")
-    histogram = residuals.histogram()
     of_first_frame = spectrum, single
+    if isinstance(values, ClippedValues):
+        shown: ClippedFit | ResidualHistogram = clipped_fit(values, lines, means)
+    else:
+        shown = values.histogram()
+    fixed = recorded if isinstance(shown, ResidualHistogram) else unclipped_pattern(recorded, shown)
 
     def from_bias_frames() -> IsoCalibration:
-        read, bias = read_noise(histogram), colour_bias(means, sensor.black_level_dn)
+        bias, found = colour_bias(means, sensor.black_level_dn), audit.statistics()
+        if isinstance(shown, ResidualHistogram):
+            read, plot = read_noise(shown), probability_plot(shown)
+            of_clip: Iterator[Finding] = iter(())
+        else:
+            read, plot, bias = clipped_read_noise(shown), clipped_plot(shown), clipped_bias(shown, bias, recorded)
+            of_clip = clipped_findings(shown, read, bias)
         rows = row_noise(lines, read.response)
         dark = IsoCalibration(
             iso=float(chosen.iso),
@@ -235,15 +261,16 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
             bias=bias,
             rows=rows,
             read=read,
-            plot=probability_plot(histogram),
+            plot=plot,
             pattern=fixed.summary,
             spectrum_dn2=of_first_frame[0],
             single_frame=of_first_frame[1],
             reproduction=None,
             remarks=(),
             findings=(
+                *of_clip,
                 *read_noise_findings(read, bias, fixed.summary),
-                *bias_findings(audit.statistics(), bias, rows, read, step=step, gaps=gaps),
+                *bias_findings(found, bias, rows, read, step=step, gaps=gaps, is_clipped=is_clipped),
             ),
             stated_gain_dn_per_e=chosen.stated_gain_dn_per_e,
         )
@@ -279,7 +306,6 @@ def _first_pass(
         raise _too_few(len(estimated))
     stack, kept, figures, used = None, None, [], []
     for record, frame in reader.read(bias):
-        reader.problems += clipped_black(record, frame.mosaic)
         figures.append(FrameFigures.of(record, frame.mosaic))
         stack = stack or BiasStack(frame.sensor.cfa)
         if reader.copies.original(record, frame.mosaic) is not None:
@@ -361,11 +387,11 @@ def _flats(reader: _Reader, chosen: IsoFrames, fixed: FixedPattern | None) -> _F
     except DatasetError as error:
         no_line = _no_line(f"{error}; pairs used: {', '.join(map(str, used))}")
         return _FromFlats(None, None, said, (*saturation_findings(pairs.saturation, pairs.left_out), no_line))
-    try:
-        spatial = spatial_photon_transfer(singles)
-    except DatasetError:
-        spatial = None  # it needs three brightnesses; it is for comparison alone
-    return _FromFlats(transfer, spatial, said, (*uneven_light(used), *flat_findings(transfer)))
+    edges, spatial = tuple(edge_findings(transfer)), None
+    if not edges:
+        with suppress(DatasetError):  # it needs three brightnesses; it is for comparison alone
+            spatial = spatial_photon_transfer(singles)
+    return _FromFlats(transfer, spatial, said, (*uneven_light(used), *edges, *flat_findings(transfer)))
 
 
 def _no_line(why: str) -> Finding:

@@ -420,10 +420,10 @@ class FlatFrames(_Flats):
         """Add a flat frame."""
         from eldata.calibration._kernels import channel_histograms
 
-        counts = np.zeros((self.channels, 65536), dtype=np.int64)
+        counts = np.zeros((1, self.channels, 65536), dtype=np.int64)
         channel_histograms(mosaic, self._check(mosaic), self.pattern, counts)
         values = np.arange(65536)  # integers: exact, and no BLAS, whose threads would wait in vain
-        for channel, histogram in enumerate(counts):
+        for channel, histogram in enumerate(counts[0]):
             total = int(histogram.sum())
             bad = int(histogram[0]) + int(histogram[math.ceil(self._limit) :].sum())
             if total < 2 or bad > _CLIPPED_SHARE * 0.01 * total:

@@ -241,21 +241,18 @@ class Residuals:
         fixed, frames = self._fixed, self._fixed.frames
         check_same_frames(self._added, fixed)
         pixels = float(self._pixels.sum(axis=1).mean())
-        own = (1 - 1 / frames) * (1 - 1 / pixels)
-        variance = max(fixed.temporal_variance_dn2)
-        reach = own * min(fixed.level_dn) - 5 * math.sqrt(own * (1 - own) * variance)
-        if reach < 2 * math.sqrt(variance):
+        if fixed.clips_at_black:
             raise DatasetError(
                 f"the black level ({min(fixed.level_dn):.1f} DN) is too close to 0 for noise of "
-                f"{math.sqrt(variance):.1f} DN: much of it is clipped; calibrate raw files whose black level lies well "
-                "above 0"
+                f"{math.sqrt(max(fixed.temporal_variance_dn2)):.1f} DN: much of it is clipped, and residuals do not "
+                "show it; clipped_fit does"
             )
         return ResidualHistogram(
             self._counts.copy(),
             self._step / frames,
             frames,
             pixels,
-            reach_dn=reach,
+            reach_dn=fixed.reach_dn,
             squares_dn2=self._squares / frames**2,
             fractions=self._fractions(pixels),
         )

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from eldata.calibration.audit import Effect, Figure, Finding
     from eldata.calibration.colour_bias import ColourBias
     from eldata.calibration.defects import PatternSummary
-    from eldata.calibration.joint import LogLogEstimate
+    from eldata.calibration.joint import FittedMode, LogLogEstimate
     from eldata.calibration.photon_transfer import PhotonTransfer
     from eldata.calibration.read_noise import ProbabilityPlot, ReadNoise
     from eldata.calibration.reproduction import Reproduction
@@ -291,9 +291,8 @@ class Calibration:
         The ISOs whose frames cannot be used, which nothing else contains.
     source
         What the figures come from, in words.
-    tukey_lambda_fit, gauss_fit, row_fit
-        The lines over K with their uncertainty; ``None`` where fewer than three ISOs can be fitted. The profile then
-        says in a note what it holds instead.
+    modes
+        The lines over K with their uncertainty: one set, or one for each gain mode of the camera. None if no ISO has K.
     remarks
         About the calibration as a whole.
     made_profile
@@ -305,14 +304,30 @@ class Calibration:
     camera: str
     isos: tuple[IsoCalibration, ...]
     source: str
-    tukey_lambda_fit: LogLogEstimate | None
-    gauss_fit: LogLogEstimate | None
-    row_fit: LogLogEstimate | None
+    modes: tuple[FittedMode, ...]
     remarks: tuple[str, ...]
     made_profile: CameraProfile | None
     no_profile: str = ""
     gains: tuple[IsoGain, ...] = ()
     failed: tuple[FailedIso, ...] = ()
+
+    @property
+    def tukey_lambda_fit(self) -> LogLogEstimate | None:
+        """The line of sigma_TL over K; ``None`` if fewer than three ISOs can be fitted, or there are several modes.
+
+        With too few ISOs, the profile says in a note what it holds instead.
+        """
+        return self.modes[0].tukey_lambda_fit if len(self.modes) == 1 else None
+
+    @property
+    def gauss_fit(self) -> LogLogEstimate | None:
+        """The line of sigma_G over K; ``None`` as for ``tukey_lambda_fit``."""
+        return self.modes[0].gauss_fit if len(self.modes) == 1 else None
+
+    @property
+    def row_fit(self) -> LogLogEstimate | None:
+        """The line of sigma_row over K; ``None`` as for ``tukey_lambda_fit``."""
+        return self.modes[0].row_fit if len(self.modes) == 1 else None
 
     @property
     def all_isos(self) -> tuple[IsoGain, ...]:
@@ -415,8 +430,16 @@ class Calibration:
         return ("ISO", *(self.isos[0].channels if self.isos else ()), "DSNU"), rows
 
     def fit_table(self) -> list[tuple[str, ...]]:
-        """Return the rows of the joint fits that could be made."""
-        named = (("sigma_TL", self.tukey_lambda_fit), ("sigma_G", self.gauss_fit), ("sigma_row", self.row_fit))
+        """Return the rows of the joint fits that could be made, those of each gain mode after another."""
+        named = [
+            (f"{name}, {one.mode}" if len(self.modes) > 1 else name, estimate)
+            for one in self.modes
+            for name, estimate in (
+                ("sigma_TL", one.tukey_lambda_fit),
+                ("sigma_G", one.gauss_fit),
+                ("sigma_row", one.row_fit),
+            )
+        ]
         return [
             (
                 name,
@@ -470,7 +493,8 @@ class Calibration:
             "failed_isos": [one.iso for one in self.failed],
             "problems": [asdict(problem) for problem in self.problems],
             "fits": {name: None if estimate is None else asdict(estimate) for name, estimate in fits.items()},
-            "profile": None if self.made_profile is None else asdict(self.made_profile),
+            "modes": [asdict(one) for one in self.modes] if len(self.modes) > 1 else [],
+            "profile": None if self.made_profile is None else self.made_profile.as_dict(),
             "no_profile": self.no_profile or None,
             "remarks": list(self.all_remarks),
         }

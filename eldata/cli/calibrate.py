@@ -61,6 +61,21 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
             "be repeated. A measured K counts before a stated one"
         ),
     )
+    modes = parser.add_mutually_exclusive_group()
+    modes.add_argument(
+        "--mode",
+        action="append",
+        dest="modes",
+        type=whole_number(1),
+        metavar="ISO",
+        help=(
+            "the camera switches its conversion gain, and from this ISO on the noise has lines of its own over K; may "
+            "be repeated (default: told by a step in the lines)"
+        ),
+    )
+    modes.add_argument(
+        "--one-mode", action="store_const", const=[], dest="modes", help="the camera does not switch: one line each"
+    )
     add_shared(parser, run, "root", "workers", "isolation", "json")
 
 
@@ -99,7 +114,7 @@ def run(arguments: argparse.Namespace) -> int:
     gains |= dict(stated for stated in arguments.gains if not isinstance(stated, str))
     try:
         with chosen_workers(arguments) as workers:
-            found = calibrate(frames, gains=gains, workers=workers)
+            found = calibrate(frames, gains=gains, modes=arguments.modes, workers=workers)
     except FramesError as error:
         problems = error.problems
         data = {"camera": frames.camera, "problems": [asdict(one) for one in problems]}

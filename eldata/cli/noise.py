@@ -23,10 +23,10 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "check",
         help="the acceptance test of a noise model",
         description=(
-            "Hold the frames that a profile's noise model makes against bias frames, and flats, of the camera that "
-            "the profile was not made from: level, distribution and tails, rows and columns, neighbours, fixed "
-            "pattern, pixels of unlike noise, variance over mean. Each statistic gets a verdict; its standard error is "
-            "that of the scatter from pair to pair of frames. Exit code 1 if one is off by more than 4 of them."
+            "Hold the frames that a profile's noise model makes against bias frames and flats of the same camera that "
+            "its calibration did not see: level, distribution and tails, rows and columns, neighbours, fixed pattern, "
+            "pixels of unlike noise, variance over mean. Each statistic gets a verdict; its standard error is that of "
+            "the scatter from pair to pair of frames. Exit code 1 if one is off by more than 4 standard errors."
         ),
         epilog=(
             "Any other model (a network, recorded dark frames) is judged by eldata.calibration.check_noise: "

@@ -65,6 +65,23 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="take the file's NoiseProfile, or the pixels (default: the former where there is one)",
     )
     add_shared(estimate, run_estimate, "isolation", "json")
+    importing = subcommands.add_parser(
+        "import",
+        help="make a profile of a published parameter file (.npy)",
+        description=(
+            "Make a profile of a parameter file as the ELD authors publish them (CAMERA_params.npy). Such a file is a "
+            "pickle, and it is not unpickled: nothing in it is run. The profile's notes say what is inferred."
+        ),
+    )
+    importing.add_argument("file", metavar="FILE", help="the parameter file")
+    add_output(importing, "-o", "--output", help="write the camera profile to FILE (JSON)", required=True)
+    importing.add_argument("--camera", metavar="NAME", help="the camera's name (default: the file's, less _params)")
+    importing.add_argument(
+        "--calibration",
+        metavar="NAME",
+        help="which of several calibrations in the file, such as Profile-2 (default: the only one)",
+    )
+    add_shared(importing, run_import)
     listing = subcommands.add_parser("list", help="list the profiles that ship", description="List shipped profiles.")
     add_shared(listing, run_list, "json")
 
@@ -91,6 +108,7 @@ def run_show(arguments: argparse.Namespace) -> int:
         ("source", one_line(profile.source)),
         ("gain", f"{low:.4g} to {high:.4g} DN/e-"),
         ("ISO", "not known" if profile.iso_range is None else "{:g} to {:g}".format(*profile.iso_range)),
+        *(("mode", f"{mode}, {'{:.4g} to {:.4g}'.format(*mode.gain_range_dn_per_e)} DN/e-") for mode in profile.modes),
         *(
             (name, f"{level:g} DN")
             for name, level in (("black", profile.black_level_dn), ("white", profile.white_level_dn))
@@ -142,6 +160,36 @@ def run_estimate(arguments: argparse.Namespace) -> int:
         arguments.json and (lambda: write_json(arguments.json, found.as_dict())),
     )
     return PROBLEMS if found.profile is None else OK
+
+
+def run_import(arguments: argparse.Namespace) -> int:
+    """Write the profile of a published parameter file."""
+    from pathlib import Path
+
+    from eldata.base.visible import in_line
+    from eldata.errors import ArgumentError
+    from eldata.noise.published import profiles_from_published, read_published
+
+    path = Path(arguments.file)
+    camera = arguments.camera or path.stem.removesuffix("_params")
+    data = read_published(path)
+    profiles = profiles_from_published(camera, data, source=f"{path.name}, as the ELD authors publish such files")
+    named = {profile.source.rpartition(", ")[2]: profile for profile in profiles}
+    known = in_line(", ".join(named))
+    if arguments.calibration is None and len(named) > 1:
+        raise ArgumentError(
+            f"{in_line(arguments.file)} holds {len(named)} calibrations; choose one with --calibration: {known}"
+        )
+    chosen = arguments.calibration or next(iter(named))
+    if chosen not in named:
+        raise ArgumentError(f"{in_line(arguments.file)} holds no calibration {chosen!r}; known are {known}")
+    profile = named[chosen]
+    profile.save(arguments.output)
+    print(
+        f"{in_line(camera)}: {len(profile.rows)} rows, {chosen}\n"
+        f"profile: {arguments.output}; look at it with eldata profile show {arguments.output}"
+    )
+    return OK
 
 
 def run_list(arguments: argparse.Namespace) -> int:

@@ -156,7 +156,7 @@ def _begun(recipe: Recipe, paths: Sequence[Path]) -> dict[str, object]:
     options = asdict(recipe) | {"ratio": list(recipe.ratio), "profile": recipe.profile.camera}
     return options | {
         "written_by": f"eldata {__version__}",
-        "digest_of_the_profile": _digest(asdict(recipe.profile)),
+        "digest_of_the_profile": _digest(recipe.profile.as_dict()),
         "digest_of_the_clean_files": _digest(clean),
     }
 
@@ -203,7 +203,7 @@ def _write_tables(
     parameters = {
         "model": recipe.spec,
         "written_model": recipe.model().components.spec,
-        "profile": asdict(recipe.profile),
+        "profile": recipe.profile.as_dict(),
         "seed": recipe.seed,
         "ratio": list(recipe.ratio),
         "format": recipe.format,
@@ -303,6 +303,7 @@ def _cropped(frame: RawFrame) -> RawFrame:
 
 def _iso_of(profile: CameraProfile, gain_dn_per_e: float, otherwise: Fraction) -> Fraction:
     """Return the whole ISO that belongs to a gain, if the profile says how they go together."""
-    if profile.iso_range is None:
+    mode = profile.mode_at(gain_dn_per_e, extrapolate=True)
+    if mode.iso_range is None:
         return otherwise
-    return Fraction(max(1, round(profile.iso_range[0] * gain_dn_per_e / profile.gain_range_dn_per_e[0])))
+    return Fraction(max(1, round(mode.iso_range[0] * gain_dn_per_e / mode.gain_range_dn_per_e[0])))

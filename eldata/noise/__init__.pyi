@@ -3,6 +3,7 @@ from .components import Components as Components
 from .components import parse_components as parse_components
 from .exposures import Adc as Adc
 from .exposures import DarkCrops as DarkCrops
+from .gain_modes import GainMode as GainMode
 from .makers import DarkSource as DarkSource
 from .makers import NoiseMaker as NoiseMaker
 from .model import NoiseModel as NoiseModel

@@ -379,22 +379,36 @@ def _sampled(profile: CameraProfile, components: Components, seed: int) -> Draws
 def _against_fits(profile: CameraProfile, components: Components, draws: Draws) -> tuple[TheoryCheck, ...]:
     """Which shares of the draws lie within 1 and 2 sigma of the lines, and where their gains lie."""
     comparisons = []
-    low, high = (math.log(limit) for limit in profile.gain_range_dn_per_e)
-    if high > low:
-        place = float((np.log(draws.gain_dn_per_e) - low).mean()) / (high - low)
+    modes = [profile.mode_at(float(gain)) for gain in draws.gain_dn_per_e]
+    width = sum(mode.log_width for mode in profile.gain_modes)
+    if width > 0:
+        # How far along the ranges of all modes, one after the other: the gaps between them have no draws.
+        before = {
+            mode: sum(one.log_width for one in profile.gain_modes[:at]) for at, mode in enumerate(profile.gain_modes)
+        }
+        along = [
+            before[mode] + math.log(gain / mode.gain_range_dn_per_e[0])
+            for mode, gain in zip(modes, draws.gain_dn_per_e, strict=True)
+        ]
+        place = float(np.mean(along)) / width
         error = math.sqrt(1 / 12 / DRAWS)
         comparisons.append(TheoryCheck("sampled parameters", "ln K, mean place in its range", "1", 0.5, place, error))
     read_name = "sigma_G" if components.read == "gaussian" else "sigma_TL"
-    for name, fit, scales in (
-        (read_name, read_fit(profile, components), draws.sigma_read_dn),
-        ("sigma_row", profile.row_fit, draws.sigma_row_dn),
+    for name, fits, scales in (
+        (read_name, [read_fit(mode, components) for mode in modes], draws.sigma_read_dn),
+        ("sigma_row", [mode.row_fit for mode in modes], draws.sigma_row_dn),
     ):
-        if fit.sigma == 0:
-            continue  # every draw lies on the line
-        line = fit.slope * np.log(draws.gain_dn_per_e) + fit.intercept
-        residuals = np.abs(np.log(scales) - line) / fit.sigma
-        for width in (1, 2):
-            share, found = math.erf(width / math.sqrt(2)), float((residuals <= width).mean())
-            symbol, error = f"{name}, share within {width} sigma", math.sqrt(share * (1 - share) / DRAWS)
+        residuals = np.array(
+            [
+                abs(math.log(scale) - fit.slope * math.log(gain) - fit.intercept) / fit.sigma
+                for fit, gain, scale in zip(fits, draws.gain_dn_per_e, scales, strict=True)
+                if fit.sigma > 0  # else every draw lies on the line
+            ]
+        )
+        if not residuals.size:
+            continue
+        for sigmas in (1, 2):
+            share, found = math.erf(sigmas / math.sqrt(2)), float((residuals <= sigmas).mean())
+            symbol, error = f"{name}, share within {sigmas} sigma", math.sqrt(share * (1 - share) / residuals.size)
             comparisons.append(TheoryCheck("sampled parameters", symbol, "1", share, found, error))
     return tuple(comparisons)

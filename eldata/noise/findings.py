@@ -14,8 +14,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.noise.components import Components
+    from eldata.noise.gain_modes import GainMode, LogLogFit
     from eldata.noise.parameters import NoiseParameters
-    from eldata.noise.profile import CameraProfile, LogLogFit
+    from eldata.noise.profile import CameraProfile
 
 CHANNELS = ("R", "G1", "B", "G2")
 SIGNALS_E = (0.0, 1.0, 3.0, 10.0, 30.0, 60.0, 100.0, 150.0, 200.0, 300.0, 400.0, 500.0)
@@ -102,9 +103,9 @@ def parameter_rows(parameters: NoiseParameters) -> list[tuple[str, str, str]]:
     ]
 
 
-def read_fit(profile: CameraProfile, components: Components) -> LogLogFit:
+def read_fit(mode: GainMode, components: Components) -> LogLogFit:
     """Return the fit of the read noise that a model uses: sigma_TL, or the Gaussian sigma for ``G``."""
-    return profile.gauss_fit if components.read == "gaussian" else profile.tukey_lambda_fit
+    return mode.gauss_fit if components.read == "gaussian" else mode.tukey_lambda_fit
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -214,7 +215,7 @@ class Diagnostics:
 
     def as_dict(self) -> dict[str, Any]:
         """Return what the terminal shows as plain types."""
-        profile = asdict(self.profile)
+        profile = self.profile.as_dict()
         return {
             "camera": self.profile.camera,
             "profile": {key: profile[key] for key in ("source", "gain_range_dn_per_e", "iso_range", "notes")},

@@ -1,6 +1,8 @@
 """Camera profiles: what a calibration found, and how parameters are drawn from it.
 
-A profile is a JSON file, validated on load. Five cameras ship with the package (:func:`shipped_profiles`).
+A profile is a JSON file, validated on load. Profiles of five cameras ship with the package (:func:`shipped_profiles`).
+
+A camera that switches its conversion gain has the noise of two cameras: its profile holds a :class:`GainMode` for each.
 """
 
 from __future__ import annotations
@@ -8,12 +10,14 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from eldata.base.fields import Fields, TextFile, names_of
 from eldata.base.files import write_json
 from eldata.errors import ArgumentError, ProfileError
+from eldata.noise.gain_modes import GAIN_ROUNDING, GainMode, LogLogFit, modes_problem
 from eldata.noise.parameters import NoiseParameters, shape_problem
 from eldata.noise.randomness import Generator, standard_normals, uniforms
 
@@ -21,21 +25,11 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 SCHEMA = 1
+SCHEMA_WITH_MODES = 2  # version 0.1, which would draw from one line, refuses it
 RowChoice = Literal["any", "nearest-gain", "measured"]
 
-
-@dataclass(frozen=True, slots=True)
-class LogLogFit:
-    """The line of ln(scale in DN) over ln(K in DN/e-), and the standard deviation of its residuals."""
-
-    slope: float
-    intercept: float
-    sigma: float
-
-    def scale_dn(self, gain_dn_per_e: float, standard_normal: float) -> float:
-        """Return the scale at a gain, ``standard_normal`` residual deviations off the line."""
-        mean = self.slope * math.log(gain_dn_per_e) + self.intercept
-        return math.exp(mean + self.sigma * standard_normal)
+_OF_ONE_MODE = ("tukey_lambda_fit", "gauss_fit", "row_fit")  # fields that a profile with modes leaves to them
+_GO_ON = "To go on with the nearer one's lines has to be asked for (extrapolate=True, --extrapolate)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +62,7 @@ class CameraProfile:
     gain_range_dn_per_e
         System gain K at the lowest and the highest calibrated ISO.
     tukey_lambda_fit, gauss_fit, row_fit
-        Fits of sigma_TL, of the Gaussian sigma and of sigma_row over K.
+        Fits of sigma_TL, of the Gaussian sigma and of sigma_row over K; ``None`` if there are ``modes``.
     rows
         Measurements by ISO.
     iso_range
@@ -77,19 +71,28 @@ class CameraProfile:
         Levels of the calibrated frames, if known.
     notes
         What a user should know, such as which figures are inferred.
+    modes
+        Two or more where the camera switches its conversion gain, ascending, each with a range and fits of its own.
+        Between their ranges nothing is known. Empty: the camera has one, whose range and fits are the profile's.
+
+    Raises
+    ------
+    ProfileError
+        If the parts do not go together; the message says which.
     """
 
     camera: str
     source: str
     gain_range_dn_per_e: tuple[float, float]
-    tukey_lambda_fit: LogLogFit
-    gauss_fit: LogLogFit
-    row_fit: LogLogFit
+    tukey_lambda_fit: LogLogFit | None
+    gauss_fit: LogLogFit | None
+    row_fit: LogLogFit | None
     rows: tuple[ProfileRow, ...]
     iso_range: tuple[float, float] | None = None
     black_level_dn: float | None = None
     white_level_dn: float | None = None
     notes: tuple[str, ...] = ()
+    modes: tuple[GainMode, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.rows:
@@ -99,6 +102,22 @@ class CameraProfile:
                 f"the profile of {self.camera}: the white level, {self.white_level_dn:g} DN, must lie above the black "
                 f"level, {self.black_level_dn:g} DN"
             )
+        if (problem := self._problem_of_fits()) is not None:
+            raise ProfileError(f"the profile of {self.camera}: {problem}")
+
+    def _problem_of_fits(self) -> str | None:
+        fits = (self.tukey_lambda_fit, self.gauss_fit, self.row_fit)
+        if not self.modes:
+            return (
+                "tukey_lambda_fit, gauss_fit and row_fit are needed where there are no modes" if None in fits else None
+            )
+        if fits != (None, None, None):
+            return "tukey_lambda_fit, gauss_fit and row_fit are those of the modes; leave them None"
+        found = modes_problem(self.modes, self.gain_range_dn_per_e, self.iso_range)
+        lacking = [mode for mode in self.modes if not self._rows_of(mode)]
+        if lacking and found is None:
+            return f"no row has a K in the mode of {lacking[0]}: lambda and colour bias are not known there"
+        return found
 
     @classmethod
     def load(cls, name: str | Path) -> CameraProfile:
@@ -119,7 +138,56 @@ class CameraProfile:
 
     def save(self, path: Path | str) -> None:
         """Write the profile as JSON, whole or not at all."""
-        write_json(path, {"schema": SCHEMA} | asdict(self), indent=1)
+        write_json(path, {"schema": SCHEMA_WITH_MODES if self.modes else SCHEMA} | self.as_dict(), indent=1)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the profile as its file holds it, as plain types: with modes, or with fits of its own."""
+        left_out = _OF_ONE_MODE if self.modes else ("modes",)
+        return {name: value for name, value in asdict(self).items() if name not in left_out}
+
+    @property
+    def gain_modes(self) -> tuple[GainMode, ...]:
+        """The modes; the profile's own range and fits, where it has no other."""
+        if self.tukey_lambda_fit is None or self.gauss_fit is None or self.row_fit is None:
+            return self.modes
+        lines = self.tukey_lambda_fit, self.gauss_fit, self.row_fit
+        return (GainMode(self.gain_range_dn_per_e, *lines, self.iso_range),)
+
+    def mode_at(self, gain_dn_per_e: float, *, extrapolate: bool = False) -> GainMode:
+        """Return the gain mode in whose range a gain lies, to 1 %: gains are printed with fewer digits.
+
+        The only mode of a camera holds for every gain.
+
+        Parameters
+        ----------
+        gain_dn_per_e
+            K, above 0.
+        extrapolate
+            Allow gains outside of all ranges: the mode whose range is nearest, in ln K, goes on there.
+
+        Raises
+        ------
+        ArgumentError
+            If the gain lies outside of all ranges.
+        """
+        modes = self.gain_modes
+        nearest = min(modes, key=lambda mode: mode.distance(gain_dn_per_e))
+        if len(modes) == 1 or extrapolate or nearest.distance(gain_dn_per_e) <= GAIN_ROUNDING:
+            return nearest
+        raise ArgumentError(
+            f"K {gain_dn_per_e:.4g} DN/e- lies outside of the gain modes of {self.camera}, "
+            f"{' and '.join('{:.4g} to {:.4g}'.format(*mode.gain_range_dn_per_e) for mode in modes)} DN/e-. {_GO_ON}"
+        )
+
+    def _rows_of(self, mode: GainMode) -> Sequence[ProfileRow]:
+        """Return the rows that were measured in a mode; every row, if it is the only one."""
+        if not self.modes:
+            return self.rows
+        return [
+            row
+            for row in self.rows
+            if row.gain_dn_per_e is not None and mode.distance(row.gain_dn_per_e) <= GAIN_ROUNDING
+        ]
 
     @property
     def range_dn(self) -> float | None:
@@ -142,26 +210,41 @@ class CameraProfile:
         Raises
         ------
         ArgumentError
-            If the profile does not know its ISOs, or this one lies outside.
+            If the profile does not know its ISOs, or this one lies outside of them or between two gain modes.
         """
         if not (math.isfinite(iso) and iso > 0):
             raise ArgumentError(f"an ISO is finite and above 0; found {iso:g}")
         measured = [row.gain_dn_per_e for row in self.rows if row.iso == iso and row.gain_dn_per_e is not None]
+        modes = self.gain_modes
         if self.iso_range is not None and not self.iso_range[0] <= iso <= self.iso_range[1] and not extrapolate:
             low, high = self.iso_range
             raise ArgumentError(
                 f"ISO {iso:g} is outside of the calibrated range {low:g} to {high:g} of {self.camera}; extrapolating "
                 "beyond it has to be asked for (extrapolate=True, --extrapolate)"
             )
+        if not extrapolate and any(
+            below.iso_range is not None
+            and above.iso_range is not None
+            and below.iso_range[1] < iso < above.iso_range[0]
+            for below, above in pairwise(modes)
+        ):
+            raise ArgumentError(
+                f"ISO {iso:g} lies between the gain modes of {self.camera}, {' and '.join(map(str, modes))}: which of "
+                f"them the camera has there was not measured. {_GO_ON}"
+            )
         if measured:
             return sum(measured) / len(measured)
-        if self.iso_range is None:
+        # Of several modes the one that is nearest in ISO: within its range, or beyond it if that was asked for.
+        distances = [
+            0.0
+            if mode.iso_range is None
+            else max(0.0, math.log(mode.iso_range[0] / iso), math.log(iso / mode.iso_range[1]))
+            for mode in modes
+        ]
+        gain = modes[distances.index(min(distances))].gain_at_iso(iso)
+        if gain is None:
             raise ArgumentError(f"the profile of {self.camera} does not say which ISO its gains belong to; give a gain")
-        (low, high), (first, last) = self.iso_range, self.gain_range_dn_per_e
-        if low == high:
-            return first * iso / low
-        share = math.log(iso / low) / math.log(high / low)
-        return math.exp(math.log(first) + share * math.log(last / first))
+        return gain
 
     def measured(self, iso: float) -> NoiseParameters:
         """Return the figures that were measured at an ISO, without the spread of the fits; the first of several.
@@ -205,7 +288,8 @@ class CameraProfile:
         """Draw parameters jointly (equation "sampling" of the paper).
 
         ln K is uniform between the camera's own limits; ln sigma is normal around its line given ln K; lambda and
-        colour bias come from one and the same calibration row.
+        colour bias come from one and the same calibration row. Of several gain modes, ln K is uniform over their ranges
+        together, and lines and rows are those of the mode in which K lies.
 
         Parameters
         ----------
@@ -214,18 +298,18 @@ class CameraProfile:
         iso, gain_dn_per_e
             Fix the ISO, or K itself, in place of drawing K.
         row
-            ``"any"``: every row alike, as in the paper. ``"nearest-gain"``: the row measured at the gain nearest to K
-            (one of them at random if several are). To simulate one ISO take the latter: with lambda of another row, a
-            scale makes another variance. ``"measured"``: nothing is drawn, the figures are those of :meth:`measured`
-            at ``iso``.
+            ``"any"``: every row (of the mode) alike, as in the paper. ``"nearest-gain"``: the row measured at the gain
+            nearest to K (one of them at random if several are). To simulate one ISO take the latter: with lambda of
+            another row, a scale makes another variance. ``"measured"``: nothing is drawn, the figures are those of
+            :meth:`measured` at ``iso``.
         extrapolate
-            Allow an ISO beyond the calibrated range (:meth:`gain_at_iso`).
+            Allow an ISO beyond the calibrated range or between two modes (:meth:`gain_at_iso`, :meth:`mode_at`).
 
         Raises
         ------
         ArgumentError
-            If both ``iso`` and ``gain_dn_per_e`` are given, the ISO is unknown or outside of the calibrated range, no
-            row has a gain to be near to, or the ISO was not measured.
+            If both ``iso`` and ``gain_dn_per_e`` are given, the ISO is unknown or outside of the calibrated range or,
+            as K may, of the gain modes, no row has a gain to be near to, or the ISO was not measured.
         """
         # Always five numbers, whatever is fixed: fixing one parameter leaves the others' draws as they were.
         u_gain, u_row = uniforms(generator, 2)
@@ -243,36 +327,46 @@ class CameraProfile:
             if not (math.isfinite(gain) and gain > 0):
                 raise ArgumentError(f"gain_dn_per_e must be finite and above 0; found {gain_dn_per_e}")
         else:
-            low, high = (math.log(limit) for limit in self.gain_range_dn_per_e)
-            gain = math.exp(low + u_gain * (high - low))
-        rows = self._rows_for(gain, row)
+            gain = self._gain_at(u_gain)
+        mode = self.mode_at(gain, extrapolate=extrapolate)
+        rows = self._rows_for(mode, gain, row)
         chosen = rows[min(int(u_row * len(rows)), len(rows) - 1)]
         return NoiseParameters(
             gain_dn_per_e=gain,
             tukey_lambda=chosen.tukey_lambda,
-            sigma_tl_dn=self.tukey_lambda_fit.scale_dn(gain, z_tl),
-            sigma_gauss_dn=self.gauss_fit.scale_dn(gain, z_gauss),
-            sigma_row_dn=self.row_fit.scale_dn(gain, z_row),
+            sigma_tl_dn=mode.tukey_lambda_fit.scale_dn(gain, z_tl),
+            sigma_gauss_dn=mode.gauss_fit.scale_dn(gain, z_gauss),
+            sigma_row_dn=mode.row_fit.scale_dn(gain, z_row),
             colour_bias_dn=chosen.colour_bias_dn,
             range_dn=self.range_dn,
             iso=iso,
         )
 
-    def _rows_for(self, gain: float, row: RowChoice) -> Sequence[ProfileRow]:
+    def _gain_at(self, share: float) -> float:
+        """Return the gain below which a share of all ranges of ln K lies."""
+        *others, mode = self.gain_modes
+        left = share * sum(one.log_width for one in (*others, mode))
+        for one in others:
+            if left <= one.log_width:
+                mode = one
+                break
+            left -= one.log_width
+        return math.exp(math.log(mode.gain_range_dn_per_e[0]) + left)
+
+    def _rows_for(self, mode: GainMode, gain: float, row: RowChoice) -> Sequence[ProfileRow]:
+        rows = self._rows_of(mode)
         if row == "any":
-            return self.rows
+            return rows
         if row != "nearest-gain":
             raise ArgumentError(f"row must be 'any', 'nearest-gain' or 'measured'; found {row!r}")
         distances = [
             abs(math.log(candidate.gain_dn_per_e / gain)) if candidate.gain_dn_per_e is not None else math.inf
-            for candidate in self.rows
+            for candidate in rows
         ]
         nearest = min(distances)
         if math.isinf(nearest):
             raise ArgumentError(f"no row of {self.camera}'s profile has a gain; row='nearest-gain' needs one")
-        return [
-            candidate for candidate, distance in zip(self.rows, distances, strict=True) if distance <= nearest + 1e-9
-        ]
+        return [candidate for candidate, distance in zip(rows, distances, strict=True) if distance <= nearest + 1e-9]
 
 
 # --- files ----------------------------------------------------------------------------------------------------
@@ -287,21 +381,39 @@ def shipped_profiles() -> tuple[str, ...]:
 
 def _read(path: Path) -> CameraProfile:
     top = TextFile(path, ProfileError).json()
-    top.only(("schema", *names_of(CameraProfile)))
-    top.schema(SCHEMA)
+    has_modes = top.schema(SCHEMA, also=SCHEMA_WITH_MODES) == SCHEMA_WITH_MODES
+    absent = _OF_ONE_MODE if has_modes else ("modes",)
+    top.only(("schema", *(name for name in names_of(CameraProfile) if name not in absent)))
+    lines = (None, None, None) if has_modes else _lines(top)
     return CameraProfile(
         camera=top.text("camera"),
         source=top.text("source"),
         gain_range_dn_per_e=_range(top, "gain_range_dn_per_e"),
-        tukey_lambda_fit=_fit(top.inside("tukey_lambda_fit")),
-        gauss_fit=_fit(top.inside("gauss_fit")),
-        row_fit=_fit(top.inside("row_fit")),
+        tukey_lambda_fit=lines[0],
+        gauss_fit=lines[1],
+        row_fit=lines[2],
         rows=tuple(map(_row, top.objects("rows", fewest=1, expected="a list of at least one row"))),
         iso_range=top.optional("iso_range", partial(_range, top)),
         black_level_dn=top.optional("black_level_dn", top.number),
         white_level_dn=top.optional("white_level_dn", top.number),
         notes=top.texts("notes", missing_ok=True, empty=True),
+        modes=tuple(map(_mode, top.objects("modes", fewest=2, expected="a list of two modes or more")))
+        if has_modes
+        else (),
     )
+
+
+def _mode(mode: Fields) -> GainMode:
+    mode.only(names_of(GainMode))
+    return GainMode(
+        _range(mode, "gain_range_dn_per_e"), *_lines(mode), mode.optional("iso_range", partial(_range, mode))
+    )
+
+
+def _lines(holder: Fields) -> tuple[LogLogFit, LogLogFit, LogLogFit]:
+    return (
+        _fit(holder.inside("tukey_lambda_fit")), _fit(holder.inside("gauss_fit")), _fit(holder.inside("row_fit"))
+    )  # fmt: skip
 
 
 def _range(top: Fields, name: str) -> tuple[float, float]:

@@ -13,8 +13,9 @@ from typing import Any
 from eldata.base.files import file_problem
 from eldata.base.npy import read_npy_header
 from eldata.errors import ProfileError
+from eldata.noise.gain_modes import LogLogFit
 from eldata.noise.plain_pickle import MOST_BYTES, plain_content
-from eldata.noise.profile import CameraProfile, LogLogFit, ProfileRow
+from eldata.noise.profile import CameraProfile, ProfileRow
 
 SOURCE = "ELD repository (Vandermode/ELD, MIT licence), commit 53d5408, camera_params"
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
     from numpy.typing import NDArray
 
-    from eldata.noise.profile import LogLogFit
+    from eldata.noise.gain_modes import LogLogFit
 
 SIZE_INCHES = (4.4, 3.6)
 """About a phone's width at the page's own letter size."""
@@ -187,12 +187,20 @@ def deviation_band(axes: Axes, furthest: float, theme: Theme) -> None:
     axes.set_ylabel("dev. [s.e.]")
 
 
-def fit_band(axes: Axes, fit: LogLogFit, gains: NDArray[np.float64], theme: Theme) -> None:
-    """Draw a log-log fit with its bands of one and two residual deviations, and set both axes up."""
-    for width, alpha in ((2.0, 0.13), (1.0, 0.2)):
-        lower, upper = ([fit.scale_dn(float(gain), z) for gain in gains] for z in (-width, width))
-        axes.fill_between(gains, lower, upper, color=theme.theory, alpha=alpha, linewidth=0)
-    axes.plot(gains, [fit.scale_dn(float(gain), 0.0) for gain in gains], color=theme.theory, label="fit, ±1σ, ±2σ")
+def fit_bands(axes: Axes, fits: Sequence[tuple[LogLogFit, float, float]], theme: Theme) -> None:
+    """Draw log-log fits from a gain to a gain, with their bands of one and two residual deviations.
+
+    One fit goes on a little beyond its gains. Several are those of gain modes, and end where their modes do.
+    """
+    beyond = 1.15 if len(fits) == 1 else 1.0
+    for number, (fit, low, high) in enumerate(fits):
+        gains = np.geomspace(low / beyond, high * beyond, 50)
+        for width, alpha in ((2.0, 0.13), (1.0, 0.2)):
+            lower, upper = ([fit.scale_dn(float(gain), z) for gain in gains] for z in (-width, width))
+            axes.fill_between(gains, lower, upper, color=theme.theory, alpha=alpha, linewidth=0)
+        # matplotlib leaves labels with an underscore out of the legend: one entry for all.
+        label = "_" if number else "fit, ±1σ, ±2σ"
+        axes.plot(gains, [fit.scale_dn(float(gain), 0.0) for gain in gains], color=theme.theory, label=label)
 
 
 def log_log(axes: Axes, name: str) -> None:

@@ -13,7 +13,7 @@ from scipy.special import erf
 
 from eldata.calibration.audit import given
 from eldata.calibration.flat_checks import flat_findings
-from eldata.calibration.joint import step_findings
+from eldata.calibration.joint import gain_steps
 from eldata.calibration.photon_transfer import FlatPairs, photon_transfer
 from eldata.demo.body import Body, FixedFeatures, KnownNoise
 from eldata.errors import DatasetError
@@ -320,21 +320,27 @@ def coverage(name: str, repetitions: int) -> tuple[float, float, int]:
     return float(np.mean(np.abs(scores) < 1.96)), float(np.mean(scores)), len(scores)
 
 
-def step_alarms(step: float, scatter: float, isos: int, cameras: int) -> float:
-    """The share of cameras of so many ISOs at which a step of ln(sigma) is said to be in one of three fits."""
+def step_alarms(
+    step: float, scatter: float, isos: int, cameras: int, floor: float | None = None, stops: float = 1.0
+) -> float:
+    """The share of cameras of so many ISOs at which a step of ln(sigma) is said to be in one of three fits.
+
+    With a floor, noise in proportion to the gain meets noise of this size after the amplifier, which bends the lines.
+    """
     said = 0
     for seed in range(cameras):
         generator = np.random.default_rng((13, seed))
-        gains = 0.1 * 2.0 ** np.arange(isos)
+        gains = 0.1 * 2.0 ** (stops * np.arange(isos))
         after = np.arange(isos) >= int(generator.integers(2, isos - 1))
+        scales = np.sqrt(gains) if floor is None else np.hypot(gains, floor)
         points = {
             name: [
-                (float(gain), float(np.exp(0.5 * math.log(gain) + step * late + scatter * generator.standard_normal())))
-                for gain, late in zip(gains, after, strict=True)
+                (float(gain), float(scale * np.exp(step * late + scatter * generator.standard_normal())))
+                for gain, scale, late in zip(gains, scales, after, strict=True)
             ]
             for name in ("sigma_TL", "sigma_G", "sigma_row")
         }
-        said += any(step_findings(points, {float(gain): 1000 * float(gain) for gain in gains}))
+        said += any(gain_steps(points))
     return said / cameras
 
 
@@ -376,6 +382,12 @@ def main() -> None:
         for isos in (5, 7, 9, 12):
             for step, scatter in ((0.0, 0.05), (-0.2, 0.03), (-0.4, 0.03), (-0.4, 0.08)):
                 print(f"{isos} ISOs, step {step}, scatter {scatter}: {step_alarms(step, scatter, isos, 1000):.1%}")
+        for isos in (5, 6, 9):
+            print(f"{isos} ISOs, step -0.9, scatter 0.03: {step_alarms(-0.9, 0.03, isos, 1000):.1%}")
+        for floor in (0.1, 0.3, 1.0):
+            for isos, stops in ((5, 1.0), (9, 1.0), (18, 1 / 3)):
+                alarms_of = [step_alarms(0.0, scatter, isos, 100, floor, stops) for scatter in (0.003, 0.01, 0.05)]
+                print(f"{isos} ISOs {stops:.2g} stops apart, bent at K = {floor}: {np.mean(alarms_of):.1%} of 300")
 
 
 if __name__ == "__main__":

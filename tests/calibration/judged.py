@@ -86,7 +86,7 @@ def whole(clean: NDArray[np.float32], camera: Camera) -> NDArray[np.float64]:
 def truth(camera: Camera) -> NoiseParameters:
     sigma = camera.noise.sigma_gauss_dn
     bias = camera.bias
-    return NoiseParameters(camera.gain, camera.tukey_lambda, camera.sigma_tl, sigma, camera.sigma_row, bias)  # type: ignore[arg-type] # four numbers
+    return NoiseParameters(camera.gain, camera.tukey_lambda, camera.sigma_tl, sigma, camera.sigma_row, bias, iso=ISO)  # type: ignore[arg-type] # four numbers
 
 
 def judged(

@@ -8,10 +8,19 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
+from fractions import Fraction
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
 
 from eldata.base.tables import markdown_table
+from eldata.datasets.dark_frames import DarkFrames
 from eldata.noise.model import NoiseModel
+from eldata.raw.dng import write_dng
+from eldata.records import Exposure
 from tests.calibration.faults import NONE, Planted, drift, telegraph
+from tests.calibration.in_memory import ISO
 from tests.calibration.judged import Specimen, judged
 from tests.calibration.simulation import Camera
 
@@ -37,9 +46,25 @@ def false_alarms(trials: int) -> None:
         print(f"{times:4} {check}: {symbol}")
 
 
+def dark_frames(specimen: Specimen) -> NoiseModel:
+    """Return the model that adds one of 40 other bias frames of the same body, from their DNG files."""
+    with TemporaryDirectory() as folder:
+        for number in range(40):
+            mosaic = specimen.frame(0.0, np.random.default_rng([specimen.seed, 4, number]))
+            path = Path(folder) / "Judged" / "bias" / f"ISO{ISO}" / f"IMG_{number:04d}.dng"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            exposure = Exposure(Fraction(ISO), Fraction(1, 8000))
+            write_dng(path, mosaic, specimen.camera.sensor, exposure)
+        # Held frames are whole DN, as the camera's are; without a dither theirs is not added to them.
+        frames = DarkFrames(folder, dither=False, keep=40)
+        frames.crops(ISO, range(40), (0, 0, 2, 2))  # decodes all before the folder goes
+    return NoiseModel("P*+D", dark_frames=frames)
+
+
 MODELS = (
     ("P-G", lambda _: NoiseModel("P+G")),
     ("the paper's", lambda _: NoiseModel()),
+    ("dark frames, P*+D", dark_frames),
     ("its own further frames", lambda specimen: specimen),
 )
 """Names and how each model is made for a specimen; add a line to have another one in the table."""

@@ -89,12 +89,12 @@ def main() -> None:
         passed = total = 0
         for iso, ratio in EXPOSURES[1:]:
             for camera, mosaic in photographs(iso, ratio, 0):
-                frame = pack(mosaic, camera.sensor.cfa) - np.array(camera.sensor.black_level_dn).reshape(4, 1, 1)
+                packed = pack(mosaic, camera.sensor.cfa) - np.array(camera.sensor.black_level_dn).reshape(4, 1, 1)
                 for axis in (1, 2):
-                    frame = convolve1d(frame, kernel, axis=axis)
+                    packed = convolve1d(packed, kernel, axis=axis)
                 total += 1
                 try:
-                    noise_line(np.rint(frame))
+                    noise_line(np.rint(packed))
                     passed += 1
                 except DatasetError:
                     pass

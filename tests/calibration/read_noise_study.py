@@ -10,13 +10,13 @@ error), 200 by 1.5 %.
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import stats
 
-from eldata.calibration import read_noise_findings
 from eldata.calibration.audit import given
 from tests.calibration.chain import calibrated
 from tests.calibration.simulation import Body, Camera
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from eldata.calibration.audit import Figure
 
-FIGURES = ("lambda", "sigma_TL", "sigma_G", "sigma_row")
+FIGURES = ("lambda", "sigma_TL", "sigma_G", "sigma_row", "bias")
 
 
 @dataclass(frozen=True)
@@ -65,6 +65,16 @@ class Regime:
 
 MIXED = (0.3, 0.1, -0.2, 0.45)
 HALF = (0.5, 0.5, 0.5, 0.5)
+
+
+def clipped(regime: Regime, height: float) -> Regime:
+    """The camera with its black taken off before: levels so many standard deviations over where values become 0."""
+    pattern = regime.dsnu * math.sqrt(10 / 9)  # with the columns'
+    level = 0.5 + height * math.hypot(regime.sigma_gauss, regime.sigma_row, pattern)
+    red, first, blue, second = (level + regime.sigma_gauss * offset / 5 for offset in MIXED)
+    return replace(regime, fractions=(red, first, blue, second), black=0.0)
+
+
 REGIMES = {
     "clean": Regime(-0.05, 3.0, 0.5, 0.6, MIXED),
     "light tails": Regime(0.2, 2.0, 0.3, 0.6, MIXED),
@@ -87,6 +97,17 @@ REGIMES = {
     "four frames, 0.75 DN, no pattern": Regime(-0.2, 0.75, 0.1, 0.0, frames=4),
     "four frames, 0.5 DN": Regime(0.1, 0.5, 0.1, 0.3, frames=4),
     "the smallest frames": Regime(-0.2, 2.0, 0.5, 0.6, MIXED, shape=(256, 256)),
+    **{
+        f"{name}, clipped {place}": clipped(noise, height)
+        for place, height in (("2 %", 2.05), ("16 %", 1.0), ("50 %", 0.0), ("70 %", -0.5))
+        for name, noise in (
+            ("heavy tails", Regime(-0.2, 3.0, 0.5, 0.6)),
+            ("light tails", Regime(0.2, 3.0, 0.5, 0.6)),
+            ("quiet", Regime(-0.1, 1.0, 0.2, 0.3)),
+            ("no pattern, no rows", Regime(0.0, 3.0, 0.0, 0.0)),
+            ("strong pattern and rows", Regime(-0.1, 3.0, 1.0, 1.5)),
+        )
+    },
 }
 
 
@@ -94,8 +115,7 @@ def scores(regime: Regime, seed: tuple[int, ...]) -> dict[str, tuple[float, floa
     """Return the relative error of each figure (lambda: as it is) and the same in stated errors; ``None``: withheld."""
     body = Body(regime.camera, np.random.default_rng(seed))
     found = calibrated(body.camera, body.bias_frames(regime.frames))
-    findings = read_noise_findings(found.read, found.bias, found.fixed.summary)
-    read, rows = found.read, found.rows.rows
+    read, rows, findings = found.read, found.rows.rows, found.findings
     figures: dict[str, tuple[Figure, float, float, float, float]] = {
         "lambda": ("read noise", read.tukey_lambda, read.tukey_lambda_error, regime.tukey_lambda, 1.0),
         "sigma_TL": ("read noise", read.sigma_tl_dn, read.sigma_tl_error_dn, regime.sigma_tl, regime.sigma_tl),
@@ -106,9 +126,12 @@ def scores(regime: Regime, seed: tuple[int, ...]) -> dict[str, tuple[float, floa
             regime.sigma_gauss,
             regime.sigma_gauss,
         ),
-        "sigma_row": ("row noise", rows.sigma_dn, rows.sigma_error_dn, regime.sigma_row, regime.sigma_row),
+        "sigma_row": ("row noise", rows.sigma_dn, rows.sigma_error_dn, regime.sigma_row, regime.sigma_row or 1.0),
+        "bias": ("colour bias", found.bias.bias_dn[0], found.bias.standard_error_dn[0], body.colour_bias_dn[0], 1.0),
     }
-    scored: dict[str, tuple[float, float] | None] = {"chi2": (read.chi2_per_dof, float(bool(findings)))}
+    scored: dict[str, tuple[float, float] | None] = {
+        "chi2": (read.chi2_per_dof, float(any(one.effect != "remark" for one in findings)))
+    }
     for name, (figure, value, error, true, unit) in figures.items():
         one = given(findings, figure, value, error, unit)
         scored[name] = None if one is None else ((value - true) / unit, (value - true) / one.error)
@@ -144,8 +167,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("regimes", nargs="*", default=list(REGIMES), help="names of regimes; all without")
     parser.add_argument("--cameras", type=int, default=20)
     chosen = parser.parse_args(arguments)
-    print("| regime | lambda | sigma_TL | sigma_G | sigma_row | chi2 | findings |")
-    print("|---|---|---|---|---|---|---|")
+    print(f"| regime | {' | '.join(FIGURES)} | chi2 | findings |")
+    print("|---" * (len(FIGURES) + 3) + "|")
     for name in chosen.regimes:
         found = studied(name, chosen.cameras)
         cells = [cell(found[figure], chosen.cameras) for figure in FIGURES]

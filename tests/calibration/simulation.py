@@ -93,6 +93,11 @@ class Body:
         self.hot = self._shaded.hot
         self.fixed = self._shaded.offset_dn(camera.noise)
 
+    @property
+    def colour_bias_dn(self) -> tuple[float, ...]:
+        """The bias with what the fixed pattern of this specimen adds to it."""
+        return self._shaded.colour_bias_dn(self.camera.noise)
+
     def noise(self) -> NDArray[np.float32]:
         return temporal_noise_dn(self.camera.noise, self.camera.shape, self.generator)
 

@@ -114,9 +114,9 @@ def test_unusable_stacks() -> None:
         fixed_pattern(stack, threshold=0)
     with pytest.raises(DatasetError, match="copies of one another"):
         stacked(CAMERA, [frames[0]] * 4)
-    clipped = CAMERA.with_(black=0.0)
-    with pytest.raises(DatasetError, match="black is clipped"):
-        stacked(clipped, Body(clipped, np.random.default_rng(5)).bias_frames(4))
+    below = CAMERA.with_(black=0.0, bias=(-15.0,) * 4, hot_share=0.0)
+    with pytest.raises(DatasetError, match="lies below black"):
+        stacked(below, Body(below, np.random.default_rng(5)).bias_frames(4))
 
 
 # --- rows ---------------------------------------------------------------------------------------------------------

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from eldata.calibration.flat_checks import flat_findings
-from eldata.calibration.joint import step_findings
+from eldata.calibration.flat_checks import edge_findings, flat_findings
+from eldata.calibration.joint import gain_steps
 from eldata.calibration.photon_transfer import FlatPairs, PhotonTransfer, PhotonTransferLine, photon_transfer
 from tests.calibration import flats_study as study
-from tests.calibration.simulation import BAYER
+from tests.calibration.in_memory import calibrated_arrays
+from tests.calibration.simulation import BAYER, Body, Camera
 from tests.calibration.trees import calibrated_iso, made_tree, relative, rewritten
 from tests.cases import in_one_test
 
@@ -103,7 +104,23 @@ def test_a_chart_in_place_of_a_wall() -> None:
     assert found.findings == ()
     flats = FlatPairs(BAYER, BLACKS, study.WHITE)
     flats.add(*pairs[0])
-    assert 0.3 < photon_transfer(flats).edges < 0.9
+    chart = photon_transfer(flats)
+    assert 0.3 < chart.edges < 0.9
+    (said,) = edge_findings(chart)
+    assert said.effect == "remark"
+
+
+def test_the_published_method_is_not_given_on_a_chart() -> None:
+    """It takes the chart's patches for noise: K of 12,000 in place of 1."""
+    setting = study.Setting(shape=(256, 1536), levels=(0.3, 0.6, 0.9))
+    body = Body(Camera(shape=setting.shape), np.random.default_rng(1))
+    bias = body.bias_frames(4)
+    for light, is_given in ((study.clean, True), (study.chart(0.1), False)):
+        found = calibrated_arrays(body.camera.sensor, bias, light(setting, np.random.default_rng(9)))
+        assert found.gain is not None
+        assert abs(found.gain.value - 1) < 5 * found.gain.error
+        assert (found.spatial is not None) is is_given
+        assert ("edges in flats" in {one.check for one in found.findings}) is not is_given
 
 
 def test_smoothed_flats_are_told_by_their_neighbours() -> None:
@@ -185,21 +202,23 @@ def points(step: float, scatter: float, bend: float = 0.0) -> dict[str, list[tup
 
 
 def test_a_step_is_said_with_its_place_and_height() -> None:
-    (finding,) = step_findings(points(-0.4, 0.02), ISO_OF)
+    (step,) = gain_steps(points(-0.4, 0.02))
+    finding = step.finding(ISO_OF, is_taken=False)
     assert finding.effect == "remark"
     assert "between ISO 800 and 1600 there is a step over K of sigma_TL (-3" in finding.text
     both = points(-0.4, 0.02)
     both["sigma_G"] = [(gain, 1.8 * scale) for gain, scale in both["sigma_TL"]]
-    (finding,) = step_findings(both, ISO_OF)
+    (step,) = gain_steps(both)
+    finding = step.finding(ISO_OF, is_taken=True)
     assert "of sigma_TL (-31%) and sigma_G (-31%)" in finding.text
 
 
 def test_what_is_no_step() -> None:
-    assert not list(step_findings(points(0.0, 0.05), ISO_OF))
-    assert not list(step_findings(points(-0.1, 0.1), ISO_OF))
-    assert not list(step_findings(points(0.0, 0.005, bend=0.03), ISO_OF)), "a parabola explains more"
+    assert not gain_steps(points(0.0, 0.05))
+    assert not gain_steps(points(-0.1, 0.1))
+    assert not gain_steps(points(0.0, 0.005, bend=0.03)), "a parabola explains more"
     few = {"sigma_TL": points(-0.4, 0.02)["sigma_TL"][2:6]}
-    assert not list(step_findings(few, ISO_OF)), "four ISOs do not tell a step from scatter"
+    assert not gain_steps(few), "four ISOs do not tell a step from scatter"
 
 
 def test_a_step_is_seldom_seen_where_none_is() -> None:

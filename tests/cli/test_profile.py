@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
 from eldata.base.console import Parser, run
@@ -143,7 +144,7 @@ def test_list(profile: Cli) -> None:
     assert done.code == 0
     lines = done.out.splitlines()
     assert [line.split()[0] for line in lines[2:]] == list(shipped_profiles())
-    assert "0.09392 to 6.011  100 to 6400" in lines[-1]
+    assert lines[-2].split()[1:7] == ["0.09392", "to", "6.011", "100", "to", "6400"]
     listed = json.loads(Path("list.json").read_text(encoding="utf-8"))
     assert [item["profile"] for item in listed] == list(shipped_profiles())
 
@@ -202,3 +203,40 @@ def test_show_without_a_page_draws_nothing() -> None:
         timeout=PATIENCE_S,
     )
     assert done.stdout.splitlines()[-1] == "LOADED numba", done.stderr
+
+
+def test_import(profile: Cli) -> None:
+    shipped = CameraProfile.load("NikonD850")
+    fit = {"slope": 0.5, "bias": -0.25, "sigma": 0.125}
+    lines = {"G_scale": fit, "g_scale": fit, "R_scale": fit}
+    data = {
+        "Kmin": 0.125,
+        "Kmax": 8.0,
+        "G_shape": [row.tukey_lambda for row in shipped.rows],
+        "color_bias": [list(row.colour_bias_dn) for row in shipped.rows],
+        "Profile-1": lines,
+    }
+    np.save("NikonD850_params.npy", np.array(data, dtype=object), allow_pickle=True)
+    done = profile("import", "NikonD850_params.npy", "-o", "nikon.json")
+    assert (done.code, done.err) == (0, "")
+    assert done.out.splitlines()[0] == f"NikonD850: {len(shipped.rows)} rows, Profile-1"
+    made = CameraProfile.load(Path("nikon.json"))
+    assert [row.colour_bias_dn for row in made.rows] == [row.colour_bias_dn for row in shipped.rows]
+    assert made.source == "NikonD850_params.npy, as the ELD authors publish such files, Profile-1"
+    np.save("two.npy", np.array(data | {"Profile-2": lines | {"G_scale": fit | {"slope": 0.75}}}, dtype=object))
+    for options, words in (
+        ((), "two.npy holds 2 calibrations; choose one with --calibration: Profile-1, Profile-2"),
+        (("--calibration", "Profile-3"), "two.npy holds no calibration 'Profile-3'; known are Profile-1, Profile-2"),
+    ):
+        refused = profile("import", "two.npy", "-o", "two.json", *options)
+        assert refused.code == 2
+        assert words in refused.err
+    assert not Path("two.json").exists()
+    done = profile("import", "two.npy", "-o", "two.json", "--calibration", "Profile-2", "--camera", "Mine")
+    assert done.code == 0
+    second = CameraProfile.load(Path("two.json"))
+    assert (second.camera, second.gain_modes[0].tukey_lambda_fit.slope) == ("Mine", 0.75)
+    Path("bad.npy").write_bytes(b"no")
+    refused = profile("import", "bad.npy", "-o", "bad.json")
+    assert (refused.code, Path("bad.json").exists()) == (2, False)
+    assert "is not a published parameter file" in refused.err

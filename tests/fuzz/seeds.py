@@ -261,7 +261,7 @@ def texts() -> list[Seed]:
     from eldata.noise.profile import CameraProfile
     from manifests.sid_scenes import SHORT_EXPOSURES
 
-    profile = {"schema": 1} | asdict(CameraProfile.load("SonyA7S2"))
+    profile = {"schema": 1} | CameraProfile.load("SonyA7S2").as_dict()
     exposure = json.dumps({"iso": "100", "exposure_s": "1/30", "f_number": None})
     sensor = json.dumps(asdict(Sensor("make", "model", ((0, 1), (3, 2)), (0.0,) * 4, 16383.0, 4, 4)))
     curve = b"# a curve\n0 0\n0.25 0.5\n0.5 0.7\n1 1\n"

@@ -300,9 +300,10 @@ def test_a_profile_of_each_calibration() -> None:
     assert (first.camera, first.source) == ("Camera", "a test, Profile-1")
     assert (second.camera, second.source) == ("Camera", "a test, Profile-2")
     for number, profile in ((1, first), (2, second)):
-        assert (profile.tukey_lambda_fit.slope, profile.tukey_lambda_fit.intercept) == (number, -0.25)
-        assert (profile.gauss_fit.slope, profile.gauss_fit.intercept) == (0.5, number)
-        assert (profile.row_fit.slope, profile.row_fit.sigma) == (0.5, number)
+        (mode,) = profile.gain_modes
+        assert (mode.tukey_lambda_fit.slope, mode.tukey_lambda_fit.intercept) == (number, -0.25)
+        assert (mode.gauss_fit.slope, mode.gauss_fit.intercept) == (0.5, number)
+        assert (mode.row_fit.slope, mode.row_fit.sigma) == (0.5, number)
         assert profile.gain_range_dn_per_e == (0.125, 8.0)
         assert [row.tukey_lambda for row in profile.rows] == [0.01 * i for i in range(ROWS)]
         assert [row.colour_bias_dn for row in profile.rows] == [(i, -i, 2 * i, 0.5) for i in range(ROWS)]

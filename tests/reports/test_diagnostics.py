@@ -231,7 +231,8 @@ def test_a_small_change_of_one_parameter_is_seen_where_it_matters(
 
 
 def test_a_profile_that_samples_elsewhere_is_off(sony: CameraProfile, monkeypatch: pytest.MonkeyPatch) -> None:
-    wide = replace(sony, row_fit=replace(sony.row_fit, sigma=2 * sony.row_fit.sigma))
+    (mode,) = sony.gain_modes
+    wide = replace(sony, row_fit=replace(mode.row_fit, sigma=2 * mode.row_fit.sigma))
     monkeypatch.setattr(CameraProfile, "sample", lambda _, rng: _sample(wide, rng))
     result = diagnose(sony, PARAMETERS)
     assert {item.symbol.partition(",")[0] for item in result.off} == {"sigma_row"}

@@ -14,7 +14,7 @@ from eldata.reports.figures import (
     Theme,
     bars,
     drawn,
-    fit_band,
+    fit_bands,
     legend_above,
     log_log,
     log_ticks,
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from eldata.calibration.audit import GivenFigure
     from eldata.calibration.joint import LogLogEstimate
     from eldata.calibration.results import Calibration, IsoGain
+    from eldata.noise.gain_modes import GainMode
 
 _ISOS_LABELLED = 5
 _CHANNEL_STEP = 0.07  # of ln ISO: side by side, where the channels' values are alike
@@ -43,14 +44,20 @@ Point = tuple[float, float, float]
 
 def joint_plots(calibration: Calibration) -> tuple[Plot, ...]:
     """Draw every plot over the ISOs that there is data for."""
+    modes = calibration.modes
     known = [(one.gain_dn_per_e, one) for one in calibration.isos if one.gain_dn_per_e is not None]
     isos = calibration.isos
     found = [
-        _scale_plot(name, estimate, usable, _left_out(isos, "gain", figure))
-        for name, figure, estimate, scales in (
-            ("TL", "read noise", calibration.tukey_lambda_fit, [one.sigma_tl_dn for _, one in known]),
-            ("G", "read noise", calibration.gauss_fit, [one.sigma_gauss_dn for _, one in known]),
-            ("row", "row noise", calibration.row_fit, [one.sigma_row_dn for _, one in known]),
+        _scale_plot(
+            name,
+            [(one.mode, line) for one, line in zip(modes, lines, strict=True) if line],
+            usable,
+            _left_out(isos, "gain", figure),
+        )
+        for name, figure, lines, scales in (
+            ("TL", "read noise", [one.tukey_lambda_fit for one in modes], [one.sigma_tl_dn for _, one in known]),
+            ("G", "read noise", [one.gauss_fit for one in modes], [one.sigma_gauss_dn for _, one in known]),
+            ("row", "row noise", [one.row_fit for one in modes], [one.sigma_row_dn for _, one in known]),
         )
         if (usable := _points([gain for gain, _ in known], scales))
     ]
@@ -82,24 +89,27 @@ def _points(gains: Sequence[float], scales: Sequence[GivenFigure | None]) -> lis
     ]
 
 
-def _scale_plot(name: str, estimate: LogLogEstimate | None, points: Sequence[Point], more: str) -> Plot:
+def _scale_plot(
+    name: str, lines: Sequence[tuple[GainMode, LogLogEstimate]], points: Sequence[Point], more: str
+) -> Plot:
     said = plot_words("calibration")["scale"]
     title = said["title"].format(name=name)
     scales = [scale for _, scale, _ in points]
     alt = f"{title} K at {len(points)} ISO(s), from {digits(min(scales))} to {digits(max(scales))} DN"
-    if estimate is None:
+    if not lines:
         alt += "; too few for a line with its spread."
-    else:
+    for mode, estimate in lines:
+        of_mode = f" of {mode}" if len(lines) > 1 else ""
         alt += (
-            f", and the fitted line of slope {digits(estimate.fit.slope)} with bands of 1 and 2 residual deviations of "
-            f"{digits(estimate.fit.sigma)}; R² {digits(estimate.r_squared, 4)}."
+            f", and the fitted line{of_mode} of slope {digits(estimate.fit.slope)} with bands of 1 and 2 residual "
+            f"deviations of {digits(estimate.fit.sigma)}; R² {digits(estimate.r_squared, 4)}"
         )
+    alt += "." if lines else ""
 
     def draw(theme: Theme) -> Figure:
         drawing, axes = one_axes()
         gains = [gain for gain, _, _ in points]
-        if estimate is not None:
-            fit_band(axes, estimate.fit, np.geomspace(min(gains) / 1.15, max(gains) * 1.15, 50), theme)
+        fit_bands(axes, [(line.fit, *_ends(gains, mode)) for mode, line in lines], theme)
         # A bar down to 0 has no end on a logarithmic axis.
         bars(axes, gains, scales, [_bar(min(error, 0.9 * scale)) for _, scale, error in points], theme)
         log_log(axes, name)
@@ -109,8 +119,14 @@ def _scale_plot(name: str, estimate: LogLogEstimate | None, points: Sequence[Poi
         axes.legend(loc="upper left")
         return drawing
 
-    caption = said["without_line" if estimate is None else "caption"] + more
+    caption = said["caption" if lines else "without_line"] + more
     return drawn(f"sigma-{name.lower()}", title, alt, caption, draw)
+
+
+def _ends(gains: Sequence[float], mode: GainMode) -> tuple[float, float]:
+    """Return the lowest and the highest of the gains that lie in a mode."""
+    inside = [gain for gain in gains if mode.distance(gain) == 0]
+    return min(inside), max(inside)
 
 
 def _bar(error: float) -> float:

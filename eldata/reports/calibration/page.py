@@ -256,18 +256,19 @@ def _read_noise(one: IsoCalibration) -> _Group:
     read = one.read
     by_ppcc = (("λ by PPCC", digits(read.ppcc_lambda)), ("σ TL by PPCC", f"{digits(read.ppcc_sigma_tl_dn)} DN"))
     shape = one.tukey_lambda
+    has_curve = shape is not None and read.curve.size > 0  # of values that clip at black there is none
     numbers = (
         ("λ", estimated(shape)),
         ("σ TL", estimated(one.sigma_tl_dn, "DN")),
         ("σ G", estimated(one.sigma_gauss_dn, "DN")),
-        *(by_ppcc if shape is not None else ()),
+        *(by_ppcc if has_curve else ()),
         ("χ² per d.o.f.", digits(read.chi2_per_dof)),
         ("R², Tukey lambda", digits(read.r_squared_tl, 6)),
         ("R², Gaussian", digits(read.r_squared_gauss, 6)),
         *_as_published(one),
         ("Residuals", grouped(read.residuals)),
     )
-    of_shape = () if shape is None else (ppcc_plot(one, shape),)
+    of_shape = (ppcc_plot(one, shape),) if shape is not None and has_curve else ()
     plots = (*of_shape, gaussian_plot(one), tukey_lambda_plot(one))
     return _judged(one, "read noise", _Group("Read noise", numbers, plots=plots))
 

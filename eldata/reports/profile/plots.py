@@ -16,7 +16,7 @@ from eldata.reports.figures import (
     Theme,
     deviation_band,
     drawn,
-    fit_band,
+    fit_bands,
     log_log,
     log_ticks,
     one_axes,
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.noise.findings import Diagnostics, Quantiles, TheoryCheck
-    from eldata.noise.profile import LogLogFit
+    from eldata.noise.gain_modes import LogLogFit
 
 
 def plots(diagnostics: Diagnostics) -> tuple[Plot, ...]:
@@ -189,22 +189,31 @@ def _read_noise(quantiles: Quantiles, diagnostics: Diagnostics, theme: Theme) ->
 def _read_fit(diagnostics: Diagnostics, theme: Theme) -> Figure:
     name = _read_letters(diagnostics)
     field = {"G": "sigma_gauss_dn", "TL": "sigma_tl_dn"}[name]
-    fit = read_fit(diagnostics.profile, diagnostics.model.components)
-    return _fit(diagnostics, fit, diagnostics.draws.sigma_read_dn, field, name, theme)
+    components = diagnostics.model.components
+    fits = [read_fit(mode, components) for mode in diagnostics.profile.gain_modes]
+    return _fit(diagnostics, fits, diagnostics.draws.sigma_read_dn, field, name, theme)
 
 
 def _row_fit(diagnostics: Diagnostics, theme: Theme) -> Figure:
-    fit, scales = diagnostics.profile.row_fit, diagnostics.draws.sigma_row_dn
-    return _fit(diagnostics, fit, scales, "sigma_row_dn", "row", theme)
+    fits = [mode.row_fit for mode in diagnostics.profile.gain_modes]
+    return _fit(diagnostics, fits, diagnostics.draws.sigma_row_dn, "sigma_row_dn", "row", theme)
 
 
 def _fit(
-    diagnostics: Diagnostics, fit: LogLogFit, scales: NDArray[np.float64], field: str, name: str, theme: Theme
+    diagnostics: Diagnostics,
+    fits: Sequence[LogLogFit],
+    scales: NDArray[np.float64],
+    field: str,
+    name: str,
+    theme: Theme,
 ) -> Figure:
-    """Draw a log-log fit with its bands, the draws, the measured rows and the draw that is examined."""
+    """Draw a log-log fit by gain mode with its bands, the draws, the measured rows and the draw that is examined."""
     drawing, axes = one_axes()
-    low, high = diagnostics.profile.gain_range_dn_per_e
-    fit_band(axes, fit, np.geomspace(low / 1.15, high * 1.15, 50), theme)
+    fit_bands(
+        axes,
+        [(fit, *mode.gain_range_dn_per_e) for fit, mode in zip(fits, diagnostics.profile.gain_modes, strict=True)],
+        theme,
+    )
     gains = diagnostics.draws.gain_dn_per_e
     axes.plot(gains, scales, "o", markersize=2.5, alpha=0.75, color=theme.found, label="sampled")
     measured = [

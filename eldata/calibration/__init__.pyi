@@ -18,6 +18,10 @@ from .defects import fixed_pattern as fixed_pattern
 from .frame_checks import FramesError as FramesError
 from .joint import LogLogEstimate as LogLogEstimate
 from .joint import fit_log_log as fit_log_log
+from .noise_line import NoiseLine as NoiseLine
+from .noise_line import noise_line as noise_line
+from .one_image import ImageEstimate as ImageEstimate
+from .one_image import estimate_profile as estimate_profile
 from .photon_transfer import FlatFrames as FlatFrames
 from .photon_transfer import FlatPairs as FlatPairs
 from .photon_transfer import PhotonTransfer as PhotonTransfer

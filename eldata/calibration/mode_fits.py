@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from eldata.calibration.joint import LogLogEstimate
     from eldata.calibration.results import IsoCalibration
 
-_NO_NOISE_DN = 1e-9  # a scale that a log-log line can hold in place of 0
+NO_NOISE_DN = 1e-9
+"""A scale that a log-log line can hold in place of 0."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +181,7 @@ def _fitted(
         estimate = fit_log_log(gains, [scale for _, scale in usable])
         return estimate, estimate.fit
     if not usable:
-        return None, LogLogFit(0.0, math.log(_NO_NOISE_DN), 0.0)
+        return None, LogLogFit(0.0, math.log(NO_NOISE_DN), 0.0)
     (low, first), (high, last) = usable[0], usable[-1]
     slope = math.log(last / first) / math.log(high / low) if high > low else 0.0
     remarks.append(

@@ -16,7 +16,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser = commands.add_parser(
         "profile",
         help="show a camera's noise profile and test the noise model with it",
-        description="Camera profiles: list those that ship, or show one and test the noise model with it.",
+        description="Camera profiles: list those that ship, show one and test the noise model, or estimate one from a "
+        "photograph.",
     )
     subcommands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     show = subcommands.add_parser(
@@ -43,6 +44,27 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     add_output(show, "--html", help="write a page with plots to FILE")
     add_shared(show, run_show, "json")
+    estimate = subcommands.add_parser(
+        "estimate",
+        help="a profile from one raw photograph, without a calibration",
+        description=(
+            "Estimate gain and read noise at one ISO from one raw photograph: from the NoiseProfile of a DNG that has "
+            "one, held against the pixels, else from how the variance of the photograph's smooth parts grows with "
+            "their brightness. For phones and unknown cameras; a calibration (eldata calibrate) knows more. Exit code "
+            "1 if the photograph does not tell both figures, and no profile can be made."
+        ),
+        epilog="What it can tell and what not: docs/calibration.md, One photograph.",
+    )
+    estimate.add_argument("image", metavar="IMAGE", help="a raw file as the camera wrote it")
+    add_output(estimate, "-o", "--output", help="write the camera profile to FILE (JSON)")
+    estimate.add_argument(
+        "--from",
+        dest="source",
+        choices=("auto", "tag", "pixels"),
+        default="auto",
+        help="take the file's NoiseProfile, or the pixels (default: the former where there is one)",
+    )
+    add_shared(estimate, run_estimate, "isolation", "json")
     importing = subcommands.add_parser(
         "import",
         help="make a profile of a published parameter file (.npy)",
@@ -117,6 +139,27 @@ def run_show(arguments: argparse.Namespace) -> int:
         arguments.html and write_page,
     )
     return PROBLEMS if diagnostics.off else OK
+
+
+def run_estimate(arguments: argparse.Namespace) -> int:
+    """Estimate a profile from one photograph."""
+    from eldata.calibration.one_image import estimate_profile
+
+    found = estimate_profile(arguments.image, source=arguments.source)
+
+    def write_profile() -> None:
+        if found.profile is None:
+            print(f"\n{arguments.output} was not written")  # the text says why
+            return
+        found.profile.save(arguments.output)
+        print(f"\nprofile: {arguments.output}; look at it with eldata profile show {arguments.output}")
+
+    each_of(
+        lambda: print(found.format_text()),
+        arguments.output and write_profile,
+        arguments.json and (lambda: write_json(arguments.json, found.as_dict())),
+    )
+    return PROBLEMS if found.profile is None else OK
 
 
 def run_import(arguments: argparse.Namespace) -> int:

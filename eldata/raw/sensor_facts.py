@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eldata.base.isolation import guarded_file
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw.neutrals import white_balance_of
-from eldata.raw.tiff import ACTIVE_AREA, BLACK_DELTAS, BLACK_LEVEL, BLACK_REPEAT
+from eldata.raw.tiff import ACTIVE_AREA, BLACK_DELTAS, BLACK_LEVEL, BLACK_REPEAT, NOISE_PROFILE, read_directories
 from eldata.records import D65, exact_number
 
 if TYPE_CHECKING:
@@ -72,6 +73,24 @@ def dng_black_level(
                     path, "its BlackLevel differs between sites of one colour; one level per channel is needed"
                 )
     return tuple(exact_number(levels[channel].pop()) for channel in sorted(levels))
+
+
+def dng_noise_profile(path: Path) -> tuple[float, ...] | None:
+    """Return the numbers of a DNG's NoiseProfile as they stand; None if the file has none.
+
+    By the DNG specification (1.3 and later) S and O of the variance ``S x + O`` of linear values x, 0 at black and 1 at
+    white: one pair for all colour planes, or one for each in their order.
+
+    Raises
+    ------
+    RawFileError
+        If a directory of the file is damaged.
+    """
+    directories = guarded_file(read_directories, path, RawFileError)
+    stated = [one for one in directories if NOISE_PROFILE in one.values]
+    # It stands in IFD0 or beside the mosaic.
+    chosen = next((one for one in stated if one.is_mosaic), stated[0] if stated else None)
+    return None if chosen is None else tuple(map(float, chosen.values[NOISE_PROFILE]))
 
 
 def channel_whites(raw: rawpy.RawPy, index_of: Sequence[int]) -> tuple[float, ...] | None:

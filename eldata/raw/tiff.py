@@ -27,6 +27,7 @@ ACTIVE_AREA = 50829
 BLACK_REPEAT, BLACK_LEVEL, BLACK_DELTAS = 50713, 50714, (50715, 50716)
 CFA_PHOTOMETRIC = 32803
 CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT = 33421, 33422, 50711
+NOISE_PROFILE = 51041
 
 _WHITE_LEVEL = 50717
 _LEVELS = {BLACK_LEVEL: "BlackLevel", BLACK_DELTAS[0]: "BlackLevelDeltaH", BLACK_DELTAS[1]: "BlackLevelDeltaV"}
@@ -39,11 +40,12 @@ _EXIF = {33434, 33437, 34855, 34864, 34865, 34866, 34867}
 _READ = _EXIF | {
     *(WIDTH, HEIGHT, COMPRESSION, PHOTOMETRIC, TILE_WIDTH, TILE_HEIGHT),
     *(271, 272, _SUB_IFDS, _EXIF_IFD, ACTIVE_AREA, BLACK_REPEAT, BLACK_LEVEL, *BLACK_DELTAS),
-    *(_WHITE_LEVEL, 50721, 50722, 50728, 50778, 50779, CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT),
+    *(_WHITE_LEVEL, 50721, 50722, 50728, 50778, 50779, CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT, NOISE_PROFILE),
     *(tag for pair in _DATA for tag in pair),
 }
 
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4}
+_DOUBLE = 12  # what DNG states a NoiseProfile in, and no other tag that is relied on
 _CODES = {1: "B", 3: "H", 4: "I", 5: "II", 6: "b", 7: "B", 8: "h", 9: "i", 10: "ii", 13: "I"}
 # Of all directories together; a file with more is damaged, or made to keep a reader busy. Cameras write some hundred
 # entries. The values are those of the tags above: two for each strip or tile, of which 150 megapixels in rows or in
@@ -60,7 +62,7 @@ Numbers = tuple[Fraction, ...]
 
 @dataclass(frozen=True, slots=True)
 class Directory:
-    """The integer and fraction values of one IFD's relied-on tags, by tag; not of those that state none (0/0)."""
+    """The numbers of one IFD's relied-on tags, by tag, exactly; not of those that state none (0/0)."""
 
     values: dict[int, Numbers]
 
@@ -202,13 +204,14 @@ def _read_directory(
         if length > 4:
             offset = struct.unpack(order + "I", data)[0]
             require(path, size, offset + length)
-        if kind not in _CODES:
+        code = "d" if (tag, kind) == (NOISE_PROFILE, _DOUBLE) else _CODES.get(kind)
+        if code is None:
             continue
         budget.spend("values", number)
         if length > 4:
             file.seek(offset)
             data = file.read(length)
-        numbers = _numbers(order, _CODES[kind], number, data)
+        numbers = _numbers(order, code, number, data)
         if numbers is not None:
             values[tag] = numbers
         elif tag in _LEVELS:  # LibRaw takes such a level for 0
@@ -219,8 +222,10 @@ def _read_directory(
 
 
 def _numbers(order: str, code: str, number: int, data: bytes) -> Numbers | None:
-    """Return an entry's values; ``None`` if one is a fraction over 0, which says that it is not known."""
+    """Return an entry's values; ``None`` if one is a fraction over 0, which says "not known", or not finite."""
     flat = struct.unpack_from(f"{order}{number * len(code)}{code[0]}", data)
+    if not all(map(math.isfinite, flat)):
+        return None
     if len(code) == 1:
         return tuple(map(Fraction, flat))
     if not all(flat[1::2]):

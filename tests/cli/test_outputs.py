@@ -56,6 +56,7 @@ ARGUMENTS = {
     "lock": ["none.csv"],
     "calibrate": ["none"],
     "profile show": ["none"],
+    "profile estimate": ["none"],
     "noise check": ["none", "--frames", "none"],
     "protocols": ["none"],
     "info": ["none"],
@@ -71,6 +72,7 @@ ARGUMENTS = {
         *(("calibrate", option) for option in ("-o", "--output", "--html")),
         ("compare", "--html"),
         ("profile show", "--html"),
+        ("profile estimate", "-o"),
         ("noise check", "--html"),
     ],
 )

@@ -174,6 +174,7 @@ def test_show_beyond_the_calibrated_range(profile: Cli) -> None:
         (["show", "SonyA7S2", "--iso", "100", "--gain", "1"], "not allowed with"),
         (["show", "SonyA7S2", "--json", "absent/data.json"], "cannot write absent/data.json"),
         (["show"], "CAMERA"),
+        (["estimate", "absent.dng"], "absent.dng: cannot be read"),
         ([], "COMMAND"),
     ],
 )
@@ -185,7 +186,7 @@ def test_unusable_input_is_one_line_and_exit_code_2(profile: Cli, arguments: lis
     assert "unexpected" not in done.err
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["show", "--help"], ["list", "--help"]])
+@pytest.mark.parametrize("arguments", [["--help"], ["show", "--help"], ["list", "--help"], ["estimate", "--help"]])
 def test_help_loads_nothing_heavy(arguments: list[str]) -> None:
     done = subprocess.run(
         [sys.executable, "-c", MADE, "profile", *arguments], capture_output=True, text=True, timeout=PATIENCE_S

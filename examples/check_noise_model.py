@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from eldata.calibration import check_noise
-from eldata.noise import CameraProfile
+from eldata.noise import CameraProfile, NoiseParameters
 
 
 class GaussianNetwork(torch.nn.Module):
@@ -31,14 +32,23 @@ class Adapter:
     def __init__(self, network: torch.nn.Module) -> None:
         self.network = network.eval()
 
-    def __call__(self, clean, *, parameters, ratio, range_dn, generator: np.random.Generator) -> np.ndarray:
+    def __call__(
+        self,
+        clean: NDArray[np.float32],
+        *,
+        parameters: NoiseParameters,
+        ratio: float,
+        range_dn: float,
+        generator: np.random.Generator,
+    ) -> NDArray[np.float32]:
         """Return a noisy exposure; what the network wants to know is made of the parameters."""
         image = torch.from_numpy(clean)[None] / ratio  # as bright as the sensor saw it
         gain, read = parameters.gain_dn_per_e / range_dn, parameters.sigma_gauss_dn / range_dn
         variance = gain * image.clamp(min=0) + read**2
         seed = int(generator.integers(2**63 - 1))  # all randomness comes from the caller
         with torch.no_grad():
-            return (self.network(image, variance, seed)[0] * ratio).numpy()
+            noisy: torch.Tensor = self.network(image, variance, seed)
+        return (noisy[0] * ratio).numpy()
 
 
 def main(frames: Path, profile: Path, page: Path | None = None) -> None:

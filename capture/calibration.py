@@ -16,6 +16,7 @@ The recipe and where it comes from:
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, Final
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
 BIAS_FRAMES: Final = 10
 LEAST_BIAS_FRAMES: Final = 4  # below, eldata calibrate refuses
 FRAMES_PER_LEVEL: Final = 2
+_NAME_STOPS: Final = 0.1  # by which an ISO's name may lie off a full stop: neighbours are a third of a stop apart
+_NEAR_STOPS: Final = 0.5
 # Wanted mean of the flats over the range above black. Their distances stay above half a stop, so that rounding down to
 # thirds or halves of a stop leaves them apart.
 FLAT_LEVELS: Final = tuple(Fraction(text) for text in ("1/10", "1/6", "1/4", "2/5", "3/5", "9/10"))
@@ -65,10 +68,19 @@ class CalibrationPlan:
 
 
 def default_isos(camera: CameraDescription, protocol: CaptureProtocol) -> tuple[int, ...]:
-    """Return the full stops from the base ISO to the highest noisy ISO, and the protocol's own ISOs."""
-    stops = {protocol.base_iso * 2**stop for stop in range(32)}
+    """Return the full stops from the base ISO to the highest noisy ISO, and the protocol's own ISOs.
+
+    Names of ISOs are rounded: one stop above ISO 64 is ISO 125. A full stop that lies within half a stop of one of the
+    protocol's ISOs tells nothing that this one does not.
+    """
     used = {protocol.base_iso, *protocol.noisy_isos}
-    return tuple(iso for iso in camera.isos if iso in used or (iso in stops and iso <= max(protocol.noisy_isos)))
+    found = set(used)
+    for iso in camera.isos:
+        stops = math.log2(iso / protocol.base_iso)
+        full = abs(stops - round(stops)) < _NAME_STOPS and 0 < stops < math.log2(max(used) / protocol.base_iso)
+        if full and all(abs(math.log2(iso / other)) > _NEAR_STOPS for other in used):
+            found.add(iso)
+    return tuple(sorted(found))
 
 
 def plan_calibration(
@@ -88,6 +100,15 @@ def plan_calibration(
         If the camera lacks an ISO, or a number is out of range.
     ImpossibleShotError
         If a flat needs a time that the camera does not have; the message says what to change.
+
+    Examples
+    --------
+    >>> from fractions import Fraction
+    >>> from capture import plan_calibration
+    >>> from capture.camera import EXAMPLE
+    >>> plan = plan_calibration(EXAMPLE, 100, (800, 1600), Fraction(1, 4))
+    >>> len(plan.shots), plan.shots[0].role, plan.shots[-1].role
+    (44, 'bias', 'flat')
     """
     for iso in isos:
         if iso not in camera.isos:

@@ -29,6 +29,7 @@ SCHEMA: Final = 1
 TrueTimes = Literal["powers-of-two", "as-named"]
 Cfa = Literal["bayer", "xtrans"]
 
+_LONGEST_BULB_S: Final = 3600
 _NAME: Final = re.compile(r"[A-Za-z0-9][\w.+-]*", re.ASCII)
 
 # The times as cameras name them, from 2^-15 s in steps of a third and from 2^-14 s in steps of half a stop. Steps of
@@ -117,16 +118,21 @@ class Shutter:
     true_times
         ``"powers-of-two"``: names are rounded, what the camera gives is a power of two of its steps. ``"as-named"``:
         the camera gives exactly what it names, as machine-vision cameras and phones do.
+    bulb_s
+        The longest exposure to be timed by hand or by a remote release, beyond the slowest time, in whole seconds; 0:
+        none. What the timer says is what the camera gives.
 
     Raises
     ------
     CameraError
-        If there is no time, a time is named twice, or a name is not a standard time of the step.
+        If there is no time, a time is named twice, a name is not a standard time of the step, or ``bulb_s`` is not
+        above the slowest time.
     """
 
     dials: tuple[str, ...]
     step: Fraction = Fraction(1, 3)
     true_times: TrueTimes = "powers-of-two"
+    bulb_s: int = 0
 
     def __post_init__(self) -> None:
         ladder(self.step)
@@ -136,7 +142,13 @@ class Shutter:
             )
         if not self.dials:
             raise CameraError("shutter times: expected at least one, found none")
-        named = [(dial, time.nominal_s) for dial, time in zip(self.dials, self.times, strict=True)]
+        times = _times(self.dials, self.step, self.true_times)
+        if self.bulb_s and not times[-1].nominal_s < self.bulb_s <= _LONGEST_BULB_S:
+            raise CameraError(
+                f"bulb_s: expected whole seconds above the slowest time, {self.dials[-1]} s, and up to "
+                f"{_LONGEST_BULB_S}, found {self.bulb_s}"
+            )
+        named = [(dial, time.nominal_s) for dial, time in zip(self.dials, times, strict=True)]
         for (dial_before, before_s), (dial, time_s) in pairwise(named):
             if time_s == before_s:
                 raise CameraError(f"shutter times: expected each time once, found {dial} twice")
@@ -144,7 +156,9 @@ class Shutter:
                 raise CameraError(f"shutter times: expected the fastest first, found {dial} after {dial_before}")
 
     @classmethod
-    def between(cls, fastest: str, slowest: str, step: Fraction, true_times: TrueTimes = "powers-of-two") -> Shutter:
+    def between(
+        cls, fastest: str, slowest: str, step: Fraction, true_times: TrueTimes = "powers-of-two", bulb_s: int = 0
+    ) -> Shutter:
         """Return the standard times from the fastest to the slowest.
 
         Raises
@@ -156,12 +170,13 @@ class Shutter:
         if first > last:
             raise CameraError(f"shutter: the fastest time, {fastest} s, is slower than the slowest, {slowest} s")
         dials = tuple(time.dial for nominal_s, time in ladder(step).items() if first <= nominal_s <= last)
-        return cls(dials, step, true_times)
+        return cls(dials, step, true_times, bulb_s)
 
     @property
     def times(self) -> tuple[ShutterTime, ...]:
-        """The times, fastest first."""
-        return _times(self.dials, self.step, self.true_times)
+        """The times, fastest first; after those of the dial those of the bulb setting, ``bulb 64``, in steps."""
+        named = _times(self.dials, self.step, self.true_times)
+        return (*named, *_bulb_times(named[-1], self.step, self.bulb_s))
 
 
 @cache
@@ -169,6 +184,19 @@ def _times(dials: tuple[str, ...], step: Fraction, true_times: TrueTimes) -> tup
     if true_times == "powers-of-two":
         return tuple(_standard(dial, step) for dial in dials)
     return tuple(ShutterTime(dial, _seconds(dial), as_exact(_seconds(dial))) for dial in dials)
+
+
+@cache
+def _bulb_times(slowest: ShutterTime, step: Fraction, bulb_s: int) -> tuple[ShutterTime, ...]:
+    """Return whole seconds that go on in the camera's steps: after 30 s (2^5 s) in thirds 40, 51, 64, 81 and so on."""
+    found: dict[int, ShutterTime] = {}
+    seconds, steps = 0, 1
+    while seconds < bulb_s:
+        seconds = round(float(slowest.true_exact * ExactNumber(Fraction(1), steps * step)))
+        steps += 1
+        if slowest.nominal_s < seconds <= bulb_s:
+            found[seconds] = ShutterTime(f"bulb {seconds}", Fraction(seconds), as_exact(seconds))
+    return tuple(found.values())
 
 
 @cache
@@ -309,7 +337,7 @@ class CameraDescription:
 
 
 _FIELDS: Final = ("name", "models", "raw_extension", "isos", "base_iso", "shutter", "cfa")
-_SHUTTER_FIELDS: Final = ("step", "fastest", "slowest", "times", "true_times")
+_SHUTTER_FIELDS: Final = ("step", "fastest", "slowest", "times", "true_times", "bulb_s")
 
 
 def wholes(fields: Fields, name: str) -> tuple[int, ...]:
@@ -331,6 +359,7 @@ def camera_from(top: Fields) -> CameraDescription:
     if "times" in shutter.data and {"fastest", "slowest"} & set(shutter.data):
         raise shutter.wrong("times", "either a list of times, or fastest and slowest", "both")
     true_times: TrueTimes = shutter.optional("true_times", shutter.choice, "powers-of-two", known=get_args(TrueTimes))
+    bulb_s = shutter.optional("bulb_s", shutter.whole, 0, at_most=_LONGEST_BULB_S)
     values: dict[str, Any] = {
         "name": top.text("name"),
         "models": top.texts("models"),
@@ -340,9 +369,9 @@ def camera_from(top: Fields) -> CameraDescription:
         "cfa": top.optional("cfa", top.choice, "bayer", known=get_args(Cfa)),
     }
     if "times" in shutter.data:
-        found = Shutter(shutter.texts("times"), step, true_times)
+        found = Shutter(shutter.texts("times"), step, true_times, bulb_s)
     else:
-        found = Shutter.between(shutter.text("fastest"), shutter.text("slowest"), step, true_times)
+        found = Shutter.between(shutter.text("fastest"), shutter.text("slowest"), step, true_times, bulb_s)
     return CameraDescription(**values, shutter=found)
 
 
@@ -354,6 +383,7 @@ def camera_as_dict(camera: CameraDescription) -> dict[str, Any]:
         content |= {"fastest": shutter.dials[0], "slowest": shutter.dials[-1]}
     else:
         content |= {"times": list(shutter.dials)}
+    content |= {"bulb_s": shutter.bulb_s} if shutter.bulb_s else {}
     return {
         "name": camera.name,
         "models": list(camera.models),
@@ -367,9 +397,10 @@ def camera_as_dict(camera: CameraDescription) -> dict[str, Any]:
 
 def _is_standard_range(shutter: Shutter) -> bool:
     try:
-        return shutter == Shutter.between(shutter.dials[0], shutter.dials[-1], shutter.step, shutter.true_times)
+        standard = Shutter.between(shutter.dials[0], shutter.dials[-1], shutter.step, shutter.true_times)
     except CameraError:
         return False
+    return standard.dials == shutter.dials
 
 
 EXAMPLE: Final = CameraDescription(

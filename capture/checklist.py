@@ -35,6 +35,7 @@ from capture.checklist_progress import (
     load_progress,
 )
 from capture.checklist_text import markdown_checklist, text_checklist
+from capture.shots import minutes
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -79,6 +80,7 @@ def html_checklist(plan: Plan) -> str:
         protocol=plan.protocol,
         calibration=plan.calibration,
         frames=len(plan.shots),
+        time_needed=minutes(plan.duration.total_s),
         scene_rows=[(scene, rows(scene.shots)) for scene in plan.scenes],
         bias=bias,
         flats=flats,
@@ -100,7 +102,7 @@ FORMATS: Final[dict[str, Callable[[Plan], str]]] = {
     "md": markdown_checklist,
     "txt": text_checklist,
 }
-"""The formats by their names, which are their files' suffixes too."""
+"""What writes each kind of checklist, by the end of its file's name."""
 
 
 def _policy_hash(text: str) -> str:

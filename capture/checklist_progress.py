@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Final
 from capture.capture_errors import PlanError
 from capture.checklist_content import ChecklistRow, every_item, rows
 from capture.exact import parse_seconds
+from capture.plan import CALIBRATION
 from eldata.base.fields import Fields, TextFile, shown
 
 if TYPE_CHECKING:
@@ -119,6 +120,12 @@ class Progress:
     scenes: tuple[SceneProgress, ...]
     calibration: tuple[ShotProgress, ...]
 
+    @property
+    def parts(self) -> tuple[tuple[str, tuple[ShotProgress, ...]], ...]:
+        """The rows of each scene and of the calibration frames, by name."""
+        scenes = ((scene.name, scene.shots) for scene in self.scenes)
+        return (*scenes, *(((CALIBRATION, self.calibration),) if self.calibration else ()))
+
     def as_metered(self, plan: Plan) -> Plan:
         """Return the plan with the metered times that were entered at the scenes.
 
@@ -132,9 +139,33 @@ class Progress:
                 plan = plan.remeter(scene.name, scene.metered_s)
         return plan
 
+    def as_noted(self, plan: Plan) -> Plan:
+        """Return the plan with the remarks on shots as notes of their scenes, each once.
 
-def load_progress(path: Path | str, plan: Plan) -> Progress:
+        Raises
+        ------
+        PlanError
+            If the plan has no such scene.
+        """
+        for scene in self.scenes:
+            for shot in scene.shots:
+                note = f"frame {shot.number}: {shot.remark}"
+                if shot.remark and note not in plan.scene(scene.name).notes:
+                    plan = plan.add_note(scene.name, note)
+        return plan
+
+
+def load_progress(path: Path | str, plan: Plan, content: bytes | None = None) -> Progress:
     """Read what the checklist's page exported.
+
+    Parameters
+    ----------
+    path
+        The file; or what messages call it, if ``content`` is given.
+    plan
+        The plan that the page was made from, or one that it has become since.
+    content
+        What was exported, if that is at hand: pasted text.
 
     Raises
     ------
@@ -142,7 +173,7 @@ def load_progress(path: Path | str, plan: Plan) -> Progress:
         If the file cannot be read, a field is missing, unknown or wrong, or its scenes and shots are not the plan's;
         the message names the field, what was expected and what was found.
     """
-    top = TextFile(path, ProgressError).json()
+    top = TextFile(path, ProgressError, content=content).json()
     top.only(("kind", "schema", "plan", "camera", "preparation", "scenes", "calibration"))
     if top.value("kind") != KIND:
         raise top.wrong("kind", f'"{KIND}", the file that the page\'s Export writes', top.data["kind"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from capture.checklist_content import at_each_scene, bias_and_flats, items, rows
+from capture.shots import minutes
 from eldata.base.tables import aligned_markdown, markdown_text, one_line, text_table
 
 if TYPE_CHECKING:
@@ -41,9 +42,10 @@ def _checklist(
     plan: Plan, heading: Callable[[int, str], str], plain: Callable[[str], str], table: Callable[[Rows], str]
 ) -> str:
     protocol = plan.protocol
+    counted = f"{len(plan.scenes)} scenes, {len(plan.shots)} frames, {minutes(plan.duration.total_s)} of shooting"
     parts = [
         heading(1, f"Capture checklist: {plain(plan.camera.name)}"),
-        f"{len(plan.scenes)} scenes, {len(plan.shots)} frames; base ISO {protocol.base_iso}.",
+        f"{counted}; base ISO {protocol.base_iso}.",
         heading(2, "Preparation"),
         _items(items("preparation", plan)),
     ]

@@ -7,19 +7,21 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from capture.capture_errors import MappingError
 from capture.plan import CALIBRATION
 from eldata.base.files import sha256_of
+from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.manifest.card import CameraCard, Card
 from eldata.records import FrameRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
-    from capture.matching import Match
+    from capture.matching import Match, Slot
     from capture.observed import ObservedFrame
     from capture.plan import Plan
     from capture.shots import Shot
@@ -42,14 +44,22 @@ class Dataset:
     folder
         The dataset's folder, which the rows' paths start from.
     rows
-        By scene and number.
+        Of the files that were matched, by scene and number.
     remarks
         The effects of gaps: other references, noisy frames left out.
+    before
+        Rows that the set had before, with the references that they have now.
     """
 
     folder: Path
     rows: tuple[CopiedRow, ...]
     remarks: tuple[str, ...]
+    before: tuple[FrameRecord, ...] = ()
+
+    @property
+    def records(self) -> tuple[FrameRecord, ...]:
+        """All rows of the manifest."""
+        return (*self.before, *(row.record for row in self.rows))
 
 
 def layout_path(plan: Plan, scene: str, shot: Shot, source: Path) -> str:
@@ -58,14 +68,28 @@ def layout_path(plan: Plan, scene: str, shot: Shot, source: Path) -> str:
     return f"{plan.camera.name}/{place}/IMG_{shot.number:04d}{source.suffix}"
 
 
-def into_layout(plan: Plan, match: Match, folder: Path) -> Dataset:
-    """Return the dataset with its files under their protocol names in ``folder``."""
+def into_layout(
+    plan: Plan, match: Match, folder: Path, there: Mapping[Slot, FrameRecord] = MappingProxyType({})
+) -> Dataset:
+    """Return the dataset with its files under their protocol names in ``folder``.
+
+    Parameters
+    ----------
+    plan
+        The whole plan.
+    match
+        Files of its shots, or of those that are not there.
+    folder
+        The dataset's folder.
+    there
+        The rows of shots that the set has already.
+    """
     paths = {
         (scene, shot.number): layout_path(plan, scene, shot, match.frames[scene, shot.number].path)
         for scene, shot in plan.shots
         if (scene, shot.number) in match.frames
     }
-    return _dataset(plan, match, folder, paths)
+    return _dataset(plan, match, folder, {slot: record.path for slot, record in there.items()} | paths, there)
 
 
 def in_place(plan: Plan, match: Match) -> Dataset:
@@ -86,31 +110,43 @@ def in_place(plan: Plan, match: Match) -> Dataset:
     return _dataset(plan, match, folder, {slot: path.relative_to(folder).as_posix() for slot, path in files.items()})
 
 
-def _dataset(plan: Plan, match: Match, folder: Path, paths: dict[tuple[str, int], str]) -> Dataset:
+def _dataset(
+    plan: Plan,
+    match: Match,
+    folder: Path,
+    paths: dict[Slot, str],
+    there: Mapping[Slot, FrameRecord] = MappingProxyType({}),
+) -> Dataset:
     references: dict[str, list[int]] = {}
     for scene, shot in plan.shots:
         if shot.role == "reference" and (scene, shot.number) in paths:
             references.setdefault(scene, []).append(shot.number)
-    rows, remarks = [], []
+    rows, before, remarks = [], [], []
     for scene, shot in plan.shots:
         slot = (scene, shot.number)
         if slot not in paths:
             continue
-        frame = match.frames[slot]
         reference = None
         if shot.reference is not None:
-            there = references.get(scene, [])
-            if not there:
+            known = references.get(scene, [])
+            if not known:
                 remarks.append(f"{scene} frame {shot.number} is left out: the scene has no reference")
                 continue
-            number = min(there, key=lambda other, shot=shot: _distance(shot, other))  # type: ignore[misc] # bound here
+            number = min(known, key=lambda other, shot=shot: _distance(shot, other))  # type: ignore[misc] # bound here
             if number != shot.reference:
                 remarks.append(
                     f"{scene} frame {shot.number}: compared with frame {number}, as {shot.reference} is missing"
                 )
             reference = paths[scene, number]
-        rows.append(CopiedRow(frame.path, _record(plan, scene, shot, frame, paths[slot], reference)))
-    return Dataset(folder, tuple(rows), tuple(remarks))
+        if slot in there:
+            row = there[slot]
+            if row.reference != reference:  # what was measured was measured against another one
+                row = replace(row, reference=reference, measured_ratio=None, measured_shift_px=None)
+            before.append(row)
+        else:
+            frame = match.frames[slot]
+            rows.append(CopiedRow(frame.path, _record(plan, scene, shot, frame, paths[slot], reference)))
+    return Dataset(folder, tuple(rows), tuple(remarks), tuple(before))
 
 
 def _distance(shot: Shot, other: int) -> tuple[bool, int, int]:
@@ -141,17 +177,28 @@ def _with_hash(row: CopiedRow) -> CopiedRow:
     return replace(row, record=replace(row.record, size_bytes=row.path.stat().st_size, sha256=sha256_of(row.path)))
 
 
+def counts_of(records: Iterable[FrameRecord]) -> dict[str, int]:
+    """Return the number of rows of each role, as cards state it."""
+    roles = Counter(record.role for record in records)
+    return {role: roles[role] for role in sorted(roles)}
+
+
+def set_title(records: Sequence[FrameRecord]) -> str:
+    """Return what a set holds, in words."""
+    scenes = len({record.scene for record in records} - {""})
+    what = [counted(scenes, "scene")] if scenes else []
+    what += ["calibration frames"] if {"bias", "flat"} & set(counts_of(records)) else []
+    cameras = dict.fromkeys(sorted(record.camera for record in records))
+    return f"{' and '.join(what)} taken with {' and '.join(cameras)}"
+
+
 def card_of(plan: Plan, name: str, folder: str, records: Sequence[FrameRecord]) -> Card:
     """Return the dataset's card; what only the photographer knows, such as the licence, is left to fill in."""
-    roles = Counter(record.role for record in records)
-    scenes = len({record.scene for record in records} - {""})
-    what = [f"{scenes} scene{'' if scenes == 1 else 's'}"] if scenes else []
     isos, factors = (", ".join(map(str, some)) for some in (plan.protocol.noisy_isos, plan.protocol.low_light_factors))
     settings = f"protocol of base ISO {plan.protocol.base_iso}, ISOs {isos}, low-light factors {factors}"
-    what += ["calibration frames"] if {"bias", "flat"} & set(roles) else []
     return Card(
         name=name,
-        title=f"{' and '.join(what)} taken with {plan.camera.name}",
+        title=set_title(records),
         version="1.0",
         folder=folder,
         citation="not stated",
@@ -159,6 +206,6 @@ def card_of(plan: Plan, name: str, folder: str, records: Sequence[FrameRecord]) 
         homepage="not stated",
         cfa=plan.camera.cfa,
         cameras={plan.camera.name: CameraCard(plan.camera.models)},
-        counts={role: roles[role] for role in sorted(roles)},
+        counts=counts_of(records),
         sources=(f"capture manifest: {settings}; ISO and exposure times as the files state them",),
     )

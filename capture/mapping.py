@@ -27,7 +27,7 @@ def mapping_as_dict(plan: Plan, observed: Observed, match: Match) -> dict[str, A
             {
                 "scene": scene,
                 "number": shot.number,
-                "shot": f"{shot.role}, ISO {shot.iso}, {shot.setting.dial} s",
+                "shot": f"{shot.role}, {shot.settings}",
                 "file": files.get((scene, shot.number)),
             }
             for scene, shot in plan.shots

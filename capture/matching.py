@@ -19,11 +19,12 @@ from capture.plan import CALIBRATION
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from capture.observed import Observed, ObservedFrame
     from capture.plan import Plan
     from capture.shots import Shot
+    from eldata.records import FrameRecord
 
 # EXIF states the name of a setting or what it gives, rounded in either case; neighbouring settings are a third of a
 # stop apart, and names account for up to a tenth.
@@ -32,10 +33,23 @@ _NEAR_STOPS: Final = 1.05  # a wrong setting that was meant for a shot: up to a 
 
 Repeated = Literal["last", "first"]
 Kind = Literal[
-    "missing", "repeated", "out-of-order", "extra", "wrong-setting", "unusable", "ambiguous", "scene-order", "no-times"
+    "missing",
+    "repeated",
+    "out-of-order",
+    "extra",
+    "wrong-setting",
+    "unusable",
+    "ambiguous",
+    "checklist",
+    "scene-order",
+    "no-times",
+    "copies",
+    "retaken",
+    "skipped",
+    "note",
 ]
-# For information only: the mapping does not depend on it.
-_HARMLESS: Final = ("scene-order", "no-times")
+# For information only: there is nothing to decide.
+_HARMLESS: Final = ("scene-order", "no-times", "copies", "retaken", "skipped", "note")
 Slot = tuple[str, int]
 
 
@@ -117,7 +131,7 @@ def match(plan: Plan, observed: Observed, *, repeated: Repeated = "last") -> Mat
     """
     if repeated not in get_args(Repeated):
         raise ArgumentError(f"repeated must be 'last' or 'first'; found {repeated!r}")
-    matcher = _Matcher(plan, observed.frames, repeated)
+    matcher = _Matcher(plan, observed.frames, repeated, by_clock=observed.order == "clock")
     remarks = [
         MatchRemark("unusable", f"{Path(file.path).name}: {file.reason}", path=Path(file.path))
         for file in observed.unusable
@@ -126,13 +140,41 @@ def match(plan: Plan, observed: Observed, *, repeated: Repeated = "last") -> Mat
         remarks.append(
             MatchRemark("no-times", "not every file says when it was taken; the order is that of the file names")
         )
+    if observed.copies:
+        (path, original), *more = observed.copies
+        text = f"{path} is byte for byte {original}; not used again"
+        text += f", nor are {len(more)} other copies" if more else ""
+        remarks.append(MatchRemark("copies", text, path=path))
     frames, found = matcher.run()
     return Match(frames, (*remarks, *found))
 
 
-def can_be(shot: Shot, frame: ObservedFrame) -> bool:
+def other_reading(
+    plan: Plan, observed: Observed, found: Match, matching: Callable[[Plan, Observed], Match] = match
+) -> Match | None:
+    """Return what the files are by their numbers, if that is another reading and no less whole than the clock's.
+
+    Where all scenes have equal exposures, a clock that was put back between two of them exchanges them, and nothing but
+    the camera's counter contradicts it. ``found`` is what ``matching``, :func:`match` or one that
+    knows more, made of the same files by the clock.
+    """
+    numbered = observed.numbered if observed.by_time else None
+    if numbered is None or numbered.frames == observed.frames:
+        return None
+    other = matching(plan, numbered)
+    return other if len(other.frames) >= len(found.frames) and other.frames != found.frames else None
+
+
+def can_be(shot: Shot, frame: ObservedFrame | FrameRecord) -> bool:
     """Return whether a frame has a shot's settings."""
+    if frame.exposure_s is None:
+        return False
     return frame.iso == shot.iso and shot.setting.stops_off(frame.exposure_s) <= STOPS_TOLERANCE
+
+
+def no_file(title: str, shot: Shot) -> str:
+    """Return the sentence that a shot of a scene has no file."""
+    return f"{title} frame {shot.number} ({shot.role}, {shot.settings}): no file"
 
 
 def blocks_of(plan: Plan) -> tuple[_Block, ...]:
@@ -147,7 +189,7 @@ def blocks_of(plan: Plan) -> tuple[_Block, ...]:
 
 
 class _Matcher:
-    def __init__(self, plan: Plan, frames: Sequence[ObservedFrame], repeated: Repeated) -> None:
+    def __init__(self, plan: Plan, frames: Sequence[ObservedFrame], repeated: Repeated, *, by_clock: bool) -> None:
         self.blocks = blocks_of(plan)
         self.frames = frames
         self.repeated = repeated
@@ -158,7 +200,7 @@ class _Matcher:
             settings: {index for index, frame in enumerate(frames) if can_be(shot, frame)}
             for settings, shot in shots.items()
         }
-        start = frames[0].taken if frames else None
+        start = frames[0].taken if frames and by_clock else None
         self.times_s = [
             (frame.taken - start).total_seconds() if start is not None and frame.taken is not None else 0.0
             for frame in frames
@@ -334,12 +376,11 @@ class _Matcher:
                     self.name_missing_shot(block, shot, self.meant_for(shot, window, at))
 
     def name_missing_shot(self, block: _Block, shot: Shot, near: int | None) -> None:
-        settings = f"ISO {shot.iso}, {shot.setting.dial} s"
-        text = f"{block.title} frame {shot.number} ({shot.role}, {settings}): no file"
+        text = no_file(block.title, shot)
         if near is not None:
             frame = self.frames[near]
             text += f"; {frame.path.name} may be meant, but was taken at {frame.settings}"
-            wanted = f"{block.title} frame {shot.number} asks for {settings}"
+            wanted = f"{block.title} frame {shot.number} asks for {shot.settings}"
             wrong = f"{frame.path.name}: {frame.settings}, where {wanted}; not used"
             self.note("wrong-setting", wrong, (block, shot), near)
         self.note("missing", text, (block, shot))
@@ -392,13 +433,11 @@ def checked(plan: Plan, given: Match) -> Match:
     remarks = list(given.remarks)
     for scene, shot in plan.shots:
         frame = given.frames.get((scene, shot.number))
-        settings = f"ISO {shot.iso}, {shot.setting.dial} s"
         if frame is None:
-            text = f"{scene} frame {shot.number} ({shot.role}, {settings}): no file"
-            remarks.append(MatchRemark("missing", text, scene, shot.number))
+            remarks.append(MatchRemark("missing", no_file(scene, shot), scene, shot.number))
         elif not can_be(shot, frame):
             raise MappingError(
-                f"mapping, {scene} frame {shot.number}: asks for {settings}, and {frame.path} was taken at "
+                f"mapping, {scene} frame {shot.number}: asks for {shot.settings}, and {frame.path} was taken at "
                 f"{frame.settings}: its ratio would be wrong. Choose another file, or null to leave the frame out"
             )
     return replace(given, remarks=tuple(remarks))

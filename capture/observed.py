@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections import defaultdict
+from dataclasses import dataclass, replace
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, get_args
 
 from capture.capture_errors import MappingError
+from eldata.base.files import sha256_of
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.errors import RawFileError
 from eldata.manifest.table import number_text
@@ -18,7 +21,14 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from datetime import datetime
 
+    from eldata.records import FrameRecord as Original
+
+Order = Literal["clock", "numbers"]
+"""What tells the order in which files were taken: the camera's clock in EXIF, or the numbers in their names."""
+ORDERS: tuple[Order, ...] = get_args(Order)
+
 _DIGITS = re.compile(r"(\d+)")
+_NUMBERED = re.compile(r"(.*?)(\d{1,12})", re.ASCII)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +58,58 @@ class Observed:
     unusable
         Why files cannot be matched: damaged, without ISO or exposure time, of another camera.
     by_time
-        Whether the order is that of EXIF; if not, it is that of the names.
+        Whether all files say when they were taken: if not, the order is that of the names.
+    copies
+        Files that are byte for byte another one, and what that is: they are not among the frames.
+    order
+        ``"numbers"``: the order is that of :meth:`numbered`, and the clock is not believed.
     """
 
     frames: tuple[ObservedFrame, ...]
     unusable: tuple[RawFileError, ...]
     by_time: bool
+    copies: tuple[tuple[Path, str], ...] = ()
+    order: Order = "clock"
+
+    def without_copies(self, of: Iterable[Original], workers: Workers = IN_THIS_PROCESS) -> Observed:
+        """Return what is left without the frames that are byte for byte one of these files."""
+        originals: dict[tuple[Fraction | None, Fraction | None, int | None], dict[str | None, str]] = {}
+        for one in of:
+            originals.setdefault((one.iso, one.exposure_s, one.size_bytes), {})[one.sha256] = one.path
+        # A file is hashed only if one with its settings and its size is known.
+        alike = [frame for frame in self.frames if _settings_and_size(frame) in originals]
+        hashes = workers.run(sha256_of, [frame.path for frame in alike], label="looking for copies")
+        found = [
+            (frame.path, originals[_settings_and_size(frame)][digest])
+            for frame, digest in zip(alike, hashes, strict=True)
+            if digest in originals[_settings_and_size(frame)]
+        ]
+        gone = {path for path, _ in found}
+        frames = tuple(frame for frame in self.frames if frame.path not in gone)
+        return replace(self, frames=frames, copies=(*self.copies, *found))
+
+    @property
+    def numbered(self) -> Observed | None:
+        """The same files in the order of the camera's counter, which may have turned over.
+
+        ``None`` if they are not numbered alike (``DSC`` and as many digits each), or a number occurs twice.
+        """
+        found = [_NUMBERED.fullmatch(frame.path.stem) for frame in self.frames]
+        if not found or not all(found) or len({(one[1], len(one[2])) for one in found if one}) > 1:
+            return None
+        numbers = [int(one[2]) for one in found if one]
+        if len(set(numbers)) < len(numbers):
+            return None
+        # The counter began after the widest gap, counted around its end: 9998, 9999, 0, 1.
+        ordered, turn = sorted(numbers), 10 ** len(found[0][2] if found[0] else "")
+        gaps = [after - before for before, after in pairwise([ordered[-1] - turn, *ordered])]
+        start = ordered[gaps.index(max(gaps))]
+        by_number = sorted(zip(numbers, self.frames, strict=True), key=lambda one: (one[0] - start) % turn)
+        return replace(self, frames=tuple(frame for _, frame in by_number), order="numbers")
+
+
+def _settings_and_size(frame: ObservedFrame) -> tuple[Fraction, Fraction, int]:
+    return frame.iso, frame.exposure_s, frame.path.stat().st_size
 
 
 def exposure_text(seconds: Fraction) -> str:
@@ -112,7 +168,7 @@ def observe(paths: Sequence[Path], models: Sequence[str], workers: Workers = IN_
 
     The order is that of DateTimeOriginal with its fraction of a second; frames of the same second that have no fraction
     are in the order of their names. If a file has no time, all are ordered by folder and name, as cameras number
-    them.
+    them. Of files that are byte for byte the same, as on a backup card, the one that was given first counts.
 
     Parameters
     ----------
@@ -136,9 +192,27 @@ def observe(paths: Sequence[Path], models: Sequence[str], workers: Workers = IN_
             unusable.append(RawFileError(found.path, reason))
         else:
             frames.append(found)
+    copies = _copies(frames, workers)
+    gone = {path for path, _ in copies}
+    frames = [frame for frame in frames if frame.path not in gone]
     by_time = all(frame.taken is not None for frame in frames)
     frames.sort(key=lambda frame: (frame.taken if by_time else None, _natural(frame.path)))
-    return Observed(tuple(frames), tuple(unusable), by_time)
+    return Observed(tuple(frames), tuple(unusable), by_time, tuple(copies))
+
+
+def _copies(frames: Sequence[ObservedFrame], workers: Workers) -> list[tuple[Path, str]]:
+    """Return the files that are byte for byte an earlier one, and that one's path."""
+    groups: dict[object, list[Path]] = defaultdict(list)
+    for frame in frames:
+        groups[_settings_and_size(frame), frame.taken, frame.model].append(frame.path)
+    alike = [path for paths in groups.values() if len(paths) > 1 for path in paths]
+    first: dict[str, Path] = {}
+    found = []
+    for path, digest in zip(alike, workers.run(sha256_of, alike, label="looking for copies"), strict=True):
+        original = first.setdefault(digest, path)
+        if original is not path:
+            found.append((path, str(original)))
+    return found
 
 
 def _observe(path: Path) -> ObservedFrame | RawFileError:

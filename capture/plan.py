@@ -18,7 +18,7 @@ from capture.camera import CameraDescription, camera_as_dict, camera_from, whole
 from capture.capture_errors import PlanError, naming
 from capture.exact import parse_seconds
 from capture.protocol import CaptureProtocol
-from capture.shots import Shot, check_isos, scene_shots
+from capture.shots import Duration, Shot, check_isos, duration_of, scene_shots
 from eldata.base.fields import Fields, TextFile, shown
 from eldata.base.files import write_json
 
@@ -123,6 +123,11 @@ class Plan:
         scenes = [(scene.name, shot) for scene in self.scenes for shot in scene.shots]
         frames = () if self.calibration is None else self.calibration.shots
         return (*scenes, *((CALIBRATION, shot) for shot in frames))
+
+    @property
+    def duration(self) -> Duration:
+        """How long the shots take, without what is to be done between the scenes."""
+        return duration_of([shot for _, shot in self.shots])
 
     def scene(self, name: str) -> ScenePlan:
         """Return a scene by its name.
@@ -263,6 +268,15 @@ def make_plan(
         If there is nothing to take, a name is not ``scene-<n>``, or the camera does not have one of the ISOs.
     ImpossibleShotError
         If one of the shots is beyond the camera.
+
+    Examples
+    --------
+    >>> from fractions import Fraction
+    >>> from capture import RELEASED, make_plan
+    >>> from capture.camera import EXAMPLE
+    >>> plan = make_plan(EXAMPLE, RELEASED, {"scene-1": Fraction(4), "scene-2": Fraction(2)})
+    >>> [(shot.role, shot.iso, shot.setting.dial) for shot in plan.scenes[0].shots[:3]]
+    [('reference', 100, '4'), ('noisy', 800, '0.5'), ('noisy', 800, '1/20')]
     """
     scenes = tuple(plan_scene(camera, protocol, name, seconds) for name, seconds in metered_s.items())
     return Plan(camera, protocol, scenes, calibration)

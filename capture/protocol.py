@@ -61,6 +61,14 @@ class CaptureProtocol:
     ------
     ArgumentError
         If a value is not a positive whole number, or if a tuple is empty or repeats a value.
+
+    Examples
+    --------
+    >>> from capture import PAPER, RELEASED, CaptureProtocol
+    >>> len(RELEASED.frames()), len(PAPER.frames())
+    (16, 10)
+    >>> CaptureProtocol(noisy_isos=(1600,), low_light_factors=(100,)).frames()[1].factor
+    100
     """
 
     base_iso: int = 100

@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final
 
 from capture.capture_errors import ImpossibleShotError, PlanError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from capture.camera import CameraDescription, ShutterTime
     from capture.exact import ExactNumber
     from capture.protocol import CaptureProtocol, ProtocolFrame
@@ -54,6 +57,11 @@ class Shot:
     level: Fraction | None = None
 
     @property
+    def settings(self) -> str:
+        """ISO and exposure time as they are dialled, to read."""
+        return f"ISO {self.iso}, {self.setting.dial} s"
+
+    @property
     def error_stops(self) -> float | None:
         """How many stops the true ratio lies above the nominal factor."""
         if self.true_ratio is None or self.factor is None:
@@ -66,6 +74,48 @@ class Shot:
         if self.true_ratio is None or self.factor is None:
             return None
         return 100 * (float(self.true_ratio / self.factor) - 1)
+
+
+# What a person at a camera takes, roughly: to turn a dial and look at the display; and what the camera takes to write a
+# raw file before the next release.
+DIAL_S: Final = 5
+WRITE_S: Final = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Duration:
+    """How long shots take: exposures in seconds, how often ISO or time changes, how many files are written."""
+
+    exposures_s: float
+    turns: int
+    files: int
+
+    @property
+    def total_s(self) -> float:
+        """The sum, with :data:`DIAL_S` for a turn and :data:`WRITE_S` for a file."""
+        return self.exposures_s + DIAL_S * self.turns + WRITE_S * self.files
+
+    def __str__(self) -> str:
+        return (
+            f"about {minutes(self.total_s)}: exposures {minutes(self.exposures_s)}, {self.turns} turns of a dial at "
+            f"{DIAL_S} s, {self.files} files at {WRITE_S} s"
+        )
+
+
+def duration_of(shots: Sequence[Shot]) -> Duration:
+    """Return how long shots take one after the other, without composing, focusing, metering and changing scenes."""
+    turns = sum((one.iso != other.iso) + (one.setting != other.setting) for one, other in pairwise(shots)) + 2 * bool(
+        shots
+    )
+    return Duration(sum(shot.setting.true_s for shot in shots), turns, len(shots))
+
+
+def minutes(seconds: float) -> str:
+    """Return a time to read: ``40 s``, ``12 min``, ``3 h 5 min``."""
+    if seconds < 90:
+        return f"{math.ceil(seconds)} s"
+    hours, rest = divmod(math.ceil(seconds / 60), 60)
+    return f"{hours} h {rest} min" if hours else f"{rest} min"
 
 
 def scene_shots(camera: CameraDescription, protocol: CaptureProtocol, metered_s: Fraction) -> tuple[Shot, ...]:

@@ -2,17 +2,20 @@
 
 from capture.check.checking import check
 from capture.check.measures import Estimate, Measure, MeasureKind, Remark, Verdict
-from capture.check.result import CheckedGroup, CheckReport
+from capture.check.recording import write_measured
+from capture.check.result import CheckedGroup, CheckedPair, CheckReport
 from capture.check.sheet import write_sheet
 
 __all__ = [
     "CheckReport",
     "CheckedGroup",
+    "CheckedPair",
     "Estimate",
     "Measure",
     "MeasureKind",
     "Remark",
     "Verdict",
     "check",
+    "write_measured",
     "write_sheet",
 ]

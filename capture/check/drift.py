@@ -12,10 +12,6 @@ if TYPE_CHECKING:
     from capture.check.cells import Cells
 
 BLOCK: Final = 4  # cells along each side: 16 x 16 packed pixels
-_SMALL_BLOCK: Final = 2
-# A shift of 0.2 pixels, which is let pass, changes a block of 16 pixels with an edge by less than half of this.
-_CHANGE: Final = 0.05
-_CHANGE_SIGMAS: Final = 8
 LEAST_BLOCKS: Final = 12
 WELL_EXPOSED: Final = (0.02, 0.9)  # of the range over black
 
@@ -48,25 +44,6 @@ def brightness_ratios(first: Cells, second: Cells) -> tuple[Estimate | None, ...
         scatter = TO_SIGMA * float(np.median(np.abs(ratios - middle_ratio)))
         estimates.append(Estimate(middle_ratio, OF_MEDIAN * scatter / count**0.5))
     return tuple(estimates)
-
-
-def changed_share(first: Cells, second: Cells, brightness: float) -> float:
-    """Return the share of the picture that changed differently from ``brightness``: something moved.
-
-    Blocks of 8 x 8 packed pixels whose green changed by more than a twentieth and by more than eight robust standard
-    deviations, of those that are well exposed in the first frame.
-    """
-    of_first, unclipped_first = first.pooled(_SMALL_BLOCK, _SMALL_BLOCK)
-    of_second, unclipped_second = second.pooled(_SMALL_BLOCK, _SMALL_BLOCK)
-    greens = first.greens
-    before, after = (mean[greens].mean(axis=0) for mean in (of_first, of_second))
-    low, high = (share * first.range_dn for share in WELL_EXPOSED)
-    usable = np.all((unclipped_first & unclipped_second)[greens], axis=0) & (before >= low) & (before <= high)
-    if int(usable.sum()) < LEAST_BLOCKS:
-        return 0.0
-    change = np.abs(after[usable] / brightness / before[usable] - 1)
-    least = max(_CHANGE, _CHANGE_SIGMAS * TO_SIGMA * float(np.median(change)))
-    return float(np.mean(change > least))
 
 
 def brightest_level(cells: Cells) -> float | None:

@@ -10,10 +10,10 @@ import numpy as np
 from capture.check.drift import BLOCK, brightness_ratios
 from capture.check.flicker import flicker_between
 from capture.check.frames import ReducedFrame, Unit, file_name, reduced_frames
+from capture.check.kinds import FLICKER
 from capture.check.measures import MeasureKind
 from capture.check.pictures import map_picture, scene_picture
 from capture.check.result import CheckedGroup
-from capture.check.scene import FLICKER
 
 if TYPE_CHECKING:
     from capture.check.cells import Cells

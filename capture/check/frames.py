@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from capture.check.cells import Cells, luminance, reduce_to_cells
+from capture.check.noise_structure import empty_share
 from eldata.base.files import inside
 from eldata.errors import EldataError
 from eldata.records import FrameRecord, RawHeader, Sensor
@@ -41,13 +42,17 @@ class Unit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReducedFrame:
-    """What is kept of a decoded frame, and its luminance, which is meant for use at once."""
+    """What is kept of a decoded frame, and its luminance, which is meant for use at once.
+
+    ``empty_share``: of its values (:func:`capture.check.noise_structure.empty_share`).
+    """
 
     record: FrameRecord
     header: RawHeader
     sensor: Sensor
     cells: Cells
     luminance: NDArray[np.float32]
+    empty_share: float
 
     @property
     def scale(self) -> int:
@@ -74,12 +79,16 @@ def reduced_frames(unit: Unit, group: CheckedGroup) -> Iterator[ReducedFrame]:
         packed = pack(frame.mosaic, frame.sensor.cfa)
         cells = reduce_to_cells(frame.mosaic, frame.sensor, packed)
         header = RawHeader(frame.path, frame.sensor.make, frame.sensor.model, frame.exposure)
-        return ReducedFrame(record, header, frame.sensor, cells, luminance(packed, cells))
+        return ReducedFrame(record, header, frame.sensor, cells, luminance(packed, cells), empty_share(frame.mosaic))
+
+    from eldata.raw.unsupported import what_to_do
 
     first: tuple[str, Sensor] | None = None
     for record, frame in zip(unit.records, unit.workers.read_ahead(reduce, unit.records), strict=True):
         if isinstance(frame, EldataError):
-            text = f"cannot be read ({getattr(frame, 'reason', '') or frame}); copy it again from the card"
+            reason = getattr(frame, "reason", "") or str(frame)
+            found, advice = what_to_do(reason) or (f"cannot be read ({reason})", "copy it again from the card")
+            text = f"{found}; {advice}"
             group.remark(record.path, text, "shoot again")
             continue
         first = first or (record.path, frame.sensor)

@@ -12,32 +12,13 @@ from typing import Any, Final, Literal, get_args
 
 from eldata.base.tables import with_error
 from eldata.base.visible import in_line
-from eldata.manifest.verify import RATIO_TOLERANCE
 
 Verdict = Literal["keep", "look", "shoot again"]
+"""What is to be done with a scene: kept, looked at by a person, or photographed again."""
 VERDICTS: Final[tuple[Verdict, ...]] = get_args(Verdict)
 
 SIGMAS: Final = 5.0
 """Standard errors below which a deviation may be chance: 6e-7 for one normal value."""
-
-# A change of brightness by a share e makes the error e * rms of a frame against its reference. With an rms of 0.3 of
-# full scale it reaches the error of the best published denoising of ELD (46.5 dB at x100) at 1.6 %, and stays ten
-# decibels below it, where it changes a score by 0.4 dB, up to 0.5 %.
-_BEST_PSNR_DB: Final = 46.5
-_RMS_OF_SCENE: Final = 0.3
-BRIGHTNESS_AGAIN: Final = 10 ** (-_BEST_PSNR_DB / 20) / _RMS_OF_SCENE
-BRIGHTNESS_LOOK: Final = BRIGHTNESS_AGAIN / math.sqrt(10)
-BRIGHTNESS_SOURCE: Final = (
-    f"an error of that share, at an rms of {_RMS_OF_SCENE} of full scale, lies ten decibels below that of the best "
-    f"published denoising ({_BEST_PSNR_DB} dB, ELD x100); to shoot again: equals it"
-)
-
-RATIO_LOOK: Final = float(RATIO_TOLERANCE)
-RATIO_AGAIN: Final = 2 ** (1 / 3) - 1
-RATIO_SOURCE: Final = (
-    "the tolerance of eldata verify, for EXIF times that are rounded; to shoot again: a whole step of the shutter, a "
-    "third of a stop"
-)
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from capture.check.cells import Cells
     from capture.check.frames import ReducedFrame
 
-_WIDEST: Final = 240  # pixels
+_WIDEST: Final = 480  # pixels: thumbnails are shown at a third of it, and enlarge
 _CHANGE_SHOWN: Final = 0.05  # the strongest colour of a difference map, as a share
 _QUALITY: Final = 85
 
@@ -75,8 +75,6 @@ def _jpeg(colours: NDArray[np.floating]) -> bytes:
     from PIL import Image
 
     image = Image.fromarray(np.rint(colours).astype(np.uint8))
-    if image.width < _WIDEST:
-        image = image.resize((_WIDEST, max(1, round(image.height * _WIDEST / image.width))))
     file = io.BytesIO()
     image.save(file, "JPEG", quality=_QUALITY)
     return file.getvalue()

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from capture.check.drift import TO_SIGMA
+from capture.check.drift import LEAST_BLOCKS, TO_SIGMA, WELL_EXPOSED
 from capture.check.measures import SIGMAS, Estimate
 
 if TYPE_CHECKING:
@@ -28,6 +28,10 @@ if TYPE_CHECKING:
 
 STRIP: Final = (1, 4)  # cells
 
+_SMALL_BLOCK: Final = 2  # cells along each side: 8 x 8 packed pixels
+# A shift of 0.2 pixels, which is let pass, changes a block of 16 pixels with an edge by less than half of this.
+_CHANGE: Final = 0.05
+_CHANGE_SIGMAS: Final = 8
 _ROUNDS: Final = 4
 _HUBER: Final = 2.5  # standard deviations
 _LEVELS: Final = 12  # bins of the scatter
@@ -124,6 +128,39 @@ def residuals_between(first: Cells, second: Cells, ratios: Sequence[float]) -> S
     level = _levels(expected, usable)
     sigma = _scatter(residual, level, usable)[level]
     return _limited(expected, residual, sigma, usable)
+
+
+def changed_share(first: Cells, second: Cells, brightness: float, offset_dn: Sequence[float] | None = None) -> float:
+    """Return the share of the picture that changed differently from the whole: something moved.
+
+    Blocks of 8 x 8 packed pixels whose green changed by more than a twentieth and by more than eight robust standard
+    deviations of blocks as bright, of those that are well exposed in the first frame, beside another such block: one
+    alone is a hot pixel, or chance.
+
+    Parameters
+    ----------
+    brightness
+        Of the second frame over that of the first.
+    offset_dn
+        What the second frame has beside that, in each channel; by default nothing.
+    """
+    of_first, unclipped_first = first.pooled(_SMALL_BLOCK, _SMALL_BLOCK)
+    of_second, unclipped_second = second.pooled(_SMALL_BLOCK, _SMALL_BLOCK)
+    greens = first.greens
+    offset = np.zeros(len(of_second)) if offset_dn is None else np.asarray(offset_dn)
+    before = of_first[greens].mean(axis=0).astype(np.float64)
+    after = (of_second - offset[:, None, None])[greens].mean(axis=0)
+    low, high = (share * first.range_dn for share in WELL_EXPOSED)
+    usable = np.all((unclipped_first & unclipped_second)[greens], axis=0) & (before >= low) & (before <= high)
+    if int(usable.sum()) < LEAST_BLOCKS:
+        return 0.0
+    change = np.where(usable, after / brightness / np.where(usable, before, 1) - 1, 0)
+    level = _levels(before, usable)
+    least = np.maximum(_CHANGE, _CHANGE_SIGMAS * _scatter(change, level, usable)[level])
+    changed = np.abs(change) > least
+    beside = np.pad(changed, 1)
+    beside = beside[:-2, 1:-1] | beside[2:, 1:-1] | beside[1:-1, :-2] | beside[1:-1, 2:]
+    return float(np.mean((changed & beside)[usable]))
 
 
 def _strips(first: Cells, second: Cells) -> tuple[Array, Array, NDArray[np.bool_]]:

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass, field
-from typing import Any
+from fractions import Fraction
+from statistics import median
+from typing import TYPE_CHECKING, Any
 
-from capture.check.measures import VERDICTS, Measure, MeasureKind, Remark, Verdict, worst
+from capture.check.limits import LIGHT_AGAIN
+from capture.check.measures import VERDICTS, Estimate, Measure, MeasureKind, Remark, Verdict, worst
 from eldata.base.tables import with_error
+from eldata.base.visible import in_line
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Sequence
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,6 +24,39 @@ class SheetPicture:
     caption: str
     path: str
     jpeg: bytes
+
+
+@dataclass(slots=True)
+class CheckedPair:
+    """What was measured of a noisy frame and its reference; it grows while the frame is looked at.
+
+    Attributes
+    ----------
+    path, reference
+        Of the files, as in the manifest.
+    shift
+        Distance between the frames, pixels of the mosaic.
+    ratio
+        The exposure ratio that the pixels show.
+    notes
+        What could not be told, and why.
+    """
+
+    path: str
+    reference: str
+    shift: Estimate | None = None
+    ratio: Estimate | None = None
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def recorded(self) -> dict[str, Fraction]:
+        """What a manifest keeps: the ratio, if it is known better than the limit for light, and the shift."""
+        found = {}
+        if self.ratio is not None and self.ratio.standard_error <= LIGHT_AGAIN * self.ratio.value:
+            found["measured_ratio"] = Fraction(f"{self.ratio.value:.6g}")
+        if self.shift is not None:
+            found["measured_shift_px"] = Fraction(f"{self.shift.value:.3f}")
+        return found
 
 
 @dataclass(slots=True)
@@ -32,6 +73,8 @@ class CheckedGroup:
         Everything measured, good values too; and what could not be measured.
     pictures
         For the contact sheet.
+    pairs
+        One for each noisy frame that could be read.
     """
 
     name: str
@@ -39,6 +82,7 @@ class CheckedGroup:
     measures: list[Measure] = field(default_factory=list)
     remarks: list[Remark] = field(default_factory=list)
     pictures: list[SheetPicture] = field(default_factory=list)
+    pairs: list[CheckedPair] = field(default_factory=list)
 
     def measure(self, kind: MeasureKind, path: str, text: str, value: float, error: float = 0.0) -> Measure:
         """Add a measure, and return it."""
@@ -78,6 +122,26 @@ class CheckedGroup:
         """Return the most severe verdict about one file."""
         return worst([one.verdict for one in self.findings if one.path == path])
 
+    def columns(self) -> tuple[str, ...]:
+        """Return the names of what was measured of pairs, in the order in which it first occurs."""
+        paths = {pair.path for pair in self.pairs}
+        return tuple(dict.fromkeys(one.name for one in self.measures if one.path in paths))
+
+    def row(self, pair: CheckedPair) -> dict[str, Measure]:
+        """Return the measures of a pair by name."""
+        return {one.name: one for one in self.measures if one.path == pair.path}
+
+    def _pair_dict(self, pair: CheckedPair) -> dict[str, Any]:
+        fields = ("value", "standard_error", "unit", "verdict")
+        measured = {name: one.as_dict() for name, one in self.row(pair).items()}
+        return {
+            "path": pair.path,
+            "reference": pair.reference,
+            "verdict": self.verdict_of(pair.path),
+            "measured": {name: {field: one[field] for field in fields} for name, one in measured.items()},
+            "notes": pair.notes,
+        }
+
     def as_dict(self) -> dict[str, Any]:
         """Return the result as plain JSON types, without pictures."""
         return {
@@ -87,12 +151,16 @@ class CheckedGroup:
             "reasons": [str(one) for one in self.reasons],
             "measures": [one.as_dict() for one in self.measures],
             "remarks": [one.as_dict() for one in self.remarks],
+            "pairs": list(map(self._pair_dict, self.pairs)),
         }
 
-    def format_text(self) -> str:
-        """Return the verdict and its reasons; for a group to keep, its most critical values."""
+    def format_text(self, told: Collection[Measure] = ()) -> str:
+        """Return the verdict and its reasons, but those ``told`` below; of a group to keep, its extremes."""
         lines = [f"{self.name}: {self.verdict}"]
-        lines += [f"    {one.verdict}: {one}" for one in self.reasons]
+        left = [one for one in self.reasons if one not in told]
+        lines += [f"    {one.verdict}: {one}" for one in left]
+        if len(left) < len(self.reasons):
+            lines.append(f"    {len(self.reasons) - len(left)} measures that are off alike in many files: see below")
         if self.verdict == "keep":
             lines[0] += (
                 f" ({self.files} files; {', '.join(measure_summary(one) for one in self.extremes if one.deviation)})"
@@ -112,15 +180,59 @@ class CheckReport:
         """Whether everything can be kept."""
         return all(group.verdict == "keep" for group in self.groups)
 
+    @property
+    def counts(self) -> dict[Verdict, int]:
+        """How many groups have each verdict, of those that occur."""
+        counts = {verdict: sum(group.verdict == verdict for group in self.groups) for verdict in VERDICTS}
+        return {verdict: count for verdict, count in counts.items() if count}
+
+    @property
+    def alike(self) -> tuple[str, ...]:
+        """Ratios that are off alike in many files, as if every exposure had been 20 % too short: a sentence each."""
+        return tuple(map(_in_one, _alike(self.groups)))
+
     def as_dict(self) -> dict[str, Any]:
         """Return the report as plain JSON types, without pictures."""
         return {"dataset": self.dataset, "ok": self.ok, "groups": [group.as_dict() for group in self.groups]}
 
     def format_text(self) -> str:
-        """Return the report as text: each verdict with its reasons, then how many of each there are."""
-        counts = [(sum(group.verdict == verdict for group in self.groups), verdict) for verdict in VERDICTS]
-        total = ", ".join(f"{count} {verdict}" for count, verdict in counts if count)
-        return "\n".join([*(group.format_text() for group in self.groups), f"{self.dataset}: {total}"])
+        """Return the report as text: verdicts with their reasons, what is :attr:`alike`, how many there are of each."""
+        told = {one for many in _alike(self.groups) for one in many}
+        total = ", ".join(f"{count} {verdict}" for verdict, count in self.counts.items())
+        groups = [group.format_text(told) for group in self.groups]
+        return "\n".join([*groups, *self.alike, f"{self.dataset}: {total}"])
+
+
+# So many files that are off alike are one finding. What is alike: within 3 % of the nominal ratio, some times what the
+# noise of a dark frame leaves of its measured ratio, and a tenth of a third of a stop.
+_MANY = 5
+_ALIKE = 0.03
+
+
+def _alike(groups: Iterable[CheckedGroup]) -> list[list[Measure]]:
+    """Return the measured ratios that are off by about the same factor, for the same reason, in many files."""
+    found: dict[tuple[str, Verdict, str], list[Measure]] = defaultdict(list)
+    for one in (one for group in groups for one in group.measures if not one.kind.unit and one.kind.expected):
+        if one.verdict != "keep":
+            found[one.name, one.verdict, one.kind.advice].append(one)
+    alike = []
+    for many in found.values():
+        middle = median(map(_relative, many))
+        close = [one for one in many if abs(_relative(one) - middle) <= _ALIKE]
+        alike += [close] if len(close) >= _MANY else []
+    return alike
+
+
+def _relative(measure: Measure) -> float:
+    return measure.value / measure.kind.expected
+
+
+def _in_one(many: Sequence[Measure]) -> str:
+    first, shares = many[0], [100 * _relative(one) for one in many]
+    return (
+        f"{first.verdict}: {len(many)} files alike, such as {in_line(first.path)}: {first.name}: by the pixels it is "
+        f"{median(shares):.0f} % of what it should be ({min(shares):.1f} to {max(shares):.1f} %); {first.kind.advice}"
+    )
 
 
 def measure_summary(measure: Measure) -> str:

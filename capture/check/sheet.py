@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from capture.checklist_content import TEMPLATES
 from eldata.base.files import write_text
+from eldata.base.tables import with_error
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ def sheet_page(report: CheckReport) -> str:
     """Return the page; the same report gives the same text."""
     from eldata.reports.html import rendered
 
-    return rendered("sheet.html", TEMPLATES, report=report, source=_source)
+    return rendered("sheet.html", TEMPLATES, report=report, source=_source, with_error=with_error)
 
 
 def _source(picture: SheetPicture) -> str:

@@ -34,7 +34,11 @@ _SIDES: Final = (256, 128, 64, 32)
 _LEAST_TILES_A_SIDE: Final = 3  # with the largest tiles; smaller frames take smaller tiles
 _MOST_TILES: Final = (4, 6)
 _SHIFT_BAND: Final = (3.0, 0.2)  # cycles per tile, cycles per packed pixel
+_LINES: Final = 3.0  # cycles per tile
 _FOCUS_BAND: Final = (0.1, 0.4)  # cycles per packed pixel
+# A Hann window's independent frequencies are fewer than the frequencies by sum(w^4) n / sum(w^2)^2 in each direction,
+# w^2 being the noise's variance along the tile: (35/128) / (3/8)^2 = 1.94.
+HANN_CORRELATION: Final = (35 / 128 / (3 / 8) ** 2) ** 2
 _ROUNDS: Final = 6
 _FURTHEST: Final = 1.5  # packed pixels: the peak is certain to one
 _WORST_ERROR: Final = 0.25  # packed pixels: a tile that is less certain has no detail to tell a shift by
@@ -87,10 +91,11 @@ def make_tiles(image: NDArray[np.float32]) -> Tiles | None:
         for size, most in zip(image.shape, _MOST_TILES, strict=True)
     )
     starts = np.stack(np.meshgrid(tops, lefts, indexing="ij"), axis=-1).reshape(-1, 2)
-    return Tiles(_spectra(image, starts, side), starts, side)
+    return Tiles(cut_tiles(image, starts, side), starts, side)
 
 
-def _spectra(image: NDArray[np.float32], starts: NDArray[np.intp], side: int) -> Spectra:
+def cut_tiles(image: NDArray[np.float32], starts: NDArray[np.intp], side: int) -> Spectra:
+    """Return the windowed spectra of the tiles of an image that begin at these places, without their means."""
     import scipy.fft
 
     tiles = np.stack([image[top : top + side, left : left + side] for top, left in starts])
@@ -107,30 +112,53 @@ def moved_tiles(first: Tiles, image: NDArray[np.float32]) -> tuple[Tiles, Tiles,
     The window stays where it is when the scene moves, which pulls a shift towards 0 by some percent. So the second
     frame's tiles are cut where the first's have moved to; tiles that leave the frame are left out. ``None`` if all do.
     """
-    down, right = _whole_pixels(first, _spectra(image, first.starts, first.side))
-    starts = first.starts + np.array([down, right])
+    place = _whole_pixels(first, cut_tiles(image, first.starts, first.side))
+    cut = moved_starts(first, image, place)
+    return None if cut is None else (*cut, place)
+
+
+def moved_starts(first: Tiles, image: NDArray[np.float32], place: tuple[int, int]) -> tuple[Tiles, Tiles] | None:
+    """Return the tiles of two frames, the second's cut ``place`` pixels below and to the right of the first's.
+
+    ``None`` if all of them leave the frame.
+    """
+    starts = first.starts + np.array(place)
     inside = np.all((starts >= 0) & (starts + first.side <= np.array(image.shape)), axis=1)
     if not inside.any():
         return None
     same = Tiles(first.spectra[inside], first.starts[inside], first.side)
-    return same, Tiles(_spectra(image, starts[inside], first.side), starts[inside], first.side), (down, right)
+    return same, Tiles(cut_tiles(image, starts[inside], first.side), starts[inside], first.side)
 
 
-def _frequencies(side: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def frequencies(side: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the frequencies of a tile's spectrum along both axes, cycles per packed pixel, to be broadcast."""
     down, right = (frequencies.astype(np.float64) for frequencies in (np.fft.fftfreq(side), np.fft.rfftfreq(side)))
     return down[:, None], right[None, :]
 
 
-def _unshift(down: NDArray[np.float64], right: NDArray[np.float64], side: int) -> Spectra:
+def unshift(down: NDArray[np.float64], right: NDArray[np.float64], side: int) -> Spectra:
     """Return the factors that undo each tile's shift."""
-    fy, fx = _frequencies(side)
+    fy, fx = frequencies(side)
     turns = down[:, None, None] * fy + right[:, None, None] * fx
     factors: Spectra = np.exp(2j * np.pi * turns)
     return factors
 
 
-def _band(side: int) -> NDArray[np.bool_]:
-    fy, fx = _frequencies(side)
+def counted_twice(side: int, band: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return how often each frequency of a band counts: of a real image's spectrum only half is kept."""
+    _, fx = frequencies(side)
+    return np.broadcast_to(np.where((fx == 0) | (fx == 0.5), 1.0, 2.0), band.shape)[band]
+
+
+def on_lines(side: int) -> NDArray[np.bool_]:
+    """Return the frequencies along rows and columns, where row noise and banding stand."""
+    fy, fx = frequencies(side)
+    return (np.abs(fy) * side < _LINES) | (np.abs(fx) * side < _LINES)
+
+
+def shift_band(side: int) -> NDArray[np.bool_]:
+    """Return the frequencies that a shift is told by."""
+    fy, fx = frequencies(side)
     radius = np.hypot(fy, fx)
     return (radius * side >= _SHIFT_BAND[0]) & (radius <= _SHIFT_BAND[1])
 
@@ -140,7 +168,7 @@ def _whole_pixels(first: Tiles, second: Spectra) -> tuple[int, int]:
     import scipy.fft
 
     side = first.side
-    cross = np.where(_band(side), np.conj(first.spectra) * second, 0)
+    cross = np.where(shift_band(side), np.conj(first.spectra) * second, 0)
     magnitude = np.abs(cross)
     # Well below the mean magnitude a frequency is mostly noise: it counts in proportion instead of fully.
     floor = magnitude.mean(axis=(1, 2), keepdims=True) / 10 + np.finfo(np.float32).tiny
@@ -156,16 +184,16 @@ def measure_shift(first: Tiles, second: Tiles) -> Shift | None:
     ``None`` if no tile has enough detail. The shift between the frames is that and the pixels between the tiles.
     """
     side = first.side
-    fy, fx = _frequencies(side)
-    band = _band(side)
+    fy, fx = frequencies(side)
+    band = shift_band(side)
     cross = np.conj(first.spectra).astype(np.complex128) * second.spectra
     down = right = np.zeros(len(cross))
     wave_y, wave_x = (2 * np.pi * np.broadcast_to(axis, band.shape)[band] for axis in (fy, fx))
     # The half of the plane that a real transform stores counts twice but for its own mirror, the columns 0 and side/2.
-    twice = np.broadcast_to(np.where((fx == 0) | (fx == 0.5), 1.0, 2.0), band.shape)[band]
+    twice = counted_twice(side, band)
     # One round: Im(C exp(2 pi i k d)) is about -Re(...) 2 pi k (d_true - d), linear in what is left of the shift.
     for _ in range(_ROUNDS):
-        turned = (cross * _unshift(down, right, side))[:, band]
+        turned = (cross * unshift(down, right, side))[:, band]
         # Of the real part, noise has the mean 0: the information of a tile without detail is about 0, not above.
         yy, xy, xx = (turned.real @ (twice * product) for product in (wave_y**2, wave_y * wave_x, wave_x**2))
         by, bx = (-(turned.imag @ (twice * wave)) for wave in (wave_y, wave_x))
@@ -175,18 +203,13 @@ def measure_shift(first: Tiles, second: Tiles) -> Shift | None:
         down = np.clip(down + (xx * by - xy * bx) / determinant, -_FURTHEST, _FURTHEST)
         right = np.clip(right + (yy * bx - xy * by) / determinant, -_FURTHEST, _FURTHEST)
     one = first.spectra[:, band]
-    gain = (turned.real @ twice) / (np.abs(one) ** 2 @ twice)
-    residual = (second.spectra * _unshift(down, right, side))[:, band] - gain[:, None] * one
-    noise = (np.abs(residual) ** 2 @ twice) / twice.sum() * _HANN_CORRELATION
+    gain = (turned.real @ twice) / np.maximum(np.abs(one) ** 2 @ twice, 1e-300)  # a tile of one value tells nothing
+    residual = (second.spectra * unshift(down, right, side))[:, band] - gain[:, None] * one
+    noise = (np.abs(residual) ** 2 @ twice) / twice.sum() * HANN_CORRELATION
     regular &= gain > 0
     information = np.where(regular, np.stack([xx, yy]), 1) / np.where(regular, determinant, 1)
     errors = np.where(regular, np.sqrt(noise / np.where(regular, gain, 1) * information), np.inf)
     return _combined(np.stack([down, right]), errors)
-
-
-# A Hann window's independent frequencies are fewer than the frequencies by sum(w^4) n / sum(w^2)^2 in each direction,
-# w^2 being the noise's variance along the tile: (35/128) / (3/8)^2 = 1.94.
-_HANN_CORRELATION: Final = (35 / 128 / (3 / 8) ** 2) ** 2
 
 
 def _combined(values: NDArray[np.float64], errors: NDArray[np.float64]) -> Shift | None:
@@ -231,11 +254,11 @@ def measure_focus(first: Tiles, second: Tiles, shift: Shift, brightness: float) 
         Ratio of the frames' brightness, which is taken off.
     """
     side = first.side
-    fy, fx = _frequencies(side)
+    fy, fx = frequencies(side)
     radius = np.hypot(fy, fx)
     band = (radius >= _FOCUS_BAND[0]) & (radius <= _FOCUS_BAND[1])
     ones = np.ones(1)
-    undo = _unshift(shift.down.value * ones, shift.right.value * ones, side)[0][band] / brightness
+    undo = unshift(shift.down.value * ones, shift.right.value * ones, side)[0][band] / brightness
     one = first.spectra[:, band]
     two = second.spectra[:, band] * undo
     power_1, power_2 = (np.sum(np.abs(spectra) ** 2, axis=1, dtype=np.float64) for spectra in (one, two))

@@ -27,7 +27,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument("camera", metavar="CAMERA", nargs="?", help="a camera description (JSON)")
     add_output(parser, "--example", help="write an example description to FILE, which must be new")
-    add_shared(parser, run, "json")
+    add_shared(parser, run, "json", example=("capture camera --example cam.json", "capture camera cam.json"))
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -19,7 +19,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         description=(
             "Check the pixels of each scene: do the references agree (light, position, focus), is each noisy frame "
             "exposed as its name says, is there flicker; light leaks in bias frames, saturated or uneven flats. Gives "
-            "one verdict per scene: keep, look or shoot again, with the reasons. Nothing is changed."
+            "one verdict per scene: keep, look or shoot again, with the reasons. Nothing is changed, but with --write "
+            "the manifest, which gets the exposure ratio and the shift that the pixels of each pair show."
         ),
     )
     parser.add_argument("manifest", metavar="MANIFEST", help="the manifest's CSV file, its card beside it")
@@ -35,12 +36,20 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     add_cameras(parser)
     add_jobs(parser)
     add_output(parser, "--sheet", help="write a contact sheet, an HTML page that needs no network")
-    add_shared(parser, run, "isolation", "json")
+    parser.add_argument(
+        "--write",
+        action="store_true",
+        help='write the measured ratio and shift of each pair into the manifest, for amplification="measured"',
+    )
+    add_shared(
+        parser, run, "isolation", "json", example="capture check manifests/mine.csv --root data --sheet sheet.html"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
     from capture.check.checking import check
+    from capture.check.recording import write_measured
     from capture.check.sheet import check_sheet_name, write_sheet
 
     if arguments.sheet:
@@ -57,9 +66,15 @@ def run(arguments: argparse.Namespace) -> int:
         write_sheet(arguments.sheet, report)
         print(f"contact sheet: {arguments.sheet}")
 
+    def write_pairs() -> None:
+        count = write_measured(arguments.manifest, report)
+        pairs = sum(len(group.pairs) for group in report.groups)
+        print(f"{arguments.manifest}: measured ratios of {count} of {pairs} pairs written")
+
     each_of(
         lambda: print(report.format_text()),
         arguments.json and (lambda: write_json(arguments.json, report.as_dict())),
         arguments.sheet and write_pictures,
+        arguments.write and write_pairs,
     )
     return OK if report.ok else PROBLEMS

@@ -29,7 +29,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("plan", metavar="PLAN", help="a plan (capture plan)")
     add_output(parser, "-o", "--output", help="write it to FILE; without, md and txt go to the terminal")
     parser.add_argument("--format", choices=_FORMATS, help="default: by the suffix of FILE; without FILE txt")
-    add_shared(parser, run, "json")
+    add_shared(parser, run, "json", example="capture checklist plan.json -o checklist.html")
 
 
 def run(arguments: argparse.Namespace) -> int:

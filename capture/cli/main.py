@@ -10,14 +10,17 @@ TYPE_CHECKING = False  # typing takes as long to import as all else that comes b
 if TYPE_CHECKING:
     import argparse
 
-_COMMANDS = ("protocol", "camera", "plan", "checklist", "run", "manifest", "check")
+_COMMANDS = ("protocol", "camera", "plan", "checklist", "run", "manifest", "check", "completion")
+
+_FIRST = ("capture camera --example cam.json", "capture plan --camera cam.json --scenes 10 --metered 4 -o plan.json")
 
 
 def parser() -> argparse.ArgumentParser:
     """Return the command's argument parser."""
     from eldata.base.console import command_line
 
-    return command_line("capture", "Photograph scenes for a low-light denoising dataset.", "capture.cli", _COMMANDS)
+    description = "Photograph scenes for a low-light denoising dataset."
+    return command_line("capture", description, "capture.cli", _COMMANDS, _FIRST)
 
 
 def main(argv: list[str] | None = None) -> int:

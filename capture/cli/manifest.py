@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from capture.cli.values import add_progress, progress_of
+from capture.observed import ORDERS
 from eldata.base.console import OK, PROBLEMS, add_shared
 from eldata.base.files import write_json
+from eldata.base.numbers import counted
 from eldata.base.visible import in_line
 from eldata.base.workers import Workers
 from eldata.errors import ArgumentError
@@ -15,6 +20,7 @@ from eldata.errors import ArgumentError
 if TYPE_CHECKING:
     import argparse
 
+    from capture.begun import Begun
     from capture.manifest import Dataset
     from capture.matching import Match
     from capture.observed import Observed
@@ -40,6 +46,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "-o", "--output", metavar="FILE", required=True, help="the manifest, such as manifests/mine.csv"
     )
+    add_progress(parser, "metered times, file names, repeats, what was skipped, remarks")
     place = parser.add_mutually_exclusive_group()
     place.add_argument("--copy-to", metavar="DIR", help="copy the files to DIR/<camera>/scene-<n>/IMG_<nnnn>.<ext>")
     place.add_argument("--link-to", metavar="DIR", help="the same with hard links, which take no space")
@@ -56,16 +63,40 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         default="last",
         help="which of the frames of a shot that was taken several times in a row (default: %(default)s)",
     )
+    parser.add_argument(
+        "--order",
+        choices=ORDERS,
+        help="what to believe where the files' numbers contradict the camera's clock; without it, both readings are "
+        "shown and nothing is written",
+    )
     parser.add_argument("--allow-gaps", action="store_true", help="write the manifest even if shots are missing")
     parser.add_argument("--yes", action="store_true", help="accept what was decided, without asking")
-    parser.add_argument("--replace", action="store_true", help="replace an older manifest of this name")
-    add_shared(parser, run, "jobs", "isolation", "json")
+    older = parser.add_mutually_exclusive_group()
+    older.add_argument("--replace", action="store_true", help="replace an older manifest of this name")
+    older.add_argument(
+        "--append",
+        action="store_true",
+        help="join the set that this manifest lists: another card, night or camera; with --copy-to or --link-to",
+    )
+    add_shared(
+        parser,
+        run,
+        "jobs",
+        "isolation",
+        "json",
+        example=(
+            "capture manifest plan.json card -o manifests/mine.csv --copy-to data/mine",
+            "capture manifest plan.json card -o manifests/mine.csv --copy-to data/mine --progress progress.json",
+            "capture manifest night-2.json card -o manifests/mine.csv --copy-to data/mine --append",
+        ),
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
     from capture.mapping import load_mapping, mapping_as_dict
-    from capture.matching import match
+    from capture.matching import match, other_reading
+    from capture.noted import match_noted
     from capture.observed import observe, raw_files
     from capture.plan import Plan
 
@@ -76,20 +107,53 @@ def run(arguments: argparse.Namespace) -> int:
         raise ArgumentError(f"--output {output}: its card would be {arguments.plan}, the plan; give another name")
     place = arguments.copy_to or arguments.link_to
     plan = Plan.load(arguments.plan)
+    progress = progress_of(arguments.progress, plan)
+    if progress is not None:
+        plan = progress.as_metered(plan)
     if arguments.only:
         plan = plan.only(arguments.only)
+    begun = _begun(arguments, output)
+    wanted = plan if begun is None else begun.lacking(plan)
     files = raw_files(arguments.files, plan.camera.raw_extension, outside=None if place is None else Path(place))
     workers = Workers(arguments.jobs)
     observed = observe(files, plan.camera.models, workers)
+    if begun is not None:
+        observed = observed.without_copies(begun.records, workers)
+        if wanted is None or not observed.frames:
+            return _nothing_to_add(observed, output, complete=wanted is None)
+        there = len(plan.shots) - len(wanted.shots)
+        if there:
+            print(f"{output}: has {there} of the plan's {len(plan.shots)} shots; the others are:\n")
+    whole, plan = plan, wanted or plan
+    if arguments.order == "numbers":
+        if observed.numbered is None:
+            raise ArgumentError(
+                "--order numbers: the files' names are not one series of numbers, each once; use --order clock"
+            )
+        observed = observed.numbered
+    other = None
     if arguments.mapping is None:
-        found = match(plan, observed, repeated=arguments.repeated)
+        matching = partial(match, repeated=arguments.repeated)
+        if progress is not None:
+            matching = partial(match_noted, progress=progress, repeated=arguments.repeated)
+        found = matching(plan, observed)
+        if arguments.order is None:
+            other = other_reading(plan, observed, found, matching)
     else:
         found = load_mapping(arguments.mapping, plan, observed)
+    if other is not None:
+        print("by the camera's clock:")
     print(format_match(plan, observed, found))
     if arguments.json:
-        write_json(arguments.json, mapping_as_dict(plan, observed, found))
+        second = {} if other is None else {"by_numbers": mapping_as_dict(plan, observed, other)}
+        write_json(arguments.json, mapping_as_dict(plan, observed, found) | second)
     if not found.frames:
         print("\nno file is a shot of this plan; nothing was written. Is it the right plan, with the right camera?")
+        return PROBLEMS
+    if other is not None:
+        print(f"\nby the numbers of the files:\n{format_match(plan, observed, other)}")
+        print("\nThe files' numbers contradict the camera's clock, and both readings are possible: was the clock put")
+        print("back, or were the files renamed? No manifest was written. Choose with --order clock or --order numbers")
         return PROBLEMS
     if found.missing and not arguments.allow_gaps:
         print(
@@ -99,8 +163,31 @@ def run(arguments: argparse.Namespace) -> int:
         return _leave_mapping(output, plan, observed, found)
     if found.doubtful and arguments.mapping is None and not arguments.yes and not _confirmed():
         return _leave_mapping(output, plan, observed, found)
-    _write(plan, found, output, arguments, workers)
+    _write(whole, found, begun, output, arguments, workers)
     return OK
+
+
+def _begun(arguments: argparse.Namespace, output: Path) -> Begun | None:
+    """Return the set that the files are to join, if ``--append`` says so."""
+    from capture.begun import Begun
+
+    if not arguments.append:
+        return None
+    place = arguments.copy_to or arguments.link_to
+    if place is None:
+        raise ArgumentError("--append goes with --copy-to DIR or --link-to DIR, the folder that holds the set's files")
+    return Begun.load(output, Path(place).absolute())
+
+
+def _nothing_to_add(observed: Observed, output: Path, *, complete: bool) -> int:
+    """Say why no file joins the set: the files are there already, or the plan's shots are."""
+    new = len(observed.frames)
+    print(f"{output}: {len(observed.copies)} of the files given are in the set already, or copies; {new} are not")
+    for problem in observed.unusable:
+        print(f"    {in_line(str(problem))}")
+    if new and complete:
+        print("and every shot of the plan is. Another night's scenes need other names: capture plan --scenes 11-15")
+    return PROBLEMS if new or observed.unusable else OK
 
 
 def _confirmed() -> bool:
@@ -131,22 +218,30 @@ def _leave_mapping(output: Path, plan: Plan, observed: Observed, found: Match) -
     return PROBLEMS
 
 
-def _write(plan: Plan, found: Match, output: Path, arguments: argparse.Namespace, workers: Workers) -> None:
+def _write(
+    plan: Plan, found: Match, begun: Begun | None, output: Path, arguments: argparse.Namespace, workers: Workers
+) -> None:
     from capture.manifest import card_of, in_place, into_layout, with_hashes
     from capture.placing import Placement, check_free, copy, link, make_folders
     from eldata.manifest.card import save_card
     from eldata.manifest.table import save_records
 
     place = arguments.copy_to or arguments.link_to
-    dataset = in_place(plan, found) if place is None else into_layout(plan, found, Path(place).absolute())
+    if place is None:
+        dataset = in_place(plan, found)
+    else:
+        dataset = (begun.into_layout if begun is not None else into_layout)(plan, found, Path(place).absolute())
     card_path = output.with_suffix(".json")
-    if output.exists() and not arguments.replace:
+    if output.exists() and not arguments.replace and begun is None:
         raise ArgumentError(f"{output} is there already: give another name, or --replace it")
     dataset = with_hashes(dataset, workers)
-    records = [row.record for row in dataset.rows]
-    card = card_of(plan, output.stem, dataset.folder.name, records)
+    records = dataset.records
+    make_card = (
+        partial(card_of, plan, output.stem, dataset.folder.name) if begun is None else partial(begun.joined, plan)
+    )
+    card = make_card(records)
     # The manifest comes last: this very card without one is what a killed run left.
-    if card_path.exists() and not arguments.replace and not _is_card(card_path, card):
+    if card_path.exists() and not arguments.replace and begun is None and not _is_card(card_path, card):
         raise ArgumentError(f"{card_path} is there already: give another name, or --replace it")
     if place is not None:
         placements = [
@@ -163,9 +258,11 @@ def _write(plan: Plan, found: Match, output: Path, arguments: argparse.Namespace
     print()
     for remark in dataset.remarks:
         print(remark)
-    print(f"manifest: {output}, {len(records)} files below {dataset.folder}")
+    new = f", {len(dataset.rows)} of them new" if begun is not None else ""
+    print(f"manifest: {output}, {len(records)} files below {dataset.folder}{new}")
     print(f"card: {card_path}; fill in its licence and homepage before you give the set to others")
-    print(f"check it with: eldata verify {output} --root {dataset.folder.parent} --level full")
+    where = f"{shlex.quote(str(output))} --root {shlex.quote(str(dataset.folder.parent))}"
+    print(f"check it with: eldata verify {where} --level full")
     _warn_of_unlisted(dataset, place)
 
 
@@ -193,8 +290,8 @@ def _warn_of_unlisted(dataset: Dataset, place: str | None) -> None:
     ]
     if beside:
         print(
-            f"{len(beside)} other raw file(s) lie in the same folders, such as {in_line(beside[0].name)}: eldata "
-            "verify will name them. --copy-to and --link-to make a folder without them"
+            f"beside them: {counted(len(beside), 'other raw file')}, such as {in_line(beside[0].name)}, which eldata "
+            "verify will name. --copy-to and --link-to make a folder without them"
         )
 
 
@@ -218,6 +315,6 @@ def format_match(plan: Plan, observed: Observed, found: Match) -> str:
         texts = list(dict.fromkeys(remark.text for remark in found.remarks if remark.kind == kind))
         lines.append(f"{kind}:")
         lines += [f"    {in_line(text)}" for text in texts]
-    total = len(observed.frames) + len(observed.unusable)
+    total = len(observed.frames) + len(observed.unusable) + len(observed.copies)
     lines.append(f"{len(found.frames)} of {len(plan.shots)} shots have a file; {total} files were given")
     return "\n".join(lines)

@@ -7,7 +7,17 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from capture.cli.values import metered, nine_digits, or_dash, scene_time, seconds, spaced
+from capture.cli.values import (
+    add_progress,
+    metered,
+    nine_digits,
+    or_dash,
+    progress_of,
+    scene_numbers,
+    scene_time,
+    seconds,
+    spaced,
+)
 from capture.protocol import PROTOCOLS, CaptureProtocol
 from eldata.base.console import OK, add_output, add_shared, each_of
 from eldata.base.files import write_json
@@ -20,6 +30,7 @@ if TYPE_CHECKING:
 
     from capture.calibration import CalibrationPlan
     from capture.camera import CameraDescription
+    from capture.checklist_progress import Progress
     from capture.plan import Plan
     from capture.shots import Shot
 
@@ -35,19 +46,24 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
             "Plan the shots of each scene: the setting to dial, what the camera then really gives, and by how much the "
             "exposure ratio misses its low-light factor. With PLAN, show that plan or change it."
         ),
-        epilog="A new plan: capture plan --camera cam.json --scenes 10 --metered 1/2 -o plan.json. At the scene, when "
-        "the meter says something else: capture plan plan.json --remeter scene-2=1/4",
+        epilog="The first makes a plan; the second is for the scene, when the meter says something else; the third is "
+        "for the desk, with what the checklist's page exported.",
     )
     parser.add_argument("plan", metavar="PLAN", nargs="?", help="a plan to show or to change in place")
     new = parser.add_argument_group("a new plan")
     new.add_argument("--camera", metavar="FILE", help="camera description; capture camera --example writes one")
-    new.add_argument("--scenes", type=nine_digits, metavar="N", help="number of scenes: scene-1 to scene-N")
+    new.add_argument(
+        "--scenes",
+        type=scene_numbers,
+        metavar="N",
+        help="number of scenes: scene-1 to scene-N; another night's, as 11-15: scene-11 to scene-15",
+    )
     new.add_argument(
         "--metered",
         type=metered,
         action="append",
         metavar="SECONDS",
-        help="time that exposes the scenes well at the base ISO, as 4, 1/2 or 0.5; for one scene: scene-3=4",
+        help="time that exposes the scenes well at the base ISO, as 4, 5/2 or 2.5; for one scene: scene-3=2",
     )
     new.add_argument(
         "--protocol",
@@ -65,7 +81,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         action="append",
         default=[],
         metavar="SCENE=SECONDS",
-        help="compute a scene's shots from another metered time, as scene-2=1/4; may be repeated",
+        help="compute a scene's shots from another metered time, as scene-2=2; may be repeated",
     )
     change.add_argument(
         "--add-scene",
@@ -73,7 +89,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         action="append",
         default=[],
         metavar="SCENE=SECONDS",
-        help="one more scene, as scene-11=1/2; may be repeated",
+        help="one more scene, as scene-11=4; may be repeated",
     )
     change.add_argument(
         "--note",
@@ -82,6 +98,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="SCENE=TEXT",
         help="a note on a scene, as scene-2=bookshelf; may be repeated",
     )
+    add_progress(change, "metered times and remarks are taken into the plan")
     calibration = parser.add_argument_group("calibration frames, in a new plan or an older one")
     calibration.add_argument(
         "--calibration", action="store_true", help="plan bias frames and flats too; needs --flat-clips-at"
@@ -101,7 +118,16 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     calibration.add_argument("--bias-frames", type=nine_digits, metavar="N", help="bias frames per ISO (default: 10)")
     add_output(parser, "-o", "--output", help="the new plan's file; with PLAN: write the changes there")
-    add_shared(parser, run, "json")
+    add_shared(
+        parser,
+        run,
+        "json",
+        example=(
+            "capture plan --camera cam.json --scenes 10 --metered 4 -o plan.json",
+            "capture plan plan.json --remeter scene-2=2",
+            "capture plan plan.json --progress progress.json",
+        ),
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -115,6 +141,9 @@ def run(arguments: argparse.Namespace) -> int:
         if given:
             raise ArgumentError(f"--{given[0]} is for a new plan; {arguments.plan} has its own: leave one of them out")
         before = plan = Plan.load(arguments.plan)
+    progress = progress_of(arguments.progress, plan)
+    if progress is not None:  # before the other changes, which may be of what it says
+        plan = progress.as_noted(progress.as_metered(plan))
     plan = _changed(plan, arguments)
     target = arguments.output or (arguments.plan if plan != before else None)
     if arguments.output is not None and Path(arguments.output).exists() and arguments.output != arguments.plan:
@@ -128,7 +157,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"\nplan: {target}")
 
     each_of(
-        lambda: print(format_plan(plan)),
+        lambda: print("\n\n".join([format_plan(plan), *([] if progress is None else [format_left(progress)])])),
         partial(write_plan, target) if target is not None else None,
         arguments.json and (lambda: write_json(arguments.json, plan.as_dict())),
     )
@@ -154,9 +183,9 @@ def _new(arguments: argparse.Namespace) -> Plan:
 def _metered(arguments: argparse.Namespace) -> dict[str, Fraction]:
     if arguments.scenes is None and arguments.calibration and not arguments.metered:
         return {}  # calibration frames alone
-    if arguments.scenes is None or not 1 <= arguments.scenes <= 1000:
-        raise ArgumentError(f"--scenes: expected a number of scenes from 1 to 1000, found {arguments.scenes or 'none'}")
-    names = [f"scene-{number}" for number in range(1, arguments.scenes + 1)]
+    if arguments.scenes is None:
+        raise ArgumentError("a new plan needs --scenes, a number of scenes, or the first and the last, as 11-15")
+    names = [f"scene-{number}" for number in arguments.scenes]
     times: dict[str, Fraction] = {}
     # First the time of every scene, whatever the order in which they are given.
     for name, time in sorted(arguments.metered or (), key=lambda given: given[0] is not None):
@@ -165,11 +194,11 @@ def _metered(arguments: argparse.Namespace) -> dict[str, Fraction]:
         elif name in names:
             times[name] = time
         else:
-            raise ArgumentError(f"--metered {name}: the scenes are scene-1 to scene-{arguments.scenes}")
+            raise ArgumentError(f"--metered {name}: the scenes are {names[0]} to {names[-1]}")
     lacking = [name for name in names if name not in times]
     if lacking:
         raise ArgumentError(
-            f"--metered: {', '.join(lacking)} need a metered time; --metered 1/2 gives one to every scene"
+            f"--metered: {', '.join(lacking)} need a metered time; --metered 4 gives one to every scene"
         )
     return {name: times[name] for name in names}
 
@@ -214,6 +243,8 @@ def _changed(plan: Plan, arguments: argparse.Namespace) -> Plan:
 
 def format_plan(plan: Plan) -> str:
     """Return a plan as text: a table for the scenes of each metered time, and one for the calibration frames."""
+    from capture.shots import duration_of
+
     protocol = plan.protocol
     settings = f"base ISO {protocol.base_iso}, ISOs {spaced(protocol.noisy_isos)}"
     factors = spaced(protocol.low_light_factors)
@@ -222,17 +253,39 @@ def format_plan(plan: Plan) -> str:
         scenes = [scene for scene in plan.scenes if scene.metered_s == time]
         title = f"{', '.join(scene.name for scene in scenes)}: metered at {time} s"
         notes = [f"{scene.name}: {note}" for scene in scenes for note in scene.notes]
-        parts.append("\n".join([title, *notes, _table(scenes[0].shots), *scenes[0].remarks]))
+        each = "each scene" if len(scenes) > 1 else scenes[0].name
+        time_needed = f"{each}: {duration_of(scenes[0].shots)}"
+        parts.append("\n".join([title, *notes, _table(scenes[0].shots), time_needed, *scenes[0].remarks]))
     if plan.calibration is not None:
         title = f"calibration: the surface clips at {plan.calibration.flat_clips_at_s} s, ISO {protocol.base_iso}"
-        parts.append("\n".join([title, _calibration_table(plan.calibration.shots), *plan.calibration.remarks]))
+        parts.append(
+            "\n".join(
+                [
+                    title,
+                    _calibration_table(plan.calibration.shots),
+                    f"calibration: {duration_of(plan.calibration.shots)}",
+                    *plan.calibration.remarks,
+                ]
+            )
+        )
+    parts.append(f"the whole plan: {plan.duration}; composing, focusing and metering come on top")
     return "\n\n".join(parts)
+
+
+def format_left(progress: Progress) -> str:
+    """Return which shots the checklist has not as taken, in a line a scene."""
+    lines = []
+    for name, rows in progress.parts:
+        left = [str(row.number) for row in rows if not row.done]
+        if left:
+            lines.append(f"    {name}: {'all frames' if len(left) == len(rows) else 'frame ' + ', '.join(left)}")
+    return "\n".join(["not taken, by the checklist:", *lines]) if lines else "all frames are taken, by the checklist"
 
 
 def _table(shots: Sequence[Shot]) -> str:
     from eldata.base.tables import text_table
 
-    header = ("frame", "role", "ISO", "factor", "asked", "set", "gives", "ratio", "error", "stops", "reference")
+    header = ("frame", "role", "ISO", "factor", "asked", "set", "gives", "ratio", "EXIF", "error", "stops", "reference")
     rows = [
         (
             str(shot.number),
@@ -243,6 +296,7 @@ def _table(shots: Sequence[Shot]) -> str:
             f"{shot.setting.dial} s",
             f"{shot.setting.true_s:.4g} s",
             or_dash(None if shot.true_ratio is None else float(shot.true_ratio), "{:.2f}"),
+            or_dash(None if shot.named_ratio is None else float(shot.named_ratio), "{:.2f}"),
             or_dash(shot.error_percent, "{:+.1f} %"),
             or_dash(shot.error_stops, "{:+.3f}"),
             or_dash(shot.reference),

@@ -56,7 +56,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="FACTOR",
         help=f"low-light factors (default: {spaced(RELEASED.low_light_factors)})",
     )
-    add_shared(parser, run, "json")
+    add_shared(parser, run, "json", example="capture protocol --metered 4")
 
 
 def run(options: argparse.Namespace) -> int:

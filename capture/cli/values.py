@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
+import sys
 from typing import TYPE_CHECKING
 
 from capture.exact import parse_seconds
@@ -14,8 +15,13 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from fractions import Fraction
 
+    from capture.checklist_progress import Progress
+    from capture.plan import Plan
+
 # Bounded: a mistyped key must not ask for numbers of thousands of digits.
 _WHOLE = re.compile(r"-?[0-9]{1,9}")
+_MOST_SCENES = 1000
+_SCENES_END = 1_000_000  # scene-999999 is the last that a plan may have
 
 
 def nine_digits(text: str) -> int:
@@ -44,6 +50,45 @@ def scene_time(text: str) -> tuple[str, Fraction]:
 def metered(text: str) -> tuple[str | None, Fraction]:
     """Return seconds for every scene (``None``) or, as ``scene-3=4``, for one."""
     return scene_time(text) if "=" in text else (None, seconds(text))
+
+
+def scene_numbers(text: str) -> range:
+    """Return the scenes that a text such as ``10``, the first ten, or ``11-15`` names."""
+    first, dash, last = text.rpartition("-")
+    found = range(nine_digits(first) if dash and first else 1, nine_digits(last) + 1)
+    if not 1 <= len(found) <= _MOST_SCENES or not 1 <= found[0] <= found[-1] < _SCENES_END:
+        raise argparse.ArgumentTypeError(
+            f"expected a number of scenes from 1 to {_MOST_SCENES}, or the first and the last, as 11-15; found {text!r}"
+        )
+    return found
+
+
+def add_progress(parser: argparse._ActionsContainer, what: str) -> None:
+    """Add ``--progress`` to a subcommand: what the checklist exported; ``what`` says what is taken of it."""
+    parser.add_argument(
+        "--progress",
+        metavar="FILE",
+        help=f"what the checklist's page exported: {what}; - reads pasted text, up to Ctrl-D",
+    )
+
+
+def progress_of(given: str | None, plan: Plan) -> Progress | None:
+    """Return what ``--progress`` names, or ``None`` without it.
+
+    Raises
+    ------
+    ProgressError
+        If it is malformed, or belongs to another plan.
+    """
+    from capture.checklist_progress import load_progress
+
+    if given is None:
+        return None
+    if given != "-":
+        return load_progress(given, plan)
+    if sys.stdin.isatty():
+        print("paste what the page's Copy gave, then press Enter and Ctrl-D:", file=sys.stderr)
+    return load_progress("the pasted text", plan, sys.stdin.buffer.read())
 
 
 def or_dash(value: object, form: str = "{}") -> str:

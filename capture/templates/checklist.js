@@ -490,8 +490,10 @@ function doubled(what, event) {
   return soon;
 }
 
+const exported = () => JSON.stringify(progress(), null, 1) + "\n";  // in short lines, which terminals take
+
 function exportFile() {
-  const address = URL.createObjectURL(new Blob([JSON.stringify(progress(), null, 1) + "\n"], { type: "application/json" }));
+  const address = URL.createObjectURL(new Blob([exported()], { type: "application/json" }));
   const link = document.createElement("a");
   link.href = address;
   link.download = `${plan.camera}-progress.json`;
@@ -499,6 +501,18 @@ function exportFile() {
   setTimeout(() => URL.revokeObjectURL(address), 60000);
   unsaved = false;
   byId("kept").textContent = `Exported as ${link.download}.`;
+}
+
+/** Put the exported text on the clipboard; where the browser forbids that, show it to be copied by hand. */
+async function copyText() {
+  let copied = true;
+  try { await navigator.clipboard.writeText(exported()); } catch { copied = false; }
+  byId("text-label").hidden = copied;
+  if (!copied) {
+    byId("text").value = exported();
+    byId("text").select();
+  }
+  byId("kept").textContent = copied ? "Copied." : "";
 }
 
 async function importFile(file) {
@@ -599,6 +613,7 @@ function listen() {
     announce("");
   });
   byId("export").addEventListener("click", exportFile);
+  byId("copy").addEventListener("click", copyText);
   byId("import").addEventListener("click", () => byId("import-file").click());
   byId("import-file").addEventListener("change", (event) => {
     const [file] = event.target.files;

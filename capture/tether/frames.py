@@ -81,7 +81,7 @@ def look(path: Path, shot: Shot, camera: CameraDescription) -> Look:
         taker = observed.model or "a camera that it does not name"
         problem = f"the frame was taken by {taker}; the plan is for {' or '.join(camera.models)}"
     elif not can_be(shot, observed):
-        wanted = f"ISO {shot.iso}, {shot.setting.dial} s"
+        wanted = shot.settings
         problem = f"the frame was taken at {observed.settings}, and the plan asks for {wanted}"
     return Look(path, observed, problem)
 

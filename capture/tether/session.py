@@ -138,7 +138,7 @@ class _Session:
                 self.take(slot, shot, ready.choices)
                 number = next(n for n, (other, _) in enumerate(stage.shots, 1) if other == slot)
                 self.say(
-                    f"{stage.title}  {number}/{len(stage.shots)}  {shot.role}, ISO {shot.iso}, {shot.setting.dial} s  "
+                    f"{stage.title}  {number}/{len(stage.shots)}  {shot.role}, {shot.settings}  "
                     f"{self.have[slot].details['file']}"
                 )
         self.sweep()
@@ -198,7 +198,7 @@ class _Session:
                 return
             self.state = {}
         raise TetherError(
-            f"{_title(slot)} (ISO {shot.iso}, {shot.setting.dial} s) failed {ATTEMPTS} times: {problem}. Look at the "
+            f"{_title(slot)} ({shot.settings}) failed {ATTEMPTS} times: {problem}. Look at the "
             "camera: mode dial on M, ISO and exposure automatics off, image format raw, drive single; then run the "
             "same command again, it goes on with this frame"
         )
@@ -222,7 +222,7 @@ class _Session:
                 self.state = wanted
                 return
             said = f"ISO {iso}, {shutter}"
-        raise GphotoError(f"the camera shows {said} after it was set to ISO {shot.iso}, {shot.setting.dial} s")
+        raise GphotoError(f"the camera shows {said} after it was set to {shot.settings}")
 
     def release(self, slot: Slot, shot: Shot) -> str | None:
         """Release, and bring the frame home; return what is wrong with it, or ``None``."""

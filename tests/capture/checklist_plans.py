@@ -39,6 +39,7 @@ PLANS: Final[dict[str, tuple[CameraDescription, CaptureProtocol, Fraction]]] = {
         CaptureProtocol(100, (800, 3200), (1, 2, 10)),
         Fraction(1),
     ),
+    "bulb": (_with(Shutter.between("1/8000", "30", Fraction(1, 3), bulb_s=300)), RELEASED, Fraction(100)),
     "two-times": (_with(Shutter(("1/125", "1/100"))), CaptureProtocol(100, (125,), (1,)), Fraction(1, 100)),
 }
 

@@ -70,20 +70,24 @@ def write_scenes(
     seed: int = 0,
     size: tuple[int, int] = SIZE,
     ids: Sequence[int] = range(1, 17),
+    picture: Callable[[int, tuple[int, int]], NDArray[np.float32]] = radiance,
+    digital: Callable[[int, int, NDArray[np.uint16]], NDArray[np.uint16]] | None = None,
     change_rows: Callable[[list[FrameRecord]], list[FrameRecord]] = list,
 ) -> Manifest:
-    """Photograph scenes into ``folder``; ``mishaps`` are by scene and frame number."""
+    """Photograph scenes into ``folder``; ``mishaps`` are by scene and frame number, ``digital`` gets both, and DN."""
     camera = camera.with_size(*size)
     eld = EldCamera(camera.name, ".dng", BASE_ISO, dict.fromkeys(scenes, METERED_S))
     records = [one for one in eld_records([eld], scenes) if number_of(one) in ids]
     for record in records:
         scene, number = int(record.scene.removeprefix("scene-")), number_of(record)
         iso, exposure_s = int(cast("Fraction", record.iso)), cast("Fraction", record.exposure_s)
-        shot = Shot(radiance(scene, size), iso, exposure_s, Exposure(Fraction(iso), exposure_s))
+        shot = Shot(picture(scene, size), iso, exposure_s, Exposure(Fraction(iso), exposure_s))
         mishap = (mishaps or {}).get((scene, number))
         shot = shot if mishap is None else mishap(shot)
         generator = np.random.default_rng([seed, scene, number])
         mosaic = camera.photograph(shot.radiance, shot.exposure_s / METERED_S, shot.iso, generator)
+        if digital is not None:
+            mosaic = digital(scene, number, mosaic)
         path = folder / "data" / "MY" / record.path
         path.parent.mkdir(parents=True, exist_ok=True)
         write_dng(path, mosaic, camera.sensor, shot.exif, compression="none")

@@ -98,6 +98,20 @@ def test_not_above_gives_no_more(wanted: Fraction) -> None:
         assert [*cam.shutter.times[: cam.shutter.times.index(found) + 1], *more] == list(cam.shutter.times)
 
 
+def test_bulb_times_go_on_in_the_camera_s_steps() -> None:
+    found = Shutter.between("1/8000", "30", THIRD, bulb_s=130).times[-6:]
+    assert [(time.dial, time.nominal_s, time.true_s) for time in found] == [
+        (f"bulb {seconds}", Fraction(seconds), float(seconds)) for seconds in (40, 51, 64, 81, 102, 128)
+    ]
+    # A listed time that the camera gives as named goes on from there; whole seconds are taken once.
+    assert [time.dial for time in Shutter(("0.5", "1"), THIRD, "as-named", 3).times[2:]] == ["bulb 2", "bulb 3"]
+    for bulb_s in (30, 4000):
+        with pytest.raises(
+            CameraError, match=f"whole seconds above the slowest time, 30 s, and up to 3600, found {bulb_s}"
+        ):
+            Shutter.between("1/8000", "30", THIRD, bulb_s=bulb_s)
+
+
 def test_limits_reach_half_a_step_beyond_the_ends() -> None:
     cam = camera(Shutter.between("1/8000", "30", THIRD))
     sixth = Fraction(1, 6)
@@ -133,6 +147,8 @@ def test_exif_may_state_the_name_or_what_is_given(observed: str, stops: float) -
         Shutter.between("1/4000", "30", THIRD, "as-named"),
         Shutter(("1/1000", "1/90", "0.25"), true_times="as-named"),
         Shutter(("1/1000", "1/125", "4"), FULL),
+        Shutter.between("1/4000", "30", HALF, bulb_s=240),
+        Shutter(("1/1000", "1/125", "4"), FULL, bulb_s=5),
     ],
 )
 def test_round_trip(shutter: Shutter, tmp_path: Path) -> None:
@@ -220,6 +236,10 @@ def test_each_field_is_needed(field: str, tmp_path: Path) -> None:
             "true_times: expected one of 'powers-of-two', 'as-named'",
         ),
         ({"shutter": {"times": ["1/2"], "speed": 1}}, "field shutter.speed"),
+        (
+            {"shutter": {"times": ["1/2"], "bulb_s": "60"}},
+            "field shutter.bulb_s: expected a whole number from 0 to 3600",
+        ),
     ],
 )
 def test_malformed_descriptions(change: dict[str, Any], words: str, tmp_path: Path) -> None:

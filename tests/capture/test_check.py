@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from capture.check import CheckedGroup, Measure, check, write_sheet
+from capture.check import CheckedGroup, CheckReport, Measure, check, write_sheet
+from capture.check.measures import MeasureKind
 from capture.cli import main
 from eldata.errors import ArgumentError, ManifestError
 from eldata.records import Exposure
@@ -24,6 +25,7 @@ from tests.capture.simulated_scenes import (
     radiance,
     write_scenes,
 )
+from tests.reports.pages import checked as checked_page
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -125,7 +127,8 @@ def test_something_in_the_scene_moves(tmp_path: Path) -> None:
         return replace(shot, radiance=light)
 
     group = checked(tmp_path, {16: elsewhere}, scene=2)
-    assert named(group) == {("movement", 16)}
+    # Noisy frames 14 and 15 are pairs of reference 16.
+    assert named(group) == {("movement", 16), ("movement", 14), ("movement", 15)}
     assert group.verdict == "look"
 
 
@@ -167,7 +170,7 @@ def test_swapped_noisy_frames_whose_exif_hides_it(tmp_path: Path) -> None:
         return lambda shot: replace(shot, exposure_s=seconds[number])
 
     group = checked(tmp_path, {14: as_other(14), 15: as_other(15)})
-    assert named(group) == {("ratio", 14), ("ratio", 15)}
+    assert named(group) == {(name, number) for name in ("ratio", "EXIF ratio") for number in (14, 15)}
     assert "EXIF does not show it; it fits IMG_0014.dng (x100): swapped?" in value(group, "ratio", 15).kind.advice
 
 
@@ -188,7 +191,7 @@ def test_exif_that_is_wrong(tmp_path: Path) -> None:
 def test_a_shutter_a_third_of_a_stop_off(tmp_path: Path) -> None:
     """With EXIF as planned; the planned time rounds to 1/500 s in the camera."""
     group = checked(tmp_path, {5: lambda shot: replace(shot, exposure_s=Fraction(1, 508))})
-    assert named(group) == {("ratio", 5)}
+    assert named(group) == {("ratio", 5), ("EXIF ratio", 5)}
     found = value(group, "ratio", 5)
     assert found.value == pytest.approx(254, abs=4 * found.standard_error)
 
@@ -226,11 +229,13 @@ def test_files_that_cannot_be_used_are_named(tmp_path: Path) -> None:
     folder = tmp_path / "data" / "MY" / ALPHA.name / "scene-1"
     (folder / "IMG_0006.dng").unlink()
     (folder / "IMG_0015.dng").write_bytes(b"no raw file")
+    (folder / "IMG_0014.dng").write_bytes(b"\xff\xd8\xff\xe0" + b"\0" * 5000)
     (group,) = check(manifest, tmp_path / "data").groups
     assert group.verdict == "shoot again"
     text = group.format_text()
     assert "IMG_0006.dng: cannot be read" in text
     assert "IMG_0015.dng: cannot be read" in text
+    assert "IMG_0014.dng: a JPEG picture whatever its name says; use the raw file that the camera wrote" in text
     assert "IMG_0004.dng: its reference IMG_0006.dng cannot be used" in text
 
 
@@ -304,8 +309,42 @@ def test_the_command_lists_and_exits_with_1(
     assert drift["value"] == pytest.approx(3, abs=0.1)
     assert drift["look_from"] == pytest.approx(0.5, abs=0.01)
     assert "46.5 dB" in drift["limits_from"]
-    assert sheet.read_text().count("<img ") == 2 * 4  # first, last, their difference, one noisy frame
+    page = checked_page(sheet.read_text())
+    assert len(page.all("img")) == 2 * 4  # first, last, their difference, one noisy frame
+    # The summary, an index that leads to both scenes, and a picture that each thumbnail leads to.
+    shown = " ".join(page.text.split())
+    assert "my: contact sheet 1 keep 1 shoot again scene or set" in shown
+    names = {attributes["id"] for _, attributes in page.elements if "id" in attributes}
+    links = [attributes["href"][1:] for attributes in page.all("a")]
+    assert set(links) <= names
+    assert {"group-1", "group-2", *(f"picture-{scene}-{number}" for scene in (1, 2) for number in range(1, 5))} <= set(
+        links
+    )
     assert "http" not in sheet.read_text()
+
+
+def test_ratios_that_are_off_alike_are_one_line_and_a_count() -> None:
+    """64 frames at 80 %, one at 60 %; each keeps its own line in the JSON."""
+
+    def scene(number: int) -> CheckedGroup:
+        group = CheckedGroup(f"A scene-{number}", 16)
+        for frame in range(16):
+            kind = MeasureKind("ratio", "", 10.0, 26.0, "source", "shoot it again", expected=100.0)
+            share = 60.0 if (number, frame) == (2, 5) else 80.0 + 0.1 * (frame % 3)
+            group.measure(kind, f"A/scene-{number}/IMG_{frame:04d}.dng", "exposure ratio", share, 0.2)
+        return group
+
+    report = CheckReport("mine", tuple(map(scene, range(1, 6))))
+    lines = report.format_text().splitlines()
+    assert len(lines) == 5 * 2 + 1 + 1 + 1
+    assert lines[0:2] == ["A scene-1: look", "    16 measures that are off alike in many files: see below"]
+    (own,) = [line for line in lines if "IMG_0005.dng: ratio: exposure ratio: 60.0" in line]
+    assert own.startswith("    shoot again: A/scene-2")
+    assert lines[-2] == (
+        "look: 79 files alike, such as A/scene-1/IMG_0000.dng: ratio: by the pixels it is 80 % of what it should be "
+        "(80.0 to 80.2 %); shoot it again"
+    )
+    assert sum(len(group["reasons"]) for group in report.as_dict()["groups"]) == 80
 
 
 def test_one_scene_that_is_well_exits_with_0(two_scenes: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -362,6 +362,25 @@ def test_export_is_read_by_python_and_comes_back(
     other.close()
 
 
+def test_copied_text_is_what_export_writes(page: Page) -> None:
+    page.click("#scene-1-1 .tick")
+    exported_text = download(page).read_text(encoding="utf-8")
+    page.click("#copy")
+    page.wait(lambda: page.text("#kept") == "Copied." or page.run("byId('text').checkVisibility()"))
+    page.run(
+        "Object.defineProperty(navigator, 'clipboard', {value: {writeText: async (text) => { window.copied = text; }}})"
+    )
+    page.click("#copy")
+    page.wait(lambda: page.text("#kept") == "Copied.")
+    assert page.run("window.copied") == exported_text
+    assert not page.run("byId('text').checkVisibility()")
+    page.run("navigator.clipboard.writeText = () => Promise.reject(new DOMException('no', 'NotAllowedError'))")
+    page.click("#copy")
+    page.wait(lambda: page.run("byId('text').checkVisibility()"))
+    assert page.run("byId('text').value") == exported_text
+    assert page.run("document.activeElement.id") == "text"
+
+
 def test_progress_of_an_older_plan_is_taken_as_far_as_it_fits(bare: Page, plan: Plan, tmp_path: Path) -> None:
     grown = plan.add_scene("scene-3", Fraction(2)).only(["scene-2", "scene-3"])
     (tmp_path / "page.html").write_text(html_checklist(grown), encoding="utf-8")

@@ -114,7 +114,7 @@ def test_json_without_metered_time_leaves_exposures_unknown(tmp_path: Path) -> N
         (["protocol", "--isos", "800", "800"], "noisy_isos must hold each value once, found 800 again"),
         (["protocol", "--factors", "0"], "low_light_factors must be a positive whole number, found 0"),
         (["protocol", "--base-iso", "-100"], "base_iso must be a positive whole number, found -100"),
-        (["protocol", "--met", "4"], "unrecognized arguments: --met 4"),
+        (["protocol", "--met", "4"], "there is no option --met; did you mean --metered?"),
         (["protocol", "two\nlines"], "unrecognized arguments: two lines; see capture --help"),
         (["fly"], "fly"),
     ],

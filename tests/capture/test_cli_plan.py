@@ -7,28 +7,29 @@ import pytest
 
 from capture.cli import main
 from capture.plan import Plan
+from tests.capture.test_checklist import exported
 
 TABLE = """\
 SonyA7S2: 14 shots; base ISO 100, ISOs 800 1600, low-light factors 10 200
 
 scene-1: metered at 4 s
 scene-1: books
-frame  role        ISO  factor    asked      set       gives   ratio   error   stops  reference
------  ---------  ----  ------  -------  -------  ----------  ------  ------  ------  ---------
-    1  reference   100       -      4 s      4 s         4 s       -       -       -          -
-    2  noisy       800     x10   1/20 s   1/20 s   0.04961 s   10.08  +0.8 %  +0.011          1
-    3  noisy       800    x200  1/400 s  1/400 s  0.002461 s  203.19  +1.6 %  +0.023          4
-    4  reference   100       -      4 s      4 s         4 s       -       -       -          -
-    5  noisy      1600     x10   1/40 s   1/40 s    0.0248 s   10.08  +0.8 %  +0.011          4
-    6  noisy      1600    x200  1/800 s  1/800 s   0.00123 s  203.19  +1.6 %  +0.023          7
-    7  reference   100       -      4 s      4 s         4 s       -       -       -          -
+frame  role        ISO  factor    asked      set       gives   ratio    EXIF   error   stops  reference
+-----  ---------  ----  ------  -------  -------  ----------  ------  ------  ------  ------  ---------
+    1  reference   100       -      4 s      4 s         4 s       -       -       -       -          -
+    2  noisy       800     x10   1/20 s   1/20 s   0.04961 s   10.08   10.00  +0.8 %  +0.011          1
+    3  noisy       800    x200  1/400 s  1/400 s  0.002461 s  203.19  200.00  +1.6 %  +0.023          4
+    4  reference   100       -      4 s      4 s         4 s       -       -       -       -          -
+    5  noisy      1600     x10   1/40 s   1/40 s    0.0248 s   10.08   10.00  +0.8 %  +0.011          4
+    6  noisy      1600    x200  1/800 s  1/800 s   0.00123 s  203.19  200.00  +1.6 %  +0.023          7
+    7  reference   100       -      4 s      4 s         4 s       -       -       -       -          -
 
 scene-2: metered at 30 s
-frame  role        ISO  factor   asked     set      gives   ratio   error   stops  reference
------  ---------  ----  ------  ------  ------  ---------  ------  ------  ------  ---------
-    1  reference   100       -    30 s    30 s       32 s       -       -       -          -
-    2  noisy       800     x10   3/8 s   0.4 s   0.3969 s   10.08  +0.8 %  +0.011          1
-    3  noisy       800    x200  3/160 s  1/50 s  0.01969 s  203.19  +1.6 %  +0.023          4
+frame  role        ISO  factor   asked     set      gives   ratio    EXIF   error   stops  reference
+-----  ---------  ----  ------  ------  ------  ---------  ------  ------  ------  ------  ---------
+    1  reference   100       -    30 s    30 s       32 s       -       -       -       -          -
+    2  noisy       800     x10   3/8 s   0.4 s   0.3969 s   10.08    9.38  +0.8 %  +0.011          1
+    3  noisy       800    x200  3/160 s  1/50 s  0.01969 s  203.19  187.50  +1.6 %  +0.023          4
 """
 
 
@@ -80,6 +81,22 @@ def test_metered_times(at_work: Path, metered: list[str], expected: list[str]) -
     assert len(plan.scenes[0].shots) == 10
 
 
+def test_a_second_night_has_scenes_of_its_own(at_work: Path) -> None:
+    assert new("--scenes", "11-13", "--metered", "4", "-o", "night-2.json") == 0
+    assert [scene.name for scene in Plan.load("night-2.json").scenes] == ["scene-11", "scene-12", "scene-13"]
+
+
+def test_the_help_s_own_examples_work(at_work: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", "--help"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    examples = [line.split()[1:] for line in lines if line.startswith("    capture plan ")]
+    assert len(examples) == 3
+    for example in examples:
+        if "--progress" in example:
+            Path(example[-1]).write_text(json.dumps(exported(Plan.load(example[1]))))
+        assert main(example) == 0, example
+
+
 def test_calibration_frames(at_work: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert new("--calibration", "--flat-clips-at", "1/2", "--calibration-isos", "800", "100", "-o", "c.json") == 0
     output = capsys.readouterr().out
@@ -112,8 +129,21 @@ NEW = ["plan", "--camera", "cam.json"]
         (["plan"], "a new plan needs --camera FILE; capture camera --example"),
         (["plan", "nowhere.json"], "nowhere.json: cannot be read"),
         (["plan", "cam.json"], "cam.json, field name: is unknown; known are schema, camera, protocol"),
-        (NEW, "--scenes: expected a number of scenes from 1 to 1000, found none"),
-        ([*NEW, "--scenes", "0", "--metered", "4"], "--scenes: expected a number"),
+        (NEW, "a new plan needs --scenes, a number of scenes, or the first and the last, as 11-15"),
+        (
+            [*NEW, "--scenes", "0", "--metered", "4"],
+            "--scenes: expected a number of scenes from 1 to 1000, or the first and the last",
+        ),
+        (
+            [*NEW, "--scenes", "7-5", "--metered", "4"],
+            "expected a number of scenes from 1 to 1000, or the first and the",
+        ),
+        ([*NEW, "--scenes", "0-5", "--metered", "4"], "expected a number of scenes"),
+        ([*NEW, "--scenes", "1-x", "--metered", "4"], "expected a whole number of at most nine digits, found 'x'"),
+        (
+            [*NEW, "--scenes", "11-12", "--metered", "scene-1=4"],
+            "--metered scene-1: the scenes are scene-11 to scene-12",
+        ),
         ([*NEW, "--scenes", "2"], "scene-1, scene-2 need a metered time"),
         ([*NEW, "--scenes", "2", "--metered", "scene-3=4"], "--metered scene-3: the scenes are scene-1 to scene-2"),
         ([*NEW, "--scenes", "1", "--metered", "soon"], "expected seconds such as 4, 1/2 or 0.5, found 'soon'"),

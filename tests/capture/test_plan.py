@@ -17,7 +17,7 @@ from capture.camera import EXAMPLE, Shutter
 from capture.capture_errors import ImpossibleShotError, PlanError
 from capture.plan import CALIBRATION, RATIO_TOLERANCE, Plan, make_plan
 from capture.protocol import PAPER, RELEASED
-from capture.shots import scene_shots
+from capture.shots import duration_of, minutes, scene_shots
 from tests.capture.simulated import CAMERA, plan_of
 from tests.cases import in_one_test
 
@@ -143,6 +143,40 @@ def test_following_the_advice_helps() -> None:
     assert scene_shots(EXAMPLE, replace(RELEASED, base_iso=200), Fraction(30))[0].setting.dial == "30"
 
 
+def test_bulb_goes_on_where_the_dial_ends() -> None:
+    """A scene of 100 s: references by the timer, noisy frames by the dial."""
+    camera = replace(EXAMPLE, shutter=Shutter.between("1/8000", "30", Fraction(1, 3), bulb_s=300))
+    shots = scene_shots(camera, RELEASED, Fraction(100))
+    assert [shot.setting.dial for shot in shots if shot.role == "reference"] == ["bulb 102"] * 4
+    assert {shot.setting.dial for shot in shots if shot.role == "noisy"} <= set(DIALS)
+    # As on the dial, and half a second of 102.
+    assert max(abs(shot.error_percent or 0) for shot in shots) < 1.6 + 100 * 0.5 / 102
+    with pytest.raises(ImpossibleShotError, match="slowest time is bulb 256 s"):
+        scene_shots(camera, RELEASED, Fraction(600))
+
+
+def test_the_time_that_shots_take() -> None:
+    """Sixteen frames: 4 references of 4 s and 12 noisy ones; the sum is that of its parts."""
+    plan = plan_of("4", "4")
+    scene = duration_of(plan.scenes[0].shots)
+    assert scene.exposures_s == pytest.approx(
+        16 + sum(shot.setting.true_s for shot in plan.scenes[0].shots if shot.factor)
+    )
+    # Both dials at the start; within an ISO one for each factor after the first; ISO and time at and after a reference.
+    assert (scene.turns, scene.files) == (2 + 3 * (2 + 3 + 2), 16)
+    assert scene.total_s == pytest.approx(scene.exposures_s + 5 * 23 + 2 * 16)
+    assert plan.duration.files == 32
+    assert plan.duration.exposures_s == pytest.approx(2 * scene.exposures_s)
+    assert plan.duration.turns == 2 * 23 - 2  # the next scene begins as the one before ends
+    assert [minutes(seconds) for seconds in (40, 89.5, 91, 3600, 11000)] == [
+        "40 s",
+        "90 s",
+        "2 min",
+        "1 h 0 min",
+        "3 h 4 min",
+    ]
+
+
 def test_a_metered_time_off_the_steps_is_rounded_and_said() -> None:
     plan = plan_of("3.6")
     assert plan.scenes[0].shots[0].setting.dial == "4"
@@ -178,6 +212,14 @@ def test_calibration_frames() -> None:
     assert len(flats) == 6 * 6 * 2
     assert [shot.setting.dial for shot in flats if shot.iso == 100][::2] == ["1/20", "1/13", "1/8", "1/5", "1/4", "0.4"]
     assert plan.remarks == ()
+
+
+def test_full_stops_from_a_base_iso_of_64_have_rounded_names() -> None:
+    isos = (64, 80, 100, 125, 160, 200, 250, 320, 400, 500, 640, 800, 1000, 1250, 1600, 2000, 2500, 3200, 4000)
+    camera = replace(EXAMPLE, isos=isos, base_iso=64)
+    assert default_isos(camera, replace(RELEASED, base_iso=64)) == (64, 125, 250, 500, 800, 1600, 3200)
+    shots = scene_shots(camera, replace(RELEASED, base_iso=64), Fraction(8))
+    assert max(abs(shot.error_percent or 0) for shot in shots) < 3.3
 
 
 @settings(deadline=None)

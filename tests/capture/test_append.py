@@ -1,0 +1,236 @@
+"""Several cards, nights and cameras in one set, with real files."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from datetime import timedelta
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import pytest
+
+from capture.calibration import plan_calibration
+from capture.cli import main
+from capture.plan import Plan, make_plan
+from eldata.base.files import sha256_of
+from eldata.manifest import load_manifest, verify
+from tests.capture import simulated
+from tests.capture.simulated import CAMERA, Taken, plan_of, shoot, whole_plan
+from tests.capture.test_checklist import written
+from tests.capture.test_progress import ticked
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+OTHER = replace(CAMERA, name="OtherNocturne", models=("Nocturne 2",))
+
+
+class Nights:
+    """A set that grows, and how each card is put into it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.data, self.csv = folder / "data" / "mine", folder / "manifests" / "mine.csv"
+
+    def add(self, plan: Plan, *cards: Path, options: tuple[str, ...] = ("--append",)) -> int:
+        name = f"{plan.camera.name}-{plan.scenes[0].name}.json"
+        plan.save(self.folder / name)
+        command = ["manifest", str(self.folder / name), *map(str, cards), "-o", str(self.csv)]
+        return main([*command, "--copy-to", str(self.data), "--jobs", "1", *options])
+
+    def problems(self) -> list[str]:
+        report = verify(self.csv, self.folder / "data", dataset="mine", level="full")
+        return [str(problem) for problem in report.problems]
+
+    def paths(self) -> list[str]:
+        return [record.path for record in load_manifest(self.csv).records]
+
+
+@pytest.fixture
+def nights(tmp_path: Path) -> Nights:
+    return Nights(tmp_path)
+
+
+def night(folder: Path, taken: list[Taken], monkeypatch: pytest.MonkeyPatch, day: int) -> list[Path]:
+    """A card that was filled on this day; its pixels are on none of the other cards."""
+    start = simulated.START
+    monkeypatch.setattr(simulated, "START", start + timedelta(days=day))
+    files = shoot(folder, [Taken(200, Fraction(1, 30 + day)), *taken])  # a test shot, so that no two cards are alike
+    monkeypatch.setattr(simulated, "START", start)
+    files[0].unlink()
+    return files[1:]
+
+
+def test_a_backup_card_is_no_retake(nights: Nights, capsys: pytest.CaptureFixture[str]) -> None:
+    plan = plan_of("4", "1")
+    shoot(nights.folder / "card", whole_plan(plan))
+    shutil.copytree(nights.folder / "card", nights.folder / "backup")
+    assert nights.add(plan, nights.folder / "card", nights.folder / "backup", options=()) == 0
+    output = capsys.readouterr().out
+    assert "32 of 32 shots have a file; 64 files were given" in output
+    assert "card/DSC0000.dng; not used again, nor are 31 other copies" in output
+    assert "repeated" not in output
+    assert nights.problems() == []
+
+
+def test_frames_of_equal_settings_that_differ_are_retakes(nights: Nights, capsys: pytest.CaptureFixture[str]) -> None:
+    """A copy is one byte for byte: another frame of the same second, settings and size is not."""
+    plan = plan_of("4", factors=(100,))
+    files = shoot(nights.folder / "card", whole_plan(plan))
+    other = bytearray(files[2].read_bytes())
+    other[-1] ^= 1
+    (nights.folder / "card" / "Z.dng").write_bytes(other)
+    assert nights.add(plan, nights.folder / "card", options=()) == 1
+    output = capsys.readouterr().out
+    assert "scene-1 frame 3 was taken more than once" in output
+    assert "copies" not in output
+
+
+def test_a_scene_on_two_cards(nights: Nights, capsys: pytest.CaptureFixture[str]) -> None:
+    """The first card was full in the middle of the second scene, before the reference of what it has."""
+    plan = plan_of("4", "1", "2")
+    files = shoot(nights.folder / "both", whole_plan(plan))
+    for name, some in (("one", files[:26]), ("two", files[26:])):
+        (nights.folder / name).mkdir()
+        for path in some:
+            shutil.move(path, nights.folder / name / path.name)
+    assert nights.add(plan, nights.folder / "one", options=("--allow-gaps", "--yes")) == 0
+    output = capsys.readouterr().out
+    assert "scene-2 frame 9: compared with frame 6, as 11 is missing" in output
+    card = nights.csv.with_suffix(".json")
+    card.write_text(card.read_text().replace('"licence": "not stated"', '"licence": "CC0"'))
+    assert nights.add(plan, nights.folder / "two") == 0
+    output = capsys.readouterr().out
+    assert "has 26 of the plan's 48 shots" in output
+    assert "22 of 22 shots have a file" in output
+    assert "48 files below" in output
+    assert "22 of them new" in output
+    assert nights.problems() == []
+    manifest = load_manifest(nights.csv)
+    assert (manifest.card.licence, manifest.card.counts) == ("CC0", {"noisy": 36, "reference": 12})
+    assert manifest.card.title == "3 scenes taken with AcmeNocturne"
+    whole = Nights(nights.folder / "at-once")
+    whole.folder.mkdir()
+    assert whole.add(plan, nights.folder / "one", nights.folder / "two", options=()) == 0
+    assert whole.csv.read_bytes() == nights.csv.read_bytes()
+    before = nights.csv.read_bytes(), card.read_bytes()
+    capsys.readouterr()
+    assert nights.add(plan, nights.folder / "two") == 0  # again: nothing is left to add
+    assert "22 of the files given are in the set already, or copies; 0 are not" in capsys.readouterr().out
+    assert (nights.csv.read_bytes(), card.read_bytes()) == before
+
+
+def test_a_second_night_with_the_first_still_on_the_card(
+    nights: Nights, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = plan_of("4", "4", "4")
+    night(nights.folder / "card", whole_plan(plan.only(["scene-1"])), monkeypatch, 0)
+    nothing = ticked(plan)
+    for scene in nothing["scenes"][1:]:
+        for shot in scene["shots"]:
+            shot["taken_at"] = None
+    progress = written(nothing, nights.folder)
+    assert nights.add(plan, nights.folder / "card", options=("--progress", str(progress), "--yes")) == 0
+    capsys.readouterr()
+    night(nights.folder / "card" / "101", whole_plan(plan.only(["scene-2", "scene-3"])), monkeypatch, 1)
+    assert nights.add(plan, nights.folder / "card") == 0
+    output = capsys.readouterr().out
+    assert "AcmeNocturne/scene-1/IMG_0001.dng; not used again, nor are 15 other copies" in output
+    assert "32 of 32 shots have a file; 48 files were given" in output
+    assert len(nights.paths()) == 48
+    assert nights.problems() == []
+
+
+def test_a_second_plan_and_another_camera(
+    nights: Nights, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plans = (
+        plan_of("4", factors=(100,)),
+        make_plan(CAMERA, replace(plan_of("4").protocol, low_light_factors=(100,)), {"scene-2": Fraction(4)}),
+        replace(plan_of("2", factors=(100,)), camera=OTHER),
+    )
+    for index, plan in enumerate(plans):
+        taken = [replace(press, model=plan.camera.models[0]) for press in whole_plan(plan)]
+        night(nights.folder / str(index), taken, monkeypatch, index)
+        assert nights.add(plan, nights.folder / str(index), options=("--append",) if index else ()) == 0
+    manifest = load_manifest(nights.csv)
+    assert {(record.camera, record.scene) for record in manifest.records} == {
+        ("AcmeNocturne", "scene-1"),
+        ("AcmeNocturne", "scene-2"),
+        ("OtherNocturne", "scene-1"),
+    }
+    assert manifest.card.title == "2 scenes taken with AcmeNocturne and OtherNocturne"
+    assert manifest.card.cameras["OtherNocturne"].models == ("Nocturne 2",)
+    assert nights.problems() == []
+    # What is not of the set's plan, or of other scenes of the same name, is not mixed in.
+    before = nights.csv.read_bytes()
+    capsys.readouterr()
+    assert nights.add(plan_of("1", factors=(100,)), nights.folder / "0") == 2
+    assert "IMG_0001.dng, taken at ISO 100, 4 s, and the plan asks for ISO 100, 1 s there" in capsys.readouterr().err
+    night(nights.folder / "new", whole_plan(plans[0]), monkeypatch, 7)
+    assert nights.add(plans[0], nights.folder / "new") == 1
+    assert "7 are not\nand every shot of the plan is. Another night's scenes" in capsys.readouterr().out
+    renamed = replace(CAMERA, models=("Nocturne X",))
+    taken = [replace(press, model="Nocturne X") for press in whole_plan(plans[0])]
+    night(nights.folder / "x", taken, monkeypatch, 8)
+    assert nights.add(make_plan(renamed, plans[0].protocol, {"scene-5": Fraction(4)}), nights.folder / "x") == 2
+    assert "whose model in EXIF is Nocturne 1, and that of the plan's AcmeNocturne is Nocturne X" in capsys.readouterr().err
+    assert nights.csv.read_bytes() == before
+    assert nights.problems() == []
+
+
+def test_calibration_frames_join_later(nights: Nights, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = plan_of("4", factors=(100,))
+    night(nights.folder / "scenes", whole_plan(plan), monkeypatch, 0)
+    assert nights.add(plan, nights.folder / "scenes", options=()) == 0
+    plan = replace(plan, calibration=plan_calibration(CAMERA, 100, (100,), Fraction(1, 2), bias_frames=4))
+    night(nights.folder / "frames", whole_plan(replace(plan, scenes=())), monkeypatch, 1)
+    assert nights.add(plan, nights.folder / "frames") == 0
+    assert load_manifest(nights.csv).card.title == "1 scene and calibration frames taken with AcmeNocturne"
+    assert nights.problems() == []
+
+
+@pytest.mark.parametrize("stage", ["card", "copies"])
+def test_after_a_kill_the_same_command_goes_on(nights: Nights, stage: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The card is written before the manifest, the copies before both."""
+    plan = plan_of("4", "1", factors=(100,))
+    night(nights.folder / "one", whole_plan(plan.only(["scene-1"])), monkeypatch, 0)
+    night(nights.folder / "two", whole_plan(plan.only(["scene-2"])), monkeypatch, 1)
+    assert nights.add(plan, nights.folder / "one", options=("--only", "scene-1")) == 0
+    card = nights.csv.with_suffix(".json")
+    begun, begun_card = nights.csv.read_bytes(), card.read_bytes()
+    assert nights.add(plan, nights.folder / "two") == 0
+    whole, whole_card = nights.csv.read_bytes(), card.read_bytes()
+    nights.csv.write_bytes(begun)
+    if stage == "copies":
+        card.write_bytes(begun_card)
+    assert nights.add(plan, nights.folder / "two") == 0
+    assert (nights.csv.read_bytes(), card.read_bytes()) == (whole, whole_card)
+
+
+def test_what_cannot_be_joined(
+    nights: Nights, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = plan_of("4", "1", factors=(100,))
+    night(nights.folder / "one", whole_plan(plan.only(["scene-1"])), monkeypatch, 0)
+    night(nights.folder / "two", whole_plan(plan.only(["scene-2"])), monkeypatch, 1)
+    assert nights.add(plan, nights.folder / "one") == 2
+    assert "there is no such set to join yet; leave --append out" in capsys.readouterr().err
+    assert nights.add(plan, nights.folder / "one", options=("--only", "scene-1")) == 0
+    capsys.readouterr()
+    command = ["manifest", str(nights.folder / "AcmeNocturne-scene-1.json"), str(nights.folder / "two"), "--append"]
+    command += ["-o", str(nights.csv)]
+    assert main(command) == 2
+    assert "--append goes with --copy-to DIR or --link-to DIR" in capsys.readouterr().err
+    assert main([*command, "--copy-to", str(nights.folder / "elsewhere" / "mine")]) == 2
+    assert "7 files of 7 are not in the one given, such as AcmeNocturne/scene-1/IMG_0001.dng" in capsys.readouterr().err
+    card = nights.csv.with_suffix(".json")
+    content = json.loads(card.read_text())
+    card.write_text(json.dumps(content | {"counts": {"noisy": 2, "reference": 4}}))
+    digest = sha256_of(nights.csv)
+    assert nights.add(plan, nights.folder / "two") == 2
+    assert "its card expects {'noisy': 2, 'reference': 4} rows per role, and it has" in capsys.readouterr().err
+    assert sha256_of(nights.csv) == digest
+    assert not (nights.data / "AcmeNocturne" / "scene-2").exists()

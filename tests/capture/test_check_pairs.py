@@ -1,0 +1,230 @@
+"""`capture check` of each pair: its shift and ratio, the row that says so, and the manifest that keeps them."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from fractions import Fraction
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from capture.check import CheckedPair, check
+from capture.check.limits import (
+    BEST_PSNR_DB,
+    LIGHT_AGAIN,
+    LIGHT_LOOK,
+    LOOK_DB,
+    SHIFT_AGAIN_PX,
+    SHIFT_LOOK_PX,
+)
+from capture.check.measures import Estimate, Measure
+from capture.check.noise_structure import empty_share
+from capture.cli import main
+from eldata.datasets import PairDataset
+from eldata.demo.camera import BASE_ISO, SimulatedCamera
+from eldata.manifest import load_manifest
+from eldata.metrics import psnr
+from eldata.records import Exposure
+from tests.capture.simulated_scenes import Shot, write_scenes
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from capture.check import CheckedGroup
+
+FEW = (1, 2, 4, 6, 14, 15, 16)  # references, and noisy frames at x1 and x100 of ISO 800, x100 and x200 of ISO 3200
+
+
+def group_of(folder: Path, mishaps: dict[int, Callable[[Shot], Shot]], scene: int = 2) -> CheckedGroup:
+    named = {(scene, number): mishap for number, mishap in mishaps.items()}
+    (group,) = check(write_scenes(folder, named, scenes=(scene,), ids=FEW), folder / "data").groups
+    return group
+
+
+def pair(group: CheckedGroup, number: int) -> CheckedPair:
+    (found,) = (one for one in group.pairs if one.path.endswith(f"{number:04d}.dng"))
+    return found
+
+
+def perfect_score_db(*, light: float = 0.0, shift_px: float = 0.0) -> float:
+    """PSNR of a perfect denoiser, as docs/capture.md derives it: an rms of 0.3 and a slope of 0.01 per pixel."""
+    error = (light * 0.3) ** 2 + (shift_px * 0.01) ** 2
+    return -10 * math.log10(error) if error > 0 else math.inf
+
+
+def test_the_limits_are_those_of_a_perfect_denoiser() -> None:
+    """Light and shift cost the same at their limits; a fault ten decibels below the best takes 0.4 dB off it."""
+    assert perfect_score_db(light=LIGHT_AGAIN) == pytest.approx(BEST_PSNR_DB)
+    assert perfect_score_db(shift_px=SHIFT_AGAIN_PX) == pytest.approx(BEST_PSNR_DB)
+    assert perfect_score_db(light=LIGHT_LOOK) == pytest.approx(LOOK_DB)
+    assert perfect_score_db(shift_px=SHIFT_LOOK_PX) == pytest.approx(LOOK_DB)
+    both = perfect_score_db(light=LIGHT_AGAIN, shift_px=SHIFT_AGAIN_PX)
+    assert both == pytest.approx(BEST_PSNR_DB - 10 * math.log10(2))
+    assert perfect_score_db() == math.inf
+
+
+def test_noisy_frames_that_all_lie_elsewhere(tmp_path: Path) -> None:
+    """Three pixels between the references, which agree, and all frames between them."""
+    group = group_of(tmp_path, dict.fromkeys((2, 4, 14, 15), lambda shot: shot.moved(1.8, -2.4)))
+    assert group.verdict == "shoot again"
+    assert all(group.verdict_of(one.path) == "shoot again" for one in group.pairs)
+    for one in group.pairs:
+        assert one.shift is not None
+        assert abs(one.shift.value - 3) < max(0.02, 5 * one.shift.standard_error)
+        assert one.shift.standard_error < 0.2
+        assert one.ratio is None  # pixel by pixel the frames cannot be compared
+
+
+def test_one_noisy_frame_that_lies_elsewhere(tmp_path: Path) -> None:
+    group = group_of(tmp_path, {2: lambda shot: shot.moved(0.0, 0.3)})
+    assert {one.path[-8:-4]: group.verdict_of(one.path) for one in group.pairs} == {
+        "0002": "look",
+        "0004": "keep",
+        "0014": "keep",
+        "0015": "keep",
+    }
+    assert pair(group, 2).shift.value == pytest.approx(0.3, abs=0.02)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    ("light", "verdict"),
+    [(1.01, "look"), (1.05, "shoot again"), (2 ** (1 / 6), "shoot again"), (2 ** (-1 / 6), "shoot again")],
+)
+def test_light_in_a_noisy_frame_alone_counts_as_it_does_between_references(
+    tmp_path: Path, light: float, verdict: str
+) -> None:
+    group = group_of(tmp_path, {2: lambda shot: shot.lit(light)})
+    assert group.verdict_of(pair(group, 2).path) == verdict
+    assert pair(group, 2).ratio.value == pytest.approx(1 / light, rel=0.002)  # type: ignore[union-attr]
+
+
+def as_dialled(shot: Shot) -> Shot:
+    """EXIF has the names of a shutter's times, 30 s and 1/25 s, which are 32 s and 2^(-14/3) s; 4 s stand for 32 s."""
+    if shot.iso == 100:
+        return replace(shot, exif=Exposure(Fraction(100), Fraction(30)))
+    given_s = Fraction(2 ** (-14 / 3) * 4 / 32).limit_denominator(10**6)
+    return replace(shot, exif=Exposure(Fraction(shot.iso), Fraction(1, 25)), exposure_s=given_s)
+
+
+def test_a_ratio_that_exif_rounds_is_recorded_and_used(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """EXIF's 93.75 where the pixels show 101.59: never kept, until the manifest holds the measured ratio."""
+    write_scenes(tmp_path, {(2, n): as_dialled for n in (1, 4, 6, 16)}, scenes=(2,), ids=(1, 4, 6, 16))
+    csv, out, sheet = tmp_path / "manifests" / "my.csv", tmp_path / "check.json", tmp_path / "sheet.html"
+    arguments = ["check", str(csv), "--root", str(tmp_path / "data"), "--json", str(out)]
+    assert main(arguments) == 1
+    assert "EXIF has the rounded names of the shutter's times" in capsys.readouterr().out
+    (row,) = json.loads(out.read_text())["groups"][0]["pairs"]
+    assert row["verdict"] == "look"
+    found = row["measured"]["EXIF ratio"]
+    assert found["value"] == pytest.approx(101.59, abs=5 * found["standard_error"])
+    assert found["standard_error"] < 0.5
+    assert row["measured"]["shift"]["value"] < 0.3
+    assert all(record.measured_ratio is None for record in load_manifest(csv).records)
+
+    assert main([*arguments, "--write", "--sheet", str(sheet)]) == 1
+    assert "measured ratios of 1 of 1 pairs written" in capsys.readouterr().out
+    assert "1 pairs" in sheet.read_text()
+    (noisy,) = (one for one in load_manifest(csv).records if one.role == "noisy")
+    assert float(noisy.measured_ratio or 0) == pytest.approx(found["value"], rel=1e-5)
+    assert noisy.measured_shift_px is not None
+    assert main(arguments) == 0  # settled
+
+    def score(amplification: Any) -> float:
+        options: dict[str, Any] = {"levels": "metadata", "clip": "none"}
+        (sample,) = PairDataset(tmp_path / "data" / "MY", csv, amplification=amplification, **options)
+        # Means of 32 x 32 packed pixels stand for a perfect denoiser: noise is averaged, a wrong ratio stays.
+        both = (sample[name].reshape(4, 6, 32, 9, 32).mean(dim=(2, 4)).numpy() for name in ("input", "target"))
+        return float(psnr(*both))
+
+    assert score("measured") > score("metadata") + 5
+
+
+def developed(monkeypatch: pytest.MonkeyPatch, change: Callable[[NDArray[np.uint16]], NDArray[np.uint16]]) -> None:
+    """Let the camera work on the raw values of all but its references."""
+    plain = SimulatedCamera.photograph
+
+    def photograph(
+        self: SimulatedCamera, light: Any, share: Any, iso: int, generator: np.random.Generator
+    ) -> NDArray[np.uint16]:
+        mosaic = plain(self, light, share, iso, generator)
+        return mosaic if iso == BASE_ISO else change(mosaic)
+
+    monkeypatch.setattr(SimulatedCamera, "photograph", photograph)
+
+
+def smoothed(mosaic: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    """Half of each pixel from the mean of the 3 x 3 of its colour."""
+    found = mosaic.astype(np.float64)
+    for place in product((0, 1), repeat=2):
+        part = found[place[0] :: 2, place[1] :: 2]
+        found[place[0] :: 2, place[1] :: 2] = (part + ndimage.uniform_filter(part, 3)) / 2
+    return np.rint(found).astype(np.uint16)
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "least"),
+    [("fine noise", smoothed, 50.0), ("gaps", lambda mosaic: mosaic // 4 * 4, 70.0)],
+)
+def test_cameras_that_work_on_raw_values(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    name: str,
+    change: Callable[[NDArray[np.uint16]], NDArray[np.uint16]],
+    least: float,
+) -> None:
+    """Noise reduction; 12 bits in a file of 14."""
+    developed(monkeypatch, change)
+    group = group_of(tmp_path, {})
+    for one in group.pairs:
+        found = group.row(one)[name]
+        assert found.verdict == "shoot again"
+        assert found.deviation > least
+        assert {measure.name for measure in group.row(one).values() if measure.verdict != "keep"} == {name}
+
+
+def test_gaps_of_values_by_their_share() -> None:
+    """White noise of 8 DN, of 200,000 pixels: no gap as it is, a half of the values without the lowest bit."""
+    mosaic = np.rint(np.random.default_rng(5).normal(512, 8, (400, 500))).astype(np.uint16)
+    assert empty_share(mosaic) == 0
+    assert empty_share(mosaic // 2 * 2) == pytest.approx(0.5, abs=0.05)
+    assert empty_share(np.full((8, 8), 512, np.uint16)) == 0
+
+
+def test_a_ratio_is_recorded_only_if_it_is_known_well_enough() -> None:
+    known = CheckedPair("a", "b", shift=Estimate(0.123456, 0.01), ratio=Estimate(203.1912345, 0.5))
+    assert known.recorded == {"measured_ratio": Fraction("203.191"), "measured_shift_px": Fraction("0.123")}
+    vague = CheckedPair("a", "b", shift=None, ratio=Estimate(200.0, 2 * LIGHT_AGAIN * 200))
+    assert vague.recorded == {}
+
+
+def test_no_gaps_beside_a_peak() -> None:
+    """Nine tenths at one value, the others far apart below it: what does not occur between them is no gap."""
+    generator = np.random.default_rng(6)
+    mosaic = generator.integers(600, 12_000, (400, 500)).astype(np.uint16)
+    mosaic[:, :450] = 16383
+    assert empty_share(mosaic) == 0
+
+
+@pytest.mark.parametrize("share", [0.5, 0.9])
+def test_a_window_that_is_saturated_all_over(tmp_path: Path, share: float) -> None:
+    """Tiles of one value tell nothing of a shift, and stop nothing."""
+
+    def with_window(shot: Shot) -> Shot:
+        light = shot.radiance.copy()
+        light[..., : int(share * light.shape[-1])] = 50.0
+        return replace(shot, radiance=light)
+
+    group = group_of(tmp_path, dict.fromkeys(FEW, with_window))
+    assert "clipped" in {reason.name for reason in group.reasons if isinstance(reason, Measure)}
+    assert len(group.pairs) == 4
+    for one in group.pairs:
+        assert one.shift is None or one.shift.value < 5 * one.shift.standard_error + 0.02
+        assert "gaps" not in {measure.name for measure in group.row(one).values() if measure.verdict != "keep"}

@@ -1,0 +1,117 @@
+"""From plan to evaluated set, as a photographer goes: two cameras, two nights, a full card, a backup, a phone."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from datetime import datetime, timedelta
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from capture.camera import CameraDescription, Shutter
+from capture.cli import main as capture
+from capture.plan import Plan
+from eldata.cli.main import main as eldata
+from eldata.demo.camera import CAMERAS
+from eldata.demo.scenes import scene_radiance
+from eldata.manifest import load_manifest
+from eldata.raw.dng import write_dng
+from eldata.records import Exposure
+from tests.capture.test_checklist import written
+from tests.capture.test_progress import ticked
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import pytest
+
+    from capture.plan import ScenePlan
+    from eldata.demo.camera import SimulatedCamera
+
+SIZE = (384, 576)
+FIRST_NIGHT, SECOND_NIGHT = datetime(2026, 11, 21, 22), datetime(2026, 11, 22, 22)  # noqa: DTZ001 # a camera's clock
+
+
+def description(camera: SimulatedCamera) -> CameraDescription:
+    shutter = Shutter.between("1/8000", "30", Fraction(1, 3))
+    return CameraDescription(camera.name, (camera.sensor.model,), ".dng", (100, 800, 1600, 3200), 100, shutter)
+
+
+def shoot(card: Path, camera: SimulatedCamera, scene: ScenePlan, start: datetime) -> None:
+    """Take a scene's frames: what the shutter gives, and what the camera writes that it gave."""
+    card.mkdir(parents=True, exist_ok=True)
+    number = len(list(card.iterdir()))
+    seen = scene_radiance(int(scene.name.removeprefix("scene-")), *SIZE)
+    camera = camera.with_size(*SIZE)
+    for shot in scene.shots:
+        number += 1
+        start += timedelta(seconds=10)
+        share = Fraction(shot.setting.true_s / scene.shots[0].setting.true_s)
+        mosaic = camera.photograph(seen, share, shot.iso, np.random.default_rng([number, start.day]))
+        exposure = Exposure(Fraction(shot.iso), shot.setting.nominal_s)
+        write_dng(card / f"DSC{number:05d}.dng", mosaic, camera.sensor, exposure, taken=start, compression="none")
+
+
+def test_from_plan_to_scores(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+
+    def run(line: str, code: int = 0) -> str:
+        program, *arguments = line.split()
+        assert (capture if program == "capture" else eldata)(arguments) == code, line
+        output, errors = capsys.readouterr()
+        assert errors == ""
+        return output
+
+    files = "-o manifests/mine.csv --copy-to data/Mine --jobs 1"
+    for index, camera in enumerate(CAMERAS):
+        name, plan = camera.name, f"{camera.name}.json"
+        description(camera).save(f"{name}-camera.json")
+        run(f"capture plan --camera {name}-camera.json --scenes 2 --metered 4 --protocol paper -o {plan}")
+        run(f"capture checklist {plan} -o {name}.html")
+        # The first night: one scene, and a backup of the card. The checklist is not ticked further.
+        planned = Plan.load(plan)
+        card = tmp_path / f"card-{index}"
+        shoot(card, camera, planned.scenes[0], FIRST_NIGHT)
+        shutil.copytree(card, tmp_path / f"backup-{index}")
+        content = ticked(planned)
+        for shot in content["scenes"][1]["shots"]:
+            shot["taken_at"] = None
+        progress = written(content, tmp_path)
+        again = "--append" if index else ""
+        output = run(f"capture manifest {plan} {card} backup-{index} {files} --progress {progress} {again}")
+        assert "nor are 9 other copies" in output
+        assert "skipped:" in output
+        # The second night: the scene meters at 2 s. The card still holds the first night.
+        metered = planned.remeter("scene-2", Fraction(2))
+        shoot(card, camera, metered.scenes[1], SECOND_NIGHT)
+        progress = written(ticked(metered), tmp_path)
+        assert "scene-2: metered at 2 s" in run(f"capture plan {plan} --progress {progress} -o {name}-2.json")
+        output = run(f"capture manifest {plan} {card} {files} --progress {progress} --append")
+        assert "has 10 of the plan's 20 shots" in output
+        assert "10 of 10 shots have a file; 20 files were given" in output
+
+    assert "2 scenes taken with DemoAlpha and DemoBeta" in (tmp_path / "manifests" / "mine.json").read_text()
+    assert "40 files" in run("eldata verify manifests/mine.csv --root data --level full --jobs 1")
+    # The names of the times are rounded, which the pixels show; the manifest gets what is measured.
+    output = run("capture check manifests/mine.csv --root data --jobs 1 --sheet sheet.html --write", code=1)
+    assert "EXIF has the rounded names of the shutter's times" in output
+    assert "shoot again" not in output
+    assert sum(row.measured_ratio is not None for row in load_manifest("manifests/mine.csv").records) > 0
+    assert "40 files" in run("eldata verify manifests/mine.csv --root data --level full --jobs 1")
+    output = run(
+        "eldata evaluate --baseline input --manifest manifests/mine.csv --root data --jobs 1 --json scores.json"
+    )
+    scores = json.loads((tmp_path / "scores.json").read_text())
+    # Two cameras, two scenes, three ISOs, two factors.
+    assert len(scores["images"]) == 24
+    assert {image["camera"] for image in scores["images"]} == {"DemoAlpha", "DemoBeta"}
+    by_ratio = {
+        ratio: np.mean([image["psnr_db"] for image in scores["images"] if image["ratio"] == ratio])
+        for ratio in (100, 200)
+    }
+    assert by_ratio[100] > by_ratio[200] > 10  # twice the light is less noise
+    assert "DemoAlpha" in output

@@ -20,10 +20,22 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 NAMES = (
-    *("decode", "packing", "dataset_item", "metrics", "evaluation", "noise", "synthetic_pairs", "calibration"),
+    *(
+        "decode",
+        "packing",
+        "dataset_item",
+        "metrics",
+        "evaluation",
+        "methods",
+        "noise",
+        "synthetic_pairs",
+        "small_crops",
+        "calibration",
+    ),
     "store",
     "streaming",
     "manifest",
+    "shading",
 )
 
 _PACKAGES = ("eldata", "numpy", "numba", "rawpy", "torch", "scikit-image")

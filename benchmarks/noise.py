@@ -15,7 +15,7 @@ from benchmarks.data import SIZE
 from benchmarks.harness import Row, in_turn
 from eldata.datasets import DarkFrames
 from eldata.demo.scenes import scene_radiance
-from eldata.noise import CameraProfile, NoiseModel
+from eldata.noise import CameraProfile, NoiseModel, NoiseStructure, RowSpectrum, TelegraphPixels
 from eldata.raw import bayer_cfa, write_dng
 from eldata.records import Exposure, Sensor
 from eldata.sources.store import build_store, source_of_folder
@@ -30,11 +30,15 @@ if TYPE_CHECKING:
 _DRAWS = 8  # parameter draws a timed call: K is log-uniform, and the time of plain Poisson depends on it
 _PATCH = (4, 512, 512)
 _BATCH = 32
+_WITH_STRUCTURE = tuple(f"P*+G*+B+{rows}+U" for rows in ("R+C", "W", "R+T", "R+F", "W+C+T+F"))
+_STRUCTURE = NoiseStructure(
+    1.0, None, 0.4, RowSpectrum((0.0002, 0.01, 0.1, 0.5), (9.0, 2.0, 1.0)), TelegraphPixels(0.002, 12.0), 0.01
+)
 _DARK_ISO, _DARK_FRAMES = 1600, 3
 
 
-def _dark_frames(folder: Path) -> DarkFrames:
-    """Bias frames of 12 megapixels in a store."""
+def _dark_store(folder: Path) -> Path:
+    """Make a store of bias frames of 12 megapixels."""
     place, generator = folder / "bias" / f"ISO{_DARK_ISO}", np.random.default_rng(3)
     place.mkdir(parents=True)
     sensor = Sensor("Acme", "Nocturne", bayer_cfa(), (512.0,) * 4, 512 + plain_noise.RANGE_DN, *SIZE)
@@ -42,7 +46,7 @@ def _dark_frames(folder: Path) -> DarkFrames:
         mosaic = np.rint(generator.normal(512, 4, SIZE)).astype(np.uint16)
         write_dng(place / f"{number}.dng", mosaic, sensor, Exposure(Fraction(_DARK_ISO), Fraction(1, 4000)))
     build_store(source_of_folder(folder), folder / "bias.h5")
-    return DarkFrames(folder / "bias.h5")
+    return folder / "bias.h5"
 
 
 def run(files: Files, rounds: int, cores: int) -> list[Row]:
@@ -54,8 +58,11 @@ def run(files: Files, rounds: int, cores: int) -> list[Row]:
     clean = np.ascontiguousarray(radiance[[0, 1, 2, 1]], dtype=np.float32)
     tensor, torch_generator = torch.from_numpy(clean), torch.Generator().manual_seed(0)
     model = NoiseModel("P*+G*+B+R+U")
-    with_frames = NoiseModel("P*+D", dark_frames=_dark_frames(files.data.parent / "dark"))
+    store = _dark_store(files.data.parent / f"dark-{cores}")
+    with_frames = NoiseModel("P*+D", dark_frames=DarkFrames(store))
+    with_kept = NoiseModel("P*+D", dark_frames=DarkFrames(store, keep=_DARK_FRAMES))
     out = np.empty_like(clean)
+    structured = [replace(p, structure=_STRUCTURE) for p in drawn]
 
     def every(work: Callable[..., object], image: object, source: object) -> Callable[[], None]:
         def call() -> None:
@@ -67,9 +74,18 @@ def run(files: Files, rounds: int, cores: int) -> list[Row]:
     def eldata(image: object, p: object, ratio: float, source: object, threads: int | None = None) -> None:
         model(image, parameters=p, ratio=ratio, range_dn=plain_noise.RANGE_DN, generator=source, threads=threads)  # type: ignore[type-var,arg-type] # arrays and tensors alike
 
-    def dark(image: object, p: NoiseParameters, ratio: float, source: object) -> None:
+    def dark(its: NoiseModel, image: object, p: NoiseParameters, ratio: float, source: object) -> None:
         of_iso = replace(p, iso=_DARK_ISO)
-        with_frames(image, parameters=of_iso, ratio=ratio, range_dn=plain_noise.RANGE_DN, generator=source, threads=1)  # type: ignore[type-var,arg-type] # arrays and tensors alike
+        its(image, parameters=of_iso, ratio=ratio, range_dn=plain_noise.RANGE_DN, generator=source, threads=1)  # type: ignore[type-var,arg-type] # arrays and tensors alike
+
+    def with_structure(spec: str) -> Callable[[], None]:
+        its = NoiseModel(spec)
+
+        def call() -> None:
+            for p, ratio in zip(structured, ratios, strict=True):
+                its(clean, parameters=p, ratio=ratio, range_dn=plain_noise.RANGE_DN, generator=generator, threads=1)
+
+        return call
 
     ways = {
         "scipy's tukeylambda.rvs": every(plain_noise.with_scipy, clean, generator),
@@ -77,7 +93,9 @@ def run(files: Files, rounds: int, cores: int) -> list[Row]:
         "plain torch": every(plain_noise.with_torch, tensor, torch_generator),
         "eldata": every(eldata, clean, generator),
         "eldata, one thread": every(partial(eldata, threads=1), clean, generator),
-        "eldata, P*+D from a store, one thread": every(dark, clean, generator),
+        "eldata, P*+D from a store, one thread": every(partial(dark, with_frames), clean, generator),
+        "eldata, P*+D, frames of the store kept, one thread": every(partial(dark, with_kept), clean, generator),
+        **{f"eldata, {spec}, one thread": with_structure(spec) for spec in _WITH_STRUCTURE},
         "numpy uniforms, float32": lambda: [generator.random(out=out, dtype=np.float32) for _ in range(_DRAWS)],
         "copy of the patch": lambda: [out.__setitem__(slice(None), clean) for _ in range(_DRAWS)],
     }
@@ -88,6 +106,8 @@ def run(files: Files, rounds: int, cores: int) -> list[Row]:
         timings.faster(case, "eldata, one thread", "scipy's tukeylambda.rvs", at_least=12 if cores == 1 else None),
         timings.faster(case, "eldata", "plain torch"),
         timings.faster(case, "eldata, P*+D from a store, one thread", "eldata, one thread", at_least=1.0),
+        timings.faster(case, "eldata, P*+D, frames of the store kept, one thread", "eldata, one thread", at_least=1.0),
+        *(timings.cost(case, f"eldata, {spec}, one thread", "eldata, one thread") for spec in _WITH_STRUCTURE),
         timings.cost(case, "eldata, one thread", "numpy uniforms, float32"),
         timings.cost(case, "eldata, one thread", "copy of the patch"),
     ]

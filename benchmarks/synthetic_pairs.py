@@ -22,23 +22,23 @@ if TYPE_CHECKING:
 _FRAMES, _PER_FRAME, _CROP = 2, 16, 512
 
 
-class _PlainPairs(Dataset[dict[str, torch.Tensor]]):
+class PlainPairs(Dataset[dict[str, torch.Tensor]]):
     """Random crops, flips of the packed channels, noise by whole-array operations."""
 
-    def __init__(self, frames: NDArray[np.float32]) -> None:
-        self.frames = frames
+    def __init__(self, frames: NDArray[np.float32], crop: int, count: int) -> None:
+        self.frames, self.crop, self.count = frames, crop, count
         self.profile = CameraProfile.load("SonyA7S2")
 
     def __len__(self) -> int:
-        return _FRAMES * _PER_FRAME
+        return self.count
 
     def __getitem__(self, index: int) -> dict[str, torch.Tensor]:
         if index >= len(self):
             raise IndexError(index)
         generator = np.random.default_rng([0, index])
-        frame = self.frames[index % _FRAMES]
-        y, x = (int(generator.integers(side - _CROP + 1)) for side in frame.shape[1:])
-        clean = np.ascontiguousarray(frame[:, y : y + _CROP, x : x + _CROP])
+        frame = self.frames[index % len(self.frames)]
+        y, x = (int(generator.integers(side - self.crop + 1)) for side in frame.shape[1:])
+        clean = np.ascontiguousarray(frame[:, y : y + self.crop, x : x + self.crop])
         ratio = float(generator.uniform(100, 300))
         noisy = plain_noise.with_numpy(clean, self.profile.sample(generator), ratio, generator)
         return {"input": torch.from_numpy(np.clip(noisy, 0, 1)), "target": torch.from_numpy(clean)}
@@ -54,7 +54,7 @@ def run(files: Files, rounds: int, cores: int) -> list[Row]:  # noqa: ARG001 # e
         name: DataLoader(
             dataset, batch_size=4, num_workers=2, persistent_workers=True, multiprocessing_context="forkserver"
         )
-        for name, dataset in (("plain numpy", _PlainPairs(frames)), ("eldata", ours))
+        for name, dataset in (("plain numpy", PlainPairs(frames, _CROP, _FRAMES * _PER_FRAME)), ("eldata", ours))
     }
 
     def epoch(name: str) -> None:

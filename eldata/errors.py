@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Iterable
     from pathlib import Path
 
 
@@ -25,6 +25,28 @@ def check_choice(name: str, value: object, known: Collection[object]) -> None:
     """Raise :class:`ArgumentError`, which lists the known values, unless an argument is one of them."""
     if value not in known:
         raise ArgumentError(f"{name} must be one of {', '.join(map(repr, known))}; found {value!r}")
+
+
+def nearest(name: str, known: Iterable[str], *, alike: float = 0.6) -> str | None:
+    """Return the known name that another was probably meant to be, or ``None``; case does not matter.
+
+    ``alike`` is the least ratio of :class:`difflib.SequenceMatcher`: 0.6 finds two letters swapped in a name of three.
+    """
+    from difflib import get_close_matches
+
+    spelt = {one.casefold(): one for one in known}
+    near = get_close_matches(name[:_LONGEST_COMPARED].casefold(), spelt, n=1, cutoff=alike)
+    return spelt[near[0]] if near else None
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Return the end of a sentence about an unknown name: ``"; did you mean eld?"``, or nothing."""
+    near = nearest(name, known)
+    return "" if near is None else f"; did you mean {near}?"
+
+
+# What is compared of a name: the time grows with its length, and a stranger's file may hold any.
+_LONGEST_COMPARED = 100
 
 
 class FileError(EldataError):

@@ -165,7 +165,9 @@ class RawFrame:
 class FrameRecord:
     """One row of a manifest: one file of a dataset. ``path`` and ``reference`` are relative POSIX paths.
 
-    The fields, in this order, are the columns of a manifest's file: others read them, so none changes.
+    The fields, in this order, are the columns of a manifest's file: others read them, so none changes. The last two are
+    what ``capture check --write`` measured of a noisy frame: its exposure ratio to the reference, dimensionless, and
+    how far it lies from it, in pixels of the mosaic. A file in which nothing was measured lacks both columns.
     """
 
     path: str
@@ -182,6 +184,8 @@ class FrameRecord:
     size_bytes: int | None = None
     sha256: str | None = None
     flags: tuple[str, ...] = ()
+    measured_ratio: Fraction | None = None
+    measured_shift_px: Fraction | None = None
 
 
 def from_columns(kind: type[_Record], columns: Mapping[str, Sequence[object]]) -> list[_Record]:
@@ -205,6 +209,8 @@ class PairRecord:
         The noisy file and its reference, POSIX paths relative to the dataset's folder.
     ratio
         Nominal exposure ratio: the low-light factor f.
+    measured_ratio
+        The one that the pixels show, if it was measured.
     """
 
     path: str
@@ -216,3 +222,4 @@ class PairRecord:
     exposure_s: Fraction | None
     ratio: Fraction
     flags: tuple[str, ...] = ()
+    measured_ratio: Fraction | None = None

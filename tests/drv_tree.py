@@ -84,9 +84,9 @@ def write_raw_clip(folder: Path, clip: str, frames: int, *, short: str = "short"
         write_raw(folder / "long" / clip / "DSC00001.ARW", REFERENCE, sensor=sensor)
 
 
-def build_drv_tree(manifest: Manifest, folder: Path) -> None:
-    """Write five frames and a reference for every clip of the manifest: one file under many names (hard links)."""
-    write_rgb_clip(folder, "0001", 5)
+def build_drv_tree(manifest: Manifest, folder: Path, frames: int = 5) -> None:
+    """Write some frames and a reference for every clip of the manifest: one file under many names (hard links)."""
+    write_rgb_clip(folder, "0001", frames)
     for record in manifest.records:
         if record.scene == "0001":
             continue

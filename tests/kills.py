@@ -89,6 +89,11 @@ def predictions(folder: Path) -> None:
     place(folder / "preds", Tree(folder / "tree"))
 
 
+def several_predictions(folder: Path) -> None:
+    predictions(folder)
+    shutil.copytree(folder / "preds", folder / "others")
+
+
 def store(folder: Path) -> None:
     from tests.sources.store.helpers import pack_tree
     from tests.trees import tree_in
@@ -128,6 +133,13 @@ CASES = {
         "eldata",
         f"evaluate ../inputs/preds {ELD} --csv s.csv --json s.json --html s.html --jobs {JOBS}",
         predictions,
+    ),
+    "evaluate-several": Case(
+        "eldata", f"evaluate ../inputs/preds ../inputs/others {ELD} -o results --jobs {JOBS}", several_predictions
+    ),
+    "baseline": Case("eldata", f"baseline gaussian {ELD} -o preds --jobs {JOBS}", demo_tree),
+    "predict": Case(
+        "eldata", f"predict tests.baselines.test_predicting:halved {ELD} -o preds --tile 16 --overlap 0", demo_tree
     ),
     "shard": Case("eldata", "shard ../inputs/eld.h5 -o shards --tile 16 --samples-per-shard 20", store),
     "calibrate": Case(

@@ -133,18 +133,23 @@ def test_your_own_files_and_a_package_of_yours(mine: Place) -> None:
     assert "sha256:" in (mine.folder / "mine.csv").read_text()
 
     package = blocks("From your own package")
-    mine.execute(package)
+    files, (commands,) = package[:-1], package[-1:]
+    mine.execute(files)
     for name in ("mine.csv", "mine.json"):
         shutil.copy(mine.folder / name, mine.folder / "hallway" / name)
     # What pip leaves of the project file, so that no package index is needed.
-    (project,) = [tomllib.loads(block.text)["project"] for block in package if block.path == "pyproject.toml"]
+    (project,) = [tomllib.loads(block.text)["project"] for block in files if block.path == "pyproject.toml"]
     info = mine.folder / "hallway-1.0.dist-info"
     info.mkdir()
     info.joinpath("METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: 1.0\n")
     for group, points in project["entry-points"].items():
         lines = [f"{name} = {place}\n" for name, place in points.items()]
         info.joinpath("entry_points.txt").write_text(f"[{group}]\n{''.join(lines)}")
-    assert mine.run("python open_it.py").startswith("HallwayDataset('data/MINE', 4 pairs")
+    printed = mine.run(f'export PYTHONPATH="$PWD:$PYTHONPATH"\n{commands.text}')  # as if it were installed
+    assert printed.startswith("HallwayDataset('data/MINE', 4 pairs")
+    assert "\nmine: Our hallway at night (manifest version 1.0)" in printed
+    assert "mine: 6 of 6 files checked (quick) in data/MINE: all well" in printed
+    assert "mine, protocol eld: 4 of 4 pairs" in printed
 
 
 # --- a set in eldata --------------------------------------------------------------------------------------------------

@@ -35,6 +35,8 @@ from eldata.raw import read_raw
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from eldata.records import FrameRecord
+
 FILES = Path(__file__).parent / "written_by_0_1"
 ROOT = Path(__file__).parents[1]
 WHOLE: dict[str, Any] = {"crop": None, "augment": False}
@@ -86,6 +88,13 @@ def samples(dataset: Any, *names: str) -> list[Any]:
     ]
 
 
+def row(record: FrameRecord) -> dict[str, Any]:
+    """Return a row of a manifest less the columns that 0.1 did not have, in which nothing is measured."""
+    found = asdict(record)
+    assert (found.pop("measured_ratio"), found.pop("measured_shift_px")) == (None, None)
+    return found
+
+
 def check_manifest(manifest: Path, root: Path, report: Path) -> Any:
     """Verify by the command, every byte; return how many files."""
     run("eldata verify {0} --root {1} --level full --jobs 1 --json {2}", manifest, root, report)
@@ -95,7 +104,7 @@ def check_manifest(manifest: Path, root: Path, report: Path) -> Any:
         "checked": dataset.files_checked,
         "name": loaded_manifest.name,
         "folder": loaded_manifest.card.folder,
-        "rows": [asdict(record) for record in loaded_manifest.records],
+        "rows": [row(record) for record in loaded_manifest.records],
         "counts": loaded_manifest.card.counts,
         "cameras": {name: camera.models for name, camera in loaded_manifest.card.cameras.items()},
     }
@@ -130,7 +139,7 @@ def own_set(files: Path, work: Path) -> Any:
 def demo_manifest(files: Path, work: Path) -> Any:
     """Manifest and card of the demo's set, without its files."""
     manifest = load_manifest(files / "demo" / "eld-demo.csv")
-    return [len(manifest.records), asdict(manifest.records[5]), asdict(manifest.card)["counts"], manifest.digest]
+    return [len(manifest.records), row(manifest.records[5]), asdict(manifest.card)["counts"], manifest.digest]
 
 
 @reader
@@ -385,7 +394,7 @@ def mapping(files: Path, work: Path) -> Any:
     (work / "mapping.json").write_text(text.replace("{files}/capture", str(work)), encoding="utf-8")
     paths = folder / "plan.json", work / "card", work / "again.csv", work / "mapping.json"
     run("capture manifest {0} {1} -o {2} --mapping {3} --jobs 1", *paths)
-    return [asdict(record) for record in load_manifest(work / "again.csv").records]
+    return [row(record) for record in load_manifest(work / "again.csv").records]
 
 
 @reader

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import pkgutil
 import warnings
@@ -70,6 +71,7 @@ def _connected(scheduler: str) -> Client:
     from distributed import Client
 
     try:
+        asyncio.run(_reach(scheduler))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of versions, which check_cluster compares
             client = Client(scheduler, timeout=_TIMEOUT_S, set_as_default=False)  # type: ignore[no-untyped-call]
@@ -87,6 +89,16 @@ def _connected(scheduler: str) -> Client:
             f"the Dask scheduler at {scheduler} has no worker; start some with dask worker {scheduler}"
         ) from error
     return client
+
+
+async def _reach(scheduler: str) -> None:
+    """Connect once. A client that cannot is never closed, and can block the next one's start when it is collected."""
+    from distributed.comm.core import connect
+    from distributed.security import Security
+
+    arguments = Security().get_connection_args("client")  # type: ignore[no-untyped-call]
+    comm = await connect(scheduler, timeout=_TIMEOUT_S, **arguments)  # type: ignore[no-untyped-call]
+    await comm.close()
 
 
 def check_cluster(client: Client) -> None:

@@ -11,12 +11,15 @@ from __future__ import annotations
 import os
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
-from typing import TYPE_CHECKING, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numba
+from numba.extending import intrinsic
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
 
 Function = TypeVar("Function", bound="Callable[..., object]")
 Piece = TypeVar("Piece")
@@ -26,6 +29,26 @@ Result = TypeVar("Result")
 def kernel(function: Function) -> Function:
     """Compile ``function`` with exact IEEE arithmetic (no fast-math), without the GIL, cached on disk."""
     return cast("Function", numba.njit(nogil=True, cache=True, error_model="numpy")(function))
+
+
+def _contiguous(typing: Any, array: Any) -> Any:
+    """Within a kernel: return a row as one that the compiler knows to be contiguous.
+
+    Rows of a part of an array are, but its type does not say so, and loops over them would not become vector code. What
+    calls the kernel sees to it that they are.
+    """
+    del typing
+    known = array.copy(layout="C")
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        del signature
+        context.nrt.incref(builder, known, arguments[0])  # one more array on the same memory
+        return arguments[0]
+
+    return known(array), code
+
+
+contiguous = cast("Callable[[NDArray[Any]], NDArray[Any]]", intrinsic(_contiguous))
 
 
 def available_threads() -> int:
@@ -43,9 +66,11 @@ def in_threads(work: Callable[[Piece], Result], pieces: Sequence[Piece], threads
         return [work(piece) for piece in pieces]
     results: list[Result | None] = [None] * len(pieces)
     waiting = iter(range(len(pieces)))  # next() on it is atomic
+    held = [(work, pieces, results)]  # nothing else leads a thread to them: it holds on to what it has run for a while
 
     def help_out() -> None:
         for index in waiting:
+            work, pieces, results = held[0]
             results[index] = work(pieces[index])
 
     helpers = [_pool().submit(help_out) for _ in range(count - 1)]
@@ -56,6 +81,7 @@ def in_threads(work: Callable[[Piece], Result], pieces: Sequence[Piece], threads
         for _ in waiting:  # after an error the rest is dropped
             pass
         wait(begun)
+        held.clear()
     for helper in begun:
         helper.result()  # raises what it raised
     return cast("list[Result]", results)

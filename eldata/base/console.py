@@ -14,11 +14,12 @@ import traceback
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NoReturn
+from typing import TYPE_CHECKING, Any, Literal
 
 from eldata import __version__
 from eldata.base.fields import whole_of
 from eldata.base.files import write_problem
+from eldata.base.parsing import Parser, add_examples
 from eldata.base.stopping import Stopped, Stopping, exit_code, stoppable, what_it_did
 from eldata.base.visible import visible, visible_output
 from eldata.errors import ArgumentError, EldataError
@@ -29,17 +30,10 @@ if TYPE_CHECKING:
     from eldata.base.workers import Workers
 
 OK, PROBLEMS, UNUSABLE, CLOSED_PIPE = 0, 1, 2, 141
-
-
-class Parser(argparse.ArgumentParser):
-    """An argument parser whose errors are one line, and that takes no abbreviated options."""
-
-    def __init__(self, **options: Any) -> None:
-        super().__init__(**{"allow_abbrev": False} | options)
-
-    def error(self, message: str) -> NoReturn:
-        """Print one line and exit with 2."""
-        self.exit(UNUSABLE, f"{self.prog}: {' '.join(message.split())}; see {self.prog} --help\n")
+_EXIT_CODES = (
+    "Exit codes: 0 all well; 1 problems were found and listed; 2 wrong usage or unusable input; 130 Ctrl-C; 143 "
+    "SIGTERM; 129 the terminal was closed; 141 the reader of the output left before its end (head, less)."
+)
 
 
 class _Output(argparse.Action):
@@ -106,6 +100,19 @@ def add_cameras(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_camera_and_isos(parser: argparse.ArgumentParser) -> None:
+    """Add ``--camera`` and ``--iso`` to a subcommand: which of a folder's calibration frames it takes."""
+    parser.add_argument("--camera", metavar="NAME", help="the camera's name (default: the only camera there)")
+    parser.add_argument(
+        "--iso",
+        action="append",
+        dest="isos",
+        type=whole_number(1),
+        metavar="ISO",
+        help="only this ISO; may be repeated",
+    )
+
+
 class _Default(int):
     """A default that argparse can tell from the same number on the command line: small ints share their identity."""
 
@@ -168,6 +175,7 @@ def add_isolation(parser: argparse.ArgumentParser) -> None:
 _SHARED = {
     "root": add_root,
     "cameras": add_cameras,
+    "isos": add_camera_and_isos,
     "jobs": add_jobs,
     "workers": add_workers,
     "isolation": add_isolation,
@@ -178,28 +186,34 @@ _SHARED = {
 def add_shared(
     parser: argparse.ArgumentParser,
     run: Callable[[argparse.Namespace], int],
-    *options: Literal["root", "cameras", "jobs", "workers", "isolation", "json"],
+    *options: Literal["root", "cameras", "isos", "jobs", "workers", "isolation", "json"],
+    example: str | tuple[str, ...] = (),
     interrupted: str = "files are written whole or not at all, so none is left half",
     makes: str = "",
 ) -> None:
     """Finish a subcommand: add these options and ``--debug``, and say what :func:`run` is to call.
 
+    ``example`` is what its help ends with: one or several commands, as somebody would type them.
     ``interrupted`` says what Ctrl-C leaves; ``{name}`` in it is the value of that argument. ``makes`` is the argument
     with a folder that the subcommand makes, so that its outputs may lie there.
     """
     for option in options:
         _SHARED[option](parser)
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    add_examples(parser, *([example] if isinstance(example, str) else example))
     parser.set_defaults(run=run, command=parser.prog, interrupted=interrupted, makes=makes)
 
 
-def command_line(prog: str, description: str, package: str, modules: Iterable[str]) -> Parser:
+def command_line(
+    prog: str, description: str, package: str, modules: Iterable[str], examples: Iterable[str] = ()
+) -> Parser:
     """Return a program's parser. Each subcommand is a module of a package, with a function ``add_parser``."""
     parser = Parser(
         prog=prog,
         description=description,
-        epilog="Exit codes: 0 all well, 1 problems were found and listed, 2 wrong usage or unusable input.",
+        epilog=_EXIT_CODES,
     )
+    add_examples(parser, *examples)
     parser.add_argument("--version", action="version", version=f"{prog} {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
     for module in modules:

@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeVar, overload
 
 from eldata.base.files import is_named_pipe
 from eldata.base.visible import has_unseen
-from eldata.errors import ArgumentError, EldataError, FileError
+from eldata.errors import ArgumentError, EldataError, FileError, nearest
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -302,8 +302,10 @@ class TextFile:
             raise self.problem(f"expected an object, found {shown(data)}")
         return Fields(self, data)
 
-    def rows(self, columns: Sequence[str]) -> Iterator[TextRow]:
-        """Yield the rows of a CSV file whose first line names these columns.
+    def rows(self, columns: Sequence[str], also: Sequence[str] = ()) -> Iterator[TextRow]:
+        """Yield the rows of a CSV file whose first line names these columns, and ``also`` those or not.
+
+        Cells of columns that a file lacks are empty.
 
         Raises
         ------
@@ -315,19 +317,21 @@ class TextFile:
         reader = _csv_reader(file.content)
         try:
             header: list[str] = next(reader, [])
-            if header != list(columns):
+            if header not in ([*columns], [*columns, *also]):
                 found = shown(",".join(header), longest=400)
-                raise self.problem(f"expected the columns {','.join(columns)}; found {found}", "line 1")
+                more = f", or these and {','.join(also)}" if also else ""
+                raise self.problem(f"expected the columns {','.join(columns)}{more}; found {found}", "line 1")
+            absent = dict.fromkeys((*columns, *also)[len(header) :], "")
             for cells in reader:
                 if len(cells) != len(header):
                     reason = f"expected {len(header)} fields, found {len(cells)}"
                     raise self.problem(reason, f"line {reader.line_num}")
                 texts = map(text_of_cell, cells)
-                yield TextRow(self, dict(zip(header, texts, strict=True)), f"line {reader.line_num}")
+                yield TextRow(self, dict(zip(header, texts, strict=True)) | absent, f"line {reader.line_num}")
         except csv.Error as error:
             raise self.problem(f"is not CSV ({error})", f"line {reader.line_num}") from error
 
-    def columns(self, columns: Sequence[str]) -> Iterator[list[tuple[str, ...]]]:
+    def columns(self, columns: Sequence[str], also: Sequence[str] = ()) -> Iterator[list[tuple[str, ...]]]:
         """Yield the columns of some rows at a time, of a file such as :meth:`rows` reads; for millions of rows.
 
         What is wrong with the file raises a ``ValueError`` that does not say where: read it by :meth:`rows` then, which
@@ -337,13 +341,16 @@ class TextFile:
         reader = _csv_reader(file.content)
         quoted = _may_have_quoted_cells(file.content)
         try:
-            if next(reader, []) != list(columns):
+            header: list[str] = next(reader, [])
+            if header not in ([*columns], [*columns, *also]):
                 raise ValueError(columns)
+            absent = len(columns) + len(also) - len(header)
             while rows := list(islice(reader, _ROWS_AT_ONCE)):
                 found = list(zip(*rows, strict=True))
-                if len(found) != len(columns):
+                if len(found) != len(header):
                     raise ValueError(columns)
-                yield [tuple(map(text_of_cell, cells)) for cells in found] if quoted else found
+                cells_of = [tuple(map(text_of_cell, cells)) for cells in found] if quoted else found
+                yield cells_of + [("",) * len(rows)] * absent
         except csv.Error as error:
             raise ValueError(columns) from error
 
@@ -460,7 +467,9 @@ class Fields:
         """Refuse fields with other names: a misspelt one would be ignored."""
         for name in self.data:
             if name not in known:
-                raise self.problem(name, f"is unknown{_did_you_mean(name, known)}; known are {', '.join(known)}")
+                near = nearest(name, known, alike=0.75)
+                hint = f" (did you mean {near}?)" if near else ""
+                raise self.problem(name, f"is unknown{hint}; known are {', '.join(known)}")
 
     def value(self, name: str) -> Any:
         """Return a field that must be there, whatever it holds."""
@@ -478,10 +487,10 @@ class Fields:
         """Return ``read(name, **options)``; the default where the field is not there, null, or an empty cell."""
         return default if self.data.get(name) in self._absent else read(name, **options)
 
-    def schema(self, number: int, program: str = "eldata", *, also: int | None = None) -> int:
-        """Return the schema number; refuse a file of another one than the known one or two."""
+    def schema(self, number: int, program: str = "eldata", *, also: tuple[int, ...] = ()) -> int:
+        """Return the schema number; refuse a file of another one than those known."""
         found = self.data.get("schema", _MISSING)
-        known = (number,) if also is None else (number, also)
+        known = (number, *also)
         if type(found) is not int or found not in known:
             listed = " or ".join(map(str, known))
             raise self.wrong("schema", f"{listed} (a newer file needs a newer {program})", found)
@@ -600,13 +609,6 @@ def _whole(found: object, at_least: int, at_most: int) -> int:
 def _number(found: object, at_least: float | None, above: float | None) -> float:
     value = found if isinstance(found, (int, float)) and not isinstance(found, bool) else None
     return _checked(_finite(value), found, "a finite number", at_least=at_least, above=above)
-
-
-def _did_you_mean(name: str, known: Collection[str]) -> str:
-    from difflib import get_close_matches
-
-    near = get_close_matches(name[:_LONGEST_SHOWN], known, n=1, cutoff=0.75)
-    return f" (did you mean {near[0]}?)" if near else ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -58,6 +58,13 @@ def file_problem(path: Path) -> str | None:
     return None if found.st_size else "is empty (0 bytes): copy or download it again"
 
 
+def folder_problem(folder: Path) -> str | None:
+    """Return why a path is not a folder, or ``None`` if it is, once links are followed."""
+    if folder.is_dir():
+        return None
+    return "is a file, not a folder" if folder.exists() else "there is no such folder"
+
+
 def write_problem(path: Path) -> str | None:
     """Return why :func:`atomic_write` cannot write a file, or ``None``; nothing is made, opened or changed.
 
@@ -207,10 +214,10 @@ def _remove_if_dead(temporary: Path) -> None:
             os.close(descriptor)
 
 
-def can_lock(descriptor: int) -> bool | None:
+def can_lock(descriptor: int, *, shared: bool = False) -> bool | None:
     """Lock an open file like :func:`try_lock`, but return ``None`` where there are no locks: on Windows, some disks."""
     try:
-        return try_lock(Path(), descriptor)
+        return try_lock(Path(), descriptor, shared=shared)
     except (ImportError, EldataError):
         return None
 
@@ -270,8 +277,18 @@ def check_posix(what: str) -> None:
         ) from None
 
 
-def try_lock(path: Path, file: int | IO[bytes]) -> bool:
+def wait_for_lock(descriptor: int) -> None:
+    """Lock an open file or folder for as long as it is open, once nobody else does; not where there are no locks."""
+    with suppress(ImportError, OSError):
+        import fcntl
+
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+
+
+def try_lock(path: Path, file: int | IO[bytes], *, shared: bool = False) -> bool:
     """Lock an open file or folder for as long as it is open; ``False`` if another process holds the lock.
+
+    A ``shared`` lock is had by any number of processes, while none has one that is not.
 
     Raises
     ------
@@ -281,7 +298,7 @@ def try_lock(path: Path, file: int | IO[bytes]) -> bool:
     import fcntl
 
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
     except OSError as error:

@@ -23,11 +23,9 @@ if TYPE_CHECKING:
     from eldata.base.npy import NpyHeader
 
 _PIECE_BYTES = 1 << 20
-# What zipfile raises of damaged, encrypted and hostile archives.
-_DAMAGE = (
-    *(zipfile.BadZipFile, zlib.error, struct.error, EOFError, OverflowError, UnicodeDecodeError),
-    *(NotImplementedError, RuntimeError),
-)
+# What zipfile raises of damaged and hostile archives. A RuntimeError is how it refuses members that are encrypted, and,
+# as the NotImplementedError derived from it, patched data and versions of the format that it does not know.
+_DAMAGE = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, OverflowError, UnicodeDecodeError, RuntimeError)
 
 
 class NpzArchive:

@@ -1,4 +1,4 @@
-"""Numbers that a caller gave: checked where they come in, and named in what is said about them."""
+"""Numbers that a caller gave: checked where they come in, and named in what is said about them; and counts in words."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ def checked_number(name: str, value: Any, *, above: float = -math.inf) -> float:
     ArgumentError
         If it is something else; the message begins with ``name``.
     """
+    if type(value) is float and above < value < math.inf:  # most are: the rest takes eight times as long
+        return value
     limit = "" if math.isinf(above) else f" and above {above:g}"
     try:
         number = None if isinstance(value, (str, bytes)) else float(value)
@@ -46,3 +48,8 @@ def checked_whole(name: str, value: Any, *, at_least: int = 0, bits: int | None 
     if bits is not None and number >= 1 << bits:
         raise ArgumentError(f"{name} must be below 2^{bits}; found {number}")
     return number
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a count with its noun, as ``1 pair`` or ``2 pairs``; the noun is one whose plural ends in s alone."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"

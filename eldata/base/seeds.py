@@ -1,4 +1,4 @@
-"""Random numbers that depend on (seed, epoch, place) alone, and are no other seed's.
+"""Random numbers that depend on (seed, epoch, place) alone, and that no other seed shares.
 
 numpy cuts what it is seeded with into words of 32 bits, one after the other, and fills up with zeros. To it
 ``[2**32, 5, 0]`` and ``[0, 1, 5]`` are one and the same: a large seed is read as a small one and its epoch. Here a
@@ -8,13 +8,21 @@ always have.
 
 from __future__ import annotations
 
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
+from numpy.random.bit_generator import ISpawnableSeedSequence
 
 from eldata.base.numbers import checked_whole
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 _ITEMS = 0  # other purposes have numbers from 1 on
 _LARGE = 0  # the first key of large seeds, where small ones have their purpose's number
 _ONE_WORD = 1 << 32
+_PCG64_WORDS = 4
 _SEED_BITS = 128  # the entropy that numpy's SeedSequence draws for itself
 
 
@@ -40,10 +48,30 @@ def checked_epoch(epoch: int) -> int:
     return checked_whole("epoch", epoch, bits=32)
 
 
+class _ItemSequence(ISpawnableSeedSequence):
+    """``SeedSequence([seed, epoch, index])`` in a third of the time, as long as it does nothing but seed PCG64."""
+
+    def __init__(self, *words: int) -> None:
+        self._words = words
+
+    @cached_property
+    def _plain(self) -> np.random.SeedSequence:
+        return np.random.SeedSequence(self._words)
+
+    def generate_state(self, n_words: int, dtype: Any = np.uint32) -> NDArray[Any]:
+        from eldata.base._seed_kernels import seed_state  # numba takes long to load
+
+        is_usual = n_words == _PCG64_WORDS and dtype is np.uint64
+        return seed_state(*self._words) if is_usual else self._plain.generate_state(n_words, dtype)
+
+    def spawn(self, n_children: int) -> list[np.random.SeedSequence]:  # type: ignore[override] # they need not be ours
+        return self._plain.spawn(n_children)
+
+
 def item_generator(seed: int, epoch: int, index: int) -> np.random.Generator:
     """Return the generator of one item, for a seed and an epoch that were checked and an index below 2^32."""
     if seed < _ONE_WORD:
-        return np.random.default_rng([seed, epoch, index])
+        return np.random.Generator(np.random.PCG64(_ItemSequence(seed, epoch, index)))  # type: ignore[arg-type] # any ISeedSequence
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_LARGE, epoch, _ITEMS, index)))
 
 

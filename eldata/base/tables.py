@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import re
+import textwrap
 from dataclasses import asdict
 from fractions import Fraction
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Final, Literal
 
 from eldata.base.visible import in_line
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
 
 Format = Literal["text", "markdown", "latex"]
 FORMATS: Final[tuple[Format, ...]] = ("text", "markdown", "latex")
+_NARROWEST = 16  # characters of a column whose texts are broken
 
 
 class Strong(str):
@@ -26,18 +29,42 @@ class Strong(str):
     __slots__ = ()
 
 
-def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], left: Collection[int] = (0,)) -> str:
-    """Return lines of aligned columns: columns ``left`` to the left, the others to the right."""
+def text_table(
+    header: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    left: Collection[int] = (0,),
+    *,
+    columns: int | None = None,
+) -> str:
+    """Return lines of aligned columns: columns ``left`` to the left, the others to the right.
+
+    With ``columns``, the characters of a line, the widest texts are broken into several lines until the table fits.
+    """
     header, *rows = ([in_line(cell) for cell in row] for row in (header, *rows))
     widths = [max(len(cell) for cell in column) for column in zip(header, *rows, strict=True)]
+    if columns is not None:
+        widths = _fitting(widths, columns)
     lines = [
         "  ".join(
             cell.ljust(width) if index in left else cell.rjust(width)
-            for index, (cell, width) in enumerate(zip(row, widths, strict=True))
+            for index, (cell, width) in enumerate(zip(line, widths, strict=True))
         ).rstrip()
         for row in (header, ["-" * width for width in widths], *rows)
+        for line in zip_longest(*(_broken(cell, width) for cell, width in zip(row, widths, strict=True)), fillvalue="")
     ]
     return "\n".join(lines)
+
+
+def _broken(cell: str, width: int) -> list[str]:
+    return [cell] if len(cell) <= width else textwrap.wrap(cell, width, break_on_hyphens=False)
+
+
+def _fitting(widths: Sequence[int], columns: int) -> list[int]:
+    """Return widths of which the greatest are made smaller, to 16 at least, until a line has so many characters."""
+    widths = list(widths)
+    while sum(widths) + 2 * (len(widths) - 1) > columns and max(widths) > _NARROWEST:
+        widths[widths.index(max(widths))] -= 1
+    return widths
 
 
 # --- Markdown -----------------------------------------------------------------------------------------------------

@@ -35,6 +35,7 @@ from tqdm import tqdm
 
 from eldata.base.isolation import isolating, set_isolation
 from eldata.base.lifeline import Lifeline, begin, interruptible
+from eldata.base.main_guard import require_main_guard
 from eldata.base.stopping import raise_if_told
 from eldata.errors import ArgumentError, EldataError, FileError
 
@@ -133,8 +134,9 @@ class Workers:
         Raises
         ------
         EldataError
-            If a unit's worker is lost, and lost again as the unit runs alone; or if the executor cannot run units at
-            all. Errors that ``work`` raises come through as they are.
+            If a unit's worker is lost, and lost again as the unit runs alone; if the executor cannot run units at all;
+            or if worker processes would run the caller's script again (:mod:`eldata.base.main_guard`). Errors that
+            ``work`` raises come through as they are.
         """
         return _results(self.attempt(work, units, label=label, unit=unit))
 
@@ -241,14 +243,24 @@ def _dask_client(executor: Executor) -> Any:
 # --- one unit, where it runs ------------------------------------------------------------------------------------------
 
 
-def _call(work: Callable[[Unit], Result], unit: Unit) -> Callable[[], Result | Failed[Unit]]:
-    """Return a unit's work for another worker."""
+def _call(work: Callable[[Unit], Result], unit: Unit) -> Callable[[], list[Result | Failed[Unit]]]:
+    """Return a unit's work for another worker: its outcome comes in a list, to be taken out of it.
+
+    A thread holds on to what it returned until it runs again, some time after the result is there, and an outcome may
+    be large.
+    """
     # Dask takes equal calls for the same one, and answers with the result that it already has.
-    return partial(_run_unit, work, unit, _here(), isolating(), uuid.uuid4().hex)
+    return partial(_listed, work, unit, _here(), isolating(), uuid.uuid4().hex)
+
+
+def _listed(
+    work: Callable[[Unit], Result], unit: Unit, caller: tuple[str, int], isolate: bool, _: str
+) -> list[Result | Failed[Unit]]:
+    return [_run_unit(work, unit, caller, isolate)]
 
 
 def _run_unit(
-    work: Callable[[Unit], Result], unit: Unit, caller: tuple[str, int], isolate: bool = False, _: str = ""
+    work: Callable[[Unit], Result], unit: Unit, caller: tuple[str, int], isolate: bool = False
 ) -> Result | Failed[Unit]:
     """Return a unit's result, or its error as a value: what an executor itself raises can then be told from it."""
     raise_if_told()
@@ -320,6 +332,7 @@ def _outcomes(
     if workers.executor is not None:
         yield from _in_order(work, units, _Lent(workers.executor, per_worker=_PER_WORKER))
     elif workers.jobs > 1 and len(units) > 1:
+        require_main_guard()
         own = _Own(min(workers.jobs, len(units)))
         try:
             yield from _in_order(work, units, own)
@@ -353,7 +366,7 @@ def _in_order(
             unit, future = waiting[0]
             error = _error_of(future)
             if error is None:
-                found = future.result()
+                found = future.result().pop()
             elif pool.is_loss(error):
                 # Only a unit that runs alone shows whether it was the one that ended the worker.
                 wait([other for _, other in waiting])
@@ -378,7 +391,7 @@ def _alone(unit: Unit, call: Callable[[], Any], pool: _Pool) -> Any:
         pool.drop(future)
         raise
     if error is None:
-        return future.result()
+        return future.result().pop()
     if not pool.is_loss(error):
         raise _unrunnable(unit, error) from error
     pool.renew()

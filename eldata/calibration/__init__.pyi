@@ -51,3 +51,4 @@ from .shading_fit import dark_shading as dark_shading
 from .single_frame import SingleFramePlot as SingleFramePlot
 from .single_frame import single_frame_plot as single_frame_plot
 from .spectrum import power_spectrum as power_spectrum
+from .structure import MeasuredStructure as MeasuredStructure

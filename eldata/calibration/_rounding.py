@@ -13,10 +13,15 @@ of which independent uniform rounding is the term l = 0. A residual is one such 
 lattice of 1/n DN; its probabilities are the inverse transform of a product of n such sums, averaged over the pixels'
 levels. Of these only the means of exp(2 pi i l m) matter, which the sum of n frames tells: its remainder modulo n is
 the fraction of a pixel's mean, which the noise blurs by a factor that the model knows.
+
+The mean that is taken off a row is itself of recorded values, and taken to 1/n DN: a row's offset sets both that and
+the rounding of its pixels. What rounding leaves of the mean is a wave of it, whose terms are products over the n frames
+too.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
@@ -45,7 +50,8 @@ _FRACTION_ERROR = 0.02, 0.5  # of expected waves, and of what takes the non-unif
 _NODE_DN = 0.04  # spacing of row offsets: HARMONICS turns per DN are still resolved
 _NODES_REACH = 5.0
 _WIDE_DN = 1.0  # of row offsets: beyond, residuals depend on them by their fraction of a DN alone, and that is even
-_PARTS = 70  # per DN at least, into which offsets are divided where they are rounded to 1/n DN
+_PHASES = 128  # of these
+_LEAST_BLUR_DN2 = 1e-5  # of row means, whose sum over waves would not end: 1/300 DN, where they are taken to 1/n DN
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,7 +209,7 @@ class RoundedResiduals:
         turns = np.exp(-2j * math.pi * np.outer(noise.fractions, np.arange(1, noise.harmonics + 1)))
         weights = (1 + 2 * (levels[:, : noise.harmonics] @ turns.T).real) / noise.fractions.size
         weights_by_wave = 2 * (turns @ by_wave[:, : noise.harmonics]).real / noise.fractions.size
-        changes = [self._changes(noise, min(offsets, _WIDE_DN), response, kind) for kind in range(len(rows))]
+        changes = [self._changes(noise, offsets, response, kind) for kind in range(len(rows))]
         by_fraction = np.stack([change for change, _ in changes])
         rounding = float(response.shares @ [lost for _, lost in changes])
         rounded = Rounded(
@@ -278,42 +284,31 @@ class RoundedResiduals:
         n = self.frames
         points = 2 * n * noise.reach
         frequency = 2 * math.pi * np.arange(points // 2 + 1) * n / points
-        nodes, shares = normal_nodes(offsets)
+        nodes, shares = normal_nodes(offsets) if offsets < _WIDE_DN else _even_nodes()
         seen = response.seen(nodes)[kind]
-        seen -= shares @ seen
 
-        # Taken off is the row's recorded mean less that of n frames, to the nearest 1/n DN; its pixels' noise is in it.
-        centre = (1 - 1 / n) * seen
-        spread2 = float(shares @ seen**2) * (1 - 1 / n) / n
-        spread = math.sqrt(spread2 + self.fractions.pixel_variance_dn2 * (1 - 1 / n) / self.row_pixels + 1e-12)
-        parts = n * max(3, math.ceil(_PARTS / n) | 1)
-        ends = (centre.min() - _NODES_REACH * spread) * parts, (centre.max() + _NODES_REACH * spread) * parts
-        places = np.arange(math.floor(ends[0]), math.ceil(ends[1]) + 1)
-        chance = _normal_shares((places[:-1] + 0.5) / parts, centre, spread)
-        taken = np.rint(places * (n / parts)) / n
-        offset = places / parts
-        of_offset = shares @ chance
-        squares = max(float(of_offset @ offset**2), 1e-300)
-        follows = float(of_offset @ (offset * taken)) / squares
-        rounding = float(of_offset @ (offset - taken) ** 2)
-
-        # By pixel: y = recorded value less level, and less what follows the recorded offset. All y are alike and
-        # independent, and residual = own y - share (sum of the n - 1 others') + (follows offset - taken).
-        row = follows / self.row_pixels
-        own, share = (1 - 1 / n) * (1 - row), (1 - row) / n
-        left = nodes - follows * seen
-        base = _product(chance, np.exp(1j * np.outer(follows * offset - taken, frequency)))
-        nearest = -np.rint(own * frequency / (2 * math.pi))
-        base *= shares[:, None] * np.exp(
-            1j * (np.outer(own * left, frequency) + 2 * math.pi * np.outer(nodes, nearest))
-        )
-        of_nodes = np.exp(2j * math.pi * np.outer(noise.terms, nodes))
-        mine = _product(of_nodes, base) * noise(own * frequency + 2 * math.pi * (nearest + noise.terms[:, None]))
-        theirs = _product(of_nodes * shares, np.exp(-1j * np.outer(share * left, frequency)))
-        theirs *= noise(-share * frequency + 2 * math.pi * noise.terms[:, None])
-        of_row = follows**2 * self.fractions.pixel_variance_dn2 * (1 - 1 / n) / self.row_pixels
-        whole = _product(noise.turns, mine) * _product(noise.turns, theirs) ** (n - 1)
-        whole *= np.exp(2j * math.pi * np.outer(noise.fractions, nearest) - 0.5 * of_row * frequency**2)
+        # Taken off is D, the row's recorded mean less that of n frames, to the nearest 1/n DN; its pixels' noise is in
+        # it. All y = recorded value less level, and less what is seen of its offset, are alike and independent, and
+        # residual = own y - mean of n y + D - rounded D. The last two are a wave of D with a period of 1/n DN:
+        # exp(i w (D - rounded D)) = sum over k of sinc(w / (2 pi n) - k) exp(2 pi i k n D), and D is a sum over frames.
+        blur2 = self.fractions.pixel_variance_dn2 * (1 - 1 / n) / self.row_pixels
+        blur2 = max(blur2, _LEAST_BLUR_DN2)
+        whole = np.zeros((noise.fractions.size, frequency.size))
+        rounding = 1 / (12 * n**2)
+        small = 0
+        for k in itertools.count():
+            terms = [self._term(wave, noise, frequency, nodes, shares, seen, blur2) for wave in sorted({k, -k})]
+            for term in terms:
+                whole += term
+            if k:
+                turns = np.exp(2j * math.pi * k * seen)
+                of_mean = (shares @ turns ** (n - 1)) * (shares @ turns.conj()) ** (n - 1)
+                of_mean *= math.exp(-2 * (math.pi * k * n) ** 2 * blur2)
+                rounding += (-1) ** k * float(of_mean.real) / (math.pi * k * n) ** 2
+            is_small = max(float(np.abs(term).max()) for term in terms) < _NEGLIGIBLE
+            small = small + 1 if is_small else 0
+            if small == 2:  # one alone may be 0 by symmetry, as where means come in halves of a DN
+                break
 
         # The same with independent uniform rounding, as eldata.calibration._tukey_lambda.ResidualModel has it.
         row = 1 / self.row_pixels
@@ -328,10 +323,38 @@ class RoundedResiduals:
                 * np.exp(-0.5 * of_row * w**2)
                 * np.sinc(w / (2 * math.pi * n))
             )
-        change = np.fft.irfft(whole.real - independent, points, axis=1)
+        change = np.fft.irfft(whole - independent, points, axis=1)
         folded: Values = change[:, : points // 2].copy()
         folded[:, 1:] += change[:, : points // 2 : -1]
         return folded, rounding
+
+    def _term(
+        self,
+        k: int,
+        noise: _Noise,
+        frequency: Values,
+        nodes: Values,
+        shares: Values,
+        seen: Values,
+        blur2: float,
+    ) -> Values:
+        """Return a term of the sum over k, (fractions, frequencies), for row offsets at nodes, seen as these."""
+        n = self.frames
+        left = nodes - seen
+        beyond = frequency - 2 * math.pi * n * k
+        w = frequency - beyond / self.row_pixels  # the pixel is in its row's mean
+        own, share = (1 - 1 / n) * w, w / n
+        nearest = -np.rint(own / (2 * math.pi))
+        turned = np.outer(left, own) + 2 * math.pi * np.outer(nodes, nearest)
+        mean: Values = 2 * math.pi * k * seen[:, None]
+        mine_by_node: Complex = shares[:, None] * np.exp(1j * (turned + (n - 1) * mean))
+        theirs_by_node: Complex = np.exp(-1j * (np.outer(left, share) + mean))
+        of_nodes = np.exp(2j * math.pi * np.outer(noise.terms, nodes))
+        mine = _product(of_nodes, mine_by_node) * noise(own + 2 * math.pi * (nearest + noise.terms[:, None]))
+        theirs = _product(of_nodes * shares, theirs_by_node) * noise(-share + 2 * math.pi * noise.terms[:, None])
+        whole = _product(noise.turns, mine) * _product(noise.turns, theirs) ** (n - 1)
+        whole *= np.exp(2j * math.pi * np.outer(noise.fractions, nearest) - 0.5 * blur2 * beyond**2)
+        return np.asarray(whole.real * np.sinc(frequency / (2 * math.pi * n) - k))
 
 
 class _Noise:
@@ -407,15 +430,13 @@ def normal_nodes(sigma: float) -> tuple[Values, Values]:
     return nodes * sigma, shares / shares.sum()
 
 
+def _even_nodes() -> tuple[Values, Values]:
+    """Return nodes and weights of all fractions of a DN alike."""
+    return np.arange(_PHASES) / _PHASES, np.full(_PHASES, 1 / _PHASES)
+
+
 def _product(left: Values | Complex, right: Complex) -> Complex:
     """Return the matrix product without BLAS, whose threads would wait for one another at such sizes."""
     result = np.empty((len(left), right.shape[1]), dtype=np.complex128)
     product(left, right, result)
     return result
-
-
-def _normal_shares(limits: Values, centre: Values, spread: float) -> Values:
-    """Return the probabilities of normal variables between limits, (centres, limits + 1)."""
-    from scipy.special import ndtr
-
-    return np.diff(ndtr((limits - centre[:, None]) / spread), prepend=0.0, append=1.0, axis=1)

@@ -12,27 +12,24 @@ camera's stand to it alike, and one rule judges all numbers.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import copy
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 from tqdm import tqdm
 
-from eldata.base.numbers import checked_whole
+from eldata.base.numbers import checked_whole, counted
+from eldata.base.workers import IN_THIS_PROCESS, AnyWorkers, Workers, require_files
 from eldata.calibration._frames import channels_of, pattern_of
 from eldata.calibration.acceptance_results import Acceptance, FrameStatistic, IsoAcceptance
 from eldata.calibration.acceptance_statistics import PairNumbers, curves_of, dark_statistics, flat_statistics
 from eldata.calibration.frame_checks import (
-    Copies,
-    FrameFigures,
     FramesError,
-    clipped_black,
-    odd_bias_frames,
     sorted_frames,
-    unlike,
-    unlike_most,
-    unreadable,
 )
+from eldata.calibration.held_out import HeldOutFrames
 from eldata.calibration.made_frames import MadeFrames
 from eldata.calibration.pair_statistics import (
     FlatScale,
@@ -44,25 +41,26 @@ from eldata.calibration.pair_statistics import (
 )
 from eldata.calibration.reproduction import compared_place
 from eldata.datasets.calibration_frames import CalibrationFrames
-from eldata.errors import ArgumentError, DatasetError, RawFileError
+from eldata.errors import ArgumentError, DatasetError
 from eldata.noise.diagnostics import sample_parameters
 from eldata.noise.makers import check_noise_maker, maker_name
 from eldata.noise.model import NoiseModel
 from eldata.noise.profile import CameraProfile
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterator, Sequence
     from fractions import Fraction
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from eldata.calibration.frame_checks import IsoFrames
+    from eldata.calibration.pair_statistics import PairFigures
     from eldata.datasets.calibration_frames import FlatPair
-    from eldata.manifest.verify import Problem
+    from eldata.manifest.verify_report import Problem
     from eldata.noise.makers import NoiseMaker
     from eldata.noise.parameters import NoiseParameters
-    from eldata.records import FrameRecord, Sensor
+    from eldata.records import Sensor
 
     Mosaic = NDArray[np.uint16]
     Plane = NDArray[np.float32]
@@ -84,6 +82,7 @@ def check_noise(
     seed: int = 0,
     pairs: int = PAIRS,
     whole_frames: bool = False,
+    workers: AnyWorkers = 1,
 ) -> Acceptance:
     """Hold the frames that a noise model makes against frames of the camera that it has not seen.
 
@@ -110,11 +109,15 @@ def check_noise(
     whole_frames
         Hand the model frames of the sensor's size and compare the middle, for a model that knows the sensor's places;
         otherwise it makes that piece alone, 1024 x 1024 pixels at most.
+    workers
+        Number of threads that decode, and that make and measure a :class:`~eldata.noise.model.NoiseModel`'s frames (any
+        other model's are made one after the other), or an executor that checks whole ISOs side by side, where the model
+        can be pickled (:mod:`eldata.base.workers`). The verdicts do not depend on it.
 
     Raises
     ------
     ArgumentError
-        If the model cannot be called, returns what is no exposure, clips at 0, or gives other units than normalised
+        If the model cannot be called, returns what is not an exposure, clips at 0, or gives other units than normalised
         ones; if the profile states other levels or does not know an ISO; or an option is out of its range.
     FramesError
         If frames are missing or unfit: every problem is in it.
@@ -130,8 +133,9 @@ def check_noise(
         raise ArgumentError("isos is for a folder; choose them with CalibrationFrames(..., isos=...)")
     name = maker_name(model)
     if isinstance(model, NoiseModel) and model.components.quantisation and model.components.spec != "U":
-        model = NoiseModel(model.components.spec.removesuffix("+U"), clip=model.clip)
-    chosen = sorted_frames(frames)
+        model = model.without_quantisation()
+    workers = Workers.of(workers)
+    chosen = sorted_frames(frames, Workers(workers.jobs))
     problems = [problem for one in chosen for problem in one.problems]
     problems += [_too_few(frames, one) for one in chosen if len(one.bias) < 2]
     if problems:
@@ -140,91 +144,44 @@ def check_noise(
         raise ArgumentError(
             f"parameters are of one ISO, and the frames of {len(chosen)}; give a profile, or isos=[...]"
         )
-    found = [
-        check_iso_noise(model, frames, one, parameters, seed=seed, pairs=pairs, whole_frames=whole_frames)
-        for one in chosen
-    ]
+    options = _Options(seed, pairs, whole_frames)
+    if workers.executor is None:
+        found = [_checked(model, frames, parameters, options, one, workers) for one in chosen]
+    else:
+        there = copy.copy(frames)
+        there.root = frames.root.absolute()  # workers have folders of their own to start from
+        work = partial(_checked_there, model, there, parameters, options)
+        found = list(workers.run(work, chosen, label=f"checking {name}", unit="ISO"))
     return Acceptance(frames.camera, name, seed, pairs, tuple(found))
 
 
+@dataclass(frozen=True, slots=True)
+class _Options:
+    """As :func:`check_noise` has them."""
+
+    seed: int
+    pairs: int
+    whole_frames: bool
+
+
+def _checked_there(
+    model: NoiseMaker,
+    frames: CalibrationFrames,
+    parameters: CameraProfile | NoiseParameters,
+    options: _Options,
+    chosen: IsoFrames,
+) -> IsoAcceptance:
+    flats = (flat for pair in chosen.pairs for flat in (pair.first, pair.second))
+    require_files(*map(frames.path, (*chosen.bias, *flats)))
+    return _checked(model, frames, parameters, options, chosen, IN_THIS_PROCESS)
+
+
 def _too_few(frames: CalibrationFrames, one: IsoFrames) -> Problem:
-    from eldata.manifest.verify import Problem
+    from eldata.manifest.verify_report import Problem
 
     where = f"ISO {float(one.iso):g}"
     advice = "take ten more with the lens capped, and keep them from the calibration"
     return Problem(frames.camera, where, "bias", "two held-out bias frames or more", str(len(one.bias)), advice)
-
-
-# --- the camera's frames ------------------------------------------------------------------------------------------
-
-
-@dataclass(slots=True)
-class _Camera:
-    """Reads the frames of one ISO, a pair at a time, and collects what is wrong with them."""
-
-    frames: CalibrationFrames
-    sensor: Sensor | None = None
-    example: str = ""
-    sensors: dict[FrameRecord, Sensor] = field(default_factory=dict)
-    figures: list[FrameFigures] = field(default_factory=list)
-    problems: list[Problem] = field(default_factory=list)
-    copies: Copies = field(default_factory=Copies)
-
-    def read(self, record: FrameRecord) -> Mosaic | None:
-        """Return a frame that is like the first one, and no copy."""
-        try:
-            raw = self.frames.read(record)
-        except RawFileError as error:
-            self.problems.append(unreadable(record, error))
-            return None
-        if self.sensor is None:
-            self.sensor, self.example = raw.sensor, record.path
-        self.sensors[record] = raw.sensor
-        if unlike(record, raw.sensor, self.sensor, self.example) or self.copies.original(record, raw.mosaic):
-            return None
-        return raw.mosaic
-
-    def bias_pairs(self, records: Sequence[FrameRecord]) -> Iterator[tuple[Mosaic, Mosaic]]:
-        """Yield pairs of pieces of bias frames that share no frame."""
-        first: Mosaic | None = None
-        for record in records:
-            mosaic = self.read(record)
-            if mosaic is None:
-                continue
-            self.problems += clipped_black(record, mosaic)
-            self.figures.append(FrameFigures.of(record, mosaic))
-            piece = self.cut(mosaic)
-            if first is None:
-                first = piece
-            else:
-                yield first, piece
-                first = None
-
-    def flats(self, pair: FlatPair) -> tuple[Mosaic, Mosaic] | None:
-        """Return a pair of whole flats."""
-        first, second = self.read(pair.first), self.read(pair.second)
-        return None if first is None or second is None else (first, second)
-
-    def known(self) -> Sensor:
-        """Return the sensor of the frames.
-
-        Raises
-        ------
-        FramesError
-            If none could be read.
-        """
-        if self.sensor is None:
-            raise FramesError(self.problems)
-        return self.sensor
-
-    def cut(self, mosaic: NDArray[np.generic]) -> Mosaic:
-        return mosaic[compared_place(mosaic.shape, len(self.known().cfa))].copy()  # type: ignore[return-value]
-
-    def refuse(self) -> None:
-        """Raise what is wrong with the frames so far, if anything is."""
-        problems = [*self.problems, *unlike_most(self.sensors), *odd_bias_frames(self.figures)]
-        if problems:
-            raise FramesError(sorted(problems, key=lambda problem: problem.path))
 
 
 # --- one ISO ------------------------------------------------------------------------------------------------------
@@ -239,9 +196,22 @@ def check_iso_noise(
     seed: int = 0,
     pairs: int = PAIRS,
     whole_frames: bool = False,
+    workers: Workers = IN_THIS_PROCESS,
 ) -> IsoAcceptance:
     """Check a model at one ISO; arguments and errors are those of :func:`check_noise`, and ``chosen`` its frames."""
-    camera = _Camera(frames)
+    return _checked(model, frames, profile, _Options(seed, pairs, whole_frames), chosen, workers)
+
+
+def _checked(
+    model: NoiseMaker,
+    frames: CalibrationFrames,
+    profile: CameraProfile | NoiseParameters,
+    options: _Options,
+    chosen: IsoFrames,
+    workers: Workers,
+) -> IsoAcceptance:
+    seed, pairs, whole_frames = options.seed, options.pairs, options.whole_frames
+    camera = HeldOutFrames(frames, workers)
     held_out = camera.bias_pairs(chosen.bias)
     first = next(held_out, None)
     if first is None:
@@ -255,15 +225,17 @@ def check_iso_noise(
     parameters, measured = _parameters(profile, chosen.iso, sensor, seed)
     pattern = pattern_of(sensor.cfa)
     scale = FrameScale.of(*first, pattern)
-    made = MadeFrames(model, parameters, sensor, (seed, int(chosen.iso)), whole_frames)
+    made = MadeFrames(
+        model, parameters, sensor, (seed, int(chosen.iso)), whole_frames, _seconds(chosen.bias_exposure_s)
+    )
     size = (sensor.height, sensor.width) if whole_frames else first[0].shape
     no_light = np.zeros(size, dtype=np.float32)
     made.check(no_light, first[0], scale)
 
     reference, of_camera, of_model = PairNumbers(), PairNumbers(), PairNumbers()
     total = np.zeros(first[0].shape, dtype=np.float64)
-    for index in range(_REFERENCE):
-        pair = dark_pair(*made.pair(no_light, 1, index), scale)
+    measure = partial(dark_pair, scale=scale)
+    for pair in _made(made, no_light, 1, _REFERENCE, measure, workers):
         reference.add(pair)
         total += pair.mean_dn
     mean_dn = (total / _REFERENCE).astype(np.float32)
@@ -271,8 +243,9 @@ def check_iso_noise(
     for one in held_out:
         of_camera.add(dark_pair(*one, scale), mean_dn)
     camera.refuse()
-    for index in tqdm(range(pairs), desc=f"ISO {float(chosen.iso):g}", unit="pair", disable=None, leave=False):
-        of_model.add(dark_pair(*made.pair(no_light, 2, index), scale), mean_dn)
+    simulated = _made(made, no_light, 2, pairs, measure, workers)
+    for pair in tqdm(simulated, f"ISO {float(chosen.iso):g}", pairs, unit="pair", disable=None, leave=False):
+        of_model.add(pair, mean_dn)
     statistics = dark_statistics(reference, of_camera, of_model, 2 * first[0].size)
 
     levels = [float(np.mean(of_camera.of(f"level {index}"))) for index in range(channels_of(pattern))]
@@ -289,6 +262,21 @@ def check_iso_noise(
         statistics=(*statistics, *lit),
         curves=curves_of(of_camera, of_model, scale),
         remarks=tuple(dict.fromkeys((*drawn, *few, *remarks, *camera.copies.remarks))),
+    )
+
+
+def _made(
+    made: MadeFrames,
+    light_dn: Plane,
+    stream: int,
+    count: int,
+    measure: Callable[[Mosaic, Mosaic], PairFigures],
+    workers: Workers,
+) -> Iterator[PairFigures]:
+    """Yield the figures of the model's pairs. A model that is not ours may not be called by two threads at a time."""
+    is_ours = isinstance(made.model, NoiseModel) and made.model.dark_frames is None
+    return (workers if is_ours else IN_THIS_PROCESS).read_ahead(
+        lambda index: measure(*made.pair(light_dn, stream, index)), range(count)
     )
 
 
@@ -324,7 +312,7 @@ def _parameters(
 
 
 def _flats(
-    camera: _Camera, chosen: IsoFrames, made: MadeFrames, levels: Sequence[float], pairs: int
+    camera: HeldOutFrames, chosen: IsoFrames, made: MadeFrames, levels: Sequence[float], pairs: int
 ) -> tuple[list[FrameStatistic], int, list[str]]:
     """Return the statistics of flats at three exposures at most, how many frames they are of, and remarks."""
     by_time: dict[Fraction | None, list[FlatPair]] = {}
@@ -333,9 +321,8 @@ def _flats(
     groups = [by_time[time] for time in sorted(by_time, key=lambda time: time or 0)]
     usable = [group for group in groups if not _is_saturated(camera, group[0])]
     camera.refuse()
-    remarks = [f"{len(groups) - len(usable)} exposure(s) of flats saturate and were left out"] * (
-        len(usable) < len(groups)
-    )
+    saturated = len(groups) - len(usable)
+    remarks = [f"flats of {counted(saturated, 'exposure')} saturate and were left out"] if saturated else []
     places = sorted({round(place) for place in np.linspace(0, len(usable) - 1, min(_FLAT_LEVELS, len(usable)))})
     dark = np.array(levels, dtype=np.float32)
     statistics, used = [], 0
@@ -347,7 +334,7 @@ def _flats(
     return statistics, used, remarks
 
 
-def _is_saturated(camera: _Camera, pair: FlatPair) -> bool:
+def _is_saturated(camera: HeldOutFrames, pair: FlatPair) -> bool:
     flats = camera.flats(pair)
     if flats is None:
         return True
@@ -356,9 +343,9 @@ def _is_saturated(camera: _Camera, pair: FlatPair) -> bool:
 
 
 def _of_exposure(
-    camera: _Camera, group: Sequence[FlatPair], made: MadeFrames, dark: Plane, pairs: int, stream: int
+    camera: HeldOutFrames, group: Sequence[FlatPair], made: MadeFrames, dark: Plane, pairs: int, stream: int
 ) -> tuple[list[FrameStatistic], int]:
-    sensor = made.sensor
+    sensor, made = made.sensor, replace(made, exposure_s=_seconds(group[0].first.exposure_s))
     pattern = pattern_of(sensor.cfa)
     light: Plane | None = None
     scale: FlatScale | None = None
@@ -377,14 +364,20 @@ def _of_exposure(
         of_camera.add(flat_pair(first, second, scale))
     if scale is None or light is None:
         return [], 0
-    for index in range(_REFERENCE):
-        reference.add(flat_pair(*made.pair(light, stream, index), scale))
-    for index in tqdm(range(pairs), desc="flats", unit="pair", disable=None, leave=False):
-        of_model.add(flat_pair(*made.pair(light, stream + 1, index), scale))
+    measure = partial(flat_pair, scale=scale)
+    for pair in _made(made, light, stream, _REFERENCE, measure, camera.workers):
+        reference.add(pair)
+    simulated = _made(made, light, stream + 1, pairs, measure, camera.workers)
+    for pair in tqdm(simulated, "flats", pairs, unit="pair", disable=None, leave=False):
+        of_model.add(pair)
     where = light[compared_place(light.shape, len(pattern))] if made.whole_frames else light
     check = f"flats of {float(where.mean()):.0f} DN"
     statistics = flat_statistics(check, reference, of_camera, of_model, where.size)
     return statistics, 2 * len(of_camera.units)
+
+
+def _seconds(exposure_s: Fraction | None) -> float | None:
+    return None if exposure_s is None else float(exposure_s)
 
 
 def _tiled(dark: Plane, pattern: NDArray[np.int64], shape: tuple[int, ...]) -> Plane:

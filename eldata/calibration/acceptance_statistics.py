@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     Plane = NDArray[np.float32]
 
 _TAILS = (0.01, 0.001, 0.0001)
-_FEWEST_IN_A_TAIL = 20  # values of a pair: fewer are no mean of many
+_FEWEST_IN_A_TAIL = 20  # values of a pair: a mean of fewer is not one of many
 
 _DARK = (
     ("drift", ("level", "from frame to frame", "DN")),

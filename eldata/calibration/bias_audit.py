@@ -196,12 +196,15 @@ class BiasAudit:
         """
         fixed, pairs, width = self._fixed, self._pairs, self._columns * _BLOCK
         check_same_frames(self._added, fixed)
-        sound = np.stack([~fixed.defects[rows] for rows in self._bands])
+        # By band: numpy counts in copies of eight bytes a pixel.
+        totals = np.zeros(256, dtype=np.int64)
+        for of_band, rows in zip(self._totals, self._bands, strict=True):
+            totals += np.bincount(of_band[~fixed.defects[rows]], minlength=256)
         pixels = np.maximum(self._pixels, 2)
         # Defects have no size, and so add to no sum; only to the count of size 0.
         sizes = self._sizes.copy()
-        sizes[0] -= pairs * np.count_nonzero(~sound)
-        squares = np.stack([self._squares_of_totals(totals[:, :width]) for totals in self._totals])
+        sizes[0] -= pairs * sum(np.count_nonzero(fixed.defects[rows]) for rows in self._bands)
+        squares = np.stack([self._squares_of_totals(of_band[:, :width]) for of_band in self._totals])
         # Products of sizes in two different pairs: of the same pixel, and of any two pixels of the block.
         same = squares - self._size_squares
         both = self._size_sums**2 - self._size_products
@@ -219,6 +222,6 @@ class BiasAudit:
             dsnu_dn=float(np.mean(fixed.summary.dsnu_dn)),
             unlikeness=covariance / mean**2,
             sizes=sizes,
-            totals=np.bincount(self._totals[sound], minlength=256),
+            totals=totals,
             neighbours=self._neighbours.statistics(),
         )

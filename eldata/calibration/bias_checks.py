@@ -48,8 +48,10 @@ _MANY_STEPS = 5  # above, a ripple is below one in a million
 _FAINT_RIPPLE = 1e-3  # of sizes: the sum of sizes of a pixel then tells nothing of rounding
 
 _SLOW, _FAST = 1 / 8, 1 / 4  # cycles per row
-_LEAST_WAVES = 8  # over a frame; fewer, and a wave is not told from drift
-_LEAKED = 0.02  # of the ground
+LEAST_WAVES = 8
+"""Over a frame; fewer, and a wave is not told from drift."""
+LEAKED = 0.02
+"""Share of the ground that a wave may leak to a frequency."""
 _PERIODS = 6  # of the rows' composition: a multiple of Bayer's and X-Trans' own
 _NEAR = 15  # frequencies on each side, whose median is a wave's ground
 
@@ -426,8 +428,8 @@ def row_waves(rows: RowNoise) -> Iterator[Finding]:
     """Yield findings if the rows' offsets hold a wave or drift slowly, where the model draws each row by itself."""
     line, shape = rows.rows, rows.frames - 1
     error = line.sigma_error_dn / max(line.sigma_dn, 1e-12)
-    frequency, power, ground, threshold = _standing_out(line, shape)
-    is_wave = (power > threshold * ground) & (frequency > _LEAST_WAVES / line.deviations_dn.shape[1])
+    frequency, power, ground, threshold = standing_out(line, shape)
+    is_wave = (power > threshold * ground) & (frequency > LEAST_WAVES / line.deviations_dn.shape[1])
     yield from _slow_drift(line, shape, error, frequency[is_wave], (power / ground)[is_wave])
     if is_wave.any():
         variance = float((power - ground)[is_wave].sum()) / power.size
@@ -441,7 +443,7 @@ def row_waves(rows: RowNoise) -> Iterator[Finding]:
         yield from judged(Finding("banding", (), "remark", statistic, threshold, text), {"row noise": (share, error)})
 
 
-def _standing_out(
+def standing_out(
     line: LineNoise, shape: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
     """Return frequencies, the power under a Hann window, its ground, and the ratio of the two that makes a wave.
@@ -453,7 +455,7 @@ def _standing_out(
 
     lines = line.deviations_dn.shape[1]
     window = np.hanning(lines + 1)[:-1]
-    frequency, power = _periodogram(line, window * math.sqrt(lines / float(window @ window)), blurred_over=2.5)
+    frequency, power = periodogram(line, window * math.sqrt(lines / float(window @ window)), blurred_over=2.5)
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(power, _NEAR, mode="reflect"), 2 * _NEAR + 1)
     ground = np.median(windows, axis=1) * shape / float(gammaincinv(shape, 0.5))
     threshold = float(gammainccinv(shape, CHANCE / power.size)) / shape
@@ -474,11 +476,11 @@ def _slow_drift(
     from scipy.special import chdtri
 
     lines = line.deviations_dn.shape[1]
-    frequency, power = _periodogram(line, np.ones(lines), blurred_over=0.5)
+    frequency, power = periodogram(line, np.ones(lines), blurred_over=0.5)
     distance = np.maximum(np.abs(frequency[:, None] - waves) * lines, 0.5)
-    left = (heights / (math.pi * distance) ** 2).sum(axis=1) < _LEAKED
+    left = (heights / (math.pi * distance) ** 2).sum(axis=1) < LEAKED
     slow, fast = left & (frequency < _SLOW), left & (frequency > _FAST)
-    if slow.sum() < _LEAST_WAVES or fast.sum() < _LEAST_WAVES:
+    if slow.sum() < LEAST_WAVES or fast.sum() < LEAST_WAVES:
         return
     ground = float(power[fast].mean())
     weights = 1 / (frequency[slow] * lines)
@@ -502,7 +504,7 @@ def _slow_drift(
     yield from judged(seen, {"row noise": (share, error)})
 
 
-def _periodogram(
+def periodogram(
     line: LineNoise, window: NDArray[np.float64], blurred_over: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return frequencies, cycles per line, and power, DN^2: white noise of variance s^2 gives s^2 throughout.

@@ -13,16 +13,17 @@ import numpy as np
 from tqdm import tqdm
 
 from eldata import __version__
-from eldata.base.numbers import checked_number
+from eldata.base.numbers import checked_number, counted
 from eldata.base.workers import IN_THIS_PROCESS, AnyWorkers, Failed, Workers, accepts_jobs, require_files
 from eldata.calibration.frame_checks import FramesError, sorted_frames
 from eldata.calibration.mode_fits import joint_fits, whole_ranges
 from eldata.calibration.one_iso import calibrate_flats, calibrate_iso, decodings
 from eldata.calibration.remarks import overall_remarks
 from eldata.calibration.results import Calibration, FailedIso, IsoCalibration, IsoGain
+from eldata.calibration.structure import pooled_prnu
 from eldata.datasets.calibration_frames import CalibrationFrames
 from eldata.errors import ArgumentError
-from eldata.manifest.verify import Problem
+from eldata.manifest.verify_report import Problem
 from eldata.noise.profile import CameraProfile, ProfileRow
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from eldata.calibration.frame_checks import IsoFrames
+    from eldata.noise.structure import NoiseStructure
 
 _LEVELS_APART = 0.001  # of the range
 
@@ -42,6 +44,7 @@ def calibrate(
     isos: Collection[int] | None = None,
     gains: Mapping[float, float] | CameraProfile | None = None,
     modes: Sequence[float] | None = None,
+    structure: bool = False,
     workers: AnyWorkers = 1,
 ) -> Calibration:
     """Measure a camera's noise from its bias and flat-field frames (section 3.3 of the paper).
@@ -60,6 +63,9 @@ def calibrate(
     modes
         The first ISO of each gain mode of the camera but the lowest, such as ``[2000]``; an empty list for a camera
         that has one. By default modes are told by steps in the joint fits.
+    structure
+        Measure the figures of components C, W, T and F of the noise model, too: column noise, the spectrum of the rows,
+        telegraph pixels and PRNU. A profile with them has schema 3, which version 0.1 refuses.
     workers
         Number of threads that decode, or an executor that measures whole ISOs side by side, with a thread each
         (:mod:`eldata.base.workers`). The figures do not depend on it, and the memory hardly does.
@@ -85,6 +91,14 @@ def calibrate(
     ----------
     K. Wei, Y. Fu, Y. Zheng and J. Yang, "Physics-based Noise Modeling for Extreme Low-light Photography", IEEE
     Transactions on Pattern Analysis and Machine Intelligence, 2021.
+
+    Examples
+    --------
+    >>> from eldata import CalibrationFrames, calibrate
+    >>> frames = CalibrationFrames("eldata-calibration/data/calibration", "DemoGamma", isos=[100, 400, 1600])
+    >>> found = calibrate(frames)
+    >>> [round(row.gain_dn_per_e, 1) for row in found.profile.rows]
+    [0.1, 0.4, 1.5]
     """
     if not isinstance(frames, CalibrationFrames):
         frames = CalibrationFrames(frames, camera, isos=isos)
@@ -99,7 +113,8 @@ def calibrate(
         for one in sorted_frames(frames, Workers(workers.jobs))
     ]
     usable = [one for one in chosen if not one.problems]
-    found = (_measured if workers.executor is None else _measured_on)(frames, usable, workers)
+    measure = _measured if workers.executor is None else _measured_on
+    found = measure(frames, usable, workers, structure)
     failed = [FailedIso(float(one.iso), one.problems) for one in chosen if one.problems]
     measured: list[IsoGain] = []
     for one, outcome in zip(usable, found, strict=True):
@@ -156,33 +171,40 @@ def _ascending(failed: Iterable[FailedIso]) -> list[FailedIso]:
     return sorted(failed, key=lambda one: one.iso)
 
 
-def _measured(frames: CalibrationFrames, chosen: Sequence[IsoFrames], workers: Workers) -> list[IsoGain | FramesError]:
+def _measured(
+    frames: CalibrationFrames, chosen: Sequence[IsoFrames], workers: Workers, structure: bool
+) -> list[IsoGain | FramesError]:
     found: list[IsoGain | FramesError] = []
     total = sum(map(decodings, chosen))
     with tqdm(total=total, desc=f"calibrating {frames.camera}", unit="frame", disable=None, leave=False) as bar:
         for one in chosen:
             try:
-                found.append(_of_iso(frames, one, workers, done=bar.update))
+                found.append(_of_iso(frames, one, workers, structure, done=bar.update))
             except FramesError as error:
                 found.append(error)
     return found
 
 
 def _of_iso(
-    frames: CalibrationFrames, chosen: IsoFrames, workers: Workers = IN_THIS_PROCESS, **options: Any
+    frames: CalibrationFrames,
+    chosen: IsoFrames,
+    workers: Workers = IN_THIS_PROCESS,
+    structure: bool = False,
+    **options: Any,
 ) -> IsoGain:
     """Measure what an ISO has frames for."""
-    alone = chosen.pairs and not chosen.bias
-    return (calibrate_flats if alone else calibrate_iso)(frames, chosen, workers, **options)
+    if chosen.pairs and not chosen.bias:
+        return calibrate_flats(frames, chosen, workers, **options)
+    return calibrate_iso(frames, chosen, workers, structure=structure, **options)
 
 
 def _measured_on(
-    frames: CalibrationFrames, chosen: Sequence[IsoFrames], workers: Workers
+    frames: CalibrationFrames, chosen: Sequence[IsoFrames], workers: Workers, structure: bool
 ) -> list[IsoGain | FramesError]:
     # Frames are summed where they are decoded: to send them would take longer than that.
     there = copy.copy(frames)
     there.root = frames.root.absolute()  # workers have folders of their own to start from
-    work = partial(_measured_there, there)
+    work = partial(_measured_there, there, structure)
     label = f"calibrating {frames.camera}"
     return [
         _failure(frames, outcome) if isinstance(outcome, Failed) else outcome
@@ -190,11 +212,11 @@ def _measured_on(
     ]
 
 
-def _measured_there(frames: CalibrationFrames, chosen: IsoFrames) -> IsoGain:
+def _measured_there(frames: CalibrationFrames, structure: bool, chosen: IsoFrames) -> IsoGain:
     require_files(
         *map(frames.path, (*chosen.bias, *(flat for pair in chosen.pairs for flat in (pair.first, pair.second))))
     )
-    return _of_iso(frames, chosen)
+    return _of_iso(frames, chosen, structure=structure)
 
 
 def _failure(frames: CalibrationFrames, failed: Failed[IsoFrames]) -> FramesError:
@@ -232,7 +254,7 @@ def joined(
     remarks += fits.remarks
     black, white = _common_levels(everything, remarks)
     bias, flat = sum(one.bias_frames for one in ordered), sum(one.flat_frames for one in everything)
-    source = f"eldata {__version__} calibrate: {bias} bias and {flat} flat frames at {len(everything)} ISO(s)"
+    source = f"eldata {__version__} calibrate: {bias} bias and {flat} flat frames at {counted(len(everything), 'ISO')}"
     stated = sum(one.gain is not None and one.gain.is_stated for one in ordered)
     if stated:
         source += f", K stated at {stated} of them"
@@ -265,8 +287,16 @@ def joined(
         white_level_dn=white,
         notes=found.all_remarks,
         modes=() if only is not None else tuple(modes_found),
+        structure=_structure(ordered),
     )
     return replace(found, made_profile=profile)
+
+
+def _structure(isos: Sequence[IsoCalibration]) -> tuple[NoiseStructure, ...]:
+    """Return the figures of components C, W, T and F at the ISOs that have K, if they were measured."""
+    known = [(one, one.structure) for one in isos if one.structure is not None and one.gain_dn_per_e is not None]
+    prnu = pooled_prnu([structure for _, structure in known])
+    return tuple(structure.at(one.gain_dn_per_e or 1.0, one.iso, prnu) for one, structure in known)
 
 
 def _common_levels(isos: Sequence[IsoGain], remarks: list[str]) -> tuple[float | None, float | None]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eldata.base.numbers import counted
 from eldata.calibration._frames import FrameSums
 from eldata.errors import ArgumentError, DatasetError
 
@@ -178,7 +179,7 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
         raise ArgumentError(f"the threshold is a positive number of standard deviations; found {threshold}")
     if stack.frames < MINIMUM_FRAMES:
         raise DatasetError(
-            f"{stack.frames} bias frame(s) are not enough to tell what stays from what changes: "
+            f"found {counted(stack.frames, 'bias frame')}: to tell what stays from what changes, "
             f"{MINIMUM_FRAMES} are needed, ten or more advised, all at one ISO"
         )
     pattern, channels, frames = stack.pattern, stack.channels, stack.frames
@@ -213,7 +214,7 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
     limits = [limit(channel) for channel in range(channels)]
     defect_rows = defects[stack.squared_rows]
 
-    # One grid for all sites: of a frame whose size is no multiple of a block's, some may have no pixel in the last row.
+    # One grid for all sites: of a frame whose size is not a multiple of a block's, some may have none in the last row.
     side = _BLOCK * len(pattern)
     grid = tuple(-(-length // side) for length in defects.shape)
 

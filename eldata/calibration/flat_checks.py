@@ -22,7 +22,7 @@ _BY_CHANCE = 1e-4  # of one check of one ISO
 _LOST_PER_CORRELATION = 4.0
 _LEAST_LOSS = 0.002  # of K: below it a correlation is not worth a word
 # Share of the measurements. Patches of 1000 pixels, six to a row of 24 megapixels, have edges in a tenth of its pieces.
-# A wall has none, but that light which falls off steeply over a few hundred pixels counts as some.
+# A wall has one in 100,000 by chance, and none for light that falls off smoothly.
 _MOST_EDGES = 0.1
 _TOO_WIDE = 0.1  # of K: beyond it, no error says how wrong K may be
 

@@ -14,8 +14,10 @@ from eldata.calibration.audit import Finding
 from eldata.datasets.calibration_frames import flat_pairs
 from eldata.errors import DatasetError, EldataError, RawFileError
 from eldata.manifest.table import number_text
-from eldata.manifest.verify import RATIO_TOLERANCE, Problem
+from eldata.manifest.verify import RATIO_TOLERANCE
+from eldata.manifest.verify_report import Problem
 from eldata.raw.reading import read_header
+from eldata.raw.unsupported import what_to_do
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -211,7 +213,8 @@ def unlike_most(sensors: Mapping[FrameRecord, Sensor]) -> list[Problem]:
 def unreadable(record: FrameRecord, error: EldataError) -> Problem:
     """Return the problem of a file that cannot be read."""
     reason = error.reason if isinstance(error, RawFileError) else str(error)
-    return _problem(record, "content", "a whole raw file", reason, "copy it again, or leave it out")
+    found, advice = what_to_do(reason) or (reason, "copy it again, or leave it out")
+    return _problem(record, "content", "a whole raw file", found, advice)
 
 
 def clipped_black(record: FrameRecord, mosaic: NDArray[np.uint16]) -> list[Problem]:

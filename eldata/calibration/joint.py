@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from eldata.base.numbers import counted
 from eldata.calibration.audit import Finding
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise.gain_modes import GainMode, LogLogFit
@@ -55,6 +56,13 @@ def fit_log_log(gains_dn_per_e: Sequence[float], scales_dn: Sequence[float]) -> 
         If the numbers differ in length, or one is not finite and positive.
     DatasetError
         If there are fewer than three measurements, or all at one gain.
+
+    Examples
+    --------
+    >>> from eldata.calibration import fit_log_log
+    >>> line = fit_log_log([1, 4, 16, 64], [2, 4, 8, 16])
+    >>> round(line.fit.slope, 6), line.points
+    (0.5, 4)
     """
     gains, scales = np.asarray(gains_dn_per_e, dtype=np.float64), np.asarray(scales_dn, dtype=np.float64)
     if gains.ndim != 1 or gains.shape != scales.shape:
@@ -65,8 +73,8 @@ def fit_log_log(gains_dn_per_e: Sequence[float], scales_dn: Sequence[float]) -> 
         )
     if len(gains) < 3 or not np.ptp(gains) > 0:
         raise DatasetError(
-            f"a line with its residual deviation needs three ISOs of different gain or more; found {len(gains)} "
-            f"measurement(s) at {len(set(gains.tolist()))} gain(s)"
+            f"a line with its residual deviation needs three ISOs of different gain or more; found "
+            f"{counted(len(gains), 'measurement')} at {counted(len(set(gains.tolist())), 'gain')}"
         )
     x, y = np.log(gains), np.log(scales)
     centred = x - x.mean()

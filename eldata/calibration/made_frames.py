@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from eldata.calibration._frames import pattern_of
 from eldata.calibration.reproduction import compared_place
 from eldata.errors import ArgumentError
 from eldata.noise.makers import made_exposure, maker_name
+from eldata.noise.model import NoiseModel
 from eldata.noise.mosaic import pack_whole, unpack_whole
 
 if TYPE_CHECKING:
@@ -37,6 +38,7 @@ class MadeFrames:
     sensor: Sensor
     seed: tuple[int, ...]
     whole_frames: bool
+    exposure_s: float | None = None
 
     @property
     def range_dn(self) -> float:
@@ -46,6 +48,9 @@ class MadeFrames:
     def values_dn(self, light_dn: Plane, *stream: int) -> Plane:
         """Return an exposure of light (H, W), DN over black, of the piece that is compared, before it is digitised."""
         generator = np.random.default_rng([*self.seed, *stream])
+        options: dict[str, Any] = {}
+        if isinstance(self.model, NoiseModel) and self.model.dark_shading is not None:
+            options["exposure_s"] = self.exposure_s
         made = made_exposure(
             self.model,
             pack_whole(light_dn / np.float32(self.range_dn), self.sensor.cfa),
@@ -53,6 +58,7 @@ class MadeFrames:
             ratio=1.0,
             range_dn=self.range_dn,
             generator=generator,
+            **options,
         )
         values = unpack_whole(made, self.sensor.cfa, light_dn.shape)
         if self.whole_frames:

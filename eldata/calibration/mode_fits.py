@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
+from eldata.base.numbers import counted
 from eldata.calibration.joint import FittedMode, fit_log_log, gain_steps
 from eldata.noise.gain_modes import GainMode, LogLogFit, modes_problem
 
@@ -174,7 +175,7 @@ def _fitted(
     usable = sorted((gain, scale) for gain, scale in points if scale > 0 and math.isfinite(scale))
     lost = len(points) - len(usable)
     if lost:
-        what = f"{lost} ISO(s), which its fit leaves out" if usable else "every ISO; the profile has none"
+        what = f"{counted(lost, 'ISO')}, which its fit leaves out" if usable else "every ISO; the profile has none"
         remarks.append(f"{name} was 0 at {what}")
     gains = [gain for gain, _ in usable]
     if len(usable) >= 3 and len(set(gains)) >= 3:
@@ -185,7 +186,7 @@ def _fitted(
     (low, first), (high, last) = usable[0], usable[-1]
     slope = math.log(last / first) / math.log(high / low) if high > low else 0.0
     remarks.append(
-        f"{name} is known at {len(usable)} ISO(s): the profile has the line through them, without the spread around it "
-        "that three or more would show"
+        f"{name} is known at {counted(len(usable), 'ISO')}: the profile has the line through them, without the spread "
+        "around it that three or more would show"
     )
     return None, LogLogFit(slope, math.log(first) - slope * math.log(low), 0.0)

@@ -10,12 +10,16 @@ have no horizontal frequency. Choosing blocks by lower and measuring at higher f
 
 Brightness groups come from the windows above and below, whose noise is independent: sorted by its own noisy mean, a
 dark frame's slope would come out too small. Within a group, mean and variance are averages over many windows.
+
+The channels share the slope, and each has an offset of its own: black levels that are a DN off differ from channel to
+channel, and the scene's brightness does, too, so that one line through all of them would lean. Errors come from leaving
+out one part of the frame after another, since what a scene leaves in the highest frequencies is not the same all over.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,6 +37,8 @@ _HIGHEST = (_VERTICAL >= WINDOW // 2) & (_HORIZONTAL >= WINDOW // 2)
 _MIDDLE = ~_HIGHEST & (_HORIZONTAL > 0)
 _GROUPS, _FEWEST_IN_GROUP = 32, 16
 _FEWEST_WINDOWS = 4 * _FEWEST_IN_GROUP
+_GROUPS_OF_CHANNEL, _FEWEST_OF_CHANNEL = 12, 8
+_PARTS = 4, 6  # of the frame, down and across, that are left out in turn
 _LOWEST = 0.1  # share of a group's windows that the first line is taken from
 _SMOOTH_WITHIN = 2.0  # standard deviations
 _ROUNDS, _SETTLED = 12, 2e-3
@@ -82,10 +88,10 @@ class NoiseLine:
 def noise_line(packed: Values, usable: NDArray[np.bool_] | None = None) -> NoiseLine:
     """Estimate the line from a frame itself, whose noise is independent from pixel to pixel.
 
-    Errors are those of the groups' scatter around the line, or of the chi^2 law where that is more, and what the
-    smooth windows may still have of the scene: how the highest frequencies follow the middle ones in windows with
-    texture, applied to what the smooth ones show of it. Texture as fine as the pixels of a channel, all over the bright
-    parts, cannot be told from noise.
+    What the smooth windows still have of the scene is taken off: how the highest frequencies follow the middle ones in
+    windows with texture, applied to what the smooth ones show of it. Errors are those of the parts of the frame, left
+    out in turn, or of the groups' scatter around the line, or of the chi^2 law, whichever is most, and as much as was
+    taken off. Texture as fine as the pixels of a channel, all over the bright parts, cannot be told from noise.
 
     Parameters
     ----------
@@ -127,8 +133,7 @@ def noise_line(packed: Values, usable: NDArray[np.bool_] | None = None) -> Noise
     smooth = windows.sound & (excess < within)
     _check_found(smooth, windows.sound)
     _check_white(float(excess[smooth].mean()), within, smooth, windows.sound)
-    texture = windows.fitted(smooth, line, windows.texture(line, excess, within))
-    line = windows.fitted(smooth, line)
+    texture = windows.texture(line, excess, within)
     return _with_channels(windows, smooth, line, texture)
 
 
@@ -220,28 +225,117 @@ class _Windows:
 
     def fitted(self, chosen: NDArray[np.bool_], line: _Line, values: Values | None = None) -> _Line:
         """Return the line through the groups' means of the highest frequencies, or of other values with its weights."""
-        groups = self.groups(chosen)
-        mean = np.array([self.mean.ravel()[group].mean() for group in groups])
-        found = np.array([(self.highest if values is None else values).ravel()[group].mean() for group in groups])
-        windows = np.array([len(group) for group in groups])
-        # Of the mean of n windows' 16 squares. As the line says: a group's own value would pull it down.
-        scatter = line.variance(mean) ** 2 * 2 / (np.count_nonzero(_HIGHEST) * windows)
-        slope, offset, slope_error, offset_error = _least_squares(mean, found, scatter)
-        if values is not None:
-            return _Line(slope, offset, 0.0, slope_error, offset_error)
-        square = float(((found - offset - slope * mean) ** 2 / scatter).sum()) / max(len(groups) - 2, 1)
+        groups = _Groups.of(self, chosen, self.highest if values is None else values)
+        found, square = groups.fitted(line)
         wider = math.sqrt(max(square, 1.0))
-        floor = max(float(found.min()), 1e-3 * float(found.max()))
-        return _Line(slope, offset, floor, wider * slope_error, wider * offset_error)
+        return replace(found, slope_error=wider * found.slope_error, offset_error=wider * found.offset_error)
+
+    def fitted_by_parts(self, chosen: NDArray[np.bool_], line: _Line, values: Values) -> _Line:
+        """Return the line with errors that are at least those of leaving out one part of the frame after another."""
+        found, groups = self.fitted(chosen, line, values), _Groups.of(self, chosen, values)
+        parts = [part for part in range(groups.counts.shape[1]) if groups.counts[:, part].any()]
+        if len(parts) < 2:
+            return found
+        without = [groups.without(part).fitted(line)[0] for part in parts]
+        slopes, offsets = np.array([(one.slope, one.offset) for one in without]).T
+        times = math.sqrt(len(parts) - 1)
+        return replace(
+            found,
+            slope_error=max(found.slope_error, times * float(slopes.std())),
+            offset_error=max(found.offset_error, times * float(offsets.std())),
+        )
 
     def texture(self, line: _Line, excess: Values, within: float) -> Values:
-        """Return what the highest frequencies of each window have of the scene, as its middle ones let expect."""
+        """Return what the highest frequencies of each window have of the scene, as its middle ones let expect.
+
+        Windows were chosen by their excess, so that without any texture its mean lies below 0.
+        """
+        from scipy.stats import norm
+
         textured = self.sound & (excess > within) & (excess < _TEXTURED)
         share = 1.0  # as much as the middle ones: the most that a scene through a lens has
         if np.count_nonzero(textured) >= _FEWEST_WINDOWS:
             rest = self.highest[textured] / line.variance(self.mean[textured]) - 1
             share = float(rest @ excess[textured] / (excess[textured] @ excess[textured]))
-        return np.asarray(share * excess * line.variance(self.mean))
+        chance = -within / _SMOOTH_WITHIN * float(norm.pdf(_SMOOTH_WITHIN) / norm.cdf(_SMOOTH_WITHIN))
+        return np.asarray(share * (excess - chance) * line.variance(self.mean))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Groups:
+    """Groups of like brightness by the channel whose offset they have, and of each what each part of the frame holds.
+
+    ``counts``, ``signals`` and ``values`` are (groups, parts): numbers of windows, and sums over them.
+    """
+
+    channel: NDArray[np.intp]
+    counts: Values
+    signals: Values
+    values: Values
+
+    @classmethod
+    def of(cls, windows: _Windows, chosen: NDArray[np.bool_], values: Values) -> _Groups:
+        down, across = _PARTS
+        _, rows, columns = chosen.shape
+        part = (np.arange(rows) * down // rows)[:, None] * across + np.arange(columns) * across // columns
+        parts = np.broadcast_to(part, chosen.shape).ravel()
+        by_channel = chosen.reshape(len(chosen), -1).sum(axis=1)
+        # Too few windows for a slope in each channel that has some: one offset for all.
+        together = bool((by_channel[by_channel > 0] < 2 * _FEWEST_OF_CHANNEL).all())
+        found: list[tuple[int, Any]] = []
+        for channel in range(1 if together else len(chosen)):
+            alone = chosen if together else np.zeros_like(chosen)
+            if not together:
+                alone[channel] = chosen[channel]
+            places = np.flatnonzero(alone)
+            if not len(places):
+                continue
+            places = places[np.argsort(windows.beside.ravel()[places], kind="stable")]
+            most, fewest = (_GROUPS, _FEWEST_IN_GROUP) if together else (_GROUPS_OF_CHANNEL, _FEWEST_OF_CHANNEL)
+            found += [(channel, one) for one in np.array_split(places, max(1, min(most, len(places) // fewest)))]
+
+        def summed(weights: Values | None) -> Values:
+            size = down * across
+            of_groups = (None if weights is None else weights.ravel()[one] for _, one in found)
+            sums = [
+                np.bincount(parts[one], of_group, size) for (_, one), of_group in zip(found, of_groups, strict=True)
+            ]
+            return np.array(sums, dtype=np.float64)
+
+        channels = np.array([channel for channel, _ in found])
+        return cls(channels, summed(None), summed(windows.mean), summed(values))
+
+    def without(self, part: int) -> _Groups:
+        """Return the groups without one part of the frame."""
+        counts, signals, values = (np.delete(each, part, axis=1) for each in (self.counts, self.signals, self.values))
+        kept = counts.any(axis=1)
+        return _Groups(self.channel[kept], counts[kept], signals[kept], values[kept])
+
+    def fitted(self, line: _Line) -> tuple[_Line, float]:
+        """Return the line with a slope of all groups and the mean offset, and chi^2 per degree of freedom.
+
+        Weights are as another line says: a group's own value would pull it down.
+        """
+        windows = self.counts.sum(axis=1)
+        mean, found = self.signals.sum(axis=1) / windows, self.values.sum(axis=1) / windows
+        # Of the mean of n windows' 16 squares.
+        scatter = line.variance(mean) ** 2 * 2 / (np.count_nonzero(_HIGHEST) * windows)
+        channel = np.unique(self.channel, return_inverse=True)[1]
+        weight = 1 / scatter
+        of_channel = np.bincount(channel, weight)
+        middle = (np.bincount(channel, weight * mean) / of_channel)[channel]
+        level = (np.bincount(channel, weight * found) / of_channel)[channel]
+        total = float(weight.sum())
+        spread = float(weight @ (mean - middle) ** 2)
+        floor = max(float(found.min()), 1e-3 * float(found.max()))
+        if np.all(np.bincount(channel) < 2) or not spread > 0:
+            return _Line(0.0, float(weight @ found) / total, floor), 1.0
+        slope = float(weight @ ((mean - middle) * found)) / spread
+        at = float(weight @ mean) / total
+        offset = float(weight @ found) / total - slope * at
+        square = float(weight @ (found - level - slope * (mean - middle)) ** 2)
+        errors = 1 / math.sqrt(spread), math.sqrt(1 / total + at**2 / spread)
+        return _Line(slope, offset, floor, *errors), square / max(len(mean) - len(of_channel) - 1, 1)
 
 
 def _least_squares(x: Values, y: Values, variance: Values) -> tuple[float, float, float, float]:
@@ -293,10 +387,12 @@ def _check_white(mean: float, within: float, smooth: NDArray[np.bool_], sound: N
         )
 
 
-def _with_channels(windows: _Windows, smooth: NDArray[np.bool_], line: _Line, texture: _Line) -> NoiseLine:
-    """Return the result: the line of all channels, held against each channel's own."""
+def _with_channels(windows: _Windows, smooth: NDArray[np.bool_], settled: _Line, scene: Values) -> NoiseLine:
+    """Return the result: the line of all channels without what is of the scene, held against each channel's own."""
     from scipy.stats import chi2
 
+    texture = windows.fitted(smooth, settled, scene)
+    line = windows.fitted_by_parts(smooth, settled, windows.highest - scene)
     slopes, errors = [], []
     for index in range(len(smooth)):
         alone = np.zeros_like(smooth)

@@ -335,7 +335,7 @@ def _profile(
 ) -> CameraProfile:
     gain, sigma, iso = figures.gain_dn_per_e, figures.sigma_dn, _iso(frame)
     if not sigma > 0:
-        remarks.append("the NoiseProfile's noise without light is no more than rounding makes: the read noise is 0")
+        remarks.append("the NoiseProfile's noise without light is not above what rounding makes: the read noise is 0")
     scale = sigma / math.sqrt(tukey_lambda_variance(GAUSSIAN_SHAPE))
     found = {"tag": "its NoiseProfile", "pixels": "variance over signal of its smooth parts"}[source]
     notes = (

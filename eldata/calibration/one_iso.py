@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from eldata.base.compiled import in_threads
+from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.calibration.audit import Finding
 from eldata.calibration.bias_audit import BiasAudit
@@ -59,12 +60,15 @@ from eldata.calibration.read_noise import (
 )
 from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs, transfer_remarks
 from eldata.calibration.reproduction import compared_piece, reproduction
+from eldata.calibration.response_pattern import ResponsePattern
 from eldata.calibration.results import IsoCalibration, IsoGain
 from eldata.calibration.row_noise import LineMeans, row_noise
 from eldata.calibration.single_frame import single_frame_plot
 from eldata.calibration.spectrum import power_spectrum
+from eldata.calibration.structure import measured_structure
+from eldata.calibration.telegraph import TelegraphGroups
 from eldata.errors import ArgumentError, DatasetError, RawFileError
-from eldata.manifest.verify import Problem
+from eldata.manifest.verify_report import Problem
 from eldata.raw.compression import lossy_compression
 
 if TYPE_CHECKING:
@@ -88,6 +92,7 @@ def calibrate_iso(
     workers: Workers = IN_THIS_PROCESS,
     *,
     done: Callable[[], object] = lambda: None,
+    structure: bool = False,
 ) -> IsoCalibration:
     """Measure the noise at one ISO.
 
@@ -102,15 +107,17 @@ def calibrate_iso(
         the sums.
     done
         Called after each decoded frame; :func:`decodings` says how many there will be.
+    structure
+        Measure what the noise of pixels has in common, too.
 
     Raises
     ------
     FramesError
         If frames differ in size, CFA or levels, or are odd; or if the estimators of what bias frames show
-        cannot use them. Every problem found is in it. Flats without a line are no error: K is withheld.
+        cannot use them. Every problem found is in it. Flats without a line are not an error: K is withheld.
     """
     with _unusable(frames, chosen):
-        return _calibrated(_Reader(frames, workers, done), chosen)
+        return _calibrated(_Reader(frames, workers, done), chosen, structure)
 
 
 def calibrate_flats(
@@ -238,19 +245,21 @@ class _Reader:
             raise FramesError(sorted(problems, key=lambda problem: problem.path))
 
 
-def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
+def _calibrated(reader: _Reader, chosen: IsoFrames, structure: bool) -> IsoCalibration:
     recorded, estimated, held_out = _first_pass(reader, *_split(chosen.bias))
     sensor, is_clipped = reader.sensor, recorded.clips_at_black
     values = ClippedValues(recorded) if is_clipped else Residuals(recorded)
     lines, audit = LineMeans(recorded), BiasAudit(recorded)
     means = ChannelMeans(sensor.cfa, defects=recorded.defects)
+    jumping = TelegraphGroups(recorded) if structure and not is_clipped else None
+    sums = [one for one in (values, audit, lines, means, jumping) if one is not None]
     spectrum, single, gaps, step = None, None, 0.0, 1
     for _, frame in reader.read(estimated):
         if spectrum is None:
             spectrum, gaps = power_spectrum(frame.mosaic, recorded), missing_codes(frame.mosaic, recorded.pattern)
             single = None if is_clipped else single_frame_plot(frame.mosaic, recorded)
             step = code_step(frame.mosaic, recorded.pattern)
-        in_threads(methodcaller("add", frame.mosaic), (values, audit, lines, means), reader.workers.jobs)
+        in_threads(methodcaller("add", frame.mosaic), sums, reader.workers.jobs)
         del frame
     reader.refuse()
     if spectrum is None:
@@ -271,6 +280,11 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
             read, plot, bias = clipped_read_noise(shown), clipped_plot(shown), clipped_bias(shown, bias, recorded)
             of_clip = clipped_findings(shown, read, bias)
         rows = row_noise(lines, read.response)
+        findings = (
+            *of_clip,
+            *read_noise_findings(read, bias, fixed.summary),
+            *bias_findings(found, bias, rows, read, step=step, gaps=gaps, is_clipped=is_clipped),
+        )
         dark = IsoCalibration(
             iso=float(chosen.iso),
             sensor=sensor,
@@ -287,11 +301,15 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
             single_frame=of_first_frame[1],
             reproduction=None,
             remarks=(),
-            findings=(
-                *of_clip,
-                *read_noise_findings(read, bias, fixed.summary),
-                *bias_findings(found, bias, rows, read, step=step, gaps=gaps, is_clipped=is_clipped),
-            ),
+            findings=findings,
+            structure=measured_structure(
+                rows,
+                findings,
+                read,
+                (jumping, shown) if jumping is not None and isinstance(shown, ResidualHistogram) else None,
+            )
+            if structure
+            else None,
             stated_gain_dn_per_e=chosen.stated_gain_dn_per_e,
         )
         if held_out is None or dark.parameters is None:
@@ -304,11 +322,11 @@ def _calibrated(reader: _Reader, chosen: IsoFrames) -> IsoCalibration:
     if reader.workers.jobs > 1:
         with ThreadPoolExecutor(1) as beside:
             waiting = beside.submit(from_bias_frames)
-            of_flats = _flats(reader, chosen, fixed)
+            of_flats = _flats(reader, chosen, fixed, structure)
             found = of_flats.on(waiting.result())
     else:
         dark = from_bias_frames()
-        of_flats = _flats(reader, chosen, fixed)
+        of_flats = _flats(reader, chosen, fixed, structure)
         found = of_flats.on(dark)
     if found.parameters is None:
         found = replace(found, reproduction=None)  # what the flats showed withholds one of its parameters
@@ -327,11 +345,10 @@ def _first_pass(
     for record, frame in reader.read((*estimated, *held_out)):
         figures.append(FrameFigures.of(record, frame.mosaic))
         stack = stack or BiasStack(frame.sensor.cfa)
-        if reader.copies.original(record, frame.mosaic) is not None:
-            continue
-        if record in held_out:
+        is_copy = reader.copies.original(record, frame.mosaic) is not None
+        if record in held_out and not is_copy:
             kept = compared_piece(frame.mosaic, len(frame.sensor.cfa))
-        else:
+        elif not is_copy:
             stack.add(frame.mosaic)
             used.append(record)
         del frame  # before the next one is decoded
@@ -350,35 +367,40 @@ def _first_pass(
 
 def _too_few(number: int, because: Sequence[str] = ()) -> DatasetError:
     return DatasetError(
-        f"{number} bias frame(s), and {MINIMUM_FRAMES} are needed, {ADVISED_BIAS_FRAMES} or more advised: take them "
-        "with the lens capped, at the shortest exposure" + "".join(f"; {reason}" for reason in because)
+        f"{counted(number, 'bias frame')}, and {MINIMUM_FRAMES} are needed, {ADVISED_BIAS_FRAMES} or more advised: "
+        "take them with the lens capped, at the shortest exposure" + "".join(f"; {reason}" for reason in because)
     )
 
 
 @dataclass(frozen=True, slots=True)
 class _FromFlats:
-    """What the flats of an ISO gave: K from pairs, K as published, remarks and findings."""
+    """What the flats of an ISO gave: K from pairs, K as published, remarks and findings, PRNU with its error."""
 
     transfer: PhotonTransfer | None
     spatial: PhotonTransfer | None
     remarks: tuple[str, ...]
     findings: tuple[Finding, ...] = ()
+    prnu: tuple[float | None, float] = (None, math.nan)
 
     def on(self, one: OneIso) -> OneIso:
         """Return an ISO's figures with those of its flats, but for the remarks."""
         frames = 0 if self.transfer is None else self.transfer.frames
         findings = (*one.findings, *self.findings)
-        return replace(one, transfer=self.transfer, spatial=self.spatial, flat_frames=frames, findings=findings)
+        found = replace(one, transfer=self.transfer, spatial=self.spatial, flat_frames=frames, findings=findings)
+        if not isinstance(found, IsoCalibration) or found.structure is None:
+            return found
+        prnu, error = self.prnu
+        return replace(found, structure=replace(found.structure, prnu=prnu, prnu_error=error))
 
 
-def _flats(reader: _Reader, chosen: IsoFrames, fixed: FixedPattern | None) -> _FromFlats:
+def _flats(reader: _Reader, chosen: IsoFrames, fixed: FixedPattern | None, structure: bool = False) -> _FromFlats:
     """Read the flats; without bias frames, black is what the files record and no pixel is a defect."""
     if not chosen.pairs:
         return _FromFlats(None, None, () if chosen.stated_gain_dn_per_e is not None else (no_pairs(chosen),))
     pairs, singles = None, None
     used: list[PairLevels] = []
     remarks: list[str] = []
-    gaps = 0.0
+    gaps, response = 0.0, None
     for pair, first, second in _pairs(reader, chosen.pairs):
         if pairs is None or singles is None:
             sensor = first.sensor
@@ -386,6 +408,7 @@ def _flats(reader: _Reader, chosen: IsoFrames, fixed: FixedPattern | None) -> _F
             black, defects = (sensor.black_level_dn, None) if fixed is None else (fixed.level_dn, fixed.defects)
             pairs = FlatPairs(sensor.cfa, black, sensor.white_level_dn, defects=defects)
             singles = FlatFrames(sensor.cfa, black, sensor.white_level_dn, defects=defects)
+            response = None if fixed is None or not structure else ResponsePattern(fixed, pairs.limit_dn)
         levels = PairLevels.of(pair, first, second)
         unequal = unequal_pair(levels)
         if unequal is not None:
@@ -395,6 +418,8 @@ def _flats(reader: _Reader, chosen: IsoFrames, fixed: FixedPattern | None) -> _F
             pairs.add(first.mosaic, second.mosaic)
             singles.add(first.mosaic)
             singles.add(second.mosaic)
+            if response is not None:
+                response.add(first.mosaic, second.mosaic)
             gaps = max(gaps, missing_codes(first.mosaic, pairs.pattern))
         del first, second  # before the next ones are decoded
     reader.refuse()
@@ -410,7 +435,10 @@ def _flats(reader: _Reader, chosen: IsoFrames, fixed: FixedPattern | None) -> _F
     if not edges:
         with suppress(DatasetError):  # it needs three brightnesses; it is for comparison alone
             spatial = spatial_photon_transfer(singles)
-    return _FromFlats(transfer, spatial, said, (*uneven_light(used), *edges, *flat_findings(transfer)))
+    findings = (*uneven_light(used), *edges, *flat_findings(transfer))
+    # Edges stay from frame to frame as the pixels' response does.
+    prnu = (None, math.nan) if response is None or edges else response.prnu()
+    return _FromFlats(transfer, spatial, said, findings, prnu)
 
 
 def _no_line(why: str) -> Finding:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eldata.base.numbers import counted
 from eldata.calibration._frames import FrameSums, checked_black_level
 from eldata.calibration.saturation import saturation
 from eldata.errors import ArgumentError, DatasetError
@@ -35,7 +36,9 @@ _MARGIN = 0.02  # of the range from black to white
 # fixed pattern of share p is (p SNR d)^2 of it, with d the error of the whole frames' ratio: below 4e-4 up to there, at
 # p = 2 % and d = 5 %.
 _BRIGHT = 20.0
-# Of a block against its segment. A lens that darkens the corners by a half bends 96 columns of 768 by 0.4 %.
+# Of a segment, how far smooth light may be off a parabola: a block by all of it, the segments across the rows by half
+# of it in all, which is what a step of so much leaves there. A lens that darkens the corners of a frame of 96 x 96
+# pixels to a half is off by 0.9 and 0.7 %; light that falls like a normal curve of 90 pixels by 2 and 0.2 %.
 _STEP = 0.02
 
 
@@ -134,6 +137,11 @@ class _Flats(FrameSums):
         self._limit = _saturation_dn(self._black, white_level_dn, margin)
         self._make_room()
 
+    @property
+    def limit_dn(self) -> float:
+        """From which value on a pixel counts as saturated."""
+        return self._limit
+
     def _make_room(self) -> None:
         """Set up what the frames are added to, if anything."""
 
@@ -173,7 +181,8 @@ class FlatPairs(_Flats):
         if first.shape[1] < SEGMENT:
             raise ArgumentError(f"flat frames must be {SEGMENT} pixels wide or more; found {first.shape[1]}")
         means = np.empty((len(first), first.shape[1] // SEGMENT, self.channels), dtype=np.float32)
-        segment_means(first, second, defects, self.pattern, means)
+        noise = np.empty_like(means)
+        segment_means(first, second, defects, self.pattern, means, noise)
         pair_segments(
             first,
             second,
@@ -183,6 +192,7 @@ class FlatPairs(_Flats):
             self._limit,
             self._level_dn,
             means,
+            noise,
             self._ratios(first, second, defects),
             _BRIGHT,
             _STEP,
@@ -330,8 +340,8 @@ def _weighted_line(
 ) -> PhotonTransferLine:
     if len(signal) < 2 or not np.ptp(signal) > 0:
         raise DatasetError(
-            f"channel {channel} has {len(signal)} usable level(s) and a line needs two: the flats are saturated, "
-            "clipped or all of one brightness. Take pairs at four exposures or more, from a tenth to nine "
+            f"channel {channel} has {counted(len(signal), 'usable level')} and a line needs two: the flats are "
+            "saturated, clipped or all of one brightness. Take pairs at four exposures or more, from a tenth to nine "
             "tenths of the range"
         )
     spread = np.maximum(variance, 1e-12)
@@ -457,8 +467,8 @@ def _plain_line(points: Sequence[tuple[float, float]], channel: int) -> PhotonTr
     signal, variance = table[:, 0], table[:, 1]
     if len(signal) < 3 or not np.ptp(signal) > 0:
         raise DatasetError(
-            f"channel {channel} has {len(signal)} usable flat frame(s) and the spatial method needs three of different "
-            "brightness: take flats at four exposures or more, from a tenth to nine tenths of the range"
+            f"channel {channel} has {counted(len(signal), 'usable flat frame')} and the spatial method needs three of "
+            "different brightness: take flats at four exposures or more, from a tenth to nine tenths of the range"
         )
     even = np.ones(len(signal))
     slope, intercept, scales = _line(signal, variance, even, even)

@@ -50,7 +50,8 @@ class ResidualHistogram:
     Attributes
     ----------
     counts
-        (groups, cells): cell j is centred on (j - cells // 2) ``cell_dn``; the first and last hold all beyond.
+        (groups, cells): cell j is centred on (j - cells // 2) ``cell_dn``; the first and last hold all beyond. Whole
+        numbers, or estimates of them, which in the tails may be negative.
     cell_dn
         Width of a cell.
     frames
@@ -68,7 +69,7 @@ class ResidualHistogram:
         Where between whole DN the pixels' levels lie; without, rounding counts as independent of the noise.
     """
 
-    counts: NDArray[np.int64] = field(repr=False)
+    counts: NDArray[Any] = field(repr=False)
     cell_dn: float
     frames: int = 1
     row_pixels: float = math.inf

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from eldata.base.numbers import counted
 from eldata.calibration.bias_checks import GAPS
 from eldata.calibration.frame_checks import ADVISED_BIAS_FRAMES
 from eldata.calibration.results import usual_gain_per_iso
@@ -78,7 +79,11 @@ def bias_remarks(found: IsoCalibration, chosen: IsoFrames, lossy: str | None) ->
 
 def no_pairs(chosen: IsoFrames) -> str:
     """Return the remark on an ISO whose K is not known."""
-    what = "no flat frames" if not chosen.single else f"{len(chosen.single)} flat frame(s) and no two of one exposure"
+    what = (
+        "no flat frames"
+        if not chosen.single
+        else f"{counted(len(chosen.single), 'flat frame')} and no two of one exposure"
+    )
     return f"{what}, so K is not known: this ISO does not take part in the fits; take flats in pairs of equal exposure"
 
 
@@ -90,7 +95,9 @@ def flat_remarks(chosen: IsoFrames, gaps: float) -> tuple[str, ...]:
         more = f" and {len(chosen.single) - 3} more" if len(chosen.single) > 3 else ""
         remarks.append(f"flats without a partner of the same exposure were left out: {names}{more}")
     if len(chosen.pairs) < _LEAST_PAIRS:
-        remarks.append(f"K comes from {len(chosen.pairs)} pair(s) of flats; {_LEAST_PAIRS} levels or more are advised")
+        remarks.append(
+            f"K comes from {counted(len(chosen.pairs), 'pair')} of flats; {_LEAST_PAIRS} levels or more are advised"
+        )
     if gaps > GAPS:
         remarks.append(f"{gaps:.0%} of the DN values between others never occur in a flat: lossy compression?")
     return tuple(remarks)

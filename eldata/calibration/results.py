@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eldata.base.notebook import block, table
+from eldata.base.numbers import counted
 from eldata.base.tables import text_table, with_error
+from eldata.base.visible import in_line
 from eldata.calibration.audit import SYMBOLS, GivenFigure, given, named, widened, withheld
 from eldata.calibration.spectrum import SpectrumLines
 from eldata.errors import DatasetError
@@ -22,14 +25,17 @@ if TYPE_CHECKING:
     from eldata.calibration.colour_bias import ColourBias
     from eldata.calibration.defects import PatternSummary
     from eldata.calibration.joint import FittedMode, LogLogEstimate
+    from eldata.calibration.panels import ScalePanel
     from eldata.calibration.photon_transfer import PhotonTransfer
     from eldata.calibration.read_noise import ProbabilityPlot, ReadNoise
     from eldata.calibration.reproduction import Reproduction
     from eldata.calibration.row_noise import LineNoise, RowNoise
     from eldata.calibration.single_frame import SingleFramePlot
-    from eldata.manifest.verify import Problem
+    from eldata.calibration.structure import MeasuredStructure
+    from eldata.manifest.verify_report import Problem
     from eldata.noise.parameters import NoiseParameters
     from eldata.noise.profile import CameraProfile
+    from eldata.plots.axes import Drawing
     from eldata.records import Sensor
 
 
@@ -169,6 +175,8 @@ class IsoCalibration(IsoGain):
     reproduction
         The noise model with these parameters against a bias frame that no estimator saw; ``None`` if there were too
         few frames to hold one out, or one of the parameters is withheld.
+    structure
+        What the noise of pixels has in common; ``None`` if it was not asked for.
     """
 
     bias_frames: int
@@ -180,6 +188,7 @@ class IsoCalibration(IsoGain):
     spectrum_dn2: NDArray[np.float32] = field(repr=False)
     reproduction: Reproduction | None
     single_frame: SingleFramePlot | None = None
+    structure: MeasuredStructure | None = None
 
     @property
     def tukey_lambda(self) -> GivenFigure | None:
@@ -353,6 +362,67 @@ class Calibration:
         return self.made_profile
 
     @property
+    def scale_panels(self) -> tuple[ScalePanel, ...]:
+        """The scales over K that can be drawn: of the read noise by either model, and of the row noise."""
+        from eldata.calibration.panels import scale_panel
+
+        found = (
+            scale_panel(
+                "TL",
+                "read noise",
+                [(one, one.tukey_lambda_fit) for one in self.modes],
+                [(one.gain_dn_per_e, one.sigma_tl_dn) for one in self.isos],
+            ),
+            scale_panel(
+                "G",
+                "read noise",
+                [(one, one.gauss_fit) for one in self.modes],
+                [(one.gain_dn_per_e, one.sigma_gauss_dn) for one in self.isos],
+            ),
+            scale_panel(
+                "row",
+                "row noise",
+                [(one, one.row_fit) for one in self.modes],
+                [(one.gain_dn_per_e, one.sigma_row_dn) for one in self.isos],
+            ),
+        )
+        return tuple(panel for panel in found if panel is not None)
+
+    def plot(self, iso: float | None = None) -> Drawing:
+        """Draw photon transfer at one ISO, K over the ISO, and the scales of the noise over K.
+
+        Parameters
+        ----------
+        iso
+            Whose photon transfer; by default the middle one of those that have one.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            One axes for each of what was found; it belongs to no pyplot, and a notebook shows it.
+
+        Raises
+        ------
+        ArgumentError
+            If there is no photon transfer at the ISO, or nothing to draw at all.
+        """
+        from eldata.calibration.drawing import calibration_figure
+
+        transfers = {one.iso: (one.channels, one.transfer) for one in self.all_isos if one.transfer is not None}
+        gains = [(one.iso, one.gain.value, one.gain.error) for one in self.all_isos if one.gain is not None]
+        return calibration_figure(self.camera, transfers, iso, gains, self.usual_gain_per_iso, self.scale_panels)
+
+    def __repr__(self) -> str:
+        isos = ", ".join(f"{one.iso:g}" for one in self.all_isos)
+        profile = "with a profile" if self.made_profile is not None else "no profile"
+        remarks = counted(len(self.all_remarks), "remark")
+        return f"Calibration({in_line(self.camera)!r}, ISO {isos or 'none'}; {profile}, {remarks})"
+
+    def _repr_html_(self) -> str:
+        tables = [table(header, rows) for header, rows in (self.table(), self.gain_table()) if rows]
+        return block(f"Calibration of {self.camera}", *tables, notes=self.all_remarks)
+
+    @property
     def usual_gain_per_iso(self) -> float:
         """The median of K / ISO; nan if no gain is known."""
         return usual_gain_per_iso(self.all_isos)
@@ -370,6 +440,7 @@ class Calibration:
             ("", self.table()),
             ("K alone, from flats without bias frames\n", self.gain_table()),
             ("colour bias over the recorded black level [DN]\n", self.bias_table()),
+            ("structure of the noise, for components C, W, T and F\n", self.structure_table()),
         ):
             if rows:
                 parts.append(title + text_table(header, rows, left=()))
@@ -428,6 +499,13 @@ class Calibration:
             for one in self.isos
         ]
         return ("ISO", *(self.isos[0].channels if self.isos else ()), "DSNU"), rows
+
+    def structure_table(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+        """Return header and rows of what the noise of pixels has in common, where it was asked for."""
+        from eldata.calibration.structure import HEADER
+
+        rows = [(f"{one.iso:g}", *one.structure.cells()) for one in self.isos if one.structure is not None]
+        return ("ISO", *HEADER), rows
 
     def fit_table(self) -> list[tuple[str, ...]]:
         """Return the rows of the joint fits that could be made, those of each gain mode after another."""
@@ -532,6 +610,8 @@ def _gain_dict(one: IsoGain) -> dict[str, Any]:
 
 
 def _iso_dict(one: IsoCalibration) -> dict[str, Any]:
+    from dataclasses import asdict
+
     read, bias, single = one.read, one.colour_bias, one.single_frame
     ppcc = None if "read noise" in one.withheld else read
     found = {
@@ -556,6 +636,8 @@ def _iso_dict(one: IsoCalibration) -> dict[str, Any]:
         "defects": one.pattern.defects,
         "reproduction": None if one.reproduction is None else one.reproduction.as_dict(),
     }
+    if one.structure is not None:
+        found["structure"] = asdict(one.structure)
     return {name: _plain(value) for name, value in found.items()}
 
 

@@ -1,7 +1,7 @@
 """The probability plots as the paper takes them: of one bias frame less its rows' means, with its fixed pattern in it.
 
 The estimate takes each pixel's own mean off first (:mod:`eldata.calibration.read_noise`), so its R^2 is another number:
-non-uniformity, which is no noise, takes part in the published one. Both follow the extreme tails, since a probability
+non-uniformity, which is not noise, takes part in the published one. Both follow the extreme tails, since a probability
 plot weighs a residual by its square; defects are left out of both, or a handful of hot pixels would be all they show.
 """
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shlex
 from argparse import ArgumentTypeError
 from typing import TYPE_CHECKING
 
 from eldata.base.console import OK, PROBLEMS, add_output, add_shared, chosen_workers, each_of, whole_number
 from eldata.base.fields import number_of, whole_of
 from eldata.base.files import write_json
+from eldata.base.numbers import counted
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, DatasetError
 
@@ -15,7 +17,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterable, Sequence
 
-    from eldata.manifest.verify import Problem
+    from eldata.manifest.verify_report import Problem
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -38,7 +40,6 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="FRAMES",
         help="folder with CAMERA/{bias,flat}/ISO100/... in it, the camera's own folder, or a manifest (.csv)",
     )
-    parser.add_argument("--camera", metavar="NAME", help="the camera's name (default: the only camera there)")
     add_output(parser, "-o", "--output", help="write the camera profile to FILE (JSON)")
     add_output(parser, "--html", help="write a report with plots to FILE")
     add_output(
@@ -50,12 +51,14 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         ),
     )
     parser.add_argument(
-        "--iso",
+        "--dark-current",
         action="append",
-        dest="isos",
-        type=whole_number(1),
-        metavar="ISO",
-        help="only this ISO; may be repeated",
+        default=[],
+        metavar="FOLDER",
+        help=(
+            "with --dark-shading: longer dark frames, laid out as the bias frames are, of one exposure time; may be "
+            "repeated with other times. The shading has dark current then, which grows with the exposure"
+        ),
     )
     parser.add_argument(
         "--gain",
@@ -84,7 +87,24 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     modes.add_argument(
         "--one-mode", action="store_const", const=[], dest="modes", help="the camera does not switch: one line each"
     )
-    add_shared(parser, run, "root", "workers", "isolation", "json")
+    parser.add_argument(
+        "--structure",
+        action="store_true",
+        help=(
+            "also measure what the noise of pixels has in common, for components C, W, T and F of the noise model: "
+            "column noise, bands, telegraph pixels, PRNU. The profile is then of schema 3, which version 0.1 refuses"
+        ),
+    )
+    add_shared(
+        parser,
+        run,
+        "isos",
+        "root",
+        "workers",
+        "isolation",
+        "json",
+        example="eldata calibrate data/calibration --camera MyCamera -o mycamera.json --html report.html",
+    )
 
 
 def _stated_gain(text: str) -> tuple[int, float] | str:
@@ -117,17 +137,21 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.root:
             raise ArgumentError("--root says where a manifest's files lie; with a folder of frames, leave it out")
         frames = CalibrationFrames(arguments.frames, arguments.camera, isos=arguments.isos)
+    if arguments.dark_current and not arguments.dark_shading:
+        raise ArgumentError("--dark-current is a part of the dark shading; give --dark-shading FILE, too")
     gains: dict[float, float] = {}
     for profile in (name for name in arguments.gains if isinstance(name, str)):
         gains |= stated_gains(frames, CameraProfile.load(profile))
     gains |= dict(stated for stated in arguments.gains if not isinstance(stated, str))
     try:
         with chosen_workers(arguments) as workers:
-            found = calibrate(frames, gains=gains, modes=arguments.modes, workers=workers)
+            options = {"modes": arguments.modes, "structure": arguments.structure, "workers": workers}
+            found = calibrate(frames, gains=gains, **options)
             shading, no_shading = None, ""
             try:
                 if arguments.dark_shading:
-                    shading = dark_shading(frames, found, modes=arguments.modes, workers=workers)
+                    longer = [CalibrationFrames(folder, isos=arguments.isos) for folder in arguments.dark_current]
+                    shading = dark_shading(frames, found, modes=arguments.modes, longer=longer, workers=workers)
             except DatasetError as error:  # the calibration is not lost for it
                 no_shading = str(error)
     except FramesError as error:
@@ -143,7 +167,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"{found.camera}: {found.source}\n\n{found.format_text()}")
         if frames.skipped:
             left = in_line(frames.skipped[0])
-            print(f"\n{len(frames.skipped)} file(s) that are not raw files were left alone, such as {left}")
+            print(f"\nleft alone, not raw: {counted(len(frames.skipped), 'file')}, such as {left}")
 
         if found.problems:
             print()
@@ -154,7 +178,7 @@ def run(arguments: argparse.Namespace) -> int:
             print(f"\n{arguments.output} was not written")  # the text says why
             return
         found.made_profile.save(arguments.output)
-        print(f"\nprofile: {arguments.output}; look at it with eldata profile show {arguments.output}")
+        print(f"\nprofile: {arguments.output}; look at it with eldata profile show {shlex.quote(arguments.output)}")
 
     def write_shading() -> None:
         if shading is None:
@@ -162,8 +186,10 @@ def run(arguments: argparse.Namespace) -> int:
             return
         shading.save(arguments.dark_shading)
         listed, hot = _listed(one.iso for one in shading.isos), int(shading.hot.sum())
-        print(f"\ndark shading: {arguments.dark_shading}; ISO {listed}; {hot} hot pixel(s) left as they are")
+        print(f"\ndark shading: {arguments.dark_shading}; ISO {listed}; {counted(hot, 'hot pixel')} left as measured")
         print(f"    {shading.digest}")
+        if shading.current is not None:
+            print(f"    dark current from frames of {_listed(shading.current.exposure_s)} s; a frame's own time counts")
         for note in shading.notes:
             print(f"    {note}")
 
@@ -197,4 +223,4 @@ def _show_problems(camera: str, problems: Sequence[Problem], outcome: str) -> No
     for problem in problems:
         print(problem.format_text())
     count = len(problems)
-    print(f"{camera}: {count} problem{'s' if count > 1 else ''}; {outcome}")
+    print(f"{camera}: {counted(count, 'problem')}; {outcome}")

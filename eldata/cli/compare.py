@@ -14,7 +14,9 @@ from eldata.errors import ArgumentError
 if TYPE_CHECKING:
     import argparse
 
+    from eldata.evaluation.comparison import Comparison
     from eldata.evaluation.results import EvaluationResult
+    from eldata.evaluation.seen_methods import MethodsImage
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -42,7 +44,42 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("--protocol", metavar="P", help="which protocol's results, of files that hold several")
     parser.add_argument("--format", choices=FORMATS, default="text", help="how to print the tables (default: text)")
     add_output(parser, "--html", help="write a page with plots and the biggest differences to FILE")
-    add_shared(parser, run, "json")
+    parser.add_argument(
+        "--pictures",
+        choices=("parts", "whole"),
+        nargs="?",
+        const="parts",
+        help=(
+            "with --html: draw input, predictions, reference and errors of every common image into the folder "
+            "FILE-pictures beside the page: the part in which the methods differ most, or all of each image; needs the "
+            "raw files and the predictions"
+        ),
+    )
+    parser.add_argument(
+        "--manifest", metavar="M", help="with --pictures: manifest of a set of your own that the results are of"
+    )
+    parser.add_argument(
+        "--predictions",
+        action="append",
+        default=[],
+        metavar="FOLDER",
+        help="with --pictures: where a method's predictions lie now; once per file, in their order (default: where "
+        "each result says that they lay)",
+    )
+    parser.add_argument(
+        "--dark-shading", metavar="FILE", help="with --pictures: the dark shading that the results state, if any"
+    )
+    add_shared(
+        parser,
+        run,
+        "root",
+        "jobs",
+        "json",
+        example=(
+            "eldata compare first.json second.json --name first --name second --html compare.html",
+            "eldata compare first.json second.json --html compare.html --pictures --root data",
+        ),
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -50,6 +87,8 @@ def run(arguments: argparse.Namespace) -> int:
     from eldata.evaluation.comparison import Method, compare
     from eldata.evaluation.comparison_tables import format_comparison
 
+    if arguments.pictures and not arguments.html:
+        raise ArgumentError("--pictures are of a page: say where to write it with --html FILE")
     paths = [Path(name) for name in arguments.results]
     names = arguments.names or [path.stem for path in paths]
     if len(names) != len(paths):
@@ -63,10 +102,19 @@ def run(arguments: argparse.Namespace) -> int:
             print(f"eldata compare: warning: {' '.join(warning.split())}", file=sys.stderr)
         print(format_comparison(comparison, arguments.format))
 
+    images = _images(comparison, arguments) if arguments.pictures else ()
+
     def write_page() -> None:
+        from eldata.base.workers import Workers
         from eldata.reports.compare.page import write_comparison_page
 
-        write_comparison_page(comparison, arguments.html)
+        write_comparison_page(
+            comparison,
+            arguments.html,
+            images=images,
+            whole=arguments.pictures == "whole",
+            workers=Workers(arguments.jobs),
+        )
 
     each_of(
         arguments.json and (lambda: write_json(arguments.json, comparison.as_dict())),
@@ -74,6 +122,28 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.html and write_page,
     )
     return OK
+
+
+def _images(comparison: Comparison, arguments: argparse.Namespace) -> tuple[MethodsImage, ...]:
+    """Return what to decode for the pictures, from what the results state of their data."""
+    from eldata.evaluation.reproduction import stated_predictions, units_again
+    from eldata.evaluation.seen_methods import images_of
+
+    results = [method.result for method in comparison.methods]
+    named: list[Path | None] = [Path(name) for name in arguments.predictions]
+    folders = named or [stated_predictions(result) for result in results]
+    folder, units = units_again(
+        results[0],
+        manifest=arguments.manifest and Path(arguments.manifest),
+        root=arguments.root and Path(arguments.root),
+    )
+    return images_of(
+        comparison,
+        dataset_folder=folder,
+        predictions=folders,
+        dark_shading=arguments.dark_shading and Path(arguments.dark_shading).absolute(),
+        units=units,
+    )
 
 
 def _result(path: Path, protocol: str | None) -> EvaluationResult:

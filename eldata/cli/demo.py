@@ -28,14 +28,19 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         description=(
             "Photograph procedural scenes with two simulated cameras into real DNG files, verify them, denoise them, "
             "score the results and draw a contact sheet. With --calibration, take bias and flat-field frames with a "
-            "camera whose noise is known, calibrate it from them, and compare with the truth. DIR must be new, empty, "
-            "or an earlier demo."
+            "camera whose noise is known, calibrate it from them, and compare with the truth. With --benchmark, make a "
+            "benchmark in ELD's layout, with scenes to train on and scenes to test on, of two cameras whose noise is "
+            "not the noise model's, and calibrate them (docs/proof.md). DIR must be new, empty, or an earlier demo."
         ),
     )
     parser.add_argument("folder", metavar="DIR", nargs="?", default="eldata-demo", help="default: %(default)s")
-    parser.add_argument("--scenes", type=int, default=4, metavar="N", help="scenes per camera (default: %(default)s)")
+    parser.add_argument(
+        "--scenes", type=int, metavar="N", help="scenes per camera (default: 4; with --benchmark 10, to test on)"
+    )
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of the noise (default: %(default)s)")
-    parser.add_argument("--calibration", action="store_true", help="calibrate a camera instead of photographing scenes")
+    instead = parser.add_mutually_exclusive_group()
+    instead.add_argument("--calibration", action="store_true", help="calibrate a camera, in place of scenes")
+    instead.add_argument("--benchmark", action="store_true", help="make a benchmark to train and test networks on")
     parser.add_argument(
         "--without",
         action="append",
@@ -44,7 +49,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="FEATURE",
         help=f"with --calibration: a camera without this ({', '.join(_FEATURES)}); may be repeated",
     )
-    add_shared(parser, run, "jobs")
+    add_shared(parser, run, "jobs", example=("eldata demo", "eldata demo eldata-calibration --calibration"))
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -63,7 +68,16 @@ def run(arguments: argparse.Namespace) -> int:
         return OK
     if arguments.without:
         raise ArgumentError("--without is about calibration frames: give --calibration too")
+    if arguments.benchmark:
+        from eldata.demo.benchmark import run_benchmark
+        from eldata.demo.benchmark_frames import BenchmarkPlan
+
+        plan = BenchmarkPlan(seed=arguments.seed)
+        if arguments.scenes is not None:
+            plan = replace(plan, scenes=arguments.scenes)
+        run_benchmark(Path(arguments.folder), plan, workers=Workers(arguments.jobs))
+        return OK
     from eldata.demo.evaluation import run_demo
 
-    run_demo(Path(arguments.folder), scenes=arguments.scenes, seed=arguments.seed)
+    run_demo(Path(arguments.folder), scenes=4 if arguments.scenes is None else arguments.scenes, seed=arguments.seed)
     return OK

@@ -56,7 +56,13 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="only this archive of a dataset that comes in several; may be repeated",
     )
     kept = "what has arrived is kept, and the same command goes on from there"
-    add_shared(parser, run, "json", interrupted=kept)
+    add_shared(
+        parser,
+        run,
+        "json",
+        interrupted=kept,
+        example=("eldata download eld", "eldata download eld --root data --from ELD.7z"),
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -64,9 +70,9 @@ def run(arguments: argparse.Namespace) -> int:
     from eldata.download.card_downloads import choose_parts, holds
     from eldata.download.installing import unpack_dataset
     from eldata.download.overview import overview, presence_of
-    from eldata.manifest.catalogue import shipped_manifest
+    from eldata.manifest.catalogue import known_manifest
 
-    manifest = shipped_manifest(arguments.dataset)
+    manifest = known_manifest(arguments.dataset)
     found = overview(manifest, arguments.root)
     downloads = manifest.card.downloads
     parts = choose_parts(downloads, arguments.parts) if arguments.yes or arguments.parts else ()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from eldata.base.console import (
@@ -18,12 +20,14 @@ from eldata.base.console import (
     each_of,
 )
 from eldata.base.tables import FORMATS
+from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
     import argparse
 
     from eldata.base.tables import Format
     from eldata.evaluation.combined import CombinedResult
+    from eldata.evaluation.comparison import Comparison
     from eldata.evaluation.results import EvaluationResult
 
 
@@ -33,17 +37,20 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
     parser = commands.add_parser(
         "evaluate",
-        help="score a folder of predictions under a named protocol",
+        help="score predictions under a named protocol, of one method or of several",
         description=(
             "Score predictions under a named protocol and print the paper's table. The prediction of "
             "CAMERA/scene-1/IMG_0004.ARW is PREDS/CAMERA/scene-1/IMG_0004.EXT with EXT one of npy, npz, h5, tif, "
             "png (16 bit), dng: packed (C, h, w) or mosaic (H, W), float in [0, 1] or uint16 with 65535 = 1.0 (dng: "
             "raw DN). Under a protocol of sRGB it is a rendering: an RGB PNG of 8 or 16 bits. Of clips (drv) it is "
-            "PREDS/CLIP/FRAME.EXT for five frames of each."
+            "PREDS/CLIP/FRAME.EXT for five frames of each. Several folders are scored in one pass, each raw file "
+            "decoded once, and held against the first."
         ),
     )
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("predictions", metavar="PREDS", nargs="?", help="folder of predictions")
+    source.add_argument(
+        "predictions", metavar="PREDS", nargs="*", default=[], help="folder of predictions; several: one of each method"
+    )
     source.add_argument(
         "--baseline",
         choices=("input",),
@@ -89,6 +96,30 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
             "docs/metrics.md says where they are"
         ),
     )
+    parser.add_argument(
+        "--task",
+        metavar="MODULE:NAME",
+        help=(
+            "add a column of your own: a function of (prediction, reference), or an eldata.evaluation.Task, which says "
+            "what images it wants and whether lower is better; runs the module's code (docs/evaluation.md)"
+        ),
+    )
+    parser.add_argument(
+        "--dark-shading",
+        metavar="FILE",
+        help=(
+            "the inputs are corrected with this dark shading (eldata calibrate --dark-shading): the baseline is scored "
+            "so, of predictions it states so; table, page and the protocol's digest say which one"
+        ),
+    )
+    parser.add_argument(
+        "--store",
+        metavar="FILE",
+        help=(
+            "take the dataset's frames from this store (eldata pack) in place of its raw files: the same scores to the "
+            "bit, and nothing is decoded again"
+        ),
+    )
     add_root(parser)
     add_cameras(parser)
     parser.add_argument(
@@ -108,9 +139,35 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     add_output(parser, "--html", help="write a page with plots, pictures and intervals to FILE")
     add_json(parser)
     parser.add_argument(
+        "-o",
+        "--out",
+        metavar="FOLDER",
+        help=(
+            "write NAME.json and NAME.csv of each method here, and comparison.json and comparison.html of several; in "
+            "place of --json, --csv and --html, which are of one method"
+        ),
+    )
+    parser.add_argument(
+        "--name",
+        action="append",
+        default=[],
+        dest="names",
+        metavar="NAME",
+        help="what to call a method; once per folder, in their order (default: the folder's name)",
+    )
+    parser.add_argument(
         "--compare", action="store_true", help="show the result among the published numbers that compare with it"
     )
-    add_shared(parser, run, "isolation")
+    add_shared(
+        parser,
+        run,
+        "isolation",
+        example=(
+            "eldata evaluate preds --dataset eld --root data",
+            "eldata evaluate preds --manifest mine.csv --root data --protocol all --html page.html --json scores.json",
+            "eldata evaluate preds/bm3d preds/ours --dataset eld --root data --store eld.h5 -o results",
+        ),
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -118,11 +175,14 @@ def run(arguments: argparse.Namespace) -> int:
     from eldata.evaluation.evaluate import perform
     from eldata.evaluation.request import EvaluationOptions, make_request
 
+    if len(arguments.predictions) > 1 or arguments.out or arguments.names:
+        return _run_several(arguments)
+    predictions = next(iter(arguments.predictions), None)
     with chosen_workers(arguments) as workers:
         options = {name: getattr(arguments, name) for name in EvaluationOptions.__annotations__ if name != "workers"}
         options["workers"] = workers
         request = make_request(
-            arguments.predictions, arguments.dataset or "", arguments.protocol, cast("EvaluationOptions", options)
+            predictions, arguments.dataset or "", arguments.protocol, cast("EvaluationOptions", options)
         )
         combined = perform(request)
     result = combined if request.every else combined.results[0]
@@ -131,7 +191,12 @@ def run(arguments: argparse.Namespace) -> int:
         from eldata.reports.evaluation.page import write_evaluation_page
 
         write_evaluation_page(
-            combined.results, arguments.html, dataset_folder=request.folder, predictions=request.predictions
+            combined.results,
+            arguments.html,
+            dataset_folder=request.folder,
+            predictions=request.predictions,
+            dark_shading=request.dark_shading,
+            store=request.store,
         )
 
     each_of(
@@ -141,6 +206,74 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.html and write_page,  # last, because it takes longest
     )
     return OK if result.scored and not result.problems else PROBLEMS
+
+
+def _run_several(arguments: argparse.Namespace) -> int:
+    """Score several folders, or one whose results go to a folder."""
+    from eldata.evaluation.comparison_tables import format_comparison
+    from eldata.evaluation.evaluate import perform_each
+    from eldata.evaluation.methods import COMPARISON, ScoredMethods, named_folders, requests_of, results_folder
+    from eldata.evaluation.request import EvaluationOptions
+
+    if arguments.baseline is not None:
+        raise ArgumentError("-o and --name are for folders of predictions; of --baseline give --json FILE, --csv FILE")
+    given = next((name for name in ("json", "csv", "html") if getattr(arguments, name)), None)
+    if given is not None:
+        raise ArgumentError(
+            f"--{given} writes the result of one method; of several, and with -o or --name, give -o FOLDER alone: it "
+            "gets NAME.json and NAME.csv of each, and their comparison"
+        )
+    folders = named_folders([Path(name) for name in arguments.predictions], arguments.names)
+    out = None if arguments.out is None else Path(arguments.out)
+    with chosen_workers(arguments) as workers:
+        options = {name: getattr(arguments, name) for name in EvaluationOptions.__annotations__ if name != "workers"}
+        options["workers"] = workers
+        requests = requests_of(folders, arguments.dataset or "", arguments.protocol, cast("EvaluationOptions", options))
+        if out is not None:
+            results_folder(out, folders)
+        methods = ScoredMethods.of(dict(zip(folders, perform_each(requests), strict=True)))
+    comparison = methods.comparison
+
+    def show() -> None:
+        heading = {"text": "{}:\n", "markdown": "## {}\n", "latex": "% {}"}[arguments.format]
+        for name, combined in methods.results.items():
+            print(heading.format(name))
+            _show(combined if requests[0].every else combined.results[0], combined, arguments)
+            print()
+        if comparison is not None:
+            for warning in comparison.warnings:
+                print(f"eldata evaluate: warning: {' '.join(warning.split())}", file=sys.stderr)
+            print(format_comparison(comparison, arguments.format))
+        elif methods.why_not:
+            print(f"eldata evaluate: {methods.why_not}", file=sys.stderr)
+
+    def write_page() -> None:
+        from eldata.reports.compare.page import write_comparison_page
+
+        if comparison is not None and out is not None:
+            write_comparison_page(comparison, out / f"{COMPARISON}.html")
+
+    def say_how_to_see() -> None:
+        if comparison is not None and out is not None and arguments.format == "text":
+            print(f"\nwritten: {out}\nto see every image beside each other: {_with_pictures(comparison, arguments)}")
+
+    each_of(None if out is None else lambda: methods.write(out), show, write_page, say_how_to_see)
+    return OK if methods.all_well else PROBLEMS
+
+
+def _with_pictures(comparison: Comparison, arguments: argparse.Namespace) -> str:
+    """Return the command that draws a comparison's images."""
+    out = Path(arguments.out)
+    options = {name: getattr(arguments, name) for name in ("manifest", "root", "dark_shading")}
+    options["protocol"] = comparison.methods[0].result.protocol.name if arguments.protocol == "all" else None
+    return " ".join(
+        [
+            "eldata compare",
+            *(shlex.quote(str(out / f"{method.name}.json")) for method in comparison.methods),
+            *(f"--{name.replace('_', '-')} {shlex.quote(value)}" for name, value in options.items() if value),
+            f"--html {shlex.quote(str(out / 'pictures.html'))} --pictures",
+        ]
+    )
 
 
 def _show(result: EvaluationResult | CombinedResult, combined: CombinedResult, arguments: argparse.Namespace) -> None:

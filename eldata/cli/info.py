@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_shared
+from eldata.base.console import OK, PROBLEMS, add_shared
 from eldata.base.files import write_json
+from eldata.errors import EldataError
 
 if TYPE_CHECKING:
     import argparse
@@ -23,23 +26,32 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         ),
     )
     parser.add_argument("dataset", metavar="DATASET", nargs="?", help="a dataset's name, such as eld")
-    add_shared(parser, run, "root", "json")
+    add_shared(parser, run, "root", "json", example=("eldata info", "eldata info eld --root data"))
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
     from eldata.base.tables import text_table
     from eldata.download.overview import overview_of
-    from eldata.manifest.catalogue import carded_names, data_root
+    from eldata.manifest.catalogue import data_root, known_names
 
-    names = carded_names() if arguments.dataset is None else (arguments.dataset,)
-    found = [overview_of(name, arguments.root) for name in names]
+    found, problems = [], []
+    for name in known_names() if arguments.dataset is None else (arguments.dataset,):
+        try:
+            found.append(overview_of(name, arguments.root))
+        except EldataError as error:  # what another package registers must not keep the rest from being shown
+            if arguments.dataset is not None:
+                raise
+            problems.append(str(error))
     if arguments.dataset is not None:
         print(found[0].format_text())
     else:
         header = ("name", "title", "files", "size", f"in {data_root(arguments.root)}", "licence")
-        print(text_table(header, [one.row for one in found], left=(0, 1, 4, 5)))
+        columns = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+        print(text_table(header, [one.row for one in found], left=(0, 1, 4, 5), columns=columns))
         print("\neldata info NAME shows one: addresses, citation, known defects")
+    for problem in problems:
+        print(f"eldata info: {problem}", file=sys.stderr)
     if arguments.json:
         write_json(arguments.json, {"datasets": [one.as_dict() for one in found]})
-    return OK
+    return PROBLEMS if problems else OK

@@ -22,11 +22,14 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         description=(
             "Record the size and SHA-256 of every file of a copy that you trust in its manifest. The copy must pass "
             "eldata verify --level metadata first, and files without a recorded hash must decode and show no damage; "
-            "with any problem the manifest stays as it is."
+            "with any problem the manifest stays as it is. Of a dataset by name, the filled-in manifest is written to "
+            "manifests/NAME.csv in the folder that holds the datasets, and eldata verify NAME finds it there."
         ),
     )
-    parser.add_argument("manifest", metavar="MANIFEST", help="the manifest's CSV file, which is changed")
-    add_shared(parser, run, "root", "cameras", "workers", "isolation", "json")
+    parser.add_argument(
+        "manifest", metavar="MANIFEST", help="a dataset's name, or a manifest's CSV file, which is changed"
+    )
+    add_shared(parser, run, "root", "cameras", "workers", "isolation", "json", example="eldata lock eld --root data")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -37,18 +40,18 @@ def run(arguments: argparse.Namespace) -> int:
         report = lock(arguments.manifest, arguments.root, cameras=arguments.cameras, workers=workers)
     found = {"files_locked": report.files_locked, "problems": [asdict(problem) for problem in report.problems]}
     each_of(
-        lambda: _show(report, arguments.manifest),
+        lambda: _show(report),
         arguments.json and (lambda: write_json(arguments.json, found)),
     )
     return PROBLEMS if report.problems else OK
 
 
-def _show(report: LockReport, manifest: str) -> None:
+def _show(report: LockReport) -> None:
     if report.checks.problems:
         print(report.checks.format_text())
     for problem in report.problems if not report.checks.problems else ():
         print(problem)
     if report.problems:
-        print(f"{manifest} was left as it is: {len(report.problems)} problems")
+        print(f"{report.path} was left as it is: {len(report.problems)} problems")
     else:
-        print(f"{manifest}: size and hash of {report.files_locked} files recorded")
+        print(f"{report.path}: size and hash of {report.files_locked} files recorded")

@@ -12,10 +12,12 @@ if TYPE_CHECKING:
 
 _COMMANDS = (
     *("demo", "info", "download", "verify", "lock"),
-    *("protocols", "evaluate", "compare"),
+    *("baseline", "predict", "protocols", "evaluate", "compare", "reproduce"),
     *("calibrate", "synthesize", "profile", "noise"),
-    *("pack", "shard"),
+    *("pack", "shard", "completion"),
 )
+
+_FIRST = ("eldata demo", "eldata info eld", "eldata evaluate preds --dataset eld --root data")
 
 
 def parser() -> argparse.ArgumentParser:
@@ -23,7 +25,7 @@ def parser() -> argparse.ArgumentParser:
     from eldata.base.console import command_line
 
     description = "Data for denoising raw photographs taken in the dark: check it, load it, score denoisers on it."
-    return command_line("eldata", description, "eldata.cli", _COMMANDS)
+    return command_line("eldata", description, "eldata.cli", _COMMANDS, _FIRST)
 
 
 def main(argv: list[str] | None = None) -> int:

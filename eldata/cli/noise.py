@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_output, add_shared, each_of, whole_number
+from eldata.base.console import OK, PROBLEMS, add_output, add_shared, chosen_workers, each_of, whole_number
 from eldata.base.files import write_json
+from eldata.base.numbers import counted
+from eldata.base.parsing import add_examples
 
 if TYPE_CHECKING:
     import argparse
+
+    from eldata.datasets.calibration_frames import CalibrationFrames
+    from eldata.datasets.dark_frames import DarkFrames
+    from eldata.noise.components import Components
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -18,6 +24,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="hold a noise model against frames of the camera",
         description="Noise models: hold the frames that one makes against frames of the camera.",
     )
+    add_examples(parser, "eldata noise check mycamera.json --frames data/held-out")
     subcommands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     check = subcommands.add_parser(
         "check",
@@ -43,17 +50,10 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
             "frames of an ISO at least, ten make the verdicts sharp; flats are optional"
         ),
     )
-    check.add_argument("--camera", metavar="NAME", help="the camera's name (default: the only camera there)")
-    check.add_argument(
-        "--iso",
-        action="append",
-        dest="isos",
-        type=whole_number(1),
-        metavar="ISO",
-        help="only this ISO; may be repeated",
-    )
-    check.add_argument(
-        "--model", default="P*+G*+B+R+U", metavar="SPEC", help="components of the noise (default: %(default)s)"
+    add_components(
+        check,
+        dark_frames="other bias frames of the camera than those of --frames",
+        dark_shading="the dark shading, from other frames",
     )
     check.add_argument(
         "--pairs",
@@ -66,7 +66,69 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--seed", type=whole_number(0), default=0, metavar="S", help="seed of the model (default: %(default)s)"
     )
     add_output(check, "--html", help="write a page with plots to FILE")
-    add_shared(check, run_check, "isolation", "json")
+    add_shared(
+        check,
+        run_check,
+        "isos",
+        "workers",
+        "isolation",
+        "json",
+        example="eldata noise check mycamera.json --frames data/held-out --camera MyCamera --html check.html",
+    )
+
+
+def add_components(parser: argparse.ArgumentParser, *, dark_frames: str, dark_shading: str) -> None:
+    """Add which components noise has, and the files of those that have one; the texts say of what."""
+    parser.add_argument(
+        "--model", default="P*+G*+B+R+U", metavar="SPEC", help="components of the noise (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--dark-frames",
+        metavar="FOLDER|STORE",
+        help=f"of component D, as in 'P*+D': {dark_frames}; or eldata pack's store",
+    )
+    parser.add_argument(
+        "--dark-shading",
+        metavar="FILE",
+        help=f"of component S, as in 'P*+G*+R+U+S': {dark_shading}, which eldata calibrate --dark-shading writes",
+    )
+
+
+def check_components(spec: str, dark_frames: str | None, dark_shading: str | None) -> Components:
+    """Return what noise has, once it is known that each component has its file, and each file its component.
+
+    Raises
+    ------
+    ArgumentError
+        If not, or the spec is malformed.
+    """
+    from eldata.errors import ArgumentError
+    from eldata.noise.components import parse_components
+
+    parts = parse_components(spec)
+    for name, has, given, option, what, example in (
+        ("D", parts.dark, dark_frames, "--dark-frames", "real dark frames; give --dark-frames FOLDER|STORE", "P*+D"),
+        ("S", parts.shading, dark_shading, "--dark-shading", "a dark shading; give --dark-shading FILE", "P*+G*+R+U+S"),
+    ):
+        if has and given is None:
+            raise ArgumentError(f"--model {spec!r}: component {name} takes {what}")
+        if given is not None and not has:
+            raise ArgumentError(f"{option} is for component {name}; name it in --model, as in {example!r}")
+    return parts
+
+
+def _check_apart(dark: DarkFrames, frames: CalibrationFrames) -> None:
+    """Refuse held-out frames that are the model's own: it would be right by heart."""
+    from pathlib import Path
+
+    from eldata.errors import ArgumentError
+
+    own = {Path(name).resolve() for iso in dark.isos for name in dark.names(iso)}
+    for path in (frames.path(record) for record in frames.records):
+        if path.resolve() in own:
+            raise ArgumentError(
+                f"{path}: is in --frames and in --dark-frames; a model is judged by frames that it does not have"
+            )
 
 
 def run_check(arguments: argparse.Namespace) -> int:
@@ -76,17 +138,31 @@ def run_check(arguments: argparse.Namespace) -> int:
     from eldata.calibration.acceptance import check_noise
     from eldata.calibration.frame_checks import FramesError
     from eldata.datasets.calibration_frames import CalibrationFrames
+    from eldata.datasets.dark_frames import DarkFrames
+    from eldata.noise.dark_shading import DarkShading
     from eldata.noise.model import NoiseModel
     from eldata.noise.profile import CameraProfile
 
-    model, profile = NoiseModel(arguments.model), CameraProfile.load(arguments.profile)
+    parts = check_components(arguments.model, arguments.dark_frames, arguments.dark_shading)
+    shading = None if arguments.dark_shading is None else DarkShading.load(arguments.dark_shading)
+    profile = CameraProfile.load(arguments.profile)
     frames = CalibrationFrames(arguments.frames, arguments.camera, isos=arguments.isos)
+    dark = None
+    if arguments.dark_frames is not None:  # whole DN like the held-out ones: a dither would add its 1/12 DN^2
+        dark = DarkFrames(arguments.dark_frames, isos=[float(iso) for iso in frames.isos], dither=False)
+        _check_apart(dark, frames)
+    model = NoiseModel(arguments.model, dark_frames=dark, dark_shading=shading)
+    of_sensor = parts.shading or parts.dark
     try:
-        found = check_noise(model, frames, profile, seed=arguments.seed, pairs=arguments.pairs)
+        with chosen_workers(arguments) as workers:
+            options = {"seed": arguments.seed, "pairs": arguments.pairs, "whole_frames": of_sensor}
+            found = check_noise(model, frames, profile, workers=workers, **options)
     except FramesError as error:
         for problem in error.problems:
             print(problem.format_text())
-        print(f"{frames.camera}: {len(error.problems)} problem(s) with the held-out frames; nothing was judged")
+        print(
+            f"{frames.camera}: {counted(len(error.problems), 'problem')} with the held-out frames; nothing was judged"
+        )
         return PROBLEMS
 
     def show() -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import shlex
 from typing import TYPE_CHECKING
 
 from eldata.base.console import OK, add_cameras, add_output, add_root, add_shared, chosen_workers
+from eldata.base.files import folder_problem
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -45,7 +47,14 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="lossless; lz4 and zstd need the extra eldata[compression] (default: %(default)s)",
     )
     kept = "the finished frames are kept in {out}.part, and the same command goes on"
-    add_shared(parser, run, "workers", "isolation", interrupted=kept)
+    add_shared(
+        parser,
+        run,
+        "workers",
+        "isolation",
+        interrupted=kept,
+        example=("eldata pack sid-sony --split train -o sid-train.h5", "eldata pack data/SID/Sony/long -o clean.h5"),
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -60,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
         f"{report.frames} frames packed{resumed}: {report.path}, {report.store_bytes / 1e6:.1f} MB for "
         f"{report.pixel_bytes / 1e6:.1f} MB of pixels"
     )
-    print(f"to check: eldata verify {report.path} --level full")
+    print(f"to check: eldata verify {shlex.quote(str(report.path))} --level full")
     return OK
 
 
@@ -72,6 +81,9 @@ def _source(arguments: argparse.Namespace) -> Source:
     if not Path(arguments.dataset).is_dir() or arguments.manifest is not None:
         if arguments.dataset == _CALIBRATION and arguments.manifest is None:
             return _calibration(arguments)
+        if arguments.manifest is None and Path(arguments.dataset).name != arguments.dataset:  # no name has slashes
+            problem = folder_problem(Path(arguments.dataset))
+            raise ArgumentError(f"{arguments.dataset}: {problem}; give a folder of camera raws, or a dataset's name")
         return source_of_dataset(
             arguments.dataset,
             root=arguments.root,

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import shlex
 from typing import TYPE_CHECKING
 
 from eldata.base.console import OK, PROBLEMS, add_output, add_shared, each_of, whole_number
 from eldata.base.files import write_json
+from eldata.base.parsing import add_examples
 
 if TYPE_CHECKING:
     import argparse
@@ -19,6 +21,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         description="Camera profiles: list those that ship, show one and test the noise model, or estimate one from a "
         "photograph.",
     )
+    add_examples(parser, "eldata profile list", "eldata profile show SonyA7S2")
     subcommands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     show = subcommands.add_parser(
         "show",
@@ -43,7 +46,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--seed", type=whole_number(0), default=0, metavar="S", help="seed of all randomness (default: %(default)s)"
     )
     add_output(show, "--html", help="write a page with plots to FILE")
-    add_shared(show, run_show, "json")
+    add_shared(show, run_show, "json", example="eldata profile show SonyA7S2 --iso 1600 --html sony.html")
     estimate = subcommands.add_parser(
         "estimate",
         help="a profile from one raw photograph, without a calibration",
@@ -64,7 +67,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         default="auto",
         help="take the file's NoiseProfile, or the pixels (default: the former where there is one)",
     )
-    add_shared(estimate, run_estimate, "isolation", "json")
+    add_shared(
+        estimate, run_estimate, "isolation", "json", example="eldata profile estimate IMG_0001.dng -o phone.json"
+    )
     importing = subcommands.add_parser(
         "import",
         help="make a profile of a published parameter file (.npy)",
@@ -81,9 +86,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="NAME",
         help="which of several calibrations in the file, such as Profile-2 (default: the only one)",
     )
-    add_shared(importing, run_import)
+    add_shared(importing, run_import, example="eldata profile import SonyA7S2_params.npy -o sony.json")
     listing = subcommands.add_parser("list", help="list the profiles that ship", description="List shipped profiles.")
-    add_shared(listing, run_list, "json")
+    add_shared(listing, run_list, "json", example="eldata profile list")
 
 
 def run_show(arguments: argparse.Namespace) -> int:
@@ -152,7 +157,7 @@ def run_estimate(arguments: argparse.Namespace) -> int:
             print(f"\n{arguments.output} was not written")  # the text says why
             return
         found.profile.save(arguments.output)
-        print(f"\nprofile: {arguments.output}; look at it with eldata profile show {arguments.output}")
+        print(f"\nprofile: {arguments.output}; look at it with eldata profile show {shlex.quote(arguments.output)}")
 
     each_of(
         lambda: print(found.format_text()),
@@ -187,7 +192,7 @@ def run_import(arguments: argparse.Namespace) -> int:
     profile.save(arguments.output)
     print(
         f"{in_line(camera)}: {len(profile.rows)} rows, {chosen}\n"
-        f"profile: {arguments.output}; look at it with eldata profile show {arguments.output}"
+        f"profile: {arguments.output}; look at it with eldata profile show {shlex.quote(arguments.output)}"
     )
     return OK
 

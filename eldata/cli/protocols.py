@@ -38,7 +38,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         ),
     )
     parser.add_argument("--dataset", metavar="N", help="only those for this dataset")
-    add_shared(parser, run, "json")
+    add_shared(
+        parser, run, "json", example=("eldata protocols", "eldata protocols eld", "eldata protocols --dataset sid-sony")
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -63,7 +65,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _chosen(names: list[str], dataset: str | None) -> list[Protocol]:
-    from eldata.errors import ArgumentError
+    from eldata.errors import ArgumentError, did_you_mean
+    from eldata.manifest.catalogue import known_names
     from eldata.protocols.choosing import get_protocol, members_of, of_digest
     from eldata.protocols.named import FAMILIES, PROTOCOLS
 
@@ -78,7 +81,10 @@ def _chosen(names: list[str], dataset: str | None) -> list[Protocol]:
     if dataset is not None:
         found = [protocol for protocol in found if protocol.covers(dataset)]
         if not found:
-            raise ArgumentError(f"no protocol is for dataset {dataset!r}; eldata info lists the datasets")
+            known = known_names()
+            raise ArgumentError(
+                f"no protocol is for dataset {dataset!r}; eldata info lists the datasets{did_you_mean(dataset, known)}"
+            )
     return found
 
 

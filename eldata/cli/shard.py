@@ -42,7 +42,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("--split", action="append", dest="splits", metavar="S", help="only this split; may be repeated")
     parser.add_argument("--subset", metavar="NAME", help="only this subset of the dataset card")
     kept = "the finished shards are kept in {out}, and the same command goes on"
-    add_shared(parser, run, "cameras", "isolation", interrupted=kept)
+    add_shared(parser, run, "cameras", "isolation", interrupted=kept, example="eldata shard sid-train.h5 -o shards")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 
 from eldata.base.console import OK, add_shared, chosen_workers
+from eldata.cli.noise import add_components, check_components
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -21,7 +23,11 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("clean", metavar="CLEAN", help="folder of clean raw files")
     parser.add_argument("-o", "--out", metavar="OUT", required=True, help="a new folder")
     parser.add_argument("--camera", metavar="NAME", required=True, help="a shipped profile (SonyA7S2) or a JSON file")
-    parser.add_argument("--model", metavar="SPEC", default="P*+G*+B+R+U", help="noise model (default: %(default)s)")
+    add_components(
+        parser,
+        dark_frames="real dark frames at --iso, of the camera that took CLEAN, each used once before any is used twice",
+        dark_shading="the dark shading at --iso of the camera body that took CLEAN",
+    )
     parser.add_argument(
         "--ratio", metavar="A:B", type=_ratio, default=(100.0, 300.0), help="low-light factors (default: 100:300)"
     )
@@ -44,7 +50,14 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("--per-image", type=int, default=1, metavar="N", help="noisy frames per clean one (default: 1)")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="default: %(default)s")
     kept = "{out} is an unfinished run: the finished frames are kept, and the same command goes on"
-    add_shared(parser, run, "workers", "isolation", interrupted=kept)
+    add_shared(
+        parser,
+        run,
+        "workers",
+        "isolation",
+        interrupted=kept,
+        example="eldata synthesize data/SID/Sony/long -o noisy --camera SonyA7S2 --ratio 100:300 --seed 1",
+    )
 
 
 def _ratio(text: str) -> tuple[float, float]:
@@ -62,6 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
     from eldata.datasets.synthesis import Recipe, synthesize
     from eldata.noise.profile import CameraProfile
 
+    check_components(arguments.model, arguments.dark_frames, arguments.dark_shading)
     recipe = Recipe(
         profile=CameraProfile.load(arguments.camera),
         spec=arguments.model,
@@ -72,6 +86,8 @@ def run(arguments: argparse.Namespace) -> int:
         extrapolate=arguments.extrapolate,
         per_image=arguments.per_image,
         format=arguments.format,
+        dark_frames=arguments.dark_frames,
+        dark_shading=arguments.dark_shading,
     )
     out = Path(arguments.out)
     with chosen_workers(arguments) as workers:
@@ -81,5 +97,6 @@ def run(arguments: argparse.Namespace) -> int:
         f"{noisy} noisy frames of {manifest.card.counts['reference']} clean ones: {out / 'data' / manifest.card.folder}"
     )
     print(f"manifest {manifest.path}, parameters {out / 'parameters.json'}")
-    print(f"to check: eldata verify {manifest.path} --root {out / 'data'} --level metadata")
+    where = f"{shlex.quote(str(manifest.path))} --root {shlex.quote(str(out / 'data'))}"
+    print(f"to check: eldata verify {where} --level metadata")
     return OK

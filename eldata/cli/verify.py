@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import sys
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from eldata.base.console import OK, PROBLEMS, add_cameras, add_root, add_shared, chosen_workers, each_of
 from eldata.base.files import write_json
 from eldata.errors import ArgumentError
-from eldata.manifest.verify import LEVELS, verify
+from eldata.manifest.verify import verify
+from eldata.manifest.verify_report import LEVELS
 
 if TYPE_CHECKING:
     import argparse
 
     from eldata.base.workers import Workers
-    from eldata.manifest.verify import VerifyReport
+    from eldata.manifest.verify_report import VerifyReport
 
 _INDEX = "index.json"
 
@@ -33,36 +36,53 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "manifests",
         metavar="MANIFESTS",
-        help="a manifest's CSV file, a folder of them, a store, or shards' index",
+        nargs="*",
+        help=(
+            "datasets by name, such as eld; manifests (CSV files), or folders of them; a store, or shards' index "
+            "(default: every known dataset that is there)"
+        ),
     )
     add_root(parser)
     parser.add_argument("--dataset", metavar="N", help="only the dataset of this name, which must be there")
     add_cameras(parser)
     parser.add_argument("--level", choices=LEVELS, default="quick", help="how deep to look (default: %(default)s)")
-    add_shared(parser, run, "workers", "isolation", "json")
+    add_shared(
+        parser,
+        run,
+        "workers",
+        "isolation",
+        "json",
+        example=(
+            "eldata verify",
+            "eldata verify eld --root data --level metadata",
+            "eldata verify store.h5 --level full",
+        ),
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
-    if arguments.manifests.endswith(_INDEX):
-        return _of_shards(arguments)
+    alone = next((one for one in arguments.manifests if one.endswith(_INDEX) or _is_store(one)), None)
+    if alone is not None and len(arguments.manifests) > 1:
+        raise ArgumentError(f"{alone} is checked alone: give it in a command of its own")
+    if alone is not None and not _is_store(alone):
+        return _of_shards(arguments, alone)
     with chosen_workers(arguments) as workers:
-        check = _of_store if _is_store(arguments.manifests) else _of_files
-        report = check(arguments, workers)
+        report = _of_files(arguments, workers) if alone is None else _of_store(arguments, alone, workers)
     each_of(
-        lambda: print(report.format_text()),
+        lambda: print(report.format_text() if arguments.manifests else _all_known(report)),
         arguments.json and (lambda: write_json(arguments.json, report.as_dict())),
     )
     return OK if report.ok else PROBLEMS
 
 
-def _of_shards(arguments: argparse.Namespace) -> int:
+def _of_shards(arguments: argparse.Namespace, index: str) -> int:
     from eldata.sources.shards.reading import verify_shards
 
     _refuse_choices(arguments, "shards are checked whole")
     if arguments.dask is not None:
         raise ArgumentError("--dask is for manifests and stores; shards are read in their order")
-    address = arguments.manifests.removesuffix(_INDEX) or "."
+    address = index.removesuffix(_INDEX) or "."
     problems = verify_shards(address)
     each_of(
         lambda: print("\n".join(problems) if problems else f"{address}: every shard is whole"),
@@ -75,11 +95,11 @@ def _is_store(path: str) -> bool:
     return path.lower().endswith((".h5", ".hdf5"))
 
 
-def _of_store(arguments: argparse.Namespace, workers: Workers) -> VerifyReport:
+def _of_store(arguments: argparse.Namespace, path: str, workers: Workers) -> VerifyReport:
     from eldata.sources.store.checks import verify_store
 
     _refuse_choices(arguments, "a store is checked whole")
-    return verify_store(arguments.manifests, level=arguments.level, workers=workers)
+    return verify_store(path, level=arguments.level, workers=workers)
 
 
 def _refuse_choices(arguments: argparse.Namespace, why: str) -> None:
@@ -88,11 +108,29 @@ def _refuse_choices(arguments: argparse.Namespace, why: str) -> None:
 
 
 def _of_files(arguments: argparse.Namespace, workers: Workers) -> VerifyReport:
+    from eldata.manifest.catalogue import find_manifests, known_manifests
+
+    if arguments.manifests:
+        manifests = find_manifests(arguments.manifests, arguments.root)
+    else:
+        manifests, problems = known_manifests(arguments.root)
+        for problem in problems:
+            print(f"eldata verify: {problem}", file=sys.stderr)
     return verify(
-        arguments.manifests,
+        manifests,
         arguments.root,
         dataset=arguments.dataset,
         cameras=arguments.cameras,
         level=arguments.level,
         workers=workers,
     )
+
+
+def _all_known(report: VerifyReport) -> str:
+    """Return the report on every known dataset: those that are there, and the names of the others."""
+    there = tuple(found for found in report.datasets if not found.absent)
+    absent = ", ".join(found.dataset for found in report.datasets if found.absent)
+    lines = [replace(report, datasets=there).format_text()]
+    if absent:
+        lines.append(f"not there: {absent}; eldata info NAME says where to get one")
+    return "\n".join(lines)

@@ -23,6 +23,7 @@ from .loading import evaluation_loader as evaluation_loader
 from .loading import set_epoch as set_epoch
 from .loading import training_loader as training_loader
 from .lrd import LRDDataset as LRDDataset
+from .noise2noise import Noise2Noise as Noise2Noise
 from .packed_clips import PackedClips as PackedClips
 from .packed_clips import PackedUnpairedClips as PackedUnpairedClips
 from .packed_store import PackedStore as PackedStore

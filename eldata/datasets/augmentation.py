@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from eldata.errors import ArgumentError
+from eldata.raw.cfa import with_rows
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -53,7 +54,7 @@ def oriented(mosaic: NDArray[Scalar], cfa: CfaRows, orientation: Orientation) ->
     return _turned(mosaic, orientation)[top:, left:]
 
 
-def copy_oriented(mosaic: NDArray[np.uint16], cfa: CfaRows, orientation: Orientation, copy: NDArray[np.uint16]) -> None:
+def copy_oriented(mosaic: NDArray[Scalar], cfa: CfaRows, orientation: Orientation, copy: NDArray[Scalar]) -> None:
     """Fill ``copy`` (height, width) with ``oriented(mosaic, cfa, orientation)[:height, :width]``.
 
     Packing reads rows: from a transposed view it takes ten times as long as this copy and the packing of it.
@@ -78,7 +79,7 @@ def copy_oriented(mosaic: NDArray[np.uint16], cfa: CfaRows, orientation: Orienta
         slice(None, mosaic.shape[1] - columns) if flip_mosaic_columns else slice(columns, None),
     ]
     turn = transpose if orientation.transpose else mirror
-    turn(part, copy, orientation.flip_rows, orientation.flip_columns)
+    turn(with_rows(part), copy, orientation.flip_rows, orientation.flip_columns)
 
 
 def _turned(array: NDArray[Scalar], orientation: Orientation) -> NDArray[Scalar]:

@@ -12,16 +12,16 @@ import numpy as np
 from eldata.base.files import file_problem, inside
 from eldata.base.npy import NpyError, read_npy
 from eldata.base.tables import frame_of
-from eldata.datasets.choices import Options, Representation, understood
+from eldata.datasets.choices import Options, Representation, chosen_shading, shading_text, understood
 from eldata.datasets.crops import Crop
 from eldata.datasets.items import CroppedItems, Cropping, Part, ReadItems
 from eldata.errors import DatasetError
-from eldata.manifest.catalogue import Manifest, data_root, load_manifest, shipped_manifest, shipped_names
+from eldata.manifest.catalogue import Manifest, data_root, known_manifest, known_names, load_manifest
 from eldata.manifest.pairs import Choice, select_pairs
 from eldata.raw.cfa import packed_area, packed_shape, unpack
 from eldata.records import Exposure
 from eldata.sources.frames import Files, Frame
-from eldata.sources.pairs import checked_ratio
+from eldata.sources.pairs import checked_ratio, stated_ratio
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from eldata.base.npy import NpyHeader
     from eldata.manifest.card import Card
-    from eldata.records import PairRecord
+    from eldata.records import PairRecord, Sensor
     from eldata.sources.frames import FrameSource
 
 Side = Literal["input", "target"]
@@ -41,8 +41,8 @@ SIDES: tuple[Side, ...] = get_args(Side)
 class PairFacts(TypedDict):
     """What a sample of a pair has beside its tensors.
 
-    ``ratio`` is the files' own exposure ratio or, with ``amplification="nominal"``, the manifest's, which
-    ``nominal_ratio`` always is. ``iso`` and ``exposure_s`` (seconds) are the noisy file's.
+    ``ratio`` is the files' own exposure ratio, or with another ``amplification`` the manifest's nominal or measured
+    one; ``nominal_ratio`` is always the nominal one. ``iso`` and ``exposure_s`` (seconds) are the noisy file's.
     """
 
     ratio: float
@@ -118,6 +118,10 @@ class PairItems(ReadItems[PairItem, Sample]):
             # What no raw file states is amplified already.
             yield Part("input", item.pair.input, gain=float(item.pair.ratio) if item.pair.input.sensor else 1.0)
 
+    def sensor(self, item: PairItem) -> Sensor | None:
+        """Return the sensor of the reference."""
+        return item.pair.target.sensor
+
     def facts(self, item: PairItem) -> dict[str, Any]:
         """Return the fields of a :class:`Sample` that are not tensors."""
         record, exposure = item.pair.record, item.pair.exposure
@@ -170,6 +174,7 @@ class SourcePairs(PairItems, CroppedItems[PairItem, Sample]):
         self.levels = chosen.get("levels", "published")
         self.clip = chosen.get("clip", "both")
         self.amplification = chosen.get("amplification", "metadata")
+        self.dark_shading = chosen_shading(chosen, (record.camera for record in self.records))
         self.crops_per_frame = cut.get("crops_per_frame", 1)
         super().__init__(cut, ("crops_per_frame", self.crops_per_frame))
         # A source that reads parts knows all but the pixels: what is not a pair is refused here.
@@ -214,21 +219,36 @@ class SourcePairs(PairItems, CroppedItems[PairItem, Sample]):
         record, target = pair.record, pair.target
         noisy = self._noisy(record, target)
         ratio = checked_ratio(record, target, noisy)
-        pair.ratio = ratio if self.amplification == "metadata" else record.ratio
+        pair.ratio = stated_ratio(record, self.amplification) or ratio
         pair.exposure = noisy.exposure
-        pair.input = noisy
+        pair.input = noisy if self.dark_shading is None else noisy.less(self.dark_shading)
 
     def _noisy(self, record: PairRecord, target: Frame) -> Frame:
         """Open the noisy frame of a pair; ``target`` is its reference."""
         del target
         return self.source.frame(record.path).with_levels(self.levels)
 
-    def __repr__(self) -> str:
-        def counted(name: str) -> str:
-            distinct = dict.fromkeys(getattr(record, name) for record in self.records)
-            texts = [f"{float(value):g}" if isinstance(value, Fraction) else str(value) for value in distinct]
-            return ", ".join(texts) if len(texts) <= 6 else f"{len(texts)} values"
+    def outline(self) -> list[tuple[str, str]]:
+        """Return what the dataset is, as names and values."""
+        scenes = len({(record.camera, record.scene) for record in self.records})
+        named = (("cameras", "camera"), ("splits", "split"), ("ISO", "iso"), ("ratios", "ratio"))
+        crop = "whole frames" if self.crop is None else f"{self.crop} x {self.crop}"
+        return [
+            ("place", self._place()),
+            ("pairs", f"{len(self.records)} of {scenes} scenes"),
+            *((name, self._values(field)) for name, field in named),
+            ("values", f"levels {self.levels}, clip {self.clip}, amplification {self.amplification}"),
+            ("items", f"{len(self)}, {crop}{', turned' if self.augment else ''}"),
+        ]
 
+    def _values(self, field: str) -> str:
+        """Return the distinct values of a field of the records; of many, their number."""
+        distinct = dict.fromkeys(getattr(record, field) for record in self.records)
+        texts = [f"{float(value):g}" if isinstance(value, Fraction) else str(value) for value in distinct]
+        return ", ".join(texts) if len(texts) <= 6 else f"{len(texts)} values"
+
+    def __repr__(self) -> str:
+        counted = self._values
         cropped = self.crop is not None or self.augment or self.crops_per_frame > 1
         return (
             f"{type(self).__name__}({self._place()!r}, {len(self.records)} pairs, "
@@ -236,6 +256,7 @@ class SourcePairs(PairItems, CroppedItems[PairItem, Sample]):
             f"{len({(r.camera, r.scene) for r in self.records})} scenes; "
             f"splits {counted('split')}; ISO {counted('iso')}; ratios {counted('ratio')}; "
             f"levels={self.levels!r}, clip={self.clip!r}, amplification={self.amplification!r}"
+            + shading_text(self.dark_shading)
             + (
                 f", crop={self.crop}, augment={self.augment}, crops_per_frame={self.crops_per_frame}, seed={self.seed}"
                 if cropped
@@ -260,8 +281,9 @@ class PairDataset(SourcePairs):
     options
         Which pairs (:class:`~eldata.manifest.pairs.Choice`): ``cameras``, ``scenes``, ``isos``, ``ratios``, ``split``,
         ``subset``, ``exclude_flags``. What becomes of their DN (:class:`~eldata.datasets.choices.Representation`):
-        ``levels`` (default ``"published"``), ``clip`` (``"both"``), ``amplification`` (``"metadata"``). Which part of
-        them (:class:`PairCropping`): ``crop``, ``augment``, ``crops_per_frame``, ``seed``; by default whole frames.
+        ``levels`` (default ``"published"``), ``clip`` (``"both"``), ``amplification`` (``"metadata"``),
+        ``dark_shading``. Which part of them (:class:`PairCropping`): ``crop``, ``augment``, ``crops_per_frame``,
+        ``seed``; by default whole frames.
 
     Raises
     ------
@@ -316,7 +338,7 @@ class PairDataset(SourcePairs):
 
 def no_folder(folder: Path, card: Card, holds: str) -> DatasetError:
     """Return the error that a dataset's folder is not there, with what it should hold and where to get it."""
-    known = card.name in shipped_names()  # the commands do not know a set of the user's own
+    known = card.name in known_names()  # the commands do not know a set of the user's own
     commands = f"; eldata info {card.name} says more, eldata download {card.name} fetches or unpacks it"
     return DatasetError(
         f"{folder}: there is no such folder; give the folder of {card.title}, which holds {holds} "
@@ -326,7 +348,7 @@ def no_folder(folder: Path, card: Card, holds: str) -> DatasetError:
 
 def _manifest(manifest: Path | str) -> Manifest:
     if isinstance(manifest, str) and "/" not in manifest and not manifest.endswith(".csv"):
-        return shipped_manifest(manifest)
+        return known_manifest(manifest)
     return load_manifest(manifest)
 
 

@@ -27,6 +27,8 @@ import torch
 from torch.utils.data import default_collate, get_worker_info
 from torch.utils.data._utils.collate import default_collate_fn_map
 
+from eldata.base.compiled import available_threads
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -37,6 +39,7 @@ _MOST_FREE = 4
 # Pieces that may be held at once, two descriptors each: who keeps more batches than that gets torch's own memory.
 _MOST_HELD = 64
 _ALIGNED = 64
+_FEW_VALUES = 1 << 16  # of a sample, below which its reading is mostly Python
 _HEADER_BYTES = 4096  # how often the piece came back, int64; a page, so that the rest begins on one
 
 
@@ -61,15 +64,18 @@ def threads_here() -> int | None:
     return None if get_worker_info() is None else 1
 
 
-def reading_threads(samples: int, *, decodes_long: bool = False) -> int | None:
+def reading_threads(samples: int, values: int, *, decodes_long: bool = False) -> int | None:
     """Return how many threads read some samples of a store, as :func:`eldata.base.compiled.in_threads` takes them.
 
     zstd decodes for long without Python's lock. The rest is read so soon that more threads wait for that lock: measured
-    on four cores, one is the fastest for a sample and two for a batch of eight.
+    on four cores, one is the fastest for a sample and two for a batch of eight. Where a sample has few ``values``,
+    there is little else than that lock.
     """
+    if values < _FEW_VALUES:
+        return 1
     if decodes_long:
         return threads_here()
-    return 1 if samples == 1 or get_worker_info() is not None else 2
+    return 1 if samples == 1 or get_worker_info() is not None else min(2, available_threads())
 
 
 def new_batch(fields: Sequence[Field]) -> Batch | None:
@@ -95,15 +101,16 @@ class Batch:
     def __init__(self, fields: Sequence[Field], piece: _Piece, lease: _Lease) -> None:
         self.fields = tuple(fields)
         self.count = self.fields[0].shape[0]
+        self.shapes = {field.name: field.shape[1:] for field in self.fields}
         self.piece = piece
         self.arrays = _arrays(self.fields, lease)
         self.tensors = {name: torch.from_numpy(array) for name, array in self.arrays.items()}
 
     def parts(self, samples: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         """Return the samples, the large tensors being views of the batch; what ``samples`` has of those is ignored."""
-        large = self.tensors
+        views = {name: tensor.unbind() for name, tensor in self.tensors.items()}
         return [
-            _Part(self, place, dict(sample) | {name: large[name][place] for name in sample if name in large})
+            _Part(self, place, sample, {name: views[name][place] for name in sample if name in views})
             for place, sample in enumerate(samples)
         ]
 
@@ -122,10 +129,11 @@ class _OfBatch(dict[str, Any]):
 class _Part(_OfBatch):
     """A sample of a batch, and where it lies."""
 
-    def __init__(self, batch: Batch, place: int, sample: Mapping[str, Any]) -> None:
+    def __init__(self, batch: Batch, place: int, sample: Mapping[str, Any], views: Mapping[str, torch.Tensor]) -> None:
         super().__init__(batch, sample)
+        self.update(views)
         self.place = place
-        self.views = {name: sample[name] for name in batch.tensors}
+        self.views = views
 
     def is_whole(self) -> bool:
         """Return whether nobody has put another tensor in the place of a view."""
@@ -144,9 +152,19 @@ def _collated(parts: Sequence[_Part], *, collate_fn_map: Any = None) -> dict[str
     if len(places) != len(parts) or places != list(range(batch.count)):
         collated: dict[str, Any] = default_collate([dict(part) for part in parts])
         return collated
-    rest = default_collate([{name: part[name] for name in part if name not in batch.tensors} for part in parts])
-    content = {name: batch.tensors[name] if name in batch.tensors else rest[name] for name in parts[0]}
+    content = {
+        name: batch.tensors[name] if name in batch.tensors else _column([part[name] for part in parts])
+        for name in parts[0]
+    }
     return _Whole(batch, content) if isinstance(batch.piece, _SharedPiece) else content
+
+
+def _column(values: list[Any]) -> Any:
+    """Collate what is beside the large tensors as torch does, whose search for how takes most of the time."""
+    kinds = set(map(type, values))
+    if kinds == {str}:
+        return values
+    return torch.from_numpy(np.array(values)) if kinds in ({float}, {int}) else default_collate(values)
 
 
 def _sent(whole: _Whole) -> tuple[Any, ...]:

@@ -9,9 +9,12 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
-from eldata.base.files import inside
+from eldata.base.files import folder_problem, inside
+from eldata.base.notebook import block, table
+from eldata.base.numbers import counted
 from eldata.base.tables import frame_of
-from eldata.errors import ArgumentError, DatasetError
+from eldata.base.visible import in_line
+from eldata.errors import ArgumentError, DatasetError, did_you_mean
 from eldata.manifest.catalogue import data_root, load_manifest
 from eldata.raw.extensions import RAW_EXTENSIONS
 from eldata.records import FrameRecord
@@ -23,6 +26,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from numpy.typing import NDArray
 
+    from eldata.plots.axes import Drawing
     from eldata.records import RawFrame, Role
 
 _ROLES: tuple[Role, ...] = ("bias", "flat")
@@ -84,11 +88,9 @@ class CalibrationFrames:
     Examples
     --------
     >>> from eldata import CalibrationFrames
-    >>> frames = CalibrationFrames("data/calibration", "SonyA7S2")  # doctest: +SKIP
-    >>> frames.isos  # doctest: +SKIP
-    (100, 200, 400)
-    >>> frames[0]["mosaic"].shape  # doctest: +SKIP
-    (2848, 4256)
+    >>> frames = CalibrationFrames("eldata-calibration/data/calibration", "DemoGamma")
+    >>> frames.isos
+    (Fraction(100, 1), Fraction(400, 1), Fraction(1600, 1), Fraction(6400, 1))
     """
 
     def __init__(
@@ -169,6 +171,35 @@ class CalibrationFrames:
             path=record.path,
         )
 
+    def plot(self, index: int = 0) -> Drawing:
+        """Draw a frame: its mosaic in DN, with the scale of all but the furthest values.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            It belongs to no pyplot, and a notebook shows it.
+
+        Raises
+        ------
+        RawFileError
+            If the file is missing, damaged or not a raw mosaic.
+        """
+        from eldata.plots.pictures import side_by_side
+
+        sample = self[index]
+        facts = [f"{sample['camera']}, {sample['role']}", f"ISO {sample['iso']:g}"]
+        facts += [f"{sample['exposure_s']:g} s"] if sample["exposure_s"] else []
+        return side_by_side(f"{', '.join(facts)}\n{sample['path']}", [("mosaic [DN]", sample["mosaic"])])
+
+    def _repr_html_(self) -> str:
+        rows = [
+            tuple(str(count) for count in (f"{float(iso):g}", len(self.of("bias", iso)), len(self.of("flat", iso))))
+            for iso in self.isos
+        ]
+        skipped = [f"{counted(len(self.skipped), 'other file')} skipped"] if self.skipped else []
+        heading = f"CalibrationFrames of {self.camera}: {counted(len(self), 'frame')} in {self.root}"
+        return block(heading, table(("ISO", "bias", "flat"), rows, left=()), notes=skipped)
+
     def __repr__(self) -> str:
         counts = ", ".join(
             f"ISO {float(iso):g}: {len(self.of('bias', iso))} bias, {len(self.of('flat', iso))} flat"
@@ -211,14 +242,15 @@ def _chosen_camera(wanted: str | None, found: Collection[str], where: str) -> st
             raise DatasetError(f"{where}: holds frames of {len(found)} cameras; choose one: {listed}")
         return next(iter(found))
     if wanted not in found:
-        raise DatasetError(f"{where}: has no camera {wanted!r}; there is {listed}")
+        raise DatasetError(f"{where}: has no camera {wanted!r}; there is {listed}{did_you_mean(wanted, found)}")
     return wanted
 
 
 def _from_folders(root: Path, camera: str | None) -> tuple[str, tuple[FrameRecord, ...], tuple[str, ...]]:
     layout = "<camera>/bias/ISO100/..., <camera>/flat/ISO100/..., one folder per ISO"
-    if not root.is_dir():
-        raise DatasetError(f"{root}: there is no such folder; calibration frames lie in {layout}")
+    problem = folder_problem(root)
+    if problem is not None:
+        raise DatasetError(f"{root}: {problem}; calibration frames lie in {layout}")
     if any((root / role).is_dir() for role in _ROLES):  # the camera's own folder
         name, prefix = camera or root.resolve().name, ""
     else:
@@ -248,7 +280,10 @@ def _from_folders(root: Path, camera: str | None) -> tuple[str, tuple[FrameRecor
                 )
             records.append(FrameRecord(path=relative, role=role, camera=name, iso=Fraction(named[1])))
     if not records:
-        raise DatasetError(f"{root / prefix}: holds no raw file ({', '.join(sorted(RAW_EXTENSIONS))}) in {layout}")
+        others = f", but {len(skipped)} other file(s) such as {in_line(skipped[0])}" if skipped else ""
+        raise DatasetError(
+            f"{root / prefix}: holds no raw file ({', '.join(sorted(RAW_EXTENSIONS))}) in {layout}{others}"
+        )
     return name, tuple(sorted(records, key=lambda record: record.path)), tuple(skipped)
 
 

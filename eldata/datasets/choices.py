@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal, TypedDict, get_args
+from typing import TYPE_CHECKING, Any, TypedDict, get_args
 
 from eldata.base.keywords import keywords
-from eldata.errors import check_choice
+from eldata.errors import ArgumentError, check_choice
 from eldata.manifest.pairs import RENAMED, Choice
+from eldata.noise.dark_shading import DarkShading
+from eldata.protocols.protocol import Amplification
 from eldata.raw.cfa import CLIP_RANGES
 from eldata.raw.levels import FRAME_LEVELS
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
+    from pathlib import Path
 
     from eldata.raw.cfa import Clip
     from eldata.raw.levels import FrameLevels
 
-Amplification = Literal["metadata", "nominal"]
 AMPLIFICATIONS: tuple[Amplification, ...] = get_args(Amplification)
 
 
@@ -32,13 +34,19 @@ class Representation(TypedDict, total=False):
         ``"both"``: the normalised frame is clipped to [0, 1] before and after the input is multiplied by the ratio,
         as published; ``"upper"``: at 1 only, so that negative read noise is kept; ``"none"``.
     amplification
-        What the input is multiplied by: ``"metadata"``, the ratio of ISO times exposure time that the files state, or
-        ``"nominal"``, the manifest's ratio. The files' ratio is checked either way.
+        What the input is multiplied by: ``"metadata"``, the ratio of ISO times exposure time that the files state,
+        ``"nominal"``, the manifest's ratio, or ``"measured"``, the one that ``capture check --write`` found in the
+        pixels and put into the manifest. The files' ratio is checked each time.
+    dark_shading
+        What the sensor shows of itself in the dark (:class:`~eldata.noise.DarkShading`, or its file), taken off the
+        input of each pair or clip, in DN of the file, before anything is clipped. ``None``, the default: nothing. A
+        frame of another model, size, CFA or ISO is refused.
     """
 
     levels: FrameLevels
     clip: Clip
     amplification: Amplification
+    dark_shading: DarkShading | Path | str | None
 
 
 class Options(Choice, Representation, total=False):
@@ -61,3 +69,30 @@ def understood(owner: object, options: Mapping[str, Any], *kinds: type) -> list[
             if name in part:
                 check_choice(name, part[name], known)
     return found
+
+
+def chosen_shading(representation: Representation, cameras: Iterable[str] = ()) -> DarkShading | None:
+    """Return the dark shading to take off inputs, loaded if it was given as its file.
+
+    Raises
+    ------
+    ArgumentError
+        If the inputs are of several cameras, or it is not a dark shading.
+    ShadingError
+        If the file cannot be read.
+    """
+    given = representation.get("dark_shading")
+    if given is None:
+        return None
+    found, several = DarkShading.of(given), list(dict.fromkeys(cameras))
+    if len(several) > 1:
+        raise ArgumentError(
+            f"dark_shading is of one body, {found.camera}, and there are pairs or clips of {len(several)} cameras: "
+            f"{', '.join(several)}; choose one with cameras=[...]"
+        )
+    return found
+
+
+def shading_text(shading: DarkShading | None) -> str:
+    """Return what a repr says of a dark shading; nothing if there is none."""
+    return "" if shading is None else f", dark_shading={shading.digest[:15]}"

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
 from eldata.base.numbers import checked_number
+from eldata.base.scratch import scratch
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.manifest.patterns import sequence_of
 from eldata.noise.model import check_normalised
+from eldata.raw._kernels import scatter_bayer
 from eldata.raw.cfa import packing_sites, unpack
-from eldata.raw.extensions import RAW_EXTENSIONS, raws_below
+from eldata.raw.extensions import RAW_EXTENSIONS, no_raws, raws_below
 from eldata.raw.levels import LEVELS, Levels
 from eldata.sources.frames import Files, Frame
 from eldata.sources.store.read import StoreFrames
@@ -23,7 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.raw.cfa import CfaRows
+    from eldata.raw.cfa import CfaRows, Sites
     from eldata.sources.frames import FrameSource
 
 _BAYER: CfaRows = ((0, 1), (3, 2))
@@ -62,17 +65,27 @@ class ClipSource(Protocol):
 class SomeFrames:
     """Frames of a source in an order, by their number: a clip, for one.
 
+    Parameters
+    ----------
+    keep
+        Number of whole frames to keep in memory, in each process: those that were used last.
+
     Raises
     ------
     ArgumentError
         If ``levels`` is unknown.
     """
 
-    def __init__(self, origin: FrameSource, names: Iterable[str], levels: Levels) -> None:
+    def __init__(self, origin: FrameSource, names: Iterable[str], levels: Levels, keep: int = 0) -> None:
         check_choice("levels", levels, LEVELS)
+        if keep < 0:
+            raise ArgumentError(f"keep must be 0 or more; found {keep}")
         self.origin = origin
         self.names = tuple(names)
         self.levels: Levels = levels
+        self.keep = keep
+        self._kept: OrderedDict[int, CleanFrame] = OrderedDict()
+        self._opened: dict[int, CleanFrame] = {}  # of a source that reads parts: without pixels
 
     @property
     def reads_parts(self) -> bool:
@@ -82,9 +95,27 @@ class SomeFrames:
     def __len__(self) -> int:
         return len(self.names)
 
+    def opened(self, index: int) -> CleanFrame:
+        """Open one frame; a file is decoded, of a store nothing is read yet."""
+        frame = self._opened.get(index)
+        if frame is None:
+            frame = self.origin.frame(self.names[index]).with_levels(self.levels)
+            if self.reads_parts:
+                self._opened[index] = frame
+        return frame
+
     def frame(self, index: int) -> CleanFrame:
-        """Open one frame."""
-        return self.origin.frame(self.names[index]).with_levels(self.levels)
+        """Return one frame: one of those that are kept, or opened."""
+        if not self.keep:
+            return self.opened(index)
+        kept = self._kept.pop(index, None)  # threads may read side by side, and find what another one just took
+        if kept is None:
+            opened = self.opened(index)
+            kept = replace(opened, mosaic=np.asarray(opened.mosaic))
+        self._kept[index] = kept
+        while len(self._kept) > self.keep:
+            self._kept.popitem(last=False)
+        return kept
 
     def __repr__(self) -> str:
         return f"clip of {self.names[0]}"
@@ -106,34 +137,24 @@ class RawFiles(SomeFrames):
     ------
     DatasetError
         If there is not a raw file.
+
+    Examples
+    --------
+    >>> from eldata.datasets import RawFiles
+    >>> len(RawFiles("eldata-demo/data/ELD-demo/DemoAlpha"))
+    16
     """
 
     def __init__(self, files: Path | str | Iterable[Path | str], *, levels: Levels = "metadata", keep: int = 0) -> None:
         found = raws_below(Path(files)) if isinstance(files, (str, Path)) else [Path(path) for path in files]
         if not found:
             raise DatasetError("no raw file was given")
-        if keep < 0:
-            raise ArgumentError(f"keep must be 0 or more; found {keep}")
-        super().__init__(Files(), map(str, found), levels)
-        self.keep = keep
-        self._kept: OrderedDict[int, CleanFrame] = OrderedDict()
+        super().__init__(Files(), map(str, found), levels, keep)
 
     @property
     def paths(self) -> tuple[Path, ...]:
         """The files."""
         return tuple(map(Path, self.names))
-
-    def frame(self, index: int) -> CleanFrame:
-        """Decode one file."""
-        if index in self._kept:
-            self._kept.move_to_end(index)
-            return self._kept[index]
-        frame = super().frame(index)
-        if self.keep:
-            self._kept[index] = frame
-            while len(self._kept) > self.keep:
-                self._kept.popitem(last=False)
-        return frame
 
     def __repr__(self) -> str:
         return f"RawFiles({len(self)} files, first {self.paths[0].name}, levels={self.levels!r}, keep={self.keep})"
@@ -150,7 +171,16 @@ class Arrays:
         White minus black level of the camera that is simulated, DN.
     cfa
         Their CFA; by default RGGB.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from eldata.datasets import Arrays
+    >>> len(Arrays(np.zeros((3, 4, 64, 64), np.float32), range_dn=15871.0))
+    3
     """
+
+    reads_parts = True
 
     def __init__(
         self, arrays: Sequence[NDArray[Any]] | NDArray[Any], *, range_dn: float, cfa: CfaRows = _BAYER
@@ -159,6 +189,8 @@ class Arrays:
             raise ArgumentError("no array was given")
         self.arrays = arrays
         self.range_dn = checked_number("range_dn", range_dn, above=0)
+        self._sites = packing_sites(cfa)  # packed data starts where packing does, whatever the offset of its sensor
+        self._black_level_dn = (0.0,) * self._sites.levels
         self.cfa = cfa
         check_normalised(np.asarray(arrays[0]), "array 0")
 
@@ -167,14 +199,55 @@ class Arrays:
 
     def frame(self, index: int) -> CleanFrame:
         """Return one array as a mosaic."""
-        packed = np.asarray(self.arrays[index])
-        check_normalised(packed, f"array {index}")
-        mosaic = unpack(packed.astype(np.float32, copy=False), self.cfa) * np.float32(self.range_dn)
-        sites = packing_sites(self.cfa)  # packed data starts where packing does, whatever the offset of its sensor
-        return CleanFrame(mosaic, sites.cfa, (0.0,) * sites.levels, self.range_dn, f"array {index}")
+        packed, name, sites = np.asarray(self.arrays[index]), f"array {index}", self._sites
+        check_normalised(packed, name)
+        mosaic = _Unpacked(packed, sites, self.range_dn)
+        return CleanFrame(mosaic, sites.cfa, self._black_level_dn, self.range_dn, name)
 
     def __repr__(self) -> str:
         return f"Arrays({len(self)} frames of shape {self.arrays[0].shape}, range_dn={self.range_dn:g})"
+
+
+class _Unpacked:
+    """The mosaic of a packed array (C, h, w), in DN, of which only the parts that are read are put together."""
+
+    dtype = np.dtype(np.float32)
+
+    def __init__(self, packed: NDArray[Any], sites: Sites, range_dn: float) -> None:
+        self.packed, self.sites, self.range_dn = packed, sites, np.float32(range_dn)
+        if packed.ndim != 3 or len(packed) != sites.channels or any(side % sites.sub for side in packed.shape[1:]):
+            unpack(packed, sites.cfa)  # raises, saying what is expected
+        self.shape = packed.shape[1] * sites.scale, packed.shape[2] * sites.scale
+        self._channel = sites.table[:, 2].reshape(sites.period, sites.period)
+
+    def __getitem__(self, part: tuple[Any, slice, slice]) -> NDArray[np.float32]:
+        """Return a part, (..., rows, columns)."""
+        return self.borrow(part).copy()
+
+    def borrow(self, part: tuple[Any, slice, slice]) -> NDArray[np.float32]:
+        """Return a part in memory that the next call of this thread overwrites."""
+        period, scale = self.sites.period, self.sites.scale
+        top, bottom, _ = part[-2].indices(self.shape[0])
+        left, right, _ = part[-1].indices(self.shape[1])
+        above, before = top % period, left % period  # of the periods that hold it
+        height, width = above + bottom - top, before + right - left
+        height, width = height + -height % period, width + -width % period
+        row, column = (top - above) // scale, (left - before) // scale
+        if period == 2 and self.packed.dtype == np.float32:
+            whole = scratch("unpacked", 4 * height * width).bytes.view(np.float32)[: height * width]
+            whole = whole.reshape(height, width)
+            scatter_bayer(self.packed, row, column, self._channel, self.range_dn, whole)
+        else:
+            periods = self.packed[:, row : row + height // scale, column : column + width // scale]
+            whole = unpack(periods.astype(np.float32, copy=False), self.sites.cfa)
+            whole *= self.range_dn
+        return whole[above : above + bottom - top, before : before + right - left]
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        if copy is False:
+            raise ValueError("a mosaic that is put together as it is read cannot be had without new memory")
+        whole: NDArray[Any] = self[..., :, :].astype(np.float32 if dtype is None else dtype, copy=False)
+        return whole
 
 
 class StoredFrames(SomeFrames):
@@ -266,7 +339,7 @@ def _frames_of(folder: Path) -> list[Path]:
     names = [path.name for path in folder.iterdir()] if folder.is_dir() else []
     raws = [name for name in names if Path(name).suffix.lower() in RAW_EXTENSIONS and not name.startswith(".")]
     if not raws:
-        raise DatasetError(f"{folder}: holds no camera raw file")
+        raise no_raws(folder, names)
     return [folder / name for name in _in_order(folder, raws)]
 
 

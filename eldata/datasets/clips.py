@@ -6,7 +6,7 @@ import math
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, Unpack
 
-from eldata.datasets.choices import Options, Representation, understood
+from eldata.datasets.choices import Options, Representation, chosen_shading, shading_text, understood
 from eldata.datasets.crops import Crop, Region
 from eldata.datasets.items import CroppedItems, Cropping, Part
 from eldata.errors import ArgumentError, DatasetError
@@ -15,6 +15,7 @@ from eldata.manifest.drv import Layout
 from eldata.manifest.pairs import Choice
 from eldata.manifest.patterns import expand
 from eldata.records import Exposure
+from eldata.sources.pairs import stated_ratio
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
     from eldata.manifest.clips import Clip, ClipRecord, FrameRange
     from eldata.manifest.subsets import Subset
-    from eldata.records import FrameRecord
+    from eldata.records import FrameRecord, Sensor
     from eldata.sources.frames import Frame, FrameSource
 
 Sample = TypeVar("Sample")
@@ -171,12 +172,13 @@ class ClipWindows(CroppedItems[_Item, Sample]):
         self.clip = representation.get("clip", "both")
         self.amplification = representation.get("amplification", "metadata")
         chosen = expand(choose_clips(rows, subsets, ids=windowing.get("ids"), **choice), place)
+        self.dark_shading = chosen_shading(representation, (row.camera for row in chosen))
         self.layout = Layout.of(chosen)
         self.clips = clips_of(chosen)
         lone = [clip.scene for clip in self.clips if clip.reference is None]
         if self._is_paired and lone:
             raise DatasetError(f"{place}: no reference of {len(lone)} clips: {', '.join(lone)}")
-        self._nominal = {row.path: row.ratio for row in chosen}
+        self._row_of = {row.path: row for row in chosen}
         length = windowing.get("window", 5)
         stride = windowing.get("stride")
         frames = windowing.get("frames", "all")
@@ -196,7 +198,7 @@ class ClipWindows(CroppedItems[_Item, Sample]):
         first = self._frame(clip.frames[0])
         ratio = self._ratio(first, reference, clip.frames[0])
         for path in clip.frames:
-            self._check_frame(self._frame(path), path, reference or first, reference, first.name, ratio)
+            self._check_frame(self._input(path), path, reference or first, reference, first.name, ratio)
 
     @property
     def may_differ(self) -> bool:
@@ -240,14 +242,14 @@ class ClipWindows(CroppedItems[_Item, Sample]):
         if reference is not None:
             yield Part("target", reference)
             del reference
-        frame, item.first = item.first or self._frame(item.record.path), None
+        frame, item.first = self._corrected(item.first or self._frame(item.record.path)), None
         item.exposure = frame.exposure
         ratio = self._ratio(frame, known, item.record.path)
         item.ratio = math.nan if ratio is None else float(ratio)
         like, name = known or frame.without_pixels(), frame.name
         for place, path in enumerate(item.record.paths):
             if place:
-                frame = self._frame(path)
+                frame = self._input(path)
             if not self.reads_parts:  # else it was checked before
                 self._check_frame(frame, path, like, known, name, ratio)
             yield Part("input", frame, place, 1.0 if ratio is None else item.ratio)
@@ -255,6 +257,12 @@ class ClipWindows(CroppedItems[_Item, Sample]):
 
     def _frame(self, path: str) -> Frame:
         return self.source.frame(path).with_levels(self.levels)
+
+    def _input(self, path: str) -> Frame:
+        return self._corrected(self._frame(path))
+
+    def _corrected(self, frame: Frame) -> Frame:
+        return frame if self.dark_shading is None else frame.less(self.dark_shading)
 
     def _check_frame(
         self, frame: Frame, path: str, like: Frame, reference: Frame | None, first: str, expected: Fraction | None
@@ -288,10 +296,25 @@ class ClipWindows(CroppedItems[_Item, Sample]):
             )
         if self.amplification == "metadata":
             return ratio
-        nominal = self._nominal[path]
-        if nominal is None:
+        stated = stated_ratio(self._row_of[path], self.amplification)
+        if stated is None:
             raise ArgumentError(f"{path}: the manifest states no ratio, so amplification must be 'metadata'")
-        return nominal
+        return stated
+
+    def sensor(self, item: _Item) -> Sensor | None:
+        """Return the sensor of the reference, or else of the first frame."""
+        like = item.reference or item.first
+        return None if like is None else like.sensor
+
+    def outline(self) -> list[tuple[str, str]]:
+        """Return what the dataset is, as names and values."""
+        return [
+            ("place", str(self.root)),
+            ("clips", self._text),
+            ("files", str(self.layout)),
+            ("values", f"levels {self.levels}, clip {self.clip}, amplification {self.amplification}"),
+            ("items", str(len(self))),
+        ]
 
     def facts(self, item: _Item) -> dict[str, Any]:
         """Return the fields of a sample that are not tensors."""
@@ -315,7 +338,8 @@ class ClipWindows(CroppedItems[_Item, Sample]):
         return (
             f"{type(self).__name__}({str(self.root)!r}, {self._text}; {part}, "
             f"crops_per_window={self.crops_per_window}, seed={self.seed}, levels={self.levels!r}, "
-            f"clip={self.clip!r}, amplification={self.amplification!r}; found: {self.layout})"
+            f"clip={self.clip!r}, amplification={self.amplification!r}{shading_text(self.dark_shading)}; "
+            f"found: {self.layout})"
         )
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from eldata.base.scratch import scratch
 from eldata.datasets.augmentation import ORIENTATIONS, Orientation, copy_oriented, oriented
-from eldata.datasets.batches import Field, new_arrays
 from eldata.errors import ArgumentError, DatasetError
 from eldata.raw.cfa import (
     CLIP_RANGES,
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
 Region = tuple[int, int, int, int]
 
 _NO_CFA: CfaRows = ((0,),)
+_TURNED = {one: one for one in (np.dtype(np.uint16), np.dtype(np.float32))}  # DN; simulated, or less a dark shading
+_AS_IT_IS = Orientation()
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +79,8 @@ class Crop:
         DatasetError
             If the frame is too small.
         """
-        orientation = ORIENTATIONS[int(generator.integers(len(ORIENTATIONS)))] if augment else Orientation()
-        area, period, scale = _grid(frame)
+        orientation = ORIENTATIONS[int(generator.integers(len(ORIENTATIONS)))] if augment else _AS_IT_IS
+        area, period, scale, cfa = _grid(frame.shape, frame.cfa)
         margin = period if augment and frame.cfa else 0
         height = area.height - margin if crop is None else crop * scale
         width = area.width - margin if crop is None else crop * scale
@@ -94,7 +97,7 @@ class Crop:
         top = area.top + period * int(generator.integers((area.height - rows - margin) // period + 1))
         left = area.left + period * int(generator.integers((area.width - columns - margin) // period + 1))
         place = slice(top, top + rows + margin), slice(left, left + columns + margin)
-        return cls(place, _cfa(frame, area), orientation, height, width)
+        return cls(place, cfa, orientation, height, width)
 
     @classmethod
     def region(cls, frame: Frame, region: Region) -> Crop:
@@ -107,7 +110,7 @@ class Crop:
         DatasetError
             If it is not inside of the frame.
         """
-        area, period, scale = _grid(frame)
+        area, period, scale, cfa = _grid(frame.shape, frame.cfa)
         top, left, height, width = (side * scale for side in region)
         if any(side % period for side in (top, left, height, width)):
             raise ArgumentError(f"region must be of even numbers for X-Trans; found {region}")
@@ -115,7 +118,24 @@ class Crop:
             inside = area.height // scale, area.width // scale
             raise DatasetError(f"{frame.name}: region {region} is not inside of {inside} pixels")
         place = slice(area.top + top, area.top + top + height), slice(area.left + left, area.left + left + width)
-        return cls(place, _cfa(frame, area), Orientation(), height, width)
+        return cls(place, cfa, _AS_IT_IS, height, width)
+
+    def place(self, frame: Frame, what: str) -> tuple[int, int]:
+        """Return where what is not turned, and as large as the turned crop, begins in the packed mosaic, (top, left).
+
+        Raises
+        ------
+        DatasetError
+            If it ends outside of the sensor; the message has ``what`` is not turned, such as "dark frames are".
+        """
+        area, _, scale, _ = _grid(frame.shape, frame.cfa)
+        top, left = (part.start - start for part, start in zip(self.slices, (area.top, area.left), strict=True))
+        if top + self.height > area.height or left + self.width > area.width:
+            raise DatasetError(
+                f"{frame.name}: {what} not turned, and its turned crop, {self.height} x {self.width} pixels, is not "
+                "within the sensor; give a square crop=, or augment=False for whole frames"
+            )
+        return top // scale, left // scale
 
     @property
     def packed_shape(self) -> tuple[int, int, int]:
@@ -123,11 +143,17 @@ class Crop:
         return packed_shape((self.height, self.width), self.cfa) if self.cfa else (3, self.height, self.width)
 
     def turned(self, part: NDArray[Any]) -> NDArray[Any]:
-        """Return the crop, turned, from the part of the mosaic (or of one plane) that :attr:`slices` name."""
+        """Return the crop, turned, from the part of the mosaic (or of one plane) that :attr:`slices` name.
+
+        It lies in memory that the thread's next call may overwrite.
+        """
         cfa = self.cfa or _NO_CFA
-        if part.dtype != np.uint16 or self.orientation == Orientation():
+        kind = _TURNED.get(part.dtype)
+        if kind is None or self.orientation == _AS_IT_IS:
             return oriented(part, cfa, self.orientation)[: self.height, : self.width]
-        copy: NDArray[np.uint16] = new_arrays([Field("turned", (self.height, self.width), "<u2")])["turned"]
+        size = self.height * self.width
+        copy: NDArray[Any] = scratch("turned", size * kind.itemsize).bytes.view(kind)[:size]
+        copy = copy.reshape(self.height, self.width)
         copy_oriented(part, cfa, self.orientation, copy)
         return copy
 
@@ -142,21 +168,28 @@ class Crop:
                 np.divide(self.turned(plane), np.float32(RGB_WHITE), out=target)
             return
         cut, black, white = self.cut(frame), frame.black_level_dn, frame.white_level_dn
-        if cut.dtype == np.uint16:
-            pack_normalised(cut, self.cfa, black, white, clip=clip, gain=gain, out=out)
+        if cut.dtype in _TURNED:
+            corrected = cut.dtype == np.float32
+            pack_normalised(cut, self.cfa, black, white, clip=clip, gain=gain, corrected=corrected, out=out)
             return
         out[...] = normalise(pack(cut, self.cfa), self.cfa, black, white, clip=clip)
         if gain != 1:
             np.clip(out * np.float32(gain), *CLIP_RANGES[clip], out=out)
 
 
-def _grid(frame: Frame) -> tuple[PackedArea, int, int]:
-    """Return the area that packing keeps, the period of the CFA, and mosaic pixels per packed one."""
-    if not frame.cfa:
-        return PackedArea(0, 0, *frame.shape), 1, 1
-    period = len(frame.cfa)
-    return packed_area(frame.shape, frame.cfa), period, packing_sites(frame.cfa).scale
+class _Grid(NamedTuple):
+    """The area that packing keeps, the CFA's period, mosaic pixels per packed one, and the CFA that the area has."""
+
+    area: PackedArea
+    period: int
+    scale: int
+    cfa: CfaRows
 
 
-def _cfa(frame: Frame, area: PackedArea) -> CfaRows:
-    return cfa_from(frame.cfa, area.top, area.left)  # from there the pattern starts as packing wants it
+@lru_cache(maxsize=256)
+def _grid(shape: tuple[int, int], cfa: CfaRows) -> _Grid:
+    if not cfa:
+        return _Grid(PackedArea(0, 0, *shape), 1, 1, ())
+    sites, area = packing_sites(cfa), packed_area(shape, cfa)
+    # From the area's corner the pattern starts as packing wants it.
+    return _Grid(area, len(cfa), sites.scale, cfa_from(cfa, area.top, area.left))

@@ -19,7 +19,8 @@ from eldata.datasets.crops import Crop
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.noise.dark_shading import DarkShading
 from eldata.noise.exposures import DarkCrops
-from eldata.raw.cfa import pack, packed_area, packed_black_level_dn, packed_shape, packing_sites
+from eldata.noise.mosaic import region_anywhere
+from eldata.raw.cfa import pack, packed_black_level_dn, packing_sites
 from eldata.sources.store.format import SUFFIXES
 from eldata.sources.store.read import StoreFrames
 from eldata.sources.store.sources import calibration_place
@@ -81,7 +82,8 @@ class DarkFrames:
         Add U(-1/2, 1/2), which makes up for the rounding of the frames, and with it 1/12 DN^2 to their variance.
         ``False``: values as they are.
     keep
-        Of files: number of decoded frames to keep in memory, per worker.
+        Number of whole frames to keep in memory, in each process, 2 bytes a pixel; of a store, too: crops of kept
+        frames are cut in memory, which takes less time than reading them.
 
     Raises
     ------
@@ -125,12 +127,14 @@ class DarkFrames:
         self._numbers = {iso: there[iso] for iso in sorted(there) if isos is None or iso in isos}
         if not self._numbers:
             raise ArgumentError(f"isos is empty; there are {_listed(there)}")
-        self._first = {iso: self._frames.frame(numbers[0]).without_pixels() for iso, numbers in self._numbers.items()}
+        # A file is decoded to be looked at, and may be kept; of a store nothing is read.
+        look = self._frames.opened if self._frames.reads_parts else self._frames.frame
+        self._first = {iso: look(numbers[0]).without_pixels() for iso, numbers in self._numbers.items()}
         for iso, numbers in self._numbers.items():
             self._check(self._first[iso], iso)
-            for number in numbers if self._frames.reads_parts else ():  # which costs nothing; files are when decoded
-                self._check(self._frames.frame(number), iso)
-        self.shading = DarkShading.load(shading) if isinstance(shading, (str, Path)) else shading
+            for number in numbers if self._frames.reads_parts else ():  # files are checked when they are decoded
+                self._check(look(number), iso)
+        self.shading = None if shading is None else DarkShading.of(shading)
         self._scale = self._checked_scales(shading_from)
 
     def _checked_scales(self, shading_from: ShadingFrom) -> dict[float, float]:
@@ -139,12 +143,8 @@ class DarkFrames:
             return {}
         scales = {}
         for iso, first in self._first.items():
-            if (first.shape, first.cfa) != (self.shading.hot.shape, self.shading.cfa):
-                raise DatasetError(
-                    f"{first.name}: has {first.kind}, but the dark shading of {self.shading.camera} is of "
-                    f"{self.shading.hot.shape[0]} x {self.shading.hot.shape[1]} pixels, or another CFA; it belongs to "
-                    "one body and one raw format"
-                )
+            model = "" if first.sensor is None else first.sensor.model
+            self.shading.check_sensor(first.name, first.shape, first.cfa, model)
             share = self.shading.leverage(iso)
             if shading_from == "these" and not share < 1:
                 raise ArgumentError(f"ISO {iso:g}: one frame alone makes the dark shading; nothing of it is left")
@@ -212,14 +212,7 @@ class DarkFrames:
                 f"{frame.name}: has {frame.kind}, but the dark frames have {dark.kind}, such as {dark.name}; their "
                 'fixed pattern belongs to that sensor. DarkFrames(..., place="free") takes dark crops from anywhere'
             )
-        area = packed_area(dark.shape, dark.cfa)
-        top, left = (part.start - start for part, start in zip(crop.slices, (area.top, area.left), strict=True))
-        if top + crop.height > area.height or left + crop.width > area.width:
-            raise DatasetError(
-                f"{frame.name}: dark frames are not turned, and its turned crop, {crop.height} x {crop.width} pixels, "
-                "is not within the sensor; give a square crop=, or augment=False for whole frames"
-            )
-        return top // sites.scale, left // sites.scale, shape[1], shape[2]
+        return *crop.place(frame, "dark frames are"), shape[1], shape[2]
 
     def crops(self, iso: float, members: Sequence[int], region: Region) -> DarkCrops:
         """Return one part of some frames of an ISO, by their number.
@@ -233,30 +226,24 @@ class DarkFrames:
         """
         shape = (len(members), packing_sites(self._first[iso].cfa).channels, *region[2:])
         dn: NDArray[np.uint16] = new_arrays([Field("dark", shape, "<u2")])["dark"]
-        black = np.empty(shape[:2])
+        black, times = np.empty(shape[:2]), []
         for place, member in enumerate(members):
             frame = self._frames.frame(self._numbers[iso][member])
             self._check(frame, iso)
             crop = Crop.region(frame, region)
-            pack(crop.cut(frame), crop.cfa, out=dn[place])
+            frame.pack(*crop.slices, crop.cfa, dn[place])
             black[place] = packed_black_level_dn(crop.cfa, frame.black_level_dn)
+            times.append(None if frame.exposure.exposure_s is None else float(frame.exposure.exposure_s))
         if self.shading is None or not members:
             return DarkCrops(dn, black)
-        taken = pack(self.shading.at(iso, *crop.slices), crop.cfa)
-        return DarkCrops(dn, black, np.stack([taken] * len(members)), np.full(len(members), self._scale[iso]))
+        if self.shading.current is None:
+            times = [None] * len(members)
+        at = {time: pack(self.shading.at(iso, *crop.slices, exposure_s=time), crop.cfa) for time in set(times)}
+        return DarkCrops(dn, black, np.stack([at[time] for time in times]), np.full(len(members), self._scale[iso]))
 
     def _anywhere(self, iso: float, shape: tuple[int, int, int], generator: np.random.Generator) -> Region:
         dark = self._first[iso]
-        whole, step = packed_shape(dark.shape, dark.cfa), packing_sites(dark.cfa).sub
-        _, height, width = shape
-        fits = shape[0] == whole[0] and height <= whole[1] and width <= whole[2]
-        if not fits or height % step or width % step:
-            raise ArgumentError(f"dark frames give crops of {whole} packed pixels or less, and none of {shape}")
-        top, left = (
-            step * int(generator.integers((of_all - side) // step + 1))
-            for of_all, side in zip(whole[1:], shape[1:], strict=True)
-        )
-        return top, left, height, width
+        return region_anywhere("dark frames give", dark.shape, dark.cfa, shape, generator)
 
     def _check(self, frame: Frame, iso: float) -> None:
         """Refuse a frame that is unlike the first of all, or of its ISO."""
@@ -295,7 +282,7 @@ def _found(
         source = StoreFrames(frames)
         found = _of_camera(source, camera)
         names = (f"{source.path.as_posix()}/{path}" for path in found)
-        return str(frames), SomeFrames(source, names, levels), _numbered(found.values())
+        return str(frames), SomeFrames(source, names, levels, keep), _numbered(found.values())
     if not isinstance(frames, CalibrationFrames):
         folder = Path(frames)
         frames = CalibrationFrames(folder.parent if folder.name == _BIAS else folder, camera)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from eldata.datasets.base import SourcePairs
     from eldata.datasets.items import Part
     from eldata.raw.cfa import CfaRows, Clip
+    from eldata.records import Sensor
 
 
 class DnSample(PairFacts):
@@ -46,11 +47,21 @@ class DnPairs(ReadItems[PairItem, DnSample]):
 
     Sending a batch from a worker takes longer than reading it; uint16 is half as much to send. The conversion then runs
     in the main process, or on the device that the batch was moved to.
+
+    Raises
+    ------
+    ArgumentError
+        If a dark shading is taken off the input, which leaves fractions of a DN.
     """
 
     dtype = "<u2"
 
     def __init__(self, pairs: SourcePairs) -> None:
+        if pairs.dark_shading is not None:
+            raise ArgumentError(
+                "batches in DN are of whole DN, and less a dark shading the input has fractions of one; leave "
+                "dark_shading out, or take the normalised items"
+            )
         self.pairs = pairs
         self.source = pairs.source
 
@@ -77,6 +88,14 @@ class DnPairs(ReadItems[PairItem, DnSample]):
     def fill(self, item: PairItem, part: Part, out: NDArray[Any]) -> None:
         """Copy one crop in DN, turned."""
         out[...] = item.crop.cut(part.frame)
+
+    def seen(self, index: int = 0) -> tuple[dict[str, Any], Sensor | None]:
+        """Read the same item of the pairs, normalised."""
+        return self.pairs.seen(index)
+
+    def outline(self) -> list[tuple[str, str]]:
+        """Return what the pairs are."""
+        return [("in DN", "for normalise_batch"), *self.pairs.outline()]
 
     def facts(self, item: PairItem) -> dict[str, Any]:
         """Return the fields of a :class:`DnSample` that are not mosaics."""

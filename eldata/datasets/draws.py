@@ -61,9 +61,15 @@ class NoiseDraw:
 
     def facts(self) -> dict[str, Any]:
         """Return the draw as fields of a sample: a :class:`NoiseFacts`."""
-        facts = {"ratio": self.ratio, "camera": self.camera, "camera_id": self.camera_id, "iso": self.iso or 0.0}
-        bias = torch.tensor(self.parameters.colour_bias_dn, dtype=torch.float64)
-        return facts | self.parameters.as_dict() | {"colour_bias_dn": bias}
+        return {
+            "ratio": self.ratio,
+            "camera": self.camera,
+            "camera_id": self.camera_id,
+            "iso": self.iso or 0.0,
+            **self.parameters.as_dict(),
+            # By numpy: torch.tensor takes three times as long.
+            "colour_bias_dn": torch.from_numpy(np.array(self.parameters.colour_bias_dn, np.float64)),
+        }
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,9 +28,10 @@ class ELDDataset(PairDataset):
     Examples
     --------
     >>> from eldata import ELDDataset
-    >>> dataset = ELDDataset("data/ELD", cameras=["SonyA7S2"], ratios=[100])  # doctest: +SKIP
-    >>> dataset[0]["input"].shape  # doctest: +SKIP
-    torch.Size([4, 1424, 2128])
+    >>> manifest = "eldata-demo/manifests/eld-demo.csv"
+    >>> dataset = ELDDataset("eldata-demo/data/ELD-demo", manifest=manifest, ratios=[100])
+    >>> len(dataset), dataset[0]["input"].shape, dataset[0]["path"]
+    (6, torch.Size([4, 256, 384]), 'DemoAlpha/scene-1/IMG_0004.dng')
     """
 
     def __init__(

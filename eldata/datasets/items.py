@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.datasets.crops import Crop
+    from eldata.plots.axes import Drawing
     from eldata.raw.cfa import Clip
+    from eldata.records import Sensor
     from eldata.sources.frames import Frame
 
 
@@ -119,8 +121,50 @@ class ReadItems(Dataset[Sample], ABC, Generic[Item, Sample]):
         """Read one part."""
         item.crop.fill(part.frame, out, clip=self.clip, gain=part.gain)
 
-    def finish(self, item: Item, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Make what is not read."""
+    def finish(self, items: Sequence[Item], arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Make what is not read, of several items at once; the arrays have as many, one after the other."""
+
+    def given(self, items: Sequence[Item]) -> None:
+        """Note that items were given out, to be trained on; those that are only looked at are not noted."""
+
+    def sensor(self, item: Item) -> Sensor | None:
+        """Return the sensor whose colours an item is shown in, before its pixels are read; ``None``: as they are."""
+        del item
+        return None
+
+    def seen(self, index: int = 0) -> tuple[dict[str, Any], Sensor | None]:
+        """Read one item to be looked at, and the sensor of its target; raises like ``dataset[index]``."""
+        item = self.item(index)
+        sensor = self.sensor(item)
+        return self._sample(item), sensor
+
+    def plot(self, index: int = 0) -> Drawing:
+        """Draw an item: input, target and their difference, of a window of frames those of the first.
+
+        Packed raw is rendered quickly, one pixel for each packed one, and both sides are stretched alike.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            An axes each; it belongs to no pyplot, and a notebook shows it.
+
+        Raises
+        ------
+        IndexError, FileError, DatasetError
+            Like ``dataset[index]``.
+        """
+        from eldata.datasets.looking import drawn_sample
+
+        return drawn_sample(*self.seen(index))
+
+    def outline(self) -> list[tuple[str, str]]:
+        """Return what the dataset is, as names and values, for a notebook."""
+        return [("items", str(len(self)))]
+
+    def _repr_html_(self) -> str:
+        from eldata.datasets.looking import shown_dataset
+
+        return shown_dataset(type(self).__name__, self.outline(), self.seen if len(self) else None)
 
     def __iter__(self) -> Iterator[Sample]:
         return (self[index] for index in range(len(self)))
@@ -139,10 +183,14 @@ class ReadItems(Dataset[Sample], ABC, Generic[Item, Sample]):
             frames of an item do not belong together.
         """
         item = self.item(index)
-        arrays = new_arrays([Field(name, shape, self.dtype) for name, shape in self.shapes(item).items()])
-        self._read([(item, arrays)])
-        sample: Any = {name: torch.from_numpy(array) for name, array in arrays.items()} | self.facts(item)
+        sample: Any = self._sample(item)
+        self.given([item])
         return sample  # type: ignore[no-any-return] # a TypedDict of the subclass
+
+    def _sample(self, item: Item) -> dict[str, Any]:
+        arrays = new_arrays([Field(name, shape, self.dtype) for name, shape in self.shapes(item).items()])
+        self._read([item], {name: array[None] for name, array in arrays.items()})
+        return {name: torch.from_numpy(array) for name, array in arrays.items()} | self.facts(item)
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
         """Read the items of a batch into memory that is used again (:mod:`eldata.datasets.batches`).
@@ -155,39 +203,36 @@ class ReadItems(Dataset[Sample], ABC, Generic[Item, Sample]):
         samples: list[dict[str, Any]] = []
         for group in [indices] if self.reads_parts else [[index] for index in indices]:
             items = [self.item(index) for index in group]
-            shapes = self.shapes(items[0])
+            each = [self.shapes(item) for item in items]
+            shapes = each[0]
             if batch is None:
                 batch = new_batch([Field(name, (len(indices), *shape), self.dtype) for name, shape in shapes.items()])
-            if batch is None or any(
-                self.shapes(item) != {field.name: field.shape[1:] for field in batch.fields} for item in items
-            ):
+            if batch is None or any(one != batch.shapes for one in each):
                 return [self[index] for index in indices]
-            self._read(
-                [
-                    (item, {name: array[place] for name, array in batch.arrays.items()})
-                    for place, item in enumerate(items, len(samples))
-                ]
-            )
+            places = slice(len(samples), len(samples) + len(items))
+            self._read(items, {name: array[places] for name, array in batch.arrays.items()})
+            self.given(items)
             samples += [dict.fromkeys(shapes) | self.facts(item) for item in items]
             del items  # their frames, before the next ones are decoded
         return [] if batch is None else batch.parts(samples)
 
-    def _read(self, items: Sequence[tuple[Item, Mapping[str, NDArray[Any]]]]) -> None:
-        def fill(item: Item, arrays: Mapping[str, NDArray[Any]], part: Part) -> None:
-            array = arrays[part.tensor]
-            self.fill(item, part, array if part.place is None else array[part.place])
+    def _read(self, items: Sequence[Item], arrays: Mapping[str, NDArray[Any]]) -> None:
+        def fill(place: int, part: Part) -> None:
+            array = arrays[part.tensor][place]
+            self.fill(items[place], part, array if part.place is None else array[part.place])
 
         if self.reads_parts:
-            works = [(item, arrays, part) for item, arrays in items for part in self.parts(item)]
+            works = [(place, part) for place, item in enumerate(items) for part in self.parts(item)]
             decodes_long = getattr(self.source, "decodes_long", False)  # a store says so
-            in_threads(lambda work: fill(*work), works, reading_threads(len(items), decodes_long=decodes_long))
+            values = sum(array[0].size for array in arrays.values())
+            threads = reading_threads(len(items), values, decodes_long=decodes_long)
+            in_threads(lambda work: fill(*work), works, threads)
         else:
-            for item, arrays in items:
+            for place, item in enumerate(items):
                 for part in self.parts(item):
-                    fill(item, arrays, part)
+                    fill(place, part)
                     del part  # its frame, before the next one is decoded
-        for item, arrays in items:
-            self.finish(item, arrays)
+        self.finish(items, arrays)
 
 
 class Cropping(TypedDict, total=False):

@@ -20,6 +20,8 @@ import torch
 from torch.utils.data import DataLoader, IterableDataset
 
 from eldata.base.keywords import keywords
+from eldata.base.main_guard import require_main_guard
+from eldata.base.numbers import checked_whole
 from eldata.base.seeds import checked_epoch, checked_seed, purpose_sequence
 from eldata.datasets.items import CroppedItems
 from eldata.datasets.ranks import Rank, ShuffledSampler, current_rank
@@ -115,6 +117,14 @@ def training_loader(
     ArgumentError
         If an argument is out of its range, the dataset cannot be sent to workers or be split, or no whole batch is
         there; or if ``WORLD_SIZE`` is above 1 without torch.distributed.
+
+    Examples
+    --------
+    >>> from eldata import PackedStore
+    >>> from eldata.datasets import training_loader
+    >>> loader = training_loader(PackedStore("demo.h5", crop=64, seed=0), 4, workers=0)
+    >>> len(loader), next(iter(loader))["input"].shape
+    (6, torch.Size([4, 4, 64, 64]))
     """
     return _Loader(dataset, batch_size, options, is_training=True)
 
@@ -144,20 +154,25 @@ def describe(loader: DataLoader[Any]) -> str:
     return "\n".join(_known(loader).why)
 
 
-def set_epoch(loader: DataLoader[Any], epoch: int) -> None:
+def set_epoch(loader: DataLoader[Any], epoch: int, *, first_batch: int = 0) -> None:
     """Choose the epoch that the next iteration over a loader gives: its order, its items' crops and noise.
 
-    The same call after a restart goes on with that epoch.
+    The same call after a restart goes on with that epoch, with ``first_batch`` in the middle of it: the batches before
+    are not read, and the others are the same. (Numbers that a transform draws in a worker are those of another place.)
 
     Raises
     ------
     ArgumentError
-        If the loader was not made here, or the epoch is not a whole number from 0 up to below 2^32.
+        If the loader was not made here, the epoch is not a whole number from 0 up to below 2^32, or the loader is not
+        one for training that can begin there: a stream gives its items only from the first one on.
     """
     known = _known(loader)
     epoch = checked_epoch(epoch)
+    checked_whole("first_batch", first_batch, at_least=0)
     if isinstance(loader.sampler, ShuffledSampler):
-        loader.sampler.set_epoch(epoch)
+        loader.sampler.set_epoch(epoch, first_batch * (loader.batch_size or 1))
+    elif first_batch:
+        raise ArgumentError(f"first_batch={first_batch}: only a training loader of items by number can begin there")
     for part in _parts(loader.dataset):
         if callable(getattr(part, "set_epoch", None)):
             part.set_epoch(epoch)
@@ -249,6 +264,11 @@ class _Loader(DataLoader[Any]):
             **settings,
         )
         self.seed_workers(0)
+
+    def __iter__(self) -> Any:
+        if self.num_workers and self.multiprocessing_context.get_start_method() != "fork":
+            require_main_guard()
+        return super().__iter__()
 
     def seed_workers(self, epoch: int) -> None:
         """Seed the generator from which torch seeds its workers' torch, numpy and random."""

@@ -42,6 +42,14 @@ class PackedStore(SourcePairs):
     Notes
     -----
     Each process opens the store for itself, on its first read. Memory does not grow with the store.
+
+    Examples
+    --------
+    >>> # eldata pack eld-demo --manifest eldata-demo/manifests/eld-demo.csv --root eldata-demo/data -o demo.h5
+    >>> from eldata import PackedStore
+    >>> store = PackedStore("demo.h5", crop=64, seed=0)
+    >>> len(store), store[0]["input"].shape
+    (24, torch.Size([4, 64, 64]))
     """
 
     source: StoreFrames
@@ -58,7 +66,13 @@ class PackedStore(SourcePairs):
         )
 
     def in_dn(self) -> DnPairs:
-        """Return the same items in DN, for :func:`~eldata.datasets.dn_batches.normalise_batch` after the DataLoader."""
+        """Return the same items in DN, for :func:`~eldata.datasets.dn_batches.normalise_batch` after the DataLoader.
+
+        Raises
+        ------
+        ArgumentError
+            If a dark shading is taken off the input.
+        """
         return DnPairs(self)
 
     def _place(self) -> str:

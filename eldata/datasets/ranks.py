@@ -63,10 +63,11 @@ class ShuffledSampler(Sampler[int]):
         self.seed = seed
         self.rank = rank
         self.epoch = 0
+        self.first = 0
 
-    def set_epoch(self, epoch: int) -> None:
-        """Choose the epoch whose order the next iteration has."""
-        self.epoch = epoch
+    def set_epoch(self, epoch: int, first: int = 0) -> None:
+        """Choose the epoch whose order the next iteration has, and from which of this rank's indices it goes on."""
+        self.epoch, self.first = epoch, first
 
     def __len__(self) -> int:
         return self.length // self.rank.of
@@ -74,4 +75,4 @@ class ShuffledSampler(Sampler[int]):
     def __iter__(self) -> Iterator[int]:
         sequence = purpose_sequence(self.seed, self.epoch, _ORDER)
         order = np.random.default_rng(sequence).permutation(self.length)
-        yield from order[self.rank.number :: self.rank.of][: len(self)].tolist()
+        yield from order[self.rank.number :: self.rank.of][self.first : len(self)].tolist()

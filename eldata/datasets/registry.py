@@ -1,23 +1,19 @@
 """The datasets by name: those of this package, and those that other installed packages register.
 
-A package of yours registers a dataset with an entry point of the group ``eldata.datasets``: its name, and the place of
-its class (docs/adding-a-dataset.md). Nothing of it is imported before that dataset is asked for.
+A package of yours registers a dataset by an entry point (:mod:`eldata.manifest.registered`). Nothing of it is imported
+before that dataset is asked for.
 """
 
 from __future__ import annotations
 
 from importlib import import_module
-from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any
 
-from eldata.errors import ArgumentError, DatasetError
+from eldata.errors import ArgumentError, DatasetError, did_you_mean
+from eldata.manifest.registered import registered_names, registered_place
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-# The group of entry points under which other packages name their datasets.
-ENTRY_POINTS = "eldata.datasets"
-
 
 # A dataset's name is that of its manifest; the place of its class, for commands that read this need no torch; and the
 # options that tell manifests apart which one class reads.
@@ -31,8 +27,15 @@ _ENTRIES: dict[str, tuple[str, dict[str, str]]] = {
 
 
 def dataset_names() -> tuple[str, ...]:
-    """Return the names of all datasets: this package's own, then those of other packages."""
-    return tuple(dict.fromkeys((*_ENTRIES, *sorted(point.name for point in entry_points(group=ENTRY_POINTS)))))
+    """Return the names of all datasets: this package's own, then those of other packages.
+
+    Examples
+    --------
+    >>> from eldata.datasets import dataset_names
+    >>> dataset_names()
+    ('eld', 'sid-sony', 'sid-fuji', 'drv', 'lrd')
+    """
+    return tuple(dict.fromkeys((*_ENTRIES, *registered_names())))
 
 
 def dataset_class(name: str) -> type[Any]:
@@ -77,11 +80,10 @@ def open_dataset(name: str, root: Path | str | None = None, **options: Any) -> A
 
 
 def _entry(name: str) -> tuple[str, dict[str, str]]:
-    own = [_ENTRIES[name]] if name in _ENTRIES else []
-    found = own + [(point.value, {}) for point in entry_points(group=ENTRY_POINTS, name=name)]
-    if not found:
-        raise ArgumentError(f"no dataset is called {name!r}; known are {', '.join(dataset_names())}")
-    if len(found) > 1:
-        places = ", ".join(place for place, _ in found)
-        raise ArgumentError(f"{len(found)} datasets are called {name!r}: {places}; import the one that you want")
-    return found[0]
+    own, options = _ENTRIES.get(name, (None, {}))
+    place = registered_place(name, own)
+    if place is None:
+        known = dataset_names()
+        hint = did_you_mean(name, known)
+        raise ArgumentError(f"no dataset is called {name!r}; known are {', '.join(known)}{hint}")
+    return place, options

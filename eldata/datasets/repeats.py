@@ -49,11 +49,15 @@ class Repeats:
         """Say nothing from now on: the epoch was chosen."""
         self._numbers[2] = 1
 
-    def note(self, index: int) -> None:
-        """Note that an item was made."""
+    def note(self, *indices: int) -> None:
+        """Note that items were made."""
+        for index in indices:
+            if self._numbers[2]:
+                return
+            self._note(index)
+
+    def _note(self, index: int) -> None:
         numbers = self._numbers
-        if numbers[2]:
-            return
         if not self._is_made[index]:
             self._is_made[index] = 1
             numbers[0] += 1
@@ -67,5 +71,5 @@ class Repeats:
                 f"{self.owner}: items of epoch 0 come again, with the same crops and the same noise to the bit, "
                 "for set_epoch was not called; call dataset.set_epoch(epoch) before each pass. If they are to stay the "
                 "same, as for validation, call dataset.set_epoch(0) once",
-                stacklevel=2,
+                stacklevel=3,
             )

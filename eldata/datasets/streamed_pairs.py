@@ -16,13 +16,14 @@ from torch.utils.data import IterableDataset, get_worker_info
 from eldata.base.seeds import checked_seed, item_generator, purpose_sequence
 from eldata.datasets.augmentation import Orientation
 from eldata.datasets.base import OpenedPair, PairItem, PairItems, Sample
-from eldata.datasets.choices import Representation, understood
+from eldata.datasets.choices import Representation, chosen_shading, shading_text, understood
 from eldata.datasets.crops import Crop
 from eldata.datasets.items import SharedEpoch
 from eldata.datasets.ranks import Rank, current_rank
 from eldata.errors import ArgumentError
 from eldata.raw.cfa import packed_shape
 from eldata.sources.frames import Frame
+from eldata.sources.pairs import stated_ratio
 from eldata.sources.shards import splitting
 from eldata.sources.shards.reading import read_run
 from eldata.sources.shards.remote import Folder
@@ -30,7 +31,7 @@ from eldata.sources.shards.remote import Folder
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator, Mapping, Sequence
 
-    from eldata.datasets.choices import Amplification
+    from eldata.protocols.protocol import Amplification
     from eldata.raw.cfa import Clip
     from eldata.raw.levels import FrameLevels
     from eldata.sources.shards.members import StoredSample
@@ -86,7 +87,7 @@ class StreamedPairs(IterableDataset[Sample]):
         Crops among which the next one is drawn; so many are in memory, in DN, in each worker.
     seed
         First part of each item's seed, and of the order's.
-    levels, clip, amplification
+    levels, clip, amplification, dark_shading
         See :class:`~eldata.datasets.choices.Representation`. Which pairs there are was chosen as shards were written.
     rank
         Which process of how many this is; ``None`` asks torch.distributed at each iteration.
@@ -140,6 +141,7 @@ class StreamedPairs(IterableDataset[Sample]):
         self.levels: FrameLevels = given.get("levels", "published")
         self.clip: Clip = given.get("clip", "both")
         self.amplification: Amplification = given.get("amplification", "metadata")
+        self.dark_shading = chosen_shading(given)
         self.rank = rank
         self._epoch = SharedEpoch()
         self._order: Literal["shuffled", "stored"] = "shuffled"
@@ -186,7 +188,10 @@ class StreamedPairs(IterableDataset[Sample]):
     def buffer_bytes(self) -> int:
         """What each worker holds beside its batches: the buffer, in DN, and a sample as it is read."""
         buffer = self.shuffle_buffer if self._order == "shuffled" else 0
-        return buffer * self.sample_bytes // 2 + max(int(shard.sample_bytes.max()) for shard in self.index.shards)
+        in_dn = 2 if self.dark_shading is None else 3  # uint16; inputs less a dark shading are float32
+        return buffer * self.sample_bytes * in_dn // 4 + max(
+            int(shard.sample_bytes.max()) for shard in self.index.shards
+        )
 
     def __getstate__(self) -> dict[str, Any]:
         # A worker that was not forked knows nothing of torch.distributed.
@@ -254,9 +259,12 @@ class StreamedPairs(IterableDataset[Sample]):
             Frame.of_raw(mosaic, side.sensor, name, side.exposure).with_levels(self.levels)
             for mosaic, side in ((sample.target_dn, facts.target), (sample.input_dn, facts.input))
         ]
+        if self.dark_shading is not None:
+            place = None if self.index.tile is None else (facts.top, facts.left)
+            frames[1] = frames[1].less(self.dark_shading, place)
         drawn = Crop.draw(frames[0], generator, crop=self.crop, augment=self.augment)
         target, noisy = (replace(frame, mosaic=drawn.cut(frame).copy(), cfa=drawn.cfa) for frame in frames)
-        ratio = facts.ratio if self.amplification == "metadata" else facts.record.ratio
+        ratio = stated_ratio(facts.record, self.amplification) or facts.ratio
         pair = OpenedPair(facts.record, target, noisy, ratio, noisy.exposure)
         whole = Crop((slice(None), slice(None)), drawn.cfa, Orientation(), drawn.height, drawn.width)
         return PairItem(pair, whole)
@@ -267,5 +275,6 @@ class StreamedPairs(IterableDataset[Sample]):
             f"StreamedPairs({self.folder.address!r}, {self.index.dataset}: {len(self.index)} {tile} in "
             f"{len(self.index.shards)} shards, crop={self.crop}, augment={self.augment}, "
             f"crops_per_frame={self.crops_per_frame}, shuffle_buffer={self.shuffle_buffer}, seed={self.seed}, "
-            f"levels={self.levels!r}, clip={self.clip!r}, amplification={self.amplification!r})"
+            f"levels={self.levels!r}, clip={self.clip!r}, amplification={self.amplification!r}"
+            f"{shading_text(self.dark_shading)})"
         )

@@ -12,7 +12,7 @@ import re
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -23,16 +23,29 @@ from eldata.base.files import atomic_write, json_text, remove_leftovers, sha256_
 from eldata.base.seeds import checked_seed, item_generator
 from eldata.base.workers import AnyWorkers, Workers, accepts_jobs, require_files
 from eldata.datasets.clean import RawFiles
+from eldata.datasets.crops import Crop
+from eldata.datasets.dark_frames import DarkFrames
 from eldata.datasets.synthesis_journal import CleanFacts, WrittenScene, opened_journal
+from eldata.datasets.turns import Turns
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError, check_choice
 from eldata.manifest.card import CameraCard, Card, cfa_word
 from eldata.manifest.catalogue import Manifest, save_manifest
 from eldata.noise.components import parse_components
+from eldata.noise.dark_shading import dark_shading_in
 from eldata.noise.model import NoiseModel
-from eldata.raw.cfa import cfa_from, pack_normalised, packed_area, packed_black_level_dn, packing_sites, unpack
+from eldata.raw.cfa import (
+    cfa_from,
+    pack_normalised,
+    packed_area,
+    packed_black_level_dn,
+    packed_shape,
+    packing_sites,
+    unpack,
+)
 from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
 from eldata.records import Exposure, FrameRecord, RawFrame
+from eldata.sources.frames import Frame
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -63,6 +76,12 @@ class Recipe:
         Noisy frames per clean one.
     format
         ``"dng"``: raw DN; ``"npy"``: packed (C, h, w) float32, normalised and amplified.
+    dark_frames
+        Of component D: a folder or a store of the camera's bias frames (:class:`~eldata.datasets.DarkFrames`). Each is
+        used once before any is used twice. They are of one ISO, so ``iso`` is needed, and K is exactly that ISO's.
+    dark_shading
+        Of component S: the file of the camera body's dark shading; ``iso`` is needed, too. Clean frames are of that
+        sensor, as with dark frames.
     """
 
     profile: CameraProfile
@@ -74,6 +93,8 @@ class Recipe:
     extrapolate: bool = False
     per_image: int = 1
     format: Format = "dng"
+    dark_frames: Path | None = None
+    dark_shading: Path | None = None
 
     def __post_init__(self) -> None:
         low, high = self.ratio
@@ -85,16 +106,36 @@ class Recipe:
         check_choice("format", self.format, get_args(Format))
         # Refuses now what the profile cannot be sampled with.
         self.profile.sample(np.random.default_rng(0), iso=self.iso, row=self.row, extrapolate=self.extrapolate)
-        self.model()
+        for name, kind in (("dark_frames", "dark frames"), ("dark_shading", "the dark shading")):
+            if (path := getattr(self, name)) is not None:
+                object.__setattr__(self, name, Path(path).absolute())  # workers may stand elsewhere
+                if self.iso is None:
+                    raise ArgumentError(f"noise is made with {kind} of one ISO; choose it with --iso (iso=...)")
+        self.model(self.dark())
 
-    def model(self) -> NoiseModel:
-        """Return the noise model; for DNG without U, because writing rounds."""
+    @property
+    def written_spec(self) -> str:
+        """The components that are drawn; for DNG without U, because writing rounds."""
         parts = parse_components(self.spec)
         if self.format == "npy" or not parts.quantisation:
-            return NoiseModel(self.spec)
+            return self.spec
         if parts.spec == "U":
             raise ArgumentError("noise model 'U': writing a DNG rounds to whole DN already; name another component")
-        return NoiseModel(replace(parts, quantisation=False).spec)
+        return replace(parts, quantisation=False).spec
+
+    def dark(self) -> DarkFrames | None:
+        """Return the dark frames, newly opened: they are looked for in their folder."""
+        if self.dark_frames is None or self.iso is None:
+            return None
+        return DarkFrames(self.dark_frames, isos=[self.iso])
+
+    def model(self, dark: DarkFrames | None) -> NoiseModel:
+        """Return the noise model, with dark frames that are open."""
+        shading = None if self.dark_shading is None else dark_shading_in(self.dark_shading)
+        model = NoiseModel(self.written_spec, dark_frames=dark, dark_shading=shading)
+        if shading is not None and self.iso is not None:
+            shading.measured(self.iso)
+        return model
 
 
 @accepts_jobs
@@ -128,37 +169,82 @@ def synthesize(clean: Path, out: Path, recipe: Recipe, *, workers: AnyWorkers = 
         If a file cannot be written.
     """
     workers = Workers.of(workers)
-    paths = RawFiles(clean).paths
+    paths, dark = RawFiles(clean).paths, recipe.dark()
     name = re.sub(r"[^\w.+-]", "-", out.resolve().name) or "synthetic"
     data = out / "data" / name
     if out.exists() and not out.is_dir():
         raise DatasetError(f"{out}: is not a folder; give a new one")
-    with opened_journal(out, _begun(recipe, paths)) as journal:
+    begun = _begun(recipe, paths, dark)
+    with opened_journal(out, begun) as journal:
         try:
             for folder in (out / "manifests", data):
                 folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise EldataError(f"cannot make {error.filename}: {error.strerror}") from error
         scenes: list[WrittenScene] = []
-        work = partial(_synthesize_file, Path.cwd(), data.absolute(), recipe)
+        work = partial(_synthesize_file, Path.cwd(), data.absolute(), recipe, _digest(begun))
         units = [(index, path, journal.written.get(index)) for index, path in enumerate(paths)]
         for scene in workers.run(work, units, label="synthesizing"):
             journal.add(scene)
             scenes.append(scene)
-        manifest = _write_tables(out, name, recipe, paths, scenes)
+        manifest = _write_tables(out, name, recipe, paths, scenes, dark)
         journal.finish()
     return manifest
 
 
-def _begun(recipe: Recipe, paths: Sequence[Path]) -> dict[str, object]:
+def _begun(recipe: Recipe, paths: Sequence[Path], dark: DarkFrames | None) -> dict[str, object]:
     """Return what decides the content of every file, as plain types."""
-    clean = [(str(path), status.st_size, status.st_mtime_ns) for path in paths for status in [path.stat()]]
     options = asdict(recipe) | {"ratio": list(recipe.ratio), "profile": recipe.profile.camera}
+    for name in ("dark_frames", "dark_shading"):  # their content is compared, wherever it lies
+        del options[name]
+    if dark is not None and recipe.dark_frames is not None:
+        names = dark.names(dark.isos[0])
+        files = [path for path in map(Path, names) if path.is_file()] or [recipe.dark_frames]  # or a store of them
+        options["digest_of_the_dark_frames"] = _digest([*names, *_stamps(files)])
+    if recipe.dark_shading is not None:
+        options["dark_shading"] = dark_shading_in(recipe.dark_shading).digest
     return options | {
         "written_by": f"eldata {__version__}",
         "digest_of_the_profile": _digest(recipe.profile.as_dict()),
-        "digest_of_the_clean_files": _digest(clean),
+        "digest_of_the_clean_files": _digest(_stamps(paths)),
     }
+
+
+def _stamps(paths: Sequence[Path]) -> list[tuple[str, int, int]]:
+    return [(str(path), status.st_size, status.st_mtime_ns) for path in paths for status in [path.stat()]]
+
+
+@lru_cache(maxsize=1)
+def _opened(path: Path, iso: float, _begun: str) -> DarkFrames:
+    """Return dark frames, which a process looks for once as long as the work is the same."""
+    return DarkFrames(path, isos=[iso])
+
+
+def _member(recipe: Recipe, dark: DarkFrames, index: int, copy: int) -> int:
+    """Return the number of the dark frame whose turn it is."""
+    (iso,) = dark.isos
+    return Turns(recipe.seed, [1.0], [len(dark.names(iso))]).at(index * recipe.per_image + copy)[1][0]
+
+
+def _of_sensor(
+    recipe: Recipe,
+    dark: DarkFrames | None,
+    frame: Frame,
+    exposure_s: float,
+    unit: tuple[int, int],
+    generator: np.random.Generator,
+) -> dict[str, Any]:
+    """Return what the noise of a whole frame has from the sensor that took it, as the model's arguments."""
+    whole = Crop.region(frame, (0, 0, *packed_shape(frame.shape, frame.cfa)[1:]))
+    found: dict[str, Any] = {}
+    if dark is not None:
+        (iso,) = dark.isos
+        found["dark"] = dark.crops(iso, [_member(recipe, dark, *unit)], dark.region(iso, frame, whole, generator))
+    if recipe.dark_shading is not None:
+        model = "" if frame.sensor is None else frame.sensor.model
+        dark_shading_in(recipe.dark_shading).check_sensor(frame.name, frame.shape, frame.cfa, model)
+        found |= {"place": (0, 0), "exposure_s": exposure_s}  # the first of the area that packing keeps
+    return found
 
 
 def _digest(what: object) -> str:
@@ -166,7 +252,12 @@ def _digest(what: object) -> str:
 
 
 def _write_tables(
-    out: Path, name: str, recipe: Recipe, paths: Sequence[Path], scenes: Sequence[WrittenScene]
+    out: Path,
+    name: str,
+    recipe: Recipe,
+    paths: Sequence[Path],
+    scenes: Sequence[WrittenScene],
+    dark: DarkFrames | None,
 ) -> Manifest:
     """Write the parameters, the card and the manifest, which comes last."""
     records: list[FrameRecord] = []
@@ -186,7 +277,13 @@ def _write_tables(
             records.append(replace(of_copy, ratio=draw.ratio, reference=reference.path))
             parameters = draw.parameters.as_dict()
             drawn.append({"path": of_copy.path, "clean": str(path), "ratio": float(draw.ratio)} | parameters)
+            if dark is not None:
+                drawn[-1]["dark_frame"] = dark.names(dark.isos[0])[_member(recipe, dark, scene.index, copy)]
     roles = [record.role for record in records]
+    shading = None if recipe.dark_shading is None else dark_shading_in(recipe.dark_shading)
+    sources = [f"noise model {recipe.spec}, profile {recipe.profile.camera}: {recipe.profile.source}"]
+    if shading is not None:
+        sources.append(f"dark shading of {shading.camera}, {shading.digest}: {shading.source}")
     card = Card(
         name=name,
         title=f"Synthetic noise of {recipe.profile.camera} on {len(paths)} clean frames",
@@ -198,15 +295,16 @@ def _write_tables(
         cfa=cfa_word(scene.clean.cfa for scene in scenes),
         cameras={recipe.profile.camera: CameraCard(tuple(sorted({scene.clean.model for scene in scenes})))},
         counts={role: roles.count(role) for role in sorted(set(roles))},
-        sources=(f"noise model {recipe.spec}, profile {recipe.profile.camera}: {recipe.profile.source}",),
+        sources=tuple(sources),
     )
     parameters = {
         "model": recipe.spec,
-        "written_model": recipe.model().components.spec,
+        "written_model": parse_components(recipe.written_spec).spec,
         "profile": recipe.profile.as_dict(),
         "seed": recipe.seed,
         "ratio": list(recipe.ratio),
         "format": recipe.format,
+        **({} if shading is None else {"dark_shading": shading.digest}),
         "frames": drawn,
     }
     write_json(out / "parameters.json", parameters, indent=1)
@@ -237,14 +335,15 @@ class _Draw:
 
 
 def _synthesize_file(
-    start: Path, folder: Path, recipe: Recipe, unit: tuple[int, Path, WrittenScene | None]
+    start: Path, folder: Path, recipe: Recipe, begun: str, unit: tuple[int, Path, WrittenScene | None]
 ) -> WrittenScene:
     index, path, before = unit
     place = folder / recipe.profile.camera / f"scene-{index + 1}"
     if before is not None and all(_has(place / name, sha256) for name, sha256 in before.sha256.items()):
         return before
     require_files(start / path)
-    frame = _cropped(read_raw(start / path))
+    raw = read_raw(start / path)
+    frame = _cropped(raw)
     iso, exposure_s = frame.exposure.iso, frame.exposure.exposure_s
     if iso is None or exposure_s is None:
         raise RawFileError(
@@ -260,11 +359,17 @@ def _synthesize_file(
     clean = pack_normalised(frame.mosaic, sensor.cfa, sensor.black_level_dn, sensor.white_level_dn)
     black = packed_black_level_dn(sensor.cfa, sensor.black_level_dn).astype(np.float64)[:, None, None]
     range_dn = sensor.white_level_dn - float(black.mean())
+    dark = None
+    if recipe.dark_frames is not None and recipe.iso is not None:
+        dark = _opened(recipe.dark_frames, recipe.iso, begun)
+    model = recipe.model(dark)
+    whole = Frame.of_raw(raw.mosaic, raw.sensor, str(path), raw.exposure)
     for copy in range(recipe.per_image):
         draw = _Draw.of(recipe, facts, index, copy)
         ratio = float(draw.ratio)
-        noisy = recipe.model()(
-            clean, parameters=draw.parameters, ratio=ratio, range_dn=range_dn, generator=draw.generator
+        of_sensor = _of_sensor(recipe, dark, whole, float(draw.exposure_s), (index, copy), draw.generator)
+        noisy = model(
+            clean, parameters=draw.parameters, ratio=ratio, range_dn=range_dn, generator=draw.generator, **of_sensor
         )
         names.append(draw.name)
         if recipe.format == "dng":

@@ -56,6 +56,18 @@ class SyntheticPairs(NoisyItems[NoisyItem, SyntheticSample]):
     ------
     ArgumentError
         If a value is out of its range.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from eldata import SyntheticPairs
+    >>> from eldata.datasets import Arrays
+    >>> clean = Arrays(np.full((2, 4, 128, 128), 0.2, np.float32), range_dn=15871.0)
+    >>> pairs = SyntheticPairs(clean, "SonyA7S2", crop=64, crops_per_frame=8, seed=0)
+    >>> len(pairs), pairs[0]["input"].shape
+    (16, torch.Size([4, 64, 64]))
+    >>> bool((pairs[3]["input"] == pairs[3]["input"]).all())
+    True
     """
 
     def __init__(

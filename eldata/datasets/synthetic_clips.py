@@ -72,6 +72,15 @@ class SyntheticClips(NoisyItems[_Item, SyntheticClipSample]):
     ------
     ArgumentError
         If a value is out of its range.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from eldata import SyntheticClips
+    >>> from eldata.datasets import ArrayClips
+    >>> clean = ArrayClips([np.full((9, 4, 96, 96), 0.2, np.float32)], range_dn=15871.0)
+    >>> SyntheticClips(clean, "SonyA7S2", crop=64, seed=0)[0]["input"].shape
+    torch.Size([5, 4, 64, 64])
     """
 
     def __init__(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from typing import TYPE_CHECKING, Any
 
@@ -56,7 +57,8 @@ def run_calibration_demo(
     print(f"{len(manifest.records)} raw files (DNG), bias and flat-field frames of {camera.name}: {data / camera.name}")
 
     profile, report = folder / f"{camera.name}.json", folder / "calibration.html"
-    print(f"\n$ eldata calibrate {data} --camera {camera.name} -o {profile} --html {report}")
+    files = f"-o {shlex.quote(str(profile))} --html {shlex.quote(str(report))}"
+    print(f"\n$ eldata calibrate {shlex.quote(str(data))} --camera {camera.name} {files}")
     found = calibrate(CalibrationFrames(data, camera.name), workers=workers)
     print(found.format_text())
     found.profile.save(profile)

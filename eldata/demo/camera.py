@@ -26,7 +26,30 @@ if TYPE_CHECKING:
 BASE_ISO = 100
 
 # A sensor's response to sRGB white is this share of its range at the metered exposure.
-_METERED_SHARE = 0.9
+METERED_SHARE = 0.9
+
+
+def mosaic_light(radiance: NDArray[np.float32], sensor: Sensor) -> NDArray[np.float64]:
+    """Return the light behind each pixel's colour filter, (H, W): sRGB white gives 1 over its white balance.
+
+    Parameters
+    ----------
+    radiance
+        (3, H, W), linear sRGB in [0, 1].
+    sensor
+        A Bayer sensor of that size.
+    """
+    camera: NDArray[np.float64] = radiance.astype(np.float64)
+    if sensor.xyz_to_camera is not None:
+        camera = np.einsum("ij,jhw->ihw", np.linalg.inv(camera_to_srgb(sensor.xyz_to_camera)), camera)
+    if sensor.white_balance is not None:
+        camera = camera / np.array(sensor.white_balance[:3])[:, None, None]
+    camera = np.maximum(camera, 0)
+    colours = np.array([0, 1, 2, 1])[sensor.cfa_pattern]  # of G1 and G2 alike
+    rows, columns = np.ogrid[: sensor.height, : sensor.width]
+    site = colours[rows % len(colours), columns % len(colours)]
+    light: NDArray[np.float64] = np.take_along_axis(camera, site[None], axis=0)[0]
+    return light
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,18 +99,9 @@ class SimulatedCamera:
             Exposure time as a multiple of the metered one, at which white fills 0.9 of the range at ISO 100.
         """
         sensor = self.sensor
-        camera: NDArray[np.float64] = radiance.astype(np.float64)
-        if sensor.xyz_to_camera is not None:
-            camera = np.einsum("ij,jhw->ihw", np.linalg.inv(camera_to_srgb(sensor.xyz_to_camera)), camera)
-        if sensor.white_balance is not None:
-            camera = camera / np.array(sensor.white_balance[:3])[:, None, None]
-        camera = np.maximum(camera, 0)
-        colours = np.array([0, 1, 2, 1])[sensor.cfa_pattern]  # of G1 and G2 alike
-        rows, columns = np.ogrid[: sensor.height, : sensor.width]
-        site = colours[rows % len(colours), columns % len(colours)]
-        mosaic = np.take_along_axis(camera, site[None], axis=0)[0]
+        mosaic = mosaic_light(radiance, sensor)
         span = sensor.white_level_dn - max(sensor.black_level_dn)
-        electrons: NDArray[np.float64] = mosaic * (_METERED_SHARE * span / self.base_gain_dn_per_e * float(exposure))
+        electrons: NDArray[np.float64] = mosaic * (METERED_SHARE * span / self.base_gain_dn_per_e * float(exposure))
         return electrons
 
     def photograph(

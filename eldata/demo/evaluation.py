@@ -2,40 +2,45 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from typing import TYPE_CHECKING
 
-from tqdm import tqdm
-
-from eldata.datasets.eld import ELDDataset
+from eldata.baselines.networks import load_network
+from eldata.baselines.predicting import BaselineDenoiser, write_predictions
+from eldata.demo.camera import CAMERAS
 from eldata.demo.contact_sheet import write_contact_sheet
-from eldata.demo.denoise import denoise
 from eldata.demo.folder import prepare_folder
+from eldata.demo.known_profile import known_profile
 from eldata.demo.scenes import scene_title
 from eldata.demo.tree import make_tree
 from eldata.errors import EldataError
 from eldata.evaluation.evaluate import evaluate
-from eldata.evaluation.predictions import load_prediction, save_prediction
+from eldata.evaluation.predictions import load_prediction
 from eldata.isp.preview import preview
 from eldata.manifest.verify import verify
+from eldata.noise.profile import CameraProfile
 from eldata.raw.levels import packed_frame
 from eldata.raw.reading import read_raw
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from eldata.baselines.predicting import Denoiser
     from eldata.evaluation.results import EvaluationResult
     from eldata.manifest.catalogue import Manifest
 
 _INPUT = "amplified"
 _SCORED = {
     _INPUT: "the noisy input times the exposure ratio, nothing else",
-    "dct": "sliding-window DCT thresholding",
+    "dct": "sliding-window DCT thresholding, which knows the noise of each camera",
+    "unet": "the small network that ships with eldata, trained on the noise of virtual cameras alone",
 }
+_NETWORK = "eldata.baselines:reference_network"
 
 
 def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0) -> dict[str, EvaluationResult]:
-    """Run the demo into a folder, printing what happens; return the results of ``amplified`` and ``dct``.
+    """Run the demo into a folder, printing what happens; return the results of ``amplified``, ``dct`` and ``unet``.
 
     Raises
     ------
@@ -54,19 +59,34 @@ def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0) -> dict[str, Evalu
         f"{len(manifest.records)} raw files (DNG) of {scenes} scenes and {len(manifest.card.cameras)} cameras: {root}"
     )
 
-    print("\n$ eldata verify", f"{folder / 'manifests'} --root {root} --level metadata")
-    report = verify([manifest], root, level="metadata")
-    print(report.format_text())
-    if not report.ok:
+    at_root = f"--root {shlex.quote(str(root))}"
+    print(f"\n$ eldata verify {shlex.quote(str(folder / 'manifests'))} {at_root} --level metadata")
+    verified = verify([manifest], root, level="metadata")
+    print(verified.format_text())
+    if not verified.ok:
         raise EldataError("the demo's own files do not verify")
 
     predictions = folder / "predictions"
-    _predict(manifest, manifest.folder(root), predictions)
+    profiles = _write_profiles(folder, manifest)
+    listed = shlex.quote(str(manifest.path))
+    given = " ".join(f"--profile {shlex.quote(str(path))}" for path in profiles)
+    denoisers: dict[str, tuple[str, Denoiser]] = {
+        "dct": (f"baseline dct {given}", BaselineDenoiser("dct", tuple(map(CameraProfile.load, profiles)))),
+        "unet": (f"predict {_NETWORK}", load_network(_NETWORK, device="cpu")),
+    }
+    for name, (command, denoiser) in denoisers.items():
+        made = shlex.quote(str(predictions / name))
+        print(f"\n$ eldata {command} --manifest {listed} {at_root} -o {made}")
+        report = write_predictions(denoiser, "", predictions / name, manifest=manifest.path, root=root)
+        print(report.format_text())
+        if report.problems:
+            raise EldataError("the demo's own files could not be denoised")
     results = {}
     for name, what in _SCORED.items():
         place = None if name == _INPUT else predictions / name
         print(f"\n{name}: {what}")
-        print(f"$ eldata evaluate {place or '--baseline input'} --manifest {manifest.path} --root {root}")
+        scored = "--baseline input" if place is None else shlex.quote(str(place))
+        print(f"$ eldata evaluate {scored} --manifest {listed} {at_root}")
         results[name] = evaluate(place, manifest=manifest.path, root=root, baseline="input" if place is None else None)
         print(results[name].format_text())
         results[name].write_csv(folder / f"{name}.csv")
@@ -78,12 +98,15 @@ def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0) -> dict[str, Evalu
     return results
 
 
-def _predict(manifest: Manifest, folder: Path, predictions: Path) -> None:
-    # The denoiser needs the negative half of the read noise, or the dark parts come out too bright.
-    unclipped = ELDDataset(folder, manifest=manifest.path, clip="none")
-    for index in tqdm(range(len(unclipped)), desc="denoising", unit="frame", disable=None, leave=False):
-        sample = unclipped[index]
-        save_prediction(predictions / "dct", sample["path"], denoise(sample["input"].numpy()))
+def _write_profiles(folder: Path, manifest: Manifest) -> list[Path]:
+    """Write what is known of the cameras' noise; return the files."""
+    isos = sorted({int(record.iso) for record in manifest.records if record.iso is not None})
+    (folder / "profiles").mkdir(exist_ok=True)
+    files = []
+    for camera in CAMERAS:
+        files.append(folder / "profiles" / f"{camera.name}.json")
+        known_profile(camera, isos).save(files[-1])
+    return files
 
 
 def _draw(path: Path, folder: Path, predictions: Path, results: dict[str, EvaluationResult]) -> None:
@@ -100,8 +123,9 @@ def _draw(path: Path, folder: Path, predictions: Path, results: dict[str, Evalua
         title = scene_title(int(scene.removeprefix("scene-")))
         row = [(f"{title}, {camera}: reference, ISO 100", preview(target, reference.sensor))]
         noisy = packed_frame(read_raw(folder / pair.path), levels="published", clip="both", gain=float(pair.ratio or 1))
-        denoised = load_prediction((predictions / "dct" / pair.path).with_suffix(".npy"), reference.sensor, "published")
-        for (name, result), prediction in zip(results.items(), (noisy, denoised), strict=True):
+        for name, result in results.items():
+            file = (predictions / name / pair.path).with_suffix(".npy")
+            prediction = noisy if name == _INPUT else load_prediction(file, reference.sensor, "published")
             score = next(image for image in result.images if image.path == pair.path)
             caption = f"{name}, ISO 1600 x200: {score.psnr_db:.1f} dB, SSIM {score.ssim:.2f}"
             row.append((caption, preview(prediction * score.rescale, reference.sensor)))

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from eldata.records import FrameRecord, Sensor
 
 _MARKER = ".eldata-demo"
-_MADE = ("data", "manifests", "predictions")
+_MADE = ("data", "manifests", "profiles", "predictions")
 
 
 def demo_card(
@@ -59,7 +59,7 @@ def prepare_folder(folder: Path) -> None:
         raise EldataError(f"{folder}: holds something else; give a new folder")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        write_text(marker, "Made by eldata demo, which may empty this folder's data, manifests and predictions.\n")
+        write_text(marker, "Made by eldata demo, which may empty its folders {}.\n".format(", ".join(_MADE)))
         for name in _MADE:
             if (folder / name).is_dir():
                 shutil.rmtree(folder / name)

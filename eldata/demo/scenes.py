@@ -91,7 +91,7 @@ def _whole(value: int, name: str, least: int) -> int:
     return whole
 
 
-def _linear(srgb: ArrayLike) -> Field:
+def linear_light(srgb: ArrayLike) -> Field:
     """Return 8-bit sRGB values as linear light."""
     value = np.asarray(srgb, np.float64) / 255
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)
@@ -264,7 +264,7 @@ class _Stage:
     def chart(self, cx: float, cy: float, pitch: float) -> None:
         """Draw the 24-patch chart in its dark frame; variations turn it upside down or mirror it."""
         self.panel(cx, cy, 6.3 * pitch, 4.3 * pitch, 0.018)
-        patches = _linear(CHART_SRGB).reshape(4, 6, 3)
+        patches = linear_light(CHART_SRGB).reshape(4, 6, 3)
         patches = patches[:: -1 if self.variation % 2 else 1, :: int(self.side)]
         for (row, column), _ in np.ndenumerate(patches[..., 0]):
             px, py, colour = cx + (column - 2.5) * pitch, cy + (row - 1.5) * pitch, patches[row, column]

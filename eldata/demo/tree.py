@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from eldata.demo.camera import SimulatedCamera
 
 # What the simulated photographer metered: seconds at ISO 100. 3.2 s in every second scene, as in the real set.
-_METERED_S = (Fraction(4), Fraction(16, 5))
-_F_NUMBER = Fraction(28, 5)
+METERED_S = (Fraction(4), Fraction(16, 5))
+F_NUMBER = Fraction(28, 5)
 
 
 def make_tree(
@@ -55,7 +55,7 @@ def make_tree(
     data, manifests = folder / "data" / "ELD-demo", folder / "manifests"
     manifests.mkdir(parents=True, exist_ok=True)
     numbers = range(1, scenes + 1)
-    metered_s = {number: _METERED_S[(number - 1) % len(_METERED_S)] for number in numbers}
+    metered_s = {number: METERED_S[(number - 1) % len(METERED_S)] for number in numbers}
     records = eld_records([EldCamera(camera.name, ".dng", BASE_ISO, metered_s) for camera in cameras], numbers)
     camera_of = {camera.name: (index, camera.with_size(*size)) for index, camera in enumerate(cameras)}
     radiance = {f"scene-{number}": scene_radiance(number, *size) for number in numbers}
@@ -69,7 +69,7 @@ def make_tree(
             mosaic = camera.photograph(radiance[record.scene], exposure_s / metered, int(iso), generator)
             path = data / record.path
             path.parent.mkdir(parents=True, exist_ok=True)
-            exposure = Exposure(iso, exposure_s, _F_NUMBER)
+            exposure = Exposure(iso, exposure_s, F_NUMBER)
             write_dng(path, mosaic, camera.sensor, exposure, compression="lossless-jpeg")
     title, sources = "Simulated ELD-like set", "eldata.demo: procedural scenes, simulated cameras"
     sensors = {camera.name: camera.sensor for camera in cameras}

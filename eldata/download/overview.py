@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 import textwrap
 from dataclasses import asdict, dataclass
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from eldata.download.card_downloads import archive_size
 from eldata.download.unpacking import STAGING
-from eldata.manifest.catalogue import data_root, shipped_card, shipped_manifest, shipped_names
+from eldata.manifest.catalogue import carded_names, data_root, known_manifest, shipped_card, shipped_names
 from eldata.manifest.patterns import is_pattern, matching
 
 if TYPE_CHECKING:
@@ -71,10 +70,8 @@ class Overview:
     @property
     def verify_command(self) -> str:
         """The command that checks the files."""
-        manifest = os.path.relpath(self.manifest.path)
-        shown = manifest if not manifest.startswith("..") else str(self.manifest.path)
         level = "quick" if self.manifest.card.unreadable else "metadata"
-        return f"eldata verify {shlex.quote(shown)} --root {shlex.quote(str(self.root))} --level {level}"
+        return f"eldata verify {self.manifest.name} --root {shlex.quote(str(self.root))} --level {level}"
 
     @property
     def row(self) -> tuple[str, ...]:
@@ -252,5 +249,6 @@ def overview_of(name: str, root: Path | str | None = None) -> Overview | CardAlo
     ManifestError
         If the name is unknown; the message lists the known ones.
     """
-    card = shipped_card(name)
-    return overview(shipped_manifest(name), root) if name in shipped_names() else CardAlone(card)
+    if name in carded_names() and name not in shipped_names():
+        return CardAlone(shipped_card(name))
+    return overview(known_manifest(name), root)

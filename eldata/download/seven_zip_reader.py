@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from eldata.base.fields import shown
 from eldata.base.isolation import limit_memory
+from eldata.base.main_guard import require_main_guard
 from eldata.download.readers import (
     BY_HAND,
     CUT_SHORT,
@@ -77,6 +78,7 @@ def _messages(path: Path, names: list[str] | None) -> Iterator[Iterator[tuple[st
     ours, theirs = spawn.Pipe(duplex=False)
     process = spawn.Process(target=_serve, args=(theirs, os.fspath(path), names), daemon=True)
     with ours, theirs:
+        require_main_guard()
         with _interruptions_held():
             process.start()
         try:

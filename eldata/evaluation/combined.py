@@ -7,7 +7,10 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from eldata.base.files import write_json
+from eldata.base.notebook import block, table
+from eldata.base.numbers import counted
 from eldata.base.tables import text_table
+from eldata.base.visible import in_line
 from eldata.evaluation.results import nothing_scored, problem_lines, write_scores
 from eldata.evaluation.scores import json_object, mean
 from eldata.protocols.comparability import comparability
@@ -160,7 +163,7 @@ class CombinedResult:
         cameras = first.provenance["cameras"]
         excluded = "".join(f", without {flag}" for flag in first.provenance["excluded_flags"])
         only = "" if cameras == "all" else f", only {', '.join(cameras)}"
-        lines += [f"{first.dataset}, {count} protocol{'s' if count > 1 else ''}{only}{excluded}", ""]
+        lines += [f"{first.dataset}, {counted(count, 'protocol')}{only}{excluded}", ""]
         lines += [self.format_table(), ""]
         lines += [
             f"INCOMPLETE: {len(result.missing)} {result.kind.counted} are not in the means of {result.protocol.name}, "
@@ -196,6 +199,30 @@ class CombinedResult:
         ]
         lines += [f"not scored: {one.protocol}: {one.reason}" for one in self.not_scored]
         return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        names = ", ".join(result.protocol.name for result in self.results)
+        return f"CombinedResult({in_line(self.results[0].dataset)}, {self.scored} scored; protocols {in_line(names)})"
+
+    def _repr_html_(self) -> str:
+        first = self.results[0]
+        heads = ("protocol", first.kind.counted, *(metric.head for metric in first.kind.metrics))
+        rows = [
+            (
+                result.protocol.name,
+                result.whole.coverage,
+                *(
+                    metric.text(result.whole.values[metric.name]) if result.scored else "-"
+                    for metric in first.kind.metrics
+                ),
+            )
+            for result in self.results
+        ]
+        notes = [
+            *problem_lines(self.problems),
+            *(f"not scored: {one.protocol}: {one.reason}" for one in self.not_scored),
+        ]
+        return block(f"{first.dataset}, {counted(len(self.results), 'protocol')}", table(heads, rows), notes=notes)
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain JSON types.

@@ -5,101 +5,32 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, cast, get_args
+from typing import TYPE_CHECKING, Any, cast, get_args
 
 import numpy as np
 
-from eldata.base.files import inside
-from eldata.base.png import rgb_frame
-from eldata.errors import EldataError, RawFileError
+from eldata.errors import RawFileError
 from eldata.evaluation.diagnosis import mistake_in
 from eldata.evaluation.inspected_frame import Circumstances
 from eldata.evaluation.pairs import Pair, ratio_of
 from eldata.evaluation.predictions import load_colours, load_dng, load_prediction
-from eldata.evaluation.references import levels_dn, normalised_frame, rendered_reference
+from eldata.evaluation.references import levels_dn, normalised_frame
+from eldata.evaluation.shared_frames import NoisyInput, Reference, ScoringJob, Shared, file_problem_of
 from eldata.evaluation.suspicions import Inspection, sketch
-from eldata.protocols.protocol import Amplification, Levels
+from eldata.protocols.protocol import Levels
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Sequence
+    from collections.abc import Hashable, Sequence
 
     from numpy.typing import NDArray
 
+    from eldata.evaluation.originals import Originals
     from eldata.evaluation.scores import FrameScore
+    from eldata.evaluation.tasks import TaskImages
     from eldata.metrics.image_score import Score, ScoringRules
     from eldata.metrics.lpips import LpipsWeights
     from eldata.protocols.protocol import Protocol
     from eldata.records import RawFrame, Sensor
-
-Value = TypeVar("Value")
-
-
-@dataclass(frozen=True, slots=True)
-class ScoringJob:
-    """What all units share: where predictions' paths begin, the dataset's folder, protocols, threads of a unit.
-
-    ``lpips``: the folder of its weights, if LPIPS is wanted.
-    """
-
-    start: Path
-    folder: Path
-    protocols: tuple[Protocol, ...]
-    threads: int | None
-    lpips: Path | None = None
-
-
-class _Shared:
-    """Values that are computed when they are first asked for; what that raises is raised each time."""
-
-    def __init__(self) -> None:
-        self._values: dict[Hashable, Any] = {}
-
-    def get(self, key: Hashable, compute: Callable[[], Value]) -> Value:
-        if key not in self._values:
-            try:
-                self._values[key] = compute()
-            except EldataError as error:
-                self._values[key] = error
-        value = self._values[key]
-        if isinstance(value, EldataError):
-            raise value
-        return value  # type: ignore[no-any-return] # of the key's kind
-
-
-class Reference:
-    """A reference, decoded once, as each protocol takes it."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._shared = _Shared()
-
-    @property
-    def frame(self) -> RawFrame:
-        """The decoded file."""
-        from eldata.raw.reading import read_raw
-
-        return self._shared.get("frame", lambda: read_raw(self._path))
-
-    def lacks_channel_whites(self, protocol: Protocol) -> bool:
-        """Return whether a protocol takes the white level of each channel and LibRaw has none."""
-        return protocol.levels == "metadata-per-channel" and self.frame.channel_white_levels_dn is None
-
-    def key(self, protocol: Protocol) -> Hashable:
-        """Return what decides :meth:`target`: of levels the numbers, since two choices may come to the same."""
-        if protocol.pixels != "packed":
-            return protocol.pixels
-        return levels_dn(self.frame, protocol.levels), protocol.reference_clip
-
-    def target(self, protocol: Protocol) -> NDArray[Any]:
-        """Return what predictions are compared with, (C, h, w) of the whole frame."""
-        return self._shared.get(self.key(protocol), lambda: self._target(protocol))
-
-    def _target(self, protocol: Protocol) -> NDArray[Any]:
-        if protocol.pixels == "srgb":
-            return rendered_reference(self._path)
-        if protocol.pixels == "rgb":
-            return rgb_frame(self._path)
-        return normalised_frame(self.frame, protocol.levels, clip=protocol.reference_clip)
 
 
 class ComparedFrame:
@@ -113,12 +44,12 @@ class ComparedFrame:
         job: ScoringJob,
         reference: Reference,
         pair: Pair,
-        path: str,
+        noisy: NoisyInput,
         file: Path | None,
         changed: NDArray[Any] | None = None,
     ) -> None:
-        self.reference, self.path, self.file = reference, path, file
-        self._job, self._pair, self._shared, self._changed = job, pair, _Shared(), changed
+        self.reference, self.path, self.file = reference, noisy.path, file
+        self._job, self._pair, self._noisy, self._shared, self._changed = job, pair, noisy, Shared(), changed
 
     def prediction(self, protocol: Protocol) -> tuple[Hashable, NDArray[Any]]:
         """Return the prediction of the whole frame, and what decides it."""
@@ -127,6 +58,8 @@ class ComparedFrame:
             return "changed", self._changed
         if self.file is None:
             return self.input(protocol)
+        if protocol.pixels == "packed":
+            self._check_shading()
         file, levels = self._job.start / self.file, protocol.levels
         if protocol.pixels == "packed" and self._is_dng:
             key = "dng", levels_dn(self._dng, levels)
@@ -138,13 +71,15 @@ class ComparedFrame:
 
     def input(self, protocol: Protocol) -> tuple[Hashable, NDArray[Any]]:
         """Return the amplified noisy input as a protocol has it, and what decides it."""
-        if protocol.pixels == "rgb":  # amplified by its authors
-            return "input", self._shared.get("input", lambda: rgb_frame(inside(self._job.folder, self.path)))
-        ratio = self._ratio(protocol.amplification)
-        key = ("input", levels_dn(self._noisy, protocol.levels), protocol.input_clip, ratio)
-        return key, self._shared.get(
-            key, lambda: normalised_frame(self._noisy, protocol.levels, clip=protocol.input_clip, gain=ratio)
-        )
+        return self._noisy.amplified(protocol)
+
+    def _check_shading(self) -> None:
+        """Refuse a dark shading of another sensor than the reference's, which is the inputs'."""
+        shading = self._job.shading
+        if shading is not None:
+            mosaic, sensor = self.reference.frame.mosaic, self.reference.frame.sensor
+            with file_problem_of(self.path):
+                shading.check_sensor(self.path, (mosaic.shape[0], mosaic.shape[1]), sensor.cfa, sensor.model)
 
     @property
     def _is_dng(self) -> bool:
@@ -156,31 +91,6 @@ class ComparedFrame:
         file = self._job.start / cast("Path", self.file)
         return self._shared.get("frame", lambda: load_dng(file, self.reference.frame.sensor))
 
-    @property
-    def _noisy(self) -> RawFrame:
-        """The noisy frame, which has to be like its reference."""
-        return self._shared.get("noisy", self._read_noisy)
-
-    def _read_noisy(self) -> RawFrame:
-        from eldata.raw.reading import read_raw
-
-        path = inside(self._job.folder, self.path)
-        noisy, clean = read_raw(path), self.reference.frame
-        if noisy.mosaic.shape != clean.mosaic.shape or noisy.sensor.cfa != clean.sensor.cfa:
-            raise RawFileError(
-                path,
-                f"expected {clean.mosaic.shape} pixels with CFA {clean.sensor.cfa} like its reference, found "
-                f"{noisy.mosaic.shape} with {noisy.sensor.cfa}",
-            )
-        return noisy
-
-    def _ratio(self, amplification: Amplification) -> float:
-        """Return what the input is multiplied by; windows of clips have no ratio but the files'."""
-        from eldata.raw.reading import exposure_ratio
-
-        nominal = None if amplification == "metadata" else ratio_of(self._pair)
-        return float(exposure_ratio(self.reference.frame, self._noisy)) if nominal is None else nominal
-
     def equal_choices(self, protocol: Protocol) -> dict[str, frozenset[str]]:
         """Return the values of a protocol's fields that would have given the same score, by the field."""
         if protocol.pixels != "packed":
@@ -189,20 +99,9 @@ class ComparedFrame:
         if self.file is not None:
             return {"levels": _equal_levels(protocol, frames)}
         return {
-            "levels": _equal_levels(protocol, [*frames, self._noisy]),
-            "amplification": self._equal_ratios(protocol),
+            "levels": _equal_levels(protocol, [*frames, self._noisy.frame]),
+            "amplification": self._noisy.equal_ratios(protocol),
         }
-
-    def _equal_ratios(self, protocol: Protocol) -> frozenset[str]:
-        taken = self._ratio(protocol.amplification)
-
-        def is_equal(amplification: Amplification) -> bool:
-            try:
-                return self._ratio(amplification) == taken
-            except RawFileError:  # a file that states no exposure
-                return False
-
-        return frozenset(filter(is_equal, get_args(Amplification)))
 
     def inspected(self, protocol: Protocol, target: NDArray[Any], psnr_db: float) -> Inspection:
         """Return what the prediction shows of mistakes."""
@@ -215,7 +114,7 @@ class ComparedFrame:
         self, protocol: Protocol, prediction: NDArray[Any], target: NDArray[Any], psnr_db: float
     ) -> Inspection:
         def score(changed: NDArray[Any]) -> Score:
-            other = ComparedFrame(self._job, self.reference, self._pair, self.path, self.file, changed)
+            other = ComparedFrame(self._job, self.reference, self._pair, self._noisy, self.file, changed)
             return other.score(protocol, target)[0]
 
         now = Circumstances(
@@ -263,19 +162,32 @@ class ComparedFrame:
         return self._shared.get(key, score), p
 
     def extras(self, protocol: Protocol, target: NDArray[Any], factor: float) -> dict[str, float]:
-        """Return what was asked for beyond the protocol's own scores: LPIPS of the renderings that it compares."""
-        if self._job.lpips is None:
-            return {}
+        """Return what was asked for beyond the protocol's own scores: LPIPS of renderings, a task of the user's own."""
+        found: dict[str, float] = {}
+        if self._job.lpips is not None:
+            from eldata.metrics.lpips import lpips
+
+            found["lpips"] = lpips(*self._shown(protocol, target, factor), _lpips_weights(self._job.lpips))
+        task = self._job.task
+        if task is not None:
+            found["task"] = task.score(*self._shown(protocol, target, factor, task.images), self.path)
+        return found
+
+    def _shown(
+        self, protocol: Protocol, target: NDArray[Any], factor: float, images: TaskImages = "compared"
+    ) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return prediction and reference of the region as the protocol compares them, or in sRGB or packed raw."""
         from eldata.metrics.image_score import as_compared
-        from eldata.metrics.lpips import lpips
 
         crop, rules = protocol.crop(target.shape), protocol.rules
         p, g = self.prediction(protocol)[1][crop], target[crop]
-        if protocol.rendering == "eld-isp":
-            p, g = (codes / np.float32(255) for codes in _rendered(p, g, self.reference.frame.sensor, rules, factor))
-        else:
-            p, g = as_compared(p, g, rules, factor)
-        return {"lpips": lpips(p, g, _lpips_weights(self._job.lpips))}
+        is_rendered = protocol.rendering == "eld-isp"
+        if protocol.pixels == "packed" and (images == "srgb" or (images == "compared" and is_rendered)):
+            first, second = _rendered(p, g, self.reference.frame.sensor, rules, factor)
+            return first / np.float32(255), second / np.float32(255)
+        if is_rendered:  # the rounding of its rules is that of renderings
+            return as_scored(p, rules, factor, np.float32), g
+        return as_compared(p, g, rules, factor)
 
 
 def _equal_levels(protocol: Protocol, frames: Sequence[RawFrame]) -> frozenset[str]:
@@ -362,28 +274,37 @@ class ScoredArrays:
         return cast("NDArray[Any]", np.abs(self.prediction - self.reference).mean(axis=0))
 
 
-def scored_arrays(folder: Path, protocol: Protocol, pair: Pair, frame: FrameScore, file: Path | None) -> ScoredArrays:
+def scored_arrays(
+    originals: Originals,
+    protocol: Protocol,
+    pair: Pair,
+    frame: FrameScore,
+    file: Path | None,
+    dark_shading: Path | None = None,
+) -> ScoredArrays:
     """Return what was compared, decoded once more.
 
     Parameters
     ----------
-    folder
-        The dataset's.
+    originals
+        The dataset's frames.
     protocol, pair
         What was scored, and how.
     frame
         Which frame of the pair, and the factor that it was given.
     file
         Its prediction; ``None`` if the noisy input itself was scored.
+    dark_shading
+        The file of what was taken off the input, if anything was.
 
     Raises
     ------
     RawFileError, PredictionError, ManifestError
         If a file is no longer what was scored.
     """
-    job = ScoringJob(Path.cwd(), folder.absolute(), (protocol,), None)
-    reference = Reference(inside(folder, pair.reference or ""))
-    shared = ComparedFrame(job, reference, pair, frame.path, file)
+    job = ScoringJob(Path.cwd(), originals, (protocol,), None, dark_shading=dark_shading)
+    reference = Reference(originals, pair.reference or "")
+    shared = ComparedFrame(job, reference, pair, NoisyInput(job, reference, pair, frame.path), file)
     target = reference.target(protocol)
     factor = 1.0 if np.isnan(frame.rescale) else frame.rescale
     prediction = as_scored(shared.prediction(protocol)[1], protocol.rules, factor, np.float32)

@@ -4,23 +4,33 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
+from eldata.base.notebook import block, table
+from eldata.base.numbers import counted
+from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation.scores import UnitScore, json_object, means
-from eldata.evaluation.statistics import LEVEL, RESAMPLES, SEED, Difference, paired_difference
-from eldata.evaluation.table import factor_text, groups_of, short_digest
+from eldata.evaluation.statistics import LEVEL, RESAMPLES, SEED, Difference, holm, paired_difference
+from eldata.evaluation.table import factor_text, grouped_table, groups_of, short_digest
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
     from eldata.evaluation.results import EvaluationResult
+    from eldata.plots.axes import Theme
     from eldata.protocols.kinds import Kind, Metric
 
+# What was scored beside the protocol's own metrics: nothing of what all methods have depends on it.
+_EXTRAS = ("lpips", "task")
 # What of the provenance decides neither which images are scored nor against what.
 _NOT_DECIDING = (
-    *("predictions", "protocol_digest", "included_flags", "equal_choices", "lpips"),
+    *("predictions", "protocol_digest", "included_flags", "equal_choices", "store", *_EXTRAS),
     *("eldata", "python", "libraw", "numpy", "numba", "rawpy", "exifread", "imagecodecs", "scipy"),
 )
 # What of it chooses the images, which does not count where the same were chosen.
@@ -90,6 +100,26 @@ class Pairing:
 
 
 @dataclass(frozen=True, slots=True)
+class Contest:
+    """Two of the methods on all common images.
+
+    Attributes
+    ----------
+    first, other
+        Their names.
+    gains
+        How much the other is above the first, by the metric's name.
+    corrected
+        The p-values, corrected for those of all contests and metrics together (:func:`~statistics.holm`).
+    """
+
+    first: str
+    other: str
+    gains: dict[str, Difference]
+    corrected: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True)
 class Comparison:
     """Methods on their common images.
 
@@ -103,16 +133,19 @@ class Comparison:
         Camera by factor, each factor over all cameras, and all.
     warnings
         Why the numbers may not compare, with the fields that differ.
+    contests
+        Each method against each other, of three or more.
     """
 
     methods: tuple[Method, ...]
     images: tuple[tuple[UnitScore, ...], ...]
     groups: tuple[Group, ...]
     warnings: tuple[str, ...]
+    contests: tuple[Contest, ...] = ()
 
     @property
     def kind(self) -> Kind:
-        """What was scored: images or clips, with the numbers that every method has; LPIPS is one of some alone."""
+        """What was scored: images or clips, with the numbers that every method has; LPIPS or a task may be of some."""
         return _common_kind(self.methods)
 
     @property
@@ -124,11 +157,82 @@ class Comparison:
         """Return the scores of the first method and of that of this index among all but the first, image by image."""
         return tuple(Pairing(scores[0], scores[index + 1]) for scores in self.images)
 
+    def worst_first(self) -> list[int]:
+        """Return the places of the images, those first on which another method falls farthest behind the first.
+
+        Where both have an infinite PSNR, they do not differ; what is not known comes last.
+        """
+        gains = [
+            [0.0 if other.psnr_db == first.psnr_db else other.psnr_db - first.psnr_db for other in others]
+            for first, *others in self.images
+        ]
+        worst = [min((gain for gain in of if not math.isnan(gain)), default=math.inf) for of in gains]
+        return sorted(range(len(worst)), key=worst.__getitem__)
+
     def extremes(self, index: int) -> tuple[tuple[Pairing, ...], tuple[Pairing, ...]]:
         """Return the biggest wins of that method by PSNR, the biggest first, and its biggest losses."""
         known = sorted((one for one in self.pairings(index) if one.is_finite), key=lambda one: one.gain_db)
         wins = tuple(one for one in known[::-1][:_SHOWN] if one.gain_db > 0)
         return wins, tuple(one for one in known[:_SHOWN] if one.gain_db < 0)
+
+    def plot(self, metric: str = "psnr_db", *, ax: Axes | None = None) -> Figure:
+        """Draw how far each method's mean lies above the first one's, by group, with intervals over scenes.
+
+        Parameters
+        ----------
+        metric
+            The name of a column that all methods have, such as ``psnr_db`` or ``ssim``.
+        ax
+            Axes to draw into; by default those of a new figure, which belongs to no pyplot and shows in a notebook.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            That of the axes.
+
+        Raises
+        ------
+        ArgumentError
+            If the methods have no such column, or no difference is finite.
+        """
+        from eldata.plots.axes import drawn_into, nothing_to_draw
+        from eldata.plots.scores import mean_gains
+
+        chosen, (first, *others) = self.kind.metric(metric), self.methods
+        gains = [
+            (method.name, [group.gains[index][chosen.name].interval.ends for group in self.groups])
+            for index, method in enumerate(others)
+        ]
+        if not any(math.isfinite(mean) for _, ends in gains for mean, _, _ in ends):
+            raise nothing_to_draw(f"{metric} of this comparison", "no difference is finite")
+
+        def draw(axes: Axes, theme: Theme) -> None:
+            mean_gains(axes, [group.name for group in self.groups], gains, theme)
+            axes.set_xlabel(f"difference of {chosen.head}")
+
+        named = others[0].name if len(others) == 1 else f"{len(others)} methods"
+        return drawn_into(ax, f"{named} against {first.name}", draw)
+
+    def __repr__(self) -> str:
+        psnr = self.kind.metric("psnr_db")
+        texts = [
+            f"{method.name} {psnr.text(means[psnr.name])}"
+            for method, means in zip(self.methods, self.whole.means, strict=True)
+        ]
+        warned = f"; {counted(len(self.warnings), 'warning')}" if self.warnings else ""
+        return f"Comparison({len(self.images)} common {self.kind.units}; PSNR {in_line(', '.join(texts))}{warned})"
+
+    def _repr_html_(self) -> str:
+        metrics = self.kind.metrics
+        heads = [f"{method.name} {metric.unit or metric.label}" for method in self.methods for metric in metrics]
+        texts = [
+            [str(group.images), *(metric.text(means[metric.name]) for means in group.means for metric in metrics)]
+            for group in self.groups
+        ]
+        groups = [(group.camera, group.ratio) for group in self.groups]
+        cells = grouped_table(groups, (self.kind.units, *heads), texts)
+        heading = f"{len(self.methods)} methods on {len(self.images)} common {self.kind.units}"
+        return block(heading, table(cells.header, cells.rows, cells.left), notes=self.warnings)
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain JSON types."""
@@ -147,6 +251,7 @@ class Comparison:
             "statistics": {"level": LEVEL, "resamples": RESAMPLES, "seed": SEED, "clusters": ["camera", "scene"]},
             "common": [scores[0].path for scores in self.images],
             "groups": [asdict(group) for group in self.groups],
+            "contests": [asdict(contest) for contest in self.contests],
         }
         return json_object(result)
 
@@ -182,19 +287,47 @@ def compare(methods: Sequence[Method]) -> Comparison:
     return Comparison(
         methods=tuple(methods),
         images=images,
-        groups=_groups(images, kind.metrics),
+        groups=_groups(images, kind.metrics, methods[0].result.dataset),
         warnings=(*_warnings(methods), *_image_warnings(methods, images), *_coverage_warnings(methods, len(common))),
+        contests=_contests(methods, images, kind.metrics) if len(methods) > 2 else (),
+    )
+
+
+def _contests(
+    methods: Sequence[Method], images: Sequence[tuple[UnitScore, ...]], metrics: Sequence[Metric]
+) -> tuple[Contest, ...]:
+    places = [scores[0].place for scores in images]
+    values = [
+        {metric.name: [score.values[metric.name] for score in of] for metric in metrics}
+        for of in zip(*images, strict=True)
+    ]
+    pairs = list(combinations(range(len(methods)), 2))
+    gains = [
+        {
+            metric.name: paired_difference(values[first][metric.name], values[other][metric.name], places)
+            for metric in metrics
+        }
+        for first, other in pairs
+    ]
+    corrected = iter(holm([difference.p_value for of in gains for difference in of.values()]))
+    return tuple(
+        Contest(methods[first].name, methods[other].name, of, {name: next(corrected) for name in of})
+        for (first, other), of in zip(pairs, gains, strict=True)
     )
 
 
 def _common_kind(methods: Sequence[Method]) -> Kind:
-    return min((method.result.kind for method in methods), key=lambda kind: len(kind.metrics))
+    """Return the kind of the first with the columns that all have; a task of another label or direction is another."""
+    first, *others = (method.result.kind for method in methods)
+    shared = tuple(metric for metric in first.metrics if all(metric in other.metrics for other in others))
+    left_out = {metric.name for metric in first.metrics if metric not in shared}
+    return replace(first, metrics=shared, values=tuple(name for name in first.values if name not in left_out))
 
 
-def _groups(images: Sequence[tuple[UnitScore, ...]], metrics: Sequence[Metric]) -> tuple[Group, ...]:
+def _groups(images: Sequence[tuple[UnitScore, ...]], metrics: Sequence[Metric], dataset: str) -> tuple[Group, ...]:
     names = [metric.name for metric in metrics]
     groups = []
-    for camera, ratio in groups_of([(scores[0].camera, scores[0].ratio) for scores in images]):
+    for camera, ratio in groups_of([(scores[0].camera, scores[0].ratio) for scores in images], dataset):
         members = [
             scores for scores in images if camera in (None, scores[0].camera) and ratio in (None, scores[0].ratio)
         ]
@@ -227,6 +360,7 @@ def _warnings(methods: Sequence[Method]) -> list[str]:
         a, b = first.result, other.result
         fields = [f"protocol: {words}" for words in a.scored_unlike(b)]
         fields += _differing(a.provenance, b.provenance, ignored=_CHOOSING if a.chosen == b.chosen else ())
+        fields += _differing_tasks(a.provenance, b.provenance)
         found += [f"{first.name} and {other.name} may not compare: {field}" for field in fields]
     return found
 
@@ -238,6 +372,12 @@ def _differing(first: Mapping[str, Any], second: Mapping[str, Any], ignored: Seq
         for name in dict.fromkeys((*a, *b))
         if name not in (*_NOT_DECIDING, *ignored) and ((name in a) != (name in b) or a.get(name) != b.get(name))
     ]
+
+
+def _differing_tasks(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[str]:
+    """Return in what two tasks differ; nothing if a result has none."""
+    a, b = first.get("task"), second.get("task")
+    return [] if a is None or b is None else [f"task {words}" for words in _differing(a, b, ignored=())]
 
 
 def _value(fields: dict[str, Any], name: str) -> str:

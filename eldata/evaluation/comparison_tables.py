@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from eldata.base.numbers import counted
 from eldata.base.tables import Strong, latex_table, markdown_table, markdown_text, text_table
 from eldata.evaluation.statistics import FEWEST_SCENES, LEVEL, RESAMPLES, SEED
-from eldata.evaluation.table import grouped_table, short_digest
+from eldata.evaluation.table import PaperTable, grouped_table, short_digest
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
     from eldata.base.tables import Format
     from eldata.evaluation.comparison import Comparison, Group
     from eldata.evaluation.statistics import Difference
-    from eldata.evaluation.table import PaperTable
     from eldata.protocols.kinds import Kind
 
 LABELS = 3
@@ -35,6 +35,29 @@ def gains_table(comparison: Comparison, index: int, times: str = "x") -> PaperTa
     heads = ["scenes", *(head for metric in kind.metrics for head in (metric.head, f"{LEVEL:.0%} interval", "p"))]
     texts = [[str(group.scenes), *_gain_texts(group.gains[index], kind)] for group in comparison.groups]
     return _by_group(comparison, heads, texts, times)
+
+
+def contests_table(comparison: Comparison) -> PaperTable:
+    """Return each method against each other on all common images, with p-values corrected for their number."""
+    kind = comparison.kind
+    heads = (head for metric in kind.metrics for head in (metric.head, f"{LEVEL:.0%} interval", "p", "p (Holm)"))
+    rows = []
+    for contest in comparison.contests:
+        texts = _gain_texts(contest.gains, kind)
+        cells = []
+        for index, metric in enumerate(kind.metrics):
+            cells += [*texts[3 * index : 3 * index + 3], _p_text(contest.corrected[metric.name])]
+        rows.append((contest.other, contest.first, *cells))
+    return PaperTable(("method", "minus", *heads), tuple(rows), (0, 1))
+
+
+def contests_note(comparison: Comparison) -> str:
+    """Return what the corrected p-values are, in a sentence."""
+    count = len(comparison.contests) * len(comparison.kind.metrics)
+    return (
+        f"p (Holm) is corrected for the {count} tests of this table together: of differences with p (Holm) below 0.05, "
+        "the chance that even one is none is 5% at most. The other tables are not corrected."
+    )
 
 
 def _by_group(comparison: Comparison, heads: Sequence[str], texts: Sequence[Sequence[str]], times: str) -> PaperTable:
@@ -89,11 +112,15 @@ def format_comparison(comparison: Comparison, form: Format) -> str:
     gains = {other.name: gains_table(comparison, index) for index, other in enumerate(others)}
     titles = {name: f"{name} minus {first.name}" for name in gains}
     summary, note = summary_of(comparison), statistics_note()
+    # Of three methods or more. No method has an empty name.
+    contests = {"": contests_table(comparison)} if comparison.contests else {}
+    notes = [contests_note(comparison)] if contests else []
+    titles |= {"": "Each against each"} if contests else {}
     if form == "markdown":
         blocks = [markdown_text(summary), markdown_table(means.header, means.rows)]
-        for name, table in gains.items():
+        for name, table in (gains | contests).items():
             blocks += [markdown_text(f"{titles[name]}:"), markdown_table(table.header, table.rows)]
-        remarks = [note, *(f"Warning: {text}" for text in comparison.warnings)]
+        remarks = [note, *notes, *(f"Warning: {text}" for text in comparison.warnings)]
         return "\n\n".join([*blocks, *map(markdown_text, remarks)])
     if form == "latex":
         label = f"tab:{first.result.dataset}-{first.result.protocol.name}"
@@ -114,11 +141,14 @@ def format_comparison(comparison: Comparison, form: Format) -> str:
             tables.append(
                 latex_table(table.header, table.rows, caption=caption, label=f"{label}-{name}", rules=table.rules)
             )
+        for table in contests.values():
+            caption = f"Each against each: {summary}. {note} {notes[0]}"
+            tables.append(latex_table(table.header, table.rows, caption=caption, label=f"{label}-contests"))
         return "\n\n".join(tables)
     lines = [summary, "", text_table(*_marked(means)), "* best of its row", ""]
-    for name, table in gains.items():
+    for name, table in (gains | contests).items():
         lines += [titles[name], "", text_table(table.header, table.rows), ""]
-    return "\n".join([*lines, note])
+    return "\n".join([*lines, note, *notes])
 
 
 def _marked(means: PaperTable) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
@@ -135,8 +165,8 @@ def summary_of(comparison: Comparison) -> str:
     result, kind = comparison.methods[0].result, comparison.kind
     count, scenes = len(comparison.images), comparison.whole.scenes
     return (
-        f"{len(comparison.methods)} methods on {count} common {kind.unit if count == 1 else kind.units} of {scenes} "
-        f"{'scene' if scenes == 1 else 'scenes'}: {result.dataset}, protocol {result.protocol.name} "
+        f"{len(comparison.methods)} methods on {count} common {kind.unit if count == 1 else kind.units} of "
+        f"{counted(scenes, 'scene')}: {result.dataset}, protocol {result.protocol.name} "
         f"({short_digest(result.digest)})"
     )
 

@@ -6,7 +6,7 @@ import platform
 import warnings
 from dataclasses import replace
 from importlib.metadata import version
-from itertools import chain
+from itertools import chain, islice
 from typing import TYPE_CHECKING, Any, Unpack
 
 from eldata import __version__
@@ -17,12 +17,14 @@ from eldata.evaluation.layouts import Expected
 from eldata.evaluation.pairs import frames_of, place_of
 from eldata.evaluation.planning import known_places, places_elsewhere, plan_scoring, require_pairs
 from eldata.evaluation.predictions import FoundPredictions, find_predictions, misplaced, prediction_space
-from eldata.evaluation.request import ALL, EvaluationOptions, Request, make_request
+from eldata.evaluation.request import ALL, SETTINGS, EvaluationOptions, Request, make_request, stated_shading
 from eldata.evaluation.results import THE_INPUT, EvaluationResult
 from eldata.evaluation.scores import EvaluationProblem
 from eldata.evaluation.suspicions import suspicions_of
-from eldata.evaluation.units import score_plans
-from eldata.protocols.kinds import CLIPS, IMAGES
+from eldata.evaluation.table import short_digest
+from eldata.evaluation.units import Contender, score_plans
+from eldata.noise.dark_shading import dark_shading_in
+from eldata.protocols.kinds import IMAGES
 from eldata.protocols.protocol import CHOICES, ONE_CAMERAS_LEVELS
 from eldata.protocols.words import LEVELS
 from eldata.records import PairRecord
@@ -91,6 +93,19 @@ def evaluate(
     lpips
         Folder of the weights of LPIPS (:meth:`eldata.metrics.LpipsWeights.load`): scores have it too, of the renderings
         that a protocol of sRGB compares. Other protocols are refused, since LPIPS is defined on sRGB. Default: none.
+    task
+        A function of (prediction, reference), (C, h, w) float32 as the protocol compares them, whose value is scored
+        too, of clips frame by frame; or a :class:`~eldata.evaluation.Task`, which says which images it wants and
+        whether lower is better; or the name of either, ``package.module:name``. Default: none.
+    dark_shading
+        The file of a dark shading (:class:`eldata.noise.DarkShading`) that the inputs are corrected with: it is taken
+        off the baseline here; that predictions are of inputs less it is your statement. The protocol of the result
+        states its digest. Refused for several cameras, and for another model, size, CFA or ISO. Default: none.
+    store
+        A store (``eldata pack``) whose frames are taken in place of the dataset's files, which need not be there: the
+        scores are the same to the bit, and lossless JPEG is not decoded again. What it kept of the files that it was
+        packed from is held against the manifest, and the result says which store it was. Refused for clips and for
+        renderings by LibRaw. Default: none.
     workers
         Number of worker processes, or an executor that scores (:mod:`eldata.base.workers`); the files are checked from
         here. Scores do not depend on it. Default: 1.
@@ -108,6 +123,16 @@ def evaluate(
         If the dataset is not there, or its files are not what the manifest says.
     ManifestError, ArgumentError
         If the manifest is malformed, or a name is unknown.
+
+    Examples
+    --------
+    >>> from eldata import evaluate
+    >>> manifest = "eldata-demo/manifests/eld-demo.csv"
+    >>> result = evaluate(None, manifest=manifest, root="eldata-demo/data", baseline="input")
+    >>> len(result.frame), round(float(result.frame["psnr_db"].mean()), 2)
+    (12, 29.02)
+    >>> result.frame.groupby("camera")["ssim"].mean().round(2).to_dict()
+    {'DemoAlpha': 0.63, 'DemoBeta': 0.5}
     """
     if protocol == ALL:
         raise ArgumentError("evaluate() scores under one protocol; eldata.evaluation.evaluate_all() does under all")
@@ -129,7 +154,7 @@ def evaluate_all(
     ----------
     predictions, dataset, **options
         As for :func:`evaluate`: ``root``, ``manifest``, ``cameras``, ``subset`` (of clips), ``ids``, ``exclude_flags``,
-        ``allow_missing``, ``baseline`` and ``workers``.
+        ``allow_missing``, ``baseline``, ``dark_shading`` and ``workers``.
 
     Returns
     -------
@@ -140,6 +165,14 @@ def evaluate_all(
     ------
     EldataError, DatasetError, ManifestError, ArgumentError
         Like :func:`evaluate`; or if no protocol can be scored.
+
+    Examples
+    --------
+    >>> from eldata import evaluate_all
+    >>> manifest = "eldata-demo/manifests/eld-demo.csv"
+    >>> every = evaluate_all(None, manifest=manifest, root="eldata-demo/data", baseline="input")
+    >>> [result.protocol.name for result in every.results]
+    ['eld', 'eld-uncorrected', 'led-eld', 'lrd-eld']
     """
     return perform(make_request(predictions, dataset, ALL, options))
 
@@ -162,23 +195,43 @@ def perform(request: Request) -> CombinedResult:
     EldataError, DatasetError, ManifestError, ArgumentError
         Like :func:`evaluate` and :func:`evaluate_all`.
     """
-    if not request.every:
-        plan = plan_scoring(request, request.protocols[0])
-        ((result, _),) = _scored(request, [plan])
-        return CombinedResult((result,))
+    return perform_each([request])[0]
+
+
+def perform_each(requests: Sequence[Request]) -> list[CombinedResult]:
+    """Return what :func:`perform` does of each of these requests, which differ in their predictions alone, in one pass.
+
+    Raises
+    ------
+    EldataError, DatasetError, ManifestError, ArgumentError
+        Like :func:`perform`; what is wrong with the predictions in one folder is a problem of its result alone.
+    """
+    first = requests[0]
     plans: list[ScoringPlan] = []
     left_out: list[NotScored] = []
-    for protocol in request.protocols:
+    for protocol in first.protocols:
         try:
-            plans.append(plan_scoring(request, protocol))
+            plans.append(plan_scoring(first, protocol))
         except (ArgumentError, ManifestError) as error:
+            if not first.every:
+                raise
             left_out.append(NotScored(protocol.name, str(error)))
-    plans, unfit = _of_one_space(request, plans)
-    left_out += unfit
+    fitting = [_of_one_space(request, plans) if request.every else (plans, []) for request in requests]
+    scored = _scored(requests, [fit for fit, _ in fitting])
+    return [
+        _combined(request, of, [*left_out, *unfit])
+        for request, of, (_, unfit) in zip(requests, scored, fitting, strict=True)
+    ]
+
+
+def _combined(
+    request: Request, scored: Sequence[tuple[EvaluationResult, PlanScores]], left_out: list[NotScored]
+) -> CombinedResult:
+    """Return the results; under all protocols, those that cannot score what is there are left out and named."""
     results = []
-    for result, scored in _scored(request, plans) if plans else ():
-        if scored.unfit and not scored.scores:
-            left_out.append(NotScored(result.protocol.name, str(scored.unfit[0])))
+    for result, found in scored:
+        if request.every and found.unfit and not found.scores:
+            left_out.append(NotScored(result.protocol.name, str(found.unfit[0])))
         else:
             results.append(result)
     if not results:
@@ -212,19 +265,39 @@ def _are_renderings(predictions: Path, plans: Sequence[ScoringPlan]) -> bool:
 # --- one pass over the files ------------------------------------------------------------------------------------------
 
 
-def _scored(request: Request, plans: Sequence[ScoringPlan]) -> list[tuple[EvaluationResult, PlanScores]]:
-    """Return the result of each plan, and what scoring found beyond it."""
-    found = _found(request, plans)
-    require_pairs(request, {pair.path: pair for plan in plans for pair in plan.pairs}.values())
+def _scored(
+    requests: Sequence[Request], plans: Sequence[Sequence[ScoringPlan]]
+) -> list[list[tuple[EvaluationResult, PlanScores]]]:
+    """Return the result of each plan of each request, and what scoring found beyond it."""
+    if not any(plans):
+        return [[] for _ in requests]
+    found = [_found(request, of) for request, of in zip(requests, plans, strict=True)]
+    first = requests[0]
+    frames = require_pairs(first, {pair.path: pair for of in plans for plan in of for pair in plan.pairs}.values())
+    contenders = [
+        Contender(
+            plan if request.allow_missing or not one.problems else replace(plan, pairs=()),
+            number,
+            None if request.predictions is None else one.files,
+        )
+        for number, request in enumerate(requests)
+        for plan, one in zip(plans[number], found[number], strict=True)
+    ]
+    scored = iter(score_plans(first, frames.originals, contenders))
+    return [
+        _results(request, of, ones, list(islice(scored, len(of))), frames.store)
+        for request, of, ones in zip(requests, plans, found, strict=True)
+    ]
 
-    scored = score_plans(
-        request,
-        [
-            plan if request.allow_missing or not one.problems else replace(plan, pairs=())
-            for plan, one in zip(plans, found, strict=True)
-        ],
-        None if request.predictions is None else [one.files for one in found],
-    )
+
+def _results(
+    request: Request,
+    plans: Sequence[ScoringPlan],
+    found: Sequence[FoundPredictions],
+    scored: Sequence[PlanScores],
+    store: dict[str, str],
+) -> list[tuple[EvaluationResult, PlanScores]]:
+    """Return the results of one request."""
     suspicions = [suspicions_of(new.inspections) for new in scored]
     refused = [EvaluationProblem(str(request.predictions), str(one)) for of in suspicions for one in of]
     if not request.strict:
@@ -233,11 +306,11 @@ def _scored(request: Request, plans: Sequence[ScoringPlan]) -> list[tuple[Evalua
     for plan, one, new, suspect in zip(plans, found, scored, suspicions, strict=True):
         every = [*one.problems, *new.problems, *new.unfit]
         scores = new.scores if not refused and (request.allow_missing or not every) else {}
-        result = EvaluationResult.of(
-            plan.protocol, _provenance(request, plan, new), plan.pairs, scores, [*refused, *every]
-        )
+        provenance = _provenance(request, plan, new) | ({"store": store} if store else {})
+        result = EvaluationResult.of(plan.protocol, provenance, plan.pairs, scores, [*refused, *every])
         result = replace(result, suspicions=suspect)
-        results.append((replace(result, notes=tuple(_notes(plan, one, result, new))), new))
+        notes = [*_shading_notes(request), *_notes(plan, one, result, new)]
+        results.append((replace(result, notes=tuple(notes)), new))
     return results
 
 
@@ -261,6 +334,19 @@ def _found(request: Request, plans: Sequence[ScoringPlan]) -> list[FoundPredicti
         find_predictions(request.predictions, wanted, known, elsewhere=elsewhere, allow_missing=request.allow_missing)
         for wanted in places
     ]
+
+
+def _shading_notes(request: Request) -> list[str]:
+    """Return what was done to the inputs, or is stated of them."""
+    if request.dark_shading is None:
+        return []
+    shading = dark_shading_in(request.dark_shading)
+    which = f"the dark shading of {shading.camera}, {shading.digest} ({shading.source})"
+    if request.predictions is None:
+        return [f"the input was scored less {which}"]
+    stated = stated_shading(request.predictions)  # which the request was held against
+    said = "stated with --dark-shading" if stated is None else f"{SETTINGS} says"
+    return [f"the predictions are, as {said}, of inputs less {which}"]
 
 
 def _notes(plan: ScoringPlan, found: FoundPredictions, result: EvaluationResult, scored: PlanScores) -> list[str]:
@@ -288,6 +374,8 @@ def _notes(plan: ScoringPlan, found: FoundPredictions, result: EvaluationResult,
             f"{LEVELS[levels]} was taken for every file, as protocol {plan.protocol.name} has it; some of these files "
             "state another black level"
         )
+    if "task" in result.provenance and scores:
+        notes.append(_task_note(result.provenance["task"]))
     low, high = _USUAL_RESCALE
     odd = [score for score in scores if not low <= score.rescale <= high]
     if odd:
@@ -296,7 +384,7 @@ def _notes(plan: ScoringPlan, found: FoundPredictions, result: EvaluationResult,
             f"{odd[0].name} by {odd[0].rescale:.3g}; is their scale that of the reference?"
         )
     perfect = [score.name for score in scores if score.psnr_db == float("inf")]
-    if perfect and result.kind is not CLIPS:
+    if perfect and not result.kind.is_of_clips:
         notes.append(f"equal to their reference exactly: {len(perfect)} predictions, such as {perfect[0]}")
     elif perfect:
         notes.append(f"with a frame that equals the reference exactly: {len(perfect)} videos, such as {perfect[0]}")
@@ -323,8 +411,18 @@ def _provenance(request: Request, plan: ScoringPlan, scored: PlanScores) -> dict
         **plan.facts,
         "excluded_flags": plan.excluded,
         "equal_choices": {name: [choice for choice in CHOICES[name] if choice in equal[name]] for name in equal},
+        **({} if request.dark_shading is None else {"dark_shading": plan.protocol.dark_shading}),
         **({} if request.lpips is None else {"lpips": _lpips_provenance()}),
+        **({} if request.task is None else {"task": request.task.provenance}),
     }
+
+
+def _task_note(task: dict[str, Any]) -> str:
+    """Return what a task's column holds."""
+    source = f" ({short_digest(task['source_sha256'])})" if task["source_sha256"] else ""
+    images = {"compared": "what the protocol compares", "packed": "packed raw", "srgb": "renderings in sRGB"}
+    better = "higher" if task["higher_is_better"] else "lower"
+    return f"{task['label']}: {task['callable']}{source}, of {images[task['images']]}; {better} is better"
 
 
 def _lpips_provenance() -> dict[str, str]:

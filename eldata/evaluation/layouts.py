@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
 
 EXTENSIONS = (".npy", ".npz", ".h5", ".tif", ".tiff", ".png", ".dng")
+"""The kinds of file that a prediction may be, by the ends of their names."""
 
 _WORD = re.compile(r"[^\W\d_]+|\d+")
 _EXTENSION = re.compile(r"\.[a-z][a-z0-9]{0,8}")  # not the end of 00001_00_0.1s

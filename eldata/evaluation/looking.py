@@ -11,6 +11,8 @@ import numpy as np
 
 from eldata.errors import ArgumentError, PredictionError
 from eldata.evaluation.compared_frames import scored_arrays
+from eldata.evaluation.ordering import cameras_in_order, natural
+from eldata.evaluation.originals import Originals
 from eldata.evaluation.pairs import place_of
 from eldata.evaluation.predictions import find_predictions
 from eldata.evaluation.scores import FrameScore
@@ -28,7 +30,9 @@ if TYPE_CHECKING:
     from eldata.evaluation.results import EvaluationResult
     from eldata.evaluation.scores import UnitScore
     from eldata.evaluation.statistics import Interval
+    from eldata.plots.scores import Strip
     from eldata.protocols.kinds import Kind
+    from eldata.records import Sensor
 
 Grouping = Literal["camera", "iso"]
 
@@ -45,6 +49,13 @@ class Column:
         """Return the mean of a value with its interval over scenes."""
         return interval_of_scores(self.scores, name)
 
+    def to_draw(self, name: str, *, mean: bool = True) -> Strip:
+        """Return a value of each score to be drawn, with its mean and interval, unless they are not wanted."""
+        from eldata.plots.scores import Strip
+
+        values = tuple(score.values[name] for score in self.scores)
+        return Strip(self.group, self.ratio, values, self.interval(name).ends if mean else None)
+
 
 def columns_of(scores: Iterable[UnitScore], by: Grouping) -> tuple[Column, ...]:
     """Return scores by camera or ISO, and by factor; ISOs in the order of their numbers, cameras as they come."""
@@ -59,6 +70,18 @@ def _group_of(score: UnitScore, by: Grouping) -> str:
     if by == "camera":
         return score.camera
     return f"ISO {score.iso:g}" if score.iso else "not known"
+
+
+def scores_in_order(scores: Iterable[UnitScore], dataset: str) -> tuple[UnitScore, ...]:
+    """Return scores of the set of this name by camera, as its paper lists them, scene (2 before 10) and path."""
+    scores = tuple(scores)
+    places = {name: place for place, name in enumerate(cameras_in_order((one.camera for one in scores), dataset))}
+    return tuple(sorted(scores, key=lambda one: (places[one.camera], natural(one.scene), natural(one.path))))
+
+
+def scenes_of(scores: Iterable[UnitScore]) -> list[str]:
+    """Return the names of scenes once each, scene 2 before scene 10."""
+    return sorted({score.scene for score in scores}, key=natural)
 
 
 def factors_of(scores: Iterable[UnitScore]) -> list[float | None]:
@@ -119,13 +142,24 @@ class SeenFrame:
 
     def rendered(self, values: NDArray[Any]) -> NDArray[np.uint8]:
         """Return (C, h, w) as 8-bit colours: packed raw as a quick rendering, colours as they are."""
-        if self.arrays.sensor is not None:
-            return preview(values, self.arrays.sensor)
-        return cast("NDArray[np.uint8]", np.rint(np.clip(values, 0, 1) * 255).astype(np.uint8).transpose(1, 2, 0))
+        return rendered_colours(values, self.arrays.sensor)
+
+
+def rendered_colours(values: NDArray[Any], sensor: Sensor | None) -> NDArray[np.uint8]:
+    """Return (C, h, w) in [0, 1] as (h, w, 3) of 8 bits: packed raw of a sensor as a quick rendering, else as it is."""
+    if sensor is not None:
+        return preview(values, sensor)
+    return cast("NDArray[np.uint8]", np.rint(np.clip(values, 0, 1) * 255).astype(np.uint8).transpose(1, 2, 0))
 
 
 def seen_frames(
-    result: EvaluationResult, each: int, *, dataset_folder: Path, predictions: Path | None
+    result: EvaluationResult,
+    each: int,
+    *,
+    dataset_folder: Path,
+    predictions: Path | None,
+    dark_shading: Path | None = None,
+    store: Path | None = None,
 ) -> tuple[SeenFrame, ...]:
     """Decode the worst and the best of a result once more, as they were scored.
 
@@ -137,6 +171,10 @@ def seen_frames(
         How many of either, at most.
     dataset_folder, predictions
         Where the raw files and the predictions lie; ``None`` if the noisy input itself was scored.
+    dark_shading
+        The file of what was taken off the inputs, if anything was.
+    store
+        The store that was read in place of the dataset's files, if one was.
 
     Raises
     ------
@@ -153,12 +191,13 @@ def seen_frames(
     frames = {score.path: worst_frame(score) for score in (*worst, *best)}
     places = {path: place_of(units[path], frame.path) for path, frame in frames.items()}
     files = {} if predictions is None else find_predictions(predictions, places.values()).files
+    originals = Originals.opened(dataset_folder, store)
     seen = []
     for rank, score in (*(("Worst", score) for score in worst), *(("Best", score) for score in best)):
         frame, place = frames[score.path], places[score.path]
         if predictions is not None and place not in files:
             raise PredictionError(predictions, f"the prediction of {frame.path} is gone since it was scored")
-        arrays = scored_arrays(dataset_folder, protocol, units[score.path], frame, files.get(place))
+        arrays = scored_arrays(originals, protocol, units[score.path], frame, files.get(place), dark_shading)
         seen.append(SeenFrame(rank, score, frame.path, arrays))
     return tuple(seen)
 

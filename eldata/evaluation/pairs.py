@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 from pathlib import PurePosixPath
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
+from eldata.errors import DatasetError
 from eldata.manifest.clips import ClipRecord
 from eldata.records import PairRecord
+from eldata.sources.pairs import stated_ratio
+
+if TYPE_CHECKING:
+    from eldata.protocols.protocol import Amplification
 
 Pair: TypeAlias = PairRecord | ClipRecord
 
@@ -24,6 +29,22 @@ def name_of(pair: Pair) -> str:
 def ratio_of(pair: Pair) -> float | None:
     """Return the nominal factor of a pair; windows of clips state none."""
     return float(pair.ratio) if isinstance(pair, PairRecord) else None
+
+
+def amplified_by(pair: Pair, amplification: Amplification) -> float | None:
+    """Return what the manifest has an input multiplied by; ``None``: by the files' ratio, as windows of clips are.
+
+    Raises
+    ------
+    DatasetError
+        If it is to be the measured ratio, and the manifest has none.
+    """
+    if isinstance(pair, PairRecord):
+        ratio = stated_ratio(pair, amplification)
+        return None if ratio is None else float(ratio)
+    if amplification == "measured":
+        raise DatasetError(f"clip {pair.scene}: no ratio of clips is measured; amplification 'metadata' needs none")
+    return None
 
 
 def iso_of(pair: Pair) -> float:

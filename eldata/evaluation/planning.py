@@ -8,7 +8,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from eldata.errors import ArgumentError, DatasetError
-from eldata.evaluation.pairs import Pair, clip_place, frames_of
+from eldata.evaluation.originals import CheckedOriginals, Originals, store_of
+from eldata.evaluation.pairs import Pair, clip_place, frames_of, iso_of
+from eldata.evaluation.request import OF_CLIPS
 from eldata.manifest.catalogue import shipped_manifest, shipped_names
 from eldata.manifest.clip_checks import is_png
 from eldata.manifest.clips import choose_clips, clips_of, windows
@@ -16,6 +18,7 @@ from eldata.manifest.drv import Layout
 from eldata.manifest.pairs import select_pairs
 from eldata.manifest.patterns import expand
 from eldata.manifest.verify import check_files
+from eldata.noise.dark_shading import dark_shading_in
 from eldata.protocols.choosing import default_protocol
 from eldata.protocols.clips import ClipProtocol
 from eldata.protocols.kinds import IMAGES
@@ -24,9 +27,14 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from eldata.evaluation.request import Request
-    from eldata.manifest.verify import Level
+    from eldata.manifest.verify_report import Level
+    from eldata.noise.dark_shading import DarkShading
     from eldata.protocols.protocol import Protocol
     from eldata.records import FrameRecord
+
+
+# What protocols of other pixels than packed raw take from the dataset's files.
+_OF_FILES = {"srgb": "LibRaw's renderings of the raw files", "rgb": "preprocessed RGB frames"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +96,8 @@ def plan_scoring(request: Request, protocol: Protocol) -> ScoringPlan:
     Raises
     ------
     ArgumentError
-        If the protocol is for another dataset, a name is unknown, or nothing is left.
+        If the protocol is for another dataset, a name is unknown, nothing is left, or the dark shading is not that of
+        the inputs.
     ManifestError
         If a subset has not as many pairs as its card says.
     DatasetError
@@ -100,7 +109,32 @@ def plan_scoring(request: Request, protocol: Protocol) -> ScoringPlan:
             f"protocol {protocol.name!r} is for dataset {protocol.dataset!r}, not {name!r}; "
             "eldata protocols lists those for each"
         )
-    return _clip_plan(request, protocol) if isinstance(protocol, ClipProtocol) else _image_plan(request, protocol)
+    if request.store is not None and protocol.pixels != "packed":
+        raise ArgumentError(
+            f"protocol {protocol.name!r} scores {_OF_FILES[protocol.pixels]}, which a store does not hold; leave "
+            "--store (store) out"
+        )
+    plan = _clip_plan(request, protocol) if isinstance(protocol, ClipProtocol) else _image_plan(request, protocol)
+    if request.dark_shading is not None:
+        _check_shading(plan, dark_shading_in(request.dark_shading))
+    return plan
+
+
+def _check_shading(plan: ScoringPlan, shading: DarkShading) -> None:
+    """Raise :class:`ArgumentError` unless a dark shading can be that of all inputs, as far as the manifest knows."""
+    if plan.protocol.pixels == "rgb":
+        raise ArgumentError(
+            f"protocol {plan.protocol.name!r} scores preprocessed RGB, whose dark shading nobody can take off; leave "
+            "--dark-shading (dark_shading) out"
+        )
+    cameras = list(dict.fromkeys(pair.camera for pair in plan.pairs))
+    if len(cameras) > 1:
+        raise ArgumentError(
+            f"the dark shading of {shading.camera} is of one body, and {len(cameras)} cameras are scored: "
+            f"{', '.join(cameras)}; choose one with --camera (cameras)"
+        )
+    for iso in sorted({iso_of(pair) for pair in plan.pairs} - {0.0}):
+        shading.measured(iso)
 
 
 # --- images -----------------------------------------------------------------------------------------------------------
@@ -218,7 +252,7 @@ def _clip_subset(request: Request) -> str | None:
     """Return the name of the subset whose clips are chosen; ``None`` if they are named."""
     subsets = request.manifest.card.subsets
     if request.ids is None and not subsets:
-        raise ArgumentError(f"{request.manifest.path}: its card names no subset; name the clips with --clip (ids)")
+        raise ArgumentError(f"{request.manifest.path}: its card names no subset; name the clips: {OF_CLIPS}")
     return None if request.ids is not None else request.subset or subsets[0].name
 
 
@@ -234,13 +268,20 @@ def require_folder(request: Request) -> None:
         )
 
 
-def require_pairs(request: Request, pairs: Iterable[Pair]) -> None:
-    """Raise :class:`DatasetError` unless the files of these pairs are what the manifest says."""
-    require_folder(request)
+def require_pairs(request: Request, pairs: Iterable[Pair]) -> CheckedOriginals:
+    """Return where the frames of these pairs come from; raise :class:`DatasetError` unless the manifest means them.
+
+    Their files are held against the manifest; of a store, what it kept of the files that it was packed from.
+    """
     needed = {path for pair in pairs for path in (*frames_of(pair), pair.reference)}
     rows = [row for row in request.manifest.records if row.role in ("noisy", "reference")]
+    if request.store is not None:
+        wanted = [row for row in rows if row.path in needed]
+        return store_of(request.manifest, request.folder, request.store, wanted)
+    require_folder(request)
     listed = rows if request.kind is IMAGES else expand(rows, request.folder)
     check_rows(request, [row for row in listed if row.path in needed], "metadata")
+    return CheckedOriginals(Originals(request.folder.absolute()))
 
 
 def check_rows(request: Request, rows: Sequence[FrameRecord], level: Level) -> None:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from eldata.base.files import atomic_write, file_problem
+from eldata.base.files import atomic_write, file_problem, folder_problem
 from eldata.errors import ArgumentError, EldataError, PredictionError, RawFileError
 from eldata.evaluation.layouts import (
     READ,
@@ -165,13 +165,21 @@ def misplaced(folder: Path, expected: Expected, known: Iterable[str]) -> Evaluat
     return EvaluationProblem(str(folder), layout_in_words(folder, names, expected))
 
 
+# What networks are kept in.
+_MODELS = frozenset((".pt", ".pth", ".ckpt", ".onnx", ".safetensors", ".pkl"))
+
+
 def _files(folder: Path) -> list[str]:
     """Return the files of a folder of predictions, relative to it, sorted.
 
     Hidden files and folders, and linked folders, are left out; a folder that is called like a prediction is there.
     """
-    if not folder.is_dir():
-        raise EldataError(f"{folder}: there is no such folder; give the one that holds the predictions")
+    problem = folder_problem(folder)
+    if problem is not None:
+        what = f"{folder}: {problem}"
+        if folder.suffix.lower() in _MODELS and folder.exists():
+            what += ", and may hold a model: eldata predict makes predictions with one"
+        raise EldataError(f"{what}; give the one that holds the predictions, a file for each noisy frame")
     return sorted(_walk(folder))
 
 
@@ -217,6 +225,15 @@ def save_prediction(folder: Path | str, noisy_path: str, prediction: NDArray[Any
         The noisy frame's path in the manifest, as in a sample's ``path``.
     prediction
         Packed (C, h, w) or mosaic (H, W); float in [0, 1], or uint16 where 65535 = 1.0.
+
+    Examples
+    --------
+    >>> from eldata import ELDDataset
+    >>> from eldata.evaluation import save_prediction
+    >>> dataset = ELDDataset("eldata-demo/data/ELD-demo", manifest="eldata-demo/manifests/eld-demo.csv")
+    >>> sample = dataset[0]
+    >>> save_prediction("preds", sample["path"], sample["input"].numpy()).as_posix()
+    'preds/DemoAlpha/scene-1/IMG_0004.npy'
     """
     path = Path(folder) / f"{stem_of(noisy_path)}.npy"
     path.parent.mkdir(parents=True, exist_ok=True)

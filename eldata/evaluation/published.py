@@ -199,6 +199,12 @@ def published_rows(
         Name of a subset on the dataset's card, and of a camera.
     ratios
         Low-light factors.
+
+    Examples
+    --------
+    >>> from eldata.evaluation import published_rows
+    >>> sorted({row.method for row in published_rows("eld", "eld")})[:3]
+    ['A-BM3D', 'BM3D', 'ELD']
     """
     return tuple(
         row

@@ -2,27 +2,38 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypedDict
 
+from eldata.base.fields import TextFile
 from eldata.base.keywords import keywords
 from eldata.base.workers import AnyWorkers, Workers
-from eldata.errors import ArgumentError
-from eldata.manifest.catalogue import Manifest, load_manifest, shipped_manifest, shipped_names
+from eldata.errors import ArgumentError, EldataError
+from eldata.evaluation.tasks import Task
+from eldata.manifest.catalogue import Manifest, known_manifest, load_manifest, shipped_names
+from eldata.noise.dark_shading import dark_shading_in
 from eldata.protocols.choosing import default_protocol, get_protocol, protocols_for
 from eldata.protocols.kinds import IMAGES, Kind
 from eldata.protocols.named import PROTOCOLS
+from eldata.protocols.protocol import NO_SHADING
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
+    from eldata.evaluation.tasks import TaskFunction
     from eldata.protocols.protocol import Protocol
 
 Baseline = Literal["input"]
 
 ALL = "all"
 """In place of a protocol's name: every one that is for the dataset."""
+
+OF_CLIPS = "--clip ID (eldata predict and eldata baseline: --id ID; in Python ids=[...])"
+"""What chooses clips, in messages: the commands that predict have another use for ``--clip``."""
+
+SETTINGS = "predictions.json"
+"""What made the predictions beside it; eldata baseline and eldata predict write it."""
 
 
 class EvaluationOptions(TypedDict, total=False):
@@ -38,6 +49,9 @@ class EvaluationOptions(TypedDict, total=False):
     baseline: Baseline | None
     strict: bool
     lpips: Path | str | None
+    task: Task | TaskFunction | str | None
+    dark_shading: Path | str | None
+    store: Path | str | None
     workers: AnyWorkers
 
 
@@ -57,6 +71,12 @@ class Request:
         Whether every protocol was asked for, and those that cannot score are left out and named.
     lpips
         The folder of the weights of LPIPS, which are there; ``None``: it is not wanted.
+    task
+        One of the user's own; ``None``: none.
+    dark_shading
+        The file of the dark shading that inputs are corrected with, whose digest the protocols state; ``None``: none.
+    store
+        The store that is read in place of the dataset's files; ``None``: they are read themselves.
     """
 
     manifest: Manifest
@@ -71,6 +91,9 @@ class Request:
     allow_missing: bool
     strict: bool
     lpips: Path | None
+    task: Task | None
+    dark_shading: Path | None
+    store: Path | None
     workers: Workers
 
     @property
@@ -95,15 +118,18 @@ def make_request(
         If the manifest is malformed, a name or an option is unknown, or options do not go together.
     """
     keywords("evaluate", options, EvaluationOptions, renamed={})
-    path, baseline, lpips = options.get("manifest"), options.get("baseline"), options.get("lpips")
-    manifest = shipped_manifest(dataset) if path is None else load_manifest(path)
+    path, baseline = options.get("manifest"), options.get("baseline")
+    lpips, task, store = options.get("lpips"), options.get("task"), options.get("store")
+    manifest = known_manifest(dataset) if path is None else load_manifest(path)
     manifest.card.check_readable()
     own = manifest.name not in shipped_names()
+    shading = options.get("dark_shading")
+    protocols = protocols_for(manifest.name, own=own) if protocol == ALL else (_protocol(protocol, manifest),)
     request = Request(
         manifest=manifest,
         folder=manifest.folder(options.get("root")),
         predictions=None if predictions is None else Path(predictions),
-        protocols=protocols_for(manifest.name, own=own) if protocol == ALL else (_protocol(protocol, manifest),),
+        protocols=_of_inputs(protocols, shading),
         every=protocol == ALL,
         cameras=options.get("cameras"),
         subset=options.get("subset"),
@@ -112,6 +138,9 @@ def make_request(
         allow_missing=options.get("allow_missing", False),
         strict=options.get("strict", False),
         lpips=None if lpips is None else Path(lpips).absolute(),
+        task=None if task is None else Task.of(task),
+        dark_shading=None if shading is None else Path(shading).absolute(),
+        store=None if store is None else Path(store),
         workers=Workers.of(options.get("workers", 1)),
     )
     if baseline not in (None, "input"):
@@ -119,7 +148,7 @@ def make_request(
     if (predictions is None) == (baseline is None):
         raise ArgumentError("give a folder of predictions or a baseline, and not both")
     if request.kind is IMAGES and request.ids is not None:
-        raise ArgumentError("--clip (ids) is for datasets of clips, such as drv")
+        raise ArgumentError(f"{OF_CLIPS} is for datasets of clips, such as drv")
     if request.kind is IMAGES and request.every and request.subset is not None:
         raise ArgumentError("--protocol all scores each protocol's own pairs; leave --subset out")
     if request.subset is not None and request.ids is not None:
@@ -128,9 +157,28 @@ def make_request(
         raise ArgumentError(
             f"protocol {request.protocols[0].name!r} scores renderings, so the raw input is not a baseline of it"
         )
+    if request.store is not None and request.kind is not IMAGES:
+        raise ArgumentError("--store (store) is for datasets of images; clips are scored from their files")
     if request.lpips is not None:
         _check_lpips(request, request.lpips)
+    if request.predictions is not None:
+        _check_inputs(request, request.predictions)
+    if request.task is not None:
+        _check_task(request, request.task)
     return request
+
+
+def of_folder(request: Request, predictions: Path | str) -> Request:
+    """Return the same request of another folder of predictions.
+
+    Raises
+    ------
+    ArgumentError
+        If the folder says of its predictions what does not go with the request.
+    """
+    folder = Path(predictions)
+    _check_inputs(request, folder)
+    return replace(request, predictions=folder)
 
 
 def _protocol(protocol: str | Path | Protocol | None, manifest: Manifest) -> Protocol:
@@ -149,6 +197,46 @@ def _protocol(protocol: str | Path | Protocol | None, manifest: Manifest) -> Pro
     return chosen
 
 
+def _of_inputs(protocols: tuple[Protocol, ...], shading: Path | str | None) -> tuple[Protocol, ...]:
+    """Return the protocols with what is taken off their input; one that states a dark shading is of that one alone."""
+    digest = NO_SHADING if shading is None else dark_shading_in(Path(shading).absolute()).digest
+    for one in protocols:
+        if one.dark_shading not in (NO_SHADING, digest):
+            found = "none was given" if shading is None else f"{shading} is {digest}"
+            raise ArgumentError(
+                f"protocol {one.name!r} is of inputs less the dark shading {one.dark_shading}, and {found}: give that "
+                "one with --dark-shading (dark_shading=...)"
+            )
+    return tuple(replace(one, dark_shading=digest) for one in protocols)
+
+
+def stated_shading(folder: Path) -> str | None:
+    """Return the digest of the dark shading that a folder's own file says its predictions are of inputs less.
+
+    ``"none"``: it says that they are of inputs as they are. ``None``: it says nothing, since there is no such file, or
+    one of another origin.
+    """
+    file = folder / SETTINGS
+    if not file.is_file():
+        return None
+    try:
+        stated = TextFile(file, EldataError, "predict again into a new folder").json().data.get("dark_shading")
+    except EldataError:  # another program's: ours is written whole or not at all
+        return None
+    return stated if isinstance(stated, str) else None
+
+
+def _check_inputs(request: Request, folder: Path) -> None:
+    """Check that the folder's own words on what its predictions were made of do not contradict the request."""
+    stated, given = stated_shading(folder), request.protocols[0].dark_shading
+    if stated in (None, given):
+        return
+    said = "inputs as they are" if stated == NO_SHADING else f"inputs less the dark shading {stated}"
+    advice = "leave --dark-shading (dark_shading) out" if stated == NO_SHADING else "give that one with --dark-shading"
+    found = "none was given" if request.dark_shading is None else f"{request.dark_shading} is {given}"
+    raise ArgumentError(f"{folder / SETTINGS} says that these predictions are of {said}, and {found}: {advice}")
+
+
 def _check_lpips(request: Request, folder: Path) -> None:
     """Check that LPIPS can be taken: of renderings, with the published weights, which are read to know that."""
     from eldata.metrics.lpips import LpipsWeights
@@ -163,3 +251,20 @@ def _check_lpips(request: Request, folder: Path) -> None:
             f"{known}"
         )
     LpipsWeights.load(folder)
+
+
+def _check_task(request: Request, task: Task) -> None:
+    """Check that a task can have the images that it wants, and that the workers can have it."""
+    if request.every:
+        raise ArgumentError("--task goes with one protocol, not with --protocol all")
+    (protocol,) = request.protocols
+    if task.images not in {"packed": ("compared", "packed", "srgb"), "srgb": ("compared", "srgb")}.get(
+        protocol.pixels, ("compared",)
+    ):
+        wanted = {"packed": "packed raw images", "srgb": "renderings in sRGB"}[task.images]
+        raise ArgumentError(
+            f"the task {task.place} wants {wanted}, which predictions under protocol {protocol.name!r} do not have; "
+            "give a protocol that takes packed raw predictions, such as eld or sid"
+        )
+    if request.workers.executor is None and request.workers.jobs > 1:
+        task.check_transportable()

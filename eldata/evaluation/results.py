@@ -11,14 +11,18 @@ from typing import TYPE_CHECKING, Any
 
 from eldata.base.fields import csv_text
 from eldata.base.files import write_json, write_text
+from eldata.base.notebook import block, table
+from eldata.base.numbers import counted
 from eldata.base.tables import latex_table, markdown_table, markdown_text, text_table
 from eldata.base.visible import in_line
 from eldata.evaluation.pairs import name_of
-from eldata.evaluation.scores import EvaluationProblem, UnitScore, csv_number, json_object
+from eldata.evaluation.scores import EvaluationProblem, UnitScore, csv_number, finite_values, json_object
 from eldata.evaluation.table import PaperTable, TableRow, paper_table, short_digest, table_of
 from eldata.manifest.clips import ClipRecord
 from eldata.protocols.comparability import comparability
 from eldata.protocols.digests import CHOOSING, OF_INPUT
+from eldata.protocols.kinds import LPIPS, task_metric
+from eldata.protocols.protocol import NO_SHADING
 from eldata.records import PairRecord
 
 if TYPE_CHECKING:
@@ -26,11 +30,15 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
     from eldata.base.tables import Format
     from eldata.evaluation.pairs import Pair
     from eldata.evaluation.statistics import Interval
     from eldata.evaluation.suspicions import Suspicion
+    from eldata.plots.axes import Theme
+    from eldata.plots.scores import Strip
     from eldata.protocols.kinds import Kind
     from eldata.protocols.protocol import Protocol, StatedProtocol
 
@@ -101,7 +109,7 @@ class EvaluationResult:
             protocol=protocol,
             provenance=provenance,
             scores=found,
-            table=table_of(units, found, kind_of(protocol.kind, provenance)),
+            table=table_of(units, found, kind_of(protocol.kind, provenance), provenance["dataset"]),
             expected=len(units),
             missing=tuple(name_of(unit) for unit in units if unit.path not in scores),
             problems=tuple(problems),
@@ -223,7 +231,7 @@ class EvaluationResult:
 
     @property
     def coverage(self) -> str:
-        """Return how many of the dataset's pairs were scored, and which were chosen."""
+        """Return how many of the dataset's pairs were scored, which were chosen, and what was taken off the input."""
         cameras, subset, ids = (self.provenance.get(name) for name in ("cameras", "subset", "ids"))
         parts = [f"{self.scored} of {self.expected} {self.kind.counted}"]
         parts += [f"only {', '.join(map(str, chosen))}" for chosen in (cameras, ids) if isinstance(chosen, list)]
@@ -233,6 +241,9 @@ class EvaluationResult:
             flags = self.provenance.get(name)
             if isinstance(flags, dict):
                 parts += [f"{words.format(flag)} ({count})" for flag, count in flags.items()]
+        shading = self.protocol.as_dict().get("dark_shading", NO_SHADING)
+        if shading != NO_SHADING:
+            parts.append(f"input less dark shading {short_digest(str(shading))}")
         return ", ".join(parts)
 
     @property
@@ -289,6 +300,69 @@ class EvaluationResult:
         lines.append(f"{self.protocol.title} ({short_digest(self.digest)})")
         return "\n".join(lines)
 
+    # --- to be looked at ----------------------------------------------------------------------------------------------
+
+    def plot(self, metric: str = "psnr_db", *, ax: Axes | None = None) -> Figure:
+        """Draw every score by camera and factor, with the means of the table and their intervals over scenes.
+
+        Parameters
+        ----------
+        metric
+            The name of a column of the table, such as ``psnr_db`` or ``ssim``.
+        ax
+            Axes to draw into; by default those of a new figure, which belongs to no pyplot and shows in a notebook.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            That of the axes.
+
+        Raises
+        ------
+        ArgumentError
+            If the table has no such column, or no score is finite.
+        """
+        from eldata.plots.axes import drawn_into, nothing_to_draw
+        from eldata.plots.scores import strips
+
+        chosen = self.kind.metric(metric)
+        values = self._strips(chosen.name)
+        if not values:
+            raise nothing_to_draw(
+                f"{metric} of this result", "no score is finite" if self.scores else "nothing was scored"
+            )
+
+        def draw(axes: Axes, theme: Theme) -> None:
+            strips(axes, values, theme)
+            axes.set_ylabel(chosen.head)
+
+        return drawn_into(ax, f"{self.dataset}, protocol {self.protocol.name}", draw)
+
+    def _strips(self, name: str) -> list[Strip]:
+        """Return the finite scores of each row of the table, less the last where others span all cameras too."""
+        from eldata.plots.scores import Strip
+
+        by_factor = any(row.ratio is not None for row in self.table)
+        drawn = []
+        for row in self.table:
+            values = finite_values(self.scores_of(row), name)
+            if values and (row.ratio is not None or not by_factor):
+                drawn.append(Strip(row.camera or "all", row.ratio, values, self.interval(row, name).ends))
+        return drawn
+
+    def __repr__(self) -> str:
+        texts = zip(self.kind.heads[1:], self.whole.texts(self.kind)[1:], strict=True) if self.scores else ()
+        means = ", ".join(f"{head} {text}" for head, text in texts)
+        text = f"{self.dataset}, protocol {self.protocol.name} ({short_digest(self.digest)}): {self.coverage}"
+        problems = f", {counted(len(self.problems), 'problem')}" if self.problems else ""
+        return f"EvaluationResult({in_line(text)}{problems}; {means or 'nothing was scored'})"
+
+    def _repr_html_(self) -> str:
+        cells = self.paper_table
+        parts = [table(cells.header, cells.rows, cells.left)] if self.scores else []
+        notes = [*problem_lines(self.problems), *map(str, self.suspicions), *(f"note: {note}" for note in self.notes)]
+        return block(self.caption, *parts, notes=[*notes, self.protocol.title])
+
     # --- files --------------------------------------------------------------------------------------------------------
 
     def as_dict(self) -> dict[str, Any]:
@@ -316,8 +390,13 @@ class EvaluationResult:
 
 
 def kind_of(kind: Kind, provenance: Mapping[str, Any]) -> Kind:
-    """Return a protocol's kind with what was asked for beyond it: LPIPS."""
-    return kind.with_lpips if "lpips" in provenance else kind
+    """Return a protocol's kind with what was asked for beyond it: LPIPS, a task."""
+    if "lpips" in provenance:
+        kind = kind.having(LPIPS)
+    if "task" in provenance:
+        task = provenance["task"]
+        kind = kind.having(task_metric(task["label"], higher_is_better=task["higher_is_better"]))
+    return kind
 
 
 def write_scores(results: Sequence[EvaluationResult], path: Path | str, *, named: bool = False) -> None:
@@ -369,4 +448,4 @@ def _by_folder(paths: Sequence[str]) -> list[tuple[int, str]]:
 
 def nothing_scored(problems: Sequence[EvaluationProblem]) -> str:
     """Return that nothing was scored, in a line."""
-    return f"nothing was scored: {len(problems)} problem{'s' if len(problems) > 1 else ''}"
+    return f"nothing was scored: {counted(len(problems), 'problem')}"

@@ -55,6 +55,11 @@ def _result(top: Fields) -> EvaluationResult:
         raise top.problem("provenance", "is missing: this is not a result of eldata evaluate, or not a whole one")
     provenance, protocol, coverage = (top.inside(name) for name in ("provenance", "protocol", "coverage"))
     own = CLIPS if CLIPS.units in top.data else IMAGES
+    if "task" in provenance.data:
+        task = provenance.inside("task")
+        for name in ("label", "callable", "images"):
+            task.text(name)
+        task.flag("higher_is_better")
     kind = kind_of(own, provenance.data)
     written = provenance.text("eldata")
     if _release(written) > _release(__version__):
@@ -121,7 +126,7 @@ def _check_digest(provenance: Fields, stated: StatedProtocol) -> None:
 def _score(one: Fields, kind: Kind) -> UnitScore:
     camera, scene = one.text("camera"), one.text("scene")
     values = {name: one.parsed(name, _value) for name in kind.values}
-    if kind is not CLIPS:
+    if not kind.is_of_clips:
         iso, ratio = one.number("iso", at_least=0), one.number("ratio", at_least=0)
         return UnitScore(one.text("path"), camera, scene, iso, ratio, values)
     frames = tuple(
@@ -134,7 +139,7 @@ def _score(one: Fields, kind: Kind) -> UnitScore:
 
 def _table(top: Fields, kind: Kind, scores: tuple[UnitScore, ...], expected: int) -> tuple[TableRow, ...]:
     names = [metric.name for metric in kind.metrics]
-    if kind is CLIPS and isinstance(top.value("table"), dict):  # 0.1 stated the means over all alone
+    if kind.is_of_clips and isinstance(top.value("table"), dict):  # 0.1 stated the means over all alone
         means = top.inside("table")
         return (TableRow(None, None, expected, len(scores), {name: means.parsed(name, _value) for name in names}),)
     return tuple(

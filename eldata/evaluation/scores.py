@@ -62,6 +62,11 @@ class Valued:
         return self.values["lpips"]
 
     @property
+    def task(self) -> float:
+        """The value of a task of the user's own, where one was asked for."""
+        return self.values["task"]
+
+    @property
     def rescale(self) -> float:
         """The factor that the protocol multiplied a prediction by; 1 if it does not rescale."""
         return self.values["rescale"]
@@ -155,3 +160,8 @@ def _json_safe(value: Any) -> Any:
 def csv_number(value: object) -> object:
     """Return a value as a CSV cell: 800, not 800.0; repr of any other float reads back the same."""
     return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+def finite_values(scores: Iterable[UnitScore], name: str) -> tuple[float, ...]:
+    """Return a value, such as ``psnr_db``, of the scores in which it is finite."""
+    return tuple(score.values[name] for score in scores if math.isfinite(score.values[name]))

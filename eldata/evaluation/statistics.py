@@ -69,6 +69,11 @@ class Interval:
         return math.isfinite(self.low) and math.isfinite(self.high)
 
     @property
+    def ends(self) -> tuple[float, float, float]:
+        """Mean, lower and upper end."""
+        return self.mean, self.low, self.high
+
+    @property
     def sign(self) -> int:
         """1 or -1 if the whole interval lies above or below 0, else 0."""
         return (self.low > 0) - (self.high < 0) if self.is_known else 0
@@ -202,6 +207,22 @@ def sign_flip_p_value(
         flips = 1 - 2 * generator.integers(0, 2, (count, len(sums)))
         reached += int(np.count_nonzero(np.abs(flips @ sums) >= enough))
     return (1 + reached) / (1 + resamples)
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Return p-values corrected for how many there are, by Holm's step-down rule; nan stays, and does not count.
+
+    Below a level such as 0.05 they hold for all of them together: the chance that any true hypothesis is among those
+    rejected is at most that level, however the tests depend on each other (S. Holm, Scandinavian Journal of Statistics
+    6, 1979).
+    """
+    order = sorted((index for index, p in enumerate(p_values) if not math.isnan(p)), key=lambda index: p_values[index])
+    corrected = [math.nan] * len(p_values)
+    reached = 0.0
+    for rank, index in enumerate(order):
+        reached = max(reached, min(1.0, (len(order) - rank) * p_values[index]))
+        corrected[index] = reached
+    return corrected
 
 
 def expanded_level(level: float, scenes: int) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from eldata.evaluation.ordering import cameras_in_order
 from eldata.evaluation.pairs import ratio_of
 from eldata.evaluation.scores import UnitScore, Valued, means
 
@@ -49,12 +50,13 @@ class TableRow(Valued):
         )
 
 
-def groups_of(items: Sequence[tuple[str, float | None]]) -> list[tuple[str | None, float | None]]:
+def groups_of(items: Sequence[tuple[str, float | None]], dataset: str = "") -> list[tuple[str | None, float | None]]:
     """Return the groups of a table over cameras and factors: camera by factor, each factor over all, and all.
 
-    A set without factors, or with more than twelve, has each camera, if there are several, and all.
+    A set without factors, or with more than twelve, has each camera, if there are several, and all. Cameras come in the
+    order of the set of this name (:func:`~eldata.evaluation.ordering.cameras_in_order`).
     """
-    cameras = list(dict.fromkeys(camera for camera, _ in items))
+    cameras = cameras_in_order((camera for camera, _ in items), dataset)
     ratios = sorted({ratio for _, ratio in items if ratio is not None})
     if len(ratios) > _MOST_FACTORS:
         ratios = []
@@ -67,11 +69,11 @@ def groups_of(items: Sequence[tuple[str, float | None]]) -> list[tuple[str | Non
     return [*groups, (None, None)]
 
 
-def table_of(pairs: Sequence[Pair], scores: Sequence[UnitScore], kind: Kind) -> tuple[TableRow, ...]:
-    """Return the means over the groups of these pairs."""
+def table_of(pairs: Sequence[Pair], scores: Sequence[UnitScore], kind: Kind, dataset: str = "") -> tuple[TableRow, ...]:
+    """Return the means over the groups of these pairs, of the dataset of this name."""
     keys = [(pair.camera, ratio_of(pair)) for pair in pairs]
     rows = []
-    for camera, ratio in groups_of(keys):
+    for camera, ratio in groups_of(keys, dataset):
         empty = TableRow(camera, ratio, 0, 0, {})
         members = [score for score in scores if empty.holds(score)]
         count = sum(camera in (None, key[0]) and ratio in (None, key[1]) for key in keys)

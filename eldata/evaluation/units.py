@@ -1,7 +1,8 @@
 """The one scoring loop: images and windows of clips under one or several protocols at once.
 
 A unit of work is a reference with the predictions that are compared with it: those of the noisy frames of an image
-scene, or of the frames of a clip's window. Each file is read once, and what protocols share is computed once.
+scene, or of the frames of a clip's window, in one folder or in several. Each file is read once, and what protocols and
+folders share is computed once; predictions are in memory one at a time, however many folders there are.
 """
 
 from __future__ import annotations
@@ -9,17 +10,18 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from eldata.base.files import inside
 from eldata.base.workers import Failed, require_files
 from eldata.errors import ArgumentError, EldataError, FileError, PredictionError
-from eldata.evaluation.compared_frames import ComparedFrame, Reference, ScoringJob, as_scored
+from eldata.evaluation.compared_frames import ComparedFrame, as_scored
 from eldata.evaluation.pairs import Pair, frames_of, iso_of, place_of, ratio_of
 from eldata.evaluation.scores import EvaluationProblem, FrameScore, UnitScore, mean
+from eldata.evaluation.shared_frames import NoisyInput, Reference, ScoringJob
 from eldata.evaluation.suspicions import Inspection, chosen_frames
 from eldata.manifest.clips import ClipRecord
 from eldata.protocols.clips import ClipProtocol
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from eldata.evaluation.originals import Originals
     from eldata.evaluation.planning import ScoringPlan
     from eldata.evaluation.request import Request
     from eldata.metrics.image_score import Score
@@ -74,15 +77,41 @@ def _in_common(
 
 
 @dataclass(frozen=True, slots=True)
-class _Member:
-    """A pair, the files of its frames' predictions (``None``: the input itself), and the plans, by number.
+class Contender:
+    """What is scored under one plan: a folder's predictions, or the input.
 
-    ``looked``: the plans under which its prediction is looked at for mistakes.
+    Attributes
+    ----------
+    plan
+        Protocol and pairs.
+    method
+        The number of its folder: plans of one folder read its files once.
+    files
+        The file of each prediction by its place; pairs without all of theirs are left out. ``None``: the noisy inputs
+        themselves are scored.
+    """
+
+    plan: ScoringPlan
+    method: int
+    files: dict[str, Path] | None
+
+    def has(self, pair: Pair) -> bool:
+        """Return whether a pair can be scored."""
+        files = self.files
+        return files is None or all(place_of(pair, frame) in files for frame in frames_of(pair))
+
+
+@dataclass(frozen=True, slots=True)
+class _Member:
+    """A pair, the files of its frames' predictions in one folder (``None``: the input itself), and who is scored on it.
+
+    ``contenders`` are numbers; ``looked``: those of whose prediction is looked at for mistakes.
     """
 
     pair: Pair
+    method: int
     files: tuple[Path, ...] | None
-    plans: tuple[int, ...]
+    contenders: tuple[int, ...]
     looked: frozenset[int]
 
 
@@ -92,25 +121,28 @@ class _Unit:
 
     reference: str
     members: tuple[_Member, ...]
+    originals: Originals
 
     def __str__(self) -> str:
         return self.reference
 
+    def by_method(self) -> list[_Unit]:
+        """Return a unit for each folder."""
+        methods = dict.fromkeys(member.method for member in self.members)
+        return [replace(self, members=tuple(m for m in self.members if m.method == method)) for method in methods]
 
-def score_plans(
-    request: Request, plans: Sequence[ScoringPlan], files: Sequence[dict[str, Path]] | None
-) -> list[PlanScores]:
-    """Score the pairs of each plan.
+
+def score_plans(request: Request, originals: Originals, contenders: Sequence[Contender]) -> list[PlanScores]:
+    """Score the pairs of each contender, which find what they would find alone.
 
     Parameters
     ----------
     request
-        The dataset's folder, and who works.
-    plans
-        Protocols and their pairs.
-    files
-        For each plan, the file of each prediction by its place; pairs without all of theirs are left out. ``None``: the
-        noisy inputs themselves are scored.
+        Who works, and what is wanted beyond the protocols.
+    originals
+        The dataset's frames.
+    contenders
+        Protocols, their pairs, and whose predictions.
 
     Raises
     ------
@@ -118,37 +150,68 @@ def score_plans(
         What a unit raised that is neither an :class:`~eldata.errors.EldataError` nor an :class:`OSError`, and so no
         problem of the data; a note names the unit.
     """
-    units = _units(plans, files)
-    protocols = tuple(plan.protocol for plan in plans)
-    workers = request.workers
-    job = ScoringJob(Path.cwd(), request.folder.absolute(), protocols, workers.threads_within, request.lpips)
-    work = partial(_score_unit, job)
-    found = [PlanScores() for _ in plans]
-    for outcome in workers.attempt(work, units, label="scoring", unit="reference"):
-        if isinstance(outcome, Failed) and not isinstance(outcome.error, (EldataError, OSError)):
-            outcome.error.add_note(f"while the predictions for the reference {outcome.unit} were scored")
-            raise outcome.error
-        for plan, scores in _unusable(outcome.unit, outcome.reason) if isinstance(outcome, Failed) else outcome:
-            found[plan].add(scores)
-    return found
+    job = ScoringJob(
+        Path.cwd(),
+        replace(originals, held={}),
+        tuple(one.plan.protocol for one in contenders),
+        request.workers.threads_within,
+        request.lpips,
+        request.dark_shading,
+        request.task,
+    )
+    found: list[dict[str, PlanScores]] = [{} for _ in contenders]
+    waiting = _units(originals, contenders)
+    while waiting:
+        units, waiting = waiting, []
+        for outcome in request.workers.attempt(partial(_score_unit, job), units, label="scoring", unit="reference"):
+            if not isinstance(outcome, Failed):
+                scored = outcome
+            elif len(apart := outcome.unit.by_method()) > 1:
+                waiting += apart  # one folder's file may have ended the worker: it is not to cost the others' scores
+                continue
+            elif isinstance(outcome.error, (EldataError, OSError)):
+                scored = _unusable(outcome.unit, outcome.reason)
+            else:
+                outcome.error.add_note(f"while the predictions for the reference {outcome.unit} were scored")
+                raise outcome.error
+            for number, path, scores in scored:
+                found[number][path] = scores
+    return [_in_order(one.plan, scores) for one, scores in zip(contenders, found, strict=True)]
 
 
-def _units(plans: Sequence[ScoringPlan], files: Sequence[dict[str, Path]] | None) -> list[_Unit]:
+def _in_order(plan: ScoringPlan, found: dict[str, PlanScores]) -> PlanScores:
+    """Return what the pairs of a plan found, in the plan's order."""
+    scores = PlanScores()
+    for pair in plan.pairs:
+        if pair.path in found:
+            scores.add(found[pair.path])
+    return scores
+
+
+def _units(originals: Originals, contenders: Sequence[Contender]) -> list[_Unit]:
+    scoring: dict[str, dict[int, list[int]]] = defaultdict(lambda: defaultdict(list))
     pairs: dict[str, Pair] = {}
-    scoring: dict[str, list[int]] = defaultdict(list)
-    looked = [frozenset() if files is None else _looked_at(plan.pairs) for plan in plans]
-    for number, plan in enumerate(plans):
-        for pair in plan.pairs:
-            if files is None or all(place_of(pair, frame) in files[number] for frame in frames_of(pair)):
-                pairs[pair.path] = pair
-                scoring[pair.path].append(number)
+    looked = [frozenset() if one.files is None else _looked_at(one.plan.pairs) for one in contenders]
+    for number, one in enumerate(contenders):
+        for pair in filter(one.has, one.plan.pairs):
+            pairs[pair.path] = pair
+            scoring[pair.path][one.method].append(number)
     members: dict[str, list[_Member]] = defaultdict(list)
     for path, pair in pairs.items():
-        of = None if files is None else files[scoring[path][0]]
-        found = None if of is None else tuple(of[place_of(pair, frame)] for frame in frames_of(pair))
-        chosen = frozenset(number for number in scoring[path] if path in looked[number])
-        members[pair.reference or ""].append(_Member(pair, found, tuple(scoring[path]), chosen))
-    return [_Unit(reference, tuple(sharing)) for reference, sharing in members.items()]
+        for method, numbers in scoring[path].items():
+            of = contenders[numbers[0]].files
+            found = None if of is None else tuple(of[place_of(pair, frame)] for frame in frames_of(pair))
+            chosen = frozenset(number for number in numbers if path in looked[number])
+            members[pair.reference or ""].append(_Member(pair, method, found, tuple(numbers), chosen))
+    return [
+        _Unit(reference, tuple(sharing), originals.of(_frames(reference, sharing)))
+        for reference, sharing in members.items()
+    ]
+
+
+def _frames(reference: str, members: Sequence[_Member]) -> list[str]:
+    """Return the dataset's frames that a unit may ask for."""
+    return list(dict.fromkeys((reference, *(frame for member in members for frame in frames_of(member.pair)))))
 
 
 def _looked_at(pairs: Sequence[Pair]) -> frozenset[str]:
@@ -156,9 +219,13 @@ def _looked_at(pairs: Sequence[Pair]) -> frozenset[str]:
     return chosen_frames((pair.path, pair.camera, ratio_of(pair), iso_of(pair)) for pair in pairs)
 
 
-def _unusable(unit: _Unit, reason: str) -> list[tuple[int, PlanScores]]:
-    """Return for each plan the problem of each pair of a unit that was lost as a whole."""
-    return [(plan, _without_reference(member.pair, reason)) for member in unit.members for plan in member.plans]
+def _unusable(unit: _Unit, reason: str) -> list[tuple[int, str, PlanScores]]:
+    """Return for each contender the problem of each pair of a unit that was lost as a whole."""
+    return [
+        (number, member.pair.path, _without_reference(member.pair, reason))
+        for member in unit.members
+        for number in member.contenders
+    ]
 
 
 def _without_reference(pair: Pair, reason: str) -> PlanScores:
@@ -169,30 +236,36 @@ def _without_reference(pair: Pair, reason: str) -> PlanScores:
 # --- in a worker ------------------------------------------------------------------------------------------------------
 
 
-def _score_unit(job: ScoringJob, unit: _Unit) -> list[tuple[int, PlanScores]]:
-    """Return what each pair of a unit scored under each of its plans."""
-    path = inside(job.folder, unit.reference)
-    files = [file for member in unit.members for file in member.files or ()]
-    require_files(path, *(job.start / file for file in files))
-    reference = Reference(path)
-    found: list[tuple[int, PlanScores]] = []
-    for member in unit.members:
-        scorers = [_scorer(job, member, plan) for plan in member.plans]
-        for index, frame in enumerate(frames_of(member.pair)):
-            file = None if member.files is None else member.files[index]
-            shared = ComparedFrame(job, reference, member.pair, frame, file)
-            for scorer in scorers:
-                scorer.take(shared)
-        found += [(plan, scorer.finished()) for plan, scorer in zip(member.plans, scorers, strict=True)]
+def _score_unit(job: ScoringJob, unit: _Unit) -> list[tuple[int, str, PlanScores]]:
+    """Return what each pair of a unit scored for each of its contenders."""
+    job = replace(job, originals=unit.originals)
+    job.originals.require(unit.reference)
+    require_files(*(job.start / file for member in unit.members for file in member.files or ()))
+    reference = Reference(job.originals, unit.reference)
+    found: list[tuple[int, str, PlanScores]] = []
+    for path, of_pair in groupby(unit.members, key=lambda member: member.pair.path):
+        noisy: dict[str, NoisyInput] = {}  # what several folders' predictions of this pair are held against
+        members = list(of_pair)
+        for member in members:
+            scorers = [_scorer(job, member, number) for number in member.contenders]
+            for index, frame in enumerate(frames_of(member.pair)):
+                given = noisy.get(frame) or NoisyInput(job, reference, member.pair, frame)
+                if len(members) > 1:
+                    noisy[frame] = given
+                file = None if member.files is None else member.files[index]
+                shared = ComparedFrame(job, reference, member.pair, given, file)
+                for scorer in scorers:
+                    scorer.take(shared)
+            found += [(one, path, scorer.finished()) for one, scorer in zip(member.contenders, scorers, strict=True)]
     return found
 
 
 # --- what differs between images and clips ------------------------------------------------------------------------
 
 
-def _scorer(job: ScoringJob, member: _Member, plan: int) -> _Scorer:
-    pair, protocol, frames = member.pair, job.protocols[plan], frames_of(member.pair)
-    looked = frames[len(frames) // 2] if plan in member.looked else None
+def _scorer(job: ScoringJob, member: _Member, contender: int) -> _Scorer:
+    pair, protocol, frames = member.pair, job.protocols[contender], frames_of(member.pair)
+    looked = frames[len(frames) // 2] if contender in member.looked else None
     if isinstance(pair, ClipRecord) and isinstance(protocol, ClipProtocol):
         return _ClipScorer(pair, protocol, looked, job.threads)
     return _Scorer(pair, protocol, looked)
@@ -207,7 +280,7 @@ class _Scorer:
         self._frames: list[FrameScore] = []
         self._found = PlanScores()
         self._bare = False
-        self._extras: dict[str, float] = {}
+        self._extras: list[dict[str, float]] = []
         self._equal: dict[str, frozenset[str]] | None = None
 
     def take(self, frame: ComparedFrame) -> None:
@@ -222,7 +295,7 @@ class _Scorer:
             return
         try:
             found, prediction = frame.score(protocol, target)
-            self._extras = frame.extras(protocol, target, found.rescale)
+            extras = frame.extras(protocol, target, found.rescale)
         except FileError as error:
             file = frame.file if isinstance(error, PredictionError) else error.path
             self._found.problems.append(EvaluationProblem(str(file), error.reason))
@@ -232,6 +305,7 @@ class _Scorer:
         else:
             self._keep(prediction, target, found)
             self._equal = _in_common(self._equal, frame.equal_choices(protocol))
+            self._extras.append(extras)
             self._frames.append(FrameScore(frame.path, found.psnr_db, found.ssim, found.rescale))
             if frame.path == self._looked:
                 self._inspections.append(frame.inspected(protocol, target, found.psnr_db))
@@ -257,7 +331,8 @@ class _Scorer:
 
     def _means(self) -> dict[str, float]:
         names = ("psnr_db", "ssim", "rescale")
-        return {name: mean([getattr(frame, name) for frame in self._frames]) for name in names} | self._extras
+        own = {name: mean([getattr(frame, name) for frame in self._frames]) for name in names}
+        return own | {name: mean([extras[name] for extras in self._extras]) for name in self._extras[0]}
 
 
 class _ClipScorer(_Scorer):

@@ -128,9 +128,9 @@ class PSNR(_OneScore):
     >>> import torch
     >>> from eldata.integrations.torchmetrics import PSNR
     >>> metric = PSNR()
-    >>> metric.update(torch.full((2, 4, 8, 8), 0.5), torch.full((2, 4, 8, 8), 0.6))
-    >>> round(float(metric.compute()), 4)
-    20.0
+    >>> metric.update(torch.full((2, 4, 64, 64), 0.51), torch.full((2, 4, 64, 64), 0.5))
+    >>> round(float(metric.compute()), 3)
+    40.0
     """
 
     columns = ("psnr_db",)

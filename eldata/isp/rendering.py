@@ -31,7 +31,15 @@ class Response(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Gamma:
-    """A power law, ``max(x, 1e-8) ** (1 / exponent)``; 2.2 is the ELD code's, 1 leaves linear light as it is."""
+    """A power law, ``max(x, 1e-8) ** (1 / exponent)``; 2.2 is the ELD code's, 1 leaves linear light as it is.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from eldata.isp import Gamma
+    >>> Gamma(2.0)(torch.tensor([0.25, 1.0]))
+    tensor([0.5000, 1.0000])
+    """
 
     exponent: float = 2.2
 
@@ -112,6 +120,15 @@ class Rendering:
         One camera's colour for all images, or one for each item of a batch, in its order.
     response
         Gamma 2.2, or a measured :class:`~eldata.isp.response.ResponseCurve`.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from eldata.isp import Rendering
+    >>> from eldata.raw import read_raw
+    >>> sensor = read_raw("eldata-demo/data/ELD-demo/DemoAlpha/scene-1/IMG_0001.dng").sensor
+    >>> Rendering.of(sensor)(torch.full((4, 8, 8), 0.2)).shape
+    torch.Size([3, 8, 8])
     """
 
     colours: tuple[CameraColour, ...]

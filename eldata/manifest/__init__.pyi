@@ -10,6 +10,6 @@ from .catalogue import shipped_names as shipped_names
 from .lock import lock as lock
 from .table import load_records as load_records
 from .table import save_records as save_records
-from .verify import Problem as Problem
-from .verify import VerifyReport as VerifyReport
 from .verify import verify as verify
+from .verify_report import Problem as Problem
+from .verify_report import VerifyReport as VerifyReport

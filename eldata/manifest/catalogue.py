@@ -8,13 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.errors import ManifestError
+from eldata.errors import EldataError, ManifestError, did_you_mean
 from eldata.manifest.card import Card, load_card, save_card
 from eldata.manifest.patterns import is_pattern
+from eldata.manifest.registered import registered_manifest, registered_names, registered_place
 from eldata.manifest.table import load_table, save_records
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Collection, Iterable
 
     from eldata.records import FrameRecord
 
@@ -98,7 +99,14 @@ def shipped_folder() -> Path:
 
 
 def shipped_names() -> tuple[str, ...]:
-    """Return the names of the shipped manifests."""
+    """Return the names of the shipped manifests.
+
+    Examples
+    --------
+    >>> from eldata.manifest import shipped_names
+    >>> shipped_names()
+    ('crvd', 'drv', 'eld', 'lrd', 'lrid', 'sid-fuji', 'sid-sony', 'sidd')
+    """
     return tuple(sorted(path.stem for path in shipped_folder().glob("*.csv")))
 
 
@@ -116,7 +124,7 @@ def shipped_card(name: str) -> Card:
         If the name is unknown; the message lists the known ones.
     """
     if name not in carded_names():
-        raise ManifestError(f"no dataset is called {name!r}; known are {', '.join(carded_names())}")
+        raise ManifestError(_unknown(name, carded_names()))
     return load_card(shipped_folder() / f"{name}.json")
 
 
@@ -127,6 +135,13 @@ def shipped_manifest(name: str) -> Manifest:
     ------
     ManifestError
         If the name is unknown; the message lists the known ones. If the set has a card alone, the message says so.
+
+    Examples
+    --------
+    >>> from eldata.manifest import shipped_manifest
+    >>> manifest = shipped_manifest("eld")
+    >>> len(manifest.records), manifest.records[3].path
+    (640, 'CanonEOS700D/scene-1/IMG_0004.CR2')
     """
     if name in carded_names() and name not in shipped_names():
         raise ManifestError(
@@ -134,24 +149,118 @@ def shipped_manifest(name: str) -> Manifest:
             "what is known; list your copy in a manifest of your own (docs/adding-a-dataset.md)"
         )
     if name not in shipped_names():
-        parts = [one for one in shipped_names() if name and one.startswith(f"{name}-")]
-        meant = f"it is {' and '.join(parts)}: name one" if parts else f"known are {', '.join(shipped_names())}"
-        raise ManifestError(f"no dataset is called {name!r}; {meant}")
+        raise ManifestError(_unknown(name, shipped_names()))
     return load_manifest(shipped_folder() / f"{name}.csv")
 
 
-def find_manifests(path: Path | str) -> tuple[Manifest, ...]:
-    """Load one manifest (a CSV file) or all of a folder.
+def known_names() -> tuple[str, ...]:
+    """Return the names of all sets: those with a shipped card, and those that other installed packages register."""
+    return tuple(dict.fromkeys((*carded_names(), *registered_names())))
+
+
+def known_manifest(name: str) -> Manifest:
+    """Load the manifest of a set by its name: a shipped one, or one that another installed package registers.
 
     Raises
     ------
     ManifestError
-        If there is none, or one is malformed.
+        If the name is unknown (the message lists the known ones), the set has a card alone, or what a package registers
+        has no manifest, or one of another name.
+    ArgumentError
+        If several sets have the name.
     """
-    path = Path(path)
+    shipped = name in carded_names()
+    place = registered_place(name, "the one that comes with eldata" if shipped else None)
+    if place is None:
+        raise ManifestError(_unknown(name, known_names()))
+    if shipped:
+        return shipped_manifest(name)
+    manifest = load_manifest(registered_manifest(name, place))
+    if manifest.name != name:
+        raise ManifestError(
+            f"{manifest.path}: its card names it {manifest.name!r}, but it is registered as {name!r}; give it one name"
+        )
+    return manifest
+
+
+def known_manifests(root: Path | str | None = None) -> tuple[tuple[Manifest, ...], tuple[str, ...]]:
+    """Return what the files of all known sets are checked against, and, of those that cannot be loaded, why.
+
+    What another package registers must not keep the rest from being used.
+    """
+    found, problems = [], []
+    for name in dict.fromkeys((*shipped_names(), *registered_names())):
+        try:
+            found.append(checking_manifest(name, root))
+        except EldataError as error:
+            problems.append(str(error))
+    return tuple(found), tuple(problems)
+
+
+def _unknown(name: str, known: Collection[str]) -> str:
+    parts = [one for one in known if name and one.startswith(f"{name.casefold()}-")]
+    meant = f"it is {' and '.join(parts)}: name one" if parts else f"known are {', '.join(known)}"
+    return f"no dataset is called {name!r}; {meant}{'' if parts else did_you_mean(name, known)}"
+
+
+def locked_path(name: str, root: Path | str | None = None) -> Path:
+    """Return where ``eldata lock NAME`` writes: a known set's manifest with the sizes and hashes of a copy.
+
+    Beside the data that it is about, not in the package, which the next update would replace.
+    """
+    return data_root(root) / "manifests" / f"{name}.csv"
+
+
+def checking_manifest(name: str, root: Path | str | None = None) -> Manifest:
+    """Load what a set's files are checked against: its manifest as locked for this copy, else as it is known.
+
+    Raises
+    ------
+    ManifestError
+        Like :func:`known_manifest`; or if it was locked from another version of the manifest.
+    """
+    known, path = known_manifest(name), locked_path(name, root)
+    if not path.is_file():
+        return known
+    locked = load_manifest(path)
+    if (locked.name, locked.card.version) != (name, known.card.version):
+        raise ManifestError(
+            f"{path}: is of {locked.name} {locked.card.version}, and eldata knows {name} {known.card.version}; move it "
+            f"away, and lock again (eldata lock {name})"
+        )
+    return locked
+
+
+def is_name(text: Path | str) -> bool:
+    """Whether a text is to be taken for a set's name: it is known, or it looks like one, and is not a file."""
+    if not isinstance(text, str) or not text or Path(text).name != text:
+        return False
+    return text in known_names() or not (Path(text).suffix or Path(text).exists())
+
+
+def find_manifests(where: Path | str | Iterable[Path | str], root: Path | str | None = None) -> tuple[Manifest, ...]:
+    """Load one manifest (a CSV file), all of a folder, a known set's by its name, or several of these.
+
+    A known name is a name: a folder of that name is ``./eld``. With ``root``, the folder that holds the datasets, what
+    ``eldata lock NAME`` has recorded there is taken in place of the known manifest.
+
+    Raises
+    ------
+    ManifestError
+        If there is none, or one is malformed; of a name, like :func:`checking_manifest`.
+    """
+    if not isinstance(where, (str, Path)):
+        return tuple(manifest for one in where for manifest in find_manifests(one, root))
+    if is_name(where):
+        if where not in known_names():
+            raise ManifestError(f"{where}: there is no such file or folder, and {_unknown(str(where), known_names())}")
+        return (checking_manifest(str(where), root),)
+    path = Path(where)
     if path.is_dir():
         found = sorted(path.glob("*.csv"))
         if not found:
             raise ManifestError(f"{path}: holds no manifest (*.csv)")
         return tuple(load_manifest(file) for file in found)
+    if path.is_file() and path.suffix.lower() != ".csv":
+        raise ManifestError(f"{path}: is not a manifest, a CSV file; give one, a folder of them, or a dataset's name")
     return (load_manifest(path),)

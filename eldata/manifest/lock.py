@@ -8,14 +8,15 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.files import sha256_of
+from eldata.base.files import sha256_of, write_problem
 from eldata.base.workers import AnyWorkers, Failed, Workers, accepts_jobs, require_files
 from eldata.errors import ManifestError
 from eldata.manifest.card import load_card, save_card
-from eldata.manifest.catalogue import Manifest, data_root, load_manifest
+from eldata.manifest.catalogue import Manifest, data_root, is_name, known_manifest, load_manifest, locked_path
 from eldata.manifest.patterns import expand
 from eldata.manifest.table import load_table, save_records
-from eldata.manifest.verify import Problem, VerifyReport, content_findings, verify
+from eldata.manifest.verify import content_findings, verify
+from eldata.manifest.verify_report import Problem, VerifyReport
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
@@ -26,8 +27,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class LockReport:
-    """The result of :func:`lock`: the checks made first, and how much was filled in: nothing if there were problems."""
+    """The result of :func:`lock`: the checks made first, and how much was filled in: nothing if there were problems.
 
+    ``path`` is the manifest's file that has been written, or would have been.
+    """
+
+    path: Path
     checks: VerifyReport
     problems: tuple[Problem, ...]
     files_locked: int
@@ -53,7 +58,8 @@ def lock(
     Parameters
     ----------
     manifest
-        The manifest's CSV file, which is changed.
+        The manifest's CSV file, which is changed. Or the name of a known set: what is filled in is then written to
+        ``<root>/manifests/<name>.csv``, beside the data, where :func:`~eldata.manifest.verify.verify` finds it by name.
     root
         The folder that holds the datasets; default ``$ELDATA_ROOT``, else ``./data``.
     cameras
@@ -64,15 +70,15 @@ def lock(
     Raises
     ------
     ManifestError
-        If the manifest is malformed.
+        If the manifest is malformed, or no set has the name.
     EldataError
         If it cannot be written.
     """
-    loaded = _loaded(Path(manifest), root)
+    loaded, path = _source(manifest, root)
     workers = Workers.of(workers)
     checks = verify([loaded], root, dataset=loaded.name, cameras=cameras, level="metadata", workers=workers)
     if checks.problems:
-        return LockReport(checks, checks.problems, 0)
+        return LockReport(path, checks, checks.problems, 0)
     folder = loaded.folder(root)
     listed = expand(loaded.records, folder)
     chosen = [record for record in listed if not cameras or record.camera in cameras]
@@ -88,7 +94,7 @@ def lock(
             locked[record.path] = record
             unfit += [Problem.of(loaded.name, finding) for finding in findings]
     if unfit:
-        return LockReport(checks, tuple(unfit), 0)
+        return LockReport(path, checks, tuple(unfit), 0)
     problems = tuple(
         Problem(
             loaded.name,
@@ -102,12 +108,28 @@ def lock(
         if record.sha256 is not None and record.sha256 != locked[record.path].sha256
     )
     if problems:
-        return LockReport(checks, problems, 0)
+        return LockReport(path, checks, problems, 0)
     counts = _counts(listed)
-    if counts != loaded.card.counts:
-        save_card(Path(manifest).with_suffix(".json"), replace(loaded.card, counts=counts))
-    save_records(Path(manifest), [locked.get(record.path, record) for record in listed])
-    return LockReport(checks, (), len(chosen))
+    path.parent.mkdir(exist_ok=True)
+    if counts != loaded.card.counts or path != loaded.path:
+        save_card(path.with_suffix(".json"), replace(loaded.card, counts=counts))
+    save_records(path, [locked.get(record.path, record) for record in listed])
+    return LockReport(path, checks, (), len(chosen))
+
+
+def _source(manifest: Path | str, root: Path | str | None) -> tuple[Manifest, Path]:
+    """Return the manifest that is to be filled in, and the file that it is written to, which is tried."""
+    if not is_name(manifest):
+        return _loaded(Path(manifest), root), Path(manifest)
+    known, path = known_manifest(str(manifest)), locked_path(str(manifest), root)
+    loaded = _loaded(path, root) if path.is_file() else known
+    if loaded.card.version != known.card.version:  # of an earlier eldata: its hashes are taken again
+        loaded = known
+    folder = path.parent if path.parent.exists() else data_root(root)
+    problem = write_problem(folder / path.name) if folder.exists() else None  # nothing there: the checks say so
+    if problem is not None:
+        raise ManifestError(f"cannot write {path}: {problem}")
+    return loaded, path
 
 
 def _loaded(path: Path, root: Path | str | None) -> Manifest:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypedDict, TypeVar, Unpack
 
 from eldata.base.fields import names_of
 from eldata.base.keywords import keywords
-from eldata.errors import ArgumentError
+from eldata.errors import ArgumentError, did_you_mean
 from eldata.manifest.subsets import find_subset
 from eldata.records import PairRecord, from_columns
 
@@ -159,7 +159,8 @@ def _check_known(what: str, kind: str, wanted: Collection[object], values: Itera
     known = sorted({value for value in values if value is not None})  # type: ignore[type-var] # of one kind each
     for value in wanted:
         if value not in known:
-            raise ArgumentError(f"no {what} has {kind} {value}; known are {_listed(known, value)}")
+            hint = did_you_mean(str(value), map(str, known)) if kind in ("camera", "split", "flag") else ""
+            raise ArgumentError(f"no {what} has {kind} {value}; known are {_listed(known, value)}{hint}")
 
 
 def _listed(known: Sequence[object], wanted: object) -> str:

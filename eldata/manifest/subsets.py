@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
 
-from eldata.errors import ArgumentError, ManifestError
+from eldata.errors import ArgumentError, ManifestError, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -73,5 +73,6 @@ def find_subset(subsets: Sequence[Subset], name: str) -> Subset:
     for subset in subsets:
         if subset.name == name:
             return subset
-    known = ", ".join(subset.name for subset in subsets) or "none"
-    raise ArgumentError(f"no subset is called {name!r}; known are {known}")
+    known = [subset.name for subset in subsets]
+    listed = ", ".join(known) or "none"
+    raise ArgumentError(f"no subset is called {name!r}; known are {listed}{did_you_mean(name, known)}")

@@ -19,7 +19,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
     from pathlib import Path
 
-COLUMNS = names_of(FrameRecord)
+MEASURED = ("measured_ratio", "measured_shift_px")
+"""The columns of what was measured: in files where something was, after the others."""
+_ALL = names_of(FrameRecord)
+COLUMNS = tuple(name for name in _ALL if name not in MEASURED)
 ROLES: tuple[Role, ...] = get_args(Role)
 
 _LARGEST_BYTES = 1 << 30  # millions of rows
@@ -74,7 +77,7 @@ def _by_rows(file: TextFile, begun: Sequence[FrameRecord] = ()) -> list[FrameRec
     """Return the rows in order, or say what is wrong first; those ``begun`` with are right by themselves."""
     records: list[FrameRecord] = []
     places: dict[str, str] = {}
-    for row in file.rows(COLUMNS):
+    for row in file.rows(COLUMNS, MEASURED):
         if len(records) < len(begun):
             record = begun[len(records)]
         else:
@@ -112,14 +115,14 @@ def _by_columns(file: TextFile, records: list[FrameRecord]) -> None:
 
     What was added until then is right by itself.
     """
-    known = {name: _Known(file, name) for name in COLUMNS}
+    known = {name: _Known(file, name) for name in _ALL}
     # Of names that one file system would hold as one file, the hashes: those of a million names are small.
     keys: set[int] = set()
     to_be_references: set[object] = set()
     are_references: set[object] = set()
-    for columns in file.columns(COLUMNS):
+    for columns in file.columns(COLUMNS, MEASURED):
         values: dict[str, Sequence[object]] = {}
-        for name, cells in zip(COLUMNS, columns, strict=True):
+        for name, cells in zip(_ALL, columns, strict=True):
             plain, value_of = _PLAIN.get(name, (None, None))
             if plain is None or value_of is None or not all(map(plain.fullmatch, cells)):
                 value_of = known[name].__getitem__
@@ -181,7 +184,9 @@ def table_text(path: Path, records: Iterable[FrameRecord]) -> str:
         If :func:`load_records` would refuse a row.
     """
     ordered = tuple(sorted(records, key=attrgetter("path")))
-    text = csv_text(COLUMNS, ([_text(getattr(record, column)) for column in COLUMNS] for record in ordered))
+    measured = any(getattr(record, column) is not None for record in ordered for column in MEASURED)
+    columns = _ALL if measured else COLUMNS
+    text = csv_text(columns, ([_text(getattr(record, column)) for column in columns] for record in ordered))
     for record, read_back in zip(ordered, _parse(TextFile(path, ManifestError, content=text)), strict=True):
         if record != read_back:
             raise ManifestError(f"{path}, row {record.path!r}: cannot be written as text and read back the same")
@@ -241,4 +246,6 @@ _READ: dict[str, Callable[[TextRow, str], Any]] = {
     "height": lambda row, name: row.optional(name, row.whole),
     "size_bytes": lambda row, name: row.optional(name, row.whole),
     "sha256": lambda row, name: row.optional(name, row.parsed, parse=_sha256),
+    "measured_ratio": lambda row, name: row.optional(name, row.fraction, above=0),
+    "measured_shift_px": lambda row, name: row.optional(name, row.fraction),
 }

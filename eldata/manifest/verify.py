@@ -15,16 +15,14 @@ full
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from dataclasses import asdict, dataclass
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, TypeAlias
 
 from eldata.base.files import inside, sha256_of
-from eldata.base.visible import in_line
 from eldata.base.workers import AnyWorkers, Failed, Workers, accepts_jobs, require_files
-from eldata.errors import ArgumentError, ManifestError, RawFileError
+from eldata.errors import ArgumentError, ManifestError, RawFileError, did_you_mean
 from eldata.manifest.catalogue import Manifest, find_manifests
 from eldata.manifest.clip_checks import (
     exposure_findings,
@@ -37,16 +35,15 @@ from eldata.manifest.clip_checks import (
 from eldata.manifest.pairs import UNCERTAIN_ISO
 from eldata.manifest.patterns import RowFinding, expand, pattern_findings
 from eldata.manifest.table import number_text
+from eldata.manifest.verify_report import LEVELS, DatasetReport, Level, Problem, VerifyReport
 from eldata.raw.facts import raw_facts
+from eldata.raw.unsupported import what_to_do
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from eldata.manifest.card import CameraCard
     from eldata.records import FrameRecord, RawHeader, Sensor
-
-Level = Literal["quick", "metadata", "full"]
-LEVELS: tuple[Level, ...] = get_args(Level)
 
 # Shutters step by thirds of a stop (a factor of 1.26) and EXIF rounds them (1/13 for 1/12.5), so a true ratio may be
 # some percent off the nominal one: 213 for 200 occurs in the published set. Shifted numbering and swapped references
@@ -56,94 +53,6 @@ RATIO_TOLERANCE = Fraction(1, 10)
 _AGAIN = "copy or download it again"
 _PACK_AGAIN = "copy or make it again"
 _NO_EXIF = "the file has lost its EXIF: copy the original"
-
-
-@dataclass(frozen=True, slots=True)
-class Problem:
-    """One thing that is wrong: where, what was expected, what was found, what to do."""
-
-    dataset: str
-    path: str
-    field: str
-    expected: str
-    found: str
-    advice: str
-
-    def __str__(self) -> str:
-        return in_line(f"{self.path}: {self.field}: expected {self.expected}, found {self.found}; {self.advice}")
-
-    @classmethod
-    def of(cls, dataset: str, finding: RowFinding) -> Problem:
-        """Say of which dataset a finding is."""
-        return cls(dataset, finding.path, finding.field, finding.expected, finding.found, finding.advice)
-
-    def format_text(self) -> str:
-        """Return the problem as four lines."""
-        return (
-            f"{in_line(self.path)}: {self.field}\n    expected  {in_line(self.expected)}\n    found     "
-            f"{in_line(self.found)}\n    to do     {in_line(self.advice)}"
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class DatasetReport:
-    """What was found of one dataset. ``absent``: its folder is not there, and nothing was checked."""
-
-    dataset: str
-    folder: Path
-    absent: bool
-    homepage: str
-    files_listed: int
-    files_checked: int
-    files_hashed: int
-    problems: tuple[Problem, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class VerifyReport:
-    """The result of :func:`verify`."""
-
-    level: Level
-    datasets: tuple[DatasetReport, ...]
-
-    @property
-    def problems(self) -> tuple[Problem, ...]:
-        """All problems of all datasets."""
-        return tuple(problem for report in self.datasets for problem in report.problems)
-
-    @property
-    def ok(self) -> bool:
-        """Whether something was verified and no problem was found."""
-        return not self.problems and any(report.files_checked for report in self.datasets)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the report as plain JSON types."""
-        datasets = [asdict(report) | {"folder": str(report.folder)} for report in self.datasets]
-        return {"level": self.level, "ok": self.ok, "datasets": datasets}
-
-    def format_text(self) -> str:
-        """Return the report as text: each problem by file, then one line per dataset."""
-        lines = [problem.format_text() for problem in self.problems]
-        for dataset in self.datasets:
-            if dataset.absent:
-                lines.append(
-                    f"{dataset.dataset}: absent (no folder {dataset.folder}); where to get it: {dataset.homepage}"
-                )
-                continue
-            count = len(dataset.problems)
-            verdict = "all well" if not count else f"{count} problem{'s' if count > 1 else ''}"
-            lines.append(
-                f"{dataset.dataset}: {dataset.files_checked} of {dataset.files_listed} files checked ({self.level}) in "
-                f"{dataset.folder}: {verdict}"
-            )
-            if self.level == "full" and dataset.files_hashed < dataset.files_checked:
-                lines.append(
-                    f"    {dataset.files_checked - dataset.files_hashed} files have no recorded hash and were decoded "
-                    "instead; eldata lock records hashes from a copy that you trust"
-                )
-        if all(dataset.absent for dataset in self.datasets):
-            lines.append("nothing was verified; --root names the folder that holds the datasets")
-        return "\n".join(lines)
 
 
 @accepts_jobs
@@ -161,7 +70,8 @@ def verify(
     Parameters
     ----------
     manifests
-        A manifest's CSV file, a folder of them, or loaded manifests.
+        A manifest's CSV file, a folder of them, a known set's name (its manifest is then as ``eldata lock NAME`` has
+        filled it in, if it has), or loaded manifests.
     root
         The folder that holds the datasets; default ``$ELDATA_ROOT``, else ``./data``.
     dataset
@@ -177,20 +87,29 @@ def verify(
     ------
     ManifestError
         If a manifest is malformed or has no such dataset or camera.
+
+    Examples
+    --------
+    >>> from eldata import verify
+    >>> report = verify("eldata-demo/manifests", "eldata-demo/data", level="metadata")
+    >>> len(report.problems)
+    0
     """
     workers = Workers.of(workers)
     if level not in LEVELS:
         raise ArgumentError(f"level must be one of {', '.join(LEVELS)}; found {level!r}")
-    chosen = list(find_manifests(manifests) if isinstance(manifests, (str, Path)) else manifests)
+    chosen = list(find_manifests(manifests, root) if isinstance(manifests, (str, Path)) else manifests)
     if dataset is not None:
         names = [manifest.name for manifest in chosen]
         chosen = [manifest for manifest in chosen if manifest.name == dataset]
         if not chosen:
-            raise ManifestError(f"no manifest is for a dataset called {dataset!r}; found {', '.join(names)}")
+            hint = did_you_mean(dataset, names)
+            raise ManifestError(f"no manifest is for a dataset called {dataset!r}; found {', '.join(names)}{hint}")
     known = sorted({camera for manifest in chosen for camera in manifest.card.cameras})
     for camera in cameras or ():
         if camera not in known:
-            raise ManifestError(f"no manifest has a camera called {camera!r}; known are {', '.join(known)}")
+            hint = did_you_mean(camera, known)
+            raise ManifestError(f"no manifest has a camera called {camera!r}; known are {', '.join(known)}{hint}")
     if cameras:
         chosen = [manifest for manifest in chosen if set(cameras) & set(manifest.card.cameras)]
     reports = [
@@ -252,7 +171,7 @@ def check_files(
         ]
         findings += [finding for found, _ in outcomes for finding in found]
         product_of = {record.path: product for record, (_, product) in zip(present, outcomes, strict=True)}
-        findings += _check_ratios(present, product_of)
+        findings += ratio_findings(present, product_of)
         of_clips += png_size_findings(folder, present)
         of_clips += exposure_findings(present, product_of, RATIO_TOLERANCE)
     findings = sorted([*findings, *of_clips], key=lambda finding: finding.path)
@@ -382,8 +301,13 @@ def content_findings(folder: Path, record: FrameRecord) -> list[RowFinding]:
     try:
         _, decoded = raw_facts(path, decode=True)
     except RawFileError as error:
-        return [RowFinding(record.path, "content", "a whole raw file", error.reason, _AGAIN)]
+        return [_unreadable(record, error)]
     return _decoded_findings(record, decoded)
+
+
+def _unreadable(record: FrameRecord, error: RawFileError) -> RowFinding:
+    found, advice = what_to_do(error.reason) or (error.reason.removesuffix(f"; {_AGAIN}"), _AGAIN)
+    return RowFinding(record.path, "content", "a whole raw file", found, advice)
 
 
 def _decoded_findings(record: FrameRecord, decoded: Sensor | str | None) -> list[RowFinding]:
@@ -401,13 +325,13 @@ def _raw_findings(path: Path, record: FrameRecord, models: Sequence[str], *, dec
     try:
         header, decoded = raw_facts(path, decode=decode)
     except RawFileError as error:
-        return [RowFinding(record.path, "content", "a whole raw file", error.reason, _AGAIN)], None
-    findings, product = _header_findings(header, record, models)
+        return [_unreadable(record, error)], None
+    findings, product = header_findings(header, record, models)
     return [*findings, *_decoded_findings(record, decoded)], product
 
 
-def _header_findings(header: RawHeader, record: FrameRecord, models: Sequence[str]) -> Outcome:
-    """Compare a raw file's camera, ISO and exposure time with its row."""
+def header_findings(header: RawHeader, record: FrameRecord, models: Sequence[str]) -> Outcome:
+    """Compare a raw file's camera, ISO and exposure time with its row; return their product too, if it states both."""
     findings = []
     if not models:
         pass  # no public text says how the camera names itself
@@ -457,7 +381,8 @@ def _packed_findings(path: Path, record: FrameRecord) -> list[RowFinding]:
     return [] if good else [RowFinding(record.path, "content", "packed float32 (C, h, w)", found, _PACK_AGAIN)]
 
 
-def _check_ratios(records: Sequence[FrameRecord], product_of: Mapping[str, Fraction | None]) -> list[RowFinding]:
+def ratio_findings(records: Sequence[FrameRecord], product_of: Mapping[str, Fraction | None]) -> list[RowFinding]:
+    """Compare the ratios of pairs with their rows'; ``product_of``: ISO times exposure time of each file, by path."""
     advice = "are both the frames that their names say? look for shifted numbering and swapped references"
     findings = []
     for record in records:

@@ -137,6 +137,16 @@ def score(
     ArgumentError
         If an image is not one image of floating-point numbers or is smaller than 7 x 7, the shapes differ,
         or ``rescaling`` is neither of the two.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from eldata.metrics import score
+    >>> generator = np.random.default_rng(0)
+    >>> reference = generator.uniform(0, 0.9, (4, 64, 64))
+    >>> found = score(0.5 * (reference + generator.normal(0, 0.05, reference.shape)), reference, rescaling="scalar")
+    >>> round(found.psnr_db, 2), round(found.rescale, 2)
+    (26.21, 1.98)
     """
     return score_by(prediction, reference, ScoringRules(rescaling=rescaling), threads=threads)
 

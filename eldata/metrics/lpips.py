@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from eldata.base.files import file_problem, sha256_of
+from eldata.base.numbers import counted
 from eldata.errors import ArgumentError, FileError
 from eldata.metrics._images import pair
 
@@ -189,7 +190,7 @@ def lpips(prediction: Image, reference: Image, weights: LpipsWeights) -> float:
     channels, height, width = images.prediction.shape
     if channels != 3:
         raise ArgumentError(
-            f"LPIPS is defined on sRGB images (3, h, w); found {channels} channel{'s' if channels > 1 else ''}: render "
+            f"LPIPS is defined on sRGB images (3, h, w); found {counted(channels, 'channel')}: render "
             "raw images first (docs/srgb.md)"
         )
     if min(height, width) < _SMALLEST:

@@ -42,6 +42,14 @@ def rescale_factor(prediction: Image, reference: Image, *, threads: int | None =
     ------
     ArgumentError
         If an image is not one image of floating-point numbers, or the shapes differ.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from eldata.metrics import rescale_factor
+    >>> reference = np.full((4, 64, 64), 0.5)
+    >>> rescale_factor(reference / 4, reference)
+    4.0
     """
     check_threads(threads)
     return factor_of(pair(prediction, reference), threads)
@@ -92,6 +100,16 @@ def rescale(prediction: Image, reference: Image) -> Image:
     ------
     ArgumentError
         If an image is not one image of floating-point numbers, or the shapes differ.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from eldata.metrics import psnr, rescale
+    >>> reference = np.linspace(0, 0.9, 4096).reshape(1, 64, 64)
+    >>> round(psnr(0.5 * reference, reference), 2)
+    11.71
+    >>> np.allclose(rescale(0.5 * reference, reference), reference)
+    True
     """
     factor = rescale_factor(prediction, reference)
     source = host_array(prediction, "the prediction")

@@ -37,6 +37,14 @@ def psnr(prediction: Image, reference: Image, *, data_range: float = 1.0, thread
     ArgumentError
         If an image is not one image of floating-point numbers, the shapes differ, or ``data_range`` is not
         positive.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from eldata.metrics import psnr
+    >>> reference = np.full((4, 64, 64), 0.5)
+    >>> round(psnr(reference + 0.01, reference), 6)
+    40.0
     """
     check_threads(threads)
     check_data_range(data_range)

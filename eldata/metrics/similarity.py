@@ -76,6 +76,17 @@ def ssim(
     ArgumentError
         If an image is not one image of floating-point numbers or is smaller than the window, the shapes differ,
         ``data_range`` is not positive, or ``window`` or ``covariance`` is unknown.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from eldata.metrics import ssim
+    >>> generator = np.random.default_rng(0)
+    >>> reference = generator.uniform(0, 1, (4, 64, 64))
+    >>> ssim(reference, reference)
+    1.0
+    >>> round(ssim(reference + generator.normal(0, 0.1, reference.shape), reference), 3)
+    0.942
     """
     check_threads(threads)
     check_data_range(data_range)

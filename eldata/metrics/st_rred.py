@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from eldata.base.compiled import in_threads
+from eldata.base.numbers import counted
 from eldata.base.tensors import is_tensor
 from eldata.errors import ArgumentError
 from eldata.metrics._images import check_data_range, check_threads, host_array
@@ -291,7 +292,9 @@ def _check_clip(clip: Clip, name: str) -> None:
     if len(shape) not in {3, 4}:
         raise ArgumentError(f"{name} must be one clip (T, H, W) or (T, C, h, w), not of shape {shape}")
     if shape[0] < 2:
-        raise ArgumentError(f"{name} has {shape[0]} frame(s), of shape {shape}: ST-RRED compares frames in pairs")
+        raise ArgumentError(
+            f"{name} has {counted(shape[0], 'frame')}, of shape {shape}: ST-RRED compares frames in pairs"
+        )
     if len(shape) == 4 and shape[1] not in {1, 3, 4}:
         raise ArgumentError(_channels_message(f"{name} of shape {shape}", shape[1]))
     if min(shape[-2:]) < _SMALLEST:

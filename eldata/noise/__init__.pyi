@@ -2,7 +2,6 @@ from .components import PAPER_MODELS as PAPER_MODELS
 from .components import Components as Components
 from .components import parse_components as parse_components
 from .dark_shading import DarkShading as DarkShading
-from .dark_shading import ShadingIso as ShadingIso
 from .exposures import Adc as Adc
 from .exposures import DarkCrops as DarkCrops
 from .gain_modes import GainMode as GainMode
@@ -15,6 +14,11 @@ from .profile import CameraProfile as CameraProfile
 from .profile import shipped_profiles as shipped_profiles
 from .published import profiles_from_published as profiles_from_published
 from .published import read_published as read_published
+from .shading_content import ShadingIso as ShadingIso
+from .structure import NoiseStructure as NoiseStructure
+from .structure import RowSpectrum as RowSpectrum
+from .structure import RowWave as RowWave
+from .structure import TelegraphPixels as TelegraphPixels
 from .virtual import LED_RANGES as LED_RANGES
 from .virtual import CameraRanges as CameraRanges
 from .virtual import FitRanges as FitRanges

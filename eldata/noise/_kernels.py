@@ -426,6 +426,12 @@ def _take_shading(offset: NDArray[np.float32], shading: NDArray[np.float32], sca
 
 
 @kernel
+def _add_plane(offset: NDArray[np.float32], dn: NDArray[np.float32]) -> None:
+    for j in range(offset.size):
+        offset[j] += dn[j]
+
+
+@kernel
 def _add_uniform(value: NDArray[np.float32], number: NDArray[np.uint32]) -> None:
     """Add U(-1/2, 1/2), from the high 24 bits."""
     for j in range(value.size):
@@ -458,6 +464,7 @@ def add_noise_rows(
     dark: NDArray[np.uint16],
     shading: NDArray[np.float32],
     dark_scale: Any,
+    added: NDArray[np.float32],
     first_row: int,
     last_row: int,
     settings: Any,
@@ -472,9 +479,9 @@ def add_noise_rows(
 ) -> None:
     """Fill rows ``first_row`` to ``last_row`` of one packed channel.
 
-    ``dark``, the channel of a dark frame, and ``shading``, what is taken off it before the rest is scaled, are empty
-    where there are none; ``row_table`` (s, s) is the channel's part of the table of mosaic rows, ``first_pixel`` the
-    index of the channel's first pixel in its image.
+    ``dark``, the channel of a dark frame, ``shading``, what is taken off it before the rest is scaled, and ``added``,
+    what is added in DN, are empty where there are none; ``row_table`` (s, s) is the channel's part of the table of
+    mosaic rows, ``first_pixel`` the index of the channel's first pixel in its image.
     """
     columns = clean.shape[1]
     sub = row_table.shape[0]
@@ -490,23 +497,29 @@ def add_noise_rows(
     marks = np.zeros(_STRIP, np.uint8)
     marks_of_8 = marks.view(np.uint64)
 
+    # Whole rows lie side by side: a strip takes as many as it has room for, or short rows would fill no vector.
+    together = max(1, _STRIP // columns)
+    flat_clean, flat_out = clean.reshape(-1), out.reshape(-1)
     for start in range(0, columns, _STRIP):
-        stop = min(start + _STRIP, columns)
-        size = stop - start
-        high, low, rest_number, quantisation_number = (
-            integers[0, :size],
-            integers[1, :size],
-            integers[2, :size],
-            integers[3, :size],
-        )
-        digits, coarse, fine = integers[4, :size], integers[5, :size], integers[6, :size]
-        mean, value, rest = floats[0, :size], floats[1, :size], floats[2, :size]
-        offset, noise, tail = floats[3, :size], floats[4, :size], floats[5, :size]
-        coarse_entry, fine_entry = entries[0, :size], entries[1, :size]
-        mark, mark_of_8 = marks[:size], marks_of_8[: (size + 7) // 8]
-        for row in range(first_row, last_row):
-            pixel = _U8(first_pixel) + _U8(row * columns + start)
-            _events(clean[row, start:stop], settings.events, mean)
+        width = min(start + _STRIP, columns) - start
+        for row in range(first_row, last_row, together):
+            count = min(together, last_row - row)
+            size = count * width
+            begin = row * columns + start
+            source, target = flat_clean[begin : begin + size], flat_out[begin : begin + size]
+            high, low, rest_number, quantisation_number = (
+                integers[0, :size],
+                integers[1, :size],
+                integers[2, :size],
+                integers[3, :size],
+            )
+            digits, coarse, fine = integers[4, :size], integers[5, :size], integers[6, :size]
+            mean, value, rest = floats[0, :size], floats[1, :size], floats[2, :size]
+            offset, noise, tail = floats[3, :size], floats[4, :size], floats[5, :size]
+            coarse_entry, fine_entry = entries[0, :size], entries[1, :size]
+            mark, mark_of_8 = marks[:size], marks_of_8[: (size + 7) // 8]
+            pixel = _U8(first_pixel) + _U8(begin)
+            _events(source, settings.events, mean)
             dithers = settings.quantisation == UNIFORM or settings.quantisation == DITHERED_ADC
             if settings.shot == POISSON or dithers:
                 words(rest_number, quantisation_number, rest_1, rest_2, pixel)
@@ -528,21 +541,26 @@ def add_noise_rows(
             else:
                 value[:] = mean
 
-            for x in range(sub):
-                dn = settings.bias
-                if settings.sigma_row > _ZERO:
-                    mosaic_row = (row // sub) * period + row_table[row % sub, x]
-                    word = _word(row_1, row_2, _U8(mosaic_row))
-                    dn = dn + settings.sigma_row * _gaussian_draw(_U4(word >> _S32), _U4(word))
-                if sub == 1:
-                    offset[:] = dn
-                else:
-                    for j in range((x - start) % sub, size, sub):
-                        offset[j] = dn
-            if dark.size > 0:
-                _add_frame(offset, dark[row, start:stop])
-            if shading.size > 0:
-                _take_shading(offset, shading[row, start:stop], dark_scale)
+            for place in range(count):
+                here = row + place
+                of_row = offset[place * width : (place + 1) * width]
+                for x in range(sub):
+                    dn = settings.bias
+                    if settings.sigma_row > _ZERO:
+                        mosaic_row = (here // sub) * period + row_table[here % sub, x]
+                        word = _word(row_1, row_2, _U8(mosaic_row))
+                        dn = dn + settings.sigma_row * _gaussian_draw(_U4(word >> _S32), _U4(word))
+                    if sub == 1:
+                        of_row[:] = dn
+                    else:
+                        for j in range((x - start) % sub, width, sub):
+                            of_row[j] = dn
+                if dark.size > 0:
+                    _add_frame(of_row, dark[here, start : start + width])
+                if shading.size > 0:
+                    _take_shading(of_row, shading[here, start : start + width], dark_scale)
+                if added.size > 0:
+                    _add_plane(of_row, added[here, start : start + width])
 
             if settings.read == NONE:
                 _compose_noiseless(value, settings.gain, offset)
@@ -558,4 +576,74 @@ def add_noise_rows(
                 _add_uniform(value, quantisation_number)
             if settings.quantisation == ADC or settings.quantisation == DITHERED_ADC:
                 _convert(value, settings.black, settings.white)
-            _finish(value, out[row, start:stop], settings.scale, settings.low, settings.high)
+            _finish(value, target, settings.scale, settings.low, settings.high)
+
+
+@kernel
+def add_noise(
+    clean: NDArray[np.float32],
+    out: NDArray[np.float32],
+    dark: NDArray[np.uint16],
+    shading: NDArray[np.float32],
+    added: NDArray[np.float32],
+    no_dark: NDArray[np.uint16],
+    no_plane: NDArray[np.float32],
+    dark_scale: NDArray[np.float32],
+    modes: tuple[int, int, int],
+    numbers: NDArray[np.float32],
+    power: NDArray[np.float32],
+    coarse_table: NDArray[np.uint64],
+    fine_table: NDArray[np.uint64],
+    row_tables: NDArray[np.int64],
+    period: int,
+    keys: NDArray[np.uint64],
+    places: NDArray[np.uint64],
+    first: int,
+    last: int,
+    first_row: int,
+    last_row: int,
+) -> None:
+    """Fill rows ``first_row`` to ``last_row`` of the channels ``first`` to ``last``, all images' being numbered on.
+
+    One call for many small images: a call from Python costs as much as the noise of a thousand pixels. ``dark``,
+    ``shading`` and ``added`` hold no image where there are none; ``modes`` and ``numbers`` (N, C, 11) are the
+    :data:`Settings`, ``keys`` and ``places`` each image's key and its number under that key.
+    """
+    _, channels, rows, columns = clean.shape
+    for plane in range(first, last):
+        image, channel = plane // channels, plane % channels
+        of = numbers[image, channel]
+        add_noise_rows(
+            clean[image, channel],
+            out[image, channel],
+            dark[image, channel] if dark.shape[0] > 0 else no_dark,
+            shading[image, channel] if shading.shape[0] > 0 else no_plane,
+            dark_scale[image],
+            added[image, channel] if added.shape[0] > 0 else no_plane,
+            first_row,
+            last_row,
+            Settings(
+                modes[0],
+                modes[1],
+                modes[2],
+                of[0],
+                of[1],
+                of[2],
+                of[3],
+                of[4],
+                of[5],
+                of[6],
+                of[7],
+                of[8],
+                of[9],
+                of[10],
+            ),
+            power[image],
+            coarse_table,
+            fine_table,
+            row_tables[channel],
+            period,
+            keys[image],
+            places[image],
+            _U8(channel * rows * columns),
+        )

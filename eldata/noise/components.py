@@ -9,6 +9,11 @@
 ``R``   row noise, one Gaussian draw per mosaic row             sigma_row_dn
 ``U``   quantisation noise, uniform over one DN                 none
 ``D``   real dark frames, in place of G, B, R and U             gain of their ISO
+``S``   dark shading of a sensor, with its colour bias          ISO
+``C``   column noise, one Gaussian draw per mosaic column       sigma_column_dn
+``W``   banding: rows that drift and wave, in place of R        row_spectrum
+``T``   telegraph pixels, which jump between two levels         telegraph
+``F``   PRNU: each pixel's own response to light                prnu
 ======  =====================================================  =========================
 
 Source: K. Wei, Y. Fu, Y. Zheng and J. Yang, "Physics-based Noise Modeling for Extreme Low-light Photography", TPAMI
@@ -26,13 +31,18 @@ from eldata.errors import ArgumentError
 Shot = Literal["none", "gaussian", "poisson"]
 Read = Literal["none", "gaussian", "tukey-lambda"]
 
-# In the paper's rows, from the simplest to the full model.
 PAPER_MODELS = ("G", "G+P", "G+P*", "G*+P*", "G*+P*+B", "G*+P*+B+R", "G*+P*+B+R+U")
+"""The models that the ELD paper compares, in the order of its rows, from the simplest to the full one."""
 
-_NAMES = ("P", "P*", "G", "G*", "B", "R", "U", "D")
-_EXCLUSIVE = (("P", "P*", "photon shot noise"), ("G", "G*", "read noise"))
+_NAMES = ("P", "P*", "G", "G*", "B", "R", "U", "D", "S", "C", "W", "T", "F")
+_EXCLUSIVE = (("P", "P*", "photon shot noise"), ("G", "G*", "read noise"), ("R", "W", "row noise"))
 # What dark frames have in them.
-_IN_DARK = {"G": "read noise", "G*": "read noise", "B": "colour bias", "R": "row noise", "U": "rounding"}
+_IN_DARK = {"G": "read noise", "G*": "read noise", "B": "colour bias", "R": "row noise", "U": "rounding"} | {
+    "S": "dark shading",
+    "C": "column noise",
+    "W": "row noise",
+    "T": "telegraph pixels",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +55,21 @@ class Components:
     row: bool
     quantisation: bool
     dark: bool = False
+    shading: bool = False
+    column: bool = False
+    banding: bool = False
+    telegraph: bool = False
+    prnu: bool = False
+
+    @property
+    def structured(self) -> bool:
+        """Whether there is one of C, W, T and F."""
+        return self.column or self.banding or self.telegraph or self.prnu
+
+    @property
+    def placed(self) -> bool:
+        """Whether there is one that stays where it is on the sensor: S, T or F."""
+        return self.shading or self.telegraph or self.prnu
 
     @property
     def spec(self) -> str:
@@ -53,7 +78,10 @@ class Components:
             {"gaussian": "P", "poisson": "P*"}.get(self.shot, ""),
             {"gaussian": "G", "tukey-lambda": "G*"}.get(self.read, ""),
         )
-        flags = (("B", self.colour_bias), ("R", self.row), ("U", self.quantisation), ("D", self.dark))
+        flags = (
+            *(("F", self.prnu), ("B", self.colour_bias), ("R", self.row), ("W", self.banding), ("C", self.column)),
+            *(("T", self.telegraph), ("U", self.quantisation), ("D", self.dark), ("S", self.shading)),
+        )
         return "+".join([name for name in names if name] + [name for name, on in flags if on])
 
 
@@ -65,6 +93,13 @@ def parse_components(spec: str) -> Components:
     ArgumentError
         If it is not a text, a name is unknown or repeated, there are none, or two models of one noise source are asked
         for.
+
+    Examples
+    --------
+    >>> from eldata.noise import parse_components
+    >>> components = parse_components("P*+G*+B+R+U")
+    >>> components.shot, components.read, components.row
+    ('poisson', 'tukey-lambda', True)
     """
     if not isinstance(spec, str):
         raise ArgumentError(f"a noise model's spec is a text such as 'P*+G*+B+R+U'; found {spec!r:.100}")
@@ -86,6 +121,11 @@ def parse_components(spec: str) -> Components:
                 f"noise model {spec!r}: the frames of D have their own {source}, and {name} would add it again; take "
                 "one, as in 'P*+D'"
             )
+    if "S" in names and "B" in names:
+        raise ArgumentError(
+            f"noise model {spec!r}: the dark shading of S has the colour bias in it, and B would add it again; "
+            "take one, as in 'P*+G*+R+U+S'"
+        )
     return Components(
         shot="poisson" if "P*" in names else "gaussian" if "P" in names else "none",
         read="tukey-lambda" if "G*" in names else "gaussian" if "G" in names else "none",
@@ -93,4 +133,9 @@ def parse_components(spec: str) -> Components:
         row="R" in names,
         quantisation="U" in names,
         dark="D" in names,
+        shading="S" in names,
+        column="C" in names,
+        banding="W" in names,
+        telegraph="T" in names,
+        prnu="F" in names,
     )

@@ -2,12 +2,14 @@
 
 ``DS(ISO) = k ISO + b + BLE[ISO]`` in DN over the recorded black level, after PMN [1]_: slope k and offset b of each
 pixel, and a black level error of each CFA channel at each ISO. Where a camera switches its conversion gain, each mode
-has a k and a b of its own.
+has a k and a b of its own. With frames at longer times there is ``+ c ISO (t - t0)``, dark current, t0 being the time
+of the bias frames (:class:`~eldata.noise.shading_content.DarkCurrent`).
 
 The file
 --------
 An .npz archive, not compressed, that numpy reads: ``slope_dn`` and ``offset_dn``, float32 (modes, H, W); ``hot``,
-boolean (H, W); and ``about``, the bytes of a JSON object with the rest, and the digest of it all.
+boolean (H, W); ``current_dn``, float32 (H, W), where there is dark current; and ``about``, the bytes of a JSON object
+with the rest, and the digest of it all.
 
 References
 ----------
@@ -20,72 +22,32 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import asdict, dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.base.fields import Fields, TextFile, names_of
-from eldata.base.files import atomic_write, file_problem, json_text
-from eldata.base.npy import NpyError
-from eldata.base.npz import opened_npz
-from eldata.errors import ArgumentError, ShadingError
-from eldata.raw.cfa import packed_channels
+from eldata.base.fields import shown
+from eldata.base.files import atomic_write, json_text
+from eldata.base.numbers import checked_number
+from eldata.errors import ArgumentError, DatasetError, ShadingError
+from eldata.noise.shading_content import (
+    ADVICE,
+    FIELDS,
+    SCHEMA,
+    SCHEMA_WITH_CURRENT,
+    SCHEMA_WITH_MODEL,
+    DarkCurrent,
+    ShadingIso,
+    read_content,
+)
+from eldata.raw.cfa import cfa_from, pack, packed_area, packed_channels, packed_shape, packing_sites
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
-    from eldata.base.npy import NpyHeader
-    from eldata.base.npz import NpzArchive
     from eldata.raw.cfa import CfaRows
-
-SCHEMA = 1
-_MOST_ABOUT_BYTES = 1 << 20
-_LONGEST_SIDE = 65_535
-_MOST_MODES = 16
-_FIELDS = ("slope_dn", "offset_dn")
-_ADVICE = "write it again with eldata calibrate --dark-shading"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ShadingIso:
-    """What one ISO gave to a dark shading.
-
-    Attributes
-    ----------
-    iso
-        ISO speed.
-    mode
-        The number of its gain mode, from 0: whose slope and offset hold.
-    frames
-        Bias frames.
-    sigma_dn
-        Standard deviation of a pixel over time, DN.
-    level_error_dn
-        BLE: by how much the mean of each CFA channel lies over the line, DN.
-    standard_error_dn
-        Of the level, by the scatter between frames, DN.
-    """
-
-    iso: float
-    mode: int
-    frames: int
-    sigma_dn: float
-    level_error_dn: tuple[float, ...]
-    standard_error_dn: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        for name in ("iso", "sigma_dn"):  # as a file gives them back: they are in the digest
-            object.__setattr__(self, name, float(getattr(self, name)))
-        for name in ("level_error_dn", "standard_error_dn"):
-            object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
-
-    @property
-    def weight(self) -> float:
-        """Of its mean frame in the lines, 1 / DN^2: one over the variance that noise leaves in it."""
-        return self.frames / self.sigma_dn**2
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -107,6 +69,10 @@ class DarkShading:
         the same colour, so that it stays as it is when the shading is subtracted.
     notes
         What a user should know, such as which ISOs were left out.
+    model
+        The camera's model, as the bias frames state it; empty: none was stated.
+    current
+        Dark current; ``None``: it is not known, and the shading is that of any time.
     digest
         ``sha256:<hex>`` of all of these.
 
@@ -124,6 +90,8 @@ class DarkShading:
     offset_dn: NDArray[np.float32] = field(repr=False)
     hot: NDArray[np.bool_] = field(repr=False)
     notes: tuple[str, ...] = ()
+    model: str = ""
+    current: DarkCurrent | None = field(default=None, repr=False)
     digest: str = field(init=False)
 
     def __post_init__(self) -> None:
@@ -140,17 +108,26 @@ class DarkShading:
         if self.hot.dtype != np.bool_ or self.hot.ndim != 2:
             raise ArgumentError(f"hot is boolean (H, W); found {self.hot.dtype} {self.hot.shape}")
         expected = (len(self.slope_dn), *self.hot.shape)
-        for name in _FIELDS:
+        for name in FIELDS:
             values: NDArray[np.float32] = getattr(self, name)
             if values.dtype != np.float32 or values.shape != expected:
                 raise ArgumentError(f"{name} is float32 {expected}; found {values.dtype} {values.shape}")
             if not all(np.isfinite(row).all() for row in _rows(values)):
                 raise ArgumentError(f"{name} holds values that are not finite")
+        if self.current is not None:
+            found = self.current.current_dn
+            if found.dtype != np.float32 or found.shape != self.hot.shape or not np.isfinite(found).all():
+                raise ArgumentError(
+                    f"current_dn is finite float32 {self.hot.shape}; found {found.dtype} {found.shape}, or not finite"
+                )
+            if len(self.current.bias_exposure_s) != len(self.isos):
+                raise ArgumentError(f"bias_exposure_s: expected {len(self.isos)} times, one per ISO")
         object.__setattr__(self, "digest", self._digest())
 
     def _digest(self) -> str:
         found = hashlib.sha256(json_text(self._about(), indent=None).encode())
-        for values in (self.slope_dn, self.offset_dn, self.hot):
+        current = [] if self.current is None else [self.current.current_dn]
+        for values in (self.slope_dn, self.offset_dn, self.hot, *current):
             for row in _rows(values):
                 found.update(row.astype(row.dtype.newbyteorder("<"), copy=False).tobytes())
         return f"sha256:{found.hexdigest()}"
@@ -158,8 +135,9 @@ class DarkShading:
     def _about(self) -> dict[str, Any]:
         modes, height, width = self.slope_dn.shape
         return {
-            "schema": SCHEMA,
+            "schema": SCHEMA_WITH_CURRENT if self.current else SCHEMA_WITH_MODEL if self.model else SCHEMA,
             "camera": self.camera,
+            **({"model": self.model} if self.model or self.current else {}),
             "source": self.source,
             "cfa": [list(row) for row in self.cfa],
             "modes": modes,
@@ -167,6 +145,7 @@ class DarkShading:
             "width": width,
             "isos": [asdict(one) for one in self.isos],
             "notes": list(self.notes),
+            **({} if self.current is None else {"current": self.current.about()}),
         }
 
     def summary(self) -> dict[str, Any]:
@@ -177,6 +156,7 @@ class DarkShading:
             "modes": len(self.slope_dn),
             "hot": int(self.hot.sum()),
             "notes": list(self.notes),
+            **({} if self.current is None else {"current": self.current.about()}),
         }
 
     # --- what it says ---------------------------------------------------------------------------------------------
@@ -198,7 +178,15 @@ class DarkShading:
             f"level error; there are {listed}. Take bias frames at ISO {iso:g} and calibrate again"
         )
 
-    def at(self, iso: float, rows: slice = slice(None), columns: slice = slice(None)) -> NDArray[np.float32]:
+    def at(
+        self,
+        iso: float,
+        rows: slice = slice(None),
+        columns: slice = slice(None),
+        *,
+        exposure_s: float | None = None,
+        out: NDArray[np.float32] | None = None,
+    ) -> NDArray[np.float32]:
         """Return the shading of a part of the mosaic, (h, w) float32, in DN over the recorded black level.
 
         Parameters
@@ -207,30 +195,124 @@ class DarkShading:
             One of the measured ISOs.
         rows, columns
             Which part; the whole by default. Steps are not for mosaics.
+        exposure_s
+            Exposure time of the frame, which dark current needs; where there is none, it does not matter.
+        out
+            Where to write it, (h, w) float32; by default into new memory.
 
         Raises
         ------
         ArgumentError
-            If the ISO was not measured.
+            If the ISO was not measured, or there is dark current and no exposure time.
 
         Examples
         --------
         >>> shading = DarkShading.load("mycamera.npz")  # doctest: +SKIP
         >>> corrected = frame.mosaic - shading.at(float(frame.exposure.iso))  # doctest: +SKIP
         """
-        one = self.measured(iso)
-        part = self.slope_dn[one.mode, rows, columns] * np.float32(iso)
-        part += self.offset_dn[one.mode, rows, columns]
-        (top, _, _), (left, _, _) = rows.indices(self.hot.shape[0]), columns.indices(self.hot.shape[1])
-        pattern, period = np.asarray(self.cfa), len(self.cfa)
-        for y in range(period):
-            for x in range(period):
-                channel = pattern[(top + y) % period, (left + x) % period]
-                part[y::period, x::period] += np.float32(one.level_error_dn[channel])
+        from eldata.noise._shading_kernels import fill_line
+
+        one, lasts = self.measured(iso), self._lasts(iso, exposure_s)
+        slope, offset = (values[one.mode, rows, columns] for values in (self.slope_dn, self.offset_dn))
+        top, left = (part.indices(side)[0] for part, side in zip((rows, columns), self.hot.shape, strict=True))
+        period, part = len(self.cfa), np.empty(slope.shape, np.float32) if out is None else out
+        down, right = top + np.arange(period), left + np.arange(slope.shape[1])
+        channels = np.asarray(self.cfa)[down[:, None] % period, right % period]
+        fill_line(slope, offset, np.float32(iso), np.asarray(one.level_error_dn, np.float32)[channels], part)
+        if self.current is not None:
+            part += self.current.current_dn[rows, columns] * np.float32(iso * lasts)
         return part
 
+    def _lasts(self, iso: float, exposure_s: float | None) -> float:
+        """Return how much longer than the bias frames a frame is exposed, in s."""
+        if self.current is None:
+            return 0.0
+        if exposure_s is None:
+            raise ArgumentError(
+                f"the dark shading of {self.camera} has dark current, which grows with the exposure time; give it "
+                "(exposure_s=...)"
+            )
+        checked_number("exposure_s", exposure_s, above=0)
+        place = [one.iso for one in self.isos].index(iso)
+        return exposure_s - self.current.bias_exposure_s[place]
+
+    def packed(
+        self, iso: float, region: tuple[int, int, int, int] | None = None, *, exposure_s: float | None = None
+    ) -> NDArray[np.float32]:
+        """Return the shading of a part of packed data, (C, h, w) float32, in DN over the recorded black level.
+
+        Parameters
+        ----------
+        iso
+            One of the measured ISOs.
+        region
+            (top, left, height, width) in packed pixels, even for X-Trans; by default all that packing keeps.
+        exposure_s
+            As in :meth:`at`.
+
+        Raises
+        ------
+        ArgumentError
+            As :meth:`at` does; or if the region is not within the sensor or odd for X-Trans.
+        """
+        area, sites = packed_area(self.hot.shape, self.cfa), packing_sites(self.cfa)
+        whole = packed_shape(self.hot.shape, self.cfa)[1:]
+        top, left, height, width = region or (0, 0, *whole)
+        within = min(top, left) >= 0 and top + height <= whole[0] and left + width <= whole[1]
+        if not within or any(side % sites.sub for side in (top, left, height, width)):
+            raise ArgumentError(
+                f"region {(top, left, height, width)} is not within the {whole[0]} x {whole[1]} packed pixels of the "
+                f"dark shading of {self.camera}" + (", or not even, as X-Trans needs it" if sites.sub > 1 else "")
+            )
+        rows, columns = (
+            slice(start + scale * first, start + scale * (first + side))
+            for start, first, side in ((area.top, top, height), (area.left, left, width))
+            for scale in (sites.scale,)
+        )
+        return pack(self.at(iso, rows, columns, exposure_s=exposure_s), cfa_from(self.cfa, area.top, area.left))
+
+    def check_sensor(
+        self, name: str, shape: tuple[int, int], cfa: CfaRows, model: str = "", place: tuple[int, int] | None = None
+    ) -> None:
+        """Refuse a frame of another sensor.
+
+        Parameters
+        ----------
+        name
+            What messages call the frame.
+        shape, cfa
+            Its size and CFA.
+        model
+            The camera's model, as its file states it. Another body of this model cannot be told.
+        place
+            Of a part of a frame: its first row and column on the sensor.
+
+        Raises
+        ------
+        DatasetError
+            If it is of another model, size or CFA.
+        """
+        if self.model and model and model.casefold() != self.model.casefold():
+            raise DatasetError(
+                f"{name}: is of a {model}, but the dark shading of {self.camera} is of a {self.model}; it belongs to "
+                "one body"
+            )
+        height, width = self.hot.shape
+        fits = shape == (height, width) and cfa == self.cfa
+        if place is not None:
+            inside = place[0] + shape[0] <= height and place[1] + shape[1] <= width
+            fits = inside and cfa == cfa_from(self.cfa, *place)
+        if not fits:
+            raise DatasetError(
+                f"{name}: has {shape[0]} x {shape[1]} pixels of {f'the CFA {cfa}' if cfa else 'RGB'}, but the dark "
+                f"shading of {self.camera} is of {height} x {width} pixels, or another CFA, {self.cfa}; it belongs to "
+                "one body and one raw format"
+            )
+
     def error_dn(self, iso: float) -> float:
-        """Return the standard error that noise leaves in a pixel of the shading at an ISO, DN.
+        """Return the standard error that noise leaves in a pixel of the shading at an ISO, DN, without dark current.
+
+        That adds ``ISO (t - t0) current.error_dn`` in the square.
 
         Raises
         ------
@@ -277,7 +359,25 @@ class DarkShading:
                 slope_dn=self.slope_dn.astype("<f4", copy=False),
                 offset_dn=self.offset_dn.astype("<f4", copy=False),
                 hot=self.hot,
+                **({} if self.current is None else {"current_dn": self.current.current_dn.astype("<f4", copy=False)}),
             )
+
+    @classmethod
+    def of(cls, given: DarkShading | Path | str) -> DarkShading:
+        """Return a dark shading that was given itself, or as its file.
+
+        Raises
+        ------
+        ArgumentError
+            If it is neither.
+        ShadingError
+            As :meth:`load` does.
+        """
+        if isinstance(given, cls):
+            return given
+        if isinstance(given, (str, Path)):
+            return cls.load(given)
+        raise ArgumentError(f"expected a DarkShading or the path of its file; found {given!r:.100}")
 
     @classmethod
     def load(cls, path: Path | str) -> DarkShading:
@@ -290,84 +390,38 @@ class DarkShading:
         ShadingError
             If it cannot be read, is damaged, or is not the file of a dark shading.
         """
-        path = Path(path)
-        problem = file_problem(path)
-        if problem is not None:
-            raise ShadingError(path, problem)
+        content, stated = read_content(Path(path))
         try:
-            with opened_npz(path) as archive:
-                return _read(path, archive)
-        except NpyError as error:
-            raise ShadingError(path, f"is not the file of a dark shading: {error}; {_ADVICE}") from error
-        except OSError as error:
-            raise ShadingError(path, f"cannot be read: {error.strerror or error}") from error
+            found = cls(**content)
+        except ArgumentError as error:
+            raise ShadingError(path, f"{error}; {ADVICE}") from error
+        if stated != found.digest:
+            raise ShadingError(
+                path, f"field digest: expected {found.digest}, that of the content, found {shown(stated)}; {ADVICE}"
+            )
+        return found
 
 
-def _read(path: Path, archive: NpzArchive) -> DarkShading:
-    content = archive.read("about", _like("about", "uint8", None)).tobytes()
-    top = TextFile(path, ShadingError, _ADVICE, content=content).json()
-    top.only(("schema", "camera", "source", "cfa", "modes", "height", "width", "isos", "notes", "digest"))
-    top.schema(SCHEMA)
-    modes = top.whole("modes", at_least=1, at_most=_MOST_MODES)
-    height, width = (top.whole(name, at_least=2, at_most=_LONGEST_SIDE) for name in ("height", "width"))
-    if modes * height * width * 8 > path.stat().st_size:
-        raise top.problem("height", f"the file is too small for {modes} x {height} x {width} pixels: truncated?")
-    cfa = _cfa(top)
-    isos = tuple(map(_iso, top.objects("isos", fewest=1, expected="a list of at least one ISO")))
-    fields = {name: archive.read(name, _like(name, "float32", (modes, height, width))) for name in _FIELDS}
-    hot = archive.read("hot", _like("hot", "bool", (height, width)))
-    if hot.view(np.uint8).max() > 1:
-        raise top.problem("hot", "expected true and false alone, found other bytes")
+def dark_shading_in(path: Path) -> DarkShading:
+    """Return the dark shading of a file, which a process reads once as long as it stays what it is.
+
+    Raises
+    ------
+    ShadingError
+        If it cannot be read.
+    """
     try:
-        found = DarkShading(
-            camera=top.text("camera"),
-            source=top.text("source"),
-            cfa=cfa,
-            isos=isos,
-            hot=hot,
-            notes=top.texts("notes", empty=True),
-            **{name: np.ascontiguousarray(values, dtype=np.float32) for name, values in fields.items()},
-        )
-    except ArgumentError as error:
-        raise ShadingError(path, f"{error}; {_ADVICE}") from error
-    if top.text("digest") != found.digest:
-        raise top.wrong("digest", f"{found.digest}, that of the content", top.text("digest"))
-    return found
+        status = path.stat()
+    except OSError as error:
+        raise ShadingError(path, f"cannot be read: {error.strerror or error}") from error
+    return _loaded(path, status.st_mtime_ns, status.st_size)
+
+
+@lru_cache(maxsize=1)
+def _loaded(path: Path, *_: int) -> DarkShading:
+    return DarkShading.load(path)
 
 
 def _rows(values: NDArray[Any]) -> NDArray[Any]:
     """Return an array as its rows: what is done to one at a time takes no memory."""
     return values.reshape(-1, values.shape[-1])
-
-
-def _like(name: str, values: str, shape: tuple[int, ...] | None) -> Callable[[NpyHeader], None]:
-    """Return a check that an array is of a type and shape; of any length up to a MiB, if that is not known."""
-
-    def check(header: NpyHeader) -> None:
-        fits = header.shape == shape if shape else len(header.shape) == 1 and header.shape[0] <= _MOST_ABOUT_BYTES
-        if header.values != values or header.fortran_order or not fits:
-            expected = f"{values} {shape}" if shape else f"up to {_MOST_ABOUT_BYTES} bytes"
-            raise NpyError(f"{name}: expected {expected}, found {header.values} {header.shape}")
-
-    return check
-
-
-def _cfa(top: Fields) -> CfaRows:
-    rows = top.each("cfa", lambda inner, name: inner.each(name, Fields.whole, at_most=3), expected="a list of rows")
-    try:
-        packed_channels(rows)
-    except (ArgumentError, ValueError) as error:
-        raise top.problem("cfa", str(error)) from error
-    return rows
-
-
-def _iso(one: Fields) -> ShadingIso:
-    one.only(names_of(ShadingIso))
-    return ShadingIso(
-        iso=one.number("iso", above=0),
-        mode=one.whole("mode", at_most=_MOST_MODES),
-        frames=one.whole("frames", at_least=1),
-        sigma_dn=one.number("sigma_dn", above=0),
-        level_error_dn=one.each("level_error_dn", Fields.number, expected="a list of numbers"),
-        standard_error_dn=one.each("standard_error_dn", Fields.number, expected="a list of numbers", at_least=0),
-    )

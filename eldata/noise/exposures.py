@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +11,8 @@ import numpy as np
 from eldata.base.numbers import checked_number
 from eldata.errors import ArgumentError
 from eldata.noise.packed_rows import channel_bias_dn
+from eldata.noise.parameters import tukey_lambda_variance
+from eldata.noise.structure import known_structure
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,6 +21,10 @@ if TYPE_CHECKING:
 
     from eldata.noise.components import Components
     from eldata.noise.parameters import NoiseParameters
+    from eldata.noise.structure import NoiseStructure
+
+
+_LOWEST_SHAPE = -0.49  # lambda, whose variance ends at -1/2
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,15 +68,17 @@ class Exposures:
 
     With I = clean range / (ratio K) photoelectrons::
 
-        D = K Poisson(I) + read noise + bias + row noise + dark frame + U(-1/2, 1/2),    out = D ratio / range
+        D = K Poisson(I r) + read noise + bias + row noise + columns + telegraph + dark frame + dark shading
+            + U(-1/2, 1/2),
+        out = D ratio / range
 
-    each term if its component is there. An ``adc`` rounds D + black to an integer from 0 to white and takes black off
-    again; ``limits`` bound the output.
+    each term if its component is there, as is r, the pixel's response. An ``adc`` rounds D + black to an integer from 0
+    to white and takes black off again; ``limits`` bound the output.
 
     Attributes
     ----------
     range_dn
-        White level minus black level, above 0.
+        White level minus black level, above 0; where the images differ, (N,) float64.
     gain_dn_per_e, ratio
         (N,) float64: K in DN per photoelectron, and the exposure ratio, above 0.
     tukey_lambda, sigma_read_dn, sigma_row_dn
@@ -81,10 +89,18 @@ class Exposures:
         Crops of dark frames; ``None``: the component is off.
     dithers
         Whether they are dithered: by U(-1/2, 1/2), before any rounding.
+    shading_dn
+        (N, C, h, w) float32, or (1, C, h, w) for all images alike: the dark shading of component S, DN; ``None``: it is
+        off.
+    structure
+        Of each image, the figures of C, W, T and F; empty without these components. With C or T the read noise above
+        is that which a pixel has for itself.
+    sensor_seed, place
+        Which sensor it is, and the row and column of the first packed pixel on it.
     """
 
     components: Components
-    range_dn: float
+    range_dn: float | NDArray[np.float64]
     gain_dn_per_e: NDArray[np.float64]
     ratio: NDArray[np.float64]
     tukey_lambda: NDArray[np.float64]
@@ -95,6 +111,10 @@ class Exposures:
     limits: tuple[float, float] = (-math.inf, math.inf)
     dark: DarkCrops | None = None
     dithers: bool = False
+    shading_dn: NDArray[np.float32] | None = None
+    structure: tuple[NoiseStructure, ...] = ()
+    sensor_seed: int = 0
+    place: tuple[int, int] = (0, 0)
 
     @classmethod
     def of(
@@ -104,11 +124,14 @@ class Exposures:
         ratios: Sequence[float],
         channels: int,
         *,
-        range_dn: float,
+        range_dn: float | Sequence[float],
         adc: Adc | None = None,
         limits: tuple[float, float] = (-math.inf, math.inf),
         dark: DarkCrops | None = None,
         dithers: bool = False,
+        shading_dn: NDArray[np.float32] | None = None,
+        sensor_seed: int = 0,
+        place: tuple[int, int] = (0, 0),
     ) -> Exposures:
         """Take the parameters that the components need, one of each per image."""
 
@@ -119,9 +142,12 @@ class Exposures:
         bias = [channel_bias_dn(p, channels) if components.colour_bias else (0.0,) * channels for p in drawn]
         if dark is not None:
             bias = np.negative(dark.black_level_dn).tolist()
+        structure = tuple(known_structure(components, p.structure) for p in drawn) if components.structured else ()
+        if components.column or components.telegraph:
+            drawn = [pixels_own(components, p) for p in drawn]
         return cls(
             components=components,
-            range_dn=range_dn,
+            range_dn=range_dn if isinstance(range_dn, float) else array(list(range_dn)),
             gain_dn_per_e=array([p.gain_dn_per_e for p in drawn]),
             ratio=array(list(ratios)),
             tukey_lambda=array([p.tukey_lambda for p in drawn], tukey),
@@ -134,4 +160,45 @@ class Exposures:
             limits=limits,
             dark=dark,
             dithers=dithers,
+            shading_dn=shading_dn,
+            structure=structure,
+            sensor_seed=sensor_seed,
+            place=place,
         )
+
+
+def read_variance_dn2(components: Components, parameters: NoiseParameters) -> float:
+    """Return the variance of the read noise that the parameters state, DN^2; 0 where a model has none."""
+    if components.read == "tukey-lambda":
+        return parameters.sigma_tl_dn**2 * tukey_lambda_variance(parameters.tukey_lambda)
+    return parameters.sigma_gauss_dn**2 if components.read == "gaussian" else 0.0
+
+
+def structured_variance_dn2(components: Components, parameters: NoiseParameters) -> float:
+    """Return what columns and telegraph pixels add to the variance over pixels and frames, DN^2."""
+    if not components.structured:
+        return 0.0
+    found = known_structure(components, parameters.structure)
+    of_columns = (found.sigma_column_dn or 0.0) ** 2 if components.column else 0.0
+    jumping = found.telegraph.variance_dn2 if components.telegraph and found.telegraph is not None else 0.0
+    return of_columns + jumping
+
+
+def pixels_own(components: Components, parameters: NoiseParameters) -> NoiseParameters:
+    """Return the parameters with the read noise that a pixel has for itself, where a model has C or T.
+
+    Measured read noise is that of all pixels, with all that they do: what a component makes of it must not be in it
+    twice.
+    """
+    if not (components.column or components.telegraph):
+        return parameters
+    found = known_structure(components, parameters.structure)
+    shape, scale, gauss = parameters.tukey_lambda, parameters.sigma_tl_dn, parameters.sigma_gauss_dn
+    if components.telegraph and found.telegraph is not None:
+        shape = min(max(shape + found.telegraph.tukey_lambda_shift, _LOWEST_SHAPE), 2.0)
+        scale, gauss = scale * found.telegraph.sigma_tl_ratio, gauss * found.telegraph.sigma_gauss_ratio
+    if components.column:
+        of_columns = (found.sigma_column_dn or 0.0) ** 2
+        scale = math.sqrt(max(scale**2 - of_columns / tukey_lambda_variance(shape), 0.0))
+        gauss = math.sqrt(max(gauss**2 - of_columns, 0.0))
+    return replace(parameters, tukey_lambda=shape, sigma_tl_dn=scale, sigma_gauss_dn=gauss)

@@ -18,6 +18,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -26,13 +27,25 @@ from eldata.base.numbers import checked_number, checked_whole
 from eldata.base.tensors import is_tensor
 from eldata.errors import ArgumentError, check_choice
 from eldata.noise.components import Components, parse_components
-from eldata.noise.exposures import Adc, DarkCrops, Exposures
+from eldata.noise.dark_shading import DarkShading
+from eldata.noise.exposures import (
+    Adc,
+    DarkCrops,
+    Exposures,
+    pixels_own,
+    read_variance_dn2,
+    structured_variance_dn2,
+)
+from eldata.noise.mosaic import first_place, pack_whole, region_anywhere, unpack_whole, whole_shape
 from eldata.noise.packed_rows import packed_rows
-from eldata.noise.parameters import NoiseParameters, tukey_lambda_variance
+from eldata.noise.parameters import NoiseParameters
 from eldata.noise.randomness import Generator, key_from
+from eldata.noise.structure import known_structure
 from eldata.raw.cfa import CLIP_RANGES
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import torch
     from numpy.typing import NDArray
 
@@ -40,6 +53,8 @@ if TYPE_CHECKING:
     from eldata.raw.cfa import Cfa, Clip
 
 Image = TypeVar("Image", "NDArray[Any]", "torch.Tensor")
+
+_FIRST, _SIDES = -2, 1 << 20  # of places on a sensor
 
 
 class NoiseModel:
@@ -57,12 +72,19 @@ class NoiseModel:
         Round to whole DN and saturate as a converter does, in place of component U.
     dark_frames
         The frames of component D: :class:`eldata.datasets.DarkFrames`.
+    dark_shading
+        The dark shading of component S (:class:`~eldata.noise.dark_shading.DarkShading`), or its file.
+    sensor_seed
+        Of components F and T: which specimen of a sensor it is. One seed has the same response and the same telegraph
+        pixels at the same places of the sensor, whatever is drawn and on whatever device.
 
     Raises
     ------
     ArgumentError
-        If the spec or the clip is unknown, ``adc`` is not an :class:`Adc`, the spec has U and there is one too, or D
-        without dark frames, or these without D.
+        If the spec or the clip is unknown, ``adc`` is not an :class:`Adc`, the spec has U and there is one too, D
+        without dark frames or S without a dark shading, or these without D and S.
+    ShadingError
+        If the file of the dark shading cannot be read.
 
     Examples
     --------
@@ -83,6 +105,8 @@ class NoiseModel:
         clip: Clip | None = None,
         adc: Adc | None = None,
         dark_frames: DarkSource | None = None,
+        dark_shading: DarkShading | Path | str | None = None,
+        sensor_seed: int = 0,
     ) -> None:
         self.components: Components = parse_components(spec)
         if clip is not None:
@@ -108,10 +132,20 @@ class NoiseModel:
         self.clip: Clip | None = clip
         self.adc = adc
         self.dark_frames = dark_frames
+        if self.components.shading != (dark_shading is not None):
+            raise ArgumentError(
+                f"noise model {spec!r}: S adds a dark shading; give dark_shading=, its file or a DarkShading"
+                if dark_shading is None
+                else f"noise model {spec!r} takes no dark shading: it has no component S, as 'P*+G*+R+U+S' has"
+            )
+        self.dark_shading = None if dark_shading is None else DarkShading.of(dark_shading)
+        self.sensor_seed = checked_whole("sensor_seed", sensor_seed, at_least=0, bits=64)
 
     def __repr__(self) -> str:
-        names = ("clip", "adc", "dark_frames")
+        names = ("clip", "adc", "dark_frames", *(("sensor_seed",) if self.sensor_seed else ()))
         options = [f", {name}={value!r}" for name in names if (value := getattr(self, name)) is not None]
+        if self.dark_shading is not None:
+            options.append(f", dark_shading={self.dark_shading.digest[:15]}")
         return f"NoiseModel({self.components.spec!r}{''.join(options)})"
 
     def with_clip(self, clip: Clip) -> NoiseModel:
@@ -121,16 +155,25 @@ class NoiseModel:
         changed.clip = clip
         return changed
 
+    def without_quantisation(self) -> NoiseModel:
+        """Return this model without component U, for values that are rounded afterwards."""
+        changed = copy.copy(self)
+        changed.components = replace(self.components, quantisation=False)
+        return changed
+
     def __call__(
         self,
         clean: Image,
         *,
         parameters: NoiseParameters | Sequence[NoiseParameters],
         ratio: float | Sequence[float],
-        generator: Generator,
-        range_dn: float | None = None,
+        generator: Generator | list[Generator] | tuple[Generator, ...],
+        range_dn: float | Sequence[float] | None = None,
         threads: int | None = None,
         dark: DarkCrops | None = None,
+        place: tuple[int, int] | None = None,
+        exposure_s: float | Sequence[float] | None = None,
+        out: NDArray[np.float32] | None = None,
     ) -> Image:
         """Return a noisy exposure of clean packed data.
 
@@ -145,25 +188,37 @@ class NoiseModel:
         ratio
             Exposure ratio, above 0: one, or one for each image.
         generator
-            numpy's or torch's; for a tensor on another device than the CPU, a torch generator of that device.
+            numpy's or torch's; for a tensor on another device than the CPU, a torch generator of that device. Several,
+            on the CPU: each for as many images in turn, whose noise is to the bit what a call for them alone gives.
         range_dn
-            White level minus black level, DN; by default that of the camera whose profile the parameters come from.
+            White level minus black level, DN, one, or one for each image; by default that of the camera whose profile
+            the parameters come from.
         threads
             Of the compiled engine, 1 or more; default one per CPU. The result does not depend on it.
         dark
             With component D: crops of dark frames that somebody drew, one for each image, of its shape. By default they
             are drawn here, of the parameters' ISO; images that have one draw of parameters together, a clip, get
             different frames, from one place of them.
+        place
+            With components S, T and F: where on the sensor the data begins, (top, left) in packed pixels from the first
+            one that packing keeps. By default whole frames begin at the first; with S parts begin at a place that is
+            drawn here, the same for all images, and without it at the first.
+        exposure_s
+            With component S whose dark shading has dark current: the exposure time of the noisy exposure, one or one
+            for each image.
+        out
+            Of an array: where to write, C-contiguous float32 of its shape, and not its memory. The pages of a new array
+            cost as much as a sixth of the noise.
 
         Returns
         -------
         ndarray or Tensor
-            As ``clean``: shape, device and dtype; computed in float32. Detached.
+            As ``clean``: shape, device and dtype; computed in float32. Detached. Or ``out``.
 
         Raises
         ------
         ArgumentError
-            If shapes, dtype, parameters, ratio, range, generator, threads or dark frames do not fit.
+            If shapes, dtype, parameters, ratio, range, generator, threads, dark frames or ``out`` do not fit.
         """
         check_normalised(clean)
         if clean.ndim < 3:
@@ -175,33 +230,50 @@ class NoiseModel:
         if not all(isinstance(item, NoiseParameters) for item in drawn):
             raise ArgumentError(f"parameters must be NoiseParameters, one or one for each image; found {parameters!r}")
         ratios = [checked_number("ratio", value, above=0) for value in _one_each(ratio, images, "ratio")]
-        range_dn = _range_dn(drawn) if range_dn is None else checked_number("range_dn", range_dn, above=0)
+        given = [_range_dn(drawn)] if range_dn is None else _one_each(range_dn, max(images, 1), "range_dn")
+        ranges = [checked_number("range_dn", value, above=0) for value in given]
+        several = list(generator) if isinstance(generator, (list, tuple)) else [generator]
+        # Frames, or a place on the sensor, are drawn here once for all images.
+        draws = (dark is None and self.dark_frames is not None) or (place is None and self.dark_shading is not None)
+        if len(several) != 1 and (not several or images % len(several) or draws):
+            raise ArgumentError(
+                f"expected one generator, or several, each for as many of {images} images; found {len(several)}"
+            )
         if threads is not None:
             checked_whole("threads", threads, at_least=1)
         packed = (channels, int(clean.shape[-2]), int(clean.shape[-1]))
         if dark is not None:
             self._check_dark(dark, images, packed)
         elif self.dark_frames is not None and images:
-            source = np.random.default_rng(key_from(generator))
+            source = np.random.default_rng(key_from(several[0]))
             dark = _drawn_dark(self.dark_frames, drawn, isinstance(parameters, NoiseParameters), packed, source)
+        place = self._place(packed, place, several[0])
+        times = [None] * images if exposure_s is None else _one_each(exposure_s, images, "exposure_s")
+        shading_dn = self._shading_dn(drawn, packed, place, times)
         exposures = Exposures.of(
             self.components,
             drawn,
             ratios,
             channels,
-            range_dn=range_dn,
+            range_dn=ranges if len(set(ranges)) > 1 else ranges[0],
             adc=self.adc,
             limits=CLIP_RANGES[self.clip or "none"],
             dark=dark,
             dithers=self.dark_frames is not None and self.dark_frames.dither,
+            shading_dn=shading_dn,
+            sensor_seed=self.sensor_seed,
+            place=place,
         )
+        if out is not None:
+            _check_out(out, clean)
         if isinstance(clean, np.ndarray):
-            return _in_numpy(clean, exposures, generator, threads).astype(clean.dtype, copy=False)
+            drawn_in_numpy = _in_numpy(clean, exposures, several, threads, out)
+            return drawn_in_numpy if out is not None else drawn_in_numpy.astype(clean.dtype, copy=False)
         import torch
 
         if clean.device.type == "cpu":
             drawn_here = torch.from_numpy(
-                _in_numpy(clean.detach().to(torch.float32).numpy(), exposures, generator, threads)
+                _in_numpy(clean.detach().to(torch.float32).numpy(), exposures, several, threads)
             )
         else:
             from eldata.noise.on_device import expose_on_device
@@ -211,6 +283,52 @@ class NoiseModel:
             flat = clean.detach().to(torch.float32).reshape(images, *clean.shape[-3:])
             drawn_here = expose_on_device(flat, exposures, generator).reshape(clean.shape)
         return drawn_here.to(clean.dtype)
+
+    def _place(
+        self, packed: tuple[int, int, int], place: tuple[int, int] | None, generator: Generator
+    ) -> tuple[int, int]:
+        """Return where the data begins on the sensor."""
+        if place is not None:
+            if not self.components.placed:
+                raise ArgumentError(f"place= is for models with component S, T or F; this is {self!r}")
+            return _checked_place(place)
+        shading = self.dark_shading
+        if shading is None:
+            return 0, 0
+        if packed == whole_shape(shading.hot.shape, shading.cfa):
+            return first_place(shading.cfa)
+        source = np.random.default_rng(key_from(generator))
+        top, left, _, _ = region_anywhere("a dark shading gives", shading.hot.shape, shading.cfa, packed, source)
+        return top, left
+
+    def _shading_dn(
+        self,
+        drawn: Sequence[NoiseParameters],
+        packed: tuple[int, int, int],
+        place: tuple[int, int],
+        times: Sequence[float | None],
+    ) -> NDArray[np.float32] | None:
+        """Return the dark shading of the ISO and time of each image, or once if all have one."""
+        shading = self.dark_shading
+        if shading is None or not drawn:
+            return None
+        isos = [one.iso for one in drawn if one.iso is not None]
+        if len(isos) < len(drawn):
+            raise ArgumentError(
+                "component S adds the dark shading of the parameters' ISO, and they do not state it; draw them at one, "
+                "as profile.sample(generator, iso=800) does"
+            )
+        each = list(zip(isos, [None] * len(isos) if shading.current is None else times, strict=True))
+        is_whole = packed == whole_shape(shading.hot.shape, shading.cfa) and place == first_place(shading.cfa)
+        if is_whole:  # as on_mosaic packs
+            of_one = {one: pack_whole(shading.at(one[0], exposure_s=one[1]), shading.cfa) for one in set(each)}
+        else:
+            region = (*place, *packed[1:])
+            of_one = {one: shading.packed(one[0], region, exposure_s=one[1]) for one in set(each)}
+        found = of_one[each[0]][None] if len(of_one) == 1 else np.stack([of_one[one] for one in each])
+        if found.shape[1:] != packed:
+            raise ArgumentError(f"the dark shading of {shading.camera} has {found.shape[1]} channels, not {packed[0]}")
+        return found
 
     def _check_dark(self, dark: Any, images: int, packed: tuple[int, int, int]) -> None:
         if self.dark_frames is None:
@@ -229,6 +347,7 @@ class NoiseModel:
         generator: Generator,
         range_dn: float | None = None,
         threads: int | None = None,
+        exposure_s: float | Sequence[float] | None = None,
     ) -> Image:
         """Return a noisy exposure of clean mosaics (..., H, W), normalised, of any size and CFA phase.
 
@@ -240,8 +359,6 @@ class NoiseModel:
         ArgumentError
             As for packed data, or if the CFA is unsupported.
         """
-        from eldata.noise.mosaic import pack_whole, unpack_whole
-
         check_normalised(clean)
         noisy = self(
             pack_whole(clean, cfa),
@@ -250,6 +367,8 @@ class NoiseModel:
             range_dn=range_dn,
             generator=generator,
             threads=threads,
+            exposure_s=exposure_s,
+            place=first_place(cfa) if self.components.placed and self.dark_shading is None else None,
         )
         return unpack_whole(noisy, cfa, (clean.shape[-2], clean.shape[-1]))
 
@@ -259,7 +378,7 @@ class NoiseModel:
         Raises
         ------
         ArgumentError
-            If the model has dark frames, whose mean is their own.
+            If the model has dark frames, whose mean is their own, or a dark shading.
         """
         self._check_closed()
         bias = parameters.colour_bias_dn[channel] if self.components.colour_bias else 0.0
@@ -268,30 +387,33 @@ class NoiseModel:
     def expected_variance_dn2(self, signal_e: float, parameters: NoiseParameters) -> float:
         """Return the closed-form variance of D over pixels and rows, in DN^2 (without saturation).
 
-        ``K (K I) + sigma_TL^2 Var(TL) + sigma_row^2 + 1/12``, each term if its component is there. For an ``adc`` 1/12
+        ``K (K I) + sigma_TL^2 Var(TL) + sigma_row^2 + 1/12``, each term if its component is there; F adds ``(prnu K
+        I)^2``, W has its own rows, and C and T add what the read noise has less with them. For an ``adc`` 1/12
         is an approximation, good where the other noise is above half a DN.
 
         Raises
         ------
         ArgumentError
-            If the model has dark frames, whose variance is their own.
+            If the model has dark frames, whose variance is their own, or a dark shading.
         """
         self._check_closed()
         parts = self.components
         gain = parameters.gain_dn_per_e
         shot = gain * gain * signal_e if parts.shot != "none" else 0.0
-        read = {
-            "none": 0.0,
-            "gaussian": parameters.sigma_gauss_dn**2,
-            "tukey-lambda": parameters.sigma_tl_dn**2 * tukey_lambda_variance(parameters.tukey_lambda),
-        }[parts.read]
+        read = read_variance_dn2(parts, pixels_own(parts, parameters)) + structured_variance_dn2(parts, parameters)
         row = parameters.sigma_row_dn**2 if parts.row else 0.0
+        if parts.structured:
+            found = known_structure(parts, parameters.structure)
+            row += found.row_spectrum.variance_dn2 if parts.banding and found.row_spectrum is not None else 0.0
+            shot += (found.prnu * gain * signal_e) ** 2 if parts.prnu and found.prnu is not None else 0.0
         quantisation = 1 / 12 if parts.quantisation or self.adc is not None else 0.0
         return shot + read + row + quantisation
 
     def _check_closed(self) -> None:
         if self.components.dark:
             raise ArgumentError(f"noise model {self.components.spec!r}: there is no closed form for real dark frames")
+        if self.components.shading:
+            raise ArgumentError(f"noise model {self.components.spec!r}: the dark shading differs from pixel to pixel")
 
 
 def check_normalised(clean: Any, name: str = "clean") -> None:
@@ -320,12 +442,39 @@ def check_normalised(clean: Any, name: str = "clean") -> None:
 
 
 def _in_numpy(
-    clean: NDArray[Any], exposures: Exposures, generator: Generator, threads: int | None
+    clean: NDArray[Any],
+    exposures: Exposures,
+    generators: Sequence[Generator],
+    threads: int | None,
+    out: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float32]:
     from eldata.noise.compiled import expose_compiled
 
-    flat = np.ascontiguousarray(clean, dtype=np.float32).reshape(math.prod(clean.shape[:-3]), *clean.shape[-3:])
-    return expose_compiled(flat, exposures, key=key_from(generator), threads=threads).reshape(clean.shape)
+    shape = math.prod(clean.shape[:-3]), *clean.shape[-3:]
+    flat = np.ascontiguousarray(clean, dtype=np.float32).reshape(shape)
+    keys = [key_from(generator) for generator in generators] if len(flat) else [0]
+    target = None if out is None else out.reshape(shape)
+    return expose_compiled(flat, exposures, key=keys, threads=threads, out=target).reshape(clean.shape)
+
+
+def _check_out(out: Any, clean: Any) -> None:
+    if not isinstance(clean, np.ndarray):
+        raise ArgumentError("out= is for arrays; of a tensor leave it out")
+    fits = isinstance(out, np.ndarray) and out.shape == clean.shape and out.dtype == np.float32
+    if not fits or not out.flags.c_contiguous or not out.flags.writeable or np.may_share_memory(out, clean):
+        found = f"{out.dtype} {out.shape}" if isinstance(out, np.ndarray) else type(out).__name__
+        raise ArgumentError(
+            f"out must be a writeable C-contiguous float32 array of shape {clean.shape} with memory of its own; found "
+            f"{found}"
+        )
+
+
+def _checked_place(place: Any) -> tuple[int, int]:
+    """Return a place on the sensor; packing by periods may begin one before it."""
+    is_pair = isinstance(place, (tuple, list)) and len(place) == 2
+    if not is_pair or not all(isinstance(side, (int, np.integer)) and _FIRST <= side < _SIDES for side in place):
+        raise ArgumentError(f"place is the row and column of a packed pixel, whole numbers from 0 on; found {place!r}")
+    return int(place[0]), int(place[1])
 
 
 def _drawn_dark(

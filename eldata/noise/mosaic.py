@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from eldata.errors import ArgumentError
-from eldata.raw.cfa import packing_sites
+from eldata.raw.cfa import packed_shape, packing_sites
 
 if TYPE_CHECKING:
     import torch
@@ -34,9 +34,7 @@ def pack_whole(mosaic: Image, cfa: Cfa) -> Image:
         raise ArgumentError(f"expected mosaics (..., H, W); found shape {tuple(mosaic.shape)}")
     sites = packing_sites(cfa)
     top, left = -sites.top % sites.period, -sites.left % sites.period
-    height, width = (
-        -(-(extra + side) // sites.period) for extra, side in zip((top, left), mosaic.shape[-2:], strict=True)
-    )
+    _, height, width = (side // sites.sub for side in whole_shape((mosaic.shape[-2], mosaic.shape[-1]), cfa))
     leading: tuple[int, ...] = tuple(mosaic.shape[:-2])
     whole: Image = _zeros(mosaic, (*leading, height * sites.period, width * sites.period))
     whole[..., top : top + mosaic.shape[-2], left : left + mosaic.shape[-1]] = mosaic
@@ -45,6 +43,47 @@ def pack_whole(mosaic: Image, cfa: Cfa) -> Image:
     for row, column, channel, y, x in sites.table:
         packed[..., channel, y::sub, x::sub] = whole[..., row::step, column::step]
     return packed
+
+
+def whole_shape(shape: tuple[int, int], cfa: Cfa) -> tuple[int, int, int]:
+    """Return the shape (C, h, w) that :func:`pack_whole` gives mosaics of ``shape`` (H, W)."""
+    sites = packing_sites(cfa)
+    height, width = (
+        -(-(-first % sites.period + side) // sites.period) * sites.sub
+        for first, side in zip((sites.top, sites.left), shape, strict=True)
+    )
+    return sites.channels, height, width
+
+
+def first_place(cfa: Cfa) -> tuple[int, int]:
+    """Return where what :func:`pack_whole` makes begins, (top, left), counted from the first pixel that packing keeps.
+
+    What packing drops at the top and at the left lies in a period before it.
+    """
+    sites = packing_sites(cfa)
+    return -sites.sub if sites.top else 0, -sites.sub if sites.left else 0
+
+
+def region_anywhere(
+    what: str, shape: tuple[int, int], cfa: Cfa, packed: tuple[int, int, int], generator: np.random.Generator
+) -> tuple[int, int, int, int]:
+    """Return a region (top, left, height, width) of packed data, drawn in step with the CFA.
+
+    Raises
+    ------
+    ArgumentError
+        If ``packed`` (C, h, w) is not within the sensor, (H, W) ``shape``; the message begins with ``what``.
+    """
+    whole, step = packed_shape(shape, cfa), packing_sites(cfa).sub
+    _, height, width = packed
+    fits = packed[0] == whole[0] and height <= whole[1] and width <= whole[2]
+    if not fits or height % step or width % step:
+        raise ArgumentError(f"{what} crops of {whole} packed pixels or less, and none of {packed}")
+    top, left = (
+        step * int(generator.integers((of_all - side) // step + 1))
+        for of_all, side in zip(whole[1:], packed[1:], strict=True)
+    )
+    return top, left, height, width
 
 
 def unpack_whole(packed: Image, cfa: Cfa, shape: tuple[int, int]) -> Image:

@@ -8,6 +8,8 @@ import numpy as np
 import torch
 
 from eldata.noise.packed_rows import packed_rows
+from eldata.noise.randomness import key_from
+from eldata.noise.structured import offsets_dn, with_response
 
 if TYPE_CHECKING:
     from eldata.noise.exposures import Exposures
@@ -27,7 +29,11 @@ def expose_on_device(clean: torch.Tensor, exposures: Exposures, generator: torch
         values = torch.as_tensor(array, dtype=torch.float32, device=device)
         return values[(...,) + (None,) * (4 - values.ndim)]
 
-    gain, scale = per_image(exposures.gain_dn_per_e), exposures.range_dn / per_image(exposures.ratio)
+    if components.prnu:
+        response = with_response(np.ones(tuple(clean.shape), np.float32), exposures)
+        clean = clean * torch.from_numpy(response).to(device)
+    gain, range_dn = per_image(exposures.gain_dn_per_e), exposures.range_dn
+    scale = (range_dn if isinstance(range_dn, float) else per_image(range_dn)) / per_image(exposures.ratio)
     # DN above black: K I. An infinite clean value stays the largest number, which the clip then takes.
     signal = clean.clamp(0.0, torch.finfo(torch.float32).max) * scale
     if components.shot == "poisson":
@@ -54,6 +60,13 @@ def expose_on_device(clean: torch.Tensor, exposures: Exposures, generator: torch
             black = per_image(exposures.bias_dn)  # below 0, and added before
             frames = (frames + black) * per_image(exposures.dark.scale) - black
         dn = dn + frames
+    if exposures.shading_dn is not None:
+        dn = dn + per_image(exposures.shading_dn)
+    if components.column or components.banding or components.telegraph:
+        images, channels, height, width = clean.shape
+        keys, places = np.full(images, key_from(generator), np.uint64), np.arange(images, dtype=np.uint64)
+        added = offsets_dn((images, channels, height, width), exposures, keys, places)
+        dn = dn + torch.from_numpy(added).to(device)
     if components.quantisation or exposures.dithers:
         dn = dn + (torch.rand(clean.shape, generator=generator, device=device) - 0.5)
     if adc is not None:

@@ -1,4 +1,4 @@
-"""Which mosaic row each packed entry comes from, and which colour bias each packed channel takes."""
+"""Which mosaic row and column each packed entry comes from, and which colour bias each packed channel takes."""
 
 from __future__ import annotations
 
@@ -27,10 +27,13 @@ class PackedRows:
         (C, s, s) int64: packed entry (c, y, x) lies in mosaic row ``(y // s) * period + table[c, y % s, x % s]``.
     period
         Mosaic rows per s packed rows.
+    across
+        (C, s, s) int64: the same of mosaic columns, ``(x // s) * period + across[c, y % s, x % s]``.
     """
 
     table: NDArray[np.int64]
     period: int
+    across: NDArray[np.int64]
 
     @property
     def sub(self) -> int:
@@ -53,15 +56,17 @@ def packed_rows(channels: int) -> PackedRows:
     sites = packed_layouts().get(channels)
     if sites is None:
         raise ArgumentError(f"packed data has {packed_forms()} channels; found {channels}")
-    table = np.empty((channels, sites.sub, sites.sub), dtype=np.int64)
-    for row, _, channel, y, x in sites.table:
-        table[channel, y, x] = row
-    return PackedRows(table, sites.period)
+    table, across = np.empty((2, channels, sites.sub, sites.sub), dtype=np.int64)
+    for row, column, channel, y, x in sites.table:
+        table[channel, y, x], across[channel, y, x] = row, column
+    return PackedRows(table, sites.period, across)
 
 
 def channel_bias_dn(parameters: NoiseParameters, channels: int) -> tuple[float, ...]:
     """Return the colour bias of each packed channel: its colour's. X-Trans has one green: the mean of G1's and G2's."""
     sites = packed_layouts()[channels]
+    if sites.colours == (0, 1, 2, 3):  # Bayer, asked for each item of a batch: as it is
+        return parameters.colour_bias_dn
     red, green, blue, second_green = parameters.colour_bias_dn
     one_green = red, (green + second_green) / 2, blue
     of_colour = one_green if sites.levels == len(one_green) else parameters.colour_bias_dn

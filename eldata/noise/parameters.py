@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, fields
-from typing import Any
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
 from eldata.base.numbers import checked_number
 from eldata.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from eldata.noise.structure import NoiseStructure
 
 # The Tukey-lambda family has finite variance for lambda > -1/2 only; beyond 2 its shape repeats.
 _LAMBDA_RANGE = (-0.5, 2.0)
@@ -41,11 +45,26 @@ class NoiseParameters:
         model takes if it is not told another. Not a parameter of the noise: draws that differ in it alone are equal.
     iso
         The ISO that they are of, where one was given or drawn: that of the dark frames of component D. Nor is it one.
+    structure
+        Figures of components C, W, T and F, where the profile has any. They are of the camera at the gain that is
+        nearest, and not drawn: nor do draws differ in them.
 
     Raises
     ------
     ArgumentError
         If a value is not a finite number or out of its range; the message names it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from eldata.noise import NoiseModel, NoiseParameters
+    >>> parameters = NoiseParameters(
+    ...     gain_dn_per_e=1.5, tukey_lambda=0.0, sigma_tl_dn=2.5, sigma_gauss_dn=5.0, sigma_row_dn=0.5, range_dn=15871.0
+    ... )
+    >>> dark = np.zeros((4, 256, 256), np.float32)
+    >>> noisy = NoiseModel("G")(dark, parameters=parameters, ratio=1.0, generator=np.random.default_rng(0))
+    >>> round(float(noisy.std()) * 15871)
+    5
     """
 
     gain_dn_per_e: float
@@ -56,11 +75,12 @@ class NoiseParameters:
     colour_bias_dn: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     range_dn: float | None = field(default=None, compare=False)
     iso: float | None = field(default=None, compare=False)
+    structure: NoiseStructure | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        for name, value in self.as_dict().items():
+        for name in _names():
             if name != "colour_bias_dn":
-                checked_number(name, value)
+                checked_number(name, getattr(self, name))
         # Lists, and the arrays and tensors that samples have, become a tuple: a draw can be compared and is a key.
         bias: Any = self.colour_bias_dn
         values = tuple(bias) if isinstance(bias, (tuple, list)) else _values(bias)
@@ -84,7 +104,12 @@ class NoiseParameters:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the parameters of the noise by name."""
-        return {one.name: getattr(self, one.name) for one in fields(self) if one.compare}
+        return {name: getattr(self, name) for name in _names()}
+
+
+@cache
+def _names() -> tuple[str, ...]:
+    return tuple(one.name for one in fields(NoiseParameters) if one.compare)
 
 
 def _values(array: Any) -> tuple[Any, ...]:
@@ -98,6 +123,12 @@ def tukey_lambda_variance(tukey_lambda: float) -> float:
     ``2 / l^2 (1 / (2 l + 1) - B(l + 1, l + 1))`` with the beta function B, which is ``-2 expm1(g) / (l^2 (2 l + 1))``
     with ``g = 2 ln Gamma(1 + l) - ln Gamma(1 + 2 l)``; pi^2 / 3 at l = 0. Near 0, g comes from its power series, which
     does not cancel.
+
+    Examples
+    --------
+    >>> from eldata.noise import tukey_lambda_variance
+    >>> round(tukey_lambda_variance(0.14), 2), round(tukey_lambda_variance(1.0), 6)
+    (2.11, 0.333333)
     """
     shape = tukey_lambda
     if abs(shape) < 1e-12:  # the variance changes by a factor of about 1 + 2 l; the square of less may underflow

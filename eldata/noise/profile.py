@@ -16,20 +16,40 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from eldata.base.fields import Fields, TextFile, names_of
 from eldata.base.files import write_json
-from eldata.errors import ArgumentError, ProfileError
+from eldata.base.notebook import block, table
+from eldata.base.numbers import counted
+from eldata.base.visible import in_line
+from eldata.errors import ArgumentError, ProfileError, check_choice, did_you_mean
 from eldata.noise.gain_modes import GAIN_ROUNDING, GainMode, LogLogFit, modes_problem
 from eldata.noise.parameters import NoiseParameters, shape_problem
 from eldata.noise.randomness import Generator, standard_normals, uniforms
+from eldata.noise.structure import NoiseStructure, read_structure
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from eldata.plots.axes import Theme
+
 SCHEMA = 1
 SCHEMA_WITH_MODES = 2  # version 0.1, which would draw from one line, refuses it
+SCHEMA_WITH_STRUCTURE = 3  # with modes or without
 RowChoice = Literal["any", "nearest-gain", "measured"]
 
 _OF_ONE_MODE = ("tukey_lambda_fit", "gauss_fit", "row_fit")  # fields that a profile with modes leaves to them
 _GO_ON = "To go on with the nearer one's lines has to be asked for (extrapolate=True, --extrapolate)"
+
+
+Sigma = Literal["TL", "G", "row"]
+SIGMAS: dict[Sigma, tuple[str, str]] = {
+    "TL": ("tukey_lambda_fit", "sigma_tl_dn"),
+    "G": ("gauss_fit", "sigma_gauss_dn"),
+    "row": ("row_fit", "sigma_row_dn"),
+}
+"""The scales of a profile: its line over K, and the field of a row, by the index of its sigma."""
+_TITLES: dict[Sigma, str] = {"TL": "read noise, Tukey lambda", "G": "read noise, Gaussian", "row": "row noise"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,11 +94,22 @@ class CameraProfile:
     modes
         Two or more where the camera switches its conversion gain, ascending, each with a range and fits of its own.
         Between their ranges nothing is known. Empty: the camera has one, whose range and fits are the profile's.
+    structure
+        Figures of components C, W, T and F by ISO; empty if they were not measured.
 
     Raises
     ------
     ProfileError
         If the parts do not go together; the message says which.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from eldata.noise import CameraProfile
+    >>> profile = CameraProfile.load("SonyA7S2")
+    >>> parameters = profile.sample(np.random.default_rng(0), iso=1600)
+    >>> round(parameters.gain_dn_per_e, 3), round(parameters.sigma_row_dn, 3)
+    (1.503, 0.586)
     """
 
     camera: str
@@ -93,6 +124,7 @@ class CameraProfile:
     white_level_dn: float | None = None
     notes: tuple[str, ...] = ()
     modes: tuple[GainMode, ...] = ()
+    structure: tuple[NoiseStructure, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.rows:
@@ -130,20 +162,89 @@ class CameraProfile:
         """
         if isinstance(name, str) and "/" not in name and not name.endswith(".json"):
             if name not in shipped_profiles():
+                known = shipped_profiles()
                 raise ProfileError(
-                    f"no camera profile is called {name!r}; known are {', '.join(shipped_profiles())}, or give a path"
+                    f"no camera profile is called {name!r}; known are {', '.join(known)}, or give the path of a .json "
+                    f"file{did_you_mean(name, known)}"
                 )
             return _read(_FOLDER / f"{name}.json")
         return _read(Path(name))
 
     def save(self, path: Path | str) -> None:
         """Write the profile as JSON, whole or not at all."""
-        write_json(path, {"schema": SCHEMA_WITH_MODES if self.modes else SCHEMA} | self.as_dict(), indent=1)
+        schema = SCHEMA_WITH_STRUCTURE if self.structure else SCHEMA_WITH_MODES if self.modes else SCHEMA
+        write_json(path, {"schema": schema} | self.as_dict(), indent=1)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the profile as its file holds it, as plain types: with modes, or with fits of its own."""
-        left_out = _OF_ONE_MODE if self.modes else ("modes",)
+        left_out = (*(_OF_ONE_MODE if self.modes else ("modes",)), *(() if self.structure else ("structure",)))
         return {name: value for name, value in asdict(self).items() if name not in left_out}
+
+    def plot(self, sigma: Sigma | None = None, *, ax: Axes | None = None) -> Figure:
+        """Draw the lines of ln sigma over ln K with bands of one and two residual deviations, and the measured rows.
+
+        Parameters
+        ----------
+        sigma
+            ``"TL"`` or ``"G"``, the read noise by either model; ``"row"``. By default all three, an axes each.
+        ax
+            Axes to draw one into; by default those of a new figure, which belongs to no pyplot and shows in a notebook.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            That of the axes.
+
+        Raises
+        ------
+        ArgumentError
+            If there is no such sigma, or ``ax`` is given without one.
+        """
+        from eldata.plots.axes import drawn_grid, drawn_into
+        from eldata.plots.gains import scale_over_gain
+
+        def panel(name: Sigma, axes: Axes, theme: Theme) -> None:
+            line, field = SIGMAS[name]
+            lines = [(getattr(mode, line), *mode.gain_range_dn_per_e) for mode in self.gain_modes]
+            scale_over_gain(axes, name, lines, self._measured(field), theme)
+
+        if sigma is not None:
+            check_choice("sigma", sigma, SIGMAS)
+            return drawn_into(ax, self.camera, partial(panel, sigma))
+        if ax is not None:
+            raise ArgumentError(f"one axes has room for one sigma; give sigma, one of {', '.join(SIGMAS)}")
+        return drawn_grid(self.camera, [(_TITLES[name], partial(panel, name)) for name in SIGMAS])
+
+    def _measured(self, field: str) -> list[tuple[float, float, float]]:
+        """Return K, sigma and its error, which a profile does not state, of the rows that have both."""
+        pairs = ((row.gain_dn_per_e, getattr(row, field)) for row in self.rows)
+        return [
+            (gain, scale, math.nan) for gain, scale in pairs if gain is not None and scale is not None and scale > 0
+        ]
+
+    def __repr__(self) -> str:
+        low, high = self.gain_range_dn_per_e
+        modes = f", {len(self.modes)} gain modes" if self.modes else ""
+        text = f"{counted(len(self.rows), 'row')}, K {low:.4g} to {high:.4g} DN/e-{modes}"
+        return f"CameraProfile({in_line(self.camera)!r}, {text})"
+
+    def _repr_html_(self) -> str:
+        columns = {
+            "ISO": [None if row.iso is None else f"{row.iso:g}" for row in self.rows],
+            "K [DN/e⁻]": [_digits(row.gain_dn_per_e) for row in self.rows],
+            "λ": [_digits(row.tukey_lambda) for row in self.rows],
+            "σ TL [DN]": [_digits(row.sigma_tl_dn) for row in self.rows],
+            "σ G [DN]": [_digits(row.sigma_gauss_dn) for row in self.rows],
+            "σ row [DN]": [_digits(row.sigma_row_dn) for row in self.rows],
+        }
+        columns |= {
+            f"bias {name} [DN]": [_digits(row.colour_bias_dn[index]) for row in self.rows]
+            for index, name in enumerate(("R", "G1", "B", "G2"))
+        }
+        known = {name: cells for name, cells in columns.items() if any(cells)}
+        rows = [tuple(cell or "-" for cell in row) for row in zip(*known.values(), strict=True)]
+        notes = (self.source, *self.notes)
+        return block(f"Camera profile of {self.camera}", table(tuple(known), rows, left=()), notes=notes)
 
     @property
     def gain_modes(self) -> tuple[GainMode, ...]:
@@ -171,8 +272,10 @@ class CameraProfile:
             If the gain lies outside of all ranges.
         """
         modes = self.gain_modes
+        if len(modes) == 1:
+            return modes[0]
         nearest = min(modes, key=lambda mode: mode.distance(gain_dn_per_e))
-        if len(modes) == 1 or extrapolate or nearest.distance(gain_dn_per_e) <= GAIN_ROUNDING:
+        if extrapolate or nearest.distance(gain_dn_per_e) <= GAIN_ROUNDING:
             return nearest
         raise ArgumentError(
             f"K {gain_dn_per_e:.4g} DN/e- lies outside of the gain modes of {self.camera}, "
@@ -249,6 +352,8 @@ class CameraProfile:
     def measured(self, iso: float) -> NoiseParameters:
         """Return the figures that were measured at an ISO, without the spread of the fits; the first of several.
 
+        Where sigma_row is withheld, for rows that are not white, it is the standard deviation of their spectrum.
+
         Raises
         ------
         ArgumentError
@@ -257,10 +362,13 @@ class CameraProfile:
         complete: dict[float, NoiseParameters] = {}
         for row in self.rows:
             gain, scale, gauss, rows = row.gain_dn_per_e, row.sigma_tl_dn, row.sigma_gauss_dn, row.sigma_row_dn
+            structure = None if gain is None else self._structure_at(gain)
+            if rows is None and structure is not None and structure.row_spectrum is not None:
+                rows = math.sqrt(structure.row_spectrum.variance_dn2)  # withheld for nothing but the bands
             if row.iso is None or gain is None or scale is None or gauss is None or rows is None:
                 continue
             found = NoiseParameters(
-                gain, row.tukey_lambda, scale, gauss, rows, row.colour_bias_dn, self.range_dn, row.iso
+                *(gain, row.tukey_lambda, scale, gauss, rows, row.colour_bias_dn, self.range_dn, row.iso, structure)
             )
             complete.setdefault(row.iso, found)
         if iso in complete:
@@ -340,7 +448,12 @@ class CameraProfile:
             colour_bias_dn=chosen.colour_bias_dn,
             range_dn=self.range_dn,
             iso=iso,
+            structure=self._structure_at(gain),
         )
+
+    def _structure_at(self, gain: float) -> NoiseStructure | None:
+        """Return the figures of C, W, T and F at the gain nearest to one, if there are any."""
+        return min(self.structure, key=lambda one: abs(math.log(one.gain_dn_per_e / gain)), default=None)
 
     def _gain_at(self, share: float) -> float:
         """Return the gain below which a share of all ranges of ln K lies."""
@@ -375,14 +488,27 @@ _FOLDER = Path(__file__).parent / "profiles"
 
 
 def shipped_profiles() -> tuple[str, ...]:
-    """Return the names of the shipped profiles."""
+    """Return the names of the shipped profiles.
+
+    Examples
+    --------
+    >>> from eldata.noise import shipped_profiles
+    >>> shipped_profiles()
+    ('CanonEOS5D4', 'CanonEOS700D', 'CanonEOS70D', 'NikonD850', 'NikonD850-2', 'SonyA7S2', 'SonyA7S2-PMN')
+    """
     return tuple(sorted(path.stem for path in _FOLDER.glob("*.json")))
+
+
+def _digits(value: float | None) -> str | None:
+    return None if value is None else f"{value:.4g}"
 
 
 def _read(path: Path) -> CameraProfile:
     top = TextFile(path, ProfileError).json()
-    has_modes = top.schema(SCHEMA, also=SCHEMA_WITH_MODES) == SCHEMA_WITH_MODES
-    absent = _OF_ONE_MODE if has_modes else ("modes",)
+    schema = top.schema(SCHEMA, also=(SCHEMA_WITH_MODES, SCHEMA_WITH_STRUCTURE))
+    has_structure = schema == SCHEMA_WITH_STRUCTURE
+    has_modes = schema == SCHEMA_WITH_MODES or (has_structure and "modes" in top.data)
+    absent = (*(_OF_ONE_MODE if has_modes else ("modes",)), *(() if has_structure else ("structure",)))
     top.only(("schema", *(name for name in names_of(CameraProfile) if name not in absent)))
     lines = (None, None, None) if has_modes else _lines(top)
     return CameraProfile(
@@ -400,6 +526,7 @@ def _read(path: Path) -> CameraProfile:
         modes=tuple(map(_mode, top.objects("modes", fewest=2, expected="a list of two modes or more")))
         if has_modes
         else (),
+        structure=tuple(map(read_structure, top.objects("structure", fewest=1))) if has_structure else (),
     )
 
 

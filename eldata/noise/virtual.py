@@ -114,6 +114,7 @@ LED_RANGES = CameraRanges(
     colour_bias_dn=(-1.9080039, 4.080531),
     colour_bias_spread_dn=(0.0068666, 3.0379589),
 )
+"""The ranges of virtual cameras that LED pre-trains with, as its authors published them."""
 
 
 class VirtualCameras(Sequence[CameraProfile]):

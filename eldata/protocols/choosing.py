@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.errors import ArgumentError
+from eldata.errors import ArgumentError, did_you_mean
 from eldata.protocols.digests import scoring
 from eldata.protocols.kinds import IMAGES
 from eldata.protocols.named import EARLIER, FAMILIES, PROTOCOLS
@@ -34,6 +34,13 @@ def get_protocol(name: str | Path, dataset: str | None = None, *, own: bool = Fa
     ArgumentError
         If the name is unknown (the message lists the known ones), or a family has none for the dataset; or like
         :func:`~eldata.protocols.load_protocol`.
+
+    Examples
+    --------
+    >>> from eldata.protocols import get_protocol
+    >>> protocol = get_protocol("eld")
+    >>> protocol.name, protocol.levels
+    ('eld', 'published')
     """
     if isinstance(name, Path) or name.endswith(".toml"):
         from eldata.protocols.custom import load_protocol
@@ -43,8 +50,11 @@ def get_protocol(name: str | Path, dataset: str | None = None, *, own: bool = Fa
         return PROTOCOLS[name]
     members = members_of(name)
     if not members:
-        known = ", ".join((*PROTOCOLS, *FAMILIES))
-        raise ArgumentError(f"no protocol is called {name!r}; known are {known}, or give a file ending in .toml")
+        known = (*PROTOCOLS, *FAMILIES)
+        raise ArgumentError(
+            f"no protocol is called {name!r}; known are {', '.join(known)}, or give a file ending in .toml"
+            f"{did_you_mean(name, known)}"
+        )
     fitting = [protocol for protocol in members if dataset is None or protocol.covers(dataset)]
     if own or len(fitting) == 1:
         return (fitting or members)[0]
@@ -85,6 +95,12 @@ def protocols_for(dataset: str, *, own: bool = False) -> tuple[Protocol, ...]:
     A set of your ``own``, or of no known name, has its own pairs, so it gets one protocol of each way to score, the
     first of the shipped ones. Levels that are those of one camera, whatever the file states, are not a way to score
     another.
+
+    Examples
+    --------
+    >>> from eldata.protocols import protocols_for
+    >>> [protocol.name for protocol in protocols_for("eld")]
+    ['eld', 'eld-uncorrected', 'pmn-eld', 'led-eld', 'lrd-eld']
     """
     covering = tuple(protocol for protocol in PROTOCOLS.values() if protocol.covers(dataset))
     if covering and not own:

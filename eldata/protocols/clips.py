@@ -16,7 +16,7 @@ _STATED = (
 )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class ClipProtocol(Protocol):
     """Everything that the scores of a clip depend on besides the pixels.
 

@@ -26,6 +26,7 @@ NEUTRAL: Final[Mapping[str, Any]] = {
     "scenes": [],
     "input_clip": "both",
     "amplification": "metadata",
+    "dark_shading": "none",
     "space": "raw",
     "rendering": "none",
     "rescaling_mask": "unsaturated",
@@ -47,8 +48,8 @@ _PROSE: Final = ("name", *DESCRIPTIVE, "psnr", "ssim", "st_rred", "reference")
 CHOOSING: Final = ("dataset", "ratios", "subset", "cameras", "scenes")
 """What chooses the pairs."""
 
-OF_INPUT: Final = ("input_clip", "amplification")
-"""What describes the noisy input: it decides the score of the input itself, and of no prediction."""
+OF_INPUT: Final = ("input_clip", "amplification", "dark_shading")
+"""What describes the noisy input: it decides the score of the input itself, and of a prediction through its method."""
 
 OF_THE_FACTOR: Final = ("rescaling_mask", "rescaling_region")
 """How the factor is found: without effect where there is none."""

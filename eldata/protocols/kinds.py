@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Final
 
+from eldata.errors import check_choice
+
 
 @dataclass(frozen=True, slots=True)
 class Metric:
@@ -73,9 +75,25 @@ class Kind:
         return f"{self.unit}s"
 
     @property
-    def with_lpips(self) -> Kind:
-        """Itself with a column of LPIPS, of renderings in sRGB."""
-        return replace(self, metrics=(*self.metrics, _LPIPS), values=(*self.values, _LPIPS.name))
+    def is_of_clips(self) -> bool:
+        """Whether windows of clips are scored, with whatever further columns."""
+        return self.unit == CLIPS.unit
+
+    def having(self, metric: Metric) -> Kind:
+        """Return it with one more column: LPIPS of renderings, or a task of the user's own."""
+        return replace(self, metrics=(*self.metrics, metric), values=(*self.values, metric.name))
+
+    def metric(self, name: str) -> Metric:
+        """Return a column by its name.
+
+        Raises
+        ------
+        ArgumentError
+            If there is none; the message lists those that there are.
+        """
+        known = {metric.name: metric for metric in self.metrics}
+        check_choice("metric", name, known)
+        return known[name]
 
     @property
     def heads(self) -> tuple[str, ...]:
@@ -83,9 +101,14 @@ class Kind:
         return self.counted, *(metric.head for metric in self.metrics)
 
 
+def task_metric(label: str, *, higher_is_better: bool) -> Metric:
+    """Return the column of a task of the user's own."""
+    return Metric("task", label, "", 3, 4, 4, higher_is_better=higher_is_better)
+
+
 _PSNR = Metric("psnr_db", "PSNR", "dB", 2, 2, 2)
 _SSIM = Metric("ssim", "SSIM", "", 3, 4, 4)  # differences of SSIM are small
-_LPIPS = Metric("lpips", "LPIPS", "", 3, 4, 4, higher_is_better=False)
+LPIPS: Final = Metric("lpips", "LPIPS", "", 3, 4, 4, higher_is_better=False)
 _ST_RRED = Metric("st_rred", "ST-RRED", "", 3, 3, 3, higher_is_better=False)
 
 IMAGES: Final = Kind(

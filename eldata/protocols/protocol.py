@@ -6,6 +6,8 @@ import re
 from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args, get_origin, get_type_hints
 
+from eldata.base.notebook import block, facts
+from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, check_choice
 from eldata.protocols.digests import SCORED, fields_digest
 from eldata.protocols.kinds import IMAGES, Kind
@@ -15,7 +17,7 @@ if TYPE_CHECKING:
 
 Levels = Literal["metadata", "published", "metadata-per-channel", "sid-sony", "sid-fuji"]
 Clip = Literal["both", "upper", "none"]
-Amplification = Literal["metadata", "nominal"]
+Amplification = Literal["metadata", "nominal", "measured"]
 Space = Literal["raw", "srgb"]
 Pixels = Literal["packed", "srgb", "rgb"]
 Rendering = Literal["none", "libraw", "eld-isp"]
@@ -31,6 +33,10 @@ ANY_DATASET = "any"
 ONE_CAMERAS_LEVELS: tuple[Levels, ...] = ("sid-sony", "sid-fuji")
 """Levels that are constants of one camera, whatever the file states."""
 
+NO_SHADING = "none"
+"""Value of ``dark_shading``: the input is as the camera took it."""
+
+_DIGEST = re.compile("sha256:[0-9a-f]{64}")
 _REGION = re.compile(r"full|(centre|border)-([1-9][0-9]{0,4})")
 
 
@@ -68,8 +74,12 @@ class Protocol:
     cameras, scenes
         Cameras and scenes of the pairs that are scored; empty means all.
     input_clip, amplification
-        Clip of the input before and after it is multiplied by the ratio, and which ratio: ``metadata``, the files', or
-        ``nominal``, the manifest's. They matter where predictions are made, and for the score of the input itself.
+        Clip of the input before and after it is multiplied by the ratio, and which ratio: ``metadata``, the files',
+        ``nominal``, the manifest's, or ``measured``, which ``capture check --write`` puts into the manifest. They
+        matter where predictions are made, and for the score of the input itself.
+    dark_shading
+        The digest of the dark shading (:class:`eldata.noise.DarkShading`) that was taken off the input; ``none``.
+        An evaluation fills it in (``--dark-shading``).
     space
         ``raw``: packed raw values are compared; ``srgb``: renderings.
     rendering
@@ -97,6 +107,7 @@ class Protocol:
     scenes: tuple[str, ...] = ()
     input_clip: Clip = "both"
     amplification: Amplification = "metadata"
+    dark_shading: str = NO_SHADING
     space: Space = "raw"
     rendering: Rendering = "none"
     rescaling_mask: RescalingMask = "unsaturated"
@@ -181,6 +192,11 @@ class Protocol:
         if self.rescaling_region != SCORED:
             _kind_and_size("rescaling_region", self.rescaling_region)
         self.rules.check()
+        if self.dark_shading != NO_SHADING and not _DIGEST.fullmatch(self.dark_shading):
+            raise ArgumentError(
+                "dark_shading must be 'none' or the digest of one, sha256: and 64 hexadecimal digits; found "
+                f"{self.dark_shading!r:.100}"
+            )
         if (self.space == "raw") != (self.rendering == "none"):
             raise ArgumentError(
                 f"rendering {self.rendering!r} does not go with space {self.space!r}: raw takes 'none', srgb another"
@@ -193,6 +209,19 @@ class Protocol:
             raise ArgumentError("rendering 'eld-isp' is scored on data range 1 with mse_offset 0")
         if any(ratio <= 0 for ratio in self.ratios):
             raise ArgumentError(f"ratios must be positive; found {list(self.ratios)}")
+
+    def __repr__(self) -> str:
+        name, title = in_line(self.name), in_line(self.title)
+        return f"{type(self).__name__}({name!r}, {title!r}, {self.digest[:15]})"
+
+    def _repr_html_(self) -> str:
+        stated = [(name, _shown(value)) for name, value in self.as_dict().items() if value not in ("", [], None)]
+        return block(f"Protocol {self.name}", facts([*stated, ("digest", self.digest)]))
+
+
+def _shown(value: Any) -> str:
+    """Return a field's value as text."""
+    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
 def _crop(region: str, shape: tuple[int, ...]) -> tuple[slice, ...]:
@@ -250,6 +279,14 @@ class StatedProtocol:
     def as_dict(self) -> dict[str, Any]:
         """Return its fields."""
         return self.fields
+
+    def __repr__(self) -> str:
+        name, title = in_line(self.name), in_line(self.title)
+        return f"{type(self).__name__}({name!r}, {title!r}, {self.digest[:15]})"
+
+    def _repr_html_(self) -> str:
+        stated = [(name, _shown(value)) for name, value in self.as_dict().items() if value not in ("", [], None)]
+        return block(f"Protocol {self.name}", facts([*stated, ("digest", self.digest)]))
 
 
 CHOICES: dict[str, tuple[str, ...]] = {

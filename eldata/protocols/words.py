@@ -31,7 +31,11 @@ _WINDOWS = {
 }
 _RENDERINGS = {"none": "none", "libraw": "LibRaw's", "eld-isp": "the ELD paper's pipeline"}
 _PIXELS = {"packed": "packed raw", "rgb": "preprocessed RGB"}
-_AMPLIFICATIONS = {"metadata": "by the files' exposure ratio", "nominal": "by the manifest's ratio"}
+_AMPLIFICATIONS = {
+    "metadata": "by the files' exposure ratio",
+    "nominal": "by the manifest's ratio",
+    "measured": "by the measured ratio",
+}
 
 
 def _listed(values: Any) -> str:
@@ -76,6 +80,7 @@ FIELDS: Mapping[str, tuple[str, Callable[[Any], str]]] = {
     "ssim_covariance": ("SSIM covariance", str),
     "input_clip": ("input's clip", lambda value: CLIPS[value]),
     "amplification": ("input amplified", lambda value: _AMPLIFICATIONS[value]),
+    "dark_shading": ("dark shading off", str),
     "psnr": ("PSNR", str),
     "ssim": ("SSIM", str),
     "st_rred": ("ST-RRED", str),

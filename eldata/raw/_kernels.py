@@ -2,7 +2,8 @@
 
 A site table says where each site of one CFA period goes: rows of (mosaic row, mosaic column, channel, packed
 row, packed column), with ``period`` the CFA's size and ``sub`` the packed image's share of it (2 for X-Trans, else 1).
-The Bayer loops are written out for their constant stride of two, which the compiler vectorises.
+The Bayer loops are written out for their constant stride of two, which the compiler vectorises. For them, and where
+mosaics are turned, each row of the mosaic and of the packed channels is contiguous in memory.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.base.compiled import kernel
+from eldata.base.compiled import contiguous, kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -26,8 +27,8 @@ def gather(mosaic: NDArray[Any], packed: NDArray[Any], sites: NDArray[np.int64],
     for i in range(packed.shape[1] // sub):
         if period == 2:
             for y in range(2):
-                source = mosaic[2 * i + y]
-                even, odd = packed[sites[2 * y, 2], i], packed[sites[2 * y + 1, 2], i]
+                source = contiguous(mosaic[2 * i + y])
+                even, odd = contiguous(packed[sites[2 * y, 2], i]), contiguous(packed[sites[2 * y + 1, 2], i])
                 for j in range(packed.shape[2]):
                     even[j] = source[2 * j]
                     odd[j] = source[2 * j + 1]
@@ -57,8 +58,27 @@ def scatter(packed: NDArray[Any], mosaic: NDArray[Any], sites: NDArray[np.int64]
 
 
 @kernel
+def scatter_bayer(
+    packed: NDArray[Any], top: int, left: int, channel: NDArray[np.int64], scale: Any, mosaic: NDArray[Any]
+) -> None:
+    """Fill a Bayer mosaic from the part of ``packed`` that begins at (top, left), times ``scale``.
+
+    ``channel`` (2, 2) names the packed channel of each site. The whole array comes with the part's place, for the
+    compiler does not know that the rows of a part are contiguous.
+    """
+    for i in range(mosaic.shape[0] // 2):
+        for y in range(2):
+            even, odd = packed[channel[y, 0], top + i], packed[channel[y, 1], top + i]
+            even, odd = even[left:], odd[left:]
+            target = mosaic[2 * i + y]
+            for j in range(mosaic.shape[1] // 2):
+                target[2 * j] = even[j] * scale
+                target[2 * j + 1] = odd[j] * scale
+
+
+@kernel
 def pack_bayer_normalised(
-    mosaic: NDArray[np.uint16],
+    mosaic: NDArray[Any],
     packed: NDArray[np.float32],
     channel: NDArray[np.int64],
     black: NDArray[np.float32],
@@ -72,31 +92,32 @@ def pack_bayer_normalised(
     ``channel`` (2, 2) names the packed channel of each site, ``black`` (4,) has one entry per packed channel. A
     non-negative gain cannot undo the lower clip, so only the upper one is repeated. Dividing, not multiplying by
     a reciprocal, keeps the published loaders' bits. Both columns of a cell stand in one loop and the limits are
-    comparisons, not min() and max(): that is what the compiler turns into vector code.
+    comparisons, not min() and max(): that is what the compiler turns into vector code. In this order they let NaN and
+    -0 through.
     """
     for i in range(packed.shape[1]):
         for y in range(2):
-            source = mosaic[2 * i + y]
+            source = contiguous(mosaic[2 * i + y])
             even = packed[channel[y, 0], i]
             odd = packed[channel[y, 1], i]
             black_even, black_odd = black[channel[y, 0]], black[channel[y, 1]]
             span_even, span_odd = white - black_even, white - black_odd
             for j in range(packed.shape[2]):
                 value = (np.float32(source[2 * j]) - black_even) / span_even
-                value = value if value > low else low
-                value = value if value < high else high
+                value = low if value < low else value
+                value = high if value > high else value
                 value = value * gain
-                even[j] = value if value < high else high
+                even[j] = high if value > high else value
                 value = (np.float32(source[2 * j + 1]) - black_odd) / span_odd
-                value = value if value > low else low
-                value = value if value < high else high
+                value = low if value < low else value
+                value = high if value > high else value
                 value = value * gain
-                odd[j] = value if value < high else high
+                odd[j] = high if value > high else value
 
 
 @kernel
 def pack_sites_normalised(
-    mosaic: NDArray[np.uint16],
+    mosaic: NDArray[Any],
     packed: NDArray[np.float32],
     sites: NDArray[np.int64],
     period: int,
@@ -120,10 +141,10 @@ def pack_sites_normalised(
             zero = row_black[y]
             for j in range(width):
                 value = (np.float32(source[j]) - zero[j]) / (white - zero[j])
-                value = value if value > low else low
-                value = value if value < high else high
+                value = low if value < low else value
+                value = high if value > high else value
                 value = value * gain
-                row[j] = value if value < high else high
+                row[j] = high if value > high else value
             for k in range(period * y, period * (y + 1)):  # the sites are listed row by row
                 target = packed[sites[k, 2], sub * i + sites[k, 3]]
                 column, x = sites[k, 1], sites[k, 4]
@@ -136,7 +157,7 @@ def mirror(source: NDArray[Any], target: NDArray[Any], flip_rows: bool, flip_col
     """Fill ``target`` with the top left part of ``source`` flipped: with (True, True) of ``source[::-1, ::-1]``."""
     rows, columns = source.shape
     for y in range(target.shape[0]):
-        taken = source[rows - 1 - y if flip_rows else y]
+        taken = contiguous(source[rows - 1 - y if flip_rows else y])
         given = target[y]
         if flip_columns:
             for x in range(target.shape[1]):

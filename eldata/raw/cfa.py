@@ -36,7 +36,7 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     Cfa: TypeAlias = Sequence[Sequence[int]] | NDArray[np.integer[Any]]
 
 Clip = Literal["both", "upper", "none"]
+_LARGEST = float(np.finfo(np.float32).max)
 CfaRows = tuple[tuple[int, ...], ...]
 Scalar = TypeVar("Scalar", bound=np.generic)
 
@@ -59,6 +60,8 @@ CLIP_RANGES: dict[Clip, tuple[float, float]] = {
     "upper": (-np.inf, 1.0),
     "none": (-np.inf, np.inf),
 }
+
+_CLIP_RANGES = {clip: (np.float32(low), np.float32(high)) for clip, (low, high) in CLIP_RANGES.items()}
 
 BAYER_CHANNELS = ("R", "G1", "B", "G2")
 XTRANS_CHANNELS = ("R", "G", "B", "R", "B", "G", "G", "G", "G")
@@ -291,6 +294,15 @@ def packing_sites(cfa: Cfa) -> Sites:
     ArgumentError
         If the CFA is unsupported.
     """
+    try:
+        return _known_sites(cfa)  # type: ignore[arg-type] # it is seen whether it has a hash
+    except TypeError:  # lists and arrays have no hash
+        return _sites(_rows(cfa))
+
+
+@lru_cache(maxsize=256)
+def _known_sites(cfa: Any) -> Sites:
+    """Look a CFA up as it was given: to go through its numbers takes longer than to pack a small crop."""
     return _sites(_rows(cfa))
 
 
@@ -307,7 +319,11 @@ def packed_area(shape: tuple[int, int], cfa: Cfa) -> PackedArea:
     ArgumentError
         If the CFA is unsupported, or the mosaic does not hold one whole period.
     """
-    sites = packing_sites(cfa)
+    return _known_area(shape, packing_sites(cfa))
+
+
+@lru_cache(maxsize=256)
+def _known_area(shape: tuple[int, int], sites: Sites) -> PackedArea:
     height = (shape[0] - sites.top) // sites.period * sites.period
     width = (shape[1] - sites.left) // sites.period * sites.period
     if height <= 0 or width <= 0:
@@ -321,14 +337,19 @@ def packed_area(shape: tuple[int, int], cfa: Cfa) -> PackedArea:
 def packed_shape(shape: tuple[int, int], cfa: Cfa) -> tuple[int, int, int]:
     """Return the packed shape (C, h, w) of a mosaic of ``shape`` (H, W)."""
     sites = packing_sites(cfa)
-    area = packed_area(shape, cfa)
+    area = _known_area(shape, sites)
     return sites.channels, area.height // sites.scale, area.width // sites.scale
 
 
-def _area_of(mosaic: NDArray[Scalar], cfa: Cfa) -> NDArray[Scalar]:
+def _area_of(mosaic: NDArray[Scalar], sites: Sites) -> NDArray[Scalar]:
     if mosaic.ndim != 2:
         raise ArgumentError(f"a mosaic has two dimensions (H, W); found shape {mosaic.shape}")
-    return mosaic[packed_area((mosaic.shape[0], mosaic.shape[1]), cfa).slices]
+    return with_rows(mosaic[_known_area(mosaic.shape, sites).slices])
+
+
+def with_rows(values: NDArray[Scalar]) -> NDArray[Scalar]:
+    """Return the same values with rows that are contiguous in memory, as kernels read them: as they are, or a copy."""
+    return values if values.strides[-1] == values.itemsize else np.ascontiguousarray(values)
 
 
 def pack(mosaic: NDArray[Scalar], cfa: Cfa, *, out: NDArray[Scalar] | None = None) -> NDArray[Scalar]:
@@ -352,15 +373,29 @@ def pack(mosaic: NDArray[Scalar], cfa: Cfa, *, out: NDArray[Scalar] | None = Non
     ------
     ArgumentError
         If the CFA is unsupported, the mosaic smaller than one period, or ``out`` does not fit.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from eldata.raw import bayer_cfa, pack
+    >>> mosaic = np.arange(16, dtype=np.uint16).reshape(4, 4)
+    >>> pack(mosaic, bayer_cfa("RGGB"))[:, 0]
+    array([[0, 2],
+           [1, 3],
+           [5, 7],
+           [4, 6]], dtype=uint16)
     """
     from eldata.raw._kernels import gather
 
     sites = packing_sites(cfa)
-    area = _area_of(mosaic, cfa)
+    area = _area_of(mosaic, sites)
     shape = packed_shape(mosaic.shape, cfa)
     packed = np.empty(shape, dtype=mosaic.dtype) if out is None else out
     if packed.shape != shape or packed.dtype != mosaic.dtype:
         raise ArgumentError(f"out must be {mosaic.dtype} of shape {shape}; found {packed.dtype} {packed.shape}")
+    if with_rows(packed) is not packed:
+        packed[...] = pack(mosaic, cfa)
+        return packed
     gather(_as_bits(area), _as_bits(packed), sites.table, sites.period, sites.sub)
     return packed
 
@@ -385,6 +420,14 @@ def unpack(packed: NDArray[Scalar], cfa: Cfa) -> NDArray[Scalar]:
     ------
     ArgumentError
         If the shape does not fit the CFA.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from eldata.raw import bayer_cfa, pack, unpack
+    >>> mosaic = np.arange(24, dtype=np.uint16).reshape(4, 6)
+    >>> np.array_equal(unpack(pack(mosaic, bayer_cfa("GBRG")), bayer_cfa("GBRG")), mosaic)
+    True
     """
     from eldata.raw._kernels import scatter
 
@@ -418,6 +461,14 @@ def packed_black_level_dn(cfa: Cfa, black_level_dn: Sequence[float]) -> NDArray[
     return np.array([black_level_dn[colour] for colour in sites.colours], dtype=np.float32)
 
 
+@lru_cache(maxsize=256)
+def _levels(sites: Sites, black_level_dn: tuple[float, ...], white_level_dn: float) -> tuple[Any, np.float32]:
+    """Return each packed channel's black level, read-only, and the white level: frames share few of them."""
+    black = packed_black_level_dn(sites.cfa, black_level_dn)
+    black.flags.writeable = False
+    return black, _checked_levels(black, white_level_dn)
+
+
 def _checked_levels(black: NDArray[np.float32], white_level_dn: float) -> np.float32:
     white = np.float32(white_level_dn)
     if not np.all(np.isfinite(black)) or not np.isfinite(white) or not white > black.max():
@@ -428,22 +479,23 @@ def _checked_levels(black: NDArray[np.float32], white_level_dn: float) -> np.flo
 
 
 def _clip_range(clip: Clip) -> tuple[np.float32, np.float32]:
-    check_choice("clip", clip, CLIP_RANGES)
-    low, high = CLIP_RANGES[clip]
-    return np.float32(low), np.float32(high)
+    if clip not in _CLIP_RANGES:
+        check_choice("clip", clip, CLIP_RANGES)
+    return _CLIP_RANGES[clip]
 
 
 def pack_normalised(
-    mosaic: NDArray[np.uint16],
+    mosaic: NDArray[np.uint16] | NDArray[np.float32],
     cfa: Cfa,
     black_level_dn: Sequence[float],
     white_level_dn: float,
     *,
     clip: Clip = "both",
     gain: float = 1.0,
+    corrected: bool = False,
     out: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float32]:
-    """Pack, normalise, clip, amplify and clip again, in one pass.
+    """Pack, normalise, clip, amplify and clip again, in one pass. NaN stays.
 
     ``out = clip(gain * clip((DN - black) / (white - black)))``, in float32 with one division per pixel: bit for
     bit what the same operations give in numpy.
@@ -461,6 +513,9 @@ def pack_normalised(
         only; ``"none"``.
     gain
         Non-negative factor after the first clip, such as the exposure ratio.
+    corrected
+        The mosaic is float32: DN less a dark shading, or simulated. To be said, since other floats are mostly
+        normalised.
     out
         Where to write, C-contiguous float32 of the packed shape. A new array's pages cost more than the packing
         itself, so a loop that can reuse one should.
@@ -473,20 +528,22 @@ def pack_normalised(
     Raises
     ------
     ArgumentError
-        If the mosaic is not uint16, the levels or the gain are invalid, or the CFA is unsupported.
+        If the mosaic is not uint16, or not float32 where it is ``corrected``, the levels or the gain are invalid, or
+        the CFA is unsupported.
     """
     from eldata.raw._kernels import pack_bayer_normalised, pack_sites_normalised
 
-    if mosaic.dtype != np.uint16:
-        raise ArgumentError(f"a mosaic in DN is uint16; found {mosaic.dtype}")
-    if not 0 <= gain <= float(np.finfo(np.float32).max):
+    expected = np.float32 if corrected else np.uint16
+    if mosaic.dtype != expected:
+        what = "a mosaic less a dark shading" if corrected else "a mosaic in DN"
+        raise ArgumentError(f"{what} is {np.dtype(expected)}; found {mosaic.dtype}")
+    if not 0 <= gain <= _LARGEST:
         raise ArgumentError(f"the gain must be finite and not negative; found {gain}")
-    black = packed_black_level_dn(cfa, black_level_dn)
-    white = _checked_levels(black, white_level_dn)
-    low, high = _clip_range(clip)
     sites = packing_sites(cfa)
-    area = _area_of(mosaic, cfa)
-    shape = packed_shape(mosaic.shape, cfa)
+    black, white = _levels(sites, tuple(black_level_dn), white_level_dn)
+    low, high = _clip_range(clip)
+    area = _area_of(mosaic, sites)
+    shape = sites.channels, area.shape[0] // sites.scale, area.shape[1] // sites.scale
     if out is None:
         out = np.empty(shape, dtype=np.float32)
     elif out.shape != shape or out.dtype != np.float32 or not out.flags.c_contiguous or not out.flags.writeable:
@@ -510,6 +567,15 @@ def normalise(
     ------
     ArgumentError
         If the shape does not fit the CFA, or the levels are invalid.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from eldata.raw import bayer_cfa, normalise
+    >>> packed = np.full((4, 2, 2), 8447.5, np.float32)
+    >>> normalise(packed, bayer_cfa(), [512.0] * 4, 16383.0)[0]
+    array([[0.5, 0.5],
+           [0.5, 0.5]], dtype=float32)
     """
     black = _black_of(packed, cfa, black_level_dn)
     white = _checked_levels(black, white_level_dn)

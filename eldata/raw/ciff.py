@@ -28,7 +28,7 @@ _DECIMALS = 6
 def read_crw_header(path: Path) -> RawHeader | None:
     """Return what a CRW says of its camera and exposure; ``None`` for another file.
 
-    Canon states the time and the aperture as powers of two (APEX: 2 to the minus 7/3 s), which are no fractions unless
+    Canon states the time and the aperture as powers of two (APEX: 2 to the minus 7/3 s), which are not fractions unless
     the power is whole: those are given to six significant digits. The ISO likewise, where it is not written out; such
     a one is given if it is whole.
 

@@ -100,7 +100,7 @@ def _boxes(path: Path, file: BinaryIO, start: int, end: int) -> Iterator[tuple[b
     """Yield type, begin and end of the content of each box of a part of an ISO base media file."""
     whole = path.stat().st_size
     for _ in range(_MOST_BOXES):
-        if start + 8 > end:  # what is left can be no box
+        if start + 8 > end:  # what is left cannot be a box
             return
         file.seek(start)
         head = file.read(16)

@@ -66,8 +66,10 @@ def with_levels(sensor: Sensor, levels: FrameLevels) -> Sensor:
     return replace(sensor, black_level_dn=(black,) * len(sensor.black_level_dn), white_level_dn=white)
 
 
-def packed_frame(frame: RawFrame, *, levels: FrameLevels, clip: Clip, gain: float = 1.0) -> NDArray[np.float32]:
-    """Return a frame packed and normalised, (C, h, w) float32 (see :func:`eldata.raw.cfa.pack_normalised`).
+def packed_frame(
+    frame: RawFrame, *, levels: FrameLevels, clip: Clip, gain: float = 1.0, corrected: bool = False
+) -> NDArray[np.float32]:
+    """Return a frame packed and normalised, (C, h, w) float32; arguments as of :func:`eldata.raw.cfa.pack_normalised`.
 
     Raises
     ------
@@ -75,4 +77,5 @@ def packed_frame(frame: RawFrame, *, levels: FrameLevels, clip: Clip, gain: floa
         If ``levels``, ``clip`` or ``gain`` is invalid.
     """
     sensor = with_levels(frame.sensor, levels)
-    return pack_normalised(frame.mosaic, sensor.cfa, sensor.black_level_dn, sensor.white_level_dn, clip=clip, gain=gain)
+    black, white = sensor.black_level_dn, sensor.white_level_dn
+    return pack_normalised(frame.mosaic, sensor.cfa, black, white, clip=clip, gain=gain, corrected=corrected)

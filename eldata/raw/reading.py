@@ -110,6 +110,17 @@ def read_raw(path: Path | str) -> RawFrame:
         If the file is missing, empty, truncated, not a raw file, already demosaiced (an RGB raw), without a CFA or
         with one that is not supported; or, with :func:`eldata.isolation`, if its decoder crashes, hangs or
         needs too much memory. The message names the file and the reason.
+
+    Examples
+    --------
+    >>> from eldata.raw import read_raw
+    >>> frame = read_raw("eldata-demo/data/ELD-demo/DemoAlpha/scene-1/IMG_0004.dng")
+    >>> frame.mosaic.shape, frame.mosaic.dtype
+    ((512, 768), dtype('uint16'))
+    >>> frame.sensor.model, frame.sensor.black_level_dn, frame.sensor.white_level_dn
+    ('Demo Alpha', (512.0, 512.0, 512.0, 512.0), 16383.0)
+    >>> frame.exposure.iso, frame.exposure.exposure_s
+    (Fraction(800, 1), Fraction(1, 200))
     """
     return guarded_file(_decoded, Path(path), RawFileError)
 
@@ -164,6 +175,13 @@ def exposure_ratio(reference: RawFrame | RawHeader, noisy: RawFrame | RawHeader)
     ------
     RawFileError
         If one of the files does not state its ISO or exposure time; the message says which.
+
+    Examples
+    --------
+    >>> from eldata.raw import exposure_ratio, read_header
+    >>> folder = "eldata-demo/data/ELD-demo/DemoAlpha/scene-1"
+    >>> exposure_ratio(read_header(f"{folder}/IMG_0006.dng"), read_header(f"{folder}/IMG_0004.dng"))
+    Fraction(100, 1)
     """
     return _exposure_product(reference) / _exposure_product(noisy)
 

@@ -34,6 +34,17 @@ _HEXADECA = 4  # sites along a side of its blocks
 _LAYOUT_RECTANGULAR = 1
 
 
+def what_to_do(reason: str) -> tuple[str, str] | None:
+    """Return what a file is, and what to do about it, of a reason given here; ``None`` of any other.
+
+    Such a file is whole: to copy it again would not help.
+    """
+    if reason not in (*_BY_HEAD.values(), *_BY_COMPRESSION.values()):
+        return None
+    found, _, advice = reason.removeprefix("is ").partition(": ")
+    return found, advice
+
+
 def refuse_unsupported(path: Path, directories: Sequence[Directory]) -> None:
     """Refuse a file that is known not to work, from its first bytes and its directories (of a TIFF-based file).
 

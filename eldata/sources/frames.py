@@ -15,7 +15,10 @@ import numpy as np
 
 from eldata.base.files import inside
 from eldata.base.png import read_rgb16
+from eldata.base.scratch import scratch
+from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.clip_checks import is_png
+from eldata.raw.cfa import pack
 from eldata.raw.levels import with_levels
 from eldata.records import Exposure, RawHeader
 
@@ -24,6 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from eldata.noise.dark_shading import DarkShading
     from eldata.raw.cfa import CfaRows
     from eldata.raw.levels import FrameLevels
     from eldata.records import FrameRecord, Sensor
@@ -39,7 +43,8 @@ class Frame:
     ----------
     mosaic
         (H, W) in DN, uint16 or floating; of an RGB frame (3, H, W) uint16. An array, or anything that is indexed like
-        one; with a method ``borrow``, parts come in memory that the thread's next part overwrites.
+        one; with a method ``borrow``, parts come in memory that the thread's next part overwrites, and with ``pack``
+        they come packed.
     cfa, black_level_dn
         As in :class:`eldata.records.Sensor`; the CFA of an RGB frame is empty.
     white_level_dn
@@ -98,14 +103,92 @@ class Frame:
         chosen = with_levels(self.sensor, levels)
         return replace(self, black_level_dn=chosen.black_level_dn, white_level_dn=chosen.white_level_dn)
 
+    def less(self, shading: DarkShading, place: tuple[int, int] | None = None) -> Frame:
+        """Return the frame less a dark shading, in float32 DN: fractions of a DN, and no clip.
+
+        Parameters
+        ----------
+        shading
+            Of the camera body.
+        place
+            Of a part of a frame: its first row and column on the sensor.
+
+        Raises
+        ------
+        DatasetError
+            If the frame is not a raw file's, or of another model, size or CFA, states no ISO, or one that the shading
+            was not measured at.
+        """
+        if self.sensor is None:
+            raise DatasetError(
+                f"{self.name}: is not a raw frame in DN, so the dark shading of {shading.camera} does not belong to it"
+            )
+        shading.check_sensor(self.name, self.shape, self.cfa, self.sensor.model, place)
+        if self.exposure.iso is None:
+            raise DatasetError(f"{self.name}: states no ISO, and the dark shading of {shading.camera} differs by ISO")
+        iso = float(self.exposure.iso)
+        try:
+            shading.measured(iso)
+            if shading.current is not None and self.exposure.exposure_s is None:
+                raise DatasetError(
+                    f"{self.name}: states no exposure time, with which the dark current of {shading.camera} grows"
+                )
+        except ArgumentError as error:
+            raise DatasetError(f"{self.name}: {error}") from error
+        exposure_s = None if self.exposure.exposure_s is None else float(self.exposure.exposure_s)
+        return replace(self, mosaic=_LessShading(self.mosaic, shading, iso, exposure_s, place or (0, 0)))
+
     def without_pixels(self) -> Frame:
         """Return the frame, its pixels forgotten."""
         return replace(self, mosaic=np.broadcast_to(np.uint16(0), self.mosaic.shape))
 
     def read(self, rows: slice, columns: slice) -> NDArray[np.generic]:
         """Return a part, (rows, columns) in DN or (3, rows, columns), to be used before the thread reads the next."""
-        part: NDArray[np.generic] = getattr(self.mosaic, "borrow", self.mosaic.__getitem__)((..., rows, columns))
-        return part
+        return _part(self.mosaic, rows, columns)
+
+    def pack(self, rows: slice, columns: slice, cfa: CfaRows, out: NDArray[Any]) -> None:
+        """Write a part of a mosaic in DN, whose CFA it is, into ``out`` (C, h, w), packed."""
+        own = getattr(self.mosaic, "pack", None)  # a store has no need to put the part together first
+        if own is None:
+            pack(self.read(rows, columns), cfa, out=out)
+        else:
+            own((rows, columns), cfa, out)
+
+
+def _part(mosaic: Any, rows: slice, columns: slice) -> NDArray[np.generic]:
+    part: NDArray[np.generic] = getattr(mosaic, "borrow", mosaic.__getitem__)((..., rows, columns))
+    return part
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _LessShading:
+    """A mosaic less a dark shading, which is worked out for the parts that are read. ``place``: of the first pixel."""
+
+    mosaic: Any
+    shading: DarkShading
+    iso: float
+    exposure_s: float | None
+    place: tuple[int, int]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """That of the mosaic."""
+        shape: tuple[int, ...] = self.mosaic.shape
+        return shape
+
+    def __getitem__(self, part: tuple[Any, ...]) -> NDArray[np.float32]:
+        return self.borrow(part).copy()
+
+    def borrow(self, part: tuple[Any, ...]) -> NDArray[np.float32]:
+        """Read a part into memory that the next call of this thread overwrites."""
+        rows, columns = (range(*wanted.indices(side)) for wanted, side in zip(part[-2:], self.shape, strict=True))
+        size = len(rows) * len(columns)
+        taken = scratch("less_shading", 4 * size).bytes.view(np.float32)[:size].reshape(len(rows), len(columns))
+        top, left = self.place
+        on_sensor = slice(top + rows.start, top + rows.stop), slice(left + columns.start, left + columns.stop)
+        self.shading.at(self.iso, *on_sensor, exposure_s=self.exposure_s, out=taken)
+        np.subtract(_part(self.mosaic, *part[-2:]), taken, out=taken)
+        return taken
 
 
 @runtime_checkable

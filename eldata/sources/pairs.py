@@ -1,4 +1,4 @@
-"""Are two frames a pair? What is asked of them, whatever source they come from."""
+"""Are two frames a pair? What is asked of them, whatever source they come from, and by what they are amplified."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from eldata.manifest.verify import RATIO_TOLERANCE
 if TYPE_CHECKING:
     from fractions import Fraction
 
-    from eldata.records import PairRecord
+    from eldata.protocols.protocol import Amplification
+    from eldata.records import FrameRecord, PairRecord
     from eldata.sources.frames import Frame
 
 
@@ -40,3 +41,19 @@ def checked_ratio(record: PairRecord, reference: Frame, noisy: Frame) -> Fractio
             f"{reference.shape}, {reference.cfa}"
         )
     return ratio
+
+
+def stated_ratio(record: PairRecord | FrameRecord, amplification: Amplification) -> Fraction | None:
+    """Return the ratio that the manifest has for a way to amplify; ``None`` for ``"metadata"``, or if none is stated.
+
+    Raises
+    ------
+    DatasetError
+        If it is to be the measured one, and none was measured.
+    """
+    if amplification == "measured" and record.measured_ratio is None:
+        raise DatasetError(
+            f"{record.path}: the manifest has no measured ratio for amplification 'measured'; capture check --write "
+            "measures it, 'nominal' and 'metadata' need none"
+        )
+    return {"metadata": None, "nominal": record.ratio, "measured": record.measured_ratio}[amplification]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import pickle
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,9 @@ def test_small_seeds_give_what_they_always_gave() -> None:
     for seed, epoch, index in itertools.product(WORDS, repeat=3):
         ours, theirs = item_generator(seed, epoch, index), np.random.default_rng([seed, epoch, index])
         assert ours.bit_generator.state == theirs.bit_generator.state
+    assert [one.random() for one in ours.spawn(2)] == [one.random() for one in theirs.spawn(2)]
+    again: np.random.Generator = pickle.loads(pickle.dumps(ours))
+    assert again.random() == theirs.random()
     state = np.random.SeedSequence((7, 3), spawn_key=(2, 1)).generate_state(4)
     np.testing.assert_array_equal(purpose_sequence(7, 3, 2, 1).generate_state(4), state)
 

@@ -8,18 +8,21 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
+import py_compile
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+import weakref
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING, Any, overload
 
 import pytest
 
+from eldata.base import compiled, workers
 from eldata.base.workers import AnyWorkers, Workers, accepts_jobs
 from eldata.errors import ArgumentError, EldataError, RawFileError
 from eldata.raw.reading import read_header
@@ -148,9 +151,10 @@ print(list(Workers(2).run(abs, [1, 2, 3])))
 
 
 def test_a_script_without_the_guard_is_told_so(tmp_path: Path) -> None:
-    """Each worker runs the script again as it starts, and dies of that."""
-    script = tmp_path / "work.py"
-    script.write_text(UNGUARDED, encoding="utf-8")
+    """Each worker runs the script again as it starts, and dies of that. (With its source it is told before.)"""
+    (tmp_path / "work.py").write_text(UNGUARDED, encoding="utf-8")
+    script = tmp_path / "work.pyc"
+    py_compile.compile(str(tmp_path / "work.py"), str(script), doraise=True)
     done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 1
     last = done.stderr.splitlines()[-1]
@@ -200,9 +204,26 @@ def test_threads_work_at_the_same_time(threads: int) -> None:
     assert sorted(passed) == sorted([*range(threads)] * 2)
 
 
+class Lingering(ThreadPoolExecutor):
+    """A thread is now and then slow to let go of what it has done, as any may be where there are more than CPUs."""
+
+    submitted = 0
+
+    def submit(self, call: Callable[..., Any], /, *positional: Any, **named: Any) -> Future[Any]:
+        future = super().submit(call, *positional, **named)
+        if self.submitted % 4 == 0:
+            future.add_done_callback(lambda _: time.sleep(0.03))
+        self.submitted += 1
+        return future
+
+
+@pytest.mark.parametrize("pool", [ThreadPoolExecutor, Lingering])
 @pytest.mark.parametrize("threads", [1, 2, 3])
-def test_at_most_one_result_more_than_threads_is_in_memory(threads: int) -> None:
+def test_at_most_one_result_more_than_threads_is_in_memory(
+    threads: int, pool: type[ThreadPoolExecutor], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Frames are large: the threads wait until the consumer has taken one, however slow it is."""
+    monkeypatch.setattr(workers, "ThreadPoolExecutor", pool)
     alive, most, lock = 0, 0, threading.Lock()
 
     class Frame:
@@ -223,6 +244,22 @@ def test_at_most_one_result_more_than_threads_is_in_memory(threads: int) -> None
         time.sleep(0.002)
         del frame
     assert most <= threads + 1
+
+
+def test_threads_do_not_hold_on_to_what_they_worked_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A frame that several estimators were given is gone before the next one is decoded."""
+
+    class Frame:
+        def add(self, _: int) -> None:
+            time.sleep(0.002)
+
+    with Lingering(1) as pool:
+        monkeypatch.setattr(compiled, "_pool", lambda: pool)
+        frame = Frame()
+        compiled.in_threads(frame.add, range(3), 2)
+        gone = weakref.ref(frame)
+        del frame
+        assert gone() is None
 
 
 @pytest.mark.parametrize("threads", [1, 3])

@@ -163,6 +163,27 @@ def drift(share: float) -> Planted:
     return Planted(f"slow drift, {share:g} sigma_row", fault)
 
 
+def column_noise(sigma_dn: float) -> Planted:
+    """An offset for each column, another one in each frame."""
+    return Planted(
+        f"column noise, {sigma_dn:g} DN",
+        lambda frames, camera, generator: [
+            frame + sigma_dn * generator.standard_normal((1, camera.shape[1])) for frame in frames
+        ],
+    )
+
+
+def together(*faults: Planted) -> Planted:
+    """All of them, one after another."""
+
+    def fault(frames: Frames, camera: Camera, generator: np.random.Generator) -> Frames:
+        for one in faults:
+            frames = one.fault(frames, camera, generator)
+        return frames
+
+    return Planted(", ".join(one.name for one in faults), fault)
+
+
 def spread_of_noise(share: float) -> Planted:
     """Pixels of different noise, log-normal: no fault of the frames, but not the model either."""
 

@@ -6,8 +6,9 @@ import os
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
+from eldata.base.workers import IN_THIS_PROCESS
 from eldata.calibration.frame_checks import IsoFrames
 from eldata.calibration.one_iso import calibrate_iso
 from eldata.datasets.calibration_frames import FlatPair
@@ -52,7 +53,12 @@ def record(role: Role, number: int, exposure_s: Fraction | None = None) -> Frame
 
 
 def calibrated_in_memory(
-    sensor: Sensor, bias: int, pairs: int, take: Callable[[Role, int], Mosaic], workers: Workers | None = None
+    sensor: Sensor,
+    bias: int,
+    pairs: int,
+    take: Callable[[Role, int], Mosaic],
+    workers: Workers = IN_THIS_PROCESS,
+    **options: Any,
 ) -> IsoCalibration:
     """Calibrate an ISO of so many bias frames and pairs of flats, whose frames are 0 and 1, 2 and 3, and so on."""
     frames = cast("CalibrationFrames", FramesInMemory(sensor, take))
@@ -63,7 +69,7 @@ def calibrated_in_memory(
         single=(),
         bias_exposure_s=Fraction(1, 8000),
     )
-    return calibrate_iso(frames, chosen) if workers is None else calibrate_iso(frames, chosen, workers)
+    return calibrate_iso(frames, chosen, workers, **options)
 
 
 def calibrated_arrays(sensor: Sensor, bias: Sequence[Mosaic], pairs: Sequence[tuple[Mosaic, Mosaic]]) -> IsoCalibration:

@@ -15,6 +15,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from eldata.base.tables import markdown_table
+from eldata.calibration import BiasStack, ShadingFit, fixed_pattern
 from eldata.datasets.dark_frames import DarkFrames
 from eldata.noise.model import NoiseModel
 from eldata.raw.dng import write_dng
@@ -61,10 +62,21 @@ def dark_frames(specimen: Specimen) -> NoiseModel:
     return NoiseModel("P*+D", dark_frames=frames)
 
 
+def dark_shading(specimen: Specimen) -> NoiseModel:
+    """Return the paper's model with the dark shading of 400 other bias frames of the same body."""
+    stack = BiasStack(specimen.camera.cfa)
+    for number in range(400):
+        stack.add(specimen.frame(0.0, np.random.default_rng([specimen.seed, 5, number])))
+    fit = ShadingFit()
+    fit.add(ISO, fixed_pattern(stack), specimen.camera.sensor.black_level_dn, (0.0,) * 4)
+    return NoiseModel("P*+G*+R+U+S", dark_shading=fit.shading("Judged", "400 bias frames"))
+
+
 MODELS = (
     ("P-G", lambda _: NoiseModel("P+G")),
     ("the paper's", lambda _: NoiseModel()),
     ("dark frames, P*+D", dark_frames),
+    ("shading + paper, P*+G*+R+U+S", dark_shading),
     ("its own further frames", lambda specimen: specimen),
 )
 """Names and how each model is made for a specimen; add a line to have another one in the table."""

@@ -109,7 +109,7 @@ def test_the_fits_are_of_the_measured_points(found: Calibration) -> None:
 def test_the_profile_holds_what_was_measured(found: Calibration) -> None:
     profile = found.profile
     assert profile.camera == CAMERA
-    assert "15 bias and 24 flat frames at 3 ISO(s)" in profile.source
+    assert "15 bias and 24 flat frames at 3 ISOs" in profile.source
     assert profile.gain_range_dn_per_e == (found.isos[0].gain_dn_per_e, found.isos[-1].gain_dn_per_e)
     assert profile.iso_range == (100.0, 1600.0)
     assert (profile.black_level_dn, profile.white_level_dn) == (512.0, 16383.0)
@@ -227,7 +227,7 @@ def test_fewer_than_three_isos(isos: tuple[int, ...], found: Calibration, tmp_pa
     assert few.fit_table() == []
     assert "fit over ln K" not in few.format_text()
     for name in ("sigma_TL", "sigma_G", "sigma_row"):
-        assert any(note.startswith(f"{name} is known at {len(isos)} ISO(s)") for note in few.profile.notes)
+        assert any(note.startswith(f"{name} is known at {len(isos)} ISO") for note in few.profile.notes)
     few.profile.save(tmp_path / "few.json")
     profile = CameraProfile.load(tmp_path / "few.json")
     for one in few.isos:
@@ -334,7 +334,7 @@ def test_no_row_noise_anywhere(found: Calibration, tmp_path: Path) -> None:
 
 def test_no_row_noise_at_one_iso(found: Calibration) -> None:
     partly = joined(CAMERA, [quiet_rows(found.isos[0]), *found.isos[1:]])
-    assert "sigma_row was 0 at 1 ISO(s), which its fit leaves out" in partly.remarks
+    assert "sigma_row was 0 at 1 ISO, which its fit leaves out" in partly.remarks
     assert partly.row_fit is None
     assert partly.tukey_lambda_fit == found.tukey_lambda_fit
 

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.calibration import IsoCalibration
-    from eldata.manifest.verify import Problem
+    from eldata.manifest.verify_report import Problem
 
 ISOS = (100, 1600)
 
@@ -347,12 +347,12 @@ def test_too_few_bias_frames(count: int, tree: FrameTree) -> None:
         path.unlink()
     problem = only(problems_of(tree.frames(isos=[100])))
     assert problem.path == "DemoGamma, ISO 100"
-    assert f"{count} bias frame(s), and 4 are needed" in problem.found
+    assert f"{count} bias frame{'s' * (count != 1)}, and 4 are needed" in problem.found
 
 
 def test_no_bias_frames(tree: FrameTree) -> None:
     shutil.rmtree(tree.camera / "bias" / "ISO100")
-    assert "0 bias frame(s)" in only(problems_of(tree.frames(isos=[100]))).found
+    assert "0 bias frames" in only(problems_of(tree.frames(isos=[100]))).found
 
 
 def test_copies_of_one_frame(tree: FrameTree) -> None:
@@ -360,7 +360,7 @@ def test_copies_of_one_frame(tree: FrameTree) -> None:
     for path in others:
         shutil.copy(first, path)
     found = only(problems_of(tree.frames(isos=[100]))).found
-    assert found.startswith("1 bias frame(s), and 4 are needed")
+    assert found.startswith("1 bias frame, and 4 are needed")
     for path in others:
         assert f"{relative(tree, path)} has the same pixels as {relative(tree, first)}" in found
 
@@ -535,7 +535,7 @@ def test_flats_without_any_partner(tree: FrameTree) -> None:
     assert found.transfer is None
     assert found.gain_dn_per_e is None
     assert found.reproduction is not None, "a bias frame needs no gain"
-    assert any("3 flat frame(s) and no two of one exposure, so K is not known" in text for text in found.remarks)
+    assert any("3 flat frames and no two of one exposure, so K is not known" in text for text in found.remarks)
 
 
 def test_problems_of_flats_hide_no_partner(tree: FrameTree) -> None:
@@ -708,5 +708,5 @@ def test_good_frames_need_few_remarks(pristine: FrameTree) -> None:
         found = calibrated_iso(pristine.frames(), iso)
         assert found.remarks == (
             "5 bias frames were used; 10 or more are advised",
-            "K comes from 3 pair(s) of flats; 4 levels or more are advised",
+            "K comes from 3 pairs of flats; 4 levels or more are advised",
         )

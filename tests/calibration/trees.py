@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.calibration.results import IsoCalibration
-    from eldata.manifest.verify import Problem
+    from eldata.manifest.verify_report import Problem
     from eldata.records import FrameRecord, Role
 
 SIZE = (256, 384)

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import pytest
 
-from eldata.base.console import Parser, run
+from eldata.base.console import run
+from eldata.base.parsing import Parser
 from eldata.cli import compare as command
 from eldata.protocols import PROTOCOLS
 from tests.cli.conftest import Outcome, assert_golden

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from eldata.base.console import Parser, run
+from eldata.base.console import run
+from eldata.base.parsing import Parser
 from eldata.cli import profile as command
 from eldata.noise import diagnostics
 from eldata.noise.profile import CameraProfile, shipped_profiles
@@ -22,7 +23,8 @@ if TYPE_CHECKING:
 MADE = """
 import sys
 from eldata.cli import profile
-from eldata.base.console import Parser, run
+from eldata.base.console import run
+from eldata.base.parsing import Parser
 parser = Parser(prog="eldata")
 profile.add_parser(parser.add_subparsers())
 code = run(parser, sys.argv[1:])

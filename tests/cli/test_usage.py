@@ -1,17 +1,23 @@
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import re
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
 import eldata as package
+from capture.cli.main import parser as capture_parser
+from eldata.cli.main import parser as eldata_parser
 from tests.cli.conftest import Cli, Outcome
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
     from tests.evaluation.helpers import Tree
 
 COMMANDS = ("demo", "verify", "lock", "protocols", "evaluate", "compare", "calibrate")
@@ -40,14 +46,15 @@ def test_help_lists_commands_and_exit_codes(eldata: Cli) -> None:
     outcome = eldata("--help")
     assert outcome.code == 0
     assert outcome.err == ""
-    for word in (*COMMANDS, "Exit codes", "0 all well", "1 problems", "2 wrong usage"):
+    for word in (*COMMANDS, "Exit codes", "0 all well", "1 problems", "2 wrong usage", "130 Ctrl-C", "141", "143"):
         assert word in " ".join(outcome.out.split())
 
 
 @pytest.mark.parametrize(
     ("command", "options"),
     [
-        ("demo", ["DIR", "--scenes", "--seed", "--calibration", "--without", "shading", "--jobs", "--debug"]),
+        ("demo", ["DIR", "--scenes", "--seed", "--calibration", "--benchmark", "--without", "shading", "--jobs",
+                  "--debug"]),
         ("calibrate", ["FRAMES", "--camera", "--output", "--html", "--iso", "--root", "--jobs", "--json", "--debug",
                        "ELDATA_ROOT", "docs/calibration.md"]),
         ("verify", ["MANIFESTS", "--root", "--dataset", "--camera", "--level", "quick", "metadata", "full", "--jobs",
@@ -91,6 +98,68 @@ def test_unknown_command(eldata: Cli) -> None:
     assert_one_line(eldata("frobnicate"), "frobnicate", "verify", "evaluate", "--help")
 
 
+@pytest.mark.parametrize(
+    ("arguments", "meant"),
+    [
+        (["verfy"], "did you mean verify? See eldata --help"),
+        (["profile", "shwo"], "did you mean show? See eldata profile --help"),
+        (["evaluate", "x", "--datset", "eld"], "there is no option --datset; did you mean --dataset? See"),
+        (["evaluate", "x", "--datset=eld"], "there is no option --datset; did you mean --dataset? See"),
+        (["--root", "data", "verify", "eld"], "there is no option --root, and a command's options come after its name"),
+        (["verify", "eld", "--level", "ful"], "did you mean full?"),
+        (["verify", "edl"], "no dataset is called 'edl'; known are aim25, crvd, drv, eld"),
+        (["verify", "ELD"], "did you mean eld?"),
+        (["lock", "sid-sonny"], "did you mean sid-sony?"),
+        (["info", "sid"], "it is sid-fuji and sid-sony: name one"),
+        (["download", "edl"], "did you mean eld?"),
+        (["pack", "lrdd", "-o", "x.h5"], "did you mean lrd?"),
+        (["pack", "data/SID/Sny", "-o", "x.h5"], "data/SID/Sny: there is no such folder; give a folder of camera raws"),
+        (["evaluate", "x", "--dataset", "dvr"], "did you mean drv?"),
+        (["evaluate", "x", "--dataset", "eld", "--protocol", "eld-uncorected"], "did you mean eld-uncorrected?"),
+        (["protocols", "pmn_sid"], "did you mean pmn-sid?"),
+        (["protocols", "--dataset", "edl"], "did you mean eld?"),
+        (["profile", "show", "sonya7s2"], "did you mean SonyA7S2?"),
+        (["verify", "eld", "--camera", "SonyA7SII"], "did you mean SonyA7S2?"),
+        (["pack", "eld", "-o", "x.h5", "--camera", "sonya7s2"], "did you mean SonyA7S2?"),
+        (["pack", "sid-sony", "-o", "x.h5", "--subset", "indor-15"], "did you mean indoor-15?"),
+    ],
+)
+def test_what_was_probably_meant(arguments: list[str], meant: str, eldata: Cli) -> None:
+    assert_one_line(eldata(*arguments), meant)
+
+
+def test_a_model_in_place_of_predictions(eldata: Cli) -> None:
+    Path("model.pt").write_bytes(b"x")
+    Path("data/ELD").mkdir(parents=True)
+    assert_one_line(
+        eldata("evaluate", "model.pt", "--dataset", "eld"),
+        "model.pt: is a file, not a folder, and may hold a model: eldata predict makes predictions with one",
+    )
+
+
+def leaves(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
+    """The parsers of a program's commands, without those that only hold others."""
+    groups = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+    for group in groups:
+        for one in group.choices.values():
+            yield from leaves(one)
+    if not groups:
+        yield parser
+
+
+@pytest.mark.parametrize("program", [eldata_parser, capture_parser])
+def test_every_help_ends_with_an_example_that_parses(program: Callable[[], argparse.ArgumentParser]) -> None:
+    whole = program()
+    for parser in (whole, *leaves(whole)):
+        examples = [line.strip() for line in parser.format_help().splitlines() if line.startswith("    eldata ")]
+        examples += [line.strip() for line in parser.format_help().splitlines() if line.startswith("    capture ")]
+        assert examples, parser.prog
+        for example in examples:
+            assert example.startswith(parser.prog)
+            arguments = program().parse_args(shlex.split(example.partition(" > ")[0])[1:])
+            assert arguments.command.startswith(parser.prog)
+
+
 @pytest.mark.parametrize("command", COMMANDS)
 def test_unknown_option(command: str, eldata: Cli) -> None:
     required = {
@@ -106,7 +175,6 @@ def test_unknown_option(command: str, eldata: Cli) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["verify"], ["MANIFESTS", "eldata verify --help"]),
         (["lock"], ["MANIFEST", "eldata lock --help"]),
         (["evaluate"], ["PREDS", "eldata evaluate --help"]),
         (["evaluate", "x"], ["--dataset", "--manifest"]),

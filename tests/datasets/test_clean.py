@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 import shutil
 from typing import TYPE_CHECKING, Any
 
@@ -10,10 +11,12 @@ import numpy as np
 import pytest
 
 import eldata.raw.reading
+from eldata.datasets.augmentation import oriented
 from eldata.datasets.clean import Arrays, CleanFrame, RawFiles
+from eldata.datasets.crops import Crop
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.raw import write_dng
-from eldata.raw.cfa import XTRANS_CFA, normalise, pack
+from eldata.raw.cfa import CLIP_RANGES, XTRANS_CFA, normalise, pack, unpack
 from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, Cfa, make_sensor, random_mosaic
 
 if TYPE_CHECKING:
@@ -110,6 +113,32 @@ def test_the_frames_last_used_are_kept(folder: Path, decoded: list[str]) -> None
     assert len(source._kept) == 2
 
 
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (
+            ["IMG_1.JPG", "IMG_2.jpg", "x.txt"],
+            "holds no camera raw file, but 2 pictures (.jpg), which the",
+        ),
+        (["a/b/IMG_1.HEIC"], "but 1 picture (.heic)"),
+        (["a.npy", "b.npy"], "holds no camera raw file, but 2 .npy"),
+        ([], "holds no camera raw file, and nothing else"),
+    ],
+)
+def test_what_a_folder_holds_in_place_of_raw_files(names: list[str], said: str, tmp_path: Path) -> None:
+    for name in names:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_bytes(b"x")
+    with pytest.raises(DatasetError, match=re.escape(said)):
+        RawFiles(tmp_path)
+
+
+def test_a_file_in_place_of_a_folder(tmp_path: Path) -> None:
+    (tmp_path / "IMG_1.JPG").write_bytes(b"x")
+    with pytest.raises(DatasetError, match=r"IMG_1\.JPG: is a file, not a folder; give a folder of camera raws"):
+        RawFiles(tmp_path / "IMG_1.JPG")
+
+
 @pytest.mark.parametrize("keep", [-1, -5])
 def test_a_negative_number_of_frames_to_keep(keep: int, folder: Path) -> None:
     with pytest.raises(ArgumentError, match="keep"):
@@ -121,7 +150,7 @@ def test_a_folder_without_raw_files(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="holds no camera raw file") as caught:
         RawFiles(tmp_path)
     assert str(tmp_path) in str(caught.value)
-    with pytest.raises(DatasetError, match="none: holds no camera raw file"):
+    with pytest.raises(DatasetError, match="none: there is no such folder"):
         RawFiles(tmp_path / "none")
 
 
@@ -176,8 +205,8 @@ def test_a_bayer_array_comes_back(cfa: Cfa) -> None:
         assert frame.range_dn == frame.white_level_dn == 15871.0
         assert frame.black_level_dn == (0.0,) * 4
         assert frame.name == f"array {number}"
-        np.testing.assert_array_equal(pack(frame.mosaic, cfa), array * np.float32(15871))
-        back = normalise(pack(frame.mosaic, cfa), cfa, frame.black_level_dn, frame.white_level_dn)
+        np.testing.assert_array_equal(pack(np.asarray(frame.mosaic), cfa), array * np.float32(15871))
+        back = normalise(pack(np.asarray(frame.mosaic), cfa), cfa, frame.black_level_dn, frame.white_level_dn)
         np.testing.assert_allclose(back, array, rtol=3e-7)
 
 
@@ -188,7 +217,7 @@ def test_an_xtrans_array_comes_back_at_the_patterns_own_phase(name: str) -> None
     assert frame.mosaic.shape == (24, 18)
     assert frame.cfa == XTRANS_CFA
     assert frame.black_level_dn == (0.0,) * 3
-    np.testing.assert_array_equal(pack(frame.mosaic, frame.cfa), array * np.float32(1000))
+    np.testing.assert_array_equal(pack(np.asarray(frame.mosaic), frame.cfa), array * np.float32(1000))
 
 
 def test_arrays_of_other_types_and_sizes(tmp_path: Path) -> None:
@@ -199,7 +228,7 @@ def test_arrays_of_other_types_and_sizes(tmp_path: Path) -> None:
     assert all(source.frame(i).mosaic.dtype == np.float32 for i in range(2))
     np.save(tmp_path / "array.npy", np.full((2, 4, 3, 3), 0.5, np.float32))
     mapped = arrays_of(np.load(tmp_path / "array.npy", mmap_mode="r"), range_dn=2.0)
-    assert (mapped.frame(1).mosaic == 1.0).all()
+    assert (np.asarray(mapped.frame(1).mosaic) == 1.0).all()
 
 
 def test_no_arrays_at_all() -> None:
@@ -231,3 +260,39 @@ def test_arrays_show_themselves() -> None:
 def test_the_range_is_white_minus_the_mean_black_level() -> None:
     frame = CleanFrame(np.zeros((2, 2)), BAYER["RGGB"], (10.0, 20.0, 30.0, 40.0), 1025.0, "x")
     assert frame.range_dn == 1000.0
+
+
+@pytest.mark.parametrize("cfa", [*BAYER.values(), XTRANS["xtrans-42"]], ids=str)
+def test_a_part_of_an_array_is_that_of_the_whole(cfa: Cfa) -> None:
+    """At any place and of any size, in step with the CFA or not."""
+    rng = np.random.default_rng(1)
+    frame = arrays_of(rng.random((1, 4 if len(cfa) == 2 else 9, 12, 14), np.float32), range_dn=900.0, cfa=cfa).frame(0)
+    whole = np.asarray(frame.mosaic)
+    for _ in range(40):
+        (top, bottom), (left, right) = (np.sort(rng.integers(side + 1, size=2)) for side in frame.shape)
+        part = slice(top, bottom), slice(left, right)
+        np.testing.assert_array_equal(frame.read(*part), whole[part])
+
+
+@pytest.mark.parametrize("cfa", [BAYER["BGGR"], XTRANS["xtrans-42"]], ids=["Bayer", "X-Trans"])
+@pytest.mark.parametrize("clip", ["both", "upper", "none"])
+def test_a_crop_of_an_array_is_what_numpy_makes_of_it(cfa: Cfa, clip: Any) -> None:
+    """With values beyond all limits, NaN and -0 among them, which stay what they are."""
+    rng = np.random.default_rng(3)
+    packed = rng.normal(0.5, 0.5, (4 if len(cfa) == 2 else 9, 16, 18)).astype(np.float32)
+    packed[:, 2:5, 3], packed[:, 6:9, 2], packed[0, 1, 1], packed[0, 1, 2] = np.nan, -0.0, np.inf, -np.inf
+    frame = arrays_of(packed[None], range_dn=900.0, cfa=cfa).frame(0)
+    for seed in range(12):
+        crop = Crop.draw(frame, np.random.default_rng(seed), crop=8, augment=True)
+        out = np.empty(crop.packed_shape, np.float32)
+        crop.fill(frame, out, clip=clip, gain=1.5)
+        turned = oriented(unpack(packed, cfa)[crop.slices] * np.float32(900), crop.cfa, crop.orientation)
+        once = normalise(
+            pack(turned[: crop.height, : crop.width].copy(), crop.cfa), crop.cfa, *levels_of(frame), clip=clip
+        )
+        wanted = np.clip(once * np.float32(1.5), *CLIP_RANGES[clip])
+        np.testing.assert_array_equal(out.view(np.uint32), wanted.view(np.uint32))
+
+
+def levels_of(frame: CleanFrame) -> tuple[tuple[float, ...], float]:
+    return frame.black_level_dn, frame.white_level_dn

@@ -135,6 +135,25 @@ def test_files_and_store_give_the_same_items(bias: Path, store: Path) -> None:
     assert torch.equal(copy[3]["input"], of_store[3]["input"])
 
 
+def test_kept_frames_of_a_store_are_read_once(bias: Path, store: Path, tmp_path: Path) -> None:
+    """The same bits, also once the store is gone; of more frames than are kept, the last used ones stay."""
+    moved = tmp_path / "bias.h5"
+    moved.write_bytes(store.read_bytes())
+    kept, read = DarkFrames(moved, keep=5), DarkFrames(store)
+    region, numbers = (2, 4, 8, 8), range(5)
+    first = kept.crops(400, numbers, region)
+    assert np.array_equal(first.dn, read.crops(400, numbers, region).dn)
+    assert np.array_equal(first.dn, DarkFrames(bias, keep=2).crops(400, numbers, region).dn)
+    kept._frames.origin = None  # type: ignore[assignment] # nothing can be opened any more
+    kept._frames._opened.clear()
+    elsewhere = (0, 2, 6, 10)
+    assert np.array_equal(kept.crops(400, numbers, elsewhere).dn, read.crops(400, numbers, elsewhere).dn)
+    with pytest.raises(AttributeError):
+        kept.crops(1600, [0], region)
+    with pytest.raises(ArgumentError, match="keep must be 0 or more; found -1"):
+        DarkFrames(store, keep=-1)
+
+
 def test_the_dither_precedes_the_converter(bias: Path) -> None:
     """207,360 numbers: uniform within half a DN, mean and variance to 5 standard errors; rounding takes it away.
 

@@ -17,6 +17,7 @@ from eldata.datasets import PairDataset, dataset_class, dataset_names, open_data
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.catalogue import Manifest, shipped_manifest, shipped_names
 from eldata.manifest.pairs import select_pairs
+from eldata.manifest.registered import ENTRY_POINTS
 from eldata.manifest.verify import verify
 from tests.datasets.methods import FORK
 from tests.drv_tree import build_drv_tree
@@ -136,7 +137,7 @@ def install(folder: Path, package: str, line: str) -> None:
     info = folder / f"{package}-1.0.dist-info"
     info.mkdir(parents=True)
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(f"[{registry.ENTRY_POINTS}]\n{line}\n")
+    (info / "entry_points.txt").write_text(f"[{ENTRY_POINTS}]\n{line}\n")
 
 
 def test_another_package_registers_a_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -252,7 +252,7 @@ def test_eval_is_validation_and_test(sid: Path) -> None:
         ({"split": "train", "subset": "indoor-15"}, "no pair has all of the wanted"),
         ({"levels": "sid"}, "levels must be one of 'metadata', 'published', 'sid-sony', 'sid-fuji'; found 'sid'"),
         ({"levels": "sid-fuji"}, "of the other camera; those of 'sony' are 'sid-sony'"),
-        ({"amplification": "exif"}, "amplification must be one of 'metadata', 'nominal'; found 'exif'"),
+        ({"amplification": "exif"}, "amplification must be one of 'metadata', 'nominal', 'measured'; found 'exif'"),
         ({"clip": "lower"}, "clip must be one of"),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 import re
 from dataclasses import replace
 from fractions import Fraction
@@ -21,9 +22,11 @@ from eldata.datasets.synthesis_journal import NAME
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError
 from eldata.manifest import verify
 from eldata.noise import CameraProfile, NoiseModel, NoiseParameters
+from eldata.noise.shading_content import DarkCurrent
 from eldata.raw import bayer_cfa, read_raw, write_dng
 from eldata.raw.cfa import XTRANS_CFA, pack, pack_normalised
 from eldata.records import Exposure, RawFrame, Sensor, exact_fraction
+from tests.planted_shading import shading_of
 from tests.raw.helpers import write_plain_dng
 
 if TYPE_CHECKING:
@@ -273,6 +276,82 @@ def test_npy_is_the_models_output(clean: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.load(out / "data" / "out" / frame["path"]), expected)
 
 
+def test_dark_frames_and_dark_shading(tmp_path: Path) -> None:
+    """A frame without light is the dark frame itself, or the shading; each dark frame comes once before any twice."""
+    clean, dark = tmp_path / "clean", tmp_path / "Camera" / "bias" / "ISO1600"
+    clean.mkdir()
+    dark.mkdir(parents=True)
+    of = sensor(32, 48)
+    exposed, generator = Exposure(Fraction(1600), Fraction(1, 8000)), np.random.default_rng(2)
+    for number in range(3):
+        mosaic = generator.integers(480, 540, (32, 48)).astype(np.uint16)
+        write_dng(dark / f"{number}.dng", mosaic, of, exposed)
+    for number in range(2):
+        write_dng(clean / f"{number}.dng", np.full((32, 48), 512, np.uint16), of, EXPOSURE)
+    recipe = Recipe(SONY, spec="P*+D", iso=1600, per_image=3, dark_frames=tmp_path / "Camera")
+    synthesize(clean, tmp_path / "out", recipe)
+    used = [frame["dark_frame"] for frame in recorded(tmp_path / "out")]
+    assert len(set(used[:3])) == len(set(used[3:])) == 3
+    for frame in recorded(tmp_path / "out"):
+        made, own = (
+            read_raw(path) for path in (tmp_path / "out" / "data" / "out" / frame["path"], frame["dark_frame"])
+        )
+        off = made.mosaic.astype(int) - own.mosaic
+        assert np.abs(off).max() <= 1  # the dither, rounded
+        assert made.exposure.iso == 1600
+    assert pickle.loads(pickle.dumps(recipe)) == recipe, "as it goes to workers"
+
+    shading = shading_of(of, (800, 1600))
+    shading.save(tmp_path / "s.npz")
+    recipe = Recipe(SONY, spec="P*+S", iso=1600, dark_shading=tmp_path / "s.npz")
+    synthesize(clean, tmp_path / "shaded", recipe)
+    for frame in recorded(tmp_path / "shaded"):
+        raw = read_raw(tmp_path / "shaded" / "data" / "shaded" / frame["path"])
+        assert np.array_equal(raw.mosaic, 512 + np.rint(shading.at(1600)))
+    current = DarkCurrent(
+        current_dn=np.full((32, 48), 0.25, np.float32), error_dn=1e-3, bias_exposure_s=(0.01, 0.01), exposure_s=(10,)
+    )
+    replace(shading, current=current).save(tmp_path / "t.npz")
+    synthesize(clean, tmp_path / "timed", replace(recipe, dark_shading=tmp_path / "t.npz"))
+    for frame in recorded(tmp_path / "timed"):
+        raw = read_raw(tmp_path / "timed" / "data" / "timed" / frame["path"])
+        seconds = 400 / (1600 * frame["ratio"])  # of the clean frame's light, less by the ratio
+        mean = (raw.mosaic - shading.at(1600)).mean() - 512
+        assert mean == pytest.approx(0.25 * 1600 * (seconds - 0.01), abs=0.5), "to the DNG's rounding"
+        assert abs(mean) > 2.5
+    facts = json.loads((tmp_path / "shaded" / "parameters.json").read_text())
+    assert facts["dark_shading"] == shading.digest
+
+    with pytest.raises(ArgumentError, match="noise is made with dark frames of one ISO; choose it with --iso"):
+        Recipe(SONY, spec="P*+D", dark_frames=tmp_path / "Camera")
+    with pytest.raises(ArgumentError, match="no dark frames of ISO 800; there are 1600"):
+        Recipe(SONY, spec="P*+D", iso=800, dark_frames=tmp_path / "Camera")
+    with pytest.raises(ArgumentError, match="was not measured at ISO 3200"):
+        replace(recipe, iso=3200)
+    write_flat(clean / "other.dng", 32, 64)
+    with pytest.raises(
+        DatasetError, match=r"other.dng: has 32 x 64 pixels .* the dark shading of Planted is of 32 x 48"
+    ):
+        synthesize(clean, tmp_path / "third", recipe)
+
+
+def test_only_the_same_dark_noise_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clean, shading = tmp_path / "clean", shading_of(sensor(32, 48), (1600,))
+    clean.mkdir()
+    write_flat(clean / "a.dng", 32, 48)
+    shading.save(tmp_path / "s.npz")
+    recipe = Recipe(SONY, spec="P*+S", iso=1600, dark_shading=tmp_path / "s.npz")
+    with monkeypatch.context() as patched:
+        patched.setattr(synthesis, "_write_tables", lambda *_: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            synthesize(clean, tmp_path / "out", recipe)
+    replace(shading, camera="Another").save(tmp_path / "s.npz")
+    with pytest.raises(ArgumentError, match="dark shading"):
+        synthesize(clean, tmp_path / "out", recipe)
+    shading.save(tmp_path / "s.npz")
+    synthesize(clean, tmp_path / "out", recipe)
+
+
 def test_an_iso_beyond_the_calibrated_range_has_to_be_asked_for(clean: Path, tmp_path: Path) -> None:
     with pytest.raises(ArgumentError, match="ISO 12800 is outside of the calibrated range 100 to 6400"):
         Recipe(SONY, iso=12800)
@@ -313,7 +392,7 @@ def test_xtrans_at_an_offset_and_odd_sizes(tmp_path: Path) -> None:
 def test_errors(clean: Path, tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=r"holds something already"):
         synthesize(clean, clean, Recipe(SONY))
-    with pytest.raises(DatasetError, match=r"holds no camera raw"):
+    with pytest.raises(DatasetError, match=r"nothing: there is no such folder"):
         synthesize(tmp_path / "nothing", tmp_path / "out", Recipe(SONY))
     for bad, word in (
         ({"ratio": (0.0, 10.0)}, "ratio"),

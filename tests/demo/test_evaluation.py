@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shlex
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ import pytest
 from PIL import Image
 
 import eldata.demo.evaluation
+from eldata.cli.main import parser
 from eldata.demo.contact_sheet import write_contact_sheet
 from eldata.demo.evaluation import run_demo
 from eldata.demo.tree import make_tree
@@ -36,14 +38,14 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Eval
     return folder, run_demo(folder, scenes=1)
 
 
-def sheet_size(rows: int, height: int, width: int) -> tuple[int, int]:
-    """Width and height of a sheet of three columns."""
-    return 3 * (width + MARGIN) + MARGIN, rows * (height + CAPTION + MARGIN) + MARGIN
+def sheet_size(rows: int, height: int, width: int, columns: int = 4) -> tuple[int, int]:
+    """Width and height of a sheet."""
+    return columns * (width + MARGIN) + MARGIN, rows * (height + CAPTION + MARGIN) + MARGIN
 
 
 def test_the_whole_path(demo: tuple[Path, dict[str, EvaluationResult]]) -> None:
     folder, results = demo
-    assert set(results) == {"amplified", "dct"}
+    assert set(results) == {"amplified", "dct", "unet"}
     for result in results.values():
         assert not result.problems
         assert len(result.images) == len(result.pairs) == 12
@@ -52,9 +54,12 @@ def test_the_whole_path(demo: tuple[Path, dict[str, EvaluationResult]]) -> None:
     assert not list(folder.rglob("*.part"))
 
 
-def test_the_denoiser_beats_the_amplified_input_everywhere(demo: tuple[Path, dict[str, EvaluationResult]]) -> None:
+@pytest.mark.parametrize("name", ["dct", "unet"])
+def test_denoisers_beat_the_amplified_input_everywhere(
+    name: str, demo: tuple[Path, dict[str, EvaluationResult]]
+) -> None:
     _, results = demo
-    for before, after in zip(results["amplified"].table, results["dct"].table, strict=True):
+    for before, after in zip(results["amplified"].table, results[name].table, strict=True):
         assert after.psnr_db > before.psnr_db + 3
         assert after.ssim > before.ssim
 
@@ -67,14 +72,15 @@ def test_contact_sheet_of_the_demo(demo: tuple[Path, dict[str, EvaluationResult]
         pixels = np.asarray(image).astype(float)
     pictures = [
         pixels[MARGIN + CAPTION : MARGIN + CAPTION + 256, left : left + 384]
-        for left in (MARGIN + (384 + MARGIN) * column for column in range(3))
+        for left in (MARGIN + (384 + MARGIN) * column for column in range(4))
     ]
-    reference, amplified, denoised = pictures
+    reference, amplified, *denoised = pictures
     assert reference.std() > 20  # something is to be seen
-    assert np.abs(denoised - reference).mean() < np.abs(amplified - reference).mean()
+    for picture in denoised:
+        assert np.abs(picture - reference).mean() < np.abs(amplified - reference).mean()
 
 
-@pytest.mark.parametrize("name", ["amplified", "dct"])
+@pytest.mark.parametrize("name", ["amplified", "dct", "unet"])
 def test_scores_on_disk(name: str, demo: tuple[Path, dict[str, EvaluationResult]]) -> None:
     folder, results = demo
     with (folder / f"{name}.csv").open(newline="") as file:
@@ -85,11 +91,16 @@ def test_scores_on_disk(name: str, demo: tuple[Path, dict[str, EvaluationResult]
 
 @pytest.mark.usefixtures("small")
 def test_what_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run_demo(tmp_path / "x", scenes=2)
+    folder = tmp_path / "what's new"
+    run_demo(folder, scenes=2)
     out = capsys.readouterr().out
+    commands = [shlex.split(line)[1:] for line in out.splitlines() if line.startswith("$ ")]  # to be pasted
+    assert [command[1] for command in commands] == ["verify", "baseline", "predict", "evaluate", "evaluate", "evaluate"]
+    for command in commands:
+        assert parser().parse_args(command[1:]).root == str(folder / "data")
     for words in ("64 raw files", "all well", "eldata verify", "eldata evaluate", "24 of 24", "contact-sheet.png"):
         assert words in out
-    with Image.open(tmp_path / "x" / "contact-sheet.png") as image:
+    with Image.open(folder / "contact-sheet.png") as image:
         assert image.size == sheet_size(2, 32, 48)
 
 
@@ -165,7 +176,7 @@ def test_contact_sheet_places_its_pictures(tmp_path: Path) -> None:
     rows = [[("one", picture) for picture in pictures[:3]], [("two", picture) for picture in pictures[3:]]]
     write_contact_sheet(tmp_path / "sheet.png", rows)
     with Image.open(tmp_path / "sheet.png") as image:
-        assert image.size == sheet_size(2, 20, 50)
+        assert image.size == sheet_size(2, 20, 50, columns=3)
         pixels = np.asarray(image)
     for index, colour in enumerate(colours):
         top = MARGIN + CAPTION + index // 3 * (20 + CAPTION + MARGIN)

@@ -19,8 +19,9 @@ from scipy import ndimage
 from skimage.restoration import denoise_bilateral, denoise_nl_means, denoise_tv_chambolle
 
 from eldata.base.tables import markdown_table
+from eldata.baselines.classical import BASELINES
+from eldata.baselines.signal_noise import SignalNoise
 from eldata.demo.camera import CAMERAS
-from eldata.demo.denoise import denoise
 from eldata.demo.scenes import scene_radiance
 from eldata.evaluation.diagnosis import mistake_in
 from eldata.evaluation.inspected_frame import Circumstances
@@ -86,6 +87,14 @@ class Photograph:
     def input(self, protocol: Protocol, clip: Clip = "both") -> Array:
         """The amplified input; networks differ in whether they get its negative values."""
         return self.packed(self.noisy, protocol.levels, clip, float(self.ratio))
+
+    def noise(self, levels: str) -> SignalNoise:
+        """That of the amplified input, known: many of these scenes are too small and too busy to tell it."""
+        camera, sensor = self.camera, leveled(self.camera.sensor, levels)
+        scale = self.ratio / (sensor.white_level_dn - float(np.mean(sensor.black_level_dn)))
+        gain = camera.gain_dn_per_e(self.iso)
+        sigmas = (gain * camera.sigma_read_e, camera.sigma_quantiser_dn, gain * camera.sigma_row_e, 12**-0.5)
+        return SignalNoise(gain * scale, float(np.sum(np.square(sigmas))) * scale**2)
 
     def packed(self, mosaic: Array, levels: str, clip: Clip, gain: float) -> Array:
         """A mosaic, normalised, clipped and amplified."""
@@ -173,12 +182,6 @@ def _total_variation(plane: Array) -> Array:
     return np.asarray(found)
 
 
-def _dct(packed: Array) -> Array:
-    """The demo's denoiser, which takes Bayer's four channels: of X-Trans four at a time, the last ones twice."""
-    parts = [denoise(packed[list(four)]) for four in ((0, 1, 2, 3), (4, 5, 6, 7), (5, 6, 7, 8))]
-    return np.concatenate([parts[0], parts[1], parts[2][-1:]])
-
-
 def _coded(top: int) -> Callable[[Array], Array]:
     return lambda packed: np.rint(np.clip(_gaussian(1.0)(packed), 0, 1) * top).astype(np.float32) / np.float32(top)
 
@@ -188,6 +191,7 @@ def _tinted(packed: Array) -> Array:
     return np.asarray(_gaussian(1.0)(packed) * tints[:, None, None])
 
 
+DCT = "sliding DCT"
 DENOISERS: dict[str, Callable[[Array], Array]] = {
     "Gaussian, sigma 0.5": _gaussian(0.5),
     "Gaussian, sigma 1": _gaussian(1.0),
@@ -199,7 +203,7 @@ DENOISERS: dict[str, Callable[[Array], Array]] = {
     "non-local means": _planes(_nl_means),
     "total variation": _planes(_total_variation),
     "means of 4 x 4": _planes(lambda plane: ndimage.zoom(ndimage.zoom(plane, 0.25, order=1), 4, order=0)),
-    "sliding DCT": lambda packed: denoise(packed) if len(packed) == 4 else _dct(packed),
+    DCT: lambda packed: packed,  # which needs the noise, too (denoised)
     "Gaussian, moved by 0.3 pixels": _planes(_moved),
     "Gaussian, 7 % too dark": lambda packed: np.float32(0.93) * _gaussian(1.0)(packed),
     "Gaussian, 15 % too bright": lambda packed: np.float32(1.15) * _gaussian(1.0)(packed),
@@ -238,7 +242,8 @@ def predicted(shot: Photograph, protocol: str, name: str, clip: Clip = "none") -
 @cache
 def denoised(shot: Photograph, levels: str, name: str, clip: Clip) -> Array:
     """What a denoiser makes of the amplified input."""
-    return DENOISERS[name](shot.packed(shot.noisy, levels, clip, float(shot.ratio)))
+    packed = shot.packed(shot.noisy, levels, clip, float(shot.ratio))
+    return np.asarray(BASELINES["dct"].denoise(packed, shot.noise(levels))) if name == DCT else DENOISERS[name](packed)
 
 
 # --- mistakes ---------------------------------------------------------------------------------------------------------

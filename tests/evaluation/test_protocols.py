@@ -82,7 +82,7 @@ CHANGES: dict[str, Any] = {
     "data_range": 255.0, "region": "border-2", "subset": "x", "cameras": ("x",), "scenes": ("x",), "input_clip": "none",
     "amplification": "nominal", "space": "srgb", "rendering": "libraw", "rounding": "8-bit", "rescaling_mask": "all",
     "rescaling_region": "border-2", "prediction_clamp": "none", "mse_offset": 1e-8, "ssim_window": "gaussian-11",
-    "ssim_covariance": "population",
+    "ssim_covariance": "population", "dark_shading": "sha256:" + "0" * 64,
 }  # fmt: skip
 CHANGES_OF_CLIPS: dict[str, Any] = {"pixels": "rgb", "frames": "x", "frame_count": 4, "st_rred_peak": 255.0}
 PROSE = ("name", "title", "source", "family")

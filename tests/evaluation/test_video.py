@@ -14,13 +14,17 @@ import numpy as np
 import pytest
 import rawpy
 
+from eldata.cli.main import main
 from eldata.datasets.drv import DRVDataset, DRVRawDataset
 from eldata.errors import ArgumentError, DatasetError, EldataError, ManifestError
-from eldata.evaluation import EvaluationResult, evaluate, save_clip_prediction
+from eldata.evaluation import EvaluationResult, evaluate, load_results, save_clip_prediction
+from eldata.evaluation.comparison import Method, compare
+from eldata.evaluation.seen_methods import images_of
 from eldata.manifest.drv import scan_raw
-from eldata.metrics import PEAK_ELD, st_rred
+from eldata.metrics import PEAK_ELD, psnr, st_rred
 from eldata.protocols import PROTOCOLS, default_protocol, fields_digest_0_1, get_protocol, kinds
 from eldata.raw.cfa import unpack
+from eldata.reports.compare.page import write_comparison_page
 from tests.drv_tree import SENSOR, SmallDrv, generator_of, rgb_frame_of, small_drv, still_of, write_png, write_raw_clip
 from tests.evaluation import published_code
 from tests.raw.helpers import BAYER
@@ -143,6 +147,25 @@ def test_scores_do_not_depend_on_jobs(drv: SmallDrv, predictions: Path, result: 
     assert score(drv, predictions, workers=2).videos == result.videos
 
 
+def test_a_task_of_a_clip_is_the_mean_over_its_frames(drv: SmallDrv, predictions: Path, tmp_path: Path) -> None:
+    values: list[float] = []
+
+    def gap(prediction: NDArray[np.float32], reference: NDArray[np.float32]) -> float:
+        values.append(float(prediction.mean() - reference.mean()))
+        return values[-1]
+
+    found = score(drv, predictions, task=gap)
+    lengths = [len(video.frames) for video in found.videos]
+    assert len(values) == sum(lengths) > len(lengths)
+    means = [np.mean(of) for of in np.split(np.array(values), np.cumsum(lengths)[:-1])]
+    assert sorted(video.task for video in found.videos) == pytest.approx(sorted(means), rel=1e-12)
+    found.write_json(tmp_path / "result.json")
+    (back,) = load_results(tmp_path / "result.json")
+    assert (back.videos, back.kind) == (found.videos, found.kind)
+    write_comparison_page(compare([Method("one", found), Method("two", back)]), tmp_path / "page.html")
+    assert ">gap<" in (tmp_path / "page.html").read_text(encoding="utf-8")
+
+
 def test_a_16_bit_png_is_read_as_rgb(drv: SmallDrv, tmp_path: Path) -> None:
     for clip in CLIPS:
         for number in SCORED:
@@ -248,7 +271,7 @@ def test_the_default_is_the_papers_49_test_clips(drv: SmallDrv, predictions: Pat
 def test_unknown_names_list_the_known(drv: SmallDrv, predictions: Path) -> None:
     with pytest.raises(ArgumentError, match=r"'drv-rgb' scores videos, and 'eld' is a dataset of images; its protoc"):
         evaluate(predictions, "eld", protocol="drv-rgb")
-    with pytest.raises(ManifestError, match="known are crvd, drv"):
+    with pytest.raises(ManifestError, match=r"known are .*crvd, drv, .*; did you mean drv\?"):
         evaluate(predictions, "drw")
     with pytest.raises(ArgumentError, match=r"'eld' scores images, .*; its protocols are drv-rgb, drv-rgb-uncorrected"):
         score(drv, predictions, protocol="eld")
@@ -350,3 +373,23 @@ def test_mistakes_in_clips_are_named(mistake: str, drv: SmallDrv, result: Evalua
             np.save(tmp_path / clip / f"{number:04d}.npy", change(predicted(clip, number)))
     (found,) = score(drv, tmp_path).suspicions
     assert (found.words, found.shown, found.looked) == (words, found.looked, found.looked)
+
+
+def test_pictures_of_clips_show_a_frame_of_each(
+    drv: SmallDrv, predictions: Path, result: EvaluationResult, own: Path, tmp_path: Path
+) -> None:
+    """The one with the first method's lowest PSNR, as both were scored on it."""
+    methods = [Method("first", result), Method("second", score(drv, own))]
+    for method in methods:
+        method.result.write_json(tmp_path / f"{method.name}.json")
+    files = [str(tmp_path / f"{method.name}.json") for method in methods]
+    arguments = ["--manifest", str(drv.csv), "--root", str(drv.root), "--jobs", "1"]
+    assert main(["compare", *files, *arguments, "--html", str(tmp_path / "page.html"), "--pictures"]) == 0
+    comparison = compare(methods)
+    assert len(list((tmp_path / "page-pictures").glob("*-reference.jpg"))) == len(comparison.images)
+    images = images_of(comparison, dataset_folder=drv.data, predictions=[predictions, own])
+    for image, (scores, _) in zip(images, comparison.images, strict=True):
+        worst = min(frame.psnr_db for frame in scores.frames)
+        seen = image.decoded()
+        for values in seen.predictions:
+            assert psnr(values, seen.reference) == pytest.approx(worst, abs=1e-4)

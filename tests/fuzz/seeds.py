@@ -7,7 +7,7 @@ import json
 import pickle
 import struct
 import tempfile
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -420,8 +420,9 @@ def shards() -> list[Seed]:
 
 
 def shadings() -> list[Seed]:
-    """The file of a dark shading of two gain modes."""
+    """The files of a dark shading of two gain modes: by itself, of a named model, and with dark current, schema 3."""
     from eldata.noise import DarkShading, ShadingIso
+    from eldata.noise.shading_content import DarkCurrent
 
     generator = np.random.default_rng(6)
     levels: dict[str, Any] = {"level_error_dn": (1.5, 0.0, -0.5, 2.0), "standard_error_dn": (0.1,) * 4}
@@ -435,4 +436,15 @@ def shadings() -> list[Seed]:
         offset_dn=offset,
         hot=generator.random((12, 16)) < 0.1,
     )
-    return [Seed("shading.npz", "shading", _made(shading.save, "a.npz"))]
+    current = DarkCurrent(
+        current_dn=generator.gamma(2, 1e-4, (12, 16)).astype(np.float32),
+        error_dn=1e-5,
+        bias_exposure_s=(0.01, 0.01),
+        exposure_s=(10, 30),
+    )
+    files = {
+        "shading.npz": shading,
+        "shading-model.npz": replace(shading, model="Maker 1"),
+        "shading-current.npz": replace(shading, model="Maker 1", current=current),
+    }
+    return [Seed(name, "shading", _made(one.save, "a.npz")) for name, one in files.items()]

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.manifest.verify import Level, VerifyReport
+    from eldata.manifest.verify_report import Level, VerifyReport
 
 ROOT = Path(__file__).parents[2]
 CLIPS = ("0007", "0013", "M0003")

@@ -16,7 +16,7 @@ from eldata.manifest.catalogue import Manifest, shipped_folder, shipped_manifest
 from eldata.manifest.pairs import select_pairs
 from eldata.manifest.subsets import Subset, find_subset
 from eldata.manifest.table import save_records
-from eldata.manifest.verify import Level, Problem, verify
+from eldata.manifest.verify import verify
 from manifests.published_sid import published_sid
 from manifests.sid_scenes import SID_CAMERAS, SONY, load_scenes, save_scenes, scenes_from_lists
 from tests.sid_tree import NAMES, SmallTree, build_sid_tree, build_small_tree
@@ -25,6 +25,7 @@ from tests.trees import scale_exposure, swap
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from eldata.manifest.verify_report import Level, Problem
     from eldata.records import PairRecord
 
 FACTS = shipped_folder() / "facts"

@@ -23,7 +23,8 @@ from eldata.errors import ArgumentError, ManifestError
 from eldata.manifest.card import CameraCard, Card, save_card
 from eldata.manifest.catalogue import find_manifests, load_manifest, shipped_manifest
 from eldata.manifest.table import save_records
-from eldata.manifest.verify import LEVELS, Level, Problem, VerifyReport, verify
+from eldata.manifest.verify import verify
+from eldata.manifest.verify_report import LEVELS, Level, Problem, VerifyReport
 from eldata.records import Exposure, FrameRecord
 from tests.raw.crw import write_crw
 from tests.trees import (
@@ -73,6 +74,20 @@ def test_a_good_copy_passes(pristine: Tree, level: Level) -> None:
     dataset = report.datasets[0]
     assert (dataset.dataset, dataset.absent) == ("eld-demo", False)
     assert (dataset.files_listed, dataset.files_checked, dataset.files_hashed) == (32, 32, 0)
+
+
+def test_the_same_wrong_exposure_in_many_files_is_one_problem_and_a_count(tree: Tree) -> None:
+    off = [replace(one, exposure_s=one.exposure_s and one.exposure_s * Fraction(5, 4)) for one in tree.manifest.records]
+    off[3] = replace(off[3], exposure_s=Fraction(1, 3))  # and one that is off otherwise
+    save_records(tree.csv, off)
+    report = check(tree, "metadata")
+    lines = report.format_text().splitlines()
+    assert len(report.problems) == 32
+    assert [line for line in lines if line.endswith(": exposure_s")] == [
+        f"{frame(1)} and 30 others alike: exposure_s",
+        f"{frame(4)}: exposure_s",
+    ]
+    assert lines[2] == "    found     4 there; in all 31 files 80 % of what is expected"
 
 
 def test_reports_do_not_depend_on_the_number_of_jobs(tree: Tree) -> None:
@@ -326,6 +341,15 @@ def test_a_truncated_file(tree: Tree, keep: float) -> None:
     problem = only(check(tree, "metadata"))
     assert (problem.path, problem.field) == (frame(4), "content")
     assert "download" in problem.advice
+
+
+def test_a_picture_in_place_of_a_raw_file(tree: Tree) -> None:
+    tree.file(4).write_bytes(b"\xff\xd8\xff\xe0" + b"\0" * 5000)
+    (problem,) = check(tree).problems
+    assert (problem.found, problem.advice) == (
+        "a JPEG picture whatever its name says",
+        "use the raw file that the camera wrote with it",
+    )
 
 
 @pytest.mark.parametrize("content", [b"<html>Quota exceeded</html>", b"\0" * 5000, b"II*\0garbage"])

@@ -303,7 +303,7 @@ GOOD = np.zeros((2, 50, 60))
     [
         (np.zeros((2, 50, 61)), r"differ in shape: \(2, 50, 61\) against \(2, 50, 60\)"),
         (torch.zeros(3, 50, 60), r"differ in shape: \(3, 50, 60\) against \(2, 50, 60\)"),
-        (np.zeros((1, 50, 60)), r"the prediction has 1 frame\(s\), of shape \(1, 50, 60\): .* in pairs"),
+        (np.zeros((1, 50, 60)), r"the prediction has 1 frame, of shape \(1, 50, 60\): .* in pairs"),
         (np.zeros((50, 60)), r"must be one clip \(T, H, W\) or \(T, C, h, w\), not of shape \(50, 60\)"),
         (np.zeros((1, 2, 1, 50, 60)), "must be one clip"),
         (np.zeros((2, 40, 60)), r"the prediction of shape \(2, 40, 60\) is too small: .* at least 41 x 41"),

@@ -1,25 +1,24 @@
-"""Noise of one's own: what is called with what, what it may return, and the example of the documents."""
+"""Noise of one's own: what is called with what, what it may return, and the examples."""
 
 from __future__ import annotations
 
 import functools
 import pickle
-import re
-import types
+from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from eldata.datasets import ArrayClips, Arrays, SyntheticClips, SyntheticPairs
+from eldata.datasets import ArrayClips, Arrays, RawFiles, SyntheticClips, SyntheticPairs
 from eldata.errors import ArgumentError
 from eldata.noise import NoiseMaker, NoiseModel, NoiseParameters
 from eldata.noise.makers import check_noise_maker, made_exposure, maker_name
 
 CLEAN = np.full((4, 6, 8), 0.25, np.float32)
-DOCUMENT = Path(__file__).parents[2] / "docs" / "noise.md"
 
 
 def brighter(clean: Any, *, parameters: Any, ratio: float, range_dn: float, generator: np.random.Generator) -> Any:
@@ -125,24 +124,43 @@ def test_names() -> None:
     assert maker_name(NoiseModel("P*")) == "NoiseModel('P*')"
 
 
-def test_the_example_of_the_document_works() -> None:
-    """Extracted as it stands: a network of somebody else's, wrapped."""
-    (code,) = re.findall(r"```python\n(import torch\n.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
-    module = types.ModuleType("example")
-    exec(compile(code.split("\npairs = ")[0], str(DOCUMENT), "exec"), module.__dict__)  # noqa: S102 # our own document
+@pytest.fixture
+def examples(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "examples"))
+
+
+@pytest.mark.usefixtures("examples")
+def test_the_adapter_of_the_example_works() -> None:
+    """A network of somebody else's, which draws from torch's own generator."""
 
     class Network(torch.nn.Module):
-        def forward(self, clean: torch.Tensor, iso: torch.Tensor, ratio: torch.Tensor, seed: int) -> torch.Tensor:
-            generator = torch.Generator().manual_seed(seed)
-            assert (iso.shape, ratio.shape) == ((1,), (1,))
-            return clean + 0.01 * torch.randn(clean.shape, generator=generator)
+        def forward(self, clean: torch.Tensor, variance: torch.Tensor) -> torch.Tensor:
+            assert variance.shape == clean.shape == (1, 4, 32, 32)
+            return clean + 0.01 * torch.randn(clean.shape)
 
-    maker = module.__dict__["ForeignNoise"](Network(), 100 / 0.5)
-    items = [pairs(maker)[index]["input"] for index in (0, 1, 0)]
+    maker = import_module("check_noise_model").Adapter(Network())
+    before = torch.random.get_rng_state()
+    items = [pairs(maker, ratio=1.0)[index]["input"] for index in (0, 1, 0)]
+    assert torch.equal(before, torch.random.get_rng_state())  # which the dataset's user may draw from, too
     assert torch.equal(items[0], items[2])
     assert not torch.equal(items[0], items[1])
     noise = items[0].double() - 0.3
     assert abs(float(noise.std()) / 0.01 - 1) < 5 / np.sqrt(2 * 4096)
+
+
+@pytest.mark.usefixtures("examples")
+def test_the_example_trains_on_it(demo_tree: Path) -> None:
+    model = import_module("train_denoiser").noise_of(SimpleNamespace(noise="check_noise_model:model"))
+    references = RawFiles(demo_tree / "data" / "ELD-demo" / "DemoAlpha" / "scene-1")
+    found = SyntheticPairs(references, "SonyA7S2", model=model, crop=16)
+    sample = found[0]
+    assert sample["input"].shape == sample["target"].shape == (4, 16, 16)
+    assert not torch.equal(sample["input"], sample["target"])
+    assert torch.equal(sample["input"], pickle.loads(pickle.dumps(found))[0]["input"])
+    clip = np.full((3, 4, 8, 8), 0.2, np.float32)
+    options = {"parameters": NoiseParameters(1.0, 0.0, 0.0, 0.0, 0.0), "ratio": 100.0, "range_dn": 15871.0}
+    made = made_exposure(model, clip, **options, generator=np.random.default_rng(0))
+    assert len(np.unique(made.reshape(3, -1), axis=0)) == 3  # each frame of a clip has noise of its own
 
 
 def test_a_maker_of_a_module_goes_to_workers() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import pickle
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -527,6 +528,28 @@ def test_ratios_as_an_array_or_a_tensor_are_understood_or_refused(ratio: Any) ->
         same_bits(result, noisy(clean, ratio=[100.0, 200.0]))
 
 
+def test_several_generators_are_as_many_calls() -> None:
+    """Images of several cameras, a pair of each under one generator: to the bit what calls for each pair give."""
+    clean = np.random.default_rng(5).random((6, 9, 6, 8), dtype=np.float32)
+    parameters = [replace(PARAMETERS, sigma_tl_dn=1.0 + number, tukey_lambda=0.1 * number) for number in range(6)]
+    ratios, ranges = [100.0, 110.0, 120.0, 130.0, 140.0, 150.0], [900.0, 900.0, 15871.0, 15871.0, 7000.0, 7000.0]
+    together = noisy(
+        clean,
+        parameters=parameters,
+        ratio=ratios,
+        range_dn=ranges,
+        generator=[np.random.default_rng(seed) for seed in range(3)],
+        threads=2,
+    )
+    for seed, some in enumerate((slice(0, 2), slice(2, 4), slice(4, 6))):
+        alone = noisy(
+            clean[some], parameters=parameters[some], ratio=ratios[some], range_dn=ranges[some][0], seed=seed, threads=1
+        )
+        same_bits(together[some], alone)
+    with pytest.raises(ArgumentError, match="one generator, or several, each for as many of 6 images; found 4"):
+        noisy(clean, generator=[np.random.default_rng(0)] * 4)
+
+
 @pytest.mark.parametrize("generator", [None, 0, np.random.RandomState(0), "numpy"])
 def test_what_is_no_generator(generator: Any) -> None:
     for clean in (FLAT, torch.from_numpy(FLAT)):
@@ -586,3 +609,43 @@ def test_a_model_pickles() -> None:
     again = pickle.loads(pickle.dumps(model))
     assert repr(again) == repr(model)
     same_bits(noisy(FLAT, model=again), noisy(FLAT, model=model))
+
+
+# --- memory of the caller's -----------------------------------------------------------------------------------------
+
+
+def test_where_to_write() -> None:
+    clean = np.random.default_rng(1).random((2, 4, 6, 8), np.float32)
+    out = np.full_like(clean, np.nan)
+    assert noisy(clean, out=out) is out or np.shares_memory(noisy(clean, out=out), out)
+    same_bits(out, noisy(clean))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        np.empty((2, 4, 6, 9), np.float32),
+        np.empty((2, 4, 6, 8), np.float64),
+        np.empty((2, 4, 6, 16), np.float32)[..., ::2],
+        [0.0],
+        "the clean image",
+    ],
+    ids=["shape", "dtype", "not contiguous", "no array", "clean"],
+)
+def test_where_nothing_can_be_written(wrong: Any) -> None:
+    clean = np.zeros((2, 4, 6, 8), np.float32)
+    with pytest.raises(
+        ArgumentError, match=r"out must be a writeable C-contiguous float32 array of shape \(2, 4, 6, 8\)"
+    ):
+        noisy(clean, out=clean if isinstance(wrong, str) else wrong)
+    with pytest.raises(ArgumentError, match="out= is for arrays"):
+        noisy(torch.zeros(2, 4, 6, 8), out=np.empty((2, 4, 6, 8), np.float32))
+
+
+@pytest.mark.parametrize("columns", [1, 3, 64, 171, 512, 513])
+def test_narrow_images_have_the_noise_of_their_pixels_numbers(columns: int) -> None:
+    """Without row noise a pixel's number alone counts: however many rows a strip takes, one long row has the same."""
+    rows = 1026 // columns
+    clean = np.random.default_rng(2).random((1, 4, rows, columns), np.float32)
+    line = noisy(clean.reshape(1, 4, 1, rows * columns), "P*+G*+B+U")
+    same_bits(noisy(clean, "P*+G*+B+U").ravel(), line.ravel())

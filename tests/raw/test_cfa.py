@@ -172,6 +172,20 @@ def test_views_of_any_memory_layout(name: str, view: str) -> None:
     )
 
 
+@pytest.mark.parametrize("name", ["GRBG", "xtrans-24"])
+def test_the_output_may_lie_in_any_way(name: str) -> None:
+    mosaic = random_mosaic(62, 70, seed=3)
+    expected = reference_pack(mosaic, CFAS[name])
+    channels, height, width = expected.shape
+    for out in (
+        np.zeros((height, width, channels), mosaic.dtype).transpose(2, 0, 1),
+        np.zeros((channels, height, 2 * width), mosaic.dtype)[..., ::2],
+        np.zeros((channels, height + 3, width + 5), mosaic.dtype)[:, 2:-1, 1:-4],
+    ):
+        assert pack(mosaic, CFAS[name], out=out) is out
+        np.testing.assert_array_equal(out, expected)
+
+
 # Regression: the docstring says "any dtype", but numba knows neither the other byte order nor float16,
 # and its own TypingError or NotImplementedError comes out. An ArgumentError would do as well.
 @pytest.mark.parametrize("dtype", [">u2", ">f4", "float16"])

@@ -16,6 +16,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from eldata.calibration.structure import MeasuredStructure
+from eldata.noise.structure import RowSpectrum, RowWave, TelegraphPixels
 from eldata.reports.calibration.page import calibration_page
 from eldata.reports.html import digits, measured, prose, typeset
 from eldata.reports.pictures import grey, pooled
@@ -51,11 +53,11 @@ def isos() -> tuple[IsoCalibration, ...]:
 
 @pytest.fixture(scope="module")
 def calibration(isos: tuple[IsoCalibration, ...]) -> Calibration:
-    wary = ("K comes from 2 pair(s) of flats; 4 levels or more are advised", "R2 of the Tukey-lambda plot is 0.9")
+    wary = ("K comes from 2 pairs of flats; 4 levels or more are advised", "R2 of the Tukey-lambda plot is 0.9")
     first, second, third = isos
     return replace(
         calibrations.calibration((replace(first, remarks=wary[:1]), second, replace(third, remarks=wary))),
-        remarks=("sigma_row was 0 at 1 ISO(s), which its fit leaves out",),
+        remarks=("sigma_row was 0 at 1 ISO, which its fit leaves out",),
     )
 
 
@@ -90,7 +92,26 @@ def xtrans() -> str:
     return calibration_page(calibrations.calibration([calibrations.measured(800.0, camera)]))
 
 
-EVERY = pytest.mark.parametrize("which", ["page", "sparse", "xtrans"])
+BANDED = RowSpectrum((0.002, 0.01, 0.1, 0.5), (0.9, 0.3, 0.1), (RowWave(1 / 37.3, 0.55),))
+STRUCTURES = (
+    MeasuredStructure(
+        *(0.41, 0.012, BANDED, (0.2, 0.05, 0.01), (0.03,), TelegraphPixels(0.0101, 6.3, 0.49, 0.09, 1.1, 0.8)),
+        *(0.00046, 0.07, 0.012, 0.0102, 0.00031),
+    ),
+    # Looked for and not told from nothing.
+    MeasuredStructure(0.0, 0.1, RowSpectrum((0.002, 0.5), (0.2,)), (0.01,), (), TelegraphPixels(0.0, 0.0), prnu=0.0),
+    # Withheld, and not looked for.
+    MeasuredStructure(None, math.nan, None, (), (), None),
+)
+
+
+@pytest.fixture(scope="module")
+def structured(isos: tuple[IsoCalibration, ...]) -> str:
+    known = (replace(one, structure=structure) for one, structure in zip(isos, STRUCTURES, strict=True))
+    return calibration_page(calibrations.calibration(tuple(known)))
+
+
+EVERY = pytest.mark.parametrize("which", ["page", "sparse", "xtrans", "structured"])
 
 
 @EVERY
@@ -127,10 +148,10 @@ def test_remarks_come_first_and_once(page: str) -> None:
     text = checked(page).text
     assert "Read before use: 4 remarks, on ISO 100, ISO 6400 and the calibration as a whole." in text
     top = text[: text.index("Measured values")]
-    assert "ISO 100 and 6400: K comes from 2 pair(s) of flats" in top
-    assert top.count("K comes from 2 pair(s)") == 1
+    assert "ISO 100 and 6400: K comes from 2 pairs of flats" in top
+    assert top.count("K comes from 2 pairs") == 1
     assert "ISO 6400: R² of the Tukey-lambda plot is 0.9" in top
-    assert "σ row was 0 at 1 ISO(s)" in top
+    assert "σ row was 0 at 1 ISO" in top
 
 
 def test_nothing_to_be_wary_of(xtrans: str, isos: tuple[IsoCalibration, ...]) -> None:
@@ -179,6 +200,25 @@ def test_both_themes_are_drawn(page: str) -> None:
         assert "#1f2933" in drawings[0]
         assert "#1f2933" not in drawings[1]
         assert "#e6eaee" in drawings[1]
+
+
+def test_structure_is_shown_with_its_errors(structured: str, page: str) -> None:
+    checker = checked(structured)
+    assert checker.text.count("What pixels have in common") == 3
+    parts = checker.text.split("What pixels have in common")
+    for shown in ("0.410 ± 0.012 DN", "banded", "Wave of 37.3 rows", "0.55 ± 0.03 DN", "10100 ± 460 ppm"):
+        assert shown in parts[1]
+    for shown in ("6.30 ± 0.07 DN", "0.490 ± 0.012", "0.09", "1.1", "1.02 ± 0.03 %"):
+        assert shown in parts[1]
+    assert parts[2].count("none seen") == 3
+    assert "independent of each other" in parts[2]
+    assert parts[3].count("not measured") == 4
+    about = [image["alt"] for image in checker.all("img")]
+    (telegraph,) = (alt for alt in about if alt.startswith("Telegraph pixels over ISO"))
+    assert "10100 ± 460 at ISO 100, none seen at ISO 800; jump [DN]: 6.30 ± 0.07 at ISO 100." in telegraph
+    (bands,) = (alt for alt in about if alt.startswith("Spectrum of the row means at ISO 100,"))
+    assert "3 bands, powers from 0.1 to 0.9 DN², a wave of 37.3 rows." in bands
+    assert "What pixels have in common" not in checked(page).text
 
 
 def test_what_is_missing_is_said(sparse: str) -> None:

@@ -22,15 +22,17 @@ from eldata.evaluation.comparison import Method, compare
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.looking import seen_frames, worst_and_best
 from eldata.evaluation.saved import saved_result
-from eldata.isp.preview import preview
+from eldata.isp.preview import brightening, preview
+from eldata.plots.axes import drawable
 from eldata.protocols import fields_digest
+from eldata.protocols.kinds import IMAGES
 from eldata.raw.levels import packed_frame
 from eldata.raw.reading import read_raw
 from eldata.reports.compare.page import comparison_page
 from eldata.reports.evaluation import pictures
 from eldata.reports.evaluation.page import evaluation_page, write_evaluation_page
 from eldata.reports.evaluation.pictures import CROP, EACH, Layer, ShownImage, ShownImages, shown_images
-from eldata.reports.evaluation.plots import drawable, score_plots
+from eldata.reports.evaluation.plots import score_plots
 from tests.evaluation.helpers import Tree, place, small_tree
 from tests.reports.evaluations import result, result_data, table_of
 from tests.reports.pages import HOSTILE, assert_well_formed, checked
@@ -236,6 +238,20 @@ def test_wrong_exposure_shows() -> None:
     assert score_plots((), one.kind, rescaled=True) == ()
 
 
+def test_long_names_of_cameras_are_turned_and_come_in_the_papers_order() -> None:
+    """Side by side, CanonEOS70D and CanonEOS700D touch; those of the demo do not."""
+    names = ("CanonEOS700D", "CanonEOS70D", "NikonD850", "SonyA7S2")
+    text = evaluation_page([result(cameras=names)], NOTHING)
+    plots = {plot.name: plot for plot in score_plots(result(cameras=names).scores, IMAGES, rescaled=True)}
+    assert b"rotate(-25)" in plots["psnr-camera"].light
+    assert b"rotate(-25)" not in plots["psnr-iso"].light
+    few = {plot.name: plot for plot in score_plots(result(cameras=names[2:]).scores, IMAGES, rescaled=True)}
+    assert b"rotate(-25)" not in few["psnr-camera"].light
+    rows = re.findall(r'<th scope="row">(?:<a[^>]*>)?([^<]+)/scene-(\d+)/', text)
+    assert [name for name, _ in dict.fromkeys((name, "") for name, _ in rows)] == list(reversed(names))
+    assert [int(scene) for name, scene in rows if name == "SonyA7S2"] == sorted(6 * [*range(1, 9)])
+
+
 def test_names_that_the_font_lacks_are_boxes() -> None:
     assert drawable("相A", 10) == "□A"
     assert drawable("abcdefghij", 6) == "abcde…"
@@ -435,10 +451,10 @@ def test_pictures_get_smaller_until_they_fit(
 
 def test_a_dark_reference_is_shown_brighter_and_a_bright_one_is_not() -> None:
     ramp = np.linspace(0, 1, 10_000, dtype=np.float32).reshape(4, 50, 50)
-    assert pictures._brighter(ramp) == 1.0
-    assert pictures._brighter(ramp * 0.3) == 2.0
-    assert pictures._brighter(ramp * 0.001) == 8.0
-    assert pictures._brighter(ramp * 0) == 1.0
+    assert brightening(ramp) == 1.0
+    assert brightening(ramp * 0.3) == 2.0
+    assert brightening(ramp * 0.001) == 8.0
+    assert brightening(ramp * 0) == 1.0
 
 
 # --- Markdown and LaTeX -------------------------------------------------------------------------------------------

@@ -6,14 +6,16 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from eldata.noise.findings import LIMIT
-from eldata.reports.figures import drawn_axes, log_ticks
+from eldata.plots.axes import log_ticks
+from eldata.reports.figures import drawn_axes
 from eldata.reports.html import plot_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from eldata.calibration.acceptance_results import Curve, IsoAcceptance
-    from eldata.reports.figures import Plot, Theme
+    from eldata.plots.axes import Theme
+    from eldata.reports.figures import Plot
 
 _LABELS = {
     "tails": ("difference [σ]", "share beyond"),

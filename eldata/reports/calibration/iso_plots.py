@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.reports.figures import (
+from eldata.noise.findings import LIMIT
+from eldata.plots.axes import (
     MARKERS,
-    Plot,
     Theme,
     deviation_band,
-    drawn,
     evenly,
     legend_above,
     log_ticks,
@@ -22,6 +21,8 @@ from eldata.reports.figures import (
     thinned,
     two_axes,
 )
+from eldata.plots.gains import transfer_lines
+from eldata.reports.figures import Plot, drawn
 from eldata.reports.html import digits, measured, plot_words
 
 if TYPE_CHECKING:
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
 GAUSSIAN_LAMBDA = 0.14
 """The shape at which the Tukey-lambda distribution is nearest to the normal one."""
 
-_LEVELS_SHOWN = 20  # of a channel; more are pooled
 _SINGLE_FRAMES_SHOWN = 48
 _ROOM_ABOVE = 1.7
 _AROUND_MAXIMUM = 0.27  # of lambda
@@ -79,21 +79,11 @@ def transfer_plot(one: IsoGain, transfer: PhotonTransfer) -> Plot:
 
     def draw(theme: Theme) -> Figure:
         drawing, main, below = two_axes(2.6)
-        furthest = 0.0
-        for name, line, marker, colour in zip(one.channels, transfer.channels, MARKERS, theme.channels, strict=False):
-            signal, variance, error = line.pooled(_LEVELS_SHOWN)
-            deviation = (variance - line.variance_at(signal)) / error
-            furthest = max(furthest, float(np.abs(deviation).max()))
-            main.errorbar(signal, variance, yerr=error, fmt=marker, markersize=4, color=colour, label=name)
-            below.plot(signal, deviation, marker, markersize=3.5, color=colour)
-        ends = np.array([0.0, max(float(line.signal_dn.max()) for line in transfer.channels)])
-        for index, line in enumerate(transfer.channels):
-            main.plot(ends, line.variance_at(ends), color=theme.theory, label="fitted" if index == 0 else "_")
+        furthest = transfer_lines(main, below, one.channels, transfer.channels, theme)
         if spatial is not None:
             _single_frames(main, spatial, theme)
-        main.set_ylabel("variance [DN²]")
-        legend_above(main)
-        deviation_band(below, furthest, theme)
+            legend_above(main)
+        deviation_band(below, furthest, LIMIT, theme)
         below.set_xlabel("signal [DN]")
         return drawing
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from eldata.base.numbers import counted
 from eldata.reports.calibration.iso_pictures import reproduced_pictures, shading_pictures, spectrum_picture
 from eldata.reports.calibration.iso_plots import (
     bias_plot,
@@ -19,6 +20,7 @@ from eldata.reports.calibration.iso_plots import (
     tukey_lambda_plot,
 )
 from eldata.reports.calibration.joint_plots import joint_plots
+from eldata.reports.calibration.structure_plots import row_bands_plot, structure_numbers, structure_plots
 from eldata.reports.html import digits, grouped, measured, rendered
 
 if TYPE_CHECKING:
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
 
     from eldata.calibration.audit import Effect, Figure, GivenFigure
     from eldata.calibration.results import Calibration, IsoCalibration, IsoGain
+    from eldata.calibration.structure import MeasuredStructure
     from eldata.reports.figures import Plot
     from eldata.reports.pictures import Pictures
 
@@ -44,7 +47,7 @@ def calibration_page(calibration: Calibration) -> str:
         widened=_where([one.withheld_and_widened[1] for one in calibration.all_isos], calibration),
         remarks=_remarks(calibration),
         tables=[table for table in _tables(calibration) if table.rows],
-        joint=joint_plots(calibration),
+        joint=(*joint_plots(calibration), *structure_plots(calibration)),
         sections=_sections(calibration),
         made_from=_made_from(calibration),
     )
@@ -75,6 +78,7 @@ def _tables(calibration: Calibration) -> tuple[_Table, ...]:
         _Table("figures", "Figures, value ± standard error", *calibration.table()),
         _Table("gains", "K alone, from flats without bias frames", *calibration.gain_table()),
         _Table("colour-bias", "Colour bias over the recorded black level [DN]", *calibration.bias_table()),
+        _Table("structure", "What the noise of pixels has in common", *calibration.structure_table()),
         _Table("fits", "Lines of ln σ over ln K", _FIT_HEADER, calibration.fit_table()),
         _Table("reproduction", "A bias frame kept out, against simulated ones", *calibration.reproduction_table()),
     )
@@ -113,7 +117,7 @@ def _wary(calibration: Calibration) -> str:
         places = [f"{len(places)} of {len(calibration.all_isos)} ISOs"]
     about = [*places, *(["the calibration as a whole"] if calibration.remarks else [])]
     number = len(calibration.all_remarks)
-    return f"{number} {'remark' if number == 1 else 'remarks'}, on {_and(about)}."
+    return f"{counted(number, 'remark')}, on {_and(about)}."
 
 
 def _where(symbols: Sequence[str], calibration: Calibration) -> str:
@@ -155,7 +159,7 @@ def _made_from(calibration: Calibration) -> str:
     bias, flat = sum(one.bias_frames for one in calibration.isos), sum(one.flat_frames for one in isos)
     kept = sum(one.reproduction is not None for one in calibration.isos)
     frames = f"{bias} bias and {flat} flat frames of {shapes} pixels"
-    return f"{frames}, and compared with {kept} more bias {'frame' if kept == 1 else 'frames'}" if kept else frames
+    return f"{frames}, and compared with {counted(kept, 'more bias frame')}" if kept else frames
 
 
 # --- one ISO ------------------------------------------------------------------------------------------------------
@@ -195,7 +199,8 @@ def _judged(one: IsoGain, figure: Figure, group: _Group) -> _Group:
 
 
 def _groups(one: IsoCalibration) -> tuple[_Group, ...]:
-    return _gain(one), _colour_bias(one), _rows(one), _read_noise(one), _reproduction(one), _pattern(one)
+    structure = () if one.structure is None else (_structure(one, one.structure),)
+    return _gain(one), _colour_bias(one), _rows(one), *structure, _read_noise(one), _reproduction(one), _pattern(one)
 
 
 def _by_channel(template: str, one: IsoGain, values: Sequence[str]) -> list[tuple[str, str]]:
@@ -250,6 +255,12 @@ def _rows(one: IsoCalibration) -> _Group:
     )
     plots = (rows_plot(one), line_spectrum_plot(one))
     return _judged(one, "row noise", _Group("Row noise", numbers, plots=plots, pictures=(spectrum_picture(one),)))
+
+
+def _structure(one: IsoCalibration, structure: MeasuredStructure) -> _Group:
+    spectrum = structure.row_spectrum
+    plots = () if spectrum is None else (row_bands_plot(one, structure, spectrum),)
+    return _Group("What pixels have in common", structure_numbers(one, structure), plots=plots)
 
 
 def _read_noise(one: IsoCalibration) -> _Group:

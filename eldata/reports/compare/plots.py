@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from matplotlib.ticker import FixedLocator
-
-from eldata.reports.evaluation.plots import draw_points, drawable
+from eldata.plots.scores import draw_points, mean_gains, short
 from eldata.reports.figures import drawn_axes
 from eldata.reports.html import plot_words
 
@@ -17,10 +15,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from eldata.evaluation.comparison import Comparison, Pairing
+    from eldata.plots.axes import Theme
     from eldata.protocols.kinds import Kind
-    from eldata.reports.figures import Plot, Theme
-
-_LONGEST_NAME = 22
+    from eldata.reports.figures import Plot
 
 
 def gain_plots(comparison: Comparison, index: int) -> tuple[Plot, ...]:
@@ -36,24 +33,12 @@ def gain_plots(comparison: Comparison, index: int) -> tuple[Plot, ...]:
     )
 
 
-def _short(name: str) -> str:
-    return drawable(name, _LONGEST_NAME)
-
-
 def _groups_plot(comparison: Comparison, index: int, names: tuple[str, str]) -> Plot:
     groups = [group for group in comparison.groups if math.isfinite(group.gains[index]["psnr_db"].interval.mean)]
 
     def draw(axes: Axes, theme: Theme) -> None:
-        axes.axvline(0, color=theme.theory, linewidth=1)
-        for place, group in enumerate(groups):
-            interval = group.gains[index]["psnr_db"].interval
-            if interval.is_known:
-                axes.plot([interval.low, interval.high], [place, place], color=theme.ink, linewidth=1.4)
-            axes.plot([interval.mean], [place], color=theme.found, marker="o", linestyle="none")
-        axes.yaxis.set_major_locator(FixedLocator(list(range(len(groups)))))
-        axes.set_yticklabels([_short(group.name.replace(" x", " ×")) for group in groups], parse_math=False)
-        axes.set_ylim(len(groups) - 0.5, -0.5)
-        axes.grid(visible=False, axis="y")
+        means = [group.gains[index]["psnr_db"].interval.ends for group in groups]
+        mean_gains(axes, [group.name for group in groups], [(names[1], means)], theme)
         axes.set_xlabel("difference of PSNR [dB]")
 
     alt = f"Mean difference of PSNR, {names[1]} minus {names[0]}, of {len(groups)} groups."
@@ -72,8 +57,8 @@ def _scatter(pairings: Sequence[Pairing], names: tuple[str, str], index: int, ki
         axes.plot(limits, limits, color=theme.theory, linewidth=1)
         draw_points(axes, points, theme, alpha=0.6)
         axes.set(xlim=limits, ylim=limits)
-        axes.set_xlabel(f"{_short(names[0])} [dB]", parse_math=False)
-        axes.set_ylabel(f"{_short(names[1])} [dB]", parse_math=False)
+        axes.set_xlabel(f"{short(names[0])} [dB]", parse_math=False)
+        axes.set_ylabel(f"{short(names[1])} [dB]", parse_math=False)
 
     alt = f"PSNR of {names[1]} against that of {names[0]} on {len(points)} {kind.units}; it is higher on {better}."
     facts = {"Unit": kind.unit.capitalize(), "unit": kind.unit, "units": kind.units}
@@ -89,7 +74,7 @@ def _by_level(pairings: Sequence[Pairing], names: tuple[str, str], index: int, k
     def draw(axes: Axes, theme: Theme) -> None:
         axes.axhline(0, color=theme.theory, linewidth=1)
         draw_points(axes, points, theme, alpha=0.6)
-        axes.set_xlabel(f"{_short(names[0])} [dB]", parse_math=False)
+        axes.set_xlabel(f"{short(names[0])} [dB]", parse_math=False)
         axes.set_ylabel("difference [dB]")
 
     alt = f"Difference of PSNR, from {min(gains):.2f} to {max(gains):.2f} dB, against the PSNR of {names[0]}."

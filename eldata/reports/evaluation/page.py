@@ -9,10 +9,10 @@ from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
 from eldata.base.files import write_text
+from eldata.base.numbers import counted
 from eldata.errors import ArgumentError
-from eldata.evaluation.looking import INTERVAL, TOO_FEW, interval_note, seen_frames
+from eldata.evaluation.looking import INTERVAL, TOO_FEW, interval_note, scores_in_order, seen_frames
 from eldata.evaluation.table import factor_text, short_digest
-from eldata.protocols.kinds import CLIPS
 from eldata.protocols.words import FIELDS, in_words
 from eldata.reports.evaluation.pictures import EACH, ShownImage, ShownImages, heat_gradient, shown_images
 from eldata.reports.evaluation.plots import score_plots
@@ -29,7 +29,13 @@ if TYPE_CHECKING:
 
 
 def write_evaluation_page(
-    results: Sequence[EvaluationResult], out: Path | str, *, dataset_folder: Path, predictions: Path | None
+    results: Sequence[EvaluationResult],
+    out: Path | str,
+    *,
+    dataset_folder: Path,
+    predictions: Path | None,
+    dark_shading: Path | None = None,
+    store: Path | None = None,
 ) -> None:
     """Write the page of an evaluation, whole or not at all.
 
@@ -42,6 +48,10 @@ def write_evaluation_page(
     dataset_folder, predictions
         Where the raw files and the predictions lie (``None`` of a baseline): the worst and the best are decoded once
         more, to be shown.
+    dark_shading
+        The file of what was taken off the inputs, if anything was.
+    store
+        The store that was read in place of the dataset's files, if one was.
 
     Raises
     ------
@@ -52,7 +62,14 @@ def write_evaluation_page(
     """
     if not results:
         raise ArgumentError("a page is of one result or more; found none")
-    seen = seen_frames(results[0], EACH, dataset_folder=dataset_folder, predictions=predictions)
+    seen = seen_frames(
+        results[0],
+        EACH,
+        dataset_folder=dataset_folder,
+        predictions=predictions,
+        dark_shading=dark_shading,
+        store=store,
+    )
     write_text(out, evaluation_page(results, shown_images(seen)))
 
 
@@ -60,7 +77,7 @@ def evaluation_page(results: Sequence[EvaluationResult], shown: ShownImages) -> 
     """Return the page; the same results and pictures give the same text."""
     result, kind = results[0], results[0].kind
     ids = {image.score.path: f"picture-{index}" for index, image in enumerate(shown.images, start=1)}
-    plots = score_plots(result.scores, kind, rescaled=result.rescales)
+    plots = score_plots(scores_in_order(result.scores, result.dataset), kind, rescaled=result.rescales)
     sections = [("means", "Means")]
     sections += [("distributions", "Distributions")] if plots else []
     sections += [("pictures", "Worst and best")] if shown.images else []
@@ -104,12 +121,13 @@ def evaluation_page(results: Sequence[EvaluationResult], shown: ShownImages) -> 
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """A cell: its text, how it looks (a class of the style), what it sorts by, where it leads."""
+    """A cell: its text, how it looks (a class of the style), what it sorts by, where it leads, its row's identifier."""
 
     text: str
     look: str = ""
     value: str | None = None
     link: str = ""
+    name: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +151,7 @@ FACTS = ("ISO", "factor")
 
 def fact_cells(score: UnitScore, kind: Kind) -> tuple[Cell, ...]:
     """Return ISO and factor of an image; clips state none."""
-    if kind is CLIPS:
+    if kind.is_of_clips:
         return ()
     iso = number_cell(score.iso, f"{score.iso:g}" if score.iso else "–")
     return iso, number_cell(score.ratio or 0.0, factor_text(score.ratio, "×"))
@@ -196,14 +214,14 @@ def _protocols(results: Sequence[EvaluationResult]) -> Table:
 def _rows(result: EvaluationResult, ids: dict[str, str]) -> Table:
     kind = result.kind
     rows = []
-    for score in result.scores:
+    for score in scores_in_order(result.scores, result.dataset):
         cells = [Cell(score.name, link=ids.get(score.path, "")), Cell(score.camera), Cell(score.scene)]
         cells += fact_cells(score, kind)
         for metric in kind.metrics:
             value = score.values[metric.name]
             cells.append(number_cell(value, f"{value:.{metric.row_places}f}"))
         rows.append((*cells, number_cell(score.rescale, f"{score.rescale:.3f}")))
-    facts = () if kind is CLIPS else FACTS
+    facts = () if kind.is_of_clips else FACTS
     header = (kind.unit, "camera", "scene", *facts, *kind.heads[1:], "rescaled by")
     return Table(header, tuple(rows), left=(0, 1, 2))
 
@@ -233,7 +251,7 @@ def _tiles(result: EvaluationResult) -> list[tuple[str, str, str]]:
     return [
         *tiles,
         (result.kind.units.capitalize(), str(result.scored), f"of {result.expected} {result.kind.counted}"),
-        ("Scenes", str(scenes), f"of {cameras} camera{'' if cameras == 1 else 's'}"),
+        ("Scenes", str(scenes), f"of {counted(cameras, 'camera')}"),
     ]
 
 

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, Final, cast
 import numpy as np
 from PIL import Image
 
+from eldata.isp.preview import brightening
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -28,7 +30,6 @@ _WHOLE_WIDTH = 288
 # more bytes than this, the next is tried, so that the page stays below 10 MB.
 _JPEG_QUALITIES = (92, 85, 75, 60)
 _MOST_BYTES = 6_000_000
-_DARK, _BRIGHT, _MOST_BRIGHTER = 0.4, 0.6, 8.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,12 +108,12 @@ def _drawn(one: SeenFrame, limit: float, quality: int) -> ShownImage:
     _, height, width = arrays.reference.shape
     crop = _centre((height, width))
     size = (crop[0].stop - crop[0].start, crop[1].stop - crop[1].start)
-    brighter = _brighter(arrays.reference) if arrays.amplified is not None else 1.0
+    brighter = brightening(arrays.reference) if arrays.amplified is not None else 1.0
     what = f"{one.frame}: {one.score.psnr_db:.2f} dB"
 
     def layer(key: str, label: str, alt: str, array: NDArray[Any], place: str) -> Layer:
-        pixels = _heat(array[0], limit) if key == "error" else one.rendered(array * brighter)
-        return Layer(key, label, f"{alt} of {what}, {place}", _jpeg(pixels, quality))
+        pixels = heat(array[0], limit) if key == "error" else one.rendered(array * brighter)
+        return Layer(key, label, f"{alt} of {what}, {place}", jpeg_of(pixels, quality))
 
     layers = []
     if arrays.amplified is not None:
@@ -130,8 +131,8 @@ def _drawn(one: SeenFrame, limit: float, quality: int) -> ShownImage:
     whole: tuple[Layer, ...] = ()
     if size != (height, width):
         whole = (
-            layer("prediction", "Prediction", "Prediction", _reduced(arrays.prediction, _WHOLE_WIDTH), "whole"),
-            layer("error", "Error", "Absolute error", _reduced(error[None], _WHOLE_WIDTH), "whole"),
+            layer("prediction", "Prediction", "Prediction", reduced(arrays.prediction, _WHOLE_WIDTH), "whole"),
+            layer("error", "Error", "Absolute error", reduced(error[None], _WHOLE_WIDTH), "whole"),
         )
     return ShownImage(one.rank, one.score, one.frame, tuple(layers), size, (height, width), whole, brighter)
 
@@ -142,15 +143,7 @@ def _centre(shape: tuple[int, ...]) -> tuple[slice, slice]:
     return slice(top, top + rows), slice(left, left + columns)
 
 
-def _brighter(reference: NDArray[Any]) -> float:
-    """Return what a dark reference is to be multiplied by to be seen, rounded to two digits; 1 of a bright one."""
-    light = float(np.quantile(reference, 0.99))
-    if light >= _DARK or light <= 0:
-        return 1.0
-    return float(f"{min(_MOST_BRIGHTER, _BRIGHT / light):.2g}")
-
-
-def _reduced(packed: NDArray[Any], most: int) -> NDArray[Any]:
+def reduced(packed: NDArray[Any], most: int) -> NDArray[Any]:
     """Return means of blocks of (C, h, w), so that it has at most so many columns."""
     step = max(1, -(-packed.shape[2] // most))
     height, width = (length // step * step for length in packed.shape[1:])
@@ -158,13 +151,14 @@ def _reduced(packed: NDArray[Any], most: int) -> NDArray[Any]:
     return cast("NDArray[Any]", blocks.mean(axis=(2, 4)))
 
 
-def _heat(error: NDArray[Any], limit: float) -> NDArray[np.uint8]:
+def heat(error: NDArray[Any], limit: float) -> NDArray[np.uint8]:
     """Return errors as colours from black over red to white, by their square root."""
     steps = np.rint(np.sqrt(np.clip(error / limit, 0, 1)) * 255).astype(np.intp)
-    return cast("NDArray[np.uint8]", _heat_colours()[steps])
+    return cast("NDArray[np.uint8]", heat_colours()[steps])
 
 
-def _heat_colours() -> NDArray[np.uint8]:
+def heat_colours() -> NDArray[np.uint8]:
+    """Return the 256 colours of :func:`heat`, (256, 3)."""
     from matplotlib import colormaps
 
     colours = np.asarray(colormaps["inferno"](np.linspace(0, 1, 256)))[:, :3]
@@ -172,13 +166,14 @@ def _heat_colours() -> NDArray[np.uint8]:
 
 
 def heat_gradient() -> str:
-    """Return the colours of :func:`_heat` as a CSS gradient from 0 to the limit."""
+    """Return the colours of :func:`heat` as a CSS gradient from 0 to the limit."""
     stops = np.linspace(0, 1, 11)
-    colours = _heat_colours()[np.rint(np.sqrt(stops) * 255).astype(np.intp)]
+    colours = heat_colours()[np.rint(np.sqrt(stops) * 255).astype(np.intp)]
     return ", ".join(f"rgb({r} {g} {b}) {100 * stop:.0f}%" for (r, g, b), stop in zip(colours, stops, strict=True))
 
 
-def _jpeg(pixels: NDArray[np.uint8], quality: int) -> bytes:
+def jpeg_of(pixels: NDArray[np.uint8], quality: int) -> bytes:
+    """Return (h, w, 3) as a JPEG whose colours are as fine as its brightness: noise of single pixels stays."""
     buffer = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(pixels)).save(buffer, format="JPEG", quality=quality, subsampling=0)
     return buffer.getvalue()

@@ -1,4 +1,4 @@
-"""Pages with one script of ours: it sorts tables and moves sliders, and the policy lets no other run."""
+"""Pages with scripts of ours: they sort tables, move sliders, link crops, and the policy lets no other run."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ from typing import Final
 
 from eldata.reports.html import rendered
 
-_SCRIPT: Final = Path(__file__).parents[1] / "templates" / "evaluation.js"
+_TEMPLATES: Final = Path(__file__).parents[1] / "templates"
 
 
-def rendered_with_script(template: str, **values: object) -> str:
-    """Return a page whose template puts ``script`` into a script element, as it is; no other may run there."""
-    script = _SCRIPT.read_text(encoding="utf-8")
+def rendered_with_script(template: str, *more: str, **values: object) -> str:
+    """Return a page whose template puts ``script`` into a script element, as it is; no other may run there.
+
+    It is evaluation.js, and after it the scripts named in ``more``.
+    """
+    script = "\n".join((_TEMPLATES / name).read_text(encoding="utf-8") for name in ("evaluation.js", *more))
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
     return rendered(template, script=script, script_policy=f"; script-src 'sha256-{digest}'", **values)
 

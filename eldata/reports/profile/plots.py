@@ -9,13 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from eldata.noise.findings import CHANNELS, SIGNALS_E, read_fit
-from eldata.reports.figures import (
+from eldata.noise.findings import CHANNELS, LIMIT, SIGNALS_E, read_fit
+from eldata.plots.axes import (
     MARKERS,
-    Plot,
     Theme,
     deviation_band,
-    drawn,
     fit_bands,
     log_log,
     log_ticks,
@@ -25,6 +23,7 @@ from eldata.reports.figures import (
     thinned,
     two_axes,
 )
+from eldata.reports.figures import Plot, drawn
 from eldata.reports.html import plot_words
 
 if TYPE_CHECKING:
@@ -96,7 +95,7 @@ def _with_deviations(
     points = [
         (x, item.deviation, item.verdict) for x, item in zip(at, comparisons, strict=True) if item.deviation is not None
     ]
-    deviation_band(below, max([0.0, *(abs(y) for _, y, _ in points)]), theme)
+    deviation_band(below, max([0.0, *(abs(y) for _, y, _ in points)]), LIMIT, theme)
     for verdict, marker in (("ok", "o"), ("off", "X")):
         chosen = [(x, y) for x, y, which in points if which == verdict]
         if chosen:

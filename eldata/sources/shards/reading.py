@@ -48,7 +48,7 @@ def _checked_sample(place: str, where: str, content: bytes, crc32: int) -> Store
     Raises
     ------
     ShardError
-        If it is not, or they are no sample.
+        If it is not, or they are not a sample.
     """
     if zlib.crc32(content) != crc32:
         # What it holds instead often says more than that it differs.

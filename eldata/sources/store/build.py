@@ -19,7 +19,15 @@ from eldata.base.png import read_rgb16
 from eldata.base.workers import AnyWorkers, Workers, accepts_jobs, require_files
 from eldata.errors import EldataError
 from eldata.manifest.clip_checks import is_png
-from eldata.sources.store.format import FORMAT, chunk_shape, filters, frame_attributes, rgb_attributes, version_of
+from eldata.sources.store.format import (
+    FORMAT,
+    PackedFile,
+    chunk_shape,
+    filters,
+    frame_attributes,
+    rgb_attributes,
+    version_of,
+)
 from eldata.sources.store.journal import journaled, remove_stale_journal
 
 if TYPE_CHECKING:
@@ -181,9 +189,9 @@ def _decoded(folder: Path, listed: tuple[str, Role]) -> tuple[NDArray[np.uint16]
     require_files(file)
     if is_png(path):
         planes = np.ascontiguousarray(read_rgb16(file).transpose(2, 0, 1))
-        return planes, rgb_attributes(path, role, pixels_digest(planes))
+        return planes, rgb_attributes(path, role, pixels_digest(planes), PackedFile.of(file))
     frame = read_raw(file)
-    return frame.mosaic, frame_attributes(path, role, frame, pixels_digest(frame.mosaic))
+    return frame.mosaic, frame_attributes(path, role, frame, pixels_digest(frame.mosaic), PackedFile.of(file))
 
 
 def pixels_digest(frame: NDArray[np.uint16]) -> str:

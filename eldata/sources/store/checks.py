@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from tqdm import tqdm
 
 from eldata.base.workers import AnyWorkers, Workers, accepts_jobs, require_files
-from eldata.manifest.verify import DatasetReport, Problem, VerifyReport
+from eldata.manifest.verify_report import DatasetReport, Problem, VerifyReport
 from eldata.sources.store.build import pixels_digest
 from eldata.sources.store.format import StoreError, chunk_shape
 from eldata.sources.store.read import PixelReader, open_store, opened
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from eldata.manifest.verify import Level
+    from eldata.manifest.verify_report import Level
     from eldata.sources.store.format import Store, StoredFrame, StoredRgb
 
 _ADVICE = "copy or pack the store again"
@@ -47,7 +47,7 @@ def verify_store(path: Path | str, *, level: Level = "quick", workers: AnyWorker
     """
     workers = Workers.of(workers)
     store = open_store(path)
-    problems = list(_structure(store))
+    problems = list(structure_problems(store))
     count = len(store.every)
     if level == "full":
         work = partial(_pixels, store.dataset, PixelReader(store.path.absolute()))
@@ -63,7 +63,8 @@ def verify_store(path: Path | str, *, level: Level = "quick", workers: AnyWorker
     return VerifyReport(level, (report,))
 
 
-def _structure(store: Store) -> Iterator[Problem]:
+def structure_problems(store: Store) -> Iterator[Problem]:
+    """Yield where frames are not of their stated size in whole chunks of uint16, and which pairs lack a reference."""
     with opened(store.path) as file:
         for frame in store.every:
             dataset, shape = file["frames"][frame.key], frame.shape

@@ -16,7 +16,6 @@ import ctypes
 import os
 import struct
 import sys
-import threading
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -24,8 +23,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eldata.base.scratch import scratch
+
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     import h5py
     from numpy.typing import NDArray
@@ -114,10 +115,12 @@ def _decoder(name: str) -> Decoder | None:
     return None
 
 
-def read_part(
-    descriptor: int, table: ChunkTable, plane: int, rows: range, columns: range, pixels: NDArray[np.uint16]
-) -> None:
-    """Fill ``pixels`` (rows, columns) with a part of one plane of a frame.
+def read_parts(
+    descriptor: int, table: ChunkTable, plane: int, rows: range, columns: range
+) -> Iterator[tuple[int, int, NDArray[np.uint16]]]:
+    """Yield a part of one plane of a frame, chunk by chunk: row and column in the part, and the pixels.
+
+    These lie in memory that the next ones of this thread overwrite: a chunk fits into the cache.
 
     Raises
     ------
@@ -126,20 +129,29 @@ def read_part(
     OSError
         If the file cannot be read.
     """
-    for chunk_row in range(rows.start // table.height, -(-rows.stop // table.height)):
+    chunk_rows = range(rows.start // table.height, -(-rows.stop // table.height))
+    chunk_columns = range(columns.start // table.width, -(-columns.stop // table.width))
+    wanted = plane, slice(chunk_rows.start, chunk_rows.stop), slice(chunk_columns.start, chunk_columns.stop)
+    offsets, sizes = table.offsets[wanted].tolist(), table.sizes[wanted].tolist()
+    for chunk_row, offsets_of_row, sizes_of_row in zip(chunk_rows, offsets, sizes, strict=True):
         top = chunk_row * table.height
         first, last = max(rows.start - top, 0), min(rows.stop - top, table.height)
-        above = pixels[top + first - rows.start : top + last - rows.start]
-        for chunk_column in range(columns.start // table.width, -(-columns.stop // table.width)):
+        for chunk_column, offset, size in zip(chunk_columns, offsets_of_row, sizes_of_row, strict=True):
             left = chunk_column * table.width
             begin, end = max(columns.start - left, 0), min(columns.stop - left, table.width)
-            place = plane, chunk_row, chunk_column
-            offset, size = int(table.offsets[place]), int(table.sizes[place])
             if table.decode is None:
                 part = _stored_rows(descriptor, table, offset, size, first, last)
             else:
                 part = _decoded_rows(descriptor, table, table.decode, offset, size, first, last)
-            above[:, left + begin - columns.start : left + end - columns.start] = part[:, begin:end]
+            yield top + first - rows.start, left + begin - columns.start, part[:, begin:end]
+
+
+def read_part(
+    descriptor: int, table: ChunkTable, plane: int, rows: range, columns: range, pixels: NDArray[np.uint16]
+) -> None:
+    """Fill ``pixels`` (rows, columns) with a part of one plane of a frame; raises like :func:`read_parts`."""
+    for top, left, part in read_parts(descriptor, table, plane, rows, columns):
+        pixels[top : top + part.shape[0], left : left + part.shape[1]] = part
 
 
 def _stored_rows(
@@ -151,7 +163,7 @@ def _stored_rows(
     length = (last - first) * row_bytes
     content = scratch("stored", length).bytes[:length]
     _read(descriptor, content, offset + first * row_bytes)
-    return content.view(np.uint16).reshape(last - first, table.width)
+    return content.view(np.uint16).reshape(-1, table.width)
 
 
 def _decoded_rows(
@@ -203,29 +215,9 @@ def _block_starts(content: NDArray[np.uint8], count: int, block: int) -> list[in
 
 
 def _read(descriptor: int, target: NDArray[np.uint8], offset: int) -> None:
-    done = 0
+    done = os.preadv(descriptor, [target.data], offset)
     while done < len(target):
-        count = os.preadv(descriptor, [target.data[done:]], offset + done)
+        count = os.preadv(descriptor, [target[done:].data], offset + done)
         if count == 0:
             raise ChunkError("a chunk beyond the end of the file")
         done += count
-
-
-class Scratch:
-    """Memory of a thread that is used again and again; its address is asked for once."""
-
-    def __init__(self, size: int) -> None:
-        self.bytes = np.empty(size, np.uint8)
-        self.address = self.bytes.ctypes.data
-
-
-_OF_THREAD = threading.local()
-
-
-def scratch(use: str, size: int) -> Scratch:
-    """Return this thread's memory for a use, of so many bytes or more."""
-    held: Scratch | None = getattr(_OF_THREAD, use, None)
-    if held is None or held.bytes.size < size:
-        held = Scratch(size + size % _PIXEL_BYTES)
-        setattr(_OF_THREAD, use, held)
-    return held

@@ -10,6 +10,8 @@
                         (JSON) where the sensor states more than version 0.1 knows
                         or, from version 2 on, a 16-bit RGB frame, (3, H, W) uint16, in chunks of 1 x 256 x 256
                         attributes path, role, sha256, kind = "rgb"
+                        Of either kind, since version 0.2: file (JSON), the packed file's size and digest and the
+                        LibRaw that decoded it; and channel_white_levels_dn (JSON) of a raw file that LibRaw has one of
 
 A store without RGB frames is of version 1, which older readers know. Frames of clips stand in the order of the clip,
 its reference before them; the manifest is then the list of these files, patterns expanded.
@@ -20,10 +22,12 @@ would need two for, and nothing of the visible area is lost.
 
 from __future__ import annotations
 
+import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
+from eldata.base.files import sha256_of
 from eldata.errors import ArgumentError, FileError, check_choice
 from eldata.manifest.clip_checks import is_png
 from eldata.sources.file_facts import exposure_data, exposure_of, more_of_sensor, parsed, sensor_data, sensor_of
@@ -50,6 +54,28 @@ class StoreError(FileError):
 
 
 @dataclass(frozen=True, slots=True)
+class PackedFile:
+    """The file that a frame was decoded from: its size, ``sha256:<hex>`` of its bytes, and who decoded it."""
+
+    size_bytes: int
+    sha256: str
+    decoder: str
+
+    @classmethod
+    def of(cls, file: Path) -> PackedFile:
+        """Return what is kept of a file; it is read once more."""
+        import rawpy
+
+        decoder = "eldata" if is_png(file.name) else f"LibRaw {'.'.join(map(str, rawpy.libraw_version))}"
+        return cls(file.stat().st_size, sha256_of(file), decoder)
+
+    @classmethod
+    def stated(cls, attributes: Mapping[str, Any]) -> PackedFile | None:
+        """Return what a frame's attributes say; ``None`` of one that version 0.1 packed."""
+        return cls(**parsed("attribute file", attributes["file"])) if "file" in attributes else None
+
+
+@dataclass(frozen=True, slots=True)
 class StoredFrame:
     """One frame of a store, without its pixels.
 
@@ -63,6 +89,10 @@ class StoredFrame:
         As the file states them: levels, CFA, white balance, matrix; exact fractions.
     sha256
         Of its pixels, row by row, little-endian.
+    file
+        What it was decoded from; ``None``: version 0.1 packed it, which did not keep that.
+    channel_white_levels_dn
+        As in :class:`eldata.records.RawFrame`; kept where ``file`` is.
     """
 
     key: str
@@ -71,6 +101,8 @@ class StoredFrame:
     sensor: Sensor
     exposure: Exposure
     sha256: str
+    file: PackedFile | None = None
+    channel_white_levels_dn: tuple[float, ...] | None = None
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -88,6 +120,7 @@ class StoredRgb:
     height: int
     width: int
     sha256: str
+    file: PackedFile | None = None
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -121,6 +154,22 @@ class Store:
         """All frames, the mosaics first."""
         return *self.frames, *self.rgb
 
+    @property
+    def digest(self) -> str:
+        """``sha256:<hex>`` of what frames it holds: paths, pixels, what their files state; not how they are kept."""
+        facts = {frame.path: [frame.role, frame.sha256] for frame in self.rgb} | {
+            frame.path: [
+                frame.role,
+                frame.sha256,
+                sensor_data(frame.sensor),
+                more_of_sensor(frame.sensor),
+                exposure_data(frame.exposure),
+                frame.channel_white_levels_dn,
+            ]
+            for frame in self.frames
+        }
+        return f"sha256:{hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()}"
+
 
 def version_of(paths: Iterable[str]) -> int:
     """Return the version of a store of these files: the lowest whose readers know what it holds."""
@@ -152,9 +201,10 @@ def filters(compression: Compression) -> Mapping[str, Any]:
     return dict(hdf5plugin.Bitshuffle(cname=compression))
 
 
-def frame_attributes(path: str, role: Role, frame: RawFrame, sha256: str) -> dict[str, str]:
+def frame_attributes(path: str, role: Role, frame: RawFrame, sha256: str, file: PackedFile) -> dict[str, str]:
     """Return the attributes of a frame's HDF5 dataset."""
     more = more_of_sensor(frame.sensor)
+    whites = frame.channel_white_levels_dn
     return {
         "path": path,
         "role": role,
@@ -162,12 +212,14 @@ def frame_attributes(path: str, role: Role, frame: RawFrame, sha256: str) -> dic
         "sensor": json.dumps(sensor_data(frame.sensor)),
         **({"sensor_more": json.dumps(more)} if more else {}),
         "exposure": json.dumps(exposure_data(frame.exposure)),
+        "file": json.dumps(asdict(file)),
+        **({} if whites is None else {"channel_white_levels_dn": json.dumps({"values": whites})}),
     }
 
 
-def rgb_attributes(path: str, role: Role, sha256: str) -> dict[str, str]:
+def rgb_attributes(path: str, role: Role, sha256: str, file: PackedFile) -> dict[str, str]:
     """Return the attributes of an RGB frame's HDF5 dataset."""
-    return {"path": path, "role": role, "sha256": sha256, "kind": RGB}
+    return {"path": path, "role": role, "sha256": sha256, "kind": RGB, "file": json.dumps(asdict(file))}
 
 
 def stored(key: str, attributes: Mapping[str, Any], shape: tuple[int, ...]) -> StoredFrame | StoredRgb:
@@ -183,8 +235,12 @@ def stored(key: str, attributes: Mapping[str, Any], shape: tuple[int, ...]) -> S
         planes, height, width = shape
         if planes != 3:
             raise ValueError(f"an RGB frame of {planes} planes")
-        return StoredRgb(key, path, role, int(height), int(width), sha256)
+        return StoredRgb(key, path, role, int(height), int(width), sha256, PackedFile.stated(attributes))
     more = parsed("attribute sensor_more", attributes["sensor_more"]) if "sensor_more" in attributes else {}
     sensor = sensor_of(parsed("attribute sensor", attributes["sensor"]), more)
     exposure = exposure_of(parsed("attribute exposure", attributes["exposure"]))
-    return StoredFrame(key, path, role, sensor, exposure, sha256)
+    whites = None
+    if "channel_white_levels_dn" in attributes:
+        values = parsed("attribute channel_white_levels_dn", attributes["channel_white_levels_dn"])["values"]
+        whites = tuple(map(float, values))
+    return StoredFrame(key, path, role, sensor, exposure, sha256, PackedFile.stated(attributes), whites)

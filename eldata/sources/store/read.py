@@ -6,7 +6,7 @@ import math
 import os
 import threading
 import weakref
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -17,12 +17,15 @@ import numpy as np
 
 from eldata.base.files import file_problem
 from eldata.base.isolation import Limits, guarded_file, isolating
+from eldata.base.scratch import scratch
 from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.manifest.catalogue import load_manifest
 from eldata.manifest.pairs import select_pairs
+from eldata.raw._kernels import gather
+from eldata.raw.cfa import pack, packing_sites
 from eldata.records import FrameRecord
 from eldata.sources.frames import Frame
-from eldata.sources.store.chunks import chunk_table, read_part, scratch
+from eldata.sources.store.chunks import chunk_table, read_part, read_parts
 from eldata.sources.store.format import (
     COMPRESSIONS,
     FORMAT,
@@ -36,11 +39,15 @@ from eldata.sources.store.format import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     from eldata.manifest.catalogue import Manifest
     from eldata.manifest.pairs import Choice
+    from eldata.raw.cfa import CfaRows
     from eldata.records import PairRecord
+    from eldata.sources.store.chunks import ChunkTable
 
 # Enough for the chunks of a few rows of a crop; a read visits each chunk once. HDF5 frees it with the frame.
 _CHUNK_CACHE_BYTES = 1 << 20
@@ -215,17 +222,48 @@ class PixelReader:
         self._fill(pixels, key, rows, columns)
         return pixels
 
+    def pack(self, key: str, rows: range, columns: range, cfa: CfaRows, out: NDArray[np.uint16]) -> None:
+        """Write a part of a mosaic, whose CFA it is, into ``out`` (C, h, w), packed: chunk by chunk from the cache.
+
+        Raises
+        ------
+        StoreError
+            If the store cannot be read.
+        """
+        sites = packing_sites(cfa)
+        scale, period = sites.scale, sites.period
+        with self._problems(key):
+            held, table = self._chunks(key)
+            borders = (rows.start, columns.start, sites.top, sites.left)
+            if table is None or any(border % period for border in (*borders, table.height, table.width)):
+                # Chunks cut through periods, or only HDF5 can read them: the part is put together first.
+                pack(self.borrow(key, rows, columns), cfa, out=out)
+                return
+            for top, left, part in read_parts(held.number, table, 0, rows, columns):
+                height, width = part.shape
+                target = out[:, top // scale : (top + height) // scale, left // scale : (left + width) // scale]
+                gather(part, target, sites.table, period, sites.sub)
+
     def _fill(self, pixels: NDArray[np.uint16], key: str, rows: range, columns: range) -> None:
-        try:
-            with self._lock:
-                held = self._opened = self._opened or _Opened(self.path)
-                table = held.table(key)
-                if table is None:
-                    part = ..., slice(rows.start, rows.stop), slice(columns.start, columns.stop)
+        with self._problems(key):
+            held, table = self._chunks(key)
+            if table is None:
+                part = ..., slice(rows.start, rows.stop), slice(columns.start, columns.stop)
+                with self._lock:
                     held.file["frames"][key].read_direct(pixels, part)
-                    return
+                return
             for number, plane in enumerate(pixels[None] if pixels.ndim == 2 else pixels):
                 read_part(held.number, table, number, rows, columns, plane)
+
+    def _chunks(self, key: str) -> tuple[_Opened, ChunkTable | None]:
+        with self._lock:
+            self._opened = self._opened or _Opened(self.path)
+            return self._opened, self._opened.table(key)
+
+    @contextmanager
+    def _problems(self, key: str) -> Iterator[None]:
+        try:
+            yield
         except (OSError, RuntimeError, KeyError, IndexError, ValueError) as error:
             if isinstance(error, EldataError):
                 raise
@@ -286,6 +324,10 @@ class StoredMosaic:
     def borrow(self, part: tuple[Any, ...]) -> NDArray[np.uint16]:
         """Read a part into memory that the next call of this thread overwrites."""
         return self._reader.borrow(self._key, *self._ranges(part), self.shape[:-2])
+
+    def pack(self, part: tuple[slice, slice], cfa: CfaRows, out: NDArray[np.uint16]) -> None:
+        """Write a part of a mosaic, whose CFA it is, into ``out`` (C, h, w), packed, in DN."""
+        self._reader.pack(self._key, *self._ranges(part), cfa, out)
 
     def _ranges(self, part: tuple[Any, ...]) -> tuple[range, range]:
         rows, columns = (range(*wanted.indices(side)) for wanted, side in zip(part[-2:], self.shape[-2:], strict=True))

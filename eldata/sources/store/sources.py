@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple, Unpack
 from eldata.base.keywords import keywords
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.card import card_text
-from eldata.manifest.catalogue import Manifest, load_manifest, shipped_manifest
+from eldata.manifest.catalogue import Manifest, known_manifest, load_manifest
 from eldata.manifest.clip_checks import is_png
 from eldata.manifest.clips import choose_clips, clips_of
 from eldata.manifest.drv import scan_raw
@@ -118,10 +118,10 @@ def source_of_dataset(
     """
     (chosen,) = keywords("source_of_dataset", choice, Choice, renamed=RENAMED)
     if name == _RAW_CLIPS and manifest is None:
-        folder = _folder(shipped_manifest("drv"), root)
+        folder = _folder(known_manifest("drv"), root)
         scan = scan_raw(folder)
         return _source_of_clips(scan.card, scan.records, folder, chosen, ids)
-    loaded = shipped_manifest(name) if manifest is None else load_manifest(manifest)
+    loaded = known_manifest(name) if manifest is None else load_manifest(manifest)
     if loaded.name != name:
         raise ArgumentError(f"{manifest}: is the manifest of {loaded.name!r}, not of {name!r}")
     loaded.card.check_readable()

@@ -205,6 +205,12 @@ def test_no_address(address: str, capsys: pytest.CaptureFixture[str], monkeypatc
     assert f"no Dask scheduler answers at {address} (" in failing(capsys, *VERIFY, address)
 
 
+def test_no_address_again_and_again(capsys: pytest.CaptureFixture[str]) -> None:
+    """A client that failed to start blocked the next one for ten seconds when it was collected: one time in eight."""
+    for _ in range(20):
+        assert "no Dask scheduler answers at tcp:// (" in failing(capsys, *VERIFY, "tcp://")
+
+
 @pytest.mark.parametrize(
     ("content", "words"),
     [

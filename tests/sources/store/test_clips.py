@@ -18,7 +18,7 @@ from eldata.manifest.drv import scan_raw
 from eldata.raw import read_raw
 from eldata.sources.store import StoredRgb, build_store, open_store, source_of_dataset, verify_store
 from eldata.sources.store.build import pixels_digest
-from eldata.sources.store.format import StoreError
+from eldata.sources.store.format import PackedFile, StoreError
 from eldata.sources.store.read import PixelReader
 from tests.drv_tree import SmallDrv, small_drv, write_raw_clip
 from tests.sources.store.helpers import contents, pack_tree, start_packing
@@ -49,7 +49,8 @@ def test_rgb_frames_are_held_as_decoded(drv: SmallDrv, packed: Path) -> None:
         for frame in store.rgb:
             pixels = read_rgb16(drv.data / frame.path).transpose(2, 0, 1)
             np.testing.assert_array_equal(file[f"frames/{frame.key}"][...], pixels)
-            assert frame == StoredRgb(frame.key, frame.path, frame.role, *SIZE, pixels_digest(pixels))
+            file_kept = PackedFile.of(drv.data / frame.path)
+            assert frame == StoredRgb(frame.key, frame.path, frame.role, *SIZE, pixels_digest(pixels), file_kept)
 
 
 def test_parts_of_rgb_frames(drv: SmallDrv, packed: Path) -> None:

@@ -16,7 +16,8 @@ import pytest
 
 from eldata.base.isolation import Limits, isolation
 from eldata.errors import ArgumentError
-from eldata.raw import read_raw
+from eldata.raw import pack, read_raw
+from eldata.raw.cfa import cfa_from
 from eldata.sources.store import open_store, verify_store
 from eldata.sources.store.format import StoreError
 from eldata.sources.store.read import PixelReader, StoredMosaic
@@ -218,6 +219,26 @@ def test_parts_are_the_files_pixels(clean: Packed) -> None:
         np.testing.assert_array_equal(stored[-20:, :5], mosaic[-20:, :5])
         with pytest.raises(ArgumentError, match="without steps"):
             stored[::2, :]
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4"])
+def test_parts_are_packed_as_they_are_read(compression: Any, tmp_path: Path) -> None:
+    """Of 5 CFAs, up to 2 x 3 chunks; the part may begin at any row and column, also where chunks cut its periods."""
+    packed = pack_folder(write_clean(tmp_path / "raws", count=5), tmp_path / "clean.h5", compression=compression)
+    reader, generator = PixelReader(packed.store), np.random.default_rng(0)
+    for frame in open_store(packed.store).frames:
+        stored = StoredMosaic(reader, frame.key, (frame.sensor.height, frame.sensor.width))
+        mosaic = read_raw(packed.source.folder / frame.path).mosaic
+        for step in (1, 2, 4, 6) * 6:
+            top, left = (step * int(generator.integers(0, (side - 24) // step)) for side in mosaic.shape)
+            bottom = int(generator.integers(top + 12, mosaic.shape[0] + 1))
+            right = int(generator.integers(left + 12, mosaic.shape[1] + 1))
+            part = slice(top, bottom), slice(left, right)
+            cfa = cfa_from(frame.sensor.cfa, top, left)
+            expected = pack(mosaic[part], cfa)
+            found = np.zeros_like(expected)
+            stored.pack(part, cfa, found)
+            np.testing.assert_array_equal(found, expected)
 
 
 def test_what_is_read_stays_and_what_is_borrowed_does_not(clean: Packed) -> None:

@@ -1,0 +1,5 @@
+"""Predictions of a data set: denoisers without training, and networks from files. The names load on first use."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,359 @@
+"""Networks from files, as denoisers: TorchScript, torch.export, ONNX, or Python code of one's own.
+
+No pickle is ever loaded: weights come by ``torch.load(weights_only=True)`` or safetensors, programs by
+``torch.jit.load``, which knows TorchScript's own types alone, by :mod:`eldata.baselines.exported`, or by ONNX Runtime.
+"""
+
+from __future__ import annotations
+
+import warnings
+from contextlib import nullcontext, suppress
+from dataclasses import dataclass, field
+from inspect import Parameter, signature
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from eldata.base.files import sha256_of
+from eldata.base.naming import named_object
+from eldata.baselines.consistency import checked_window
+from eldata.baselines.exported import TakenInput, load_exported
+from eldata.baselines.tiling import tiled
+from eldata.errors import ArgumentError, EldataError, FileError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from eldata.baselines.predicting import NoisyFrame
+    from eldata.raw.cfa import Clip
+
+    Values = NDArray[np.floating[Any]]
+
+Precision = Literal["float32", "bfloat16", "float16"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NetworkDenoiser:
+    """A network over frames, in tiles.
+
+    Attributes
+    ----------
+    run
+        (C, h, w) float32 to (C, h, w); with a window of T > 1 frames, (T, C, h, w) to (C, h, w).
+    identity
+        What names the network: its file and hash, or its place in a module.
+    tile, overlap, multiple
+        As :func:`eldata.baselines.tiling.tiled` has them.
+    precision
+        What it computes in, part of the settings.
+    window
+        Frames of a clip that it takes, of which it predicts the middle one; 1: it takes single frames.
+    clip
+        Of the inputs that it was trained with, if that is known.
+    """
+
+    run: Callable[[NDArray[np.float32]], Values]
+    identity: dict[str, str]
+    tile: int = 1024
+    overlap: int = 128
+    multiple: int = 16
+    precision: Precision = "float32"
+    window: int = 1
+    clip: Clip | None = None
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What decides its predictions."""
+        known = {} if self.clip is None else {"clip": self.clip}
+        return {
+            **self.identity,
+            "tile": self.tile,
+            "overlap": self.overlap,
+            "multiple": self.multiple,
+            "precision": self.precision,
+            "window": self.window,
+            **known,
+        }
+
+    def __call__(self, frame: NoisyFrame) -> Values:
+        """Return the network's prediction of a frame."""
+        sides = {"tile": self.tile, "overlap": self.overlap, "multiple": self.multiple}
+        if self.window == 1:
+            return tiled(self.run, frame.image, **sides)
+        frames = frame.window(self.window)
+        count, channels, *size = frames.shape
+        return tiled(
+            lambda part: self.run(part.reshape(count, channels, *part.shape[1:])),
+            frames.reshape(count * channels, *size),
+            **sides,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _TorchRun:
+    """A module or function of tensors (1, C, h, w) or (1, T, C, h, w), on a device."""
+
+    function: Callable[..., Any]
+    device: str
+    precision: Precision
+
+    def __call__(self, image: NDArray[np.float32]) -> Values:
+        import torch
+
+        numbers = torch.from_numpy(image)[None].to(self.device)
+        mixed = (
+            nullcontext()
+            if self.precision == "float32"
+            else torch.autocast(self.device.partition(":")[0], dtype=getattr(torch, self.precision))
+        )
+        try:
+            with torch.inference_mode(), mixed:
+                made = self.function(numbers)
+        except Exception as error:
+            advice = "; take smaller tiles (--tile)" if isinstance(error, torch.OutOfMemoryError) else ""
+            raise EldataError(_failed(image, error) + advice) from error
+        if not isinstance(made, torch.Tensor) or made.ndim != 4 or len(made) != 1:
+            found = f"{tuple(made.shape)}" if isinstance(made, torch.Tensor) else type(made).__name__
+            raise EldataError(f"the network is to make (1, C, h, w) of {tuple(numbers.shape)}; it made {found}")
+        return np.asarray(made[0].float().cpu().numpy())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _OnnxRun:
+    session: Any = field(repr=False)
+
+    def __call__(self, image: NDArray[np.float32]) -> Values:
+        try:
+            made = self.session.run(None, {self.session.get_inputs()[0].name: image[None]})[0]
+        except Exception as error:  # ONNX Runtime's own classes, without a common base
+            raise EldataError(_failed(image, error)) from error
+        if made.ndim != 4 or len(made) != 1:
+            raise EldataError(f"the network is to make (1, C, h, w) of {(1, *image.shape)}; it made {made.shape}")
+        return np.asarray(made[0])
+
+
+def load_network(
+    model: str,
+    *,
+    weights: Path | str | None = None,
+    device: str = "auto",
+    precision: Precision = "float32",
+    tile: int = 1024,
+    overlap: int = 128,
+    multiple: int | None = None,
+    window: int | None = None,
+) -> NetworkDenoiser:
+    """Load a network.
+
+    Parameters
+    ----------
+    model
+        A TorchScript file (``.pt``, ``.pth``, ``.ts``), one of ``torch.export`` (``.pt2``) or an ONNX file (``.onnx``);
+        or ``package.module:name``: a ``torch.nn.Module``, a class or function that makes one without being given
+        arguments, or a function of a tensor (1, C, h, w).
+    weights
+        A state dict for a module from Python: safetensors, or a checkpoint that torch loads with ``weights_only=True``.
+    device
+        ``cpu``, ``cuda``, or ``auto``: CUDA if there is a GPU.
+    precision
+        ``bfloat16`` and ``float16`` compute in mixed precision, by torch's autocast; ``float16`` needs a GPU.
+    tile, overlap, multiple
+        As :func:`eldata.baselines.tiling.tiled` has them, in packed pixels. ``None``: the multiple that the network
+        states (a file of :func:`~eldata.baselines.exported.save_network`, an attribute ``multiple``), else 16.
+    window
+        Frames of a clip that it takes as (1, T, C, h, w), of which it predicts the middle one. ``None``: what the
+        network states, as for the multiple, else 1: single frames (1, C, h, w).
+
+    Raises
+    ------
+    FileError
+        If a file cannot be read, or is not of its kind.
+    ArgumentError
+        If a name is unknown, the options do not go together, or the network states another window or multiple.
+    """
+    import torch
+
+    where = ("cuda" if torch.cuda.is_available() else "cpu") if device == "auto" else device
+    try:
+        kind = torch.device(where).type
+    except RuntimeError as error:
+        raise ArgumentError(f"--device {device}: torch knows no such device; give cpu, cuda, cuda:1 or auto") from error
+    if kind == "cuda" and not torch.cuda.is_available():
+        raise ArgumentError(f"--device {device}: torch sees no GPU here; leave it out to work on the CPU")
+    if precision == "float16" and kind == "cpu":
+        raise ArgumentError("--precision float16 needs a GPU; on a CPU take bfloat16 or float32")
+    run: Callable[[NDArray[np.float32]], Values]
+    taken = TakenInput()
+    if ":" in model and not Path(model).exists():
+        module = _from_python(model, weights)
+        identity = {"denoiser": model}
+        run = _TorchRun(_ready(module, where), where, precision)
+        if isinstance(module, torch.nn.Module):
+            taken = TakenInput(_stated(module, "window"), _stated(module, "multiple"))
+    else:
+        if weights is not None:
+            raise ArgumentError(f"--weights goes with package.module:name; {model} holds its own")
+        path = Path(model)
+        if not path.is_file():
+            found = "is a folder" if path.is_dir() else "there is no such file"
+            raise FileError(path, f"{found}; give a model's file, or package.module:name")
+        identity = {"denoiser": path.name, "denoiser_sha256": sha256_of(path)}
+        if path.suffix == ".onnx":
+            if precision != "float32":
+                raise ArgumentError(f"--precision is torch's; {model} computes in the types that it was exported with")
+            run = _OnnxRun(_onnx(path, where))
+        else:
+            module, taken = load_exported(path) if path.suffix == ".pt2" else (_scripted(path), taken)
+            run = _TorchRun(_ready(module, where), where, precision)
+    if weights is not None:
+        identity["weights_sha256"] = sha256_of(Path(weights))
+    frames, sides = _agreed(model, taken, window, multiple)
+    return NetworkDenoiser(run, identity, tile, overlap, sides, precision, frames, taken.clip)
+
+
+def _stated(module: Any, name: str) -> int | None:
+    """Return what a module's attribute says of its input, if it has one."""
+    found = getattr(module, name, None)
+    return found if isinstance(found, int) and not isinstance(found, bool) and found > 0 else None
+
+
+def _agreed(model: str, taken: TakenInput, window: int | None, multiple: int | None) -> tuple[int, int]:
+    """Return the window and the multiple: those of the network, which the wanted ones must not contradict."""
+    if taken.window is not None and window not in (None, taken.window):
+        raise ArgumentError(
+            f"{model} takes windows of {taken.window} frames, by its own account; found --window {window}: leave it out"
+        )
+    if taken.multiple is not None and multiple is not None and multiple % taken.multiple:
+        raise ArgumentError(
+            f"{model} takes sides that are multiples of {taken.multiple}, by its own account; found --multiple "
+            f"{multiple}: leave it out"
+        )
+    return checked_window(window or taken.window or 1), multiple or taken.multiple or 16
+
+
+def _ready(function: Any, device: str) -> Callable[..., Any]:
+    import torch
+
+    if isinstance(function, torch.nn.Module):
+        function = function.to(device)
+        # What torch raises for a module of torch.export, which stays in the mode in which it was exported.
+        with suppress(NotImplementedError):
+            function.eval()
+    return function  # type: ignore[no-any-return] # callable: checked by who loaded it
+
+
+def _scripted(path: Path) -> Any:
+    import torch
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of torch.jit as a whole; files of it are about
+        try:
+            return torch.jit.load(str(path), map_location="cpu")  # type: ignore[no-untyped-call]
+        except RuntimeError as error:
+            raise FileError(
+                path,
+                "is not TorchScript. If it is a checkpoint, give the code that it belongs to: "
+                f"eldata predict package.module:Network --weights {path.name}{_of_script(error)}",
+            ) from error
+
+
+def _of_script(error: RuntimeError) -> str:
+    """Return what torch says besides that its archive is not one, which is a fault of ours in its words."""
+    reason = _first_line(error)
+    return "" if "internal miniz error" in reason else f" ({reason})"
+
+
+def _onnx(path: Path, device: str) -> Any:
+    try:
+        import onnxruntime
+    except ImportError as error:
+        raise EldataError(f"{path}: ONNX Runtime is not installed: pip install 'eldata[onnx]'") from error
+    wanted = (
+        ["CUDAExecutionProvider", "CPUExecutionProvider"] if device.startswith("cuda") else ["CPUExecutionProvider"]
+    )
+    missing = set(wanted) - set(onnxruntime.get_available_providers())
+    if missing:
+        raise ArgumentError(
+            f"--device {device}: this ONNX Runtime lacks {', '.join(sorted(missing))}; install its GPU build"
+        )
+    try:
+        session = onnxruntime.InferenceSession(str(path), providers=wanted)
+    except Exception as error:  # ONNX Runtime's own classes, without a common base
+        raise FileError(path, f"cannot be loaded by ONNX Runtime: {_first_line(error)}") from error
+    if len(session.get_inputs()) != 1:
+        raise FileError(path, f"expected one input, found {len(session.get_inputs())}")
+    return session
+
+
+def _from_python(place: str, weights: Path | str | None) -> Any:
+    import torch
+
+    found = named_object(place)
+    made = found() if _is_maker(place, found) else found
+    if not callable(made):
+        raise ArgumentError(f"{place} is {type(made).__name__}, not a module or function of tensors")
+    if weights is not None:
+        if not isinstance(made, torch.nn.Module):
+            raise ArgumentError(f"--weights goes with a torch.nn.Module; {place} is {type(made).__name__}")
+        _load_weights(made, Path(weights))
+    return made
+
+
+def _is_maker(place: str, found: Any) -> bool:
+    """Return whether an object is called for the network, not with an image: a class, or what needs no argument."""
+    import torch
+
+    if not callable(found) or isinstance(found, torch.nn.Module):
+        return False
+    try:
+        parameters = signature(found).parameters.values()
+    except ValueError:  # some functions that are not written in Python state none
+        return isinstance(found, type)
+    several = (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
+    needed = [one.name for one in parameters if one.default is Parameter.empty and one.kind not in several]
+    if isinstance(found, type) and needed:
+        raise ArgumentError(
+            f"{place} is a class whose {', '.join(needed)} nobody gives here; give an instance, or a function without "
+            "arguments that makes one"
+        )
+    # A function of *images takes them; one whose arguments all have defaults makes a network.
+    return isinstance(found, type) or not (needed or any(one.kind is several[0] for one in parameters))
+
+
+def _load_weights(module: Any, path: Path) -> None:
+    import torch
+    from safetensors.torch import load_file
+
+    state: Any
+    try:
+        if path.suffix == ".safetensors":
+            state = load_file(path)
+        else:
+            state = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError:
+        raise FileError(path, "there is no such file") from None
+    except Exception as error:
+        raise FileError(
+            path, f"cannot be loaded as weights alone; save model.state_dict(), not the model ({_first_line(error)})"
+        ) from error
+    for key in ("state_dict", "model", "params", "netG"):
+        if isinstance(state, dict) and isinstance(state.get(key), dict):
+            state = state[key]
+    try:
+        module.load_state_dict(state)
+    except RuntimeError as error:
+        raise FileError(path, f"its weights are not those of {type(module).__name__}: {_first_line(error)}") from error
+
+
+def _failed(image: NDArray[np.float32], error: Exception) -> str:
+    # TorchScript says what happened in the last line of a traceback of its own.
+    is_trace = "TorchScript interpreter" in _first_line(error)
+    reason = str(error).strip().splitlines()[-1] if is_trace else _first_line(error)
+    return f"the network cannot take {(1, *image.shape)} float32, {image.shape[-3]} channels: {reason}"
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).strip().splitlines() or [type(error).__name__])[0][:200]

@@ -1,0 +1,420 @@
+"""A data set through a denoiser into a folder that :func:`eldata.evaluate` scores; what is there already is kept."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import partial
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+import numpy as np
+
+from eldata.base.files import inside, remove_leftovers
+from eldata.base.png import rgb_frame
+from eldata.base.workers import Failed, require_files
+from eldata.baselines.classical import BASELINES
+from eldata.baselines.consistency import checked_window
+from eldata.baselines.prediction_folder import begun
+from eldata.baselines.signal_noise import SignalNoise, noise_of_image, noise_of_parameters
+from eldata.errors import ArgumentError, DatasetError
+from eldata.evaluation.layouts import stem_of
+from eldata.evaluation.pairs import amplified_by, frames_of, iso_of, place_of
+from eldata.evaluation.planning import plan_scoring, require_pairs
+from eldata.evaluation.predictions import save_prediction
+from eldata.evaluation.references import less_shading, levels_dn, normalised_frame
+from eldata.evaluation.request import make_request
+from eldata.manifest.clips import clips_of
+from eldata.manifest.patterns import expand
+from eldata.noise.dark_shading import dark_shading_in
+from eldata.noise.parameters import NoiseParameters
+from eldata.protocols.kinds import IMAGES
+from eldata.raw.reading import exposure_ratio, read_header, read_raw
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from eldata.evaluation.pairs import Pair
+    from eldata.evaluation.request import EvaluationOptions, Request
+    from eldata.manifest.clips import Clip
+    from eldata.noise.profile import CameraProfile
+    from eldata.protocols.protocol import Protocol as ScoringProtocol
+    from eldata.raw.cfa import Clip as ClipRange
+
+    Values = NDArray[np.floating[Any]]
+
+PixelType = Literal["float32", "float16", "uint16"]
+_SCHEMA = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoisyFrame:
+    """What a denoiser gets.
+
+    Attributes
+    ----------
+    image
+        (C, h, w) float32, packed, normalised with the protocol's levels, times the ratio; of preprocessed RGB frames
+        R, G, B as they are.
+    ratio
+        That it was multiplied by.
+    range_dn
+        White less black level; nan of RGB.
+    pair
+        Of the manifest: a pair of frames, or a window of a clip.
+    path
+        The frame itself, as in the manifest.
+    iso
+        ISO speed, if it is known.
+    window
+        Of a frame of a clip: ``frame.window(5)`` is (5, C, h, w) float32, the frame in the middle of those around it.
+        At the clip's ends those inside are mirrored (:func:`mirrored_window`). :class:`DatasetError` if there is no
+        such window.
+    """
+
+    image: NDArray[np.float32]
+    ratio: float
+    range_dn: float
+    pair: Pair
+    path: str
+    iso: float | None
+    window: Callable[[int], NDArray[np.float32]]
+
+
+class Denoiser(Protocol):
+    """Whatever predicts a frame. With more than one worker it has to be picklable."""
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What decides its predictions, of plain types: a folder holds those of one."""
+        ...
+
+    def __call__(self, frame: NoisyFrame) -> Values:
+        """Return (C, h, w), normalised like the input."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class BaselineDenoiser:
+    """A denoiser without training (:data:`eldata.baselines.BASELINES`).
+
+    Attributes
+    ----------
+    name
+        Its key there.
+    profiles
+        The cameras' noise; without, it is estimated from each frame.
+    """
+
+    name: str
+    profiles: tuple[CameraProfile, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.name not in BASELINES:
+            raise ArgumentError(f"no baseline is called {self.name!r}; known are {', '.join(BASELINES)}")
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Its name, and where the noise is known from."""
+        noise = {profile.camera: sha256(repr(profile).encode()).hexdigest() for profile in self.profiles}
+        return {"denoiser": self.name, "noise": noise or "each frame's own"}
+
+    def __call__(self, frame: NoisyFrame) -> Values:
+        """Return its estimate of the signal."""
+        baseline = BASELINES[self.name]
+        return baseline.denoise(frame.image, self._line(frame) if baseline.uses_noise else None)
+
+    def _line(self, frame: NoisyFrame) -> SignalNoise:
+        if not self.profiles:
+            try:
+                return noise_of_image(frame.image)
+            except DatasetError as error:
+                raise DatasetError(
+                    f"{error}. With the camera's noise given (--profile, profiles=...) the frame need not tell it"
+                ) from error
+        if math.isnan(frame.range_dn):
+            raise ArgumentError("a profile is of raw frames, and these are preprocessed; leave --profile out")
+        camera, iso = frame.pair.camera, frame.iso
+        found = [one for one in self.profiles if len(self.profiles) == 1 or one.camera == camera]
+        if not found:
+            known = ", ".join(one.camera for one in self.profiles)
+            raise ArgumentError(f"no profile of the camera {camera} was given, only of {known}; add --profile")
+        if iso is None:
+            raise DatasetError(f"{frame.path}: its ISO is not known, so the profile does not tell its noise")
+        return noise_of_parameters(typical(found[0], float(iso)), ratio=frame.ratio, range_dn=frame.range_dn)
+
+
+def typical(profile: CameraProfile, iso: float) -> NoiseParameters:
+    """Return a profile's figures at an ISO: as measured there, else on its lines.
+
+    Raises
+    ------
+    ArgumentError
+        If the ISO lies beyond the calibrated ones, or between two gain modes.
+    """
+    try:
+        return profile.measured(iso)
+    except ArgumentError:
+        gain = profile.gain_at_iso(iso)
+    mode = profile.mode_at(gain)
+    fits = (mode.tukey_lambda_fit, mode.gauss_fit, mode.row_fit)
+    scale, gauss, rows = (fit.scale_dn(gain, 0.0) for fit in fits)
+    return NoiseParameters(gain, profile.rows[0].tukey_lambda, scale, gauss, rows)
+
+
+@dataclass(frozen=True, slots=True)
+class PredictionReport:
+    """What became of the frames.
+
+    Attributes
+    ----------
+    folder
+        The predictions'.
+    written, kept
+        Numbers of frames predicted now, and of those that were there.
+    problems
+        Frames without a prediction, in words; those of one reason together.
+    """
+
+    folder: Path
+    written: int
+    kept: int
+    problems: tuple[str, ...]
+
+    def format_text(self) -> str:
+        """Return what a command shows."""
+        kept = f", {self.kept} were there" if self.kept else ""
+        lines = [*self.problems, f"{self.written} frames predicted{kept}: {self.folder}"]
+        return "\n".join(lines)
+
+
+def write_predictions(
+    denoiser: Denoiser,
+    dataset: str,
+    out: Path | str,
+    *,
+    protocol: str | Path | ScoringProtocol | None = None,
+    clip: ClipRange | Literal["protocol"] | None = None,
+    dtype: PixelType = "float32",
+    **options: Any,
+) -> PredictionReport:
+    """Predict each pair, or each frame of the clips, that a protocol scores, as :func:`eldata.evaluate` wants it.
+
+    Frames whose prediction is there are left out, so that work that was interrupted goes on.
+
+    Parameters
+    ----------
+    denoiser
+        What predicts.
+    dataset, protocol
+        As :func:`eldata.evaluate` has them. The protocol decides levels and amplification, and with them what 1.0 is.
+    out
+        A new folder, or one that this function began with the same settings, or with others without a prediction.
+    clip
+        Of the input, before and after it is amplified: ``"none"`` keeps the negative half of the read noise, which
+        averages need; ``"protocol"`` is what the protocol has for its input, and networks trained on it want. ``None``
+        is what the denoiser's settings state as ``clip``, else ``"none"``.
+    dtype
+        Of the files: ``"uint16"`` with 65535 = 1.0, clipped to [0, 1], takes half of the space.
+    **options
+        ``root``, ``manifest``, ``cameras``, ``subset``, ``ids``, ``exclude_flags``, ``dark_shading``, ``workers``: as
+        :func:`eldata.evaluate` has them. The dark shading is taken off the inputs here.
+
+    Raises
+    ------
+    ArgumentError
+        If names are unknown, the protocol scores renderings, the denoiser states another ``clip`` or a ``window`` of
+        frames where there are no clips, or the folder holds other predictions.
+    DatasetError, ManifestError
+        If the data set is not there or not what its manifest says.
+    """
+    wanted: EvaluationOptions = {**options, "baseline": "input"}  # type: ignore[typeddict-item] # checked there
+    request = make_request(None, dataset, protocol, wanted)
+    (chosen,) = request.protocols
+    if chosen.pixels == "srgb":
+        raise ArgumentError(f"protocol {chosen.name!r} scores renderings, so no raw frames can be predicted for it")
+    stated = denoiser.settings
+    frames = stated.get("window", 1)
+    if request.kind is IMAGES and frames > 1:
+        raise ArgumentError(
+            f"the network takes windows of {frames} frames of a clip, and {request.manifest.name} is a dataset of "
+            "photographs; give one of clips, such as drv"
+        )
+    known = stated.get("clip")
+    wanted_clip = (known or "none") if clip is None else chosen.input_clip if clip == "protocol" else clip
+    if known not in (None, wanted_clip):
+        raise ArgumentError(
+            f"the network was trained with inputs clipped as {known!r}, by its own account; found {wanted_clip!r}: "
+            "leave --clip (clip=...) out"
+        )
+    pairs = plan_scoring(request, chosen).pairs
+    require_pairs(request, pairs)
+    folder = Path(out)
+    settings = {
+        "schema": _SCHEMA,
+        **stated,
+        "dataset": request.manifest.name,
+        "manifest_sha256": request.manifest.digest,
+        "levels": chosen.levels,
+        "amplification": chosen.amplification,
+        "clip": wanted_clip,
+        "dtype": dtype,
+        "dark_shading": chosen.dark_shading,
+    }
+    with begun(folder, settings):
+        every = [_file_of(folder, pair, path) for pair in pairs for path in frames_of(pair)]
+        for place in sorted({file.parent for file in every}):
+            if place.is_dir():
+                remove_leftovers(place)
+        units = _units(request, pairs, folder)
+        missing = [_file_of(folder, unit.pair, path) for unit in units for path in unit.missing]
+        work = _Prediction(denoiser, request.folder, folder, chosen, wanted_clip, dtype, request.dark_shading)
+        outcomes = request.workers.attempt(work, units, label="denoising", unit=_unit_name(request))
+        failed: dict[str, list[str]] = {}
+        for one in outcomes:
+            if isinstance(one, Failed):
+                failed.setdefault(one.reason, []).append(one.unit.path)
+        written = sum(file.exists() for file in missing)
+    several = f"{_unit_name(request)}s"
+    problems = tuple(
+        f"{paths[0]}: {reason}" if len(paths) == 1 else f"{len(paths)} {several}, such as {paths[0]}: {reason}"
+        for reason, paths in failed.items()
+    )
+    return PredictionReport(folder, written, len(every) - len(missing), problems)
+
+
+def _unit_name(request: Request) -> str:
+    return "frame" if request.kind is IMAGES else "clip"
+
+
+def _units(request: Request, pairs: Sequence[Pair], folder: Path) -> list[_Unit]:
+    """Return the pairs and windows of which predictions are missing, with the clips that they are of."""
+    clips: dict[str, Clip] = {}
+    if request.kind is not IMAGES:
+        scenes = {pair.scene for pair in pairs}
+        rows = [row for row in request.manifest.records if row.scene in scenes]
+        clips = {clip.scene: clip for clip in clips_of(expand(rows, request.folder))}
+    units = []
+    for pair in pairs:
+        missing = tuple(path for path in frames_of(pair) if not _file_of(folder, pair, path).exists())
+        if missing:
+            units.append(_Unit(pair, missing, clips.get(pair.scene)))
+    return units
+
+
+def _file_of(folder: Path, pair: Pair, path: str) -> Path:
+    return folder / f"{stem_of(place_of(pair, path))}.npy"
+
+
+@dataclass(frozen=True, slots=True)
+class _Unit:
+    """A pair, or a window of a clip, and those of its frames that are to be predicted."""
+
+    pair: Pair
+    missing: tuple[str, ...]
+    clip: Clip | None
+
+    @property
+    def path(self) -> str:
+        """Its first frame."""
+        return self.pair.path
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Prediction:
+    """The work on one unit: from raw files to the predictions' files."""
+
+    denoiser: Denoiser
+    dataset: Path
+    out: Path
+    protocol: ScoringProtocol
+    clip: ClipRange
+    dtype: PixelType
+    dark_shading: Path | None
+
+    def __call__(self, unit: _Unit) -> None:
+        pair = unit.pair
+        require_files(inside(self.dataset, pair.path), inside(self.dataset, pair.reference or pair.path))
+        frames = _Frames(self, pair, unit.clip)
+        for path in unit.missing:
+            frame = frames.frame(path)
+            predicted = np.asarray(self.denoiser(frame))
+            if predicted.shape != frame.image.shape:
+                raise DatasetError(
+                    f"the denoiser made {predicted.shape} of a frame of {frame.image.shape}; it has to keep the shape"
+                )
+            unusable = int(np.count_nonzero(~np.isfinite(predicted)))
+            if unusable:
+                raise DatasetError(f"the denoiser made {unusable} of {predicted.size} values NaN or infinite")
+            if self.dtype == "uint16":
+                predicted = np.rint(np.clip(predicted, 0.0, 1.0) * 65535)
+            save_prediction(self.out, place_of(pair, path), predicted.astype(self.dtype))
+
+
+class _Frames:
+    """The frames of a pair or of a clip, each read once for all windows that it is in."""
+
+    def __init__(self, work: _Prediction, pair: Pair, clip: Clip | None) -> None:
+        self._work, self._pair, self._clip = work, pair, clip
+        self._read: dict[str, NoisyFrame] = {}
+
+    def frame(self, path: str) -> NoisyFrame:
+        """Return a frame as a denoiser gets it."""
+        if path not in self._read:
+            self._read[path] = self._taken(path)
+        return self._read[path]
+
+    def _taken(self, path: str) -> NoisyFrame:
+        work, pair = self._work, self._pair
+        near = partial(self._window, path)
+        noisy = inside(work.dataset, path)
+        if work.protocol.pixels == "rgb":  # amplified by its authors
+            return NoisyFrame(rgb_frame(noisy), 1.0, math.nan, pair, path, None, near)
+        frame = read_raw(noisy)
+        ratio = amplified_by(pair, work.protocol.amplification)
+        if ratio is None:
+            ratio = float(exposure_ratio(read_header(inside(work.dataset, pair.reference or path)), frame))
+        corrected = work.dark_shading is not None
+        taken = less_shading(frame, dark_shading_in(work.dark_shading), path) if work.dark_shading else frame
+        image = normalised_frame(taken, work.protocol.levels, clip=work.clip, gain=ratio, corrected=corrected)
+        black, white = levels_dn(frame, work.protocol.levels)
+        iso = iso_of(pair) or float(frame.exposure.iso or 0)
+        return NoisyFrame(image, ratio, white[0] - float(np.mean(black)), pair, path, iso or None, near)
+
+    def _window(self, path: str, length: int) -> Values:
+        if self._clip is None:
+            raise DatasetError(f"{path}: is a photograph alone; a window of {length} frames needs a clip")
+        frames = [self.frame(name).image for name in mirrored_window(self._clip, path, length)]
+        unlike = {frame.shape for frame in frames}
+        if len(unlike) > 1:
+            raise DatasetError(
+                f"clip {self._clip.scene}: its frames have sizes {sorted(unlike)}; are they of one clip?"
+            )
+        return np.stack(frames)
+
+
+def mirrored_window(clip: Clip, path: str, length: int) -> tuple[str, ...]:
+    """Return the frames around one of a clip, that one in the middle; at the clip's ends those inside are mirrored.
+
+    Of frames 0, 1, 2 ... the window of five around 0 is 2, 1, 0, 1, 2, as in the published code of FastDVDnet.
+
+    Raises
+    ------
+    ArgumentError
+        If the length is even.
+    DatasetError
+        If the clip is too short to be mirrored, or a number is missing between the frames.
+    """
+    half, last = checked_window(length) // 2, len(clip.frames) - 1
+    place = clip.frames.index(path)
+    if half > last:
+        raise DatasetError(
+            f"clip {clip.scene}: has {last + 1} frames; a window of {length} needs {half + 1}, mirrored at its ends"
+        )
+    if not clip.continuous(max(place - half, 0), min(place + half, last) + 1):
+        raise DatasetError(f"clip {clip.scene}: a number is missing near {path}; eldata verify finds gaps")
+    around = (abs(step) for step in range(place - half, place + half + 1))
+    return tuple(clip.frames[last - abs(last - step)] for step in around)

@@ -1,0 +1,183 @@
+"""The paper's networks: a U-Net from packed raw to packed raw, and of five frames of a clip, a cascade of such."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import torch
+from torch import nn
+
+from eldata.base.seeds import checked_seed, purpose_sequence
+from eldata.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+_SLOPE = 0.2  # of the leaky ReLUs
+_WEIGHTS = 6  # keeps these random numbers apart from those of items, order, workers and turns
+
+
+class UNet(nn.Module):
+    """The U-Net of C. Chen et al. (CVPR 2018), which K. Wei et al. (TPAMI 2021) train from raw to raw.
+
+    Two 3 x 3 convolutions a level, 2 x 2 maxima down, 2 x 2 transposed convolutions up, leaky ReLUs of slope 0.2, and a
+    1 x 1 convolution at the end; no normalisation layers. It predicts the clean image itself. With the published width
+    32 and depth 4 it has 7.8 million parameters.
+
+    Parameters
+    ----------
+    channels
+        Of the packed input and output: 4 for Bayer, 9 for X-Trans.
+    width
+        Channels of the first level; each level has twice those of the one above.
+    depth
+        How often the image is halved: heights and widths are multiples of 2^depth (:attr:`multiple`).
+    seed
+        Of the first weights.
+    inputs
+        Channels of the input, where it has others than the output, such as those of several frames.
+    residual
+        Predict what the input is off by, at first nothing, which the published network does not.
+    bias
+        Whether its layers add constants. Without them the prediction of a brighter image is the brighter prediction,
+        and a blind network carries over to noise that it was not trained on (S. Mohan et al., ICLR 2020).
+
+    Raises
+    ------
+    ArgumentError
+        If a number is out of its range, or a residual network has other inputs than outputs.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from eldata.baselines import UNet
+    >>> UNet(4, width=8, depth=2, seed=0)(torch.zeros(1, 4, 32, 32)).shape
+    torch.Size([1, 4, 32, 32])
+    """
+
+    window = 1  # frames that it takes
+
+    def __init__(
+        self,
+        channels: int = 4,
+        *,
+        width: int = 32,
+        depth: int = 4,
+        seed: int = 0,
+        inputs: int | None = None,
+        residual: bool = False,
+        bias: bool = True,
+    ) -> None:
+        super().__init__()
+        taken = channels if inputs is None else inputs
+        if residual and taken != channels:
+            raise ArgumentError(f"a residual network has as many inputs as outputs; found {taken} and {channels}")
+        if min(channels, width, taken) < 1 or depth < 0:
+            raise ArgumentError(
+                f"channels and width are 1 or more, depth is 0 or more; found {channels}, {width}, {depth}"
+            )
+        self.channels, self.width, self.depth, self.residual = channels, width, depth, residual
+        widths = [width << level for level in range(depth + 1)]
+        self.down = nn.ModuleList(
+            _two(before, after, bias=bias)
+            for before, after in zip([taken, *widths], widths)  # noqa: B905
+        )
+        self.up = nn.ModuleList(nn.ConvTranspose2d(2 * one, one, 2, stride=2, bias=bias) for one in widths[-2::-1])
+        self.merge = nn.ModuleList(_two(2 * one, one, bias=bias) for one in widths[-2::-1])
+        self.last = nn.Conv2d(width, channels, 1, bias=bias)
+        draw_weights(self, seed, last=(self.last,))
+        if residual:
+            nn.init.zeros_(self.last.weight)
+
+    @property
+    def multiple(self) -> int:
+        """What heights and widths are multiples of."""
+        return 1 << self.depth
+
+    def forward(self, noisy: torch.Tensor) -> torch.Tensor:
+        """Return an estimate of the clean images, (N, C, h, w) float32, of noisy ones."""
+        features, above = noisy, []
+        for level, convolutions in enumerate(self.down):
+            if level:
+                features = nn.functional.max_pool2d(features, 2)
+            features = convolutions(features)
+            above.append(features)
+        above.pop()
+        for enlarge, convolutions in zip(self.up, self.merge, strict=True):
+            features = convolutions(torch.cat([enlarge(features), above.pop()], dim=1))
+        made: torch.Tensor = self.last(features)
+        return noisy - made if self.residual else made
+
+
+class FastDVDnet(nn.Module):
+    """A network of five frames of a clip in the manner of FastDVDnet (M. Tassano et al., CVPR 2020).
+
+    Two steps, no motion estimation. A small U-Net takes frames 0 to 2, 1 to 3 and 2 to 4, with the same weights each
+    time, and a second one takes the three results; each predicts what its middle frame is off by. Theirs is for sRGB
+    with a noise map, with normalisation layers, strided convolutions and sums in place of joined features; here both
+    are :class:`UNet`, which halves its image twice as theirs does, on packed raw, and blind to the noise level as the
+    paper's networks are. Their weights do not fit.
+
+    Parameters
+    ----------
+    channels, width, depth, seed
+        As :class:`UNet` has them; with the published width and depth and 4 channels it has 938,440 parameters.
+
+    Raises
+    ------
+    ArgumentError
+        If a number is out of its range.
+    """
+
+    window = 5
+
+    def __init__(self, channels: int = 4, *, width: int = 32, depth: int = 2, seed: int = 0) -> None:
+        super().__init__()
+        self.first = UNet(channels, width=width, depth=depth, inputs=3 * channels)
+        self.second = UNet(channels, width=width, depth=depth, inputs=3 * channels)
+        # Drawn anew as one: two blocks of one seed would begin alike. At first nothing is taken off the middle frame:
+        # with drawn last layers, 240 steps of the study in tests/baselines/test_clips.py gained 0.7 dB.
+        draw_weights(self, seed)
+        for block in (self.first, self.second):
+            nn.init.zeros_(block.last.weight)
+
+    @property
+    def multiple(self) -> int:
+        """What heights and widths are multiples of."""
+        return self.first.multiple
+
+    def forward(self, noisy: torch.Tensor) -> torch.Tensor:
+        """Return an estimate of the clean middle frames, (N, C, h, w) float32, of windows (N, 5, C, h, w)."""
+        threes = torch.cat([noisy[:, start : start + 3] for start in range(3)])  # one call for all: faster
+        near = _corrected(self.first, threes).chunk(3)
+        return _corrected(self.second, torch.stack(near, dim=1))
+
+
+def _corrected(block: UNet, three: torch.Tensor) -> torch.Tensor:
+    corrected: torch.Tensor = three[:, 1] - block(three.flatten(1, 2))
+    return corrected
+
+
+def draw_weights(network: nn.Module, seed: int, *, last: Collection[nn.Module] = ()) -> None:
+    """Draw the first weights: He's, so that features keep their size from layer to layer; ``last`` have no ReLU."""
+    numbers = purpose_sequence(checked_seed(seed), 0, _WEIGHTS).generate_state(1, "uint64")
+    generator = torch.Generator().manual_seed(int(numbers[0] >> 1))
+    for layer in network.modules():
+        if isinstance(layer, nn.Conv2d | nn.ConvTranspose2d):
+            # What adds up in one output value: of a transposed convolution, whose steps do not overlap, one tap.
+            taps = layer.in_channels * (math.prod(layer.kernel_size) if isinstance(layer, nn.Conv2d) else 1)
+            gain = 1.0 if layer in last or isinstance(layer, nn.ConvTranspose2d) else 2 / (1 + _SLOPE**2)
+            with torch.no_grad():
+                layer.weight.normal_(0.0, math.sqrt(gain / taps), generator=generator)
+                if layer.bias is not None:
+                    layer.bias.zero_()
+
+
+def _two(before: int, after: int, *, bias: bool) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Conv2d(before, after, 3, padding=1, bias=bias),
+        nn.LeakyReLU(_SLOPE),
+        nn.Conv2d(after, after, 3, padding=1, bias=bias),
+        nn.LeakyReLU(_SLOPE),
+    )

@@ -1,0 +1,105 @@
+"""`eldata baseline`: a data set through a denoiser that needs no training."""
+
+from __future__ import annotations
+
+import shlex
+from typing import TYPE_CHECKING, Any
+
+from eldata.base.console import OK, PROBLEMS, add_cameras, add_root, add_shared, chosen_workers
+
+if TYPE_CHECKING:
+    import argparse
+
+NAMES = ("input", "gaussian", "wavelet", "dct", "bm3d", "anscombe-bm3d")
+
+_EXAMPLE = "eldata baseline anscombe-bm3d --dataset eld --root data -o preds/bm3d"
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add this command."""
+    parser = commands.add_parser(
+        "baseline",
+        help="denoise a dataset without a network, for the other rows of a table",
+        description=(
+            "Denoise each noisy frame that a protocol scores by a method without training, and write the predictions "
+            "that eldata evaluate reads. input is the amplified frame itself; gaussian a filter; wavelet, BayesShrink "
+            "(scikit-image); dct, sliding-window thresholding; bm3d takes one noise level for a frame, anscombe-bm3d "
+            "stabilises the variance first. Both need the bm3d package, which its authors allow for non-commercial "
+            "use only. Predictions that are there are kept, so that interrupted work goes on."
+        ),
+    )
+    parser.add_argument("name", metavar="NAME", choices=NAMES, help=", ".join(NAMES))
+    add_choice(parser)
+    parser.add_argument(
+        "--profile",
+        action="append",
+        default=[],
+        dest="profiles",
+        metavar="P",
+        help="the camera's noise: a shipped profile (SonyA7S2) or a JSON file; once for each camera. Without it the "
+        "noise is estimated from each frame",
+    )
+    kept = "{out} keeps the finished predictions, and the same command goes on"
+    add_shared(parser, run, "workers", "isolation", interrupted=kept, example=_EXAMPLE)
+
+
+def add_choice(parser: argparse.ArgumentParser) -> None:
+    """Add what predictions are made of, where they go, and in which form."""
+    which = parser.add_mutually_exclusive_group(required=True)
+    which.add_argument("--dataset", metavar="N", help="name of a dataset that eldata knows, such as eld")
+    which.add_argument("--manifest", metavar="FILE", help="manifest of a set of your own")
+    parser.add_argument("-o", "--out", metavar="PREDS", required=True, help="a new folder for the predictions")
+    parser.add_argument(
+        "--protocol",
+        metavar="P",
+        help="whose pairs, levels and amplification to take (default: the dataset's own, such as eld or sid)",
+    )
+    parser.add_argument("--subset", metavar="NAME", help="which of the dataset's named choices of pairs or clips")
+    parser.add_argument(
+        "--id", action="append", dest="ids", metavar="ID", help="only this clip, in place of a subset; may be repeated"
+    )
+    parser.add_argument(
+        "--dark-shading",
+        metavar="FILE",
+        help="take this dark shading (eldata calibrate --dark-shading) off the inputs; give it to eldata evaluate, too",
+    )
+    add_root(parser)
+    add_cameras(parser)
+    parser.add_argument(
+        "--dtype",
+        choices=("float32", "float16", "uint16"),
+        default="float32",
+        help="of the files; uint16 (65535 = 1.0) takes half of the space (default: %(default)s)",
+    )
+
+
+def chosen_options(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return what :func:`add_choice` has added, as keyword arguments."""
+    names = ("manifest", "root", "cameras", "subset", "ids", "protocol", "dtype", "dark_shading")
+    return {name: getattr(arguments, name) for name in names}
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run this command."""
+    from eldata.baselines.predicting import BaselineDenoiser, write_predictions
+    from eldata.noise.profile import CameraProfile
+
+    denoiser = BaselineDenoiser(arguments.name, tuple(CameraProfile.load(name) for name in arguments.profiles))
+    with chosen_workers(arguments) as workers:
+        report = write_predictions(
+            denoiser, arguments.dataset or "", arguments.out, workers=workers, **chosen_options(arguments)
+        )
+    print(report.format_text())
+    print(scoring_line(arguments))
+    return PROBLEMS if report.problems else OK
+
+
+def scoring_line(arguments: argparse.Namespace) -> str:
+    """Return the command that scores what was written."""
+    given = ("dataset", "manifest", "protocol", "subset", "root", "dark_shading")
+    options = [
+        f"--{name.replace('_', '-')} {shlex.quote(value)}" for name in given if (value := getattr(arguments, name))
+    ]
+    cameras = [f"--camera {shlex.quote(camera)}" for camera in arguments.cameras or ()]
+    clips = [f"--clip {shlex.quote(clip)}" for clip in arguments.ids or ()]
+    return " ".join(["to score: eldata evaluate", shlex.quote(arguments.out), *options, *cameras, *clips])

@@ -1,0 +1,97 @@
+"""`eldata predict`: a data set through a network from a file."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from eldata.base.console import OK, PROBLEMS, add_shared, whole_number
+from eldata.cli.baseline import add_choice, chosen_options, scoring_line
+
+if TYPE_CHECKING:
+    import argparse
+
+_EXAMPLE = "eldata predict model.pt --dataset eld --root data -o preds/mine"
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add this command."""
+    parser = commands.add_parser(
+        "predict",
+        help="run a network over a dataset, in tiles",
+        description=(
+            "Run a network over each noisy frame that a protocol scores, of photographs or of clips, and write the "
+            "predictions that eldata evaluate reads. The network takes (1, C, h, w) float32, packed, normalised and "
+            "amplified, and returns the same shape; one of clips takes a window (1, T, C, h, w) and returns its middle "
+            "frame, and at a clip's ends the frames inside are mirrored. Predictions that are there are kept, so that "
+            "interrupted work goes on."
+        ),
+    )
+    parser.add_argument(
+        "model",
+        metavar="MODEL",
+        help="a TorchScript file (.pt), one of torch.export (.pt2) or ONNX (.onnx); or package.module:name, a "
+        "torch.nn.Module or what makes one",
+    )
+    add_choice(parser)
+    parser.add_argument(
+        "--weights", metavar="FILE", help="state dict for package.module:name: safetensors, or a torch checkpoint"
+    )
+    parser.add_argument(
+        "--clip",
+        choices=("protocol", "none", "upper", "both"),
+        help="of the input, before and after it is amplified: as the protocol has it, or none, which keeps the "
+        "negative half of the read noise; take what the network was trained with (default: what its file records, "
+        "else protocol)",
+    )
+    parser.add_argument(
+        "--window",
+        type=whole_number(1),
+        metavar="T",
+        help="frames of a clip that the network takes, an odd number (default: what the network states, else 1)",
+    )
+    parser.add_argument(
+        "--tile",
+        type=whole_number(0),
+        default=1024,
+        metavar="PX",
+        help="packed pixels; 0: whole frames (default: 1024)",
+    )
+    parser.add_argument(
+        "--overlap",
+        type=whole_number(0),
+        default=128,
+        metavar="PX",
+        help="of tiles; four times the network's reach makes them equal to the whole frame (default: 128)",
+    )
+    parser.add_argument(
+        "--multiple",
+        type=whole_number(1),
+        metavar="M",
+        help="sides and places of tiles are multiples of it: 16 for a network that halves its image four times "
+        "(default: what the network states, else 16)",
+    )
+    parser.add_argument(
+        "--device", default="auto", metavar="D", help="cpu, cuda, or auto (default: a GPU if there is one)"
+    )
+    parser.add_argument(
+        "--precision",
+        choices=("float32", "bfloat16", "float16"),
+        default="float32",
+        help="mixed precision by torch's autocast (default: %(default)s)",
+    )
+    kept = "{out} keeps the finished predictions, and the same command goes on"
+    add_shared(parser, run, "isolation", interrupted=kept, example=_EXAMPLE)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run this command."""
+    from eldata.baselines.networks import load_network
+    from eldata.baselines.predicting import write_predictions
+
+    options = ("weights", "device", "precision", "tile", "overlap", "multiple", "window")
+    network = load_network(arguments.model, **{name: getattr(arguments, name) for name in options})
+    clip = arguments.clip or network.clip or "protocol"
+    report = write_predictions(network, arguments.dataset or "", arguments.out, clip=clip, **chosen_options(arguments))
+    print(report.format_text())
+    print(scoring_line(arguments))
+    return PROBLEMS if report.problems else OK

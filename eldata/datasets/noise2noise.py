@@ -1,0 +1,108 @@
+"""Pairs of two noisy frames of one scene, for training without a clean one."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from eldata.base.seeds import item_generator
+from eldata.datasets.base import SIDES, PairItem, Sample
+from eldata.datasets.items import Part, ReadItems
+from eldata.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from eldata.datasets.base import OpenedPair, SourcePairs
+    from eldata.datasets.crops import Crop
+    from eldata.records import Sensor
+
+
+class _Item(NamedTuple):
+    """One item: a pair whose noisy frame is the input, and another one whose noisy frame is the target."""
+
+    pair: OpenedPair
+    other: OpenedPair
+    crop: Crop
+
+
+class Noise2Noise(ReadItems[_Item, Sample]):
+    """Two noisy frames of one scene, ISO and ratio: the input, and in place of the clean target another one.
+
+    J. Lehtinen et al., ICML 2018, and the row of that name in K. Wei et al., TPAMI 2021. The samples are those of the
+    pairs but for ``target``, a noisy frame that is drawn for the item, amplified like the input; ``path`` is the
+    input's. Targets whose negative read noise is clipped off are too bright where it is dark, and the network learns
+    that: give the pairs ``clip="none"``, and test on the same.
+
+    Parameters
+    ----------
+    pairs
+        Of a source that reads parts, such as :class:`~eldata.datasets.PackedStore`. Those whose scene has no other
+        noisy frame of their ISO and ratio are left out.
+
+    Raises
+    ------
+    ArgumentError
+        If the source decodes whole files, or no scene has two such frames.
+    """
+
+    def __init__(self, pairs: SourcePairs) -> None:
+        if not pairs.reads_parts:
+            raise ArgumentError("Noise2Noise reads two noisy frames of a scene at once: pack the dataset, eldata pack")
+        self.pairs = pairs
+        self.source, self.clip = pairs.source, pairs.clip
+        groups: dict[object, list[int]] = defaultdict(list)
+        for number, record in enumerate(pairs.records):
+            groups[record.camera, record.reference, record.iso, record.ratio].append(number)
+        self._groups = [group for group in groups.values() if len(group) > 1]
+        self._members = [(group, place) for group in self._groups for place in range(len(group))]
+        if not self._members:
+            raise ArgumentError(
+                "Noise2Noise needs two noisy frames of a scene at one ISO and ratio; of "
+                f"{len(pairs.records)} pairs none has another one"
+            )
+
+    def __len__(self) -> int:
+        return len(self._members) * self.pairs.crops_per_frame
+
+    @property
+    def may_differ(self) -> bool:
+        """As that of the pairs."""
+        return self.pairs.may_differ
+
+    def item(self, index: int) -> _Item:
+        """Draw an item from (seed, epoch, index): a crop of a pair, and another pair of its scene."""
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"index {index} is outside of {len(self)} items")
+        index %= len(self)
+        group, place = self._members[index % len(self._members)]
+        generator = item_generator(self.pairs.seed, self.pairs.epoch, index)
+        step = 1 + int(generator.integers(len(group) - 1))
+        pair, crop = self.pairs.drawn(group[place], generator)
+        other, _ = self.pairs.drawn(group[(place + step) % len(group)], generator)
+        return _Item(pair, other, crop)
+
+    def shapes(self, item: _Item) -> dict[str, tuple[int, ...]]:
+        """Return the shapes of input and target."""
+        return dict.fromkeys(SIDES, item.crop.packed_shape)
+
+    def parts(self, item: _Item) -> Iterator[Part]:
+        """Yield both noisy frames, each times its ratio."""
+        for side, pair in (("input", item.pair), ("target", item.other)):
+            noisy = self.pairs.parts(PairItem(pair, item.crop))
+            yield from (part._replace(tensor=side) for part in noisy if part.tensor == "input")
+
+    def sensor(self, item: _Item) -> Sensor | None:
+        """Return the sensor of the pair's reference."""
+        return item.pair.target.sensor
+
+    def outline(self) -> list[tuple[str, str]]:
+        """Return what the dataset is: two noisy frames of each of these pairs."""
+        return [("noisy frames", str(len(self._members))), *self.pairs.outline()]
+
+    def facts(self, item: _Item) -> dict[str, Any]:
+        """Return the fields of a :class:`~eldata.datasets.base.Sample` that are not tensors."""
+        return self.pairs.facts(PairItem(item.pair, item.crop))
+
+    def __repr__(self) -> str:
+        return f"Noise2Noise({len(self._members)} noisy frames of {len(self._groups)} exposures; {self.pairs!r})"

@@ -1,0 +1,182 @@
+"""Several folders of predictions, one of each method: scored in one pass, held against each other, written beside."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Unpack
+
+from eldata.base.files import folder_problem, path_problem, remove_leftovers, write_json, write_problem
+from eldata.base.workers import accepts_jobs
+from eldata.errors import ArgumentError, EldataError
+from eldata.evaluation.comparison import Method, compare
+from eldata.evaluation.evaluate import perform_each
+from eldata.evaluation.request import ALL, EvaluationOptions, Request, make_request, of_folder
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from eldata.evaluation.combined import CombinedResult
+    from eldata.evaluation.comparison import Comparison
+    from eldata.evaluation.results import EvaluationResult
+    from eldata.protocols.protocol import Protocol
+
+COMPARISON = "comparison"
+"""What the files of the comparison are called, so that no method is."""
+
+
+@accepts_jobs
+def evaluate_methods(
+    predictions: Mapping[str, Path | str] | Iterable[Path | str],
+    dataset: str = "eld",
+    *,
+    protocol: str | Path | Protocol | None = None,
+    **options: Unpack[EvaluationOptions],
+) -> dict[str, EvaluationResult]:
+    """Score several folders of predictions in one pass over the dataset: each raw file is decoded once for all.
+
+    Parameters
+    ----------
+    predictions
+        The folder of each method by its name; or folders, whose own names are the methods'.
+    dataset, protocol, **options
+        As for :func:`eldata.evaluate`; there is no ``baseline``.
+
+    Returns
+    -------
+    dict
+        The result of each, by name, in their order: what :func:`eldata.evaluate` gives of its folder alone. What is
+        wrong with the predictions of one is a problem of its own result, and costs the others nothing.
+        :func:`eldata.evaluation.compare` holds them against each other.
+
+    Raises
+    ------
+    ArgumentError
+        If two have one name, or a name cannot be that of a file.
+    EldataError, DatasetError, ManifestError
+        Like :func:`eldata.evaluate`.
+
+    Examples
+    --------
+    >>> from eldata.baselines import BaselineDenoiser, write_predictions
+    >>> from eldata.evaluation import evaluate_methods
+    >>> demo = {"manifest": "eldata-demo/manifests/eld-demo.csv", "root": "eldata-demo/data"}
+    >>> for name in ("input", "dct"):
+    ...     report = write_predictions(BaselineDenoiser(name), "", f"preds/{name}", **demo)
+    >>> results = evaluate_methods(["preds/input", "preds/dct"], **demo)
+    >>> {name: round(float(result.frame["psnr_db"].mean()), 2) for name, result in results.items()}
+    {'input': 29.02, 'dct': 39.03}
+    """
+    if protocol == ALL:
+        raise ArgumentError("evaluate_methods() scores under one protocol; the command eldata evaluate does under all")
+    if isinstance(predictions, Mapping):
+        folders = named_folders([Path(folder) for folder in predictions.values()], list(predictions))
+    else:
+        folders = named_folders([Path(folder) for folder in predictions])
+    combined = perform_each(requests_of(folders, dataset, protocol, options))
+    return {name: one.results[0] for name, one in zip(folders, combined, strict=True)}
+
+
+def named_folders(folders: Sequence[Path], names: Sequence[str] = ()) -> dict[str, Path]:
+    """Return folders by the names of their methods, by default their own.
+
+    Raises
+    ------
+    ArgumentError
+        If there is none, two have one name, a name cannot be that of a file, or there are not as many names as folders.
+    EldataError
+        If a folder is not there.
+    """
+    if not folders:
+        raise ArgumentError("expected one folder of predictions or more, found none")
+    if names and len(names) != len(folders):
+        raise ArgumentError(
+            f"expected one name (--name) per folder, or none; found {len(names)} for {len(folders)} folders"
+        )
+    found: dict[str, Path] = {}
+    taken: dict[str, Path] = {COMPARISON: Path()}
+    for folder, name in zip(folders, names or [folder.resolve().name for folder in folders], strict=True):
+        problem = folder_problem(folder)
+        if problem is not None:
+            raise EldataError(f"{folder}: {problem}")
+        if not name or "/" in name or name.startswith(".") or path_problem(name) is not None:
+            raise ArgumentError(f"{folder}: {name!r} cannot be the name of a file; give it another with --name")
+        other = taken.setdefault(name.casefold(), folder)
+        if name.casefold() == COMPARISON:
+            raise ArgumentError(f"{folder}: {name!r} is what the comparison is called; give it another with --name")
+        if name in found or other != folder:
+            raise ArgumentError(
+                f"{other} and {folder} would both be called {name!r}; give each a --name, in the order of the folders"
+            )
+        found[name] = folder
+    return found
+
+
+def requests_of(
+    folders: Mapping[str, Path], dataset: str, protocol: str | Path | Protocol | None, options: EvaluationOptions
+) -> list[Request]:
+    """Return a request for each folder; raises like :func:`~eldata.evaluation.request.make_request`."""
+    first, *others = folders.values()
+    request = make_request(first, dataset, protocol, options)
+    return [request, *(of_folder(request, folder) for folder in others)]
+
+
+@dataclass(frozen=True, slots=True)
+class ScoredMethods:
+    """The results of several folders, by the names of the methods.
+
+    ``comparison``: of those that have scores, with the first of them, under the first protocol; ``None`` where there is
+    none to be made, and ``why_not``.
+    """
+
+    results: Mapping[str, CombinedResult]
+    comparison: Comparison | None
+    why_not: str = ""
+
+    @classmethod
+    def of(cls, results: Mapping[str, CombinedResult]) -> ScoredMethods:
+        """Return results with their comparison."""
+        scored = {name: of.results[0] for name, of in results.items() if of.results[0].scored}
+        if len(results) < 2:
+            return cls(results, None)
+        if len(scored) < 2:
+            who = f"{', '.join(scored)} alone has" if scored else "no method has"
+            return cls(results, None, f"there is nothing to compare: {who} scores")
+        try:
+            return cls(results, compare([Method(name, result) for name, result in scored.items()]))
+        except EldataError as error:
+            return cls(results, None, str(error))
+
+    @property
+    def all_well(self) -> bool:
+        """Whether every method was scored without a problem."""
+        return all(of.scored and not of.problems for of in self.results.values())
+
+    def write(self, folder: Path) -> None:
+        """Write NAME.json and NAME.csv of each method, and comparison.json; each whole or not at all."""
+        remove_leftovers(folder)
+        for name, of in self.results.items():
+            whole = of if len(of.results) > 1 or of.not_scored else of.results[0]
+            whole.write_json(folder / f"{name}.json")
+            whole.write_csv(folder / f"{name}.csv")
+        if self.comparison is not None:
+            write_json(folder / f"{COMPARISON}.json", self.comparison.as_dict())
+
+
+def results_folder(folder: Path, names: Iterable[str]) -> None:
+    """Make the folder of results, before there are any.
+
+    Raises
+    ------
+    ArgumentError
+        If it cannot be made, or a file cannot be written in it.
+    """
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise ArgumentError(f"cannot write {folder}: {error.strerror}; give a folder, in one that is there") from error
+    for name in (*names, COMPARISON):
+        problem = write_problem(folder / f"{name}.json")
+        if problem is not None:
+            raise ArgumentError(f"cannot write {folder / name}.json: {problem}")

@@ -1,0 +1,219 @@
+"""A dataset's own frames, for scoring: decoded from its raw files, or read from a store that holds the same pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+from eldata.base.files import inside
+from eldata.base.png import rgb_frame
+from eldata.base.workers import require_files
+from eldata.errors import DatasetError, RawFileError
+from eldata.evaluation.references import rendered_reference
+from eldata.manifest.clip_checks import size_findings
+from eldata.manifest.patterns import RowFinding
+from eldata.manifest.verify import header_findings, ratio_findings
+from eldata.manifest.verify_report import Problem
+from eldata.records import RawFrame, RawHeader
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from eldata.manifest.catalogue import Manifest
+    from eldata.records import FrameRecord
+    from eldata.sources.store.format import StoredFrame
+    from eldata.sources.store.read import PixelReader
+
+_AGAIN = "pack the dataset again (eldata pack)"
+
+
+@dataclass(frozen=True, slots=True)
+class Originals:
+    """Where a dataset's frames come from.
+
+    Attributes
+    ----------
+    folder
+        The dataset's, absolute.
+    store
+        The store that is read in place of its files, absolute; ``None``: the files are decoded.
+    held
+        What the store holds of the frames that are asked for, by their paths.
+    """
+
+    folder: Path
+    store: Path | None = None
+    held: Mapping[str, StoredFrame] = field(default_factory=dict)
+
+    @classmethod
+    def opened(cls, folder: Path, store: Path | None) -> Originals:
+        """Return all frames of a dataset whose files, or store, an evaluation has checked."""
+        from eldata.sources.store.read import open_store
+
+        held = {} if store is None else {frame.path: frame for frame in open_store(store).frames}
+        return cls(folder.absolute(), None if store is None else store.absolute(), held)
+
+    def of(self, paths: Collection[str]) -> Originals:
+        """Return the same for these frames alone: what a worker gets."""
+        return self if self.store is None else replace(self, held={path: self.held[path] for path in paths})
+
+    def place(self, path: str) -> Path:
+        """Return what messages call a frame.
+
+        Raises
+        ------
+        ManifestError
+            If a file's path leads out of the folder.
+        """
+        return inside(self.folder, path) if self.store is None else self.store / path
+
+    def require(self, path: str) -> None:
+        """Raise :class:`~eldata.errors.UnseenFileError` unless this machine sees where a frame is read from."""
+        require_files(self.place(path) if self.store is None else self.store)
+
+    def raw(self, path: str) -> RawFrame:
+        """Return a decoded frame.
+
+        Raises
+        ------
+        RawFileError
+            If it cannot be decoded; or if the store's pixels are not those that were packed.
+        """
+        from eldata.raw.reading import read_raw
+
+        if self.store is None:
+            return read_raw(self.place(path))
+        return _stored_frame(self.store, self.held[path])
+
+    def header(self, path: str) -> RawHeader:
+        """Return what a frame's file says of itself."""
+        from eldata.raw.reading import read_header
+
+        return read_header(self.place(path)) if self.store is None else _header(self.store, self.held[path])
+
+    def rgb(self, path: str) -> NDArray[np.float32]:
+        """Return a frame of preprocessed RGB, (3, h, w) in [0, 1]; of files alone."""
+        return rgb_frame(self.place(path))
+
+    def rendered(self, path: str) -> NDArray[np.float32]:
+        """Return LibRaw's rendering of a raw file, (3, H, W) in [0, 1]; of files alone."""
+        return rendered_reference(self.place(path))
+
+
+def _stored_frame(store: Path, held: StoredFrame) -> RawFrame:
+    from eldata.sources.store.build import pixels_digest
+    from eldata.sources.store.format import StoreError
+
+    place, (height, width) = store / held.path, held.shape
+    try:
+        mosaic = _reader(store).read(held.key, range(height), range(width))
+    except StoreError as error:
+        raise RawFileError(place, f"cannot be read from the store: {error.reason}") from error
+    if pixels_digest(mosaic) != held.sha256:
+        raise RawFileError(place, "the store's pixels are not those that were packed; copy or pack it again")
+    return RawFrame(place, mosaic, held.sensor, held.exposure, held.channel_white_levels_dn)
+
+
+def _header(store: Path, held: StoredFrame) -> RawHeader:
+    return RawHeader(store / held.path, held.sensor.make, held.sensor.model, held.exposure)
+
+
+@lru_cache(maxsize=4)
+def _reader(store: Path) -> PixelReader:
+    """Return the reader of a store, which keeps it open; pixels of one that was replaced have another digest."""
+    from eldata.sources.store.read import PixelReader
+
+    return PixelReader(store)
+
+
+# --- is a store one of these files? -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedOriginals:
+    """Frames that were found to be those of a manifest.
+
+    ``store``: what a result says of the store that they come from; empty of files.
+    """
+
+    originals: Originals
+    store: dict[str, str] = field(default_factory=dict)
+
+
+def store_of(manifest: Manifest, folder: Path, store: Path, records: Sequence[FrameRecord]) -> CheckedOriginals:
+    """Return a store in place of the raw files of these rows.
+
+    What ``eldata verify --level metadata`` compares of files is compared of what the store kept of them: their size,
+    camera, ISO, exposure and ratio; and their digest, where the manifest states it. A raw file that lies in the
+    dataset's folder has to have the size of the one that was packed.
+
+    Raises
+    ------
+    StoreError, ArgumentError
+        If it is not a store that can be read.
+    DatasetError
+        If it lacks a frame, holds other than whole mosaics in DN, was packed from other files, or by version 0.1.
+    """
+    from eldata.sources.store.checks import structure_problems
+    from eldata.sources.store.read import open_store
+
+    opened = open_store(store)
+    held = {frame.path: frame for frame in opened.frames}
+    wanted = {record.path: record for record in records}
+    lacking = [path for path in wanted if path not in held]
+    if lacking:
+        raise DatasetError(
+            f"{store}: holds {opened.dataset}, and lacks {len(lacking)} of the {len(wanted)} frames that are to be "
+            f"scored, such as {lacking[0]}; pack them all, or score the files (without --store)"
+        )
+    taken = {path: held[path] for path in wanted}
+    _refuse(store, (problem for problem in structure_problems(opened) if problem.path in taken))
+    old = [path for path, frame in taken.items() if frame.file is None]
+    if old:
+        raise DatasetError(
+            f"{store}: does not say which files it was packed from ({len(old)} frames, such as {old[0]}): version 0.1 "
+            f"did not keep that; {_AGAIN}"
+        )
+    findings = [finding for path, record in wanted.items() for finding in _file_findings(folder, record, taken[path])]
+    products = {}
+    for path, record in wanted.items():
+        found, products[path] = header_findings(
+            _header(store, taken[path]), record, manifest.card.cameras[record.camera].models
+        )
+        findings += found
+    findings += ratio_findings(tuple(wanted.values()), products)
+    _refuse(store, (Problem.of(manifest.name, finding) for finding in findings))
+    decoders = sorted({frame.file.decoder for frame in taken.values() if frame.file is not None})
+    return CheckedOriginals(
+        Originals(folder.absolute(), store.absolute(), taken),
+        {"file": str(store), "digest": opened.digest, "decoded_by": ", ".join(decoders)},
+    )
+
+
+def _refuse(store: Path, problems: Iterable[Problem]) -> None:
+    listed = list(problems)
+    if listed:
+        more = f" (and {len(listed) - 1} more)" if len(listed) > 1 else ""
+        raise DatasetError(f"{store}: is not of the files that the manifest lists: {listed[0]}{more}")
+
+
+def _file_findings(folder: Path, record: FrameRecord, held: StoredFrame) -> Iterator[RowFinding]:
+    """Compare the file that a frame was packed from with its row, and with the one that lies in the folder, if any."""
+    file = held.file
+    if file is None:
+        return
+    if record.sha256 not in (None, file.sha256):
+        yield RowFinding(record.path, "sha256", record.sha256 or "", file.sha256, f"another file was packed: {_AGAIN}")
+    elif record.size_bytes not in (None, file.size_bytes):
+        sizes = f"{record.size_bytes} bytes", f"{file.size_bytes} bytes"
+        yield RowFinding(record.path, "size_bytes", *sizes, f"another file was packed: {_AGAIN}")
+    yield from size_findings(record, held.sensor.width, held.sensor.height, _AGAIN)
+    there = folder / record.path
+    if there.is_file() and there.stat().st_size != file.size_bytes:
+        sizes = f"the packed file's {file.size_bytes} bytes", f"{there.stat().st_size} bytes in {folder}"
+        yield RowFinding(record.path, "size_bytes", *sizes, f"the file is another since it was packed: {_AGAIN}")

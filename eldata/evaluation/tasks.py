@@ -1,0 +1,168 @@
+"""Tasks of the user's own: a function of (prediction, reference) scored on the same pairs as PSNR."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import numbers
+import pickle
+import traceback
+from dataclasses import dataclass
+from functools import partial
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+
+from eldata.base.files import sha256_of
+from eldata.base.naming import named_object
+from eldata.base.tensors import is_tensor
+from eldata.base.visible import in_line
+from eldata.errors import ArgumentError, FileError, check_choice
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    Image = NDArray[np.float32]
+    TaskFunction = Callable[[Image, Image], float]
+
+TaskImages = Literal["compared", "packed", "srgb"]
+
+_LONGEST_LABEL = 40  # it heads a column
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """A function of a prediction and its reference, which is scored beside PSNR and SSIM.
+
+    It is called as ``function(prediction, reference)`` with arrays (C, h, w) float32 of the region that the protocol
+    scores, which it may write to, the prediction clamped and rescaled as the protocol has it. It returns a finite
+    number, always the same for the same images. For worker processes it stands at the top level of a module.
+
+    Attributes
+    ----------
+    function
+        The function, or an object with ``__call__``.
+    images
+        ``"srgb"``: renderings (3, h, w) in R, G, B, of 256 levels in [0, 1], as protocol sid-srgb makes them of packed
+        raw. ``"packed"``: packed raw (C, h, w), 1.0 the white level. ``"compared"``: what the protocol compares, which
+        is either of these, or (3, h, w) of preprocessed RGB.
+    higher_is_better
+        Whether a higher value is the better one.
+    label
+        The head of its column; by default the function's name.
+    version
+        What decides its values beside its source, such as the digest of a detector's weights; it is recorded.
+    """
+
+    function: TaskFunction
+    images: TaskImages = "compared"
+    higher_is_better: bool = True
+    label: str = ""
+    version: str = ""
+
+    def __post_init__(self) -> None:
+        if isinstance(self.function, type) or not callable(self.function):
+            raise ArgumentError(f"a task is a function of (prediction, reference); {self.function!r:.100} is not one")
+        check_choice("images", self.images, get_args(TaskImages))
+        if not self.label:
+            object.__setattr__(self, "label", self.place.rpartition(":")[2].rpartition(".")[2])
+        if len(self.label) > _LONGEST_LABEL or in_line(self.label) != self.label:
+            raise ArgumentError(f"a task's label is one line of at most {_LONGEST_LABEL} characters: {self.label!r}")
+        try:
+            inspect.signature(self.function).bind(None, None)
+        except ValueError:  # compiled code need not state it
+            return
+        except TypeError as error:
+            raise ArgumentError(f"{self.place} cannot be called with (prediction, reference): {error}") from error
+
+    @classmethod
+    def of(cls, given: Task | TaskFunction | str) -> Task:
+        """Return what the argument ``task`` means: a task, a function with the defaults, or the name of either.
+
+        Raises
+        ------
+        ArgumentError
+            If what ``package.module:name`` names cannot be imported, or is not a function of two images.
+        """
+        found = named_object(given) if isinstance(given, str) else given
+        if isinstance(found, Task):
+            return found
+        if isinstance(given, str) and (isinstance(found, type) or not callable(found)):
+            kind = "a class" if isinstance(found, type) else type(found).__name__
+            raise ArgumentError(f"{given} is {kind}; a task is a function of (prediction, reference), or a Task of one")
+        return cls(found)
+
+    @property
+    def place(self) -> str:
+        """``module:name`` of the function, or of the class of an object."""
+        source = self._source
+        return f"{getattr(source, '__module__', None)}:{source.__qualname__}"
+
+    @property
+    def _source(self) -> Any:
+        """What has a name and a source: of an object, its class."""
+        found: Any = self.function
+        while isinstance(found, partial):
+            found = found.func
+        found = inspect.unwrap(found)
+        return found if hasattr(found, "__qualname__") else type(found)
+
+    @property
+    def provenance(self) -> dict[str, Any]:
+        """What decides its values, of plain types; ``None`` where it is not known."""
+        try:
+            file = inspect.getsourcefile(self._source)
+        except TypeError:  # built in
+            file = None
+        stated: str | None = self.version
+        if not stated:
+            try:
+                stated = version(self.place.partition(":")[0].partition(".")[0])
+            except PackageNotFoundError:
+                stated = None
+        return {
+            "callable": self.place,
+            "source_sha256": sha256_of(Path(file)) if file is not None and Path(file).is_file() else None,
+            "version": stated,
+            "label": self.label,
+            "images": self.images,
+            "higher_is_better": self.higher_is_better,
+        }
+
+    def check_transportable(self) -> None:
+        """Raise :class:`ArgumentError` if worker processes cannot have it."""
+        try:
+            pickle.dumps(self)
+        except Exception as error:  # pickling raises whatever the object's own methods do
+            raise ArgumentError(
+                f"the task {self.place} cannot be sent to worker processes ({in_line(str(error))}): define it at the "
+                "top level of a module, or work in one process (--jobs 1, workers=1)"
+            ) from error
+
+    def score(self, prediction: NDArray[Any], reference: NDArray[Any], path: str) -> float:
+        """Return its value for one frame; ``path`` is the frame's, for messages.
+
+        Raises
+        ------
+        FileError
+            Of the frame, if the function raises, or returns what is not a finite number.
+        """
+        try:
+            made: Any = self.function(np.array(prediction, np.float32), np.array(reference, np.float32))
+        except Exception as error:  # whatever a function of somebody's own raises is this frame's problem
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            said = in_line(f"{type(error).__name__}: {error}" if str(error) else type(error).__name__)
+            where = f"{Path(place.filename).name}, line {place.lineno}"
+            raise FileError(path, f"the task {self.place} raised {said} ({where})") from error
+        if is_tensor(made):
+            made = made.detach().cpu().numpy()
+        if isinstance(made, (np.ndarray, np.generic)) and made.ndim == 0:
+            made = made.item()
+        if not isinstance(made, numbers.Real) or not math.isfinite(made):
+            found = repr(made) if isinstance(made, numbers.Real) else type(made).__name__
+            raise FileError(path, f"the task {self.place} returned {found}; expected a finite number")
+        return float(made)

@@ -1,0 +1,149 @@
+"""What verifying files finds: records of problems, by data set, and their text."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+from eldata.base.fields import fraction_of
+from eldata.base.numbers import counted
+from eldata.base.visible import in_line
+from eldata.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from eldata.manifest.patterns import RowFinding
+
+Level = Literal["quick", "metadata", "full"]
+LEVELS: tuple[Level, ...] = get_args(Level)
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One thing that is wrong: where, what was expected, what was found, what to do."""
+
+    dataset: str
+    path: str
+    field: str
+    expected: str
+    found: str
+    advice: str
+
+    def __str__(self) -> str:
+        return in_line(f"{self.path}: {self.field}: expected {self.expected}, found {self.found}; {self.advice}")
+
+    @classmethod
+    def of(cls, dataset: str, finding: RowFinding) -> Problem:
+        """Say of which dataset a finding is."""
+        return cls(dataset, finding.path, finding.field, finding.expected, finding.found, finding.advice)
+
+    def format_text(self) -> str:
+        """Return the problem as four lines."""
+        return (
+            f"{in_line(self.path)}: {self.field}\n    expected  {in_line(self.expected)}\n    found     "
+            f"{in_line(self.found)}\n    to do     {in_line(self.advice)}"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class DatasetReport:
+    """What was found of one dataset. ``absent``: its folder is not there, and nothing was checked."""
+
+    dataset: str
+    folder: Path
+    absent: bool
+    homepage: str
+    files_listed: int
+    files_checked: int
+    files_hashed: int
+    problems: tuple[Problem, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class VerifyReport:
+    """The result of :func:`verify`."""
+
+    level: Level
+    datasets: tuple[DatasetReport, ...]
+
+    @property
+    def problems(self) -> tuple[Problem, ...]:
+        """All problems of all datasets."""
+        return tuple(problem for report in self.datasets for problem in report.problems)
+
+    @property
+    def ok(self) -> bool:
+        """Whether something was verified and no problem was found."""
+        return not self.problems and any(report.files_checked for report in self.datasets)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the report as plain JSON types."""
+        datasets = [asdict(report) | {"folder": str(report.folder)} for report in self.datasets]
+        return {"level": self.level, "ok": self.ok, "datasets": datasets}
+
+    def format_text(self) -> str:
+        """Return the report as text: each problem by file, then one line per dataset.
+
+        Settings that are off by the same factor in many files, such as every exposure by 20 %, are one problem and a
+        count; :attr:`problems` has each.
+        """
+        lines = [_of_several(alike) for alike in _alike(self.problems)]
+        for dataset in self.datasets:
+            if dataset.absent:
+                lines.append(
+                    f"{dataset.dataset}: absent (no folder {dataset.folder}); where to get it: {dataset.homepage}"
+                )
+                continue
+            count = len(dataset.problems)
+            verdict = "all well" if not count else counted(count, "problem")
+            lines.append(
+                f"{dataset.dataset}: {dataset.files_checked} of {dataset.files_listed} files checked ({self.level}) in "
+                f"{dataset.folder}: {verdict}"
+            )
+            if self.level == "full" and dataset.files_hashed < dataset.files_checked:
+                lines.append(
+                    f"    {dataset.files_checked - dataset.files_hashed} files have no recorded hash and were decoded "
+                    "instead; eldata lock records hashes from a copy that you trust"
+                )
+        if all(dataset.absent for dataset in self.datasets):
+            lines.append("nothing was verified; --root names the folder that holds the datasets")
+        return "\n".join(lines)
+
+
+_MANY = 8  # files with the same wrong setting are one problem in the text
+
+
+def _alike(problems: Sequence[Problem]) -> list[list[Problem]]:
+    """Return problems in their order, those of many files together whose setting is off by the same factor."""
+    groups: dict[object, list[Problem]] = {}
+    for problem in problems:
+        factor = _factor(problem)
+        key = problem if factor is None else (problem.dataset, problem.field, problem.advice, factor)
+        groups.setdefault(key, []).append(problem)
+    found: list[list[Problem]] = []
+    for alike in groups.values():
+        found += [alike] if len(alike) >= _MANY else [[one] for one in alike]
+    place = {problem: index for index, problem in enumerate(problems)}
+    return sorted(found, key=lambda alike: place[alike[0]])
+
+
+def _factor(problem: Problem) -> int | None:
+    """Return by how much a number is off what was expected, in percent; ``None`` if it is not about a number."""
+    if problem.field not in ("iso", "exposure_s", "ratio"):
+        return None
+    try:
+        expected, found = (fraction_of(text.split(" ")[0], above=0) for text in (problem.expected, problem.found))
+    except ArgumentError:
+        return None
+    return round(100 * found / expected)
+
+
+def _of_several(alike: Sequence[Problem]) -> str:
+    first = alike[0]
+    if len(alike) == 1:
+        return first.format_text()
+    many = f"{first.path} and {len(alike) - 1} others alike"
+    share = f"{first.found} there; in all {len(alike)} files {_factor(first)} % of what is expected"
+    return replace(first, path=many, found=share).format_text()

@@ -1,0 +1,599 @@
+"""Clips: the loss, the network of five frames, training to the bit, and predictions of a data set of clips."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import subprocess
+import sys
+import threading
+import zipfile
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import torch
+from scipy.ndimage import gaussian_filter
+from torch.utils.flop_counter import FlopCounterMode
+
+from eldata.base.files import wait_for_lock, write_json
+from eldata.baselines import FastDVDnet, NetworkDenoiser, Training, UNet, clip_error, load_network, save_network
+from eldata.baselines.consistency import consistent_error
+from eldata.baselines.predicting import BaselineDenoiser, mirrored_window, write_predictions
+from eldata.baselines.prediction_folder import begun
+from eldata.baselines.tiling import tiled
+from eldata.baselines.unet import draw_weights
+from eldata.cli.main import main
+from eldata.datasets import ArrayClips, SyntheticClips, training_loader
+from eldata.datasets.drv import DRVDataset, DRVRawDataset
+from eldata.errors import ArgumentError, DatasetError, EldataError
+from eldata.evaluation.evaluate import evaluate
+from eldata.evaluation.request import SETTINGS
+from eldata.manifest.clips import Clip
+from eldata.manifest.drv import scan_raw
+from eldata.metrics.st_rred import raw_to_grey, st_rred
+from tests.cases import in_one_test
+from tests.drv_tree import SmallDrv, small_drv, write_raw_clip
+from tests.waiting import PATIENCE_S
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from eldata.baselines.predicting import NoisyFrame
+
+ROOT = Path(__file__).parents[2]
+MORTAL = """
+import os, signal
+
+left = int(os.environ.get("DIES_AT", "1000"))
+
+def network(window):
+    global left
+    left -= 1
+    if not left:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return 0.5 * window[:, 2]
+"""
+HERE = "tests.baselines.test_clips"
+CLIPS = ("0007", "0013")
+SIZE = (48, 56)
+STUDY_STEPS = 240
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    """Networks this small are trained fastest by one thread, and far faster on a machine that is busy."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+# --- the loss ---------------------------------------------------------------------------------------------------------
+
+
+def by_hand(noisy: NDArray[Any], clean: NDArray[Any], network: Any, window: int, weight: float) -> float:
+    """The loss of a batch, clip by clip, frame by frame and value by value, in float64."""
+    recovery = differing = 0.0
+    clips, frames = noisy.shape[:2]
+    starts = (0, frames - window)
+    for clip in range(clips):
+        off = []
+        for start in starts:
+            target = clean[clip] if clean.ndim == 4 else clean[clip][start + window // 2]
+            made = network(noisy[clip, start : start + window])
+            off.append(made.astype(np.float64) - target)
+            recovery += float(np.mean(np.abs(off[-1])))
+        differing += float(np.mean(np.abs(off[0] - off[1])))
+    return float((recovery + weight * differing) / clips)
+
+
+@pytest.mark.parametrize(("window", "frames"), [(1, 2), (1, 4), (3, 4), (5, 6)])
+@pytest.mark.parametrize("is_still", [True, False])
+def test_the_loss_is_that_of_its_formula(window: int, frames: int, is_still: bool) -> None:
+    rng = np.random.default_rng(window + frames)
+    noisy = rng.random((3, frames, 4, 6, 5))
+    clean = rng.random((3, 4, 6, 5) if is_still else noisy.shape)
+
+    def network(batch: torch.Tensor) -> torch.Tensor:
+        assert batch.shape == ((6, 4, 6, 5) if window == 1 else (6, window, 4, 6, 5))
+        return batch**2 if window == 1 else (batch[:, window // 2] + batch[:, 0] * batch[:, -1])
+
+    def same(frames: NDArray[Any]) -> NDArray[Any]:
+        made: NDArray[Any] = frames[0] ** 2 if window == 1 else frames[window // 2] + frames[0] * frames[-1]
+        return made
+
+    batch = {"input": torch.from_numpy(noisy), "target": torch.from_numpy(clean)}
+    for weight in (0.0, 0.05, 2.0):
+        found = clip_error(network, batch, window=window, weight=weight)  # type: ignore[arg-type] # a function will do
+        assert found.item() == pytest.approx(by_hand(noisy, clean, same, window, weight), rel=1e-12)
+
+
+def test_of_a_still_it_is_the_published_loss() -> None:
+    """|f1 - y| + |f2 - y| + 0.05 |f1 - f2|, and what moves as the clean frames move is not flicker."""
+    first, second, clean = torch.rand(3, 2, 4, 5, 6, generator=torch.Generator().manual_seed(3)).double()
+    expected = (first - clean).abs().mean() + (second - clean).abs().mean() + 0.05 * (first - second).abs().mean()
+    assert consistent_error(first, second, clean, clean).item() == pytest.approx(expected.item(), rel=1e-12)
+    moved = consistent_error(first + 1, second + 1, first, second, weight=7.0)
+    assert moved.item() == pytest.approx(2.0, rel=1e-12)
+
+
+def test_batches_that_make_no_two_windows_are_refused() -> None:
+    batch = {"input": torch.zeros(2, 5, 4, 8, 8), "target": torch.zeros(2, 4, 8, 8)}
+    with pytest.raises(ArgumentError, match=r"clips of 6 frames or more, .*; found \(2, 5, 4, 8, 8\)"):
+        clip_error(FastDVDnet(width=4), batch, window=5)
+    with pytest.raises(ArgumentError, match="number is odd; found 4"):
+        clip_error(FastDVDnet(width=4), batch, window=4)
+    with pytest.raises(ArgumentError, match="weight is 0 or more"):
+        clip_error(UNet(width=4, depth=1), batch, window=1, weight=-1.0)
+
+
+# --- the network ------------------------------------------------------------------------------------------------------
+
+
+def test_the_cascade_is_two_blocks_of_which_the_first_sees_three_windows() -> None:
+    network = FastDVDnet(3, width=4, seed=2)
+    frames = torch.rand(2, 5, 3, 8, 12, generator=torch.Generator().manual_seed(0))
+    first, second = (block.down[0][0].weight.clone() for block in (network.first, network.second))  # type: ignore[index]
+    with torch.inference_mode():
+        assert torch.equal(network(frames), frames[:, 2])
+        drawn(network)
+        near = [
+            frames[:, k + 1] - network.first(torch.cat([frames[:, k], frames[:, k + 1], frames[:, k + 2]], dim=1))
+            for k in range(3)
+        ]
+        expected = near[1] - network.second(torch.cat(near, dim=1))
+        torch.testing.assert_close(network(frames), expected, rtol=0, atol=1e-6)
+    assert not torch.equal(first, second)
+    assert torch.equal(first, FastDVDnet(3, width=4, seed=2).first.down[0][0].weight)  # type: ignore[index]
+    assert not torch.equal(first, FastDVDnet(3, width=4, seed=3).first.down[0][0].weight)  # type: ignore[index]
+    pairs = [(12, 32), (32, 32), (32, 64), (64, 64), (64, 128), (128, 128), (128, 64), (64, 64), (64, 32), (32, 32)]
+    block = sum((9 * a + 1) * b for a, b in pairs) + (4 * 128 + 1) * 64 + (4 * 64 + 1) * 32 + 33 * 4
+    assert sum(one.numel() for one in FastDVDnet().parameters()) == 2 * block == 938_440  # as its docstring says
+
+
+# --- training ---------------------------------------------------------------------------------------------------------
+
+
+def clips() -> SyntheticClips:
+    """Four clips of eight frames of waves that move, with the noise of a camera."""
+    rng = np.random.default_rng(3)
+    phase, turns = rng.uniform(0, 6, (2, 4, 1, 4, 1, 1))
+    along = 0.25 * np.arange(8)[:, None, None, None] + np.linspace(0, 3, 40)[:, None]
+    clean = 0.3 + 0.25 * np.sin(phase + turns * along / 3 + np.linspace(0, 3, 40))
+    frames = ArrayClips(list(clean.astype(np.float32)), range_dn=15871.0)
+    return SyntheticClips(frames, "SonyA7S2", frames=6, windows_per_clip=2, crop=16, ratio=200.0, iso=1600, seed=5)
+
+
+def training(network: torch.nn.Module, steps: int = 11, **options: Any) -> Training:
+    window = getattr(network, "window")  # noqa: B009 # of either class
+    loss = options.pop("loss", partial(clip_error, window=window))
+    loader = training_loader(clips(), 2, seed=1, workers=0)
+    return Training(network, loader, steps=steps, learning_rate=options.pop("learning_rate", 3e-3), loss=loss)
+
+
+@pytest.mark.parametrize("is_single", [False, True])
+def test_the_loss_falls(is_single: bool) -> None:
+    """Four steps an epoch. The cascade from drawn weights: from its own, the input's error falls slowly."""
+    network = UNet(width=6, depth=1) if is_single else drawn(FastDVDnet(width=6, depth=1))
+    losses = [report.loss for report in training(network, steps=40, learning_rate=1e-2).epochs()]
+    assert len(losses) == 10
+    assert np.mean(losses[-3:]) < 0.7 * losses[0]
+
+
+def test_a_training_of_clips_that_was_ended_goes_on_to_the_bit(tmp_path: Path) -> None:
+    straight = training(FastDVDnet(width=4, depth=1))
+    assert len(list(straight.epochs())) == 3
+    taken = 0
+
+    def stopping(network: torch.nn.Module, batch: Any) -> torch.Tensor:
+        nonlocal taken
+        taken += 1
+        if taken == 7:
+            raise KeyboardInterrupt
+        return clip_error(network, batch, window=5)
+
+    with pytest.raises(KeyboardInterrupt):
+        list(training(FastDVDnet(width=4, depth=1), loss=stopping).epochs(tmp_path / "c.pt", save_every=3))
+    again = training(FastDVDnet(width=4, depth=1, seed=9))
+    assert [report.epoch for report in again.epochs(tmp_path / "c.pt", save_every=3)] == [1, 2]
+    found, expected = again.network.state_dict(), straight.network.state_dict()
+    assert all(torch.equal(found[name], expected[name]) for name in expected)
+
+
+# --- predictions ------------------------------------------------------------------------------------------------------
+
+
+def drawn(network: FastDVDnet) -> FastDVDnet:
+    """The network with every weight drawn: at first it predicts the middle frame as it is."""
+    draw_weights(network, 4)
+    return network
+
+
+def small_network() -> FastDVDnet:
+    return drawn(FastDVDnet(3, width=3, depth=1))
+
+
+def later(window: torch.Tensor) -> torch.Tensor:
+    """Of a window of three frames (1, 3, C, h, w) the last one, darker."""
+    return 0.5 * window[:, 2]
+
+
+@pytest.fixture(scope="module")
+def drv(tmp_path_factory: pytest.TempPathFactory) -> SmallDrv:
+    """Two static clips of eleven frames, of which the fifth to the ninth are scored."""
+    return small_drv(tmp_path_factory.mktemp("drv"), CLIPS, 11, size=SIZE)
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The small network's file. Not to be changed."""
+    path = tmp_path_factory.mktemp("exported") / "net.pt2"
+    save_network(small_network(), path, channels=3, multiple=2, window=5, clip="none")
+    return path
+
+
+def of_set(drv: SmallDrv) -> dict[str, Any]:
+    return {"manifest": drv.csv, "root": drv.root, "ids": list(CLIPS)}
+
+
+@pytest.mark.parametrize("kind", ["module", "script", "export"])
+def test_predictions_of_clips_are_the_networks_own(kind: str, drv: SmallDrv, exported: Path, tmp_path: Path) -> None:
+    network = small_network().eval()
+    if kind == "module":
+        name, window = f"{HERE}:small_network", None
+    elif kind == "script":
+        name, window = str(tmp_path / "net.pt"), 5
+        with pytest.warns(DeprecationWarning, match="torch.jit"):
+            torch.jit.save(torch.jit.trace(network, torch.zeros(1, 5, 3, 12, 14)), name)  # type: ignore[no-untyped-call]
+    else:
+        name, window = str(exported), None
+    loaded = load_network(name, window=window, multiple=2, device="cpu")
+    assert (loaded.window, loaded.multiple) == (5, 2)
+    report = write_predictions(loaded, "", tmp_path / "p", **of_set(drv))
+    assert (report.written, report.kept, report.problems) == (10, 0, ())
+    everything = DRVDataset(drv.data, manifest=drv.csv, window=11, ids=CLIPS)
+    for sample in everything:
+        frames = sample["input"]
+        for number in range(4, 9):
+            with torch.inference_mode():
+                expected = network(frames[None, number - 2 : number + 3])[0].numpy()
+            found = np.load(tmp_path / "p" / sample["scene"] / f"{number + 1:04d}.npy")
+            np.testing.assert_allclose(found, expected, atol=2e-6)
+
+
+def test_frames_by_themselves_and_raw_clips(tmp_path: Path) -> None:
+    """A network of single frames goes over clips frame by frame; what it gets of raws is the input that is scored."""
+    data = tmp_path / "data" / "DRV"
+    for clip in CLIPS:
+        write_raw_clip(data, clip, 9)
+    scan_raw(data).save(tmp_path / "raw.csv")
+    options: dict[str, Any] = {"manifest": tmp_path / "raw.csv", "root": tmp_path / "data"}
+    report = write_predictions(BaselineDenoiser("input"), "", tmp_path / "p", clip="protocol", ids=CLIPS, **options)
+    assert (report.written, report.problems) == (10, ())
+    ours = evaluate(tmp_path / "p", ids=CLIPS, **options)
+    theirs = evaluate(None, baseline="input", ids=CLIPS, **options)
+    assert [one.psnr_db for one in ours.videos] == [one.psnr_db for one in theirs.videos]
+    assert [one.st_rred for one in ours.videos] == [one.st_rred for one in theirs.videos]
+
+    window = load_network(f"{HERE}:later", window=3, device="cpu", multiple=1)
+    write_predictions(window, "", tmp_path / "w", clip="none", ids=["0007"], **options)
+    sample = DRVRawDataset(data, ids=["0007"], window=9, clip="none")[0]
+    names = [f"DSC{998 + number:05d}.npy" for number in range(4, 9)]
+    nexts = [5, 6, 7, 8, 7]  # of the last frame the mirrored one
+    for name, number in zip(names, nexts, strict=True):
+        found = np.load(tmp_path / "w" / "0007" / name)
+        np.testing.assert_array_equal(found, 0.5 * sample["input"][number].numpy())
+
+
+def test_windows_are_mirrored_at_the_ends() -> None:
+    """Held against numpy's own mirroring."""
+    for count in (3, 4, 7):
+        clip = Clip("0001", "test", "", tuple(f"{k}.png" for k in range(count)), tuple(range(count)), None)
+        for length in (1, 3, 5):
+            padded = np.pad(np.arange(count), length // 2, mode="reflect")
+            for place in range(count):
+                expected = [f"{k}.png" for k in padded[place : place + length]]
+                assert list(mirrored_window(clip, f"{place}.png", length)) == expected
+    with pytest.raises(DatasetError, match="clip 0001: has 3 frames; a window of 7 needs 4"):
+        mirrored_window(Clip("0001", "test", "", ("a1", "a2", "a3"), (1, 2, 3), None), "a1", 7)
+    gapped = Clip("0001", "test", "", ("a1", "a2", "a4"), (1, 2, 4), None)
+    assert mirrored_window(gapped, "a1", 3) == ("a2", "a1", "a2")
+    with pytest.raises(DatasetError, match="clip 0001: a number is missing near a2"):
+        mirrored_window(gapped, "a2", 3)
+
+
+def test_tiles_of_a_clip_are_the_whole_frame() -> None:
+    """One block of depth 1 reaches 9 pixels, two of them 18; a quarter of an overlap of 80 is 20."""
+    network = drawn(FastDVDnet(4, width=3, depth=1)).eval()
+    frames = np.random.default_rng(0).random((5, 4, 210, 187)).astype(np.float32)
+
+    def run(window: NDArray[np.float32]) -> NDArray[np.float32]:
+        with torch.inference_mode():
+            return np.asarray(network(torch.from_numpy(window)[None])[0].numpy())
+
+    class Frame:
+        image = frames[2]
+
+        def window(self, length: int) -> NDArray[np.float32]:
+            assert length == 5
+            return frames
+
+    frame: NoisyFrame = Frame()  # type: ignore[assignment] # as much of it as a network asks for
+    whole = NetworkDenoiser(run, {}, tile=0, multiple=2, window=5)(frame)
+    assert whole.shape == (4, 210, 187)
+    padded = np.pad(frames, ((0, 0), (0, 0), (0, 0), (0, 1)), mode="reflect")
+    np.testing.assert_allclose(whole, run(padded)[:, :, :187], atol=1e-6)
+    for tile in (160, 192):
+        found = NetworkDenoiser(run, {}, tile=tile, overlap=80, multiple=2, window=5)(frame)
+        assert np.abs(found - whole).max() < 5e-6
+    narrow = NetworkDenoiser(run, {}, tile=160, overlap=8, multiple=2, window=5)(frame)
+    assert np.abs(narrow - whole).max() > 1e-5  # so the bound above can fail
+    with pytest.raises(ArgumentError, match="it made"):
+        tiled(lambda part: part[:, 1:], frames[2], tile=0, overlap=0, multiple=1)
+
+
+def test_a_clip_that_was_begun_goes_on_frame_by_frame(drv: SmallDrv, tmp_path: Path) -> None:
+    out = tmp_path / "p"
+    write_predictions(load_network(f"{HERE}:later", window=3, multiple=1), "", out, **of_set(drv))
+    files = sorted(out.rglob("*.npy"))
+    before = [(file.stat().st_mtime_ns, file.read_bytes()) for file in files]
+    files[2].unlink()
+    files[7].unlink()
+    report = write_predictions(load_network(f"{HERE}:later", window=3, multiple=1), "", out, **of_set(drv))
+    assert (report.written, report.kept) == (2, 8)
+    assert len(evaluate(out, **of_set(drv)).videos) == 2
+    assert [file.read_bytes() for file in files] == [content for _, content in before]
+    kept = [k for k in range(10) if k not in (2, 7)]
+    assert [files[k].stat().st_mtime_ns for k in kept] == [before[k][0] for k in kept]
+    with pytest.raises(ArgumentError, match="another window: expected 1, found 3"):
+        write_predictions(load_network(f"{HERE}:later", multiple=1), "", out, **of_set(drv))
+
+
+@pytest.mark.study
+def test_a_command_that_was_killed_goes_on_and_scores(drv: SmallDrv, tmp_path: Path) -> None:
+    """kill -9 as the network gets its fourth window; then the same command."""
+    (tmp_path / "mine.py").write_text(MORTAL, encoding="utf-8")
+    out = tmp_path / "p"
+    choice = ["--manifest", str(drv.csv), "--root", str(drv.root), "--id", "0007", "--id", "0013"]
+    command = [sys.executable, "-m", "eldata.cli.main", "predict", "mine:network", "--window", "3", "--multiple", "1"]
+
+    def run(**variables: str) -> subprocess.CompletedProcess[str]:
+        environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT), **variables}
+        options: dict[str, Any] = {"capture_output": True, "text": True, "timeout": PATIENCE_S, "cwd": tmp_path}
+        return subprocess.run([*command, *choice, "-o", str(out), "--device", "cpu"], env=environment, **options)
+
+    killed = run(DIES_AT="4")
+    assert killed.returncode == -9
+    assert len(list(out.rglob("*.npy"))) == 3
+    done = run()
+    assert done.returncode == 0, done.stderr
+    first, second = done.stdout.splitlines()
+    assert first == f"7 frames predicted, 3 were there: {out}"
+    assert second.endswith("--clip 0007 --clip 0013")
+    write_predictions(load_network(f"{HERE}:later", window=3, multiple=1), "", tmp_path / "q", **of_set(drv))
+    for file in sorted(out.rglob("*.npy")):
+        assert file.read_bytes() == (tmp_path / "q" / file.relative_to(out)).read_bytes()
+    assert main(shlex.split(second.removeprefix("to score: "))[1:]) == 0
+
+
+# --- what networks state ----------------------------------------------------------------------------------------------
+
+
+def test_a_file_records_what_its_network_takes_and_others_are_refused(
+    drv: SmallDrv, exported: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = exported
+    loaded = load_network(str(path), device="cpu")
+    assert (loaded.window, loaded.multiple, loaded.clip) == (5, 2, "none")
+    assert load_network(str(path), multiple=8, device="cpu").multiple == 8
+    choice = ["--manifest", str(drv.csv), "--root", str(drv.root), "--id", "0007", "-o", str(tmp_path / "p")]
+    for options, said in (
+        (["--window", "3"], "takes windows of 5 frames, by its own account; found --window 3: leave it out"),
+        (["--multiple", "3"], "takes sides that are multiples of 2, by its own account; found --multiple 3"),
+        (["--clip", "both"], "was trained with inputs clipped as 'none', by its own account; found 'both'"),
+        (["--clip", "protocol"], "was trained with inputs clipped as 'none'"),
+    ):
+        assert main(["predict", str(path), *choice, *options]) == 2
+        error = capsys.readouterr().err
+        assert said in error
+        assert error.count("\n") == 1
+        assert not (tmp_path / "p").exists()
+    assert main(["predict", str(path), *choice]) == 0
+    assert json.loads((tmp_path / "p" / SETTINGS).read_text(encoding="utf-8"))["clip"] == "none"
+    with pytest.raises(ArgumentError, match="number is odd; found 4"):
+        load_network(f"{HERE}:later", window=4)
+
+
+def test_a_network_of_clips_is_refused_where_there_are_photographs(
+    drv: SmallDrv, demo_tree: Path, tmp_path: Path
+) -> None:
+    network = load_network(f"{HERE}:small_network", device="cpu")
+    manifest = next((demo_tree / "manifests").glob("*.csv"))
+    with pytest.raises(ArgumentError, match=r"takes windows of 5 frames of a clip, and .* is a dataset of photographs"):
+        write_predictions(network, "", tmp_path / "p", manifest=manifest, root=demo_tree / "data")
+    assert not (tmp_path / "p").exists()
+
+
+@in_one_test(
+    "record, said",
+    [
+        ('{"schema": 2}', "field schema: expected 1"),
+        ('{"schema": 1, "window": 4}', "field window: expected an odd number of frames, found 4"),
+        ('{"schema": 1, "window": 100000000000}', "field window: expected a whole number"),
+        ('{"schema": 1, "clip": "all"}', "field clip: expected one of"),
+        ('{"schema": 1, "frames": 5}', "field frames: is unknown"),
+        ("{", "is not JSON"),
+    ],
+)
+def test_a_record_that_lies_is_named(record: str, said: str, exported: Path, tmp_path: Path) -> None:
+    with zipfile.ZipFile(exported) as archive, zipfile.ZipFile(tmp_path / "net.pt2", "w") as copy:
+        for name in archive.namelist():
+            copy.writestr(name, record if name.endswith("extra/eldata.json") else archive.read(name))
+    with pytest.raises(EldataError, match=rf"net.pt2, eldata.json.*{said}"):
+        load_network(str(tmp_path / "net.pt2"), device="cpu")
+
+
+class Wide(torch.nn.Conv2d):
+    """A network all of whose arguments have defaults."""
+
+    def __init__(self, channels: int = 3, kernel: int = 1) -> None:
+        super().__init__(channels, channels, kernel)
+
+
+def wide(channels: int = 3) -> Wide:
+    return Wide(channels)
+
+
+def any_images(*images: torch.Tensor) -> torch.Tensor:
+    return images[0] * 2
+
+
+def test_what_makes_a_network_and_what_is_one() -> None:
+    image = np.ones((3, 4, 4), np.float32)
+    for name in ("Wide", "wide"):
+        assert load_network(f"{HERE}:{name}", device="cpu").run(image).shape == (3, 4, 4)
+    np.testing.assert_array_equal(load_network(f"{HERE}:any_images", device="cpu").run(image), 2 * image)
+    np.testing.assert_array_equal(load_network("torch:relu", device="cpu").run(image), image)
+    with pytest.raises(
+        ArgumentError, match=r"torch.nn:Conv2d is a class whose in_channels, out_channels, kernel_size nobody gives"
+    ):
+        load_network("torch.nn:Conv2d", device="cpu")
+
+
+# --- two at once ------------------------------------------------------------------------------------------------------
+
+
+def test_of_two_works_that_begin_one_folder_at_once_one_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second one comes just before the first one writes what it does. Locks are of open files: threads will do."""
+    pytest.importorskip("fcntl")
+    come, decides = threading.Event(), threading.Event()
+    inside: list[str] = []
+    refused: list[str] = []
+
+    def waiting(descriptor: int) -> None:
+        if threading.current_thread() is second:
+            decides.set()
+        wait_for_lock(descriptor)
+
+    def write_slowly(*given: Any) -> None:
+        come.set()
+        if threading.current_thread() is second:  # nothing kept it from writing, too
+            decides.set()
+        assert decides.wait(PATIENCE_S)
+        write_json(*given)
+
+    def work(name: str) -> None:
+        if name == "second":
+            come.wait()
+        try:
+            with begun(tmp_path / "p", {"schema": 1, "denoiser": name}):
+                inside.append(name)
+                if name == "first":
+                    second.join(timeout=PATIENCE_S)
+        except ArgumentError as error:
+            refused.append(str(error))
+
+    monkeypatch.setattr("eldata.baselines.prediction_folder.write_json", write_slowly)
+    monkeypatch.setattr("eldata.baselines.prediction_folder.wait_for_lock", waiting)
+    first, second = (threading.Thread(target=work, args=(name,)) for name in ("first", "second"))
+    second.start()
+    first.start()
+    first.join(timeout=PATIENCE_S)
+    assert inside == ["first"]
+    assert json.loads((tmp_path / "p" / SETTINGS).read_text(encoding="utf-8"))["denoiser"] == "first"
+    assert len(refused) == 1
+    assert "was begun with another denoiser: expected second, found first" in refused[0]
+
+
+def test_the_same_work_may_be_done_by_several(tmp_path: Path) -> None:
+    """And none of them leaves the folder to other work as long as one is there."""
+    pytest.importorskip("fcntl")
+    same = {"schema": 1, "denoiser": "one"}
+    with begun(tmp_path / "p", same):
+        pass
+    second = begun(tmp_path / "p", same)
+    with begun(tmp_path / "p", same):
+        second.__enter__()
+    with pytest.raises(ArgumentError, match="another denoiser"), begun(tmp_path / "p", {**same, "denoiser": "two"}):
+        pass
+    second.__exit__(None, None, None)
+    with begun(tmp_path / "p", {**same, "denoiser": "two"}):
+        assert json.loads((tmp_path / "p" / SETTINGS).read_text(encoding="utf-8"))["denoiser"] == "two"
+
+
+# --- what it is good for ----------------------------------------------------------------------------------------------
+
+
+def moving_clips(count: int, seed: int, frames: int = 9, side: int = 64) -> list[NDArray[np.float32]]:
+    """Blobs with edges of several sizes and colours, which all move by some whole packed pixels a frame."""
+    rng = np.random.default_rng(seed)
+    clips = []
+    for _ in range(count):
+        room = side + 2 * frames
+        scene = np.full((4, room, room), 0.03)
+        for size in (2, 4, 8):
+            field = gaussian_filter(rng.normal(size=(room, room)), size)
+            shape = 1 / (1 + np.exp(-12 * field / field.std() + 6))
+            scene += rng.uniform(0.05, 0.3, (4, 1, 1)) * shape
+        down, right = rng.integers(-2, 3, 2)
+        places = [(frames + down * (t - frames // 2), frames + right * (t - frames // 2)) for t in range(frames)]
+        clips.append(np.stack([scene[:, y : y + side, x : x + side] for y, x in places]).astype(np.float32))
+    return clips
+
+
+def scores(predicted: NDArray[Any], clips: list[NDArray[np.float32]]) -> tuple[NDArray[Any], float]:
+    """PSNR of each clip, dB, and the mean ST-RRED."""
+    clean = np.stack(clips)[:, 2:-2]
+    psnr = -10 * np.log10(np.mean((predicted - clean) ** 2, axis=(1, 2, 3, 4)))
+    grey = [[np.stack([raw_to_grey(frame) for frame in clip]) for clip in one] for one in (predicted, clean)]
+    rred = [st_rred(found, true, peak=1.0).st_rred for found, true in zip(*grey, strict=True)]
+    return psnr, float(np.mean(rred))
+
+
+@pytest.mark.study
+def test_five_frames_and_one_at_equal_cost() -> None:
+    """On 12 moving clips of 5 frames (2 to 6): both gain in PSNR over the input; which is better is printed.
+
+    FastDVDnet of width 8 costs what a U-Net of twice its width does: four blocks a frame. 240 steps are few.
+    """
+    torch.random.set_rng_state(torch.Generator().manual_seed(0).get_state())
+    networks: dict[str, Any] = {"one frame": UNet(4, width=16, depth=2), "five frames": FastDVDnet(4, width=8)}
+    source = ArrayClips(moving_clips(24, seed=1), range_dn=15871.0)
+    tested = moving_clips(12, seed=2)
+    options: dict[str, Any] = {"frames": 9, "crop": 64, "augment": False, "ratio": 200.0, "iso": 3200, "clip": "none"}
+    exposed = SyntheticClips(ArrayClips(tested, range_dn=15871.0), "SonyA7S2", seed=7, **options)
+    noisy = torch.stack([exposed[number]["input"] for number in range(len(tested))])
+    found = {"input": scores(noisy[:, 2:-2].numpy(), tested)}
+    cost = {}
+    for name, network in networks.items():
+        options |= {"frames": network.window + 1, "crop": 32, "augment": True}
+        data = SyntheticClips(source, "SonyA7S2", windows_per_clip=4, seed=3, **options)
+        loader = training_loader(data, 4, seed=1, workers=0)
+        loss = partial(clip_error, window=network.window)
+        list(Training(network, loader, steps=STUDY_STEPS, learning_rate=2e-3, loss=loss).epochs())
+        network.eval()
+        with torch.inference_mode(), FlopCounterMode(display=False) as flops:
+            if network.window == 1:
+                made = torch.stack([network(frame) for frame in noisy[:, 2:-2].unbind(1)], dim=1)
+            else:
+                made = torch.stack([network(noisy[:, k : k + 5]) for k in range(5)], dim=1)
+        cost[name] = flops.get_total_flops() / made[:, :, 0].numel() / 1000
+        found[name] = scores(made.numpy(), tested)
+        print(f"{name}: {cost[name]:.2f} thousand operations a packed pixel")
+    for name, (psnr, rred) in found.items():
+        print(f"{name}: {psnr.mean():.2f} dB, ST-RRED {rred:.3f}")
+    for better, than in (("one frame", "input"), ("five frames", "input"), ("five frames", "one frame")):
+        gain = found[better][0] - found[than][0]
+        error = gain.std(ddof=1) / np.sqrt(len(gain))
+        print(f"{better} over {than}: {gain.mean():+.2f} dB, standard error {error:.2f}")
+        if than == "input":
+            assert gain.mean() > 3 * error
+    assert cost["five frames"] == pytest.approx(cost["one frame"], rel=0.15)

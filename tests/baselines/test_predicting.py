@@ -1,0 +1,375 @@
+"""A data set through denoisers and networks, from the command line to the score."""
+
+from __future__ import annotations
+
+import io
+import json
+import pickle
+import re
+import shutil
+import zipfile
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+import pytest
+import tifffile
+import torch
+
+from eldata.baselines.classical import BASELINES
+from eldata.baselines.networks import load_network
+from eldata.baselines.predicting import BaselineDenoiser, PredictionReport, write_predictions
+from eldata.cli.baseline import NAMES
+from eldata.cli.main import main
+from eldata.datasets.eld import ELDDataset
+from eldata.demo.camera import CAMERAS
+from eldata.demo.known_profile import known_profile
+from eldata.errors import ArgumentError, EldataError, FileError
+from eldata.evaluation.evaluate import evaluate
+from eldata.evaluation.request import SETTINGS
+from eldata.noise.profile import CameraProfile
+from tests.trees import tree_in
+
+if TYPE_CHECKING:
+    from eldata.baselines.predicting import Denoiser, NoisyFrame
+    from tests.trees import Tree
+
+
+@pytest.fixture
+def tree(demo_tree: Path) -> Tree:
+    return tree_in(demo_tree)
+
+
+class Doubled(torch.nn.Module):
+    """Keeps what it is given, less a learnt offset."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.offset = torch.nn.Parameter(torch.tensor(0.25))
+
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        return 0.5 * image + self.offset
+
+
+def halved(image: torch.Tensor) -> torch.Tensor:
+    return 0.5 * image
+
+
+def of_set(tree: Tree) -> list[str]:
+    return ["--manifest", str(tree.csv), "--root", str(tree.root)]
+
+
+def test_the_input_scores_as_the_input(tree: Tree, tmp_path: Path) -> None:
+    report = write_predictions(
+        BaselineDenoiser("input"), "", tmp_path / "p", manifest=tree.csv, root=tree.root, clip="protocol"
+    )
+    assert (report.written, report.kept, report.problems) == (12, 0, ())
+    ours = evaluate(tmp_path / "p", manifest=tree.csv, root=tree.root)
+    theirs = evaluate(None, manifest=tree.csv, root=tree.root, baseline="input")
+    assert [one.psnr_db for one in ours.images] == [one.psnr_db for one in theirs.images]
+
+
+def test_the_command_offers_every_baseline() -> None:
+    assert tuple(BASELINES) == NAMES
+
+
+def test_from_the_command_to_a_better_score(tree: Tree, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "some predictions"
+    profiles = []
+    for camera in CAMERAS:
+        known_profile(camera, (800, 1600, 3200)).save(tmp_path / f"{camera.name}.json")
+        profiles += ["--profile", str(tmp_path / f"{camera.name}.json")]
+    assert main(["baseline", "dct", *of_set(tree), *profiles, "-o", str(out), "--jobs", "1"]) == 0
+    shown = capsys.readouterr().out
+    assert shown.startswith(f"12 frames predicted: {out}\nto score: eldata evaluate '{out}' --manifest")
+    scored = evaluate(out, manifest=tree.csv, root=tree.root)
+    rest = evaluate(None, manifest=tree.csv, root=tree.root, baseline="input")
+    assert scored.table[-1].psnr_db > rest.table[-1].psnr_db + 3
+
+    (out / SETTINGS).rename(tmp_path / SETTINGS)
+    assert main(["baseline", "dct", *of_set(tree), "-o", str(out)]) == 2
+    assert "holds files, and none is predictions.json" in capsys.readouterr().err
+
+
+def test_what_is_there_is_kept_and_other_settings_are_refused(tree: Tree, tmp_path: Path) -> None:
+    out = tmp_path / "p"
+
+    def again(name: str, **options: Any) -> Any:
+        return write_predictions(BaselineDenoiser(name), "", out, manifest=tree.csv, root=tree.root, **options)
+
+    again("gaussian", cameras=["DemoAlpha"])
+    first = sorted(out.rglob("*.npy"))
+    assert len(first) == 6
+    times = [file.stat().st_mtime_ns for file in first]
+    first[3].unlink()
+    report = again("gaussian")
+    assert (report.written, report.kept) == (7, 5)
+    assert [file.stat().st_mtime_ns for file in first if file != first[3]] == [*times[:3], *times[4:]]
+    with pytest.raises(ArgumentError, match="was begun with another denoiser: expected dct, found gaussian"):
+        again("dct")
+    with pytest.raises(ArgumentError, match="was begun with another dtype: expected uint16, found float32"):
+        again("gaussian", dtype="uint16")
+
+
+def test_a_folder_without_a_prediction_begins_again(tree: Tree, tmp_path: Path) -> None:
+    pytest.importorskip("fcntl")  # without locks nobody can tell whether another process works there
+    out = tmp_path / "p"
+
+    class Failing:
+        settings: ClassVar[dict[str, Any]] = {"denoiser": "failing"}
+
+        def __call__(self, frame: NoisyFrame) -> Any:
+            with pytest.raises(ArgumentError, match="another denoiser: expected gaussian, found failing"):
+                again(BaselineDenoiser("gaussian"))  # while this one works, it is refused
+            raise EldataError(f"not for {len(frame.image)} channels")
+
+    def again(denoiser: Denoiser) -> PredictionReport:
+        return write_predictions(denoiser, "", out, manifest=tree.csv, root=tree.root, cameras=["DemoAlpha"])
+
+    assert (again(Failing()).written, list(out.rglob("*.npy"))) == (0, [])
+    assert again(BaselineDenoiser("gaussian")).written == 6
+    assert json.loads((out / SETTINGS).read_text(encoding="utf-8"))["denoiser"] == "gaussian"
+    with pytest.raises(ArgumentError, match="another denoiser: expected failing, found gaussian"):
+        again(Failing())
+
+
+def test_damaged_frames_are_listed_and_the_rest_is_predicted(
+    tree: Tree, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(tree.root, tmp_path / "data")
+    name = next(record.path for record in tree.manifest.records if record.role == "noisy" and record.ratio == 100)
+    victim = tmp_path / "data" / "ELD-demo" / name
+    with tifffile.TiffFile(victim) as tiff:
+        start, length = tiff.pages.first.dataoffsets[0], tiff.pages.first.databytecounts[0]
+    content = bytearray(victim.read_bytes())
+    content[start + length // 4 : start + length] = bytes(length - length // 4)
+    victim.write_bytes(content)
+    code = main(["baseline", "gaussian", "--manifest", str(tree.csv), "--root", str(tmp_path / "data"), "-o",
+                 str(tmp_path / "p"), "--jobs", "1"])  # fmt: skip
+    shown = capsys.readouterr().out
+    assert code == 1
+    assert re.search(rf"^{name}: .*{name}: ", shown, re.MULTILINE)
+    assert "11 frames predicted" in shown
+
+
+def test_where_the_noise_is_known_from(tree: Tree, tmp_path: Path) -> None:
+    """From the profile alone where there is one; without, a frame that does not tell its noise is named."""
+
+    def predicted(name: str, *profiles: CameraProfile) -> PredictionReport:
+        return write_predictions(
+            BaselineDenoiser("dct", profiles),
+            "",
+            tmp_path / name,
+            cameras=["DemoAlpha"],
+            manifest=tree.csv,
+            root=tree.root,
+        )
+
+    known = known_profile(CAMERAS[0], (800, 1600, 3200))
+    assert predicted("known", known).written == 6
+    assert predicted("Sony", CameraProfile.load("SonyA7S2")).written == 6
+    assert predicted("two", CameraProfile.load("SonyA7S2"), known).written == 6
+    first = min((tmp_path / "known").rglob("*.npy")).relative_to(tmp_path / "known")
+    one, other, two = (np.load(tmp_path / name / first) for name in ("known", "Sony", "two"))
+    assert np.array_equal(one, two)
+    assert not np.array_equal(one, other)
+
+    report = predicted("others", CameraProfile.load("SonyA7S2"), CameraProfile.load("NikonD850"))
+    assert (report.written, len(report.problems)) == (0, 1)
+    assert re.match(r"6 frames, such as DemoAlpha/.*: no profile of the camera DemoAlpha was given, only of SonyA7S2, "
+                    "NikonD850", report.problems[0])  # fmt: skip
+    with pytest.raises(ArgumentError, match="another noise"):
+        predicted("known", CameraProfile.load("SonyA7S2"))
+
+    # 24 windows a channel hardly tell; what they do not is left to the user.
+    report = predicted("own")
+    assert report.written < 6
+    assert re.match(r"(\d frames, such as )?DemoAlpha/scene-1/IMG_00\d\d.dng: the noise cannot be told from the scene: "
+                    r".* windows .* With the camera's noise given \(--profile", report.problems[0])  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ["module", "class", "function", "script", "export", "onnx"])
+def test_predictions_are_the_networks_own(kind: str, tree: Tree, tmp_path: Path) -> None:
+    module, weights = Doubled(), None
+    with torch.no_grad():
+        module.offset.fill_(0.125)
+    if kind == "class":
+        torch.save({"state_dict": module.state_dict()}, tmp_path / "w.pth")
+        name, weights = "tests.baselines.test_predicting:Doubled", tmp_path / "w.pth"
+    elif kind == "module":
+        name = "tests.baselines.test_predicting:INSTANCE"
+    elif kind == "function":
+        name = "tests.baselines.test_predicting:halved"
+    elif kind == "script":
+        name = str(tmp_path / "net.pt")
+        with pytest.warns(DeprecationWarning, match="torch.jit"):
+            torch.jit.save(torch.jit.trace(module, torch.zeros(1, 4, 16, 16)), name)  # type: ignore[no-untyped-call]
+    elif kind == "export":
+        name = str(tmp_path / "net.pt2")
+        exported(tmp_path / "net.pt2", module)
+    else:
+        pytest.importorskip("onnxruntime")
+        name = str(tmp_path / "net.onnx")
+        (tmp_path / "net.onnx").write_bytes(onnx_of_a_halving_network())
+    network = load_network(name, tile=32, overlap=8, multiple=8, device="cpu", weights=weights)
+    write_predictions(network, "", tmp_path / "p", manifest=tree.csv, root=tree.root, clip="both", cameras=["DemoBeta"])
+    dataset = ELDDataset(tree.data, manifest=tree.csv, cameras=["DemoBeta"], clip="both")
+    for sample in dataset:
+        found = np.load((tmp_path / "p" / sample["path"]).with_suffix(".npy"))
+        offset = {"module": 0.25, "function": 0.0, "onnx": 0.0}.get(kind, 0.125)
+        assert np.abs(found - (0.5 * sample["input"].numpy() + np.float32(offset))).max() < 1e-6
+
+
+INSTANCE = Doubled()
+
+
+def onnx_of_a_halving_network() -> bytes:
+    """A model in ONNX's protobuf, written by hand: y = x * 0.5, with any height and width."""
+
+    def field(number: int, payload: bytes | int | str) -> bytes:
+        if isinstance(payload, int):
+            return bytes([number << 3, payload])
+        content = payload.encode() if isinstance(payload, str) else payload
+        return bytes([number << 3 | 2, len(content)]) + content
+
+    def tensor_type(name: str) -> bytes:
+        sides = b"".join(field(1, field(1, 1) if side == "n" else field(2, side)) for side in ("n", "c", "h", "w"))
+        return field(1, name) + field(2, field(1, field(1, 1) + field(2, sides)))
+
+    half = field(2, 1) + field(8, "half") + field(9, np.array(0.5, "<f4").tobytes())
+    node = field(1, "x") + field(1, "half") + field(2, "y") + field(4, "Mul")
+    graph = field(1, node) + field(2, "g") + field(5, half) + field(11, tensor_type("x")) + field(12, tensor_type("y"))
+    return field(1, 8) + field(7, graph) + field(8, field(2, 13))
+
+
+def test_what_is_not_a_network(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match=r"there is no such file; give a model's file, or package.module:name"):
+        load_network(str(tmp_path / "no.pt"))
+    torch.save(INSTANCE.state_dict(), tmp_path / "weights.pth")
+    with pytest.raises(FileError, match=r"is not TorchScript. If it is a checkpoint, give the code"):
+        load_network(str(tmp_path / "weights.pth"))
+    (tmp_path / "bad.onnx").write_bytes(b"nothing")
+    pytest.importorskip("onnxruntime")
+    with pytest.raises(FileError, match="cannot be loaded by ONNX Runtime"):
+        load_network(str(tmp_path / "bad.onnx"))
+    with pytest.raises(ArgumentError, match="has no nothing"):
+        load_network("tests.baselines.test_predicting:nothing")
+    with pytest.raises(ArgumentError, match=r"the module no.such.place cannot be imported"):
+        load_network("no.such.place:Network")
+    with pytest.raises(ArgumentError, match="float16 needs a GPU"):
+        load_network("tests.baselines.test_predicting:Doubled", device="cpu", precision="float16")
+
+
+def test_pickled_models_are_refused(tmp_path: Path) -> None:
+    torch.save(INSTANCE, tmp_path / "model.pth")
+    with pytest.raises(FileError, match=r"save model.state_dict\(\), not the model"):
+        load_network("tests.baselines.test_predicting:Doubled", weights=tmp_path / "model.pth")
+    (tmp_path / "plain.pkl").write_bytes(pickle.dumps(Canary(tmp_path / "sung")))
+    with pytest.raises(FileError, match=r"cannot be loaded as weights alone"):
+        load_network("tests.baselines.test_predicting:Doubled", weights=tmp_path / "plain.pkl")
+    with pytest.raises(FileError, match="is not TorchScript"):
+        load_network(str(tmp_path / "plain.pkl"))
+    (tmp_path / "cut.safetensors").write_bytes(b"\x40" + bytes(9))
+    with pytest.raises(FileError, match=r"cut.safetensors: cannot be loaded as weights alone"):
+        load_network("tests.baselines.test_predicting:Doubled", weights=tmp_path / "cut.safetensors")
+    torch.save({"other": torch.zeros(3)}, tmp_path / "other.pth")
+    with pytest.raises(FileError, match="its weights are not those of Doubled"):
+        load_network("tests.baselines.test_predicting:Doubled", weights=tmp_path / "other.pth")
+
+
+class Canary:
+    """What sings when it is unpickled: it makes a folder."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> Any:
+        return Path.mkdir, (self.path,)
+
+
+def exported(path: Path, module: torch.nn.Module) -> Path:
+    sides = {2: torch.export.Dim("h"), 3: torch.export.Dim("w")}
+    torch.export.save(torch.export.export(module, (torch.zeros(1, 4, 16, 24),), dynamic_shapes=(sides,)), path)
+    return path
+
+
+@pytest.mark.parametrize(
+    "place", ["data/sample_inputs/model.pt", "data/constants/Opaque_Obj_0", "data/weights/weight_0"]
+)
+def test_pickles_inside_an_export_are_not_loaded(place: str, tmp_path: Path) -> None:
+    """As torch.export itself would load each of them: the first of three is shown to sing there."""
+    sound, crafted = exported(tmp_path / "net.pt2", Doubled()), tmp_path / "crafted.pt2"
+    assert load_network(str(sound)).run(np.ones((4, 8, 8), np.float32)) == pytest.approx(0.75)
+    file = io.BytesIO()
+    torch.save(Canary(tmp_path / "sung"), file)
+    song = pickle.dumps(Canary(tmp_path / "sung")) if "Opaque" in place else file.getvalue()
+    with zipfile.ZipFile(sound) as archive, zipfile.ZipFile(crafted, "w") as copy:
+        top = archive.namelist()[0].partition("/")[0]
+        for name in archive.namelist():
+            content = archive.read(name)
+            if place.startswith("data/weights") and name.endswith("model_weights_config.json"):
+                content = content.replace(b'"use_pickle": false', b'"use_pickle": true')
+            if name.endswith("model_constants_config.json") and "Opaque" in place:
+                content = json.dumps({"config": {"c": {"path_name": "opaque_obj_0", "is_param": False,
+                                                       "use_pickle": True, "tensor_meta": None}}}).encode()  # fmt: skip
+            if name != f"{top}/{place}":
+                copy.writestr(name, content)
+        copy.writestr(f"{top}/{place}", song)
+    with pytest.raises(
+        FileError, match=r"crafted.pt2: (holds data/constants/Opaque_Obj_0, |cannot be loaded by torch)"
+    ):
+        load_network(str(crafted))
+    assert not (tmp_path / "sung").exists()
+    with suppress(Exception):
+        torch.export.load(crafted)
+    assert (tmp_path / "sung").exists()
+
+
+def test_what_the_commands_say_to_wrong_input(tree: Tree, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One sentence each, and no folder of predictions is begun for a model that cannot be loaded."""
+    (tmp_path / "folder.pt").mkdir()
+    torch.save(Doubled().state_dict(), tmp_path / "state.pt")
+    code, out = "tests.baselines.test_predicting", ["-o", str(tmp_path / "p"), "--device", "cpu"]
+    for model, said in (
+        (f"{tmp_path}/none.pt", "there is no such file; give a model's file, or package.module:name"),
+        (f"{tmp_path}/folder.pt", "is a folder; give a model's file"),
+        (f"{tmp_path}/state.pt", "is not TorchScript. If it is a checkpoint, give the code that it belongs to"),
+        (f"{code}:nothing", "has no nothing"),
+        (f"{code}:halved --device abacus", "--device abacus: torch knows no such device"),
+    ):
+        assert main(["predict", *of_set(tree), *out, *model.split(" ")]) == 2
+        error = capsys.readouterr().err
+        assert said in error
+        assert error.count("\n") == 1
+        assert not (tmp_path / "p").exists()
+    nowhere = ["--manifest", str(tree.csv), "--root", str(tmp_path / "nowhere")]
+    assert main(["predict", f"{code}:halved", *nowhere, *out]) == 2
+    error = capsys.readouterr().err
+    assert (error.count("\n"), "nowhere" in error) == (1, True)
+
+    assert main(["predict", f"{code}:Nine", *of_set(tree), *out]) == 1
+    shown = capsys.readouterr().out.splitlines()
+    assert shown[0].startswith("12 frames, such as DemoAlpha/scene-1/IMG_0004.dng: the network cannot take (1, 4, ")
+    assert "4 channels: " in shown[0]
+    assert "9 channels" in shown[0]
+    assert shown[1].startswith("0 frames predicted")
+
+
+class Nine(torch.nn.Conv2d):
+    """A network of X-Trans' channels."""
+
+    def __init__(self) -> None:
+        super().__init__(9, 9, 3, padding=1)
+
+
+def test_values_that_are_not_numbers_are_named(tree: Tree, tmp_path: Path) -> None:
+    network = load_network("tests.baselines.test_predicting:broken")
+    report = write_predictions(network, "", tmp_path / "p", manifest=tree.csv, root=tree.root)
+    assert report.written == 0
+    assert "values NaN or infinite" in report.problems[0]
+    assert not list((tmp_path / "p").rglob("*.npy"))
+
+
+def broken(image: torch.Tensor) -> torch.Tensor:
+    return image / 0 * 0

@@ -1,0 +1,119 @@
+"""examples/train_denoiser.py: each choice of data, alone and under torchrun, and what it leaves."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import torch
+
+from eldata.baselines import UNet, load_network
+from eldata.sources.shards import write_shards
+from tests.shared import made_once
+from tests.sources.store.helpers import pack_tree
+from tests.trees import tree_in
+from tests.waiting import PATIENCE_S
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "train_denoiser.py"
+SMALL = ["--crop", "16", "--width", "4", "--depth", "2", "--learning-rate", "5e-3", "--device", "cpu", "--workers", "0"]
+
+
+@pytest.fixture(scope="session")
+def store(demo_tree: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """24 pairs of two cameras. Not to be changed."""
+
+    def make(folder: Path) -> None:
+        folder.mkdir()
+        pack_tree(tree_in(demo_tree), folder / "eld.h5")
+        write_shards(folder / "eld.h5", folder / "tiles", tile=16, samples_per_shard=50)
+
+    with made_once(tmp_path_factory, "training", make) as folder:
+        yield folder / "eld.h5"
+
+
+def trained(run: Path, *options: str, processes: int = 1) -> list[float]:
+    """Run the example, and return the losses of its epochs."""
+    launch = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes)]
+    done = subprocess.run(
+        [sys.executable, *(launch if processes > 1 else []), str(EXAMPLE), str(run), *SMALL, *options],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+    )
+    assert done.returncode == 0, done.stderr
+    return losses_in(done.stdout)
+
+
+def losses_in(text: str) -> list[float]:
+    """The losses of the epochs that an example has shown."""
+    return [float(found) for found in re.findall(r"epoch \d+: step \d+, loss (\S+),", text)]
+
+
+def synthetic(store: Path) -> list[str]:
+    return ["--clean", str(store), "--profile", "SonyA7S2", "--iso", "800", "1600", "--crops-per-frame", "2"]
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("data", ["pairs", "shards", "synthetic", "noise2noise", "mixed"])
+def test_it_learns_and_leaves_a_network_that_predict_runs(data: str, store: Path, tmp_path: Path) -> None:
+    pairs = ["--pairs", str(store)]
+    options = {
+        "pairs": pairs,
+        "shards": ["--pairs", str(store.parent / "tiles")],
+        "synthetic": synthetic(store),
+        "noise2noise": [*synthetic(store), "--noise2noise", "--clip", "none"],
+        "mixed": [*pairs, *synthetic(store)],
+    }[data]
+    losses = trained(tmp_path, *options, "--epochs", "6", "--batch-size", "2")
+    assert len(losses) == 6
+    assert losses[-1] < 0.9 * losses[0]  # 0.82 of synthetic pairs, the slowest; seeds are fixed
+    network = UNet(4, width=4, depth=2)
+    network.load_state_dict(torch.load(tmp_path / "weights.pt", weights_only=True))
+    image = np.random.default_rng(0).random((4, 24, 32), dtype=np.float32)
+    with torch.inference_mode():
+        expected = network(torch.from_numpy(image)[None])[0].numpy()
+    np.testing.assert_allclose(load_network(str(tmp_path / "model.pt2"), device="cpu").run(image), expected, atol=1e-6)
+
+
+@pytest.mark.study
+def test_two_processes_train_one_network(store: Path, tmp_path: Path) -> None:
+    """Ranks with half of the batch each step as one process with all of it: to float32's last digits, for gradients
+    are summed in another order, and Adam's first steps are of the sign alone where a gradient is near 0."""
+    options = [*synthetic(store), "--epochs", "3", "--save-every", "4"]
+    together = trained(tmp_path / "two", *options, "--batch-size", "2", processes=2)
+    alone = trained(tmp_path / "one", *options, "--batch-size", "4")
+    assert together == pytest.approx(alone, rel=0.02)
+    assert together[-1] < together[0]
+
+
+@pytest.mark.study
+def test_a_killed_run_goes_on_to_the_bit(store: Path, tmp_path: Path) -> None:
+    """kill -9 after the second epoch; then the same command."""
+    options = [*synthetic(store), "--epochs", "8", "--batch-size", "2", "--save-every", "3"]
+    trained(tmp_path / "straight", *options)
+    run = tmp_path / "killed"
+    command = [sys.executable, str(EXAMPLE), str(run), *SMALL, *options]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment) as process:
+        assert process.stdout is not None
+        while (line := process.stdout.readline()) and b"epoch 1:" not in line:
+            pass
+        process.kill()
+    assert b"epoch 1:" in line
+    assert (run / "checkpoint.pt").exists()
+    assert not (run / "weights.pt").exists()
+    assert 1 <= len(trained(run, *options)) <= 6
+    straight, resumed = (
+        torch.load(folder / "weights.pt", weights_only=True) for folder in (tmp_path / "straight", run)
+    )
+    assert all(torch.equal(straight[name], resumed[name]) for name in straight)

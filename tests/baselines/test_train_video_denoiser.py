@@ -1,0 +1,114 @@
+"""examples/train_video_denoiser.py: each choice of data and network, what it leaves, and kill -9."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import torch
+
+from eldata.baselines import FastDVDnet, UNet, load_network
+from eldata.raw.dng import write_dng
+from eldata.records import Exposure, Sensor
+from tests.baselines.test_train_denoiser import EXAMPLE, losses_in
+from tests.drv_tree import write_raw_clip, write_rgb_clip
+from tests.waiting import PATIENCE_S
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+VIDEO = EXAMPLE.with_name("train_video_denoiser.py")
+SMALL = ["--crop", "16", "--width", "4", "--depth", "1", "--learning-rate", "5e-3", "--device", "cpu", "--workers", "0"]
+SENSOR = Sensor("SONY", "ILCE-7SM2", ((0, 1), (3, 2)), (512.0,) * 4, 16383.0, 64, 80, (2.0, 1.0, 1.5, 1.0))
+
+EXPOSURE = Exposure(Fraction(100), Fraction(1), Fraction(4))
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two clean clips of moving waves, and two static clips of DRV, raw and preprocessed. Not to be changed."""
+    root = tmp_path_factory.mktemp("clips")
+    rows, columns = np.mgrid[:64, :80]
+    for clip in range(2):
+        for number in range(1, 8):
+            wave = np.sin(rows / (5 + clip) + number / 3) * np.cos(columns / 7 - number / 4)
+            mosaic = np.rint(4000 + 3000 * wave).astype(np.uint16)
+            (root / f"moving/{clip}").mkdir(parents=True, exist_ok=True)
+            write_dng(root / f"moving/{clip}/DSC{number:05d}.dng", mosaic, SENSOR, EXPOSURE)
+    for name in ("0001", "0002"):
+        write_raw_clip(root / "raw", name, 6)
+        write_rgb_clip(root / "rgb", name, 12)
+    return root
+
+
+def command(run: Path, options: Sequence[str]) -> list[str]:
+    return [sys.executable, str(VIDEO), str(run), *SMALL, *options]
+
+
+def trained(run: Path, *options: str) -> list[float]:
+    """Run the example, and return the losses of its epochs."""
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(
+        command(run, options), capture_output=True, text=True, timeout=PATIENCE_S, env=environment, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return losses_in(done.stdout)
+
+
+def moving(data: Path) -> list[str]:
+    return ["--clean", str(data / "moving"), "--profile", "SonyA7S2", "--iso", "800", "--crops-per-clip", "4"]
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("kind", ["moving", "still", "raw", "rgb"])
+def test_it_trains_and_leaves_a_network_that_predict_runs(kind: str, data: Path, tmp_path: Path) -> None:
+    options = {
+        "moving": moving(data),
+        "still": [*moving(data), "--still", "--network", "unet", "--clip", "none"],
+        "raw": ["--clips", str(data / "raw"), "--crops-per-clip", "4", "--network", "unet"],
+        "rgb": ["--clips", str(data / "rgb"), "--rgb", "--ids", "0001", "0002", "--crops-per-clip", "4"],
+    }[kind]
+    losses = trained(tmp_path, *options, "--epochs", "6", "--batch-size", "2")
+    assert len(losses) == 6
+    channels, is_single = 3 if kind == "rgb" else 4, "unet" in options
+    network: Any = (UNet if is_single else FastDVDnet)(channels, width=4, depth=1)
+    network.load_state_dict(torch.load(tmp_path / "weights.pt", weights_only=True))
+    if is_single:
+        assert losses[-1] < 0.9 * losses[0]
+    else:  # begins as the input, from which so few steps lead little away
+        assert network.second.last.weight.abs().min() > 0
+    loaded = load_network(str(tmp_path / "model.pt2"), device="cpu")
+    assert (loaded.window, loaded.multiple) == (1 if is_single else 5, 2)
+    assert loaded.clip == ("none" if kind == "still" else "both")
+    shape = (channels, 24, 32) if is_single else (5, channels, 24, 32)
+    image = np.random.default_rng(0).random(shape, dtype=np.float32)
+    with torch.inference_mode():
+        expected = network(torch.from_numpy(image)[None])[0].numpy()
+    np.testing.assert_allclose(loaded.run(image), expected, atol=1e-5)
+
+
+@pytest.mark.study
+def test_a_killed_run_goes_on_to_the_bit(data: Path, tmp_path: Path) -> None:
+    """kill -9 after the second epoch; then the same command."""
+    options = [*moving(data), "--epochs", "6", "--batch-size", "2", "--save-every", "3"]
+    trained(tmp_path / "straight", *options)
+    run = tmp_path / "killed"
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
+    with subprocess.Popen(command(run, options), stdout=subprocess.PIPE, env=environment) as process:
+        assert process.stdout is not None
+        while (line := process.stdout.readline()) and b"epoch 1:" not in line:
+            pass
+        process.kill()
+    assert b"epoch 1:" in line
+    assert not (run / "weights.pt").exists()
+    assert 1 <= len(trained(run, *options)) <= 4
+    straight, resumed = (
+        torch.load(folder / "weights.pt", weights_only=True) for folder in (tmp_path / "straight", run)
+    )
+    assert all(torch.equal(straight[name], resumed[name]) for name in straight)

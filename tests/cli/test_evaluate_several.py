@@ -1,0 +1,110 @@
+"""`eldata evaluate A B C`: one pass, a folder of results, their comparison, exit codes, refusals in a line."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import shutil
+from typing import TYPE_CHECKING
+
+import pytest
+
+from eldata.evaluation import load_results
+from eldata.sources.store import open_store
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.cli.conftest import Cli
+    from tests.evaluation.helpers import Tree
+
+
+@pytest.fixture
+def several(predictions: Path, tmp_path: Path) -> list[Path]:
+    """The same predictions twice, and once without those of one camera."""
+    folders = [tmp_path / name for name in ("first", "second", "partly")]
+    for folder in folders:
+        shutil.copytree(predictions, folder)
+    shutil.rmtree(folders[2] / "DemoBeta")
+    return folders
+
+
+def of(tree: Tree) -> list[str | Path]:
+    return ["--manifest", tree.manifest, "--root", tree.root, "--jobs", "1", "--no-isolate"]
+
+
+def test_one_pass_writes_what_single_runs_write(eldata: Cli, tree: Tree, several: list[Path], tmp_path: Path) -> None:
+    """The one that lacks files is scored as it is alone: not; the exit code says so, and the others are compared."""
+    outcome = eldata("evaluate", *several, *of(tree), "-o", tmp_path / "results")
+    assert outcome.code == 1, outcome.err
+    names = (
+        "comparison.html",
+        "comparison.json",
+        *(f"{one.name}.{kind}" for one in several for kind in ("csv", "json")),
+    )
+    assert sorted(path.name for path in (tmp_path / "results").iterdir()) == sorted(names)
+    for folder in several:
+        alone = tmp_path / "alone"
+        code = eldata("evaluate", folder, *of(tree), "--json", f"{alone}.json", "--csv", f"{alone}.csv").code
+        assert code == (1 if folder.name == "partly" else 0)
+        for kind in ("json", "csv"):
+            assert (tmp_path / "results" / f"{folder.name}.{kind}").read_bytes() == alone.with_suffix(
+                f".{kind}"
+            ).read_bytes()
+    compared = json.loads((tmp_path / "results" / "comparison.json").read_text())
+    assert [method["name"] for method in compared["methods"]] == ["first", "second"]
+    assert len(compared["common"]) == 12
+    for name in ("first:", "second:", "partly:", "nothing was scored: ", "second minus first"):
+        assert name in outcome.out
+
+
+def test_what_is_printed_draws_the_pictures(eldata: Cli, tree: Tree, several: list[Path], tmp_path: Path) -> None:
+    out = tmp_path / "my results"
+    outcome = eldata("evaluate", *several[:2], *of(tree), "--protocol", "all", "-o", out)
+    assert outcome.code == 0, outcome.err
+    asked, command = outcome.out.splitlines()[-1].split(": ", 1)
+    assert asked == "to see every image beside each other"
+    assert eldata(*shlex.split(command)[1:]).code == 0
+    assert len(list((out / "pictures-pictures").iterdir())) >= 12
+    assert "to see" not in eldata("evaluate", *several[:2], *of(tree), "--format", "latex", "-o", out).out
+
+
+def test_of_a_store_with_names(eldata: Cli, tree: Tree, several: list[Path], tmp_path: Path) -> None:
+    """The raw files may be away; the results say which store was taken; compare reads them."""
+    store = tmp_path / "demo.h5"
+    source: list[str | Path] = ["--manifest", tree.manifest, "--root", tree.root, "--jobs", "1"]
+    assert eldata("pack", "eld-demo", "-o", store, *source).code == 0
+    away: list[str | Path] = ["--manifest", tree.manifest, "--root", tmp_path / "away", "--jobs", "1", "--store", store]
+    named = ["--name", "ours", "--name", "theirs"]
+    outcome = eldata("evaluate", *several[:2], *away, *named, "-o", tmp_path / "results")
+    assert outcome.code == 0, outcome.err
+    (result,) = load_results(tmp_path / "results" / "theirs.json")
+    assert result.provenance["store"]["digest"] == open_store(store).digest
+    results = [tmp_path / "results" / f"{name}.json" for name in ("ours", "theirs")]
+    again = eldata("compare", *results)
+    assert again.code == 0
+    assert again.out.strip() in outcome.out
+    page = tmp_path / "page.html"
+    assert eldata("evaluate", several[0], *away, "--html", page).code == 0
+    assert page.stat().st_size > 10_000
+
+
+def test_refusals(eldata: Cli, tree: Tree, several: list[Path], tmp_path: Path) -> None:
+    (tmp_path / "more").mkdir()
+    namesake = shutil.copytree(several[0], tmp_path / "more" / "first")
+    (tmp_path / "file").touch()
+    for arguments, words in (
+        ([several[0], namesake], "would both be called 'first'"),
+        ([several[0], several[1], "--json", tmp_path / "a.json"], "--json writes the result of one method"),
+        ([several[0], several[1], "--name", "one"], "found 1 for 2 folders"),
+        ([several[0], tmp_path / "nowhere"], "nowhere"),
+        ([several[0], several[1], "-o", tmp_path / "file"], "File exists"),
+        ([several[0], several[1], "-o", tmp_path / "no" / "folder"], "No such file"),
+        ([several[0], several[1], "--store", tmp_path / "no.h5"], "no.h5"),
+        (["--baseline", "input", "-o", tmp_path / "results"], "-o and --name are for folders of predictions"),
+    ):
+        outcome = eldata("evaluate", *arguments, *of(tree))
+        assert outcome.code == 2
+        assert words in outcome.err
+        assert len(outcome.err.splitlines()) == 1
+        assert outcome.out == ""

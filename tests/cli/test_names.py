@@ -1,0 +1,152 @@
+"""Sets by name, in every command: those that come with eldata, and those that other packages register."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from eldata.manifest.catalogue import load_manifest, save_manifest, shipped_manifest
+from eldata.manifest.registered import ENTRY_POINTS
+from tests.trees import build_published_tree
+
+if TYPE_CHECKING:
+    from tests.cli.conftest import Cli
+    from tests.evaluation.helpers import Tree
+
+
+def install(folder: Path, package: str, line: str) -> None:
+    """Make an installed package as pip leaves it: metadata with one entry point."""
+    info = folder / f"{package}-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(f"[{ENTRY_POINTS}]\n{line}\n")
+
+
+@pytest.fixture
+def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder for packages."""
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    return tmp_path / "site"
+
+
+@pytest.fixture
+def dusk(own: Tree, site: Path) -> Path:
+    """The demo's tree as the set of a package that cannot even be imported; its data root."""
+    install(site, "dusk", "dusk = dusk_sets.of_ours.dusk:Dusk")
+    package = site / "dusk_sets" / "of_ours"
+    package.mkdir(parents=True)
+    for folder in (package.parent, package):
+        (folder / "__init__.py").write_text("raise RuntimeError('imported')")
+    manifest = load_manifest(own.manifest)
+    save_manifest(package / "dusk.csv", replace(manifest.card, name="dusk"), manifest.records)
+    return own.root
+
+
+def test_a_registered_set_works_in_every_command(dusk: Path, eldata: Cli, tmp_path: Path) -> None:
+    root = ("--root", dusk)
+    assert "dusk: Simulated ELD-like set" in eldata("info", "dusk", *root).out
+    next_line = eldata("info", "dusk", *root).out.splitlines()[-1]
+    assert next_line.startswith("    eldata verify dusk --root ")
+    (row,) = [line for line in eldata("info", *root).out.splitlines() if line.startswith("dusk ")]
+    assert "  present  " in row
+    for arguments in (["verify", "dusk"], ["verify"], ["verify", "--dataset", "dusk"], ["verify", "dusk", "dusk"]):
+        outcome = eldata(*arguments, *root)
+        assert (outcome.code, outcome.err) == (0, "")
+        assert "dusk: 32 of 32 files checked (quick)" in outcome.out
+    score = eldata("evaluate", "--baseline", "input", "--dataset", "dusk", "--camera", "DemoBeta", *root, "--jobs", "1")
+    assert "dusk, protocol eld: 6 of 6 pairs" in score.out
+    store = tmp_path / "dusk.h5"
+    packed = eldata("pack", "dusk", "-o", store, "--camera", "DemoBeta", *root, "--jobs", "1")
+    assert packed.out.startswith("16 frames packed: ")
+    assert "dusk: all 32 files are in" in eldata("download", "dusk", *root).out
+
+
+def test_what_a_broken_package_registers_leaves_the_rest_alone(eldata: Cli, site: Path) -> None:
+    install(site, "gone", "gone = gone_package:Gone")
+    install(site, "bare", "bare = bare_module:Bare")
+    (site / "bare_module.py").write_text("")
+    outcome = eldata("info")
+    assert outcome.code == 1
+    assert "\neld " in outcome.out
+    assert "'gone' is registered as gone_package:Gone, but there is no module gone_package" in outcome.err
+    assert f"'bare' is registered as bare_module:Bare, whose folder {site} has no bare.csv" in outcome.err
+    for arguments in (["verify", "gone"], ["info", "gone"], ["evaluate", "x", "--dataset", "gone"]):
+        assert "there is no module gone_package" in eldata(*arguments).err
+
+
+def test_a_name_that_eldata_has_already(eldata: Cli, site: Path) -> None:
+    install(site, "mine", "eld = mine:Dataset")
+    for arguments in (["verify", "eld"], ["evaluate", "x", "--dataset", "eld"], ["lock", "eld"]):
+        outcome = eldata(*arguments)
+        assert outcome.code == 2
+        assert "2 datasets are called 'eld'" in outcome.err
+    assert eldata("verify", "drv").code == 1  # which is not there
+
+
+def test_a_manifest_of_another_name_than_it_is_registered_by(dusk: Path, eldata: Cli, site: Path) -> None:
+    package = site / "dusk_sets" / "of_ours"
+    (site / "dusk-1.0.dist-info" / "entry_points.txt").write_text(f"[{ENTRY_POINTS}]\ndawn = dusk_sets.of_ours:Dawn\n")
+    for suffix in (".csv", ".json"):
+        (package / f"dusk{suffix}").rename(package / f"dawn{suffix}")
+    assert "its card names it 'dusk', but it is registered as 'dawn'" in eldata("verify", "dawn", "--root", dusk).err
+
+
+# --- lock by name -----------------------------------------------------------------------------------------------------
+
+
+def test_lock_by_name_writes_beside_the_data_and_verify_finds_it(dusk: Path, eldata: Cli, site: Path) -> None:
+    root = ("--root", dusk, "--jobs", "1")
+    shipped = site / "dusk_sets" / "of_ours" / "dusk.csv"
+    before = shipped.read_bytes()
+    locked = eldata("lock", "dusk", *root)
+    assert (locked.code, locked.err) == (0, "")
+    assert f"{dusk / 'manifests' / 'dusk.csv'}: size and hash of 32 files recorded" in locked.out
+    assert shipped.read_bytes() == before
+    full = eldata("verify", "dusk", "--level", "full", *root)
+    assert full.code == 0
+    assert "have no recorded hash" not in full.out
+
+    record = next(one for one in load_manifest(shipped).records if one.role == "reference")
+    path = dusk / "ELD-demo" / record.path
+    content = bytearray(path.read_bytes())
+    content[-1] ^= 1
+    path.write_bytes(content)
+    spoilt = eldata("verify", "--level", "full", *root)  # all that are there
+    assert spoilt.code == 1
+    assert f"{record.path}: sha256" in spoilt.out
+
+    # Another version of the manifest: its rows may be others.
+    known = load_manifest(shipped)
+    save_manifest(shipped, replace(known.card, version="9.9"), known.records)
+    outcome = eldata("verify", "dusk", *root)
+    assert outcome.code == 2
+    assert "is of dusk 1.0, and eldata knows dusk 9.9; move it away, and lock again" in outcome.err
+
+
+def test_verify_without_a_name_names_what_is_not_there(eldata: Cli, tmp_path: Path) -> None:
+    nothing = eldata("verify")
+    assert nothing.code == 1
+    assert nothing.out.startswith("nothing was verified; --root names the folder that holds the datasets\nnot there: ")
+    manifest = shipped_manifest("eld")
+    build_published_tree(manifest, tmp_path / "data" / manifest.card.folder)
+    outcome = eldata("verify", "--root", tmp_path / "data", "--json", tmp_path / "x.json")
+    assert outcome.code == 0
+    lines = outcome.out.splitlines()
+    assert lines[0].startswith(f"eld: {len(manifest.records)} of {len(manifest.records)} files checked (quick) in ")
+    assert lines[1] == (
+        "not there: crvd, drv, lrd, lrid, sid-fuji, sid-sony, sidd; eldata info NAME says where to get one"
+    )
+    assert json.loads((tmp_path / "x.json").read_text())["ok"] is True
+
+
+def test_what_is_not_a_manifest(eldata: Cli) -> None:
+    Path("model.pt").write_bytes(b"x")
+    assert "model.pt: is not a manifest, a CSV file" in eldata("verify", "model.pt").err
+    assert "store.h5 is checked alone" in eldata("verify", "eld", "store.h5").err
+    Path("eld").mkdir()  # a known name is a name
+    assert eldata("verify", "./eld").err == "eldata verify: eld: holds no manifest (*.csv)\n"
+    assert "eld: absent" in eldata("verify", "eld").out

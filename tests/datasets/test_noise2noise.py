@@ -1,0 +1,86 @@
+"""Noise2Noise: two noisy frames of one scene, ISO and ratio, cut at the same place."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import torch
+
+from eldata.datasets import Noise2Noise, PackedStore, SIDDataset, set_epoch, training_loader
+from eldata.errors import ArgumentError
+from tests.sid_tree import SmallTree, build_small_tree
+from tests.sources.store.helpers import pack_tree
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> SmallTree:
+    """Bursts of one scene at several ratios."""
+    return build_small_tree("sid-sony", tmp_path_factory.mktemp("sony"), ["10003"])
+
+
+@pytest.fixture(scope="module")
+def store(tree: SmallTree, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return pack_tree(tree, tmp_path_factory.mktemp("store") / "sony.h5").store
+
+
+@pytest.fixture
+def pairs(store: Path) -> PackedStore:
+    return PackedStore(store, crop=8, augment=True, crops_per_frame=3, clip="none", seed=4)
+
+
+def test_each_item_is_two_exposures_of_one_place(pairs: PackedStore) -> None:
+    """The same crop of the whole frames, each in turn the input, every other frame of its burst a target in time."""
+    noisy = Noise2Noise(pairs)
+    bursts: dict[object, set[str]] = {}
+    for record in pairs.records:
+        bursts.setdefault((record.ratio, record.iso), set()).add(record.path)
+    assert max(map(len, bursts.values())) > 2
+    assert len(noisy) == 3 * sum(len(burst) for burst in bursts.values() if len(burst) > 1)
+    frames = {record.path: number for number, record in enumerate(pairs.records)}
+    met = set()
+    for index in range(len(noisy)):
+        item = noisy.item(index)
+        one, other = item.pair.record, item.other.record
+        assert one.path != other.path
+        assert {one.path, other.path} <= bursts[one.ratio, one.iso]
+        met.add((one.path, other.path))
+        sample = noisy[index]
+        assert sample["path"] == one.path
+        for side, record in (("input", one), ("target", other)):
+            pair = pairs.drawn(frames[record.path], np.random.default_rng(0)).pair
+            expected = np.empty(item.crop.packed_shape, np.float32)
+            assert pair.input is not None
+            item.crop.fill(pair.input, expected, clip="none", gain=float(pair.ratio))
+            np.testing.assert_array_equal(sample[side].numpy(), expected)  # type: ignore[literal-required]
+        assert not torch.equal(sample["input"], sample["target"])
+    assert len(met) > len(noisy) // 3  # three crops of a frame seldom have one and the same target
+
+
+def test_items_depend_on_seed_epoch_and_index_alone(pairs: PackedStore) -> None:
+    noisy = Noise2Noise(pairs)
+    loader = training_loader(noisy, 4, seed=1, workers=0)
+    set_epoch(loader, 2)
+    (first, *_), (again, *_) = list(loader), list(loader)
+    assert torch.equal(first["target"], again["target"])
+    assert pairs.epoch == 2
+    sample = noisy[1]
+    batch = noisy.__getitems__([0, 1])
+    assert torch.equal(batch[1]["target"], sample["target"])
+    set_epoch(loader, 3)
+    assert not torch.equal(noisy[1]["target"], sample["target"])
+    with pytest.raises(IndexError):
+        noisy[len(noisy)]
+
+
+def test_what_has_no_second_exposure_is_refused(tree: SmallTree, store: Path) -> None:
+    with pytest.raises(ArgumentError, match="pack the dataset"):
+        Noise2Noise(SIDDataset(tree.data, manifest=tree.csv))
+    single = PackedStore(store)
+    single.records = single.records[:1]
+    with pytest.raises(ArgumentError, match="of 1 pairs none has another one"):
+        Noise2Noise(single)

@@ -1,0 +1,256 @@
+"""A function of the user's own beside the scores of a protocol: in every output, and refused in one sentence."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import math
+import multiprocessing
+import re
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from eldata.cli.main import main
+from eldata.demo.tree import make_tree
+from eldata.errors import ArgumentError, FileError
+from eldata.evaluation import Task, evaluate, evaluate_all, load_results, save_prediction
+from eldata.evaluation.comparison import Method, compare
+from eldata.reports.compare.page import write_comparison_page
+from eldata.reports.evaluation.page import write_evaluation_page
+from tests.evaluation import oracle, published_code
+from tests.evaluation.own_set import OwnSet, build_own_set
+from tests.reports.evaluations import result_data, written
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from eldata.evaluation import EvaluationResult
+
+
+def worst_error(prediction: NDArray[Any], reference: NDArray[Any]) -> float:
+    assert prediction.dtype == reference.dtype == np.float32
+    error = float(np.abs(prediction - reference).max())
+    prediction[:], reference[:] = 0, 0  # they are its own
+    return error
+
+
+def gap_of_means(prediction: NDArray[Any], reference: NDArray[Any]) -> float:
+    return float(prediction.astype(float).mean() - reference.astype(float).mean())
+
+
+def failing(prediction: NDArray[Any], reference: NDArray[Any]) -> float:
+    raise ValueError("no\nedges")
+
+
+def unknown(prediction: NDArray[Any], reference: NDArray[Any]) -> float:
+    return math.nan
+
+
+def worded(prediction: NDArray[Any], reference: NDArray[Any]) -> Any:
+    return "good"
+
+
+def alone(prediction: NDArray[Any]) -> float:
+    return 0.0
+
+
+worst = Task(worst_error, higher_is_better=False, label="worst error")
+HERE = "tests.evaluation.test_tasks"
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory: pytest.TempPathFactory) -> OwnSet:
+    """With predictions of its four noisy frames in ``preds`` beside it, and of the same, noisier, in ``other``."""
+    folder = tmp_path_factory.mktemp("own")
+    own = build_own_set(folder, scenes=2)
+    generator = np.random.default_rng(4)
+    for name, sigma in (("preds", 0.02), ("other", 0.1)):
+        for scene in ("s0", "s1"):
+            target = oracle.reference(own.files / scene / "clean.dng")
+            for ratio in (50, 100):
+                made = (0.8 * target + generator.normal(0, sigma, target.shape)).astype(np.float32)
+                save_prediction(folder / name, f"{scene}/x{ratio}.dng", made)
+    return own
+
+
+def scored(own: OwnSet, name: str = "preds", **options: Any) -> EvaluationResult:
+    given: dict[str, Any] = {"protocol": "eld", "manifest": own.manifest, "root": own.root}
+    return evaluate(own.root.parent / name, **given | options)
+
+
+def test_it_stands_beside_the_scores_everywhere(own: OwnSet, tmp_path: Path) -> None:
+    plainly = scored(own)
+    result = scored(own, task=f"{HERE}:worst")
+    assert not result.problems
+    assert result.digest == plainly.digest
+    for image, plain in zip(result.images, plainly.images, strict=True):
+        made = np.load((own.root.parent / "preds" / image.path).with_suffix(".npy")).astype(float)
+        target = oracle.reference(own.files / image.scene / "clean.dng")
+        expected = np.abs(np.clip(np.clip(made, 0, 1) * image.rescale, 0, 1) - target).max()
+        assert image.task == pytest.approx(expected, abs=1e-6)
+        assert {name: value for name, value in image.values.items() if name != "task"} == plain.values
+    assert result.whole.task == pytest.approx(np.mean([image.task for image in result.images]), rel=1e-12)
+    stated = result.provenance["task"]
+    assert stated == {
+        "callable": f"{HERE}:worst_error",
+        "source_sha256": f"sha256:{hashlib.sha256(Path(__file__).read_bytes()).hexdigest()}",
+        "version": None,
+        "label": "worst error",
+        "images": "compared",
+        "higher_is_better": False,
+    }
+    result.write_json(tmp_path / "result.json")
+    (back,) = load_results(tmp_path / "result.json")
+    assert (back.images, back.table, back.as_dict()) == (result.images, result.table, result.as_dict())
+    assert f"worst error: {HERE}:worst_error (sha256:" in result.format("text")
+    write_evaluation_page(
+        [result], tmp_path / "page.html", dataset_folder=own.files, predictions=own.root.parent / "preds"
+    )
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert f"{result.images[0].task:.4f}" in page
+    assert "lower is better" in page
+    assert "task" not in plainly.provenance
+
+
+def test_renderings_are_those_of_the_published_code(tmp_path: Path) -> None:
+    own = build_own_set(tmp_path / "large", ratios=(100,), size=(1040, 1066))
+    target = oracle.reference(own.files / "s0/clean.dng")
+    made = (1.1 * target + np.random.default_rng(3).normal(0, 0.02, target.shape)).astype(np.float32)
+    save_prediction(own.root.parent / "preds", "s0/x100.dng", made)
+    first, second, factor = published_code.eld_shown(made, target, own.files / "s0/clean.dng")
+    gap = first.mean(dtype=float) - second.mean(dtype=float)
+    # A code may differ by one where a value lies on the edge of two: of a mean, 1e-7 for each of a few pixels.
+    assert scored(own, protocol="sid-srgb", task=gap_of_means).images[0].task == pytest.approx(gap, abs=1e-6)
+    packed = scored(own, protocol="sid-srgb", task=Task(gap_of_means, "packed")).images[0].task
+    centre = published_code.centre
+    expected = np.clip(np.clip(centre(made), 0, 1) * factor, 0, 1).mean(dtype=float) - centre(target).mean(dtype=float)
+    assert packed == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_protocol_of_raw_values_is_rendered_for_a_task(own: OwnSet) -> None:
+    image = scored(own, task=Task(gap_of_means, "srgb")).images[0]
+    made = np.load((own.root.parent / "preds" / image.path).with_suffix(".npy"))
+    file = own.files / image.scene / "clean.dng"
+    target = oracle.reference(file)
+    rescaled = np.clip(np.clip(made, 0, 1) * image.rescale, 0, 1)
+    first, second = (published_code.eld_rendered(array, file) for array in (rescaled, target))
+    # One of 3780 values, a code of 255 off where it lies on the edge of two, moves the mean by 1.04e-6.
+    assert image.task == pytest.approx(first.mean(dtype=float) - second.mean(dtype=float), abs=5e-6)
+
+
+def test_worker_processes_give_the_same(own: OwnSet) -> None:
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        found = scored(own, task=worst, workers=pool)
+    assert found.images == scored(own, task=worst).images
+
+
+def test_methods_are_compared_by_the_task_that_they_share(own: OwnSet, tmp_path: Path) -> None:
+    first, other = Method("fine", scored(own, task=worst)), Method("noisy", scored(own, "other", task=worst))
+    both = compare([first, other])
+    assert [metric.name for metric in both.kind.metrics] == ["psnr_db", "ssim", "task"]
+    assert both.whole.gains[0]["task"].interval.mean > 0  # of noise; lower is better
+    assert not both.warnings
+    write_comparison_page(both, tmp_path / "page.html")
+    assert "worst error" in (tmp_path / "page.html").read_text(encoding="utf-8")
+    without = compare([first, Method("noisy", scored(own, "other"))])
+    assert [metric.name for metric in without.kind.metrics] == ["psnr_db", "ssim"]
+    assert not without.warnings
+    changed = other.result.provenance | {"task": other.result.provenance["task"] | {"source_sha256": "sha256:00"}}
+    (warning,) = compare([first, Method("noisy", replace(other.result, provenance=changed))]).warnings
+    assert "fine and noisy may not compare: task source sha256: sha256:" in warning
+    unlike = compare([first, Method("noisy", scored(own, "other", task=gap_of_means))])
+    assert [metric.name for metric in unlike.kind.metrics] == ["psnr_db", "ssim"]
+    assert any("task label" in warning for warning in unlike.warnings)
+
+
+@pytest.mark.parametrize(
+    ("task", "reason"),
+    [
+        (failing, rf"the task {HERE}:failing raised ValueError: no\\nedges \(test_tasks.py, line \d+\)"),
+        (unknown, rf"the task {HERE}:unknown returned nan; expected a finite number"),
+        (worded, rf"the task {HERE}:worded returned str; expected a finite number"),
+    ],
+)
+def test_frames_without_a_value_are_named(task: Any, reason: str, own: OwnSet) -> None:
+    found = scored(own, task=task)
+    assert not found.images
+    assert [problem.path for problem in found.problems] == ["s0/x100.dng", "s0/x50.dng", "s1/x100.dng", "s1/x50.dng"]
+    for problem in found.problems:
+        assert re.fullmatch(reason, problem.reason), problem.reason
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"task": "no_such_module:f"}, "no_such_module:f: the module no_such_module cannot be imported: No module"),
+        ({"task": f"{HERE}:absent"}, f"{HERE}:absent: the module {HERE} has no absent"),
+        ({"task": "matched"}, "'matched' names nothing in a module; expected package.module:name"),
+        ({"task": f"{HERE}:HERE"}, f"{HERE}:HERE is str; a task is a function of"),
+        ({"task": f"{HERE}:OwnSet"}, f"{HERE}:OwnSet is a class; a task is a function of"),
+        ({"task": alone}, "alone cannot be called with .prediction, reference.: too many positional arguments"),
+        ({"task": Task(worst_error, "packed"), "protocol": "sid2018"}, "wants packed raw images, which .*'sid2018'"),
+        ({"task": lambda *_: 0.0, "workers": 2}, "cannot be sent to worker processes .*: define it at the top level"),
+    ],
+)
+def test_what_it_does_not_go_with_is_refused(options: dict[str, Any], words: str, own: OwnSet) -> None:
+    with pytest.raises(ArgumentError, match=words):
+        scored(own, **options)
+
+
+def test_every_protocol_at_once_is_refused(own: OwnSet) -> None:
+    with pytest.raises(ArgumentError, match="--task goes with one protocol, not with --protocol all"):
+        evaluate_all(own.root.parent / "preds", manifest=own.manifest, root=own.root, task=worst)
+
+
+def test_the_command(
+    own: OwnSet, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "mine_of_test_tasks.py").write_text("def zero(p, g):\n    return 0\n1 / (__name__ == 'x')\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.path", [path for path in sys.path if path])
+    given = ["evaluate", str(own.root.parent / "preds"), "--manifest", str(own.manifest), "--root", str(own.root)]
+    given += ["--protocol", "eld", "--jobs", "1", "--csv", str(tmp_path / "scores.csv")]
+    assert main([*given, "--task", "mine_of_test_tasks:zero"]) == 2
+    assert "mine_of_test_tasks cannot be imported: ZeroDivisionError: division by zero\n" in capsys.readouterr().err
+    (tmp_path / "mine_of_test_tasks.py").write_text("def zero(p, g):\n    return 0\n")
+    assert main([*given, "--task", "mine_of_test_tasks:zero"]) == 0
+    assert "zero: mine_of_test_tasks:zero (sha256:" in capsys.readouterr().out
+    rows = list(csv.reader((tmp_path / "scores.csv").read_text().splitlines()))
+    assert rows[0][-1] == "task"
+    assert {row[-1] for row in rows[1:]} == {"0"}
+
+
+def test_a_saved_task_is_read_field_by_field(tmp_path: Path) -> None:
+    data = result_data(scenes=1)
+    data["provenance"]["task"] = {"callable": "a:b", "label": "b", "images": "compared", "higher_is_better": "yes"}
+    with pytest.raises(FileError, match=r"provenance.task.higher_is_better"):
+        load_results(written(tmp_path / "result.json", data))
+
+
+def test_the_example_matches_features_of_the_demo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "examples"))
+    make_tree(tmp_path, scenes=1, size=(192, 288))
+    found = evaluate(
+        None,
+        manifest=tmp_path / "manifests" / "eld-demo.csv",
+        root=tmp_path / "data",
+        baseline="input",
+        cameras=["DemoAlpha"],
+        task="match_features:matches",
+    )
+    assert not found.problems
+    of = {row.ratio: row.task for row in found.table}
+    assert 1 > of[100.0] > of[200.0] > 0  # more noise, fewer matches
+    share = sys.modules["match_features"].matched_share
+    picture = np.random.default_rng(0).random((3, 12, 16)).repeat(8, axis=1).repeat(8, axis=2).astype(np.float32)
+    assert share(picture, picture) == 1
+    assert share(np.roll(picture, 16, axis=2), picture) < 0.1  # found, but elsewhere
+    assert share(np.zeros_like(picture), picture) == 0
+    with pytest.raises(ValueError, match="the reference has no keypoints"):
+        share(picture, np.zeros_like(picture))

@@ -1,0 +1,296 @@
+"""Results, profiles and calibrations draw what they hold, print as one line, and show in a notebook."""
+
+from __future__ import annotations
+
+import struct
+import sys
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from eldata.calibration.photon_transfer import PhotonTransferLine
+from eldata.errors import ArgumentError
+from eldata.evaluation.combined import CombinedResult
+from eldata.evaluation.comparison import Method, compare
+from eldata.noise import CameraProfile
+from eldata.plots.axes import LIGHT
+from eldata.protocols import PROTOCOLS
+from tests.plots.notebooks import assert_one_line, assert_shows_in_a_notebook
+from tests.reports.calibrations import calibration, camera_at, measured
+from tests.reports.evaluations import result
+from tests.reports.pages import HOSTILE
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from eldata.calibration.results import Calibration
+
+
+def points_of(axes: Axes) -> list[tuple[float, float]]:
+    """What is drawn as points, in data units, the bars of errors left out."""
+    lines = [
+        line for line in axes.lines if line.get_linestyle() == "None" and line.get_marker() in ("o", "s", "^", "D")
+    ]
+    return [
+        (float(x), float(y))
+        for line in lines
+        for x, y in zip(np.asarray(line.get_xdata()), np.asarray(line.get_ydata()), strict=True)
+    ]
+
+
+def bars_of(axes: Axes) -> list[tuple[list[float], list[float]]]:
+    """What is drawn as lines of the ink's colour: means and their intervals."""
+    lines = [line for line in axes.lines if line.get_color() == LIGHT.ink and line.get_linestyle() == "-"]
+    return [(np.asarray(line.get_xdata()).tolist(), np.asarray(line.get_ydata()).tolist()) for line in lines]
+
+
+def shown_png(figure: Any) -> tuple[int, int]:
+    png = figure._repr_png_()
+    assert png.startswith(b"\x89PNG")
+    width, height = struct.unpack(">II", png[16:24])
+    return width, height
+
+
+# --- an evaluation ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("metric", ["psnr_db", "ssim"])
+def test_every_score_and_every_mean_of_the_table_is_drawn(metric: str) -> None:
+    scored = result(cameras=("SonyA7S2", "NikonD850"), scenes=8)
+    figure = scored.plot(metric)
+    assert isinstance(figure, Figure)
+    (axes,) = figure.axes
+    assert axes.get_title() == "eld, protocol eld"
+    assert axes.get_ylabel() == {"psnr_db": "PSNR [dB]", "ssim": "SSIM"}[metric]
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["SonyA7S2", "NikonD850", "all"]
+    legend = axes.get_legend()
+    assert legend is not None
+    assert [text.get_text() for text in legend.get_texts()] == ["×100", "×200"]
+    # Each score twice: in its camera's column, and in that of all.
+    drawn = sorted(y for _, y in points_of(axes))
+    assert drawn == sorted(2 * [score.values[metric] for score in scored.scores])
+    rows = [row for row in scored.table if row.ratio is not None]
+    means = sorted(ys[0] for _, ys in bars_of(axes) if ys[0] == ys[1])
+    assert means == pytest.approx(sorted(row.values[metric] for row in rows), rel=1e-12)
+    intervals = sorted((min(ys), max(ys)) for _, ys in bars_of(axes) if ys[0] != ys[1])
+    assert intervals == sorted(scored.interval(row, metric).ends[1:] for row in rows)
+
+
+def test_a_result_without_factors_has_a_column_for_each_camera() -> None:
+    scored = result(scenes=2)
+    scored = replace(
+        scored,
+        scores=tuple(replace(score, ratio=None) for score in scored.scores),
+        table=tuple(replace(row, ratio=None) for row in scored.table if row.ratio is None),
+    )
+    (axes,) = scored.plot().axes
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["all"]
+    assert axes.get_legend() is None
+    assert len(points_of(axes)) == len(scored.scores)
+    assert [ys for _, ys in bars_of(axes)] == [[pytest.approx(scored.psnr_db)] * 2]  # too few scenes for an interval
+
+
+def test_infinite_scores_are_left_out() -> None:
+    scored = result(scenes=2)
+    perfect = replace(scored.scores[0], values=scored.scores[0].values | {"psnr_db": float("inf")})
+    partly = replace(scored, scores=(perfect, *scored.scores[1:]))
+    assert len(points_of(partly.plot().axes[0])) == 2 * (len(scored.scores) - 1)
+    with pytest.raises(ArgumentError, match="nothing to draw of psnr_db of this result: nothing was scored"):
+        replace(scored, scores=()).plot()
+    with pytest.raises(ArgumentError, match="no score is finite"):
+        replace(scored, scores=(perfect,)).plot()
+
+
+def test_an_unknown_metric_is_named_with_the_known_ones() -> None:
+    with pytest.raises(ArgumentError, match=r"psnr_db.*ssim"):
+        result(scenes=2).plot("psnr")
+
+
+def test_the_axes_of_others_are_drawn_into() -> None:
+    figure = Figure()
+    left, right = figure.subplots(1, 2)
+    scored = result(scenes=2)
+    assert scored.plot(ax=right) is figure
+    assert len(left.lines) == 0
+    assert len(points_of(right)) == 2 * len(scored.scores)
+
+
+def test_the_gains_of_each_method_are_drawn_by_group() -> None:
+    methods = [Method("a", result()), Method("b", result(method=1, gain_db=0.5)), Method("c", result(method=2))]
+    compared = compare(methods)
+    (axes,) = compared.plot().axes
+    assert axes.get_title() == "2 methods against a"
+    assert [label.get_text() for label in axes.get_yticklabels()] == [
+        group.name.replace(" x", " ×") for group in compared.groups
+    ]
+    expected = [group.gains[index]["psnr_db"].interval for index in (0, 1) for group in compared.groups]
+    assert [x for x, _ in points_of(axes)] == [interval.mean for interval in expected]
+    assert [xs for xs, _ in bars_of(axes)] == [[interval.low, interval.high] for interval in expected]
+    rows = [round(y) for _, y in points_of(axes)]
+    assert rows == 2 * list(range(len(compared.groups)))  # each in its group's row
+    assert_one_line(compared, "Comparison(96 common images; PSNR a ")
+    assert_shows_in_a_notebook(compared, "3 methods on 96 common images", "a dB", "c SSIM")
+
+
+# --- in words -----------------------------------------------------------------------------------------------------
+
+
+def test_a_result_in_one_line_and_in_a_notebook() -> None:
+    scored = result(scenes=2)
+    assert_one_line(scored, f"EvaluationResult(eld, protocol eld ({scored.digest[:15]}): 24 of 24 pairs")
+    assert f"PSNR [dB] {scored.psnr_db:.2f}, SSIM {scored.ssim:.3f})" in repr(scored)
+    assert_shows_in_a_notebook(scored, "eld 1.0, protocol eld", f"{scored.psnr_db:.2f}", "SonyA7S2")
+    assert_one_line(replace(scored, scores=()), "nothing was scored)")
+    assert_shows_in_a_notebook(replace(scored, scores=()), "0 of 24 pairs")
+    both = CombinedResult((scored, result(scenes=2, protocol="eld-uncorrected")))
+    assert_one_line(both, "CombinedResult(eld, 24 scored; protocols eld, eld-uncorrected)")
+    assert_shows_in_a_notebook(both, "eld, 2 protocols", "eld-uncorrected")
+
+
+def test_hostile_names_stay_text() -> None:
+    scored = result(cameras=(HOSTILE, "$\\frac{$ 相机"), scenes=2, dataset=HOSTILE)
+    for shown in (scored, compare([Method(HOSTILE, scored), Method("b\n$x$", scored)])):
+        assert_one_line(shown, "")
+        assert_shows_in_a_notebook(shown, HOSTILE)
+        assert shown.plot().axes  # and neither mathematics nor a letter that the font lacks
+    profile = replace(CameraProfile.load("SonyA7S2"), camera=HOSTILE + "$\\frac{$", source="\x1b" + HOSTILE)
+    assert_one_line(profile, "CameraProfile(")
+    assert_shows_in_a_notebook(profile, HOSTILE)
+    assert shown_png(profile.plot("TL"))
+
+
+def test_many_rows_are_counted() -> None:
+    scored = result(scenes=2)
+    profile = CameraProfile.load("SonyA7S2")
+    many = replace(profile, rows=profile.rows * 5)
+    assert_shows_in_a_notebook(many, f"… and {len(many.rows) - 60} more")
+    assert "more" not in profile._repr_html_().split("</table>")[0]
+    assert len(scored._repr_html_()) < 20_000
+
+
+@pytest.mark.parametrize("name", PROTOCOLS)
+def test_every_protocol_in_one_line_and_in_a_notebook(name: str) -> None:
+    protocol = PROTOCOLS[name]
+    assert_one_line(protocol, f"{type(protocol).__name__}({name!r}, ")
+    assert len(repr(protocol)) < 200
+    assert_shows_in_a_notebook(protocol, protocol.title, protocol.digest)
+
+
+def test_a_stated_protocol_too() -> None:
+    stated = result(scenes=2).protocol
+    assert_one_line(stated, "Protocol('eld', ")
+    assert_shows_in_a_notebook(stated, stated.digest)
+
+
+# --- a profile ----------------------------------------------------------------------------------------------------
+
+
+def test_a_profile_draws_its_lines_and_rows() -> None:
+    profile = CameraProfile.load("SonyA7S2")
+    figure = profile.plot()
+    assert [axes.get_title() for axes in figure.axes] == [
+        "read noise, Tukey lambda",
+        "read noise, Gaussian",
+        "row noise",
+    ]
+    (mode,) = profile.gain_modes
+    fields = ("sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn")
+    for axes, field, fit in zip(
+        figure.axes, fields, (mode.tukey_lambda_fit, mode.gauss_fit, mode.row_fit), strict=True
+    ):
+        assert (axes.get_xscale(), axes.get_yscale(), axes.get_xlabel()) == ("log", "log", "K [DN/e⁻]")
+        rows = [(row.gain_dn_per_e, getattr(row, field)) for row in profile.rows]
+        assert sorted(points_of(axes)) == sorted((k, s) for k, s in rows if k is not None and s)
+        (line,) = [line for line in axes.lines if line.get_label() == "fit, ±1σ, ±2σ"]
+        ends = np.asarray(line.get_xdata()), np.asarray(line.get_ydata())
+        np.testing.assert_allclose(np.log(ends[1]), fit.slope * np.log(ends[0]) + fit.intercept, rtol=1e-12)
+        assert len(axes.collections) >= 2  # bands of one and two deviations
+    assert_one_line(profile, "CameraProfile('SonyA7S2', 18 rows, K 0.09392 to 6.011 DN/e-)")
+    assert_shows_in_a_notebook(profile, "Camera profile of SonyA7S2", "bias G2 [DN]", "25600")
+    assert "σ row" not in profile._repr_html_()  # of which no row says anything
+    assert_shows_in_a_notebook(CameraProfile.load("SonyA7S2-PMN"), "σ row [DN]")
+
+
+def test_one_sigma_of_a_profile() -> None:
+    profile = CameraProfile.load("NikonD850")
+    axes = Figure().subplots()
+    assert profile.plot("row", ax=axes) is axes.figure
+    assert axes.get_ylabel() == r"$\sigma_\mathrm{row}$ [DN]"
+    with pytest.raises(ArgumentError, match="give sigma, one of TL, G, row"):
+        profile.plot(ax=axes)
+    with pytest.raises(ArgumentError, match="sigma"):
+        profile.plot("read")  # type: ignore[arg-type]
+
+
+# --- a calibration ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def found() -> Calibration:
+    """Three ISOs of small frames, one of them without flats."""
+    isos = (400.0, 800.0, 1600.0, 3200.0)
+    return calibration(
+        [measured(iso, camera_at(iso), frames=4, levels=() if iso == 800 else (800, 7000)) for iso in isos]
+    )
+
+
+def test_a_calibration_draws_what_it_found(found: Calibration) -> None:
+    figure = found.plot()
+    titles = [axes.get_title() for axes in figure.axes]
+    assert titles == ["photon transfer, ISO 1600", "system gain", "read noise, TL", "read noise, G", "row noise"]
+    transfer, gain, read, _, rows = figure.axes
+    assert gain.get_xlabel() == "ISO"
+    known = [(one.iso, one.gain.value) for one in found.isos if one.gain is not None]
+    assert [iso for iso, _ in known] == [400, 1600, 3200]
+    assert points_of(gain) == known
+    given = [one for one in found.isos if one.gain is not None]
+    assert points_of(read) == [(one.gain_dn_per_e, one.sigma_tl_dn.value) for one in given if one.sigma_tl_dn]
+    assert points_of(rows) == [(one.gain_dn_per_e, one.sigma_row_dn.value) for one in given if one.sigma_row_dn]
+    lines = found.isos[2].transfer
+    assert lines is not None
+    signals = [signal for line in lines.channels for signal in line.pooled(20)[0]]
+    assert [x for x, _ in points_of(transfer)] == signals
+    assert_one_line(found, "Calibration('TestCamera', ISO 400, 800, 1600, 3200; ")
+    assert_shows_in_a_notebook(found, "Calibration of TestCamera", "sigma_TL [DN]")
+
+
+def test_the_photon_transfer_of_an_iso(found: Calibration) -> None:
+    axes = found.plot(iso=400).axes[0]
+    assert axes.get_title() == "photon transfer, ISO 400"
+    transfer = found.isos[0].transfer
+    assert transfer is not None
+    assert all(isinstance(line, PhotonTransferLine) for line in transfer.channels)
+    fitted = [line for line in axes.lines if line.get_color() == LIGHT.theory]
+    slopes = [np.diff(line.get_ydata())[0] / np.diff(line.get_xdata())[0] for line in fitted]
+    assert slopes == pytest.approx([line.gain_dn_per_e for line in transfer.channels], rel=1e-9)
+    with pytest.raises(
+        ArgumentError, match="no photon transfer was measured at ISO 800; ISOs with one: 400, 1600, 3200"
+    ):
+        found.plot(iso=800)
+
+
+# --- figures ------------------------------------------------------------------------------------------------------
+
+
+def test_a_notebook_shows_a_figure_without_pyplot() -> None:
+    pyplot = sys.modules.get("matplotlib.pyplot")
+    before = [] if pyplot is None else pyplot.get_fignums()
+    profile = CameraProfile.load("SonyA7S2")
+    assert shown_png(profile.plot()) == (1320, 360)
+    assert shown_png(result(scenes=2).plot()) == (440, 360)
+    pyplot = sys.modules.get("matplotlib.pyplot")
+    assert ([] if pyplot is None else pyplot.get_fignums()) == before
+
+
+def test_the_settings_of_others_stay() -> None:
+    import matplotlib as mpl
+
+    with mpl.rc_context({"axes.edgecolor": "magenta", "font.size": 23.0}):
+        before = dict(mpl.rcParams)
+        figure = CameraProfile.load("SonyA7S2").plot("TL")
+        assert dict(mpl.rcParams) == before
+        assert figure.axes[0].spines["left"].get_edgecolor() != mpl.colors.to_rgba("magenta")
+        assert figure.axes[0].yaxis.label.get_fontsize() == 10

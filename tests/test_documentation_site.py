@@ -1,0 +1,207 @@
+"""The site: it builds without a warning, has every public name and command, and what docstrings show is run."""
+
+from __future__ import annotations
+
+import doctest
+import html
+import importlib
+import inspect
+import os
+import re
+import subprocess
+import sys
+import zlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from tests.shared import made_once
+from tests.test_public_names import PACKAGES, promised
+from tests.waiting import PATIENCE_S
+from tests.without_posix import commands
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+NOTEBOOKS = sorted(path for path in (DOCS / "gallery").glob("*.md"))
+PAGES = sorted(path.stem for path in (DOCS / "reference").glob("*.rst") if re.match(r"eldata|capture", path.stem))
+_CELL = re.compile(r"^```\{code-cell\} ipython3\n(?::tags:[^\n]*\n\n)?(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+# --- what is built ----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """The site, built with warnings as errors; notebooks are shown and not run."""
+
+    def build(folder: Path) -> None:
+        command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-D", "nb_execution_mode=off"]
+        command += ["-d", str(folder.with_name("doctrees")), str(DOCS), str(folder)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+        assert (done.returncode, done.stderr) == (0, "")
+
+    with made_once(tmp_path_factory, "site", build) as folder:
+        yield folder
+
+
+def entries(inventory: Path) -> set[str]:
+    """The names of Python objects that a Sphinx inventory lists: four lines of header, then compressed lines."""
+    compressed = inventory.read_bytes().split(b"\n", 4)[4]
+    lines = zlib.decompress(compressed).decode().splitlines()
+    return {line.split(" py:", 1)[0] for line in lines if " py:" in line}
+
+
+@pytest.mark.study
+def test_the_reference_has_every_public_name(site: Path) -> None:
+    names = {f"{package}.{name}" for package in PACKAGES for name in promised(package)}
+    for module in ("capture.check", "capture.checklist", "capture.tether"):
+        names |= {f"{module}.{name}" for name in vars(importlib.import_module(module))["__all__"]}
+    assert len(names) > 250
+    assert names - entries(site / "objects.inv") == set()
+
+
+@pytest.mark.study
+def test_search_finds_names(site: Path) -> None:
+    index = (site / "searchindex.js").read_text(encoding="utf-8")
+    for name in ("NoiseModel", "ELDDataset", "photon_transfer", "make_plan"):
+        assert f'"{name}"' in index, name
+
+
+@pytest.mark.study
+def test_the_reference_has_every_command_and_option(site: Path) -> None:
+    options = 0
+    for program in ("eldata", "capture"):
+        page = (site / "reference" / f"command-{program}.html").read_text(encoding="utf-8")
+        shown = html.unescape(re.sub(r"<[^>]*>", "", page))
+        parser = importlib.import_module(f"{program}.cli.main").parser()
+        for words in commands(parser):
+            below: Any = parser
+            for word in words:
+                (choices,) = [a.choices for a in below._actions if isinstance(a.choices, dict) and word in a.choices]
+                below = choices[word]
+            assert f'id="{below.prog.replace(" ", "-")}"' in page, below.prog
+            for action in below._actions:
+                named = [name for name in action.option_strings if name not in ("-h", "--help")]
+                assert [name for name in named if name not in shown] == [], below.prog
+                options += len(named)
+    assert options > 100
+
+
+@pytest.mark.study
+def test_links_between_pages_lead_somewhere(site: Path) -> None:
+    """Sphinx has checked what it resolves; this is what the pages say in the end."""
+    pages = {path: path.read_text(encoding="utf-8") for path in site.rglob("*.html")}
+    ids = {path: set(re.findall(r'\bid="([^"]+)"', text)) for path, text in pages.items()}
+    broken = []
+    followed = 0
+    for path, text in pages.items():
+        for link in re.findall(r'<a\b[^>]*\bhref="([^"]*)"', text):
+            if re.match(r"[a-z]+:", link):
+                continue
+            file, _, anchor = html.unescape(link).partition("#")
+            target = (path.parent / file).resolve() if file else path
+            followed += 1
+            if not target.exists() or (anchor and target.suffix == ".html" and anchor not in ids[target]):
+                broken.append(f"{path.relative_to(site)}: {link}")
+    assert followed > 5000
+    assert sorted(set(broken)) == []
+
+
+# --- what the pages' sources have to be -------------------------------------------------------------------------------
+
+
+def test_every_package_with_public_names_has_a_page() -> None:
+    assert set(PACKAGES) <= set(PAGES)
+    listed = (DOCS / "reference" / "python.rst").read_text(encoding="utf-8").split()
+    assert set(PAGES) <= {*listed, "eldata", "capture"}
+
+
+def test_every_guide_is_on_the_site() -> None:
+    listed = (DOCS / "index.md").read_text(encoding="utf-8").split()
+    assert [path.name for path in DOCS.glob("*.md") if path.stem not in {"index", *listed}] == []
+    assert {f"gallery/{path.stem}" for path in NOTEBOOKS} <= set(listed)
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebooks_run(notebook: Path, tmp_path: Path) -> None:
+    """Their cells as one script, without a kernel: `make docs` runs them as notebooks."""
+    cells = _CELL.findall(notebook.read_text(encoding="utf-8"))
+    assert len(cells) > 3
+    script = ["import matplotlib, subprocess, sys", "matplotlib.use('Agg')"]
+    for cell in cells:
+        magic, _, rest = cell.partition("\n")
+        shell = f"subprocess.run(['bash', '-ec', {rest!r}], check=True)"
+        script.append(shell if magic.startswith("%%bash") else cell)
+    (tmp_path / "cells.py").write_text("\n".join(script), encoding="utf-8")
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    environment = {**os.environ, "PATH": path, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "cells.py"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE_S, env=environment)
+    assert done.returncode == 0, done.stderr
+
+
+# --- what docstrings show ---------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """What docstrings read: `eldata demo --scenes 1`, its store, and a calibration of few and small frames."""
+    from eldata.cli.main import main
+    from eldata.demo.calibration_frames import make_calibration_frames
+    from eldata.demo.tree import make_tree
+
+    def make(folder: Path) -> None:
+        tree = folder / "eldata-demo"
+        make_tree(tree, scenes=1)
+        packed = ["pack", "eld-demo", "--manifest", str(tree / "manifests" / "eld-demo.csv")]
+        assert main([*packed, "--root", str(tree / "data"), "-o", str(folder / "demo.h5")]) == 0
+        make_calibration_frames(folder / "eldata-calibration", bias_frames=6, size=(256, 384))
+
+    with made_once(tmp_path_factory, "docstrings", make) as folder:
+        yield folder
+
+
+def with_examples() -> dict[str, Any]:
+    """Everything public whose docstring has examples, by name."""
+    found = {}
+    for page in PAGES:
+        module = importlib.import_module(page)
+        for name in getattr(module, "__all__", [name for name in vars(module) if not name.startswith("_")]):
+            value = getattr(module, name)
+            if (inspect.isclass(value) or inspect.isroutine(value)) and ">>>" in (inspect.getdoc(value) or ""):
+                found[f"{value.__module__}.{name}"] = value
+    return found
+
+
+def test_docstrings_show_what_is_so(demo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("eldata-demo", "eldata-calibration", "demo.h5"):
+        (tmp_path / name).symlink_to(demo / name)
+    monkeypatch.chdir(tmp_path)
+    runner = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE)
+    said: list[str] = []
+    run = set()
+    for full, value in with_examples().items():
+        text = inspect.getdoc(value) or ""
+        test = doctest.DocTestParser().get_doctest(text, {}, full, None, 0)
+        if not all(doctest.SKIP in example.options for example in test.examples[1:]):
+            run.add(full.rpartition(".")[2])
+        runner.run(test, out=said.append)
+    assert said == []
+    assert len(run) > 35
+    first = {"ELDDataset", "PackedStore", "SyntheticPairs", "CalibrationFrames", "evaluate", "calibrate", "verify"}
+    assert first | {"NoiseModel", "CameraProfile", "read_raw", "pack", "psnr", "ssim", "make_plan"} <= run
+
+
+def test_what_examples_skip_is_what_nobody_has_here() -> None:
+    """A published set, or frames of one's own camera: no other example may leave its lines out."""
+    skipped = {
+        full.rpartition(".")[2]
+        for full, value in with_examples().items()
+        if "doctest: +SKIP" in (inspect.getdoc(value) or "")
+    }
+    assert skipped <= {"DRVDataset", "LRDDataset", "SIDDataset", "DarkFrames", "dark_shading"}

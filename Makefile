@@ -12,7 +12,7 @@ RARE := study or browser or tether or dask or kill or memory
 # would compile the package again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test test-all test-rest lint bench fuzz licences lock test-lowest test-newest manifests clean
+.PHONY: help demo docs docs-links test test-all test-rest lint bench fuzz licences lock test-lowest test-newest manifests clean
 
 help:  ## What there is to make
 	@grep -hE '^[a-z-]+:.*##' Makefile | sed 's/:.*## /\t/' | expand -t 12
@@ -31,11 +31,20 @@ $(STAMP): pyproject.toml constraints.txt requirements-dev.txt
 demo: $(STAMP)  ## The whole path on simulated raw files, into ./eldata-demo
 	$(BIN)/eldata demo eldata-demo
 
+# Notebooks run again only where they, or this folder's settings, have changed; what is odd fails the build.
+SPHINX := $(BIN)/sphinx-build -W --keep-going -d docs/_build/doctrees $(SPHINXOPTS)
+
+docs: $(STAMP)  ## The documentation's site, into docs/_build/html; without running notebooks: SPHINXOPTS='-D nb_execution_mode=off'
+	$(SPHINX) docs docs/_build/html
+
+docs-links: $(STAMP)  ## Whether the addresses in the documents answer (needs the network; links between pages are checked by make docs)
+	$(SPHINX) -b linkcheck -D nb_execution_mode=off docs docs/_build/links
+
 lint: $(STAMP)  ## Style and types
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/mypy examples/*.py
+	$(BIN)/mypy examples/*.py docs/conf.py docs/site/*.py
 
 test: lint  ## Style, types and every test that is quick, in five to eight minutes on two cores
 	$(PYTEST) -m 'not ($(RARE))'
@@ -82,4 +91,4 @@ manifests: $(STAMP)  ## Write the shipped manifests again
 	$(BIN)/python -m manifests.generate
 
 clean:  ## Remove what make made
-	rm -rf $(VENV) .venv-lock .venv-lowest .venv-newest eldata-demo fuzz-failures .mypy_cache .ruff_cache .pytest_cache
+	rm -rf $(VENV) docs/_build .venv-lock .venv-lowest .venv-newest eldata-demo fuzz-failures .mypy_cache .ruff_cache .pytest_cache

@@ -66,7 +66,7 @@ def licence_of(name: str) -> str | None:
         if text is not None and text.strip() and len(text) <= _LONGEST and "\n" not in text:
             return " ".join(text.split())
     classifiers = [line for line in about.get_all("Classifier") or [] if line.startswith("License :: ")]
-    names = [line.rpartition(" :: ")[2] for line in classifiers if line.count(" :: ") > 1]
+    names = [line.rpartition(" :: ")[2] for line in classifiers if line != "License :: OSI Approved"]
     return ", ".join(names) or stated[0]
 
 

@@ -3,7 +3,10 @@
     python examples/check_noise_model.py calibration/held-out profile.json page.html
 
 Folder: CAMERA/bias/ISO100/... and, if there are flats, CAMERA/flat/ISO100/...; frames that neither the profile nor the
-training has seen. The "network" here adds Gaussian noise of the profile's variance; put yours in its place.
+training has seen. The "network" here adds Gaussian noise of the profile's variance; put yours in its place. The same
+adapter makes it the noise of training data:
+
+    python examples/train_denoiser.py runs/foreign --clean long --profile SonyA7S2 --noise check_noise_model:model
 """
 
 import sys
@@ -20,17 +23,22 @@ from eldata.noise import CameraProfile, NoiseParameters
 class GaussianNetwork(torch.nn.Module):
     """Stands for a flow, a GAN or a diffusion model: clean packed images (N, C, h, w) in, noisy ones out."""
 
-    def forward(self, clean: torch.Tensor, variance: torch.Tensor, seed: int) -> torch.Tensor:
-        """Return clean data with noise of a variance per pixel."""
-        generator = torch.Generator().manual_seed(seed)
-        return clean + variance.sqrt() * torch.randn(clean.shape, generator=generator)
+    def forward(self, clean: torch.Tensor, variance: torch.Tensor) -> torch.Tensor:
+        """Return clean data with noise of a variance per pixel, from torch's own generator, as most networks do."""
+        return clean + variance.sqrt() * torch.randn_like(clean)
 
 
 class Adapter:
-    """Calls the network as eldata calls every noise model: one image (C, h, w), normalised, at a ratio."""
+    """Calls the network as eldata calls every noise model: one image (C, h, w), normalised, at a ratio.
 
-    def __init__(self, network: torch.nn.Module) -> None:
-        self.network = network.eval()
+    check_noise takes it, and so do SyntheticPairs(model=...) and SyntheticClips(model=...).
+    """
+
+    def __init__(self, network: torch.nn.Module, device: str = "cpu") -> None:
+        self.network, self.device = network.eval().to(device), torch.device(device)
+
+    def __repr__(self) -> str:
+        return f"Adapter({type(self.network).__name__})"
 
     def __call__(
         self,
@@ -42,18 +50,23 @@ class Adapter:
         generator: np.random.Generator,
     ) -> NDArray[np.float32]:
         """Return a noisy exposure; what the network wants to know is made of the parameters."""
-        image = torch.from_numpy(clean)[None] / ratio  # as bright as the sensor saw it
+        image = torch.from_numpy(clean).to(self.device)
+        image = (image if image.ndim == 4 else image[None]) / ratio  # as bright as the sensor saw it; a clip is a batch
         gain, read = parameters.gain_dn_per_e / range_dn, parameters.sigma_gauss_dn / range_dn
         variance = gain * image.clamp(min=0) + read**2
-        seed = int(generator.integers(2**63 - 1))  # all randomness comes from the caller
-        with torch.no_grad():
-            noisy: torch.Tensor = self.network(image, variance, seed)
-        return (noisy[0] * ratio).numpy()
+        devices = [] if self.device.type == "cpu" else [self.device]
+        with torch.inference_mode(), torch.random.fork_rng(devices):
+            torch.manual_seed(int(generator.integers(2**63 - 1)))  # all randomness comes from the caller
+            noisy: torch.Tensor = self.network(image, variance)
+        return (noisy * ratio).reshape(clean.shape).cpu().numpy()
+
+
+model = Adapter(GaussianNetwork())
 
 
 def main(frames: Path, profile: Path, page: Path | None = None) -> None:
     """Print the table, and write the page if it is asked for."""
-    found = check_noise(Adapter(GaussianNetwork()), frames, CameraProfile.load(profile))
+    found = check_noise(model, frames, CameraProfile.load(profile))
     print(found.format_text())
     if page is not None:
         from eldata.reports.acceptance.page import acceptance_page

@@ -1,0 +1,290 @@
+"""Train the paper's U-Net, validate it, and export it as a file that `eldata predict` runs.
+
+    python examples/train_denoiser.py run --pairs sid-train.h5                       # paired real data
+    python examples/train_denoiser.py run --pairs sid-train.h5 --noise2noise         # noisy targets
+    python examples/train_denoiser.py run --clean clean.h5 --profile SonyA7S2        # the noise model
+    python examples/train_denoiser.py run --clean clean.h5 --profile SonyA7S2 --noise P+G --iso 800 1600 3200
+    python examples/train_denoiser.py run --pairs sid-train.h5 --clean clean.h5 --profile SonyA7S2   # both, mixed
+
+Stores are made by `eldata pack`; --pairs takes the address of shards too, --clean a folder of raws. The folder `run`
+gets checkpoint.pt, from which the same command goes on to the bit, and at the end model.pt2 and weights.pt. With
+--validate data/ELD the protocol's score is printed. On several GPUs:
+
+    torchrun --nproc-per-node 4 examples/train_denoiser.py run ... --device cuda --precision bfloat16
+
+The network gets (N, C, h, w) float32: packed, black 0, white 1 as --levels has it, amplified by the ratio and clipped
+as --clip says, in training and in validation alike. Put your network in the place of UNet, your loss in that of
+absolute_error.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import distributed
+from torch.utils.data import ConcatDataset, Dataset
+
+from eldata import ELDDataset, PackedStore, StreamedPairs, SyntheticClips, SyntheticPairs
+from eldata.base.files import atomic_write
+from eldata.base.naming import named_object
+from eldata.baselines import Training, UNet, absolute_error, save_network, tiled
+from eldata.datasets import (
+    DarkFrames,
+    Noise2Noise,
+    RawFiles,
+    StoredFrames,
+    describe,
+    evaluation_loader,
+    training_loader,
+)
+from eldata.noise import NoiseModel
+from eldata.raw.cfa import CLIP_RANGES
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from eldata.datasets import CleanSource
+    from eldata.raw.cfa import Clip
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Train, or go on with a training; print each epoch's loss and, if asked for, the protocol's score."""
+    options = arguments().parse_args(argv)
+    rank, device = start_ranks(options.device)
+    options.run.mkdir(parents=True, exist_ok=True)
+    data = training_data(options)
+    loader = training_loader(data, options.batch_size, seed=options.seed, device=device, workers=options.workers)
+    sample = next(iter(data))
+    channels = sample["input"].shape[0]
+    network = UNet(channels, width=options.width, depth=options.depth, seed=options.seed)
+    training = Training(
+        network,
+        loader,
+        steps=options.epochs * len(loader),
+        learning_rate=options.learning_rate,
+        loss=absolute_error,
+        device=device,
+        precision=options.precision,
+        settings={"data": repr(data), "width": options.width, "depth": options.depth, "seed": options.seed},
+    )
+    if rank == 0:
+        curve = curves_in(options.run)
+        print(data, describe(loader), f"{sum(map(torch.numel, network.parameters())):,} parameters", sep="\n")
+    for report in training.epochs(options.run / "checkpoint.pt", save_every=options.save_every):
+        shown = {"loss": report.loss, "items/s": report.items_per_s}
+        if options.validate and ((report.epoch + 1) % options.validate_every == 0 or report.step == training.steps):
+            shown |= score(network, options, device)
+        if rank == 0:
+            print(report, *(f"{name} {shown[name]:.4f}" for name in ("psnr_db", "ssim") if name in shown), sep=", ")
+            for name, value in shown.items():
+                curve(name, value, report.step)
+    if rank == 0:
+        keep(network, options.run, channels, options.clip)
+    if distributed.is_initialized():
+        distributed.destroy_process_group()
+
+
+# --- data -------------------------------------------------------------------------------------------------------------
+
+
+def training_data(options: argparse.Namespace) -> Dataset[Any]:
+    """Return real pairs, synthetic ones, or both."""
+    crops = {"crop": options.crop, "crops_per_frame": options.crops_per_frame, "seed": options.seed}
+    representation = {"clip": options.clip, "levels": options.levels, "augment": True}
+    parts: list[Dataset[Any]] = []
+    if options.pairs:
+        parts.append(real_pairs(options.pairs, options.noise2noise, crops | representation))
+    if options.clean:
+        parts.append(synthetic_pairs(options, crops))
+    if not parts:
+        arguments().error("give --pairs, --clean with --profile, or both")
+    return parts[0] if len(parts) == 1 else ConcatDataset([Sides(part) for part in parts])
+
+
+def real_pairs(place: str, is_noise2noise: bool, choice: dict[str, Any]) -> Dataset[Any]:
+    """Return the pairs of a store or of shards, or two noisy frames of a scene each."""
+    if Path(place).is_file():
+        pairs = PackedStore(place, **choice)
+        return Noise2Noise(pairs) if is_noise2noise else pairs
+    if is_noise2noise:
+        arguments().error("--noise2noise takes a store: shards give their pairs one by one")
+    return StreamedPairs(place, **choice)
+
+
+def synthetic_pairs(options: argparse.Namespace, crops: dict[str, Any]) -> Dataset[Any]:
+    """Return clean crops with noise made on the fly; for Noise2Noise, two noisy exposures of each."""
+    if not options.profile:
+        arguments().error("--clean needs a camera's noise: --profile")
+    frames = StoredFrames if Path(options.clean).is_file() else RawFiles
+    source = frames(options.clean, levels=options.levels)
+    noise = {"model": noise_of(options), "iso": options.iso, "ratio": tuple(options.ratio), "clip": options.clip}
+    if not options.noise2noise:
+        return SyntheticPairs(source, options.profile, **crops, **noise)
+    count = crops.pop("crops_per_frame")
+    stills = SyntheticClips(Stills(source), options.profile, frames=2, windows_per_clip=count, **crops, **noise)
+    return Sides(stills, are_exposures=True)
+
+
+def noise_of(options: argparse.Namespace) -> Any:
+    """Return the noise model of a spec, or a callable `package.module:name` of your own (docs/noise.md)."""
+    if ":" in options.noise:
+        return named_object(options.noise)
+    return NoiseModel(
+        options.noise,
+        dark_frames=DarkFrames(options.dark_frames, levels=options.levels) if options.dark_frames else None,
+    )
+
+
+class Stills:
+    """Each clean frame as a clip of some: a window has exposures of one scene, each with noise of its own."""
+
+    def __init__(self, source: CleanSource, frames: int = 2) -> None:
+        self.source, self.frames = source, frames
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+    def clip(self, index: int) -> Still:
+        """Return a frame, several times."""
+        return Still(self.source, index, self.frames)
+
+    def __repr__(self) -> str:
+        return f"Stills({self.source!r})"
+
+
+class Still:
+    """One clean frame, several times."""
+
+    def __init__(self, source: CleanSource, index: int, frames: int) -> None:
+        self.source, self.index, self.frames = source, index, frames
+        self.reads_parts = getattr(source, "reads_parts", False)
+
+    def __len__(self) -> int:
+        return self.frames
+
+    def frame(self, _: int) -> Any:
+        """Return the frame."""
+        return self.source.frame(self.index)
+
+
+class Sides(Dataset[dict[str, torch.Tensor]]):
+    """Input and target alone, so that samples of several datasets go into one batch."""
+
+    def __init__(self, dataset: Any, *, are_exposures: bool = False) -> None:
+        self.dataset = dataset  # set_epoch finds it by this name
+        self.are_exposures = are_exposures
+
+    def __len__(self) -> int:
+        return len(self.dataset)
+
+    def __getitem__(self, index: int) -> dict[str, torch.Tensor]:
+        sample = self.dataset[index]
+        first, second = sample["input"] if self.are_exposures else (sample["input"], sample["target"])
+        return {"input": first, "target": second}
+
+    def __repr__(self) -> str:
+        return f"Sides({self.dataset!r}, are_exposures={self.are_exposures})"
+
+
+# --- validation -------------------------------------------------------------------------------------------------------
+
+
+def score(network: UNet, options: argparse.Namespace, device: torch.device) -> dict[str, float]:
+    """Return the protocol's PSNR and SSIM over the validation pairs: the numbers of `eldata evaluate`."""
+    from eldata.integrations.torchmetrics import ProtocolScore
+
+    pairs = ELDDataset(options.validate, manifest=options.manifest, clip=options.clip, levels=options.levels)
+    metric = ProtocolScore(options.protocol)
+    low, high = CLIP_RANGES[metric.protocol.reference_clip]
+    network.eval()
+
+    def predicted(image: Any) -> Any:
+        return network(torch.from_numpy(image)[None].to(device))[0].float().cpu().numpy()
+
+    with torch.inference_mode():
+        for batch in evaluation_loader(pairs, workers=options.workers):
+            image = batch["input"][0].numpy()
+            found = tiled(predicted, image, tile=1024, overlap=128, multiple=network.multiple)
+            metric.update(torch.from_numpy(found), batch["target"][0].clamp(low, high))
+    return {name: float(value) for name, value in metric.compute().items()}
+
+
+def keep(network: Any, folder: Path, channels: int, clip: Clip) -> None:
+    """Write a trained network for `eldata predict`, and its weights."""
+    traits = {"multiple": network.multiple, "window": network.window}
+    save_network(network, folder / "model.pt2", channels=channels, clip=clip, **traits)
+    with atomic_write(folder / "weights.pt") as file:  # torch.load(..., weights_only=True)
+        torch.save(network.state_dict(), file)
+    print(f"eldata predict {folder / 'model.pt2'} ...")
+
+
+def curves_in(folder: Path) -> Callable[[str, float, int], object]:
+    """Return what takes a curve's name, value and step: TensorBoard's writer, if it is installed."""
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError:
+        print("TensorBoard is not installed, so no curves are written: pip install tensorboard")
+        return lambda *_: None
+    return SummaryWriter(folder / "tensorboard").add_scalar
+
+
+# --- processes and options --------------------------------------------------------------------------------------------
+
+
+def start_ranks(kind: str) -> tuple[int, torch.device]:
+    """Join the processes that torchrun started, if it did; each takes a GPU of its own."""
+    is_cuda = kind == "cuda" or (kind == "auto" and torch.cuda.is_available())
+    if "WORLD_SIZE" in os.environ:
+        distributed.init_process_group("nccl" if is_cuda else "gloo")
+    device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0"))) if is_cuda else torch.device("cpu")
+    return distributed.get_rank() if distributed.is_initialized() else 0, device
+
+
+def arguments() -> argparse.ArgumentParser:
+    """Return the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("run", type=Path, help="folder of this training; the same command goes on with it")
+    data = parser.add_argument_group("data")
+    data.add_argument("--pairs", help="a packed store, or the address of a folder of shards")
+    data.add_argument("--clean", help="a packed store of clean frames, or a folder of raws")
+    data.add_argument("--noise2noise", action="store_true", help="a second noisy frame in place of the clean one")
+    data.add_argument("--crops-per-frame", type=int, default=1, help="in an epoch (default: %(default)s)")
+    how = add_shared(parser, data)
+    how.add_argument("--depth", type=int, default=4, help="how often it halves the image (default: %(default)s)")
+    check = parser.add_argument_group("validation")
+    check.add_argument("--validate", type=Path, metavar="ROOT", help="ELD's folder, or that of a set in its layout")
+    check.add_argument("--manifest", default="eld", help="(default: %(default)s)")
+    check.add_argument("--protocol", default="eld", help="(default: %(default)s)")
+    check.add_argument("--validate-every", type=int, default=10, metavar="EPOCHS", help="(default: %(default)s)")
+    return parser
+
+
+def add_shared(parser: argparse.ArgumentParser, data: argparse._ArgumentGroup) -> argparse._ArgumentGroup:
+    """Add what both examples have: the noise, the crops, and how to train, whose group is returned."""
+    data.add_argument("--profile", nargs="+", help="cameras whose noise is made: shipped names or files")
+    data.add_argument("--noise", default="P*+G*+B+R+U", help="a spec, or package.module:name (default: %(default)s)")
+    data.add_argument("--dark-frames", help="a store of bias frames, for the specs with D")
+    data.add_argument("--iso", type=float, nargs="+", help="these alone, drawn alike (default: the gain is drawn)")
+    data.add_argument("--ratio", type=float, nargs=2, default=(100.0, 300.0), help="(default: 100 300)")
+    data.add_argument("--clip", choices=("both", "upper", "none"), default="both", help="(default: %(default)s)")
+    data.add_argument("--levels", choices=("published", "metadata"), default="published", help="(default: %(default)s)")
+    data.add_argument("--crop", type=int, default=512, help="side in packed pixels (default: %(default)s)")
+    how = parser.add_argument_group("training")
+    how.add_argument("--epochs", type=int, default=200, help="the schedule is scaled to them (default: %(default)s)")
+    how.add_argument("--batch-size", type=int, default=1, help="per process (default: %(default)s)")
+    how.add_argument("--learning-rate", type=float, default=1e-4, help="(default: %(default)s)")
+    how.add_argument("--width", type=int, default=32, help="of the network's first level (default: %(default)s)")
+    how.add_argument("--precision", choices=("float32", "bfloat16", "float16"), default="float32")
+    how.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
+    how.add_argument("--workers", type=int, help="default: by CPUs and memory")
+    how.add_argument("--seed", type=int, default=0, help="(default: %(default)s)")
+    how.add_argument("--save-every", type=int, metavar="STEPS", help="a checkpoint inside of epochs too")
+    return how
+
+
+if __name__ == "__main__":  # workers import this file: the guard is needed
+    main()

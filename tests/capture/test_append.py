@@ -176,7 +176,8 @@ def test_a_second_plan_and_another_camera(
     taken = [replace(press, model="Nocturne X") for press in whole_plan(plans[0])]
     night(nights.folder / "x", taken, monkeypatch, 8)
     assert nights.add(make_plan(renamed, plans[0].protocol, {"scene-5": Fraction(4)}), nights.folder / "x") == 2
-    assert "whose model in EXIF is Nocturne 1, and that of the plan's AcmeNocturne is Nocturne X" in capsys.readouterr().err
+    remark = "whose model in EXIF is Nocturne 1, and that of the plan's AcmeNocturne is Nocturne X"
+    assert remark in capsys.readouterr().err
     assert nights.csv.read_bytes() == before
     assert nights.problems() == []
 

@@ -136,7 +136,8 @@ def plan_calibration(
         taken: list[Fraction] = []
         for level in flat_levels:
             target_s = flat_clips_at_s * level * Fraction(base_iso, iso)
-            setting = _flat_setting(camera, iso, level, clips_at * level * Fraction(base_iso, iso), flat_clips_at_s)
+            wanted = clips_at * level * (camera.speed(base_iso) / camera.speed(iso))
+            setting = _flat_setting(camera, iso, level, wanted, flat_clips_at_s)
             if setting.nominal_s in taken:
                 remarks.append(
                     f"ISO {iso}: no flats at {float(100 * level):.0f} %, which the camera's steps round to "

@@ -11,10 +11,10 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from dataclasses import asdict
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, Final
 
+from capture.apertures import f_text
 from capture.checklist_content import (
     TEMPLATES,
     at_each_scene,
@@ -35,11 +35,12 @@ from capture.checklist_progress import (
     load_progress,
 )
 from capture.checklist_text import markdown_checklist, text_checklist
-from capture.shots import minutes
+from capture.shots import light_share, minutes
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from capture.checklist_content import ChecklistRow
     from capture.exact import ExactNumber
     from capture.plan import Plan
 
@@ -77,6 +78,7 @@ def html_checklist(plan: Plan) -> str:
         "checklist.html",
         TEMPLATES,
         plan=plan,
+        f_text=f_text,
         protocol=plan.protocol,
         calibration=plan.calibration,
         frames=len(plan.shots),
@@ -134,13 +136,19 @@ def _page_data(plan: Plan) -> dict[str, Any]:
             for time in camera.shutter.times
         ],
         "fitting": _fitting(plan),
-        "frames": [asdict(frame) for frame in protocol.frames()],
+        "frames": [_page_frame(plan, row) for row in rows(plan.scenes[0].shots)] if plan.scenes else [],
         "scenes": [{"name": scene.name, "metered": str(scene.metered_s)} for scene in plan.scenes],
         "calibration": [row.as_dict() for row in (*bias, *flats)],
         "preparation": [item.name for item in every_item(plan)],
         "longest_text": LONGEST_TEXT,
         "most_repeats": MOST_REPEATS,
     }
+
+
+def _page_frame(plan: Plan, row: ChecklistRow) -> dict[str, Any]:
+    frame = plan.protocol.frames()[row.number - 1]
+    light = light_share(plan.camera, plan.protocol, frame)
+    return row.as_dict() | {"factor": frame.factor, "reference": frame.reference, "light": str(light)}
 
 
 def _sixth_power(number: ExactNumber) -> Fraction:
@@ -151,9 +159,7 @@ def _sixth_power(number: ExactNumber) -> Fraction:
 def _fitting(plan: Plan) -> list[int]:
     """Return the indices of the first and last setting for the references at which all shots fit."""
     camera, protocol = plan.camera, plan.protocol
-    scales = [
-        Fraction(protocol.base_iso, frame.iso * frame.factor) for frame in protocol.frames() if frame.factor is not None
-    ]
+    scales = [light_share(camera, protocol, frame) for frame in protocol.frames() if frame.factor is not None]
     ends = (min(scales), max(scales))
     found = [
         index

@@ -39,7 +39,7 @@ class Item:
 
 @dataclass(frozen=True, slots=True)
 class ChecklistRow:
-    """A row with one box to tick: a shot, or successive calibration shots with the same settings.
+    """A row with one box to tick: a shot, or successive shots with the same settings.
 
     Attributes
     ----------
@@ -89,14 +89,13 @@ class ChecklistRow:
 
 
 def rows(shots: Iterable[Shot]) -> tuple[ChecklistRow, ...]:
-    """Return the rows of shots: one per shot, but calibration shots with equal settings together."""
+    """Return the rows of shots: those in a row that are to be equal in everything are one."""
     groups = [list(group) for _, group in groupby(shots, key=_together)]
     return tuple(ChecklistRow(group[0], len(group)) for group in groups)
 
 
 def _together(shot: Shot) -> tuple[object, ...]:
-    alone = shot.number if shot.role in ("reference", "noisy") else None
-    return (alone, shot.role, shot.iso, shot.setting.dial, shot.level)
+    return (shot.role, shot.iso, shot.setting.dial, shot.factor, shot.reference, shot.level)
 
 
 def items(kind: str, plan: Plan) -> tuple[Item, ...]:

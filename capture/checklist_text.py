@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from capture.apertures import f_text
 from capture.checklist_content import at_each_scene, bias_and_flats, items, rows
 from capture.shots import minutes
 from eldata.base.tables import aligned_markdown, markdown_text, one_line, text_table
@@ -55,7 +56,8 @@ def _checklist(
     for scene in plan.scenes:
         notes = [f"- Note: {plain(note)}" for note in scene.notes]
         remarks = [f"- {plain(remark)}" for remark in scene.remarks]
-        metered = f"- Planned for a metered time of {scene.metered_s} s at ISO {protocol.base_iso}. Metered: ________ s"
+        at = f"ISO {protocol.base_iso}{'' if scene.aperture is None else f', {f_text(scene.aperture)}'}"
+        metered = f"- Planned for a metered time of {scene.metered_s} s at {at}. Metered: ________ s"
         parts += [
             heading(2, scene.name),
             "\n".join([metered, *notes, *remarks]),

@@ -194,8 +194,6 @@ def set_title(records: Sequence[FrameRecord]) -> str:
 
 def card_of(plan: Plan, name: str, folder: str, records: Sequence[FrameRecord]) -> Card:
     """Return the dataset's card; what only the photographer knows, such as the licence, is left to fill in."""
-    isos, factors = (", ".join(map(str, some)) for some in (plan.protocol.noisy_isos, plan.protocol.low_light_factors))
-    settings = f"protocol of base ISO {plan.protocol.base_iso}, ISOs {isos}, low-light factors {factors}"
     return Card(
         name=name,
         title=set_title(records),
@@ -207,5 +205,5 @@ def card_of(plan: Plan, name: str, folder: str, records: Sequence[FrameRecord]) 
         cfa=plan.camera.cfa,
         cameras={plan.camera.name: CameraCard(plan.camera.models)},
         counts=counts_of(records),
-        sources=(f"capture manifest: {settings}; ISO and exposure times as the files state them",),
+        sources=(f"capture manifest: protocol of {plan.protocol}; ISO and exposure times as the files state them",),
     )

@@ -43,6 +43,7 @@ Kind = Literal[
     "checklist",
     "scene-order",
     "no-times",
+    "aperture",
     "copies",
     "retaken",
     "skipped",

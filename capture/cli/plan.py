@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from capture.cli.values import (
+    add_alike,
     add_progress,
+    aperture,
     metered,
     nine_digits,
     or_dash,
@@ -34,7 +36,7 @@ if TYPE_CHECKING:
     from capture.plan import Plan
     from capture.shots import Shot
 
-_CREATING = ("camera", "scenes", "metered", "protocol", "isos", "factors")
+_CREATING = ("camera", "scenes", "metered", "protocol", "isos", "factors", "repeats", "references")
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -74,6 +76,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     new.add_argument(
         "--factors", type=nine_digits, nargs="+", metavar="FACTOR", help="other low-light factors than the protocol's"
     )
+    add_alike(new)
     change = parser.add_argument_group("changes")
     change.add_argument(
         "--remeter",
@@ -97,6 +100,15 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         default=[],
         metavar="SCENE=TEXT",
         help="a note on a scene, as scene-2=bookshelf; may be repeated",
+    )
+    change.add_argument(
+        "--aperture",
+        type=aperture,
+        action="append",
+        default=[],
+        metavar="F",
+        help="the f-number of every scene, as 8, or of one: scene-3=5.6; in a new plan or an older one. The files' EXIF "
+        "is compared with it",
     )
     add_progress(change, "metered times and remarks are taken into the plan")
     calibration = parser.add_argument_group("calibration frames, in a new plan or an older one")
@@ -176,6 +188,8 @@ def _new(arguments: argparse.Namespace) -> Plan:
         camera.base_iso,
         tuple(arguments.isos or chosen.noisy_isos),
         tuple(arguments.factors or chosen.low_light_factors),
+        chosen.repeats if arguments.repeats is None else arguments.repeats,
+        chosen.references if arguments.references is None else arguments.references,
     )
     return make_plan(camera, protocol, _metered(arguments), _calibration(camera, protocol, arguments))
 
@@ -228,6 +242,10 @@ def _changed(plan: Plan, arguments: argparse.Namespace) -> Plan:
         plan = plan.add_scene(name, time)
     for name, time in arguments.remeter:
         plan = plan.remeter(name, time)
+    # First the aperture of every scene, whatever the order in which they are given.
+    for name, f_number in sorted(arguments.aperture, key=lambda given: given[0] is not None):
+        for scene in plan.scenes if name is None else (plan.scene(name),):
+            plan = plan.set_aperture(scene.name, f_number)
     for text in arguments.note:
         name, equals, note = text.partition("=")
         if not equals or not note.strip():
@@ -243,15 +261,15 @@ def _changed(plan: Plan, arguments: argparse.Namespace) -> Plan:
 
 def format_plan(plan: Plan) -> str:
     """Return a plan as text: a table for the scenes of each metered time, and one for the calibration frames."""
+    from capture.apertures import f_text
     from capture.shots import duration_of
 
     protocol = plan.protocol
-    settings = f"base ISO {protocol.base_iso}, ISOs {spaced(protocol.noisy_isos)}"
-    factors = spaced(protocol.low_light_factors)
-    parts = [f"{plan.camera.name}: {len(plan.shots)} shots; {settings}, low-light factors {factors}"]
-    for time in dict.fromkeys(scene.metered_s for scene in plan.scenes):
-        scenes = [scene for scene in plan.scenes if scene.metered_s == time]
-        title = f"{', '.join(scene.name for scene in scenes)}: metered at {time} s"
+    parts = [f"{plan.camera.name}: {len(plan.shots)} shots; {protocol}"]
+    for time, f_number in dict.fromkeys((scene.metered_s, scene.aperture) for scene in plan.scenes):
+        scenes = [scene for scene in plan.scenes if (scene.metered_s, scene.aperture) == (time, f_number)]
+        at = "" if f_number is None else f", {f_text(f_number)}"
+        title = f"{', '.join(scene.name for scene in scenes)}: metered at {time} s{at}"
         notes = [f"{scene.name}: {note}" for scene in scenes for note in scene.notes]
         each = "each scene" if len(scenes) > 1 else scenes[0].name
         time_needed = f"{each}: {duration_of(scenes[0].shots)}"
@@ -285,12 +303,17 @@ def format_left(progress: Progress) -> str:
 def _table(shots: Sequence[Shot]) -> str:
     from eldata.base.tables import text_table
 
+    from capture.checklist_content import rows as rows_of
+
     header = ("frame", "role", "ISO", "factor", "asked", "set", "gives", "ratio", "EXIF", "error", "stops", "reference")
+    measured = any(shot.true_iso is not None for shot in shots)
+    header = (*header[:3], *(("true ISO",) if measured else ()), *header[3:])
     rows = [
         (
-            str(shot.number),
+            row.numbers,
             shot.role,
             str(shot.iso),
+            *([or_dash(None if shot.true_iso is None else float(shot.true_iso), "{:g}")] if measured else []),
             or_dash(shot.factor, "x{}"),
             f"{shot.target_s} s",
             f"{shot.setting.dial} s",
@@ -301,7 +324,8 @@ def _table(shots: Sequence[Shot]) -> str:
             or_dash(shot.error_stops, "{:+.3f}"),
             or_dash(shot.reference),
         )
-        for shot in shots
+        for row in rows_of(shots)
+        for shot in (row.shot,)
     ]
     return text_table(header, rows, left=(1,))
 

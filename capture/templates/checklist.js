@@ -71,7 +71,7 @@ function sceneShots(metered) {
   const shots = plan.frames.map((frame) => {
     const target = textOf(times(base ? base.nominal : metered, scale(frame)));
     if (base === null) return { ...frame, target, setting: null };
-    const setting = frame.factor === null ? base : nearest(times(base.sixth, sixthPower(scale(frame))));
+    const setting = frame.factor === null ? base : nearest(times(base.sixth, sixthPower(fraction(frame.light))));
     return { ...frame, target, setting };
   });
   const failing = shots.find((shot) => shot.setting === null);
@@ -114,7 +114,7 @@ function remarks(metered, base, shots) {
   }
   const far = shots.filter((shot) => shot.factor !== null && farOff(base, shot));
   if (far.length) {
-    found.push(`frames ${far.map((shot) => shot.number).join(", ")}: the ratio is more than 10 % off its factor, which eldata `
+    found.push(`frames ${far.flatMap((shot) => Array.from({ length: shot.count }, (_, n) => shot.number + n)).join(", ")}: the ratio is more than 10 % off its factor, which eldata `
       + "verify refuses; set the camera to thirds of a stop, or meter another time");
   }
   return found;
@@ -123,7 +123,8 @@ function remarks(metered, base, shots) {
 function farOff(base, shot) {
   const speeds = { n: BigInt(plan.base_iso), d: BigInt(shot.iso) };
   const named = reduced(times(over(base.nominal, shot.setting.nominal), speeds));
-  const given = times(over(base.sixth, shot.setting.sixth), sixthPower(speeds));
+  const light = times(fraction(shot.light), { n: BigInt(shot.factor), d: 1n });
+  const given = times(over(base.sixth, shot.setting.sixth), sixthPower(light));
   const bound = (tenths) => sixthPower({ n: BigInt(tenths * shot.factor), d: 10n });
   return Math.abs(Number(named.n) / Number(named.d) - shot.factor) > shot.factor / 10
     || less(given, bound(9)) || less(bound(11), given);
@@ -300,7 +301,7 @@ const nextRow = () => rowsOf(place).find((row) => !row.done);
 
 function sentence(row) {
   const last = row.number + row.count - 1;
-  const which = row.count === 1 ? `frame ${row.number} of ${rowsOf(row.section).length}` : `frames ${row.number} to ${last}`;
+  const which = row.count === 1 ? `frame ${row.number} of ${frameCount(rowsOf(row.section))}` : `frames ${row.number} to ${last}`;
   const what = row.element.querySelector(".tick .soft").textContent.split(" · ")[1];
   return `${row.section}, ${which}: ${what}`;
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from capture.apertures import f_text
 from capture.plan import CALIBRATION
 from capture.tether.gphoto import CAPTURE, get_arguments, set_arguments
 
@@ -33,6 +34,7 @@ def stages_of(plan: Plan) -> tuple[Stage, ...]:
         first = scene.shots[0].setting.dial
         prepare = (
             f"metered at {scene.metered_s} s, ISO {plan.protocol.base_iso}; the first frame at {first} s",
+            *(() if scene.aperture is None else (f"aperture {f_text(scene.aperture)}",)),
             *scene.notes,
             *scene.remarks,
             "tripod and focus fixed, lamps steady, nobody walks; the mode dial on M, image format raw",

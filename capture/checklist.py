@@ -18,9 +18,9 @@ from capture.apertures import f_text
 from capture.checklist_content import (
     TEMPLATES,
     at_each_scene,
-    bias_and_flats,
+    calibration_parts,
     every_item,
-    items,
+    preparation,
     rows,
 )
 from capture.checklist_progress import (
@@ -73,7 +73,6 @@ def html_checklist(plan: Plan) -> str:
 
     # With the line end that stands before them in the page, since the policy's hashes are of elements' whole content.
     style, script = ("\n" + (TEMPLATES / f"checklist.{suffix}").read_text(encoding="utf-8") for suffix in ("css", "js"))
-    bias, flats = bias_and_flats(plan)
     return rendered(
         "checklist.html",
         TEMPLATES,
@@ -84,11 +83,8 @@ def html_checklist(plan: Plan) -> str:
         frames=len(plan.shots),
         time_needed=minutes(plan.duration.total_s),
         scene_rows=[(scene, rows(scene.shots)) for scene in plan.scenes],
-        bias=bias,
-        flats=flats,
-        preparation=items("preparation", plan),
-        before_bias=items("bias", plan),
-        before_flats=items("flats", plan),
+        parts=calibration_parts(plan),
+        preparation=preparation(plan),
         at_each_scene=at_each_scene(plan),
         longest_text=LONGEST_TEXT,
         data=_embedded(_page_data(plan)),
@@ -121,7 +117,6 @@ def _embedded(data: dict[str, Any]) -> str:
 def _page_data(plan: Plan) -> dict[str, Any]:
     """Return what the page's script computes with."""
     camera, protocol = plan.camera, plan.protocol
-    bias, flats = bias_and_flats(plan)
     return {
         "kind": KIND,
         "schema": SCHEMA,
@@ -138,7 +133,7 @@ def _page_data(plan: Plan) -> dict[str, Any]:
         "fitting": _fitting(plan),
         "frames": [_page_frame(plan, row) for row in rows(plan.scenes[0].shots)] if plan.scenes else [],
         "scenes": [{"name": scene.name, "metered": str(scene.metered_s)} for scene in plan.scenes],
-        "calibration": [row.as_dict() for row in (*bias, *flats)],
+        "calibration": [row.as_dict() for part in calibration_parts(plan) for row in part.rows],
         "preparation": [item.name for item in every_item(plan)],
         "longest_text": LONGEST_TEXT,
         "most_repeats": MOST_REPEATS,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from capture.apertures import f_text
-from capture.checklist_content import at_each_scene, bias_and_flats, items, rows
+from capture.checklist_content import at_each_scene, calibration_parts, preparation, rows
 from capture.shots import minutes
 from eldata.base.tables import aligned_markdown, markdown_text, one_line, text_table
 
@@ -48,7 +48,7 @@ def _checklist(
         heading(1, f"Capture checklist: {plain(plan.camera.name)}"),
         f"{counted}; base ISO {protocol.base_iso}.",
         heading(2, "Preparation"),
-        _items(items("preparation", plan)),
+        _items(preparation(plan)),
     ]
     if plan.scenes:
         steps = (f"{number}. {text}" for number, text in enumerate(at_each_scene(plan), 1))
@@ -63,15 +63,10 @@ def _checklist(
             "\n".join([metered, *notes, *remarks]),
             _rows(rows(scene.shots), table),
         ]
-    if plan.calibration is not None:
-        bias, flats = bias_and_flats(plan)
-        remarks = [f"- {plain(remark)}" for remark in plan.calibration.remarks]
-        parts += [heading(2, "Bias frames"), _items(items("bias", plan)), _rows(bias, table)]
-        parts += [
-            heading(2, "Flat-field frames"),
-            "\n".join([_items(items("flats", plan)), *remarks]),
-            _rows(flats, table),
-        ]
+    for part in calibration_parts(plan):
+        remarks = plan.calibration.remarks if plan.calibration is not None and part.kind == "flats" else ()
+        before = "\n".join([_items(part.items), *(f"- {plain(remark)}" for remark in remarks)])
+        parts += [heading(2, part.title), before, _rows(part.rows, table)]
     return "\n\n".join(parts) + "\n"
 
 

@@ -13,7 +13,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from capture.calibration import CalibrationPlan, plan_calibration
+from capture.calibration import CalibrationPlan, DarkSetting, dark_settings, plan_calibration
 from capture.camera import CameraDescription, camera_as_dict, camera_from, wholes
 from capture.capture_errors import PlanError, naming
 from capture.exact import parse_seconds
@@ -132,6 +132,14 @@ class Plan:
     def duration(self) -> Duration:
         """How long the shots take, without what is to be done between the scenes."""
         return duration_of([shot for _, shot in self.shots])
+
+    @property
+    def without_dark(self) -> tuple[DarkSetting, ...]:
+        """ISO and marked time of noisy frames that the plan's dark frames lack: of scenes that changed since."""
+        if self.calibration is None or not self.calibration.dark:
+            return ()
+        used = dark_settings(shot for scene in self.scenes for shot in scene.shots)
+        return tuple(one for one in used if one not in self.calibration.dark)
 
     def scene(self, name: str) -> ScenePlan:
         """Return a scene by its name.
@@ -330,15 +338,24 @@ def _shot_as_dict(shot: Shot) -> dict[str, Any]:
         content["level"] = str(shot.level)
     if shot.true_iso is not None:
         content["true_iso"] = float(shot.true_iso)
+    if shot.series:
+        content["series"] = shot.series
     return content
 
 
 def _calibration_as_dict(calibration: CalibrationPlan) -> dict[str, Any]:
+    more: dict[str, Any] = {}
+    if calibration.dark:
+        settings = [{"iso": iso, "nominal_s": str(seconds)} for iso, seconds in calibration.dark]
+        more["dark"] = {"frames": calibration.dark_frames, "settings": settings}
+    if calibration.warm:
+        more["warm"] = True
     return {
         "isos": list(calibration.isos),
         "bias_frames": calibration.bias_frames,
         "flat_levels": [str(level) for level in calibration.flat_levels],
         "flat_clips_at_s": str(calibration.flat_clips_at_s),
+        **more,
         "shots": [_shot_as_dict(shot) for shot in calibration.shots],
     }
 
@@ -376,7 +393,13 @@ def _scene(fields: Fields, camera: CameraDescription, protocol: CaptureProtocol)
 
 
 def _calibration(fields: Fields, camera: CameraDescription, protocol: CaptureProtocol) -> CalibrationPlan:
-    fields.only(("isos", "bias_frames", "flat_levels", "flat_clips_at_s", "shots"))
+    fields.only(("isos", "bias_frames", "flat_levels", "flat_clips_at_s", "dark", "warm", "shots"))
+    more: dict[str, Any] = {"warm": fields.optional("warm", fields.flag, False)}
+    if "dark" in fields.data:
+        dark = fields.inside("dark")
+        dark.only(("frames", "settings"))
+        more["dark_frames"] = dark.whole("frames", at_least=1, at_most=_MOST_BIAS_FRAMES)
+        more["dark"] = tuple(_dark_setting(one) for one in dark.objects("settings"))
     calibration = plan_calibration(
         camera,
         protocol.base_iso,
@@ -384,9 +407,15 @@ def _calibration(fields: Fields, camera: CameraDescription, protocol: CapturePro
         fields.parsed("flat_clips_at_s", parse_seconds),
         bias_frames=fields.whole("bias_frames", at_least=1, at_most=_MOST_BIAS_FRAMES),
         flat_levels=fields.each("flat_levels", Fields.parsed, parse=parse_seconds),
+        **more,
     )
     _check_shots(fields, calibration.shots)
     return calibration
+
+
+def _dark_setting(fields: Fields) -> DarkSetting:
+    fields.only(("iso", "nominal_s"))
+    return fields.whole("iso", at_least=1), fields.parsed("nominal_s", parse_seconds)
 
 
 def _check_shots(fields: Fields, shots: Sequence[Shot]) -> None:

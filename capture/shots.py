@@ -46,6 +46,8 @@ class Shot:
         Of a flat: wanted mean, as a share of the range over black.
     true_iso
         The ISO's measured speed, where the camera's description states it.
+    series
+        Of calibration frames beside the usual ones, the folder that keeps them apart: ``dark-0.5s``, ``warm``.
     """
 
     number: int
@@ -59,6 +61,7 @@ class Shot:
     named_ratio: Fraction | None = None
     level: Fraction | None = None
     true_iso: Fraction | None = None
+    series: str = ""
 
     @property
     def settings(self) -> str:

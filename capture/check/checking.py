@@ -9,9 +9,11 @@ from capture.check.flat import check_flats
 from capture.check.frames import Unit
 from capture.check.result import CheckedGroup, CheckReport
 from capture.check.scene import check_scene
+from capture.observed import exposure_text
 from eldata.base.workers import AnyWorkers, Workers
 from eldata.errors import ArgumentError, ManifestError
 from eldata.manifest.catalogue import Manifest, load_manifest
+from eldata.manifest.pairs import LONGER_DARK, WARM_SENSOR
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -79,7 +81,10 @@ def check_unit(unit: Unit) -> CheckedGroup:
 
 def _unit_name(record: FrameRecord) -> str:
     if record.role in ("bias", "flat"):
-        return f"{record.camera} {record.role} ISO {'?' if record.iso is None else f'{float(record.iso):g}'}"
+        series = [one for one in (LONGER_DARK, WARM_SENSOR) if one in record.flags]
+        at = [exposure_text(record.exposure_s)] if LONGER_DARK in series and record.exposure_s is not None else []
+        name = f"{record.camera} {record.role} ISO {'?' if record.iso is None else f'{float(record.iso):g}'}"
+        return " ".join([name, *series, *at])
     return f"{record.camera} {record.scene}".rstrip()
 
 

@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from capture.calibration import DARK_FRAMES
 from capture.cli.values import (
     add_alike,
     add_progress,
@@ -129,6 +130,21 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="ISOs to calibrate (default: full stops from the base ISO to the highest noisy one)",
     )
     calibration.add_argument("--bias-frames", type=nine_digits, metavar="N", help="bias frames per ISO (default: 10)")
+    calibration.add_argument(
+        "--dark-frames",
+        type=nine_digits,
+        nargs="?",
+        const=DARK_FRAMES,
+        metavar="N",
+        help=f"dark frames at each ISO and time of the noisy frames too, N of each (default: {DARK_FRAMES}), for the dark "
+        "current of eldata calibrate",
+    )
+    calibration.add_argument(
+        "--warm",
+        action="store_true",
+        default=None,
+        help="bias and dark frames a second time, with the sensor warm from the shooting; the first ones come before it",
+    )
     add_output(parser, "-o", "--output", help="the new plan's file; with PLAN: write the changes there")
     add_shared(
         parser,
@@ -191,7 +207,11 @@ def _new(arguments: argparse.Namespace) -> Plan:
         chosen.repeats if arguments.repeats is None else arguments.repeats,
         chosen.references if arguments.references is None else arguments.references,
     )
-    return make_plan(camera, protocol, _metered(arguments), _calibration(camera, protocol, arguments))
+    times = _metered(arguments)
+    if not times:
+        return make_plan(camera, protocol, {}, _calibration(camera, protocol, (), arguments))
+    plan = make_plan(camera, protocol, times)
+    return replace(plan, calibration=_calibration(camera, protocol, plan.shots, arguments))
 
 
 def _metered(arguments: argparse.Namespace) -> dict[str, Fraction]:
@@ -218,12 +238,16 @@ def _metered(arguments: argparse.Namespace) -> dict[str, Fraction]:
 
 
 def _calibration(
-    camera: CameraDescription, protocol: CaptureProtocol, arguments: argparse.Namespace
+    camera: CameraDescription,
+    protocol: CaptureProtocol,
+    shots: Sequence[tuple[str, Shot]],
+    arguments: argparse.Namespace,
 ) -> CalibrationPlan | None:
-    from capture.calibration import BIAS_FRAMES, default_isos, plan_calibration
+    """Return the calibration frames that are asked for; ``shots`` are the scenes', whose times dark frames have."""
+    from capture.calibration import BIAS_FRAMES, dark_settings, default_isos, plan_calibration
 
     if not arguments.calibration:
-        for name in ("flat_clips_at", "calibration_isos", "bias_frames"):
+        for name in ("flat_clips_at", "calibration_isos", "bias_frames", "dark_frames", "warm"):
             if getattr(arguments, name) is not None:
                 raise ArgumentError(f"--{name.replace('_', '-')} goes with --calibration")
         return None
@@ -234,7 +258,19 @@ def _calibration(
         )
     isos = tuple(sorted(arguments.calibration_isos)) if arguments.calibration_isos else default_isos(camera, protocol)
     frames = BIAS_FRAMES if arguments.bias_frames is None else arguments.bias_frames
-    return plan_calibration(camera, protocol.base_iso, isos, arguments.flat_clips_at, bias_frames=frames)
+    dark = () if arguments.dark_frames is None else dark_settings(shot for _, shot in shots)
+    if arguments.dark_frames is not None and not dark:
+        raise ArgumentError("--dark-frames: they have the times of the scenes' noisy frames, and the plan has no scenes")
+    return plan_calibration(
+        camera,
+        protocol.base_iso,
+        isos,
+        arguments.flat_clips_at,
+        bias_frames=frames,
+        dark=dark,
+        dark_frames=DARK_FRAMES if arguments.dark_frames is None else arguments.dark_frames,
+        warm=bool(arguments.warm),
+    )
 
 
 def _changed(plan: Plan, arguments: argparse.Namespace) -> Plan:
@@ -251,8 +287,9 @@ def _changed(plan: Plan, arguments: argparse.Namespace) -> Plan:
         if not equals or not note.strip():
             raise ArgumentError(f"--note: expected a scene and a text, such as scene-2=bookshelf; found {text!r}")
         plan = plan.add_note(name, note.strip())
-    if arguments.plan is not None and (calibration := _calibration(plan.camera, plan.protocol, arguments)) is not None:
-        plan = replace(plan, calibration=calibration)
+    if arguments.plan is not None:
+        calibration = _calibration(plan.camera, plan.protocol, plan.shots, arguments)
+        plan = plan if calibration is None else replace(plan, calibration=calibration)
     return plan
 
 
@@ -283,11 +320,18 @@ def format_plan(plan: Plan) -> str:
                     _calibration_table(plan.calibration.shots),
                     f"calibration: {duration_of(plan.calibration.shots)}",
                     *plan.calibration.remarks,
+                    *_no_dark(plan),
                 ]
             )
         )
     parts.append(f"the whole plan: {plan.duration}; composing, focusing and metering come on top")
     return "\n\n".join(parts)
+
+
+def _no_dark(plan: Plan) -> list[str]:
+    listed = ", ".join(f"ISO {iso} at {seconds} s" for iso, seconds in plan.without_dark)
+    text = f"no dark frames are planned for {listed}, which scenes have by now: plan them again with --calibration"
+    return [text] if listed else []
 
 
 def format_left(progress: Progress) -> str:
@@ -333,12 +377,17 @@ def _table(shots: Sequence[Shot]) -> str:
 def _calibration_table(shots: Sequence[Shot]) -> str:
     from eldata.base.tables import text_table
 
-    groups: dict[tuple[str, int, str, str], list[int]] = {}
-    for shot in shots:
-        level = or_dash(None if shot.level is None else float(100 * shot.level), "{:.0f} %")
-        groups.setdefault((shot.role, shot.iso, level, shot.setting.dial), []).append(shot.number)
+    from capture.checklist_content import rows as rows_of
+
     rows = [
-        (f"{numbers[0]}-{numbers[-1]}", role, str(iso), level, f"{dial} s", str(len(numbers)))
-        for (role, iso, level, dial), numbers in groups.items()
+        (
+            row.numbers,
+            " ".join(filter(None, (row.shot.series, row.shot.role))),
+            str(row.shot.iso),
+            or_dash(None if row.shot.level is None else float(100 * row.shot.level), "{:.0f} %"),
+            f"{row.dial} s",
+            str(row.count),
+        )
+        for row in rows_of(shots)
     ]
     return text_table(("frames", "role", "ISO", "level", "set", "count"), rows, left=(1,))

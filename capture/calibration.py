@@ -159,7 +159,9 @@ def plan_calibration(
     remarks: list[str] = []
     named = camera.named(flat_clips_at_s)
     clips_at = as_exact(flat_clips_at_s) if named is None else named.true_exact  # what the camera gives for it
-    capped = [Shot(0, "bias", iso, camera.fastest.nominal_s, camera.fastest) for iso in isos for _ in range(bias_frames)]
+    capped = [
+        Shot(0, "bias", iso, camera.fastest.nominal_s, camera.fastest) for iso in isos for _ in range(bias_frames)
+    ]
     shots += _numbered(capped, shots)
     for iso in isos:
         taken: list[Fraction] = []

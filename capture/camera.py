@@ -329,8 +329,8 @@ class CameraDescription:
         speeds = dict(self.true_isos)
         if speeds and iso not in speeds:
             raise CameraError(
-                f"{self.name} states the true speed of ISO {', '.join(map(str, speeds))}, and not of ISO {iso}: measure "
-                "that too, or leave true_isos out"
+                f"{self.name} states the true speed of ISO {', '.join(map(str, speeds))}, and not of ISO {iso}: "
+                "measure that too, or leave true_isos out"
             )
         return speeds.get(iso, Fraction(iso))
 

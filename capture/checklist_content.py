@@ -132,9 +132,7 @@ def calibration_parts(plan: Plan) -> tuple[CalibrationPart, ...]:
     found: dict[str, list[Shot]] = {}
     for shot in () if plan.calibration is None else plan.calibration.shots:
         found.setdefault(part_of(shot), []).append(shot)
-    return tuple(
-        CalibrationPart(kind, _TITLES[kind], _items(kind, plan), rows(shots)) for kind, shots in found.items()
-    )
+    return tuple(CalibrationPart(kind, _TITLES[kind], _items(kind, plan), rows(shots)) for kind, shots in found.items())
 
 
 def preparation(plan: Plan) -> tuple[Item, ...]:

@@ -72,8 +72,8 @@ def _compare_aperture(frame: ReducedFrame, known: dict[str, Fraction], group: Ch
     first, expected = next(iter(known.items()))
     if not same_aperture(f_number, expected):
         text = (
-            f"EXIF states {f_text(f_number)}, expected {f_text(expected)} as in {file_name(first)}: the exposure ratio is "
-            "computed from ISO and time alone; keep the aperture fixed"
+            f"EXIF states {f_text(f_number)}, expected {f_text(expected)} as in {file_name(first)}: the exposure ratio "
+            "is computed from ISO and time alone; keep the aperture fixed"
         )
         group.remark(path, text, "shoot again")
 

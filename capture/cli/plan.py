@@ -19,7 +19,6 @@ from capture.cli.values import (
     scene_numbers,
     scene_time,
     seconds,
-    spaced,
 )
 from capture.protocol import PROTOCOLS, CaptureProtocol
 from eldata.base.console import OK, add_output, add_shared, each_of
@@ -108,8 +107,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         action="append",
         default=[],
         metavar="F",
-        help="the f-number of every scene, as 8, or of one: scene-3=5.6; in a new plan or an older one. The files' EXIF "
-        "is compared with it",
+        help="the f-number of every scene, as 8, or of one: scene-3=5.6; in a new plan or an older one. That of the "
+        "files is compared with it",
     )
     add_progress(change, "metered times and remarks are taken into the plan")
     calibration = parser.add_argument_group("calibration frames, in a new plan or an older one")
@@ -136,14 +135,14 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         nargs="?",
         const=DARK_FRAMES,
         metavar="N",
-        help=f"dark frames at each ISO and time of the noisy frames too, N of each (default: {DARK_FRAMES}), for the dark "
-        "current of eldata calibrate",
+        help=f"dark frames at each ISO and time of the noisy frames too, N of each (default: {DARK_FRAMES}), for the "
+        "dark current of eldata calibrate",
     )
     calibration.add_argument(
         "--warm",
         action="store_true",
         default=None,
-        help="bias and dark frames a second time, with the sensor warm from the shooting; the first ones come before it",
+        help="bias and dark frames a second time, with the sensor warm from the shooting; the first come before it",
     )
     add_output(parser, "-o", "--output", help="the new plan's file; with PLAN: write the changes there")
     add_shared(
@@ -260,7 +259,7 @@ def _calibration(
     frames = BIAS_FRAMES if arguments.bias_frames is None else arguments.bias_frames
     dark = () if arguments.dark_frames is None else dark_settings(shot for _, shot in shots)
     if arguments.dark_frames is not None and not dark:
-        raise ArgumentError("--dark-frames: they have the times of the scenes' noisy frames, and the plan has no scenes")
+        raise ArgumentError("--dark-frames: they have the noisy frames' times, and the plan has no scenes")
     return plan_calibration(
         camera,
         protocol.base_iso,
@@ -345,9 +344,8 @@ def format_left(progress: Progress) -> str:
 
 
 def _table(shots: Sequence[Shot]) -> str:
-    from eldata.base.tables import text_table
-
     from capture.checklist_content import rows as rows_of
+    from eldata.base.tables import text_table
 
     header = ("frame", "role", "ISO", "factor", "asked", "set", "gives", "ratio", "EXIF", "error", "stops", "reference")
     measured = any(shot.true_iso is not None for shot in shots)
@@ -375,9 +373,8 @@ def _table(shots: Sequence[Shot]) -> str:
 
 
 def _calibration_table(shots: Sequence[Shot]) -> str:
-    from eldata.base.tables import text_table
-
     from capture.checklist_content import rows as rows_of
+    from eldata.base.tables import text_table
 
     rows = [
         (

@@ -43,13 +43,11 @@ def stages_of(plan: Plan) -> tuple[Stage, ...]:
         stages.append(Stage(scene.name, prepare, tuple(((scene.name, shot.number), shot) for shot in scene.shots)))
     frames = () if plan.calibration is None else plan.calibration.shots
     capped = "lens capped, viewfinder covered, room dark"
+    clips_at = "" if plan.calibration is None else f"{plan.calibration.flat_clips_at_s} s, ISO {plan.protocol.base_iso}"
+    surface = f"cap off; an evenly lit surface fills the frame, lens at infinity; it clips at {clips_at}"
     how = {
         "bias": ("bias frames", capped),
-        "flats": (
-            "flat frames",
-            "cap off; an evenly lit surface fills the frame, lens at infinity; it clips at "
-            f"{plan.calibration.flat_clips_at_s if plan.calibration else 0} s, ISO {plan.protocol.base_iso}",
-        ),
+        "flats": ("flat frames", surface),
         "dark": ("dark frames", f"{capped}; the camera as warm as at the scenes"),
         "warm": ("warm frames", f"{capped}, right after the last scene"),
     }

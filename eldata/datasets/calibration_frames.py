@@ -69,7 +69,7 @@ class CalibrationFrames:
         The camera's name; may be left out if there is one alone.
     manifest
         A manifest's CSV file, whose rows of role ``bias`` and ``flat`` are taken in place of what the folders hold;
-        not those with the flag ``longer-dark`` or ``warm-sensor``, which are series by themselves, in folders of theirs.
+        not those with the flag ``longer-dark`` or ``warm-sensor``, which are series of their own: give their folder.
     isos
         Only these ISOs.
 

@@ -15,6 +15,7 @@ import pytest
 
 from capture.capture_errors import ImpossibleShotError
 from capture.checklist import html_checklist, load_progress
+from capture.checklist_content import rows
 from capture.exact import parse_seconds
 from capture.plan import plan_scene
 from eldata.errors import ArgumentError
@@ -266,7 +267,8 @@ def test_exposures_are_those_of_python(bare: Page, name: str, tmp_path: Path) ->
         except ImpossibleShotError as error:
             expected.append(str(error).removeprefix("scene-1: "))
         else:
-            expected.append([[[shot.setting.dial, str(shot.target_s)] for shot in scene.shots], list(scene.remarks)])
+            shots = [row.shot for row in rows(scene.shots)]
+            expected.append([[[shot.setting.dial, str(shot.target_s)] for shot in shots], list(scene.remarks)])
     found = bare.run(
         f"{json.dumps([str(seconds) for seconds in times])}.map((text) => {{ const scene = sceneShots(fraction(text));"
         " return scene.problem || [scene.shots.map((shot) => [shot.setting.dial, shot.target]), scene.remarks]; })"
@@ -620,3 +622,16 @@ def test_without_scripts_the_page_is_whole(bare: Page, file: Path) -> None:
         assert words in shown
     for words in ("Next shot", "Export", "Note"):
         assert words not in shown.replace("Notes", "")
+
+
+def test_repeated_frames_are_one_row(bare: Page, tmp_path: Path) -> None:
+    """Three noisy frames of a setting are ticked at once, and come home as three."""
+    plan = plan_of("measured")
+    (tmp_path / "page.html").write_text(html_checklist(plan), encoding="utf-8")
+    bare.open((tmp_path / "page.html").as_uri())
+    assert bare.text("#where") == "scene-1, frames 1 to 2: reference, 2 frames"
+    assert bare.text("#taken") == "Taken, all 2"
+    take(bare, 2)
+    assert bare.text("#total-text") == "5 of 44 frames"
+    found = load_progress("progress.json", plan, json.dumps(bare.run("progress()")).encode())
+    assert [(row.number, row.count) for row in found.scenes[0].shots if row.done] == [(1, 2), (3, 3)]

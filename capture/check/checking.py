@@ -16,7 +16,7 @@ from eldata.manifest.catalogue import Manifest, load_manifest
 from eldata.manifest.pairs import LONGER_DARK, WARM_SENSOR
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Collection, Iterable, Sequence
     from pathlib import Path
 
     from eldata.records import FrameRecord
@@ -57,18 +57,23 @@ def check(
     folder = loaded.folder(root)
     if not folder.is_dir():
         raise ManifestError(f"no folder {folder}: --root names the folder that holds {loaded.card.folder}")
-    groups: dict[str, list[FrameRecord]] = {}
-    for record in _of_scenes(_of_cameras(loaded.records, cameras), scenes):
-        groups.setdefault(_unit_name(record), []).append(record)
-    if not groups:
+    units = units_of(_of_scenes(_of_cameras(loaded.records, cameras), scenes), folder, workers)
+    if not units:
         raise ArgumentError(f"{loaded.name}: no scenes and no calibration frames to check")
-    within = Workers(max(1, workers.jobs // len(groups)))
-    units = [
-        Unit(name, folder, tuple(sorted(records, key=lambda one: (one.role == "noisy", one.path))), within)
-        for name, records in groups.items()
-    ]
     found = workers.run(check_unit, units, label=loaded.name, unit="scene")
     return CheckReport(loaded.name, tuple(found))
+
+
+def units_of(records: Iterable[FrameRecord], folder: Path, workers: Workers) -> list[Unit]:
+    """Return the units of work that a manifest's rows are."""
+    groups: dict[str, list[FrameRecord]] = {}
+    for record in records:
+        groups.setdefault(_unit_name(record), []).append(record)
+    within = Workers(max(1, workers.jobs // max(1, len(groups))))
+    return [
+        Unit(name, folder, tuple(sorted(found, key=lambda one: (one.role == "noisy", one.path))), within)
+        for name, found in groups.items()
+    ]
 
 
 _CHECKS = {"bias": check_bias, "flat": check_flats}

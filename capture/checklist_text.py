@@ -64,8 +64,8 @@ def _checklist(
             _rows(rows(scene.shots), table),
         ]
     for part in calibration_parts(plan):
-        remarks = plan.calibration.remarks if plan.calibration is not None and part.kind == "flats" else ()
-        before = "\n".join([_items(part.items), *(f"- {plain(remark)}" for remark in remarks)])
+        said = plan.calibration.remarks if plan.calibration is not None and part.kind == "flats" else ()
+        before = "\n".join([_items(part.items), *(f"- {plain(remark)}" for remark in said)])
         parts += [heading(2, part.title), before, _rows(part.rows, table)]
     return "\n\n".join(parts) + "\n"
 

@@ -107,7 +107,7 @@ def downloaded(folder: Path, shot: Shot, camera: CameraDescription) -> Look | No
     return min(looks, key=lambda one: one.problem is not None, default=None)
 
 
-def check_room(folder: Path, sizes: Sequence[int]) -> None:
+def check_free_space(folder: Path, sizes: Sequence[int]) -> None:
     """Refuse to release if the frame would not fit: gphoto2 would cut it short without a word.
 
     Raises

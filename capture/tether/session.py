@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final
 from capture.capture_errors import CameraLostError, GphotoError, JournalError, TetherError
 from capture.tether.choices import Choices, is_iso, is_time
 from capture.tether.flats import NEVER_RIGHT, TRIES, clips_at_s, with_flats
-from capture.tether.frames import Look, aside_path, check_room, downloaded, frame_name, look, taken_of
+from capture.tether.frames import Look, aside_path, check_free_space, downloaded, frame_name, look, taken_of
 from capture.tether.gphoto import LOG, Gphoto, parse_taken
 from capture.tether.journal import NAME as JOURNAL
 from capture.tether.journal import Entry, Journal, fingerprint, place
@@ -266,7 +266,7 @@ class _Session:
         problem: str | None = None
         for _ in range(ATTEMPTS):
             sizes = [int(entry.details["size_bytes"]) for entry in self.journal.done().values()]
-            check_room(self.folder, sizes)
+            check_free_space(self.folder, sizes)
             if problem is not None:
                 self.say(f"{_title(slot)}: {problem}; once more")
             try:

@@ -266,7 +266,7 @@ def test_true_isos(tmp_path: Path) -> None:
     camera.save(tmp_path / "cam.json")
     assert '"800": 644.5' in (tmp_path / "cam.json").read_text()
     assert CameraDescription.load(tmp_path / "cam.json") == camera
-    assert (camera.speed(800), EXAMPLE.speed(800)) == (Fraction("644.5"), 800)
+    assert (camera.speed(800), EXAMPLE.speed(800)) == (Fraction("644.5"), Fraction(800))
     for wrong, words in (
         ({"150": 100}, "expected its ISOs, found 150"),
         ({"100": 20}, "expected speeds within 1 stop of their names, found 20 for ISO 100"),

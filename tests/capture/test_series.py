@@ -56,8 +56,8 @@ def test_repeated_frames_become_pairs(nights: Nights, capsys: pytest.CaptureFixt
     rows = [row for row in load_manifest(nights.csv).records if row.scene == "scene-1"]
     noisy = [(row.path[-8:-4], row.ratio, (row.reference or "")[-8:-4]) for row in rows if row.role == "noisy"]
     assert noisy == [
-        *[(f"{n:04d}", 10, "0002") for n in (3, 4, 5)],
-        *[(f"{n:04d}", 100, "0009") for n in (6, 7, 8)],
+        *[(f"{n:04d}", Fraction(10), "0002") for n in (3, 4, 5)],
+        *[(f"{n:04d}", Fraction(100), "0009") for n in (6, 7, 8)],
     ]
     assert "3 noisy frames of each, 2 references before and after" in nights.csv.with_suffix(".json").read_text()
 

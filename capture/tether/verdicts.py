@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from capture.apertures import aperture_remarks
 from capture.manifest import in_place
 from capture.matching import Match
 from capture.observed import observe_one
@@ -14,37 +15,26 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from capture.check.result import CheckedGroup
     from capture.matching import Slot
     from capture.plan import Plan
 
 
-def check_taken(plan: Plan, files: Mapping[Slot, Path]) -> tuple[CheckedGroup, ...]:
-    """Check the frames of some shots by their pixels, as ``capture check`` does.
-
-    Raises
-    ------
-    EldataError
-        If a frame cannot be read any more.
-    """
-    from capture.check.checking import check_unit, units_of
-
-    frames = {slot: observe_one(path) for slot, path in files.items()}
-    dataset = in_place(plan, Match(frames, ()))
-    return tuple(check_unit(unit) for unit in units_of(dataset.records, dataset.folder, Workers(1)))
-
-
 def verdict_text(plan: Plan, files: Mapping[Slot, Path]) -> tuple[str, bool]:
-    """Return what a check of some shots says, and whether all can be kept.
+    """Return what ``capture check`` says of some shots, and whether all can be kept; the plan's aperture counts, too.
 
     Nothing that is wrong with the check ends a session: the frames are here and can be checked again.
     """
+    from capture.check.checking import check_unit, units_of
+
     try:
-        groups = check_taken(plan, files)
+        frames = {slot: observe_one(path) for slot, path in files.items()}
+        dataset = in_place(plan, Match(frames, ()))
+        groups = [check_unit(unit) for unit in units_of(dataset.records, dataset.folder, Workers(1))]
     except EldataError as error:
         return f"could not be checked: {error}", False
-    text = "\n".join(group.format_text() for group in groups)
-    ok = all(group.verdict == "keep" for group in groups)
+    apertures = aperture_remarks(plan, frames)
+    text = "\n".join([*(group.format_text() for group in groups), *(f"    {one.text}" for one in apertures)])
+    ok = all(group.verdict == "keep" for group in groups) and all(one.kind == "note" for one in apertures)
     if any(group.verdict == "shoot again" for group in groups):
         names = ", ".join(sorted({path.name.rpartition("_")[0] for path in files.values()}))
         text += f"\n    to take frames again: Ctrl-C, delete those of {names} that are spoiled, run the same command"

@@ -17,13 +17,15 @@ from capture.cli import main
 from capture.plan import Plan, make_plan
 from capture.protocol import CaptureProtocol
 from eldata import CalibrationFrames
+from eldata.cli.main import main as eldata_main
 from eldata.demo.camera import CAMERAS
 from eldata.demo.scenes import scene_radiance
 from eldata.manifest import load_manifest
+from eldata.noise import DarkShading
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure
 from tests.capture.simulated import CAMERA, START, Taken, as_planned, shoot, whole_plan
-from tests.capture.test_append import Nights
+from tests.capture.test_append import Nights, night
 from tests.capture.test_whole_path import description
 
 if TYPE_CHECKING:
@@ -236,6 +238,66 @@ def test_dark_frames_and_a_warm_sensor(nights: Nights, capsys: pytest.CaptureFix
     assert names.count("AcmeNocturne bias ISO 800") == 1
     assert "AcmeNocturne bias ISO 800 longer-dark 0.5 s" in names
     assert "AcmeNocturne bias ISO 800 longer-dark warm-sensor 1/20 s" in names
+
+
+def test_cold_frames_on_one_card_and_warm_ones_on_another(
+    nights: Nights, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Their settings are equal; what the set has already is not looked for again, so that order is not needed."""
+    plan = with_series(lrid("4"))
+    assert plan.calibration is not None
+    later = [shot for shot in plan.calibration.shots if shot.series]
+    usual = plan.calibration.shots[:6]
+    first = [one for some in (usual, plan.scenes[0].shots) for one in as_planned(some)]
+    night(nights.folder / "one", first, monkeypatch, 0)
+    night(nights.folder / "two", as_planned(later), monkeypatch, 1)
+    assert nights.add(plan, nights.folder / "one", options=("--allow-gaps", "--yes")) == 0
+    assert "bias frames of ISO 800, bias frames of ISO 800 (warm) have equal exposures" in capsys.readouterr().out
+    assert nights.add(plan, nights.folder / "two", nights.folder / "one") == 0
+    assert "20 of 20 shots have a file" in capsys.readouterr().out
+    assert nights.problems() == []
+    assert len(CalibrationFrames(nights.data / CAMERA.name / "warm").of("bias", 800)) == 4
+
+
+def test_eldata_calibrate_takes_the_dark_frames(
+    nights: Nights, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """From the plan to a dark shading with dark current: of a sensor that gathers 32 DN in 4 s, more or less."""
+    camera = CAMERAS[0].with_size(256, 256)
+    told = description(CAMERAS[0])
+    planted = np.round(np.random.default_rng(7).gamma(2.0, 16.0, (256, 256)))
+    levels = (Fraction(1, 5), Fraction(1, 2), Fraction(4, 5))
+    dark_at = ((800, Fraction(4)),)
+    frames = plan_calibration(told, 100, (100, 800), Fraction(1), bias_frames=4, flat_levels=levels, dark=dark_at)
+    plan = make_plan(told, LRID, {}, frames)
+    plan.save(nights.folder / "plan.json")
+    card = nights.folder / "card"
+    card.mkdir()
+    for shot in frames.shots:
+        light = np.full((3, 256, 256), shot.role == "flat", dtype=np.float32)
+        share = Fraction(shot.setting.true_s)  # the surface clips after 1 s
+        mosaic = camera.photograph(light, share, shot.iso, np.random.default_rng(shot.number))
+        if shot.series:
+            mosaic = np.clip(mosaic + planted, 0, 16383).astype(np.uint16)
+        taken = START + timedelta(seconds=10 * shot.number)
+        exposure = Exposure(Fraction(shot.iso), shot.setting.nominal_s)
+        write_dng(card / f"DSC{shot.number:04d}.dng", mosaic, camera.sensor, exposure, taken=taken)
+    command = ["manifest", str(nights.folder / "plan.json"), str(card), "-o", str(nights.csv)]
+    assert main([*command, "--copy-to", str(nights.data), "--jobs", "1"]) == 0
+    folder = nights.data / told.name
+    shading = nights.folder / "shading.npz"
+    dark = ["--dark-shading", str(shading), "--dark-current", str(folder / "dark-4s")]
+    assert eldata_main(["calibrate", str(nights.csv), "--root", str(nights.folder / "data"), *dark, "--jobs", "1"]) == 0
+    assert "8 bias and 12 flat frames at 2 ISOs" in capsys.readouterr().out  # the dark ones are not among them
+    found = DarkShading.load(shading)
+    grown = found.at(800, exposure_s=4) - found.at(800, exposure_s=1 / 8000)
+    well = ~found.hot
+    # Four frames of each, of 1.9 DN: a pixel's error is 1.9 (1/4 + 1/4)^(1/2), that of the mean of 65,000 a 256th of
+    # it; rows of 0.3 DN add 0.3 (1/4 + 1/4)^(1/2) / 256^(1/2). Five times both.
+    off = (grown - planted)[well]
+    assert abs(float(off.mean())) < 5 * float(np.hypot(1.9 * 0.5**0.5 / 256, 0.3 * 0.5**0.5 / 16))
+    assert float(off.std()) < 1.2 * 1.9 * 0.5**0.5
+    assert float(planted[well].std()) > 20
 
 
 def test_dark_frames_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -84,6 +84,7 @@ class SceneRig(Rig):
     def __init__(self, folder: Path, moved_px: float = 0.0) -> None:
         self.demo = CAMERAS[0].with_size(384, 576)
         self.moved_px = moved_px
+        self.f_number: Fraction | None = None
         told = description(CAMERAS[0])
         plan = make_plan(told, CaptureProtocol(100, (800,), (1,)), {"scene-1": Fraction(4), "scene-2": Fraction(4)})
         super().__init__(
@@ -99,6 +100,7 @@ class SceneRig(Rig):
             radiance = moved(radiance, self.moved_px, 0)
         share = (exposure.exposure_s or 0) / Fraction(4)
         mosaic = self.demo.photograph(radiance, share, int(exposure.iso or 0), np.random.default_rng(len(name)))
+        exposure = replace(exposure, f_number=self.f_number)
         write_dng(self.camera / "frames" / name, mosaic, self.demo.sensor, exposure, taken=TAKEN, compression="none")
 
     def run_checked(self, *options: str) -> int:
@@ -140,6 +142,17 @@ def test_a_spoiled_scene_is_said_and_its_frame_taken_again(tmp_path: Path, capsy
     (rig.shots / "scene-1_0002.dng").unlink()
     assert rig.run_checked("--scene", "1") == 0
     assert "DemoAlpha scene-1: keep" in capsys.readouterr().out
+
+
+def test_another_aperture_than_the_plans_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig = SceneRig(tmp_path)
+    rig.f_number = Fraction("5.6")
+    rig.plan_again(rig.plan.set_aperture("scene-1", Fraction(8)))
+    assert rig.run_checked("--scene", "1") == 1
+    output = capsys.readouterr().out
+    assert "    aperture f/8" in output
+    assert "DemoAlpha scene-1: keep" in output
+    assert "scene-1_0002.dng (scene-1 frame 2): taken at f/5.6, where the plan has f/8" in output
 
 
 def test_without_a_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

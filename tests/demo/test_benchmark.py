@@ -189,11 +189,11 @@ def test_intervals_of_seeds_are_those_of_a_paired_t_test(tmp_path: Path) -> None
         for seed, mean in enumerate(means):
             record.add(row, seed, images, [mean] * len(images))
     mean, half = example["with_interval"](*record.of("G", 200.0, "paired"))
-    expected = ttest_rel(seeds["G"], seeds["paired"][:3])  # of the seeds that both have
-    assert (mean - half, mean + half) == pytest.approx(tuple(expected.confidence_interval(0.95)))
+    paired = ttest_rel(seeds["G"], seeds["paired"][:3])  # of the seeds that both have
+    assert (mean - half, mean + half) == pytest.approx(tuple(paired.confidence_interval(0.95)))
     mean, half = example["with_interval"](*record.of("dct", 100.0, "paired"))
-    expected = ttest_1samp(31.0 - np.array(seeds["paired"]), 0.0)
-    assert (mean - half, mean + half) == pytest.approx(tuple(expected.confidence_interval(0.95)))
+    single = ttest_1samp(31.0 - np.array(seeds["paired"]), 0.0)
+    assert (mean - half, mean + half) == pytest.approx(tuple(single.confidence_interval(0.95)))
     assert example["with_interval"](*record.of("dct", 100.0)) == pytest.approx((31.0, 0.0))
 
 

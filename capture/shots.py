@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
@@ -157,11 +158,12 @@ def check_isos(camera: CameraDescription, protocol: CaptureProtocol) -> None:
         camera.speed(iso)
 
 
-def light_share(camera: CameraDescription, protocol: CaptureProtocol, frame: ProtocolFrame) -> Fraction:
+def _light_share(camera: CameraDescription, protocol: CaptureProtocol, frame: ProtocolFrame) -> Fraction:
     """Return the time of a noisy frame over that of its reference: by the ISOs' speeds, and its factor."""
     return camera.speed(protocol.base_iso) / camera.speed(frame.iso) / (frame.factor or 1)
 
 
+@cache  # a checklist asks for every time on the dial, and what to change needs all of them
 def _shots_or_none(
     camera: CameraDescription, protocol: CaptureProtocol, metered_s: Fraction
 ) -> tuple[Shot, ...] | ProtocolFrame:
@@ -178,7 +180,7 @@ def _shots_or_none(
         if frame.factor is None:
             shots.append(Shot(frame.number, frame.role, frame.iso, target_s, base, true_iso=true_iso))
             continue
-        light = light_share(camera, protocol, frame)
+        light = _light_share(camera, protocol, frame)
         setting = camera.nearest(base.true_exact * light)
         if setting is None:
             return frame

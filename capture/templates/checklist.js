@@ -182,7 +182,7 @@ const nextRow = () => rowsOf(place).find((row) => !row.done);
 
 function sentence(row) {
   const last = row.number + row.count - 1;
-  const which = row.count === 1 ? `frame ${row.number} of ${rowsOf(row.section).length}` : `frames ${row.number} to ${last}`;
+  const which = row.count === 1 ? `frame ${row.number} of ${frameCount(rowsOf(row.section))}` : `frames ${row.number} to ${last}`;
   const what = row.element.querySelector(".tick .soft").textContent.split(" · ")[1];
   return `${row.section}, ${which}: ${what}`;
 }

@@ -128,8 +128,10 @@ def test_renderings_are_compared_as_they_are(compared: Compared, tmp_path: Path)
             return rendered_reference(tree.files / references[path]) * np.float32(by)
 
         place(tmp_path / name, tree, darkened)
-        own = {"manifest": tree.manifest, "root": tree.root, "allow_missing": True}
-        methods.append(Method(name, evaluate(tmp_path / name, protocol="sid2018", **own)))
+        found = evaluate(
+            tmp_path / name, manifest=tree.manifest, root=tree.root, protocol="sid2018", allow_missing=True
+        )
+        methods.append(Method(name, found))
     comparison = compare(methods)
     assert comparison.images
     dataset, units = units_again(methods[0].result, manifest=tree.manifest, root=tree.root)

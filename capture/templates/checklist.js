@@ -7,7 +7,6 @@ const byId = (id) => document.getElementById(id);
 const every = (selector, inside = document) => [...inside.querySelectorAll(selector)];
 
 const table = new Map(plan.times.map((time) => [time.metered, time]));  // what to dial, by metered time
-const shown = (section) => table.get(metered.get(section))?.shown;
 
 // --- what has been entered -----------------------------------------------------------------------------------------
 
@@ -327,21 +326,21 @@ function repeat(row) {
 }
 
 function meter(section, text) {
-  const time = table.get(text);
+  const [time, now] = [table.get(text), table.get(metered.get(section))];
   const problem = byId(`${section}-problem`);
   problem.hidden = !time.problem;
-  if (time.problem) {
-    problem.textContent = `${time.problem}. The shots below are still those of ${shown(section)} s.`;
-  } else if (text !== metered.get(section)) {
+  problem.textContent = time.problem ? `${time.problem}. The shots below are still those of ${now.shown} s.` : "";
+  if (!time.problem && time !== now) {
     change(`metered time of ${section}`, [], () => {
       metered.set(section, text);
       replan(section);
     });
-    const taken = rowsOf(section).filter((row) => row.takenAt !== null && !row.done);
-    announce(`${section} is planned for ${time.shown} s.${taken.length ? ` ${taken.length} shots were taken at other settings and are to be taken again.` : ""}`);
   }
-  showSection(section);
+  showSection(section);  // a list that stands at a refused time goes back
+  if (time.problem || time === now) return;
   showNext();
+  const taken = rowsOf(section).filter((row) => row.takenAt !== null && !row.done);
+  announce(`${section} is planned for ${time.shown} s.${taken.length ? ` ${taken.length} shots were taken at other settings and are to be taken again.` : ""}`);
 }
 
 /** The next faster or slower time of the table. */
@@ -423,6 +422,7 @@ function sounds(end) {
       tone.connect(volume);
       tone.start(over - before);
       tone.stop(over - before + lasting);
+      tone.onended = () => { if (!timer) audio.suspend(); };  // or it would go on playing silence
     }
   });
   return volume;
@@ -441,6 +441,7 @@ function stopTimer() {
   clearInterval(timer.clock);
   timer.volume?.disconnect();
   timer = null;
+  audio?.suspend();
 }
 
 /** Show the seconds left, and what the button beside the next shot would do. */

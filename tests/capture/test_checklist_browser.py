@@ -363,8 +363,10 @@ def test_timer_stops_by_hand_and_when_the_shot_is_taken(timed: Page) -> None:
     time.sleep(DOUBLE_TAP_S)
     timed.click("#timer")
     assert (timed.text("#left"), timed.run("timer")) == ("", None)
+    timed.wait(lambda: timed.run("audio.state") == "suspended")
     time.sleep(DOUBLE_TAP_S)
     timed.click("#timer")
+    timed.wait(lambda: timed.run("audio.state") == "running")
     assert timed.text("#left") == "102 s"
     take(timed)
     assert (timed.text("#left"), timed.run("timer")) == ("", None)

@@ -12,6 +12,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 from eldata.errors import ArgumentError
@@ -115,17 +116,7 @@ class CaptureProtocol:
             The frame at index n has the number n + 1. The reference of a noisy frame is the one nearest by
             number, the earlier of two equally near: by default the noisy frames 4 and 5 use 6, not 1.
         """
-        settings: list[tuple[int, int | None]] = [(self.base_iso, None)] * self.references
-        for iso in self.noisy_isos:
-            settings += [(iso, factor) for factor in sorted(self.low_light_factors) for _ in range(self.repeats)]
-            settings += [(self.base_iso, None)] * self.references
-        references = [number for number, (_, factor) in enumerate(settings, 1) if factor is None]
-        return tuple(
-            ProtocolFrame(number, "reference", iso, None, None)
-            if factor is None
-            else ProtocolFrame(number, "noisy", iso, factor, _nearest(references, number))
-            for number, (iso, factor) in enumerate(settings, 1)
-        )
+        return _frames(self)
 
     def exposure_s(self, frame: ProtocolFrame, metered_s: Fraction | int) -> Fraction:
         """Return the exposure time of a frame, exactly.
@@ -155,11 +146,26 @@ class CaptureProtocol:
             raise ArgumentError(f"metered_s must be a Fraction, so that exposures are exact; found {metered_s!r}")
         if metered_s <= 0:
             raise ArgumentError(f"metered_s must be above 0 seconds, found {metered_s}")
-        if frame not in self.frames():
+        if self.frames()[frame.number - 1 : frame.number] != (frame,):
             raise ArgumentError(f"{frame} is not a frame of {self}; take one from its frames()")
         if frame.factor is None:
             return Fraction(metered_s)
         return Fraction(self.base_iso, frame.iso * frame.factor) * metered_s
+
+
+@lru_cache(maxsize=64)  # every exposure of every time on a dial asks whether its frame is among them
+def _frames(protocol: CaptureProtocol) -> tuple[ProtocolFrame, ...]:
+    settings: list[tuple[int, int | None]] = [(protocol.base_iso, None)] * protocol.references
+    for iso in protocol.noisy_isos:
+        settings += [(iso, factor) for factor in sorted(protocol.low_light_factors) for _ in range(protocol.repeats)]
+        settings += [(protocol.base_iso, None)] * protocol.references
+    references = [number for number, (_, factor) in enumerate(settings, 1) if factor is None]
+    return tuple(
+        ProtocolFrame(number, "reference", iso, None, None)
+        if factor is None
+        else ProtocolFrame(number, "noisy", iso, factor, _nearest(references, number))
+        for number, (iso, factor) in enumerate(settings, 1)
+    )
 
 
 def _nearest(references: list[int], number: int) -> int:

@@ -111,7 +111,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"next: capture manifest {shlex.quote(arguments.plan)} {shots} -o manifests/mine.csv --copy-to data/mine")
     if arguments.json:
         write_json(arguments.json, _as_dict(part, outcome))
-    return OK if all(outcome.verdicts.values()) else PROBLEMS
+    return OK if all(verdict == "keep" for verdict in outcome.verdicts.values()) else PROBLEMS
 
 
 def _scene_name(text: str) -> str:
@@ -153,5 +153,5 @@ def _as_dict(plan: Plan, outcome: Outcome) -> dict[str, object]:
         "planned": len(plan.shots),
         "taken_now": outcome.taken,
         "seconds": round(outcome.seconds, 1),
-        "verdicts": {title: "keep" if well else "look" for title, well in outcome.verdicts.items()},
+        "verdicts": outcome.verdicts,
     }

@@ -32,6 +32,7 @@ from eldata.base.files import sha256_of
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from capture.check.measures import Verdict
     from capture.matching import Slot
     from capture.plan import Plan
     from capture.shots import Shot
@@ -61,13 +62,13 @@ class Outcome:
     seconds
         How long it took.
     verdicts
-        Of the stages that were checked, by title: whether all frames can be kept.
+        Of the stages that were checked, by title.
     """
 
     files: dict[Slot, Path]
     taken: int
     seconds: float
-    verdicts: dict[str, bool]
+    verdicts: dict[str, Verdict]
 
 
 def run_session(
@@ -138,7 +139,7 @@ class _Session:
         self.taken = 0
         self.state: dict[str, str] = {}
         self.levels: dict[Slot, Levels] = {}
-        self.verdicts: dict[str, bool] = {}
+        self.verdicts: dict[str, Verdict] = {}
         self.pace = Pace()
 
     def run(self) -> dict[Slot, Path]:
@@ -184,8 +185,7 @@ class _Session:
         if not self.check:
             return
         files = self.files()
-        text, well = verdict_text(self.plan, {slot: files[slot] for slot, _ in stage.shots})
-        self.verdicts[stage.title] = well
+        text, self.verdicts[stage.title] = verdict_text(self.plan, {slot: files[slot] for slot, _ in stage.shots})
         self.say(text)
 
     def expose_flats(self, stage: Stage, ready: Ready) -> tuple[Stage, Ready]:

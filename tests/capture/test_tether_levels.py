@@ -132,8 +132,9 @@ def test_a_scene_is_checked_when_it_is_taken(tmp_path: Path, capsys: pytest.Capt
 
 def test_a_spoiled_scene_is_said_and_its_frame_taken_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig = SceneRig(tmp_path, moved_px=6)
-    assert rig.run_checked("--scene", "1") == 1
+    assert rig.run_checked("--scene", "1", "--json", str(tmp_path / "run.json")) == 1
     output = capsys.readouterr().out
+    assert json.loads((tmp_path / "run.json").read_text())["verdicts"] == {"scene-1": "shoot again"}
     assert "DemoAlpha scene-1: shoot again" in output
     assert "shift" in output
     assert "delete those of scene-1 that are spoiled, run the same command" in output

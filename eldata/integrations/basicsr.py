@@ -20,10 +20,10 @@ from eldata.datasets.items import ReadItems
 from eldata.datasets.packed_store import PackedStore
 from eldata.datasets.registry import dataset_class, dataset_names, open_dataset
 from eldata.errors import ArgumentError, EldataError, check_choice, did_you_mean
+from eldata.integrations.colours import colour_matrix, white_balance
 from eldata.integrations.protocol_scores import protocol_of_tensors, protocol_score
 from eldata.manifest.pairs import Choice
 from eldata.raw.cfa import pack, packed_black_level_dn
-from eldata.raw.colour import camera_to_srgb
 from eldata.raw.levels import FrameLevels
 
 if TYPE_CHECKING:
@@ -207,8 +207,8 @@ class EldataPairs(ReadItems[_LedItem, BatchSample]):
         record = item.pair.record
         return {
             "ratio": torch.tensor(float(item.pair.ratio), dtype=torch.float32),
-            "wb": torch.tensor((sensor and sensor.white_balance) or (np.nan,) * 4, dtype=torch.float32),
-            "ccm": torch.from_numpy(_colour_matrix(sensor)),
+            "wb": torch.from_numpy(white_balance(sensor)),
+            "ccm": torch.from_numpy(colour_matrix(sensor)),
             "lq_path": record.path,
             "gt_path": record.reference,
         }
@@ -266,12 +266,6 @@ def _whites_dn(frame: Frame, levels: LedLevels) -> tuple[float, ...]:
     return whites or (frame.white_level_dn,) * len(frame.black_level_dn)
 
 
-def _colour_matrix(sensor: Sensor | None) -> NDArray[np.float32]:
-    if sensor is None or sensor.xyz_to_camera is None:
-        return np.full((3, 3), np.nan, np.float32)
-    return camera_to_srgb(sensor.xyz_to_camera).astype(np.float32)
-
-
 # --- metrics ----------------------------------------------------------------------------------------------------------
 
 
@@ -327,7 +321,7 @@ def _scores(img: torch.Tensor, img2: torch.Tensor, protocol: str, column: str) -
 
 
 def register(package: str = "basicsr") -> None:
-    """Put :class:`EldataPairs` and the metrics into the registries of a package: BasicSR's, or a copy's such as ``led``.
+    """Put the dataset and the metrics into a package's registries: BasicSR's, or those of a copy such as ``led``.
 
     Call it before the training code builds its datasets. What is there already is left.
 

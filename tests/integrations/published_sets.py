@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 SENSOR = Sensor(
     "NIKON CORPORATION", "NIKON D850", ((2, 3), (1, 0)), (400.0, 401.0, 402.0, 401.0), 16000.0, 50, 68, (2.0, 1, 1.5, 1)
 )
+# As SID's code and PMN's take every file to be.
+SONY = replace(SENSOR, cfa=((0, 1), (3, 2)), black_level_dn=(512.0,) * 4, white_level_dn=16383.0)
 LONG_S = Fraction(10)
 SHORT_S = {"0.04": Fraction(1, 25), "0.1": Fraction(1, 10), "0.033": Fraction(1, 30)}
 RATIO = {"0.04": 250, "0.1": 100, "0.033": 300}
@@ -35,17 +38,17 @@ def photograph(path: Path, iso: int, seconds: Fraction, seed: int, sensor: Senso
     write_dng(path, mosaic, sensor, Exposure(Fraction(iso), seconds))
 
 
-def sid_like(folder: Path, suffix: str = "ARW") -> Manifest:
+def sid_like(folder: Path, suffix: str = "ARW", sensor: Sensor = SENSOR) -> Manifest:
     """SID's names: scenes 00001 (train), 10003 (test) and 20004 (val), two shots of each time; ISO 200 throughout."""
     records, number = [], 0
     for scene, split in (("00001", "train"), ("10003", "test"), ("20004", "val")):
         long = f"Own/long/{scene}_00_10s.{suffix}"
-        photograph(folder / "data/OWN" / long, 200, LONG_S, number := number + 1)
+        photograph(folder / "data/OWN" / long, 200, LONG_S, number := number + 1, sensor)
         records.append(FrameRecord(long, "reference", "Own", scene, split, Fraction(200), LONG_S))
         for text, seconds in SHORT_S.items():
             for burst in range(2):
                 path = f"Own/short/{scene}_{burst:02d}_{text}s.{suffix}"
-                photograph(folder / "data/OWN" / path, 200, seconds, number := number + 1)
+                photograph(folder / "data/OWN" / path, 200, seconds, number := number + 1, sensor)
                 ratio = Fraction(RATIO[text])
                 records.append(FrameRecord(path, "noisy", "Own", scene, split, Fraction(200), seconds, ratio, long))
     return _saved(folder, "own", records)

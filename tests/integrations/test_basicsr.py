@@ -1,4 +1,4 @@
-"""A dataset and metrics in BasicSR's registries: LED's arithmetic to the bit, and the numbers of ``eldata evaluate``."""
+"""A dataset and metrics in BasicSR's registries: LED's arithmetic to the bit, the protocols' scores."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tests.integrations.published_sets import eld_like, sid_like
 if TYPE_CHECKING:
     from pathlib import Path
 
-# --- the published loader's steps (LED repository, commit ee3d372, led/data/paired_raw_dataset.py) ----------------------
+# --- the published loader's steps (LED repository, commit ee3d372, led/data/paired_raw_dataset.py) ---
 
 
 def led_frame(path: Path) -> torch.Tensor:

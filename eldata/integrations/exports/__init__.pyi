@@ -1,0 +1,3 @@
+from .codes import CODES as CODES
+from .exporting import export as export
+from .writing import ExportReport as ExportReport

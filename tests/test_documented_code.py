@@ -16,6 +16,7 @@ import sys
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -238,6 +239,17 @@ def of_stores(_: pytest.MonkeyPatch) -> Names:
     return {"network": lambda images: images}
 
 
+def of_published_code(patch: pytest.MonkeyPatch) -> Names:
+    """LED is not installed: its package's names, with the registries' interface."""
+    from tests.integrations.test_basicsr import registry_module
+
+    for name in ("led", "led.utils", "led.train"):
+        patch.setitem(sys.modules, name, ModuleType(name))
+    patch.setitem(sys.modules, "led.utils.registry", registry_module())
+    patch.setattr(sys.modules["led.train"], "train_pipeline", lambda _: None, raising=False)
+    return {}
+
+
 NEEDS: dict[str, Callable[[pytest.MonkeyPatch], Names]] = {
     "README.md": of_readme,
     "docs/calibration.md": of_calibration,
@@ -247,6 +259,7 @@ NEEDS: dict[str, Callable[[pytest.MonkeyPatch], Names]] = {
     "docs/metrics.md": of_metrics,
     "docs/noise.md": of_noise,
     "docs/plots.md": of_plots,
+    "docs/published-code.md": of_published_code,
     "docs/published-numbers.md": of_published,
     "docs/raw-files.md": of_raw_files,
     "docs/reports.md": of_reports,

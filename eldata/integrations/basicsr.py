@@ -20,7 +20,7 @@ from eldata.datasets.items import ReadItems
 from eldata.datasets.packed_store import PackedStore
 from eldata.datasets.registry import dataset_class, dataset_names, open_dataset
 from eldata.errors import ArgumentError, EldataError, check_choice, did_you_mean
-from eldata.integrations.colours import colour_matrix, white_balance
+from eldata.integrations.colours import balance_multipliers, matrix_to_srgb
 from eldata.integrations.protocol_scores import protocol_of_tensors, protocol_score
 from eldata.manifest.pairs import Choice
 from eldata.raw.cfa import pack, packed_black_level_dn
@@ -35,6 +35,17 @@ if TYPE_CHECKING:
     from eldata.protocols.protocol import Amplification
     from eldata.records import Sensor
     from eldata.sources.frames import Frame
+
+__all__ = [
+    "BatchSample",
+    "EldataPairs",
+    "MissingBasicSRError",
+    "eldata_psnr",
+    "eldata_psnr_pt",
+    "eldata_ssim",
+    "eldata_ssim_pt",
+    "register",
+]
 
 LedLevels = Literal[FrameLevels, "metadata-per-channel"]
 Meta = Literal["gt", "lq"]
@@ -207,8 +218,8 @@ class EldataPairs(ReadItems[_LedItem, BatchSample]):
         record = item.pair.record
         return {
             "ratio": torch.tensor(float(item.pair.ratio), dtype=torch.float32),
-            "wb": torch.from_numpy(white_balance(sensor)),
-            "ccm": torch.from_numpy(colour_matrix(sensor)),
+            "wb": torch.from_numpy(balance_multipliers(sensor)),
+            "ccm": torch.from_numpy(matrix_to_srgb(sensor)),
             "lq_path": record.path,
             "gt_path": record.reference,
         }

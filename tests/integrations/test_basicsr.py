@@ -188,7 +188,7 @@ def test_metrics_are_the_protocols() -> None:
         basicsr.eldata_ssim(prediction, target, protocol="drv-raw")
 
 
-def stand_in() -> types.ModuleType:
+def registry_module() -> types.ModuleType:
     """BasicSR's registry module: the installed package's own file, or one with its documented interface.
 
     Importing the package itself loads torchvision and opencv, so its file is loaded alone.
@@ -225,7 +225,7 @@ class Registry:
 
 
 def test_the_registries_hold_what_a_yaml_names(monkeypatch: pytest.MonkeyPatch) -> None:
-    registries = stand_in()
+    registries = registry_module()
     for name in ("standing_in", "standing_in.utils"):
         monkeypatch.setitem(sys.modules, name, types.ModuleType(name))
     monkeypatch.setitem(sys.modules, "standing_in.utils.registry", registries)
@@ -237,7 +237,7 @@ def test_the_registries_hold_what_a_yaml_names(monkeypatch: pytest.MonkeyPatch) 
 
     def eldata_psnr() -> None: ...
 
-    other = stand_in()
+    other = registry_module()
     other.METRIC_REGISTRY.register(eldata_psnr)
     monkeypatch.setitem(sys.modules, "standing_in.utils.registry", other)
     with pytest.raises(ArgumentError, match="something else is registered as eldata_psnr"):

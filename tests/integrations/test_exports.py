@@ -24,9 +24,10 @@ from eldata.datasets.base import PairDataset
 from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.integrations.basicsr import EldataPairs
 from eldata.integrations.exports import export
-from eldata.integrations.exports.naming import eld_numbers, nearest_reference, numbers_of
+from eldata.integrations.exports.naming import eld_numbers, numbers_of
 from eldata.manifest.card import save_card
 from eldata.manifest.catalogue import load_manifest, shipped_manifest
+from eldata.manifest.eld import nearest_reference
 from eldata.manifest.table import save_records
 from tests.integrations.published_sets import SONY, eld_like, sid_like
 from tests.integrations.test_basicsr import led_pair
@@ -135,13 +136,12 @@ def eld_pack(path: Path) -> NDArray[np.float32]:
 
 
 def exif(path: Path) -> tuple[float, float]:
-    """ISO and seconds, as Python's numbers."""
+    """``metainfo`` of dataset/sid_dataset.py, ISO and seconds: of ``.dng`` from IFD0, else from the EXIF IFD."""
     with path.open("rb") as file:
         tags = exifread.process_file(file)
     values = []
     for name in ("ISOSpeedRatings", "ExposureTime"):
-        tag = tags.get(f"EXIF {name}", tags.get(f"Image {name}"))
-        over, _, under = str(tag).partition("/")
+        over, _, under = str(tags[f"{'Image' if path.suffix == '.dng' else 'EXIF'} {name}"]).partition("/")
         values.append(int(over) / int(under) if under else int(over))
     return values[0], values[1]
 
@@ -158,8 +158,8 @@ def test_elds_evaluation_finds_each_frame_and_its_reference(references: tuple[in
         present = sorted(int(path.stem[4:]) for path in folder.iterdir())
         for number in set(present) - {1, 6, 11, 16}:
             ids = np.array([1, 6, 11, 16])
-            target = folder / f"IMG_{ids[np.argmin(np.abs(number - ids))]:04d}.dng"
-            noisy = folder / f"IMG_{number:04d}.dng"
+            target = folder / f"IMG_{ids[np.argmin(np.abs(number - ids))]:04d}.DNG"
+            noisy = folder / f"IMG_{number:04d}.DNG"
             (iso, seconds), (target_iso, target_seconds) = exif(noisy), exif(target)
             ratio = (target_iso * target_seconds) / (iso * seconds)
             sample = own[os.path.realpath(noisy)]
@@ -170,7 +170,7 @@ def test_elds_evaluation_finds_each_frame_and_its_reference(references: tuple[in
     assert seen == set(own)
     if references == (1, 6, 11, 16):
         kept = tmp_path / "data/OWN/Own/scene-1/IMG_0007.dng"
-        assert (camera / "scene-1/IMG_0007.dng").samefile(kept), "numbers that fit are kept"
+        assert (camera / "scene-1/IMG_0007.DNG").samefile(kept), "numbers that fit are kept"
 
 
 def test_elds_lmdb_holds_the_same_patches(tmp_path: Path) -> None:

@@ -1,3 +1,2 @@
-from .codes import CODES as CODES
 from .exporting import export as export
 from .writing import ExportReport as ExportReport

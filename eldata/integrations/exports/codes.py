@@ -94,15 +94,26 @@ def _eld(plan: ExportPlan, camera: str, pairs: Sequence[ExportPair]) -> None:
         for pair in pairs
     ]
     plan.lists[f"{camera}_paired.txt"] = "".join(lines).encode()
+    files = _files(pairs)
     for scene, numbered in _numbered_scenes(pairs).items():
         for number, path in numbered.items():
-            file = _files(pairs)[path]
-            plan.links[f"{camera}/scene-{scene}/IMG_{number:04d}{file.suffix}"] = file
+            file = files[path]
+            plan.links[f"{camera}/scene-{scene}/IMG_{number:04d}{_elds_suffix(file)}"] = file
     plan.usage.append(
         f"{camera}: datadir of SIDDataset, and sourcedir of util/lmdb_data.py, are the folder {camera} here, the lists "
         "take the place of dataset/Sony_*.txt and SID_Sony_15_paired.txt; basedir of ELDEvalDataset is this folder"
     )
     _note_cap(plan, camera, pairs, "ELD's SIDDataset")
+
+
+def _elds_suffix(file: Path) -> str:
+    """Return ``.DNG`` for one whose time stands in the EXIF IFD, where ELD's code looks unless it ends in ``.dng``."""
+    if file.suffix != ".dng":
+        return file.suffix
+    from eldata.raw.exif import exif_tags
+
+    tags = exif_tags(file)
+    return ".dng" if {"Image ExposureTime", "Image ISOSpeedRatings"} <= tags.keys() else ".DNG"
 
 
 # --- SID --------------------------------------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from eldata.errors import ArgumentError, RawFileError
 from eldata.evaluation.ordering import natural
+from eldata.manifest.eld import REFERENCE_NUMBERS, nearest_reference
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
@@ -39,7 +40,7 @@ def ratio_of_names(noisy: str, reference: str) -> float | None:
     return min(float(times[1][1]) / float(times[0][1]), LARGEST_RATIO)
 
 
-def exposure_text(frame: ExportFrame) -> str:
+def exposure_in_name(frame: ExportFrame) -> str:
     """Return ISO times seconds, in Python's numbers as LED's script has them: ``400`` or ``80.0``, never ``1e-05``.
 
     Raises
@@ -107,7 +108,7 @@ def sid_names(pairs: Sequence[ExportPair], *, bursts: bool = False) -> dict[str,
         inside = [pair for pair in pairs if pair.record.scene == scene]
         sides = {pair.reference.path: ("long", pair.reference) for pair in inside}
         sides |= {pair.noisy.path: ("short", pair.noisy) for pair in inside}
-        texts = {path: (side, exposure_text(frame)) for path, (side, frame) in sides.items()}
+        texts = {path: (side, exposure_in_name(frame)) for path, (side, frame) in sides.items()}
         if bursts:
             digit = _SPLIT_DIGITS.get(inside[0].record.split)
             if digit is None:
@@ -152,14 +153,6 @@ def _burst_numbers(texts: dict[str, tuple[str, str]]) -> dict[str, int]:
 
 # --- ELD's numbers ----------------------------------------------------------------------------------------------------
 
-REFERENCE_IDS = (1, 6, 11, 16)
-"""The references of a scene in ELD's code; that of a noisy frame is the nearest by number."""
-
-
-def nearest_reference(number: int) -> int:
-    """Return which of :data:`REFERENCE_IDS` ELD's code takes for a frame: there are no ties."""
-    return min(REFERENCE_IDS, key=lambda reference: abs(reference - number))
-
 
 def eld_numbers(pairs: Sequence[ExportPair]) -> dict[int, str]:
     """Return the path of the frame of each number of one scene, so that the nearest reference is each frame's own.
@@ -188,7 +181,7 @@ def _own_numbers(noisy_of: dict[str, list[str]]) -> dict[int, str] | None:
             numbers[int(found[1])] = path
     number_of = {path: number for number, path in numbers.items()}
     fits = all(
-        number_of[reference] in REFERENCE_IDS
+        number_of[reference] in REFERENCE_NUMBERS
         and all(nearest_reference(number_of[path]) == number_of[reference] for path in noisy)
         for reference, noisy in noisy_of.items()
     )
@@ -197,7 +190,7 @@ def _own_numbers(noisy_of: dict[str, list[str]]) -> dict[int, str] | None:
 
 def _given_numbers(noisy_of: dict[str, list[str]], scene: str) -> dict[int, str]:
     numbers: dict[int, str] = {}
-    left, waiting = list(REFERENCE_IDS), list(noisy_of)
+    left, waiting = list(REFERENCE_NUMBERS), list(noisy_of)
     while waiting:
         reference = waiting.pop(0)
         noisy, taken = noisy_of[reference], left[:1]
@@ -221,5 +214,5 @@ def _room(taken: Sequence[int]) -> int:
 
 def _free_numbers(taken: Collection[int], wanted: int) -> list[int]:
     """Return numbers whose nearest reference is one of ``taken``; the last reference has any number of them."""
-    highest = REFERENCE_IDS[-1] + wanted
-    return [n for n in range(1, highest + 1) if n not in REFERENCE_IDS and nearest_reference(n) in taken][:wanted]
+    highest = REFERENCE_NUMBERS[-1] + wanted
+    return [n for n in range(1, highest + 1) if n not in REFERENCE_NUMBERS and nearest_reference(n) in taken][:wanted]

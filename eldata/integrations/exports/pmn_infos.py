@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.errors import RawFileError
-from eldata.integrations.colours import colour_matrix, white_balance
-from eldata.integrations.exports.naming import nearest_reference
+from eldata.integrations.colours import balance_multipliers, matrix_to_srgb
+from eldata.manifest.eld import nearest_reference
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -75,8 +75,8 @@ def _facts(frame: ExportFrame) -> dict[str, Any]:
         "ISO": int(iso),
         "ExposureTime": float(seconds),
         "name": PurePosixPath(frame.path).stem,
-        "wb": white_balance(frame.sensor),
-        "ccm": colour_matrix(frame.sensor),
+        "wb": balance_multipliers(frame.sensor),
+        "ccm": matrix_to_srgb(frame.sensor),
     }
 
 

@@ -16,7 +16,7 @@ import sys
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -239,6 +239,15 @@ def of_stores(_: pytest.MonkeyPatch) -> Names:
     return {"network": lambda images: images}
 
 
+def of_lightning(patch: pytest.MonkeyPatch) -> Names:
+    lightning = pytest.importorskip("lightning", reason="needs eldata[lightning]")
+    names = of_stores(patch)
+    patch.setattr(
+        lightning, "Trainer", lambda **_: SimpleNamespace(fit=lambda _, data: next(iter(data.train_dataloader())))
+    )
+    return names | {"module": torch.nn.Identity()}
+
+
 def of_published_code(patch: pytest.MonkeyPatch) -> Names:
     """LED is not installed: its package's names, with the registries' interface."""
     from tests.integrations.test_basicsr import registry_module
@@ -255,6 +264,7 @@ NEEDS: dict[str, Callable[[pytest.MonkeyPatch], Names]] = {
     "docs/calibration.md": of_calibration,
     "docs/datasets.md": of_datasets,
     "docs/evaluation.md": of_evaluation,
+    "docs/lightning.md": of_lightning,
     "docs/manifests.md": of_manifests,
     "docs/metrics.md": of_metrics,
     "docs/noise.md": of_noise,
@@ -292,7 +302,7 @@ def in_this_process(work: Any, units: Any, _: Any) -> Iterator[Any]:
 # Those that score or pack whole sets, and calibrate.
 LONG = {"README.md", *(f"docs/{name}.md" for name in (
     "calibration", "datasets", "evaluation", "metrics", "noise", "plots", "published-numbers", "reports", "streaming",
-    "training",
+    "lightning", "training",
 ))}  # fmt: skip
 
 

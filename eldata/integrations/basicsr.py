@@ -274,7 +274,7 @@ def _opened(own: _Own, choice: Choice, *, in_training: bool) -> SourcePairs:
 
 def _whites_dn(frame: Frame, levels: LedLevels) -> tuple[float, ...]:
     whites = frame.channel_white_levels_dn if levels == "metadata-per-channel" else None
-    return whites or (frame.white_level_dn,) * len(frame.black_level_dn)
+    return (frame.white_level_dn,) * len(frame.black_level_dn) if whites is None else whites
 
 
 # --- metrics ----------------------------------------------------------------------------------------------------------
@@ -346,7 +346,7 @@ def register(package: str = "basicsr") -> None:
     place = f"{package}.utils.registry"
     try:
         registries = import_module(place)
-        found = {
+        found: dict[Any, tuple[Any, ...]] = {
             registries.DATASET_REGISTRY: (EldataPairs,),
             registries.METRIC_REGISTRY: (eldata_psnr, eldata_psnr_pt, eldata_ssim, eldata_ssim_pt),
         }

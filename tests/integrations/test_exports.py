@@ -194,7 +194,9 @@ def test_elds_lmdb_holds_the_same_patches(tmp_path: Path) -> None:
         for noisy, _ in sorted(map(tuple, names)):
             sample = own[os.path.realpath(camera / "short" / noisy)]["input"].numpy()
             for patch in eld_patches(sample, size):
-                stored = np.frombuffer(transaction.get(f"{key:08}".encode("ascii")), np.uint16).reshape(4, size, size)
+                stored = np.frombuffer(bytes(transaction.get(f"{key:08}".encode("ascii")) or b""), np.uint16).reshape(
+                    4, size, size
+                )
                 assert np.array_equal(
                     np.clip(stored / 65535, 0, 1).astype(np.float32),
                     np.clip((patch * 65535).astype(np.uint16) / 65535, 0, 1).astype(np.float32),
@@ -233,8 +235,8 @@ def sid_pack(path: Path) -> NDArray[np.float32]:
     """``pack_raw`` of train_Sony.py; its channels are R, G1, B, G2 at the end."""
     with rawpy.imread(str(path)) as raw:
         image = raw.raw_image_visible.astype(np.float32)
-    image = np.maximum(image - 512, 0) / (16383 - 512)
-    return np.stack((image[0::2, 0::2], image[0::2, 1::2], image[1::2, 1::2], image[1::2, 0::2]))
+    light = (np.maximum(image - 512, 0) / (16383 - 512)).astype(np.float32)
+    return np.stack((light[0::2, 0::2], light[0::2, 1::2], light[1::2, 1::2], light[1::2, 0::2]))
 
 
 @pytest.mark.parametrize("renamed", [False, True])
@@ -267,10 +269,9 @@ def test_sids_code_finds_and_amplifies_the_same(renamed: bool, tmp_path: Path) -
     for split, digit in (("train", "0"), ("test", "1"), ("val", "2")):
         listed = [line.split(" ") for line in lines(out / f"Own_{split}_list.txt")]
         assert len(listed) == 6
-        for short, long, iso in listed:
-            assert (out / short).exists()
-            assert (out / long).exists()
-            assert [one.split("/")[-1][0] for one in (short, long)] == [digit] * 2
+        for *frames, iso in listed:
+            assert all((out / name).exists() for name in frames)
+            assert [name.split("/")[-1][0] for name in frames] == [digit] * 2
             assert iso == "ISO200"
 
 
@@ -297,7 +298,8 @@ def pmn_bayer(path: str, *, clip: bool) -> NDArray[np.float32]:
     out = np.stack((image[0::2, 0::2], image[0::2, 1::2], image[1::2, 1::2], image[1::2, 0::2]))
     black = (np.array([0, 0, 0, 0]) + 512).reshape(4, 1, 1)
     out = (out - black) / (16383 - black)
-    return (np.clip(out, 0, 1) if clip else out).astype(np.float32)
+    packed: NDArray[np.float32] = (np.clip(out, 0, 1) if clip else out).astype(np.float32)
+    return packed
 
 
 def loaded(path: Path) -> Any:

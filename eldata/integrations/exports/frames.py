@@ -92,9 +92,8 @@ def _stated(folder: Path, with_sensors: bool, path: str) -> ExportFrame:
 
 
 def _all_read(outcomes: Iterable[ExportFrame | Failed[str]]) -> list[ExportFrame]:
-    read, failed = [], []
-    for outcome in outcomes:
-        (failed if isinstance(outcome, Failed) else read).append(outcome)
+    every = list(outcomes)
+    failed = [outcome for outcome in every if isinstance(outcome, Failed)]
     if failed:
         raise DatasetError(f"{failed[0].reason}" + (f"; so are {len(failed) - 1} more" if len(failed) > 1 else ""))
-    return read
+    return [outcome for outcome in every if not isinstance(outcome, Failed)]

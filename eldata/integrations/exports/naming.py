@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import re
 from decimal import Decimal
+from fractions import Fraction
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
@@ -19,11 +20,10 @@ from eldata.manifest.eld import REFERENCE_NUMBERS, nearest_reference
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
-    from fractions import Fraction
 
     from eldata.integrations.exports.frames import ExportFrame, ExportPair
 
-LARGEST_RATIO = 300
+LARGEST_RATIO = Fraction(300)
 """At which the code of SID, ELD and LED caps the ratio of two names."""
 
 _MOST_SCENES, _MOST_SHOTS = 10_000, 100
@@ -37,7 +37,7 @@ def ratio_of_names(noisy: str, reference: str) -> float | None:
     times = [_SID_NAME.fullmatch(name) for name in (noisy, reference)]
     if times[0] is None or times[1] is None or not float(times[0][1]):
         return None
-    return min(float(times[1][1]) / float(times[0][1]), LARGEST_RATIO)
+    return min(float(times[1][1]) / float(times[0][1]), float(LARGEST_RATIO))
 
 
 def exposure_in_name(frame: ExportFrame) -> str:

@@ -154,13 +154,9 @@ def test_torchdatas_loader_goes_on_in_the_middle_of_an_epoch(workers: int, store
         dataset = PackedStore(store, crop=16, seed=3, crops_per_frame=1)
         dataset.set_epoch(2)
         generator = torch.Generator().manual_seed(4)
+        context = "spawn" if workers else None
         return torchdata.StatefulDataLoader(
-            dataset,
-            4,
-            shuffle=True,
-            generator=generator,
-            num_workers=workers,
-            multiprocessing_context="spawn" if workers else None,
+            dataset, 4, shuffle=True, generator=generator, num_workers=workers, multiprocessing_context=context
         )
 
     whole = [batch["input"].clone() for batch in loader()]

@@ -281,12 +281,19 @@ class Record:
         self.checks[spec] = statistics
         write_json(self.path, self.data)
 
-    def of(self, row: str, ratio: float) -> tuple[np.ndarray, list[str]]:
-        """Return a row's scores (seeds, images) at a factor, and the images' scenes."""
+    def of(self, row: str, ratio: float, less: str | None = None) -> tuple[np.ndarray, list[str]]:
+        """Return a row's scores (seeds, images) at a factor, and the images' scenes.
+
+        With ``less``, how far they lie above another row's: of networks with the same seed, which had the same first
+        weights. What is not trained has one score an image, which is held against those of every seed.
+        """
         wanted = [n for n, (_, factor) in enumerate(self.data["images"]) if factor == ratio]
-        seeds = self.scores[row]
-        values = np.array([[seeds[seed][n] for n in wanted] for seed in sorted(seeds)])
-        return values, [self.data["images"][n][0] for n in wanted]
+        own, other = self.scores[row], self.scores[less or row]
+        seeds = sorted(other if row in UNTRAINED else own.keys() & other)
+        values = np.array([own["0" if row in UNTRAINED else seed] for seed in seeds])
+        if less is not None:
+            values = values - np.array([other[seed] for seed in seeds])
+        return values[:, wanted], [self.data["images"][n][0] for n in wanted]
 
 
 # --- the runs ---------------------------------------------------------------------------------------------------------
@@ -412,23 +419,19 @@ def check(bench: Bench, row: str) -> dict[str, float]:
 # --- the table --------------------------------------------------------------------------------------------------------
 
 
-def with_interval(values: np.ndarray, scenes: list[str], other: np.ndarray | None = None) -> tuple[float, float]:
-    """Return a mean, or a mean difference from another row, and the half width of its 95 % interval.
+def with_interval(values: np.ndarray, scenes: list[str]) -> tuple[float, float]:
+    """Return the mean of scores, or of differences, (seeds, images), and the half width of its 95 % interval.
 
     Of the scenes by a bootstrap, and of the seeds by Student's law on their means, put together as independent. With
     one seed its share is not known, and not in it.
     """
     from scipy.stats import t
 
-    rows = [values] if other is None else [values, other]
-    mean = rows[0].mean(axis=0) - (0 if other is None else rows[1].mean(axis=0))
-    interval = interval_of_mean(mean, scenes)
-    half = (interval.high - interval.low) / 2
-    for one in rows:
-        count = len(one)
-        if count > 1:
-            half = math.hypot(half, t.ppf(0.975, count - 1) * one.mean(axis=1).std(ddof=1) / math.sqrt(count))
-    return float(mean.mean()), half
+    interval = interval_of_mean(values.mean(axis=0), scenes)
+    half, count = (interval.high - interval.low) / 2, len(values)
+    if count > 1:
+        half = math.hypot(half, t.ppf(0.975, count - 1) * values.mean(axis=1).std(ddof=1) / math.sqrt(count))
+    return float(values.mean()), half
 
 
 def table(camera: str, record: Record) -> str:
@@ -437,10 +440,9 @@ def table(camera: str, record: Record) -> str:
     for row in (one for one in (*UNTRAINED, *TRAINED) if one in record.scores):
         line = [TITLES.get(row, row), "" if row in UNTRAINED else str(len(record.scores[row]))]
         for ratio in RATIOS:
-            values, scenes = record.of(row, ratio)
-            line.append("{:.2f} ± {:.2f}".format(*with_interval(values, scenes)))
+            line.append("{:.2f} ± {:.2f}".format(*with_interval(*record.of(row, ratio))))
             if "paired" in record.scores and row != "paired":
-                line.append("{:+.2f} ± {:.2f}".format(*with_interval(values, scenes, record.of("paired", ratio)[0])))
+                line.append("{:+.2f} ± {:.2f}".format(*with_interval(*record.of(row, ratio, "paired"))))
             else:
                 line.append("")
         cells.append(line)

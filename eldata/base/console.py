@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shutil
 import signal
 import sys
 import traceback
@@ -57,6 +58,11 @@ def add_output(parser: argparse._ActionsContainer, *names: str, **options: Any) 
     """
     options.setdefault("metavar", "FILE")
     parser.add_argument(*names, action=_Output, **options)
+
+
+def terminal_columns() -> int | None:
+    """Return how many characters a line of the terminal has; None where the output goes elsewhere."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:

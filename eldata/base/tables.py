@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 Format = Literal["text", "markdown", "latex"]
 FORMATS: Final[tuple[Format, ...]] = ("text", "markdown", "latex")
 _NARROWEST = 16  # characters of a column whose texts are broken
+_LINE = 112  # characters of a line of text, as wide as the widest tables
 
 
 class Strong(str):
@@ -65,6 +66,14 @@ def _fitting(widths: Sequence[int], columns: int) -> list[int]:
     while sum(widths) + 2 * (len(widths) - 1) > columns and max(widths) > _NARROWEST:
         widths[widths.index(max(widths))] -= 1
     return widths
+
+
+def wrapped(text: str, indent: str = "    ") -> list[str]:
+    """Return a text's lines of at most 112 characters, all but the first behind ``indent``.
+
+    Paths, addresses and options are for copying: they stay whole.
+    """
+    return textwrap.wrap(text, _LINE, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 # --- Markdown -----------------------------------------------------------------------------------------------------

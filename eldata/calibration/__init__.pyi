@@ -16,6 +16,9 @@ from .defects import FixedPattern as FixedPattern
 from .defects import PatternSummary as PatternSummary
 from .defects import fixed_pattern as fixed_pattern
 from .frame_checks import FramesError as FramesError
+from .iso_results import FailedIso as FailedIso
+from .iso_results import IsoCalibration as IsoCalibration
+from .iso_results import IsoGain as IsoGain
 from .joint import LogLogEstimate as LogLogEstimate
 from .joint import fit_log_log as fit_log_log
 from .noise_line import NoiseLine as NoiseLine
@@ -39,9 +42,6 @@ from .read_noise import read_noise_findings as read_noise_findings
 from .reproduction import Reproduction as Reproduction
 from .reproduction import reproduction as reproduction
 from .results import Calibration as Calibration
-from .results import FailedIso as FailedIso
-from .results import IsoCalibration as IsoCalibration
-from .results import IsoGain as IsoGain
 from .row_noise import LineMeans as LineMeans
 from .row_noise import LineNoise as LineNoise
 from .row_noise import RowNoise as RowNoise

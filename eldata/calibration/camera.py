@@ -16,10 +16,11 @@ from eldata import __version__
 from eldata.base.numbers import checked_number, counted
 from eldata.base.workers import IN_THIS_PROCESS, AnyWorkers, Failed, Workers, accepts_jobs, require_files
 from eldata.calibration.frame_checks import FramesError, sorted_frames
+from eldata.calibration.iso_results import FailedIso, IsoCalibration, IsoGain
 from eldata.calibration.mode_fits import joint_fits, whole_ranges
 from eldata.calibration.one_iso import calibrate_flats, calibrate_iso, decodings
 from eldata.calibration.remarks import overall_remarks
-from eldata.calibration.results import Calibration, FailedIso, IsoCalibration, IsoGain
+from eldata.calibration.results import Calibration
 from eldata.calibration.structure import pooled_prnu
 from eldata.datasets.calibration_frames import CalibrationFrames
 from eldata.errors import ArgumentError

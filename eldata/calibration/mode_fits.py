@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
     from eldata.calibration.audit import Finding, GivenFigure
+    from eldata.calibration.iso_results import IsoCalibration
     from eldata.calibration.joint import LogLogEstimate
-    from eldata.calibration.results import IsoCalibration
 
 NO_NOISE_DN = 1e-9
 """A scale that a log-log line can hold in place of 0."""

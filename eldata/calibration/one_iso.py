@@ -44,6 +44,7 @@ from eldata.calibration.frame_checks import (
     unlike_most,
     unreadable,
 )
+from eldata.calibration.iso_results import IsoCalibration, IsoGain
 from eldata.calibration.photon_transfer import (
     FlatFrames,
     FlatPairs,
@@ -61,7 +62,6 @@ from eldata.calibration.read_noise import (
 from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs, transfer_remarks
 from eldata.calibration.reproduction import compared_piece, reproduction
 from eldata.calibration.response_pattern import ResponsePattern
-from eldata.calibration.results import IsoCalibration, IsoGain
 from eldata.calibration.row_noise import LineMeans, row_noise
 from eldata.calibration.single_frame import single_frame_plot
 from eldata.calibration.spectrum import power_spectrum

@@ -10,13 +10,13 @@ import numpy as np
 from eldata.base.numbers import counted
 from eldata.calibration.bias_checks import GAPS
 from eldata.calibration.frame_checks import ADVISED_BIAS_FRAMES
-from eldata.calibration.results import usual_gain_per_iso
+from eldata.calibration.iso_results import usual_gain_per_iso
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from eldata.calibration.frame_checks import IsoFrames
-    from eldata.calibration.results import IsoCalibration, IsoGain
+    from eldata.calibration.iso_results import IsoCalibration, IsoGain
 
 _LONGEST_BIAS_S = 1 / 250
 _LEAST_PAIRS = 4

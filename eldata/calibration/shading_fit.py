@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
     from eldata.base.workers import AnyWorkers
     from eldata.calibration.defects import FixedPattern
-    from eldata.calibration.results import Calibration, IsoCalibration
+    from eldata.calibration.iso_results import IsoCalibration
+    from eldata.calibration.results import Calibration
     from eldata.datasets.calibration_frames import CalibrationFrames
 
 _REACH = 2  # periods of the CFA around a hot pixel, whose sound pixels stand for it

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import shutil
 import sys
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_shared
+from eldata.base.console import OK, PROBLEMS, add_shared, terminal_columns
 from eldata.base.files import write_json
 from eldata.errors import ArgumentError, EldataError
 
@@ -57,8 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(found[0].format_text())
     else:
         header = ("name", "title", "files", "size", f"in {data_root(arguments.root)}", "licence")
-        columns = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
-        print(text_table(header, [one.row for one in found], left=(0, 1, 4, 5), columns=columns))
+        print(text_table(header, [one.row for one in found], left=(0, 1, 4, 5), columns=terminal_columns()))
         print("\neldata info NAME shows one: addresses, citation, known defects")
     for problem in problems:
         print(f"eldata info: {problem}", file=sys.stderr)

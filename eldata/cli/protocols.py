@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import textwrap
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_shared
+from eldata.base.console import OK, add_shared, terminal_columns
 from eldata.base.files import write_json
 
 if TYPE_CHECKING:
@@ -13,7 +12,6 @@ if TYPE_CHECKING:
 
     from eldata.protocols.protocol import Protocol
 
-_WIDTH = 118
 _DIGEST = "sha256:"
 
 
@@ -55,7 +53,11 @@ def run(arguments: argparse.Namespace) -> int:
     if names:
         print("\n\n".join(_page(protocol) for protocol in found))
     else:
-        print(text_table(HEADER, [summary(protocol) for protocol in found], left=range(len(HEADER))))
+        print(
+            text_table(
+                HEADER, [summary(protocol) for protocol in found], left=range(len(HEADER)), columns=terminal_columns()
+            )
+        )
         print("\neldata protocols NAME shows one: all that it fixes, its source and digest")
     if arguments.json:
         write_json(
@@ -105,18 +107,9 @@ def _digests_in_words(names: list[str]) -> list[str]:
 
 
 def _page(protocol: Protocol) -> str:
+    from eldata.base.tables import wrapped
     from eldata.protocols.words import described
 
     rows = [*described(protocol), ("source", protocol.source), ("digest", protocol.digest)]
     width = max(len(name) for name, _ in rows) + 2
-    return "\n".join(
-        textwrap.fill(
-            text,
-            _WIDTH,
-            initial_indent=name.ljust(width),
-            subsequent_indent=" " * width,
-            break_long_words=False,
-            break_on_hyphens=False,
-        )
-        for name, text in rows
-    )
+    return "\n".join(line for name, text in rows for line in wrapped(f"{name:<{width}}{text}", " " * width))

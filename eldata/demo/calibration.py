@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from eldata.calibration.audit import GivenFigure
-    from eldata.calibration.results import Calibration, IsoCalibration
+    from eldata.calibration.iso_results import IsoCalibration
+    from eldata.calibration.results import Calibration
     from eldata.demo.body import FixedFeatures
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import shlex
-import textwrap
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+from eldata.base.tables import wrapped
 from eldata.download.card_downloads import archive_size
 from eldata.download.unpacking import STAGING
 from eldata.manifest.catalogue import carded_names, data_root, known_manifest, shipped_card, shipped_names
@@ -110,7 +110,7 @@ class Overview:
             lines += ["", "subsets (eldata evaluate --subset)"]
             counted = "clips" if any(is_pattern(record.path) for record in self.manifest.records) else "pairs"
             for subset in card.subsets:
-                lines += _wrapped(f"    {subset.name}: {subset.title} ({subset.pairs} {counted})", " " * 8)
+                lines += wrapped(f"    {subset.name}: {subset.title} ({subset.pairs} {counted})", " " * 8)
         return "\n".join([*lines, *_remarks(card), "", "next", f"    {self.next_command}"])
 
     @property
@@ -171,7 +171,7 @@ def _facts(card: Card) -> list[str]:
         ("levels", card.levels),
         ("contents", card.contents),
     )
-    return [line for name, text in facts if text for line in _wrapped(f"{name:<11}{text}", " " * 11)]
+    return [line for name, text in facts if text for line in wrapped(f"{name:<11}{text}", " " * 11)]
 
 
 def _remarks(card: Card) -> list[str]:
@@ -187,7 +187,7 @@ def _remarks(card: Card) -> list[str]:
         if texts:
             lines += ["", title]
             for text in texts:
-                lines += _wrapped(f"    - {text}", " " * 6)
+                lines += wrapped(f"    - {text}", " " * 6)
     return lines
 
 
@@ -199,11 +199,6 @@ def _size(card: Card) -> str:
             first_of.setdefault(download.part, size)
     named = {part: size for part, size in first_of.items() if part} or first_of  # no mirrors beside them
     return " + ".join(named.values()) or "not known"
-
-
-def _wrapped(text: str, indent: str) -> list[str]:
-    # Paths and addresses are for copying: they stay whole.
-    return textwrap.wrap(text, 100, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 def format_downloads(downloads: Iterable[Download]) -> list[str]:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import textwrap
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from eldata.base.files import write_json
 from eldata.base.notebook import block, table
 from eldata.base.numbers import counted
-from eldata.base.tables import text_table
+from eldata.base.tables import text_table, wrapped
 from eldata.base.visible import in_line
 from eldata.evaluation.results import nothing_scored, problem_lines, write_scores
 from eldata.evaluation.scores import json_object, mean
@@ -120,7 +119,7 @@ class CombinedResult:
         for group in others:
             found = [text.replace(" against ", " -> ", 1) for text in first[0].scored_unlike(group[0])]
             text = f"{_names(group)}: {'; '.join(found) or 'scored alike, the pairs differ'}"
-            lines += textwrap.wrap(text, 112, subsequent_indent="    ")
+            lines += wrapped(text)
         return lines
 
     def _shared(self) -> list[str]:
@@ -136,7 +135,7 @@ class CombinedResult:
             ]
             same = f" ({'; '.join(dict.fromkeys(words))} came to the same)" if words else ""
             text = f"the same scores, computed once: {_names((first, *others))}{same}"
-            lines += textwrap.wrap(text, 116, subsequent_indent="    ")
+            lines += wrapped(text)
         return lines
 
     def _apart(self) -> str:
@@ -186,7 +185,7 @@ class CombinedResult:
         for result in self.results:
             for suspicion in result.suspicions:
                 suspects.setdefault((suspicion.words, suspicion.where), f"{suspicion} ({result.protocol.name})")
-        lines += suspects.values()
+        lines += [line for text in suspects.values() for line in wrapped(text)]
         choices: dict[str, list[str]] = {}
         notes: dict[str, list[str]] = {}
         for result in self.results:
@@ -194,9 +193,8 @@ class CombinedResult:
             for note in result.notes:
                 notes.setdefault(note, []).append(result.protocol.name)
         lines += [f"{text}: {', '.join(names)}" for text, names in choices.items()]
-        lines += [
-            f"note: {note}" + ("" if len(names) == count else f" ({', '.join(names)})") for note, names in notes.items()
-        ]
+        for note, names in notes.items():
+            lines += wrapped(f"note: {note}" + ("" if len(names) == count else f" ({', '.join(names)})"))
         lines += [f"not scored: {one.protocol}: {one.reason}" for one in self.not_scored]
         return "\n".join(lines)
 

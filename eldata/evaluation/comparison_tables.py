@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from eldata.base.numbers import counted
-from eldata.base.tables import Strong, latex_table, markdown_table, markdown_text, text_table
+from eldata.base.tables import Strong, latex_table, markdown_table, markdown_text, text_table, wrapped
 from eldata.evaluation.statistics import FEWEST_SCENES, LEVEL, RESAMPLES, SEED
 from eldata.evaluation.table import PaperTable, grouped_table, short_digest
 
@@ -148,7 +148,7 @@ def format_comparison(comparison: Comparison, form: Format) -> str:
     lines = [summary, "", text_table(*_marked(means)), "* best of its row", ""]
     for name, table in (gains | contests).items():
         lines += [titles[name], "", text_table(table.header, table.rows), ""]
-    return "\n".join([*lines, note, *notes])
+    return "\n".join([*lines, *(line for text in (note, *notes) for line in wrapped(text, ""))])
 
 
 def _marked(means: PaperTable) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:

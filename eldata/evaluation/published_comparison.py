@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
-from eldata.base.tables import text_table
+from eldata.base.tables import text_table, wrapped
 from eldata.errors import ArgumentError
 from eldata.evaluation.published import NOISY_INPUT, factors_text, load_published, shipped_published
 from eldata.evaluation.saved import saved_result
@@ -250,7 +250,8 @@ def _is_within(limits: tuple[float, float], row: PublishedRow, mean: TableRow) -
 
 
 def _remarks(shown: list[PublishedRow], tables: PublishedTables) -> list[str]:
-    lines = [f"note: {row.method}, {row.place}: {row.note}" for row in shown if row.note]
+    notes = [f"note: {row.method}, {row.place}: {row.note}" for row in shown if row.note]
+    lines = [line for text in notes for line in wrapped(text)]
     for key in dict.fromkeys(row.source for row in shown):
         source = tables.sources[key]
         lines.append(f"{source.label}: {source.citation}; {source.url}")

@@ -13,7 +13,7 @@ from eldata.base.fields import csv_text
 from eldata.base.files import write_json, write_text
 from eldata.base.notebook import block, table
 from eldata.base.numbers import counted
-from eldata.base.tables import latex_table, markdown_table, markdown_text, text_table
+from eldata.base.tables import latex_table, markdown_table, markdown_text, text_table, wrapped
 from eldata.base.visible import in_line
 from eldata.evaluation.pairs import name_of
 from eldata.evaluation.scores import EvaluationProblem, UnitScore, csv_number, finite_values, json_object
@@ -295,8 +295,8 @@ class EvaluationResult:
                 f"INCOMPLETE: {len(self.missing)} {self.kind.counted} are not in these means, so they do not compare "
                 "with others"
             )
-        lines += map(str, self.suspicions)
-        lines += [f"note: {note}" for note in self.notes]
+        for text in (*map(str, self.suspicions), *(f"note: {note}" for note in self.notes)):
+            lines += wrapped(text)
         lines.append(f"{self.protocol.title} ({short_digest(self.digest)})")
         return "\n".join(lines)
 

@@ -276,6 +276,13 @@ class StatedProtocol:
         """``sha256:<hex>`` of what of these fields decides a score, whichever version wrote them."""
         return fields_digest(self.fields)
 
+    @property
+    def pixels(self) -> Pixels:
+        """What predictions and references were, as of :attr:`Protocol.pixels`."""
+        if self.fields.get("rendering") == "libraw":
+            return "srgb"
+        return "rgb" if self.fields.get("pixels") == "rgb" else "packed"
+
     def as_dict(self) -> dict[str, Any]:
         """Return its fields."""
         return self.fields

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.base.workers import Workers
-    from eldata.calibration.results import IsoCalibration
+    from eldata.calibration.iso_results import IsoCalibration
     from eldata.datasets.calibration_frames import CalibrationFrames
     from eldata.records import Role, Sensor
 

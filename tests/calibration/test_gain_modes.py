@@ -22,7 +22,8 @@ from tests.reports.calibrations import measured
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from eldata.calibration.results import Calibration, IsoCalibration
+    from eldata.calibration.iso_results import IsoCalibration
+    from eldata.calibration.results import Calibration
     from eldata.noise import NoiseParameters
 
 ISOS = (200, 400, 800, 1600, 3200, 6400, 12800)

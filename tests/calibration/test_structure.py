@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.results import IsoCalibration
+    from eldata.calibration.iso_results import IsoCalibration
 
 # Its own shape of the read noise, so that what telegraph pixels do to it shows.
 CAMERA = Camera(shape=(288, 384), dsnu=0.0, column_pattern=0.0, hot_share=0.0, prnu=0.01, tukey_lambda=0.1)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from eldata.calibration.results import IsoCalibration
+    from eldata.calibration.iso_results import IsoCalibration
     from eldata.manifest.verify_report import Problem
     from eldata.records import FrameRecord, Role
 

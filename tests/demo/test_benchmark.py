@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import runpy
 import subprocess
 import sys
 from dataclasses import replace
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from scipy.stats import ttest_1samp, ttest_rel
 
 import eldata.demo.benchmark_frames
 from eldata.base.workers import Workers
@@ -175,6 +177,24 @@ def test_the_whole_path(tmp_path: Path, capsys: pytest.CaptureFixture[str], monk
     assert first.returncode == again.returncode == 0, first.stderr
     assert again.stdout == first.stdout[first.stdout.index("BenchBeta\n") :]  # all was there: only the table
     assert first.stdout.count("|     2 |") == len(rows) - 1
+
+
+def test_intervals_of_seeds_are_those_of_a_paired_t_test(tmp_path: Path) -> None:
+    """Of images that all score alike, so that the scenes have no share: against scipy's paired test."""
+    example = runpy.run_path(str(ROOT / "examples" / "prove_noise_models.py"))
+    record = example["Record"](tmp_path / "camera.json", {})
+    images = [(f"scene-{n // 2}", float(ratio)) for n, ratio in enumerate((100, 200) * 6)]
+    seeds = {"G": (30.1, 30.4, 29.9), "paired": (30.9, 31.3, 30.6, 33.0), "dct": (31.0,)}
+    for row, means in seeds.items():
+        for seed, mean in enumerate(means):
+            record.add(row, seed, images, [mean] * len(images))
+    mean, half = example["with_interval"](*record.of("G", 200.0, "paired"))
+    paired = ttest_rel(seeds["G"], seeds["paired"][:3])  # of the seeds that both have
+    assert (mean - half, mean + half) == pytest.approx(tuple(paired.confidence_interval(0.95)))
+    mean, half = example["with_interval"](*record.of("dct", 100.0, "paired"))
+    single = ttest_1samp(31.0 - np.array(seeds["paired"]), 0.0)
+    assert (mean - half, mean + half) == pytest.approx(tuple(single.confidence_interval(0.95)))
+    assert example["with_interval"](*record.of("dct", 100.0)) == pytest.approx((31.0, 0.0))
 
 
 def test_the_documented_tables_are_those_of_the_records() -> None:

@@ -10,10 +10,10 @@ import numpy as np
 from eldata.calibration.camera import joined
 from eldata.calibration.colour_bias import ChannelMeans, colour_bias
 from eldata.calibration.defects import BiasStack, fixed_pattern
+from eldata.calibration.iso_results import IsoCalibration
 from eldata.calibration.photon_transfer import FlatFrames, FlatPairs, photon_transfer, spatial_photon_transfer
 from eldata.calibration.read_noise import Residuals, probability_plot, read_noise
 from eldata.calibration.reproduction import reproduction
-from eldata.calibration.results import Calibration, IsoCalibration
 from eldata.calibration.row_noise import LineMeans, row_noise
 from eldata.calibration.single_frame import single_frame_plot
 from eldata.calibration.spectrum import power_spectrum
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from eldata.calibration.photon_transfer import PhotonTransfer
+    from eldata.calibration.results import Calibration
 
 SHAPE = (264, 384)
 LEVELS = (800.0, 3000.0, 7000.0, 12000.0)

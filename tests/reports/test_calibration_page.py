@@ -30,7 +30,8 @@ from tests.waiting import PATIENCE_S
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from eldata.calibration.results import Calibration, IsoCalibration
+    from eldata.calibration.iso_results import IsoCalibration
+    from eldata.calibration.results import Calibration
 
 DRAWINGS, PICTURES = 9, 1 + 2 + 4  # of an ISO that has everything: spectrum, two frames, shading by channel
 CODE = (

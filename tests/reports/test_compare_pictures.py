@@ -15,6 +15,7 @@ from eldata.cli.main import main
 from eldata.evaluation.comparison import Method, compare
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.ordering import cameras_in_order, natural
+from eldata.evaluation.references import rendered_reference
 from eldata.evaluation.reproduction import units_again
 from eldata.evaluation.saved import load_results
 from eldata.evaluation.seen_methods import images_of, place_of_difference
@@ -114,6 +115,36 @@ def test_the_page_has_them_lazily_and_is_well_formed(compared: Compared) -> None
     worst = compared.comparison.images[int(np.argmin(gains))][0].path
     assert text.index("<tbody>", text.index('class="sortable"')) < text.index(f">{worst}</a></th>")
     assert text.partition('class="sortable"')[2].partition("</a></th>")[0].endswith(f">{worst}")
+
+
+def test_renderings_are_compared_as_they_are(compared: Compared, tmp_path: Path) -> None:
+    """Under a protocol of sRGB: two predictions that are the reference's own rendering, darker and darker still."""
+    tree = compared.tree
+    references = {pair.path: pair.reference for pair in tree.pairs}
+    methods = []
+    for name, factor in (("dark", 0.9), ("darker", 0.5)):
+
+        def darkened(_target: NDArray[np.float64], path: str, by: float = factor) -> NDArray[np.float32]:
+            return rendered_reference(tree.files / references[path]) * np.float32(by)
+
+        place(tmp_path / name, tree, darkened)
+        found = evaluate(
+            tmp_path / name, manifest=tree.manifest, root=tree.root, protocol="sid2018", allow_missing=True
+        )
+        methods.append(Method(name, found))
+    comparison = compare(methods)
+    assert comparison.images
+    dataset, units = units_again(methods[0].result, manifest=tree.manifest, root=tree.root)
+    folders = [tmp_path / method.name for method in methods]
+    images = images_of(comparison, dataset_folder=dataset, predictions=folders, units=units)
+    write_comparison_page(comparison, tmp_path / "page.html", images=images)
+    made = tmp_path / "page-pictures"
+    names = {path.name.partition("-")[2] for path in made.iterdir()}
+    assert names == {"method-1.jpg", "method-2.jpg", "reference.jpg", "error-1.jpg", "error-2.jpg", "whole.jpg"}
+    means = [np.asarray(Image.open(made / f"0001-{one}.jpg")).mean() for one in ("method-1", "method-2", "reference")]
+    # 8-bit pictures behind a JPEG: the mean of a rendering is kept to a hundredth.
+    assert means == pytest.approx([0.9 * means[2], 0.5 * means[2], means[2]], rel=0.02)
+    assert "sRGB" in (tmp_path / "page.html").read_text(encoding="utf-8")
 
 
 def test_a_page_that_is_written_again_leaves_no_old_pictures(compared: Compared, tmp_path: Path) -> None:

@@ -33,9 +33,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.calibration.audit import GivenFigure
+    from eldata.calibration.iso_results import IsoCalibration, IsoGain
     from eldata.calibration.photon_transfer import PhotonTransfer
     from eldata.calibration.reproduction import Reproduction
-    from eldata.calibration.results import IsoCalibration, IsoGain
 
 GAUSSIAN_LAMBDA = 0.14
 """The shape at which the Tukey-lambda distribution is nearest to the normal one."""

@@ -26,8 +26,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from eldata.calibration.audit import GivenFigure
+    from eldata.calibration.iso_results import IsoGain
     from eldata.calibration.panels import ScalePanel
-    from eldata.calibration.results import Calibration, IsoGain
+    from eldata.calibration.results import Calibration
 
 _CHANNEL_STEP = 0.07  # of ln ISO: side by side, where the channels' values are alike
 

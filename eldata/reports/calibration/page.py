@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from eldata.calibration.audit import Effect, Figure, GivenFigure
-    from eldata.calibration.results import Calibration, IsoCalibration, IsoGain
+    from eldata.calibration.iso_results import IsoCalibration, IsoGain
+    from eldata.calibration.results import Calibration
     from eldata.calibration.structure import MeasuredStructure
     from eldata.reports.figures import Plot
     from eldata.reports.pictures import Pictures

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from eldata.calibration.results import Calibration, IsoCalibration
+    from eldata.calibration.iso_results import IsoCalibration
+    from eldata.calibration.results import Calibration
     from eldata.calibration.structure import MeasuredStructure
     from eldata.noise.structure import RowSpectrum
 

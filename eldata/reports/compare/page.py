@@ -286,7 +286,7 @@ def _looking(comparison: Comparison, drawn: DrawnImages) -> dict[str, Any]:
         ],
         "first": first,
         "data": {_row_name(image["place"]): image for image in images},
-        "packed": comparison.kind.is_of_clips or has_input,
+        "colours": comparison.methods[0].result.protocol.pixels,
     }
 
 

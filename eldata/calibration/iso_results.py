@@ -1,0 +1,340 @@
+"""What a calibration found at one ISO: records of figures with their errors, and why some are withheld."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eldata.calibration.audit import SYMBOLS, GivenFigure, given, named, widened, withheld
+from eldata.calibration.spectrum import SpectrumLines
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from eldata.calibration.audit import Effect, Figure, Finding
+    from eldata.calibration.colour_bias import ColourBias
+    from eldata.calibration.defects import PatternSummary
+    from eldata.calibration.photon_transfer import PhotonTransfer
+    from eldata.calibration.read_noise import ProbabilityPlot, ReadNoise
+    from eldata.calibration.reproduction import Reproduction
+    from eldata.calibration.row_noise import LineNoise, RowNoise
+    from eldata.calibration.single_frame import SingleFramePlot
+    from eldata.calibration.structure import MeasuredStructure
+    from eldata.manifest.verify_report import Problem
+    from eldata.noise.parameters import NoiseParameters
+    from eldata.records import Sensor
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class IsoGain:
+    """What the flats of one ISO give; all that there is without bias frames.
+
+    ``transfer`` and ``spatial`` are what the estimators found, whatever the frames are like. What of it is given, and
+    with which error, are ``gain``, ``channel_gains`` and ``spatial_gain``.
+
+    Attributes
+    ----------
+    iso
+        ISO speed.
+    sensor
+        As the frames state it: CFA, size, black and white levels.
+    flat_frames
+        How many went into the estimates.
+    transfer
+        Photon transfer from pairs of flats; ``None`` without flats of this ISO, or where no line can be found.
+    spatial
+        The published single-frame method on the same flats, for comparison; ``None`` where it is not available.
+    remarks
+        What else a person should know before believing these figures.
+    findings
+        Which assumptions the frames do not keep, and what becomes of the figures that rest on them.
+    stated_gain_dn_per_e
+        K, where somebody states it; it counts only where none is measured.
+    """
+
+    iso: float
+    sensor: Sensor
+    flat_frames: int
+    transfer: PhotonTransfer | None
+    spatial: PhotonTransfer | None
+    remarks: tuple[str, ...]
+    findings: tuple[Finding, ...] = ()
+    stated_gain_dn_per_e: float | None = None
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the CFA's channels."""
+        return ("R", "G1", "B", "G2") if len(self.sensor.black_level_dn) == 4 else ("R", "G", "B")
+
+    @property
+    def withheld(self) -> frozenset[Figure]:
+        """The figures that are not given, since an assumption that they rest on does not hold."""
+        return withheld(self.findings)
+
+    @property
+    def widened(self) -> frozenset[Figure]:
+        """The figures that are given with an error made larger, since an assumption holds only nearly."""
+        return widened(self.findings)
+
+    @property
+    def withheld_and_widened(self) -> tuple[str, str]:
+        """The symbols of both kinds of figures."""
+        return named(self.withheld), named(self.widened)
+
+    def why_withheld(self, figure: Figure) -> str:
+        """Return in words why a figure is not given; empty if it is."""
+        return self._why(figure, "withheld")
+
+    def why_widened(self, figure: Figure) -> str:
+        """Return in words why a figure is given with a larger error; empty if it is not."""
+        return self._why(figure, "wider") if figure in self.widened else ""
+
+    def _why(self, figure: Figure, effect: Effect) -> str:
+        return "; ".join(one.text for one in self.findings if one.effect == effect and figure in one.figures)
+
+    @property
+    def all_remarks(self) -> tuple[str, ...]:
+        """Every remark, those of the findings first."""
+        return (*(one.remark for one in self.findings), *self.remarks)
+
+    @property
+    def gain(self) -> GivenFigure | None:
+        """System gain K [DN/e-], measured or else stated; ``None`` if it is not known, or withheld."""
+        measured = None
+        if self.transfer is not None:
+            measured = self._of_gain(self.transfer.gain_dn_per_e, self.transfer.gain_error)
+        if measured is None and self.stated_gain_dn_per_e is not None:
+            return GivenFigure(self.stated_gain_dn_per_e, math.nan, is_stated=True)
+        return measured
+
+    @property
+    def gain_dn_per_e(self) -> float | None:
+        """System gain K; ``None`` if it is not known, or withheld."""
+        return None if self.gain is None else self.gain.value
+
+    @property
+    def channel_gains(self) -> tuple[GivenFigure, ...] | None:
+        """K by CFA channel [DN/e-]."""
+        lines = () if self.transfer is None else self.transfer.channels
+        found = [self._of_gain(line.gain_dn_per_e, line.gain_error) for line in lines]
+        return tuple(one for one in found if one is not None) or None
+
+    @property
+    def spatial_gain(self) -> GivenFigure | None:
+        """K by the published single-frame method [DN/e-], for comparison."""
+        return None if self.spatial is None else self._of_gain(self.spatial.gain_dn_per_e, self.spatial.gain_error)
+
+    def _of_gain(self, value: float, error: float) -> GivenFigure | None:
+        return given(self.findings, "gain", value, error, value)
+
+    @property
+    def gain_text(self) -> str:
+        """K with its error as tables show it: "-" if it was never measured, "withheld" if that is not given."""
+        if self.gain is None:
+            return "withheld" if "gain" in self.withheld else "-"
+        return self.gain.text
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return every figure with its standard error as JSON types; ``None``: withheld, or not finite."""
+        channel_gains = self.channel_gains
+        found = {
+            "iso": self.iso,
+            "black_level_dn": self.sensor.black_level_dn,
+            "white_level_dn": self.sensor.white_level_dn,
+            "flat_frames": self.flat_frames,
+            "gain_dn_per_e": self.gain_dn_per_e,
+            "gain_error": None if self.gain is None else self.gain.error,
+            "gain_is_stated": self.gain is not None and self.gain.is_stated,
+            "gain_by_channel": None if channel_gains is None else [channel.value for channel in channel_gains],
+            "gain_spatial_dn_per_e": None if self.spatial_gain is None else self.spatial_gain.value,
+            "withheld": {figure: self.why_withheld(figure) for figure in SYMBOLS if figure in self.withheld},
+            "findings": [asdict(finding) for finding in self.findings],
+            "remarks": list(self.all_remarks),
+        }
+        return {name: _plain(value) for name, value in found.items()}
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class IsoCalibration(IsoGain):
+    """All that was measured at one ISO.
+
+    ``bias``, ``rows`` and ``read``, like ``transfer``, are what the estimators found. What of it is given are
+    ``tukey_lambda``, ``sigma_tl_dn``, ``sigma_gauss_dn``, ``sigma_row_dn`` and ``colour_bias``: tables, JSON, profile
+    and page take the figures from there.
+
+    Attributes
+    ----------
+    bias_frames
+        How many went into the estimates.
+    bias, rows, read
+        Colour bias, row (and column) noise, read noise.
+    plot
+        Quantiles of the residuals for the probability plots.
+    pattern
+        What stays from frame to frame.
+    single_frame
+        R^2 as the paper takes it; ``None`` if it was not.
+    spectrum_dn2
+        (256, 256) power spectrum of a bias frame less its channels' means, zero frequency in the centre, averaged over
+        tiles of 256 x 256 pixels; white noise of variance s^2 gives s^2 throughout.
+    reproduction
+        The noise model with these parameters against a bias frame that no estimator saw; ``None`` if there were too
+        few frames to hold one out, or one of the parameters is withheld.
+    structure
+        What the noise of pixels has in common; ``None`` if it was not asked for.
+    """
+
+    bias_frames: int
+    bias: ColourBias
+    rows: RowNoise
+    read: ReadNoise
+    plot: ProbabilityPlot
+    pattern: PatternSummary
+    spectrum_dn2: NDArray[np.float32] = field(repr=False)
+    reproduction: Reproduction | None
+    single_frame: SingleFramePlot | None = None
+    structure: MeasuredStructure | None = None
+
+    @property
+    def tukey_lambda(self) -> GivenFigure | None:
+        """Shape of the read noise; ``None`` if it is withheld."""
+        return given(self.findings, "read noise", self.read.tukey_lambda, self.read.tukey_lambda_error, 1.0)
+
+    @property
+    def sigma_tl_dn(self) -> GivenFigure | None:
+        """Scale of the read noise; ``None`` if it is withheld."""
+        scale = self.read.sigma_tl_dn
+        return given(self.findings, "read noise", scale, self.read.sigma_tl_error_dn, scale)
+
+    @property
+    def sigma_gauss_dn(self) -> GivenFigure | None:
+        """Standard deviation of the read noise; ``None`` if it is withheld."""
+        scale = self.read.sigma_gauss_dn
+        return given(self.findings, "read noise", scale, self.read.sigma_gauss_error_dn, scale)
+
+    @property
+    def sigma_row_dn(self) -> GivenFigure | None:
+        """Standard deviation of the row noise; ``None`` if it is withheld."""
+        return self._of_lines(self.rows.rows)
+
+    @property
+    def sigma_column_dn(self) -> GivenFigure | None:
+        """Standard deviation of what columns have of their own; ``None`` if row noise is withheld."""
+        return self._of_lines(self.rows.columns)
+
+    def _of_lines(self, lines: LineNoise) -> GivenFigure | None:
+        return given(self.findings, "row noise", lines.sigma_dn, lines.sigma_error_dn, lines.sigma_dn)
+
+    @property
+    def colour_bias(self) -> tuple[GivenFigure, ...] | None:
+        """Colour bias by CFA channel [DN]; ``None`` if it is withheld."""
+        found = [
+            given(self.findings, "colour bias", value, error, 1.0)
+            for value, error in zip(self.bias.bias_dn, self.bias.standard_error_dn, strict=True)
+        ]
+        return tuple(one for one in found if one is not None) or None
+
+    @property
+    def spectrum_lines(self) -> SpectrumLines:
+        """The rows' and the columns' line in the spectrum, and the ground that they stand out from."""
+        return SpectrumLines.of(self.spectrum_dn2)
+
+    @property
+    def colour_bias_dn(self) -> tuple[float, float, float, float] | None:
+        """Colour bias of R, G1, B, G2; X-Trans has one green, which stands for both. ``None`` if it is withheld."""
+        if self.colour_bias is None:
+            return None
+        bias = [channel.value for channel in self.colour_bias]
+        return (bias[0], bias[1], bias[2], bias[3] if len(bias) == 4 else bias[1])
+
+    @property
+    def parameters(self) -> NoiseParameters | None:
+        """The measured parameters as the noise model takes them; ``None`` if one of those in the dark is withheld.
+
+        A gain of 1 stands for one that is not known.
+        """
+        from eldata.noise.parameters import NoiseParameters
+
+        bias, row = self.colour_bias_dn, self.sigma_row_dn
+        shape, scale, gauss = self.tukey_lambda, self.sigma_tl_dn, self.sigma_gauss_dn
+        if bias is None or row is None or shape is None or scale is None or gauss is None:
+            return None
+        return NoiseParameters(
+            gain_dn_per_e=self.gain_dn_per_e or 1.0,
+            tukey_lambda=shape.value,
+            sigma_tl_dn=scale.value,
+            sigma_gauss_dn=gauss.value,
+            sigma_row_dn=row.value,
+            colour_bias_dn=bias,
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return every figure with its standard error as JSON types; ``None``: withheld, or not finite."""
+        read, bias, single = self.read, self.colour_bias, self.single_frame
+        ppcc = None if "read noise" in self.withheld else read
+        found = {
+            **IsoGain.as_dict(self),
+            "bias_frames": self.bias_frames,
+            **_with_error("tukey_lambda", self.tukey_lambda),
+            **_with_error("sigma_tl_dn", self.sigma_tl_dn),
+            **_with_error("sigma_gauss_dn", self.sigma_gauss_dn),
+            "ppcc_lambda": None if ppcc is None else ppcc.ppcc_lambda,
+            "ppcc_sigma_tl_dn": None if ppcc is None else ppcc.ppcc_sigma_tl_dn,
+            "r_squared_tl": read.r_squared_tl,
+            "r_squared_gauss": read.r_squared_gauss,
+            "single_frame_r_squared_tl": None if single is None else single.r_squared_tl,
+            "single_frame_r_squared_gauss": None if single is None else single.r_squared_gauss,
+            "read_chi2_per_dof": read.chi2_per_dof,
+            **_with_error("sigma_row_dn", self.sigma_row_dn),
+            "row_shapiro_p": self.rows.rows.shapiro_p,
+            **_with_error("sigma_column_dn", self.sigma_column_dn),
+            "colour_bias_dn": None if bias is None else [channel.value for channel in bias],
+            "colour_bias_error_dn": None if bias is None else [channel.error for channel in bias],
+            "dsnu_dn": self.pattern.dsnu_dn,
+            "defects": self.pattern.defects,
+            "reproduction": None if self.reproduction is None else self.reproduction.as_dict(),
+        }
+        if self.structure is not None:
+            found["structure"] = asdict(self.structure)
+        return {name: _plain(value) for name, value in found.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class FailedIso:
+    """An ISO that is left out of a calibration, and all that is wrong with its frames."""
+
+    iso: float
+    problems: tuple[Problem, ...]
+
+    @property
+    def remark(self) -> str:
+        """What the calibration says of it."""
+        more = f" (and {len(self.problems) - 1} more problems)" if len(self.problems) > 1 else ""
+        return f"ISO {self.iso:g} was left out: {self.problems[0]}{more}"
+
+
+def usual_gain_per_iso(isos: Iterable[IsoGain]) -> float:
+    """Return the median of K / ISO, DN per electron at ISO 1; nan if no gain is known."""
+    ratios = [one.gain_dn_per_e / one.iso for one in isos if one.gain_dn_per_e is not None]
+    return float(np.median(ratios)) if ratios else math.nan
+
+
+def _with_error(name: str, figure: GivenFigure | None) -> dict[str, float | None]:
+    """Return a figure and its error: ``sigma_tl_dn`` and ``sigma_tl_error_dn``."""
+    stem = name.removesuffix("_dn")
+    error = f"{stem}_error{name.removeprefix(stem)}"
+    return {name: None if figure is None else figure.value, error: None if figure is None else figure.error}
+
+
+def _plain(value: Any) -> Any:
+    """Return dictionaries and lists with ``None`` for numbers that are not finite."""
+    if isinstance(value, dict):
+        return {name: _plain(item) for name, item in value.items()}
+    if isinstance(value, (tuple, list)):
+        return [_plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

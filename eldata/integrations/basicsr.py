@@ -320,7 +320,8 @@ def eldata_ssim_pt(img: torch.Tensor, img2: torch.Tensor, *, protocol: str = "el
 
 
 def _scores(img: torch.Tensor, img2: torch.Tensor, protocol: str, column: str) -> torch.Tensor:
-    for image in (img, img2):
+    given: tuple[Any, ...] = (img, img2)  # whatever the training code hands over
+    for image in given:
         if not isinstance(image, torch.Tensor) or image.ndim != 4:
             raise ArgumentError(
                 f"expected batches of tensors (B, C, h, w), found {type(image).__name__} {tuple(image.shape)}; set "

@@ -137,7 +137,8 @@ class EldataModule(LightningDataModule):
     ) -> None:
         super().__init__()
         self.training = training
-        self.validation = list(validation) if isinstance(validation, (list, tuple)) else [validation]
+        several: Any = validation if isinstance(validation, (list, tuple)) else [validation]
+        self.validation: list[Dataset[Any]] = list(several)
         self.batch_size = batch_size
         self.options = options
 

@@ -439,9 +439,13 @@ def test_files_that_are_not_there(tmp_path: Path) -> None:
     manifest = sid_like(tmp_path)
     for path in (tmp_path / "data/OWN/Own/short").glob("10003*"):
         path.unlink()
-    with pytest.raises(DatasetError, match="so are 6 of 21 files in all: choose the pairs that you have by"):
+    with pytest.raises(DatasetError, match="as 6 of 21 files in all; choose the pairs that you have by"):
         export("sid", tmp_path / "out", manifest=manifest.path, root=tmp_path / "data")
     assert export("sid", tmp_path / "out", manifest=manifest.path, root=tmp_path / "data", split="train").pairs == 6
+    with pytest.raises(DatasetError, match="there is no such folder; --root names the folder that holds OWN"):
+        export("sid", tmp_path / "out", manifest=manifest.path, root=tmp_path)
+    with pytest.raises(DatasetError, match="drv: its noisy frames are clips"):
+        export("sid", tmp_path / "out", "drv", root=tmp_path)
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -449,7 +453,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     given = ["--manifest", str(manifest.path), "--root", str(tmp_path / "data"), "--jobs", "1"]
     assert main(["export", "led", str(tmp_path / "out"), *given]) == 0
     printed = capsys.readouterr().out
-    assert printed.startswith(f"24 pairs: 32 links made, below {tmp_path / 'out'}\n  Own/Own_list.txt\n")
+    assert printed.startswith(f"24 pairs below {tmp_path / 'out'}: 32 links made\n  Own/Own_list.txt\n")
     assert "to use it: Own: in LED's yaml, dataroot is the folder Own here" in printed
     (tmp_path / "out/Own/Own_list.txt").write_text("mine", encoding="utf-8")
     assert main(["export", "led", str(tmp_path / "out"), *given]) == 2

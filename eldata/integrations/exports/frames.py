@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple, Unpack
 
-from eldata.base.files import file_problem, inside
+from eldata.base.files import file_problem, folder_problem, inside
 from eldata.base.workers import Failed, Workers, require_files
 from eldata.errors import DatasetError
 from eldata.manifest.catalogue import known_manifest, load_manifest
@@ -63,14 +63,20 @@ def exported_pairs(
     """
     loaded = known_manifest(name) if manifest is None else load_manifest(manifest)
     loaded.card.check_readable()
+    noisy = [record for record in loaded.records if record.role == "noisy"]
+    if noisy and all(record.ratio is None for record in noisy):
+        raise DatasetError(f"{loaded.name}: its noisy frames are clips without a ratio, and published code reads pairs")
     pairs = select_pairs(loaded.records, loaded.card.subsets, **choice)
     folder = loaded.folder(root)
+    problem = folder_problem(folder)
+    if problem is not None:
+        raise DatasetError(f"{folder}: {problem}; --root names the folder that holds {loaded.card.folder}")
     paths = list(dict.fromkeys(path for pair in pairs for path in (pair.reference, pair.path)))
     absent = [path for path in paths if file_problem(inside(folder, path)) is not None]
     if absent:
         raise DatasetError(
-            f"{folder / absent[0]}: {file_problem(folder / absent[0])}; so are {len(absent)} of {len(paths)} files in "
-            "all: choose the pairs that you have by --camera, --split or --subset (eldata verify lists what is missing)"
+            f"{folder / absent[0]}: {file_problem(folder / absent[0])}, as {len(absent)} of {len(paths)} files in all; "
+            "choose the pairs that you have by --camera, --split or --subset (eldata verify lists what is missing)"
         )
     work = partial(_stated, folder.absolute(), with_sensors)
     frames = {frame.path: frame for frame in _all_read(Workers.of(workers).attempt(work, paths, label="reading"))}

@@ -69,7 +69,7 @@ class ExportReport:
     def format_text(self) -> str:
         """Return it as lines of text."""
         before = f", {counted(self.there, 'file')} there before" if self.there else ""
-        lines = [f"{counted(self.pairs, 'pair')}: {counted(self.linked, 'link')} made{before}, below {self.folder}"]
+        lines = [f"{counted(self.pairs, 'pair')} below {self.folder}: {counted(self.linked, 'link')} made{before}"]
         lines += [f"  {path}" for path in self.lists]
         lines += [f"to use it: {line}" for line in self.usage]
         return "\n".join([*lines, *(f"note: {line}" for line in self.remarks)])

@@ -7,6 +7,7 @@ registries of its own package. :func:`register` puts those of this module there.
 from __future__ import annotations
 
 from importlib import import_module
+from operator import index as index_of
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, get_args
 
@@ -14,9 +15,9 @@ import numpy as np
 import torch
 
 from eldata.base.seeds import item_generator
-from eldata.datasets.base import PairDataset, PairItem, SourcePairs
+from eldata.datasets.base import OpenedPair, PairDataset, PairItem, SourcePairs
 from eldata.datasets.crops import Crop
-from eldata.datasets.items import ReadItems
+from eldata.datasets.items import Part, ReadItems
 from eldata.datasets.packed_store import PackedStore
 from eldata.datasets.registry import dataset_class, dataset_names, open_dataset
 from eldata.errors import ArgumentError, EldataError, check_choice, did_you_mean
@@ -27,11 +28,10 @@ from eldata.raw.cfa import pack, packed_black_level_dn
 from eldata.raw.levels import FrameLevels
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from eldata.datasets.items import Part
     from eldata.protocols.protocol import Amplification
     from eldata.records import Sensor
     from eldata.sources.frames import Frame
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 __all__ = [
     "BatchSample",
     "EldataPairs",
+    "EldataReferences",
     "MissingBasicSRError",
     "eldata_psnr",
     "eldata_psnr_pt",
@@ -89,6 +90,7 @@ class _Own(TypedDict, total=False):
     which_meta: Meta
     levels: LedLevels
     amplification: Amplification
+    ratio_range: Sequence[int]
 
 
 # Keys of the yaml that BasicSR's own code reads, or that say how LED keeps its files, which a manifest or store does.
@@ -148,6 +150,7 @@ class EldataPairs(ReadItems[_LedItem, BatchSample]):
     def __init__(self, opt: Mapping[str, Any]) -> None:
         self.opt = dict(opt)
         own, choice = _understood(self.opt)
+        self._set_ratios(own.get("ratio_range"))
         self.phase: Phase = own.get("phase", "train")
         self.which_meta: Meta = own.get("which_meta", "gt")
         check_choice("phase", self.phase, get_args(Phase))
@@ -163,6 +166,10 @@ class EldataPairs(ReadItems[_LedItem, BatchSample]):
         self.pairs = _opened(own, choice, in_training=self.phase == "train")
         self.source = self.pairs.source
 
+    def _set_ratios(self, ratio_range: Sequence[int] | None) -> None:
+        if ratio_range is not None:
+            raise ArgumentError("ratio_range: pairs have the ratio of their files; EldataReferences draws ratios")
+
     def __len__(self) -> int:
         return len(self.pairs)
 
@@ -177,12 +184,15 @@ class EldataPairs(ReadItems[_LedItem, BatchSample]):
             raise IndexError(f"index {index} is outside of {len(self)} items")
         index %= len(self)
         draw = int(torch.randint(_DRAWS, ())) if self.phase == "train" else 0
-        pair, crop = self.pairs.drawn(index, item_generator(0, draw, index))
+        pair, crop = self._drawn(index, item_generator(0, draw, index))
         if self.phase != "train" and self.crop_size is not None:
             _, height, width = crop.packed_shape
             place = (height - self.crop_size) // 2, (width - self.crop_size) // 2
             crop = Crop.region(pair.target, (*place, self.crop_size, self.crop_size))
         return _LedItem(pair, crop, {})
+
+    def _drawn(self, index: int, generator: np.random.Generator) -> PairItem:
+        return self.pairs.drawn(index, generator)
 
     def shapes(self, item: _LedItem) -> dict[str, tuple[int, ...]]:
         """Return the shapes of both tensors."""
@@ -196,21 +206,25 @@ class EldataPairs(ReadItems[_LedItem, BatchSample]):
 
     def fill(self, item: _LedItem, part: Part, out: NDArray[Any]) -> None:
         """Write one tensor, in LED's order of steps, each in float32."""
-        frame, cfa = part.frame, item.crop.cfa
-        item.sensors[part.tensor] = frame.sensor
-        if not cfa or frame.sensor is None:
-            raise ArgumentError(f"{frame.name}: is not a raw frame in DN, which LED's arithmetic begins with")
-        black, white = (
-            packed_black_level_dn(cfa, levels)[:, None, None]
-            for levels in (frame.black_level_dn, _whites_dn(frame, self.levels))
-        )
-        out[...] = pack(item.crop.cut(frame), cfa)
+        self._fill_dn(item, part, out)
+        black, white = self._levels_dn(part.frame, item.crop)
         out -= black
         out /= white - black
         if part.tensor == "lq":
             out *= np.float32(part.gain)
         lowest = 0 if part.tensor == "gt" or self.zero_clip else None
         np.clip(out, lowest, 1, out=out)
+
+    def _fill_dn(self, item: _LedItem, part: Part, out: NDArray[Any]) -> None:
+        item.sensors[part.tensor] = part.frame.sensor
+        if not item.crop.cfa or part.frame.sensor is None:
+            raise ArgumentError(f"{part.frame.name}: is not a raw frame in DN, which LED's arithmetic begins with")
+        out[...] = pack(item.crop.cut(part.frame), item.crop.cfa)
+
+    def _levels_dn(self, frame: Frame, crop: Crop) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return black and white level of each packed channel, (C, 1, 1)."""
+        black, white = frame.black_level_dn, _whites_dn(frame, self.levels)
+        return tuple(packed_black_level_dn(crop.cfa, levels)[:, None, None] for levels in (black, white))  # type: ignore[return-value] # two
 
     def facts(self, item: _LedItem) -> dict[str, Any]:
         """Return the fields of a :class:`BatchSample` that are not images."""
@@ -225,7 +239,67 @@ class EldataPairs(ReadItems[_LedItem, BatchSample]):
         }
 
     def __repr__(self) -> str:
-        return f"EldataPairs({self.pairs!r}, phase={self.phase!r}, crop_size={self.crop_size}, levels={self.levels!r})"
+        name = type(self).__name__
+        return f"{name}({self.pairs!r}, phase={self.phase!r}, crop_size={self.crop_size}, levels={self.levels!r})"
+
+
+class EldataReferences(EldataPairs):
+    """Clean references in DN, as LED's ``RAWGTDataset`` gives its files: for the noise that LED's model makes.
+
+    Each reference of the chosen pairs is an item, once. ``lq`` and ``gt`` are the same, (C, h, w) float32 in DN,
+    ``black_level`` and ``white_level`` (C, 1, 1), ``ratio`` is a whole number drawn from torch's random numbers.
+    Nothing is turned, as LED turns nothing here: its model does.
+
+    Parameters
+    ----------
+    opt
+        As for :class:`EldataPairs`, and ``ratio_range``: the smallest and the largest ratio, [100, 300].
+
+    Raises
+    ------
+    ArgumentError, EldataError
+        As :class:`EldataPairs` does.
+    """
+
+    def __init__(self, opt: Mapping[str, Any]) -> None:
+        super().__init__(opt)
+        self._references = tuple({record.reference: record for record in self.pairs.records}.values())
+
+    def _set_ratios(self, ratio_range: Sequence[int] | None) -> None:
+        try:
+            self.lowest, self.largest = map(index_of, (100, 300) if ratio_range is None else ratio_range)
+        except (TypeError, ValueError):
+            self.lowest = self.largest = 0
+        if not 0 < self.lowest <= self.largest:
+            raise ArgumentError(f"ratio_range: expected two whole numbers such as [100, 300], found {ratio_range}")
+
+    def __len__(self) -> int:
+        return len(self._references)
+
+    def _drawn(self, index: int, generator: np.random.Generator) -> PairItem:
+        record = self._references[index]
+        frame = self.source.frame(record.reference).with_levels(self.pairs.levels)
+        return PairItem(OpenedPair(record, frame), Crop.draw(frame, generator, crop=self.pairs.crop, augment=False))
+
+    def parts(self, item: _LedItem) -> Iterator[Part]:
+        """Yield the reference."""
+        yield Part("gt", item.pair.target)
+
+    def fill(self, item: _LedItem, part: Part, out: NDArray[Any]) -> None:
+        """Write it in DN."""
+        self._fill_dn(item, part, out)
+
+    def finish(self, items: Sequence[_LedItem], arrays: Mapping[str, NDArray[Any]]) -> None:  # noqa: ARG002
+        """Copy it: LED's model makes its noisy input of it."""
+        arrays["lq"][...] = arrays["gt"]
+
+    def facts(self, item: _LedItem) -> dict[str, Any]:
+        """Return levels, ratio, colours and paths."""
+        item.sensors["lq"] = item.sensors["gt"]
+        black, white = map(torch.from_numpy, self._levels_dn(item.pair.target, item.crop))
+        reference = item.pair.record.reference
+        drawn = {"ratio": int(torch.randint(self.lowest, self.largest + 1, ())), "lq_path": reference}
+        return super().facts(item) | drawn | {"black_level": black, "white_level": white}
 
 
 def _understood(opt: Mapping[str, Any]) -> tuple[_Own, Choice]:
@@ -348,7 +422,7 @@ def register(package: str = "basicsr") -> None:
     try:
         registries = import_module(place)
         found: dict[Any, tuple[Any, ...]] = {
-            registries.DATASET_REGISTRY: (EldataPairs,),
+            registries.DATASET_REGISTRY: (EldataPairs, EldataReferences),
             registries.METRIC_REGISTRY: (eldata_psnr, eldata_psnr_pt, eldata_ssim, eldata_ssim_pt),
         }
     except (ImportError, AttributeError) as error:

@@ -119,7 +119,7 @@ class EldataModule(LightningDataModule):
     batch_size
         Of training; in evaluation items come one by one, since frames may differ in size.
     options
-        Of both loaders: :class:`~eldata.datasets.LoaderOptions`.
+        Of both loaders: :class:`~eldata.datasets.loading.LoaderOptions`.
 
     Raises
     ------

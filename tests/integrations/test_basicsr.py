@@ -17,7 +17,7 @@ import yaml
 from eldata.cli.main import main
 from eldata.errors import ArgumentError
 from eldata.integrations import basicsr
-from eldata.integrations.basicsr import EldataPairs, MissingBasicSRError, register
+from eldata.integrations.basicsr import EldataPairs, EldataReferences, MissingBasicSRError, register
 from tests.integrations.published_sets import eld_like, sid_like
 
 if TYPE_CHECKING:
@@ -98,6 +98,32 @@ def test_samples_equal_leds_to_the_bit(kind: str, zero_clip: bool, tmp_path: Pat
     assert (below == 0) == zero_clip
 
 
+@pytest.mark.parametrize("crop", [None, 16])
+def test_references_equal_leds_clean_frames(crop: int | None, tmp_path: Path) -> None:
+    """Its ``RAWGTDataset``: DN and levels as the file has them, a whole ratio; here of three references, each once."""
+    manifest, root = sid_like(tmp_path), tmp_path / "data/OWN"
+    where = {"data_pair_list": str(manifest.path), "dataroot": str(root), "crop_size": crop, "ratio_range": [100, 102]}
+    dataset = EldataReferences(options(VALIDATION) | where)
+    assert len(dataset) == 3
+    for sample in dataset:
+        with rawpy.imread(str(root / sample["gt_path"])) as raw:
+            black = np.array(raw.black_level_per_channel, "float32").reshape(4, 1, 1)
+            white = np.array(raw.camera_white_level_per_channel, "float32").reshape(4, 1, 1)
+            sites = [[int(at[0]) for at in np.where(raw.raw_pattern == colour)] for colour in range(4)]
+            packed = np.stack([raw.raw_image_visible[y::2, x::2] for y, x in sites]).astype("float32")
+        if crop is not None:
+            packed = packed[:, 4:20, 9:25]
+        assert np.array_equal(sample["gt"], packed)
+        assert torch.equal(sample["lq"], sample["gt"])
+        assert np.array_equal(sample["black_level"], black)  # type: ignore[typeddict-item]
+        assert np.array_equal(sample["white_level"], white)  # type: ignore[typeddict-item]
+    training = EldataReferences(options(VALIDATION) | where | {"phase": "train"})
+    torch.manual_seed(1)
+    assert {training[0]["ratio"] for _ in range(60)} == {100, 101, 102}  # one is missing with 3 (2/3)^60, below 1e-10
+    with pytest.raises(ArgumentError, match="two whole numbers"):
+        EldataReferences(options(VALIDATION) | where | {"ratio_range": [300, 100]})
+
+
 def test_the_ratio_of_eld_is_that_of_the_files(tmp_path: Path) -> None:
     manifest = eld_like(tmp_path)
     where = {"data_pair_list": str(manifest.path), "dataroot": str(tmp_path / "data/OWN"), "amplification": "metadata"}
@@ -152,6 +178,7 @@ def test_white_balance_and_matrix(tmp_path: Path) -> None:
         ({"ratio_aug": [100, 300]}, "synthetic noise"),
         ({"use_patches": True}, "crop_size"),
         ({"use_hflip": True}, "must be the same"),
+        ({"ratio_range": [100, 300]}, "EldataReferences draws ratios"),
         ({"data_pair_list": ""}, "found nothing"),
         ({"data_pair_list": "drv"}, "set of clips"),
         ({"data_pair_list": "a.h5"}, "leave it out"),
@@ -232,6 +259,7 @@ def test_the_registries_hold_what_a_yaml_names(monkeypatch: pytest.MonkeyPatch) 
     for _ in range(2):  # a second time changes nothing
         register("standing_in")
     assert registries.DATASET_REGISTRY.get("EldataPairs") is EldataPairs
+    assert registries.DATASET_REGISTRY.get("EldataReferences") is EldataReferences
     for name in ("eldata_psnr", "eldata_ssim", "eldata_psnr_pt", "eldata_ssim_pt"):
         assert registries.METRIC_REGISTRY.get(name) is getattr(basicsr, name)
 

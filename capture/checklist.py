@@ -1,9 +1,8 @@
 """The checklist of a plan: one page for a phone or tablet in the dark, or plain text, or Markdown.
 
 The page is one file with its style and script inside; its policy lets it load nothing else. What is entered stays in
-the browser, under the plan's digest, and can be exported (:func:`load_progress`). A scene that meters differently from
-the plan is planned again in the page, with the rounding of :mod:`capture.shots`: there in sixth powers, which turn the
-camera's halves and thirds of a stop into fractions.
+the browser, under the plan's digest, and can be exported (:func:`load_progress`). A scene may meter differently from
+the plan: the page has the shots for every time on the camera's dial, as :mod:`capture.shots` plans them.
 """
 
 from __future__ import annotations
@@ -11,10 +10,9 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from dataclasses import asdict
-from fractions import Fraction
 from typing import TYPE_CHECKING, Any, Final
 
+from capture.capture_errors import ImpossibleShotError
 from capture.checklist_content import (
     TEMPLATES,
     at_each_scene,
@@ -35,12 +33,12 @@ from capture.checklist_progress import (
     load_progress,
 )
 from capture.checklist_text import markdown_checklist, text_checklist
-from capture.shots import minutes
+from capture.plan import ScenePlan
+from capture.shots import minutes, scene_shots
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from capture.exact import ExactNumber
     from capture.plan import Plan
 
 __all__ = [
@@ -55,6 +53,9 @@ __all__ = [
     "plan_digest",
     "text_checklist",
 ]
+
+
+_TO_BE_TIMED_S: Final = 1  # shorter exposures are over before a button is pressed
 
 
 def plan_digest(plan: Plan) -> str:
@@ -118,23 +119,17 @@ def _embedded(data: dict[str, Any]) -> str:
 
 def _page_data(plan: Plan) -> dict[str, Any]:
     """Return what the page's script computes with."""
-    camera, protocol = plan.camera, plan.protocol
+    camera = plan.camera
     bias, flats = bias_and_flats(plan)
     return {
         "kind": KIND,
         "schema": SCHEMA,
         "digest": plan_digest(plan),
         "camera": camera.name,
-        "isos": camera.isos,
-        "base_iso": protocol.base_iso,
-        "noisy_isos": protocol.noisy_isos,
-        "step_sixth": str(Fraction(2) ** int(6 * camera.shutter.step)),
-        "times": [
-            {"dial": time.dial, "nominal": str(time.nominal_s), "sixth": str(_sixth_power(time.true_exact))}
-            for time in camera.shutter.times
-        ],
-        "fitting": _fitting(plan),
-        "frames": [asdict(frame) for frame in protocol.frames()],
+        "dials": [time.dial for time in camera.shutter.times],
+        "lasting": {time.dial: round(time.true_s, 2) for time in camera.shutter.times if time.true_s >= _TO_BE_TIMED_S},
+        "times": _times(plan),
+        "frames": [row.as_dict() for scene in plan.scenes[:1] for row in rows(scene.shots)],
         "scenes": [{"name": scene.name, "metered": str(scene.metered_s)} for scene in plan.scenes],
         "calibration": [row.as_dict() for row in (*bias, *flats)],
         "preparation": [item.name for item in every_item(plan)],
@@ -143,21 +138,23 @@ def _page_data(plan: Plan) -> dict[str, Any]:
     }
 
 
-def _sixth_power(number: ExactNumber) -> Fraction:
-    # Steps are thirds, halves or whole stops, so that six of them are whole.
-    return number.coefficient**6 * Fraction(2) ** int(6 * number.stops)
+def _times(plan: Plan) -> list[dict[str, Any]]:
+    """Return for each time that a scene may be metered at: its rows' dials, as indices, and remarks; or what to change.
 
-
-def _fitting(plan: Plan) -> list[int]:
-    """Return the indices of the first and last setting for the references at which all shots fit."""
-    camera, protocol = plan.camera, plan.protocol
-    scales = [
-        Fraction(protocol.base_iso, frame.iso * frame.factor) for frame in protocol.frames() if frame.factor is not None
-    ]
-    ends = (min(scales), max(scales))
-    found = [
-        index
-        for index, time in enumerate(camera.shutter.times)
-        if all(camera.nearest(time.true_exact * scale) is not None for scale in ends)
-    ]
-    return [found[0], found[-1]] if found else []
+    These are the times on the camera's dial, and those that the plan's scenes were metered at.
+    """
+    times = plan.camera.shutter.times
+    index = {time: number for number, time in enumerate(times)}
+    shown = {scene.metered_s: str(scene.metered_s) for scene in plan.scenes}
+    shown |= {time.nominal_s: time.dial for time in times}
+    found = []
+    for metered_s in sorted(shown):
+        row: dict[str, Any] = {"metered": str(metered_s), "shown": shown[metered_s]}
+        try:
+            scene = ScenePlan("", metered_s, scene_shots(plan.camera, plan.protocol, metered_s))
+        except ImpossibleShotError as error:
+            row["problem"] = str(error)
+        else:
+            row |= {"dials": [index[one.shot.setting] for one in rows(scene.shots)], "remarks": scene.remarks}
+        found.append(row)
+    return found

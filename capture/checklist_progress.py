@@ -8,16 +8,16 @@ The file is JSON::
       "camera": "SonyA7S2",
       "preparation": ["tripod", ...],               what of the preparation was ticked
       "scenes": [
-        {"name": "scene-1", "metered_s": "1/2",     as entered in the page, else as planned
+        {"name": "scene-1", "metered_s": "1/2",     as chosen in the page, else as planned
          "shots": [{"number": 1, "count": 1, "role": "reference", "iso": 100, "dial": "1/2",
                     "taken_at": "1/2", "repeats": 0, "file": "DSC01234", "remark": ""}, ...]}, ...],
       "calibration": [{"number": 1, "count": 10, "role": "bias", ...}, ...]
     }
 
 ``taken_at`` is the exposure time at which a shot was ticked, ``null`` where it was not. It differs from ``dial`` where
-the scene was metered again but the shot not taken again; ``dial`` is ``null`` where the metered time asks for what the
-camera does not have, which :func:`load_progress` refuses with what to change. A plan that has changed since may
-still be read with the file, as long as its scenes and shots are the same.
+the scene was metered again but the shot not taken again. Pages of eldata 0.1 also took metered times that ask for what
+the camera does not have, with ``null`` as ``dial``: :func:`load_progress` refuses these with what to change. A plan
+that has changed since may still be read with the file, as long as its scenes and shots are the same.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class ShotProgress:
 
 @dataclass(frozen=True, slots=True)
 class SceneProgress:
-    """One scene: its name, its metered time as entered at the scene, and its shots."""
+    """One scene: its name, its metered time as chosen at the scene, and its shots."""
 
     name: str
     metered_s: Fraction

@@ -47,11 +47,6 @@ class ExactNumber:
         object.__setattr__(self, "stops", Fraction(self.stops) - whole)
 
     @property
-    def exact(self) -> Fraction | None:
-        """The number as a fraction, or ``None`` if it is irrational."""
-        return None if self.stops else self.coefficient
-
-    @property
     def log2(self) -> float:
         """Its logarithm to the base 2: stops over 1."""
         return math.log2(self.coefficient.numerator) - math.log2(self.coefficient.denominator) + float(self.stops)

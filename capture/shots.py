@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
@@ -149,6 +150,7 @@ def check_isos(camera: CameraDescription, protocol: CaptureProtocol) -> None:
             )
 
 
+@cache  # a checklist asks for every time on the dial, and what to change needs all of them
 def _shots_or_none(
     camera: CameraDescription, protocol: CaptureProtocol, metered_s: Fraction
 ) -> tuple[Shot, ...] | ProtocolFrame:

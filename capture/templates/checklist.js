@@ -6,137 +6,15 @@ const plan = JSON.parse(document.getElementById("plan-data").textContent);
 const byId = (id) => document.getElementById(id);
 const every = (selector, inside = document) => [...inside.querySelectorAll(selector)];
 
-// --- exact numbers: fractions of BigInt ----------------------------------------------------------------------------
-// A camera's 1/60 s is 2^-6 s, its next faster time 2^(-19/3) s. In sixth powers both are fractions, and so are all
-// products and quotients; the order stays the same. So rounding here is that of capture.camera, to the last case.
-
-function fraction(text) {
-  const [n, d = "1"] = String(text).split("/");
-  return { n: BigInt(n), d: BigInt(d) };
-}
-const times = (a, b) => ({ n: a.n * b.n, d: a.d * b.d });
-const over = (a, b) => ({ n: a.n * b.d, d: a.d * b.n });
-const less = (a, b) => a.n * b.d < b.n * a.d;
-const equal = (a, b) => a.n * b.d === b.n * a.d;
-const sixthPower = (a) => ({ n: a.n ** 6n, d: a.d ** 6n });
-const log2 = (a) => Math.log2(Number(a.n)) - Math.log2(Number(a.d));
-
-function reduced(a) {
-  let [x, y] = [a.n, a.d];
-  while (y) [x, y] = [y, x % y];
-  return { n: a.n / x, d: a.d / x };
-}
-function textOf(a) {
-  const { n, d } = reduced(a);
-  return d === 1n ? String(n) : `${n}/${d}`;
-}
-
-/** Seconds as capture.exact.parse_seconds reads them; null if it would refuse. */
-function seconds(text) {
-  if (!/^(?:[0-9]{1,9}(?:\/[0-9]{1,9}|\.[0-9]{1,9})?|\.[0-9]{1,9})$/.test(text)) return null;
-  const [whole, decimals] = text.split(".");
-  const found = decimals === undefined ? fraction(text) : fraction(`${whole}${decimals}/1${"0".repeat(decimals.length)}`);
-  return found.n > 0n && found.d > 0n ? found : null;
-}
-
-// --- the shots of a scene, as capture.shots plans them ---------------------------------------------------------------
-
-const settings = plan.times.map(({ dial, nominal, sixth }) => ({ dial, nominal: fraction(nominal), sixth: fraction(sixth) }));
-const stepSixth = fraction(plan.step_sixth);
-const fitting = plan.fitting.map((index) => settings[index]);
-
-/** The setting nearest by ratio to a time given as its sixth power; null beyond the camera's by over half a step. */
-function nearest(wanted) {
-  const square = times(wanted, wanted);
-  const last = settings.length - 1;
-  let index = 0;
-  while (index < last && less(times(settings[index].sixth, settings[index + 1].sixth), square)) index += 1;
-  const end = times(settings[index].sixth, settings[index].sixth);
-  if (index === 0) {
-    const ratio = last === 0 ? stepSixth : over(settings[1].sixth, settings[0].sixth);
-    if (less(times(square, ratio), end)) return null;
-  }
-  if (index === last) {
-    const ratio = last === 0 ? stepSixth : over(settings[last].sixth, settings[last - 1].sixth);
-    if (less(times(end, ratio), square)) return null;
-  }
-  return settings[index];
-}
-
-/** How much shorter a frame's time is than the reference's: base ISO over ISO and factor. */
-const scale = (frame) => ({ n: BigInt(frame.factor === null ? 1 : plan.base_iso), d: BigInt(frame.factor === null ? 1 : frame.iso * frame.factor) });
-
-function sceneShots(metered) {
-  const base = settings.find((setting) => equal(setting.nominal, metered)) ?? nearest(sixthPower(metered));
-  const shots = plan.frames.map((frame) => {
-    const target = textOf(times(base ? base.nominal : metered, scale(frame)));
-    if (base === null) return { ...frame, target, setting: null };
-    const setting = frame.factor === null ? base : nearest(times(base.sixth, sixthPower(scale(frame))));
-    return { ...frame, target, setting };
-  });
-  const failing = shots.find((shot) => shot.setting === null);
-  return {
-    shots,
-    problem: failing ? whatToChange(metered, failing) : "",
-    remarks: failing ? [] : remarks(metered, base, shots),
-  };
-}
-
-function whatToChange(metered, frame) {
-  const tooFast = less(metered, fitting[0].nominal);
-  const bound = tooFast ? fitting[0] : fitting[1];
-  const limit = tooFast ? settings[0] : settings[settings.length - 1];
-  const stops = stopsUp(Math.abs(log2(over(bound.sixth, sixthPower(metered))) / 6));
-  const factor = frame.factor === null ? "" : `, x${frame.factor}`;
-  const start = `metered at ${textOf(metered)} s (ISO ${plan.base_iso}): ${frame.role} frame ${frame.number} (ISO ${frame.iso}${factor}) `
-    + `needs ${textOf(times(metered, scale(frame)))} s, and ${plan.camera}'s ${tooFast ? "fastest" : "slowest"} time is ${limit.dial} s. `;
-  if (tooFast) {
-    return start + `Let ${stops} less light in, so that the scene meters at ${bound.dial} s or longer: stop down by ${stops}, `
-      + `or add a neutral-density filter of ${stops}, or dim the lamps. Another base ISO does not help: ISO x time stays the same`;
-  }
-  const raised = over(times({ n: BigInt(plan.base_iso), d: 1n }, metered), bound.nominal);
-  const least = Math.min(...plan.noisy_isos);
-  const other = plan.isos.find((iso) => !less({ n: BigInt(iso), d: 1n }, raised) && iso < least);
-  const base = frame.factor === null && other !== undefined ? `; or take ISO ${other} as the base` : "";
-  return start + `Let ${stops} more light in, so that the scene meters at ${bound.dial} s or shorter: open up by ${stops}, or add light${base}`;
-}
-
-function stopsUp(stops) {
-  const thirds = Math.max(1, Math.ceil(3 * stops - 1e-6));
-  const parts = [Math.floor(thirds / 3) || "", thirds % 3 ? `${thirds % 3}/3` : ""].filter(Boolean);
-  return `${parts.join(" ")} stop${thirds <= 3 ? "" : "s"}`;
-}
-
-function remarks(metered, base, shots) {
-  const found = [];
-  if (!equal(base.nominal, metered)) {
-    found.push(`metered at ${textOf(metered)} s, set as ${base.dial} s, the camera's nearest time`);
-  }
-  const far = shots.filter((shot) => shot.factor !== null && farOff(base, shot));
-  if (far.length) {
-    found.push(`frames ${far.map((shot) => shot.number).join(", ")}: the ratio is more than 10 % off its factor, which eldata `
-      + "verify refuses; set the camera to thirds of a stop, or meter another time");
-  }
-  return found;
-}
-
-function farOff(base, shot) {
-  const speeds = { n: BigInt(plan.base_iso), d: BigInt(shot.iso) };
-  const named = reduced(times(over(base.nominal, shot.setting.nominal), speeds));
-  const given = times(over(base.sixth, shot.setting.sixth), sixthPower(speeds));
-  const bound = (tenths) => sixthPower({ n: BigInt(tenths * shot.factor), d: 10n });
-  return Math.abs(Number(named.n) / Number(named.d) - shot.factor) > shot.factor / 10
-    || less(given, bound(9)) || less(bound(11), given);
-}
+const table = new Map(plan.times.map((time) => [time.metered, time]));  // what to dial, by metered time
 
 // --- what has been entered -----------------------------------------------------------------------------------------
 
 const sections = [...plan.scenes.map((scene) => scene.name), ...(plan.calibration.length ? ["calibration"] : [])];
 const rows = new Map();      // "scene-1/4" -> what is known and entered of that row, with its element
-const metered = new Map();   // scene -> its metered time as text
-const scenes = new Map();    // scene -> its shots at that time, problem, remarks
+const metered = new Map();   // scene -> its metered time, as the table has it
 const prepared = new Set();
-const undoable = [];
+let undoable = [];           // what Undo takes back, the last at the end; without elements, so that it can be kept
 let place = sections[0];     // the scene that is being shot
 let lastTaken = null;
 let unsaved = false;         // something would be lost if the page were closed
@@ -150,11 +28,10 @@ every("[data-row]").forEach((element) => {
     // Ticked at its present setting. Taken at another one it is not done, until the scene is metered as it was.
     get done() { return this.takenAt !== null && this.takenAt === this.dial; },
   };
-  Object.assign(row, { key, section, element, count: 1, dial: null }, fixed, { takenAt: null, repeats: 0, file: "", remark: "" });
+  Object.assign(row, { key, section, element }, fixed, { takenAt: null, repeats: 0, file: "", remark: "" });
   rows.set(key, row);
 });
 const rowsOf = (section) => [...rows.values()].filter((row) => row.section === section);
-const problemOf = (section) => scenes.get(section)?.problem ?? "";
 const frameCount = (list) => list.reduce((sum, row) => sum + row.count, 0);
 
 /** Text without tabs and whatever else a file name or remark cannot hold. */
@@ -191,9 +68,9 @@ function adopt(content) {
     const there = rowsOf(part.name);
     if (there.length !== part.shots.length) { left.push(part.name); continue; }
     if (part.name !== "calibration") {
-      const time = seconds(String(part.metered_s));
-      check(time, `${part.name} has no metered time`);
-      times.set(part.name, textOf(time));
+      const time = table.get(part.metered_s);
+      check(time && !time.problem, `${part.name} was metered at ${part.metered_s} s, and this page has no shots for that time; "capture plan --progress" takes it into the plan`);
+      times.set(part.name, time.metered);
     }
     part.shots.forEach((shot, index) => {
       const where = `${part.name}, row ${index + 1}`;
@@ -219,6 +96,8 @@ function adopt(content) {
 // --- keeping -------------------------------------------------------------------------------------------------------
 
 const KEY = `capture-checklist:${plan.digest}`;
+const UNDO = `${KEY}:undo`;
+const LONGEST_UNDO = 100000;  // characters: some two hundred steps
 
 function kept(name) {
   try { return localStorage.getItem(name); } catch { notKept(); return null; }
@@ -231,6 +110,8 @@ function notKept() {
 }
 function save() {
   unsaved = !keep(KEY, JSON.stringify(progress()));
+  while (JSON.stringify(undoable).length > LONGEST_UNDO) undoable.shift();
+  keep(UNDO, JSON.stringify(undoable));
 }
 function restore() {
   const text = kept(KEY);
@@ -243,31 +124,35 @@ function restore() {
   }
 }
 
+/** Read what Undo takes back; of what does not fit this page nothing, since only the progress is precious. */
+function restoreUndo() {
+  undoable = [];
+  try {
+    const found = JSON.parse(kept(UNDO) ?? "[]");
+    const fits = (one) => sections.includes(one.place) && Array.isArray(one.prepared) && Object.keys(one.rows).every((key) => rows.has(key))
+      && plan.scenes.every(({ name }) => table.get(one.metered[name])?.dials);
+    if (found.every(fits)) undoable = found;
+  } catch { /* written by another version of this page */ }
+}
+
 // --- showing -------------------------------------------------------------------------------------------------------
 
 function replan(section) {
-  if (section === "calibration") return;
-  const scene = sceneShots(seconds(metered.get(section)));
-  scenes.set(section, scene);
-  rowsOf(section).forEach((row, index) => {
-    row.dial = scene.shots[index].setting?.dial ?? null;
-    row.target = scene.shots[index].target;
-  });
+  const time = table.get(metered.get(section));
+  if (!time) return;
+  rowsOf(section).forEach((row, index) => { row.dial = plan.dials[time.dials[index]]; });
+  byId(`${section}-problem`).hidden = true;
 }
 
 function showRow(row) {
   const { element } = row;
   const box = element.querySelector(".tick input");
   box.checked = row.done;
-  box.disabled = problemOf(row.section) !== "" && !row.done;
-  const dial = element.querySelector(".dial");
-  dial.textContent = `${row.dial ?? row.target} s`;
-  dial.classList.toggle("impossible", row.dial === null);
+  element.querySelector(".dial").textContent = `${row.dial} s`;
   let state = "";
   if (row.repeats && !row.done) state = "Take it again; the last one counts.";
   if (row.repeats && row.done) state = `Taken ${row.repeats + 1} times; the last one counts.`;
   if (row.takenAt !== null && !row.done) state = `Taken at ${row.takenAt} s; take it again at this time.`;
-  if (row.dial === null) state = `Impossible: the camera has no time near ${row.target} s.`;
   element.querySelector(".state").textContent = state;
   for (const name of ["file", "remark"]) {
     const input = element.querySelector(`.${name}`);
@@ -281,26 +166,22 @@ function showSection(section) {
   const list = rowsOf(section);
   list.forEach(showRow);
   byId(`${section}-title`).querySelector(".count").textContent = `${frameCount(list.filter((row) => row.done))} of ${frameCount(list)}`;
-  const scene = scenes.get(section);
-  if (!scene) return;
-  const problem = byId(`${section}-problem`);
-  problem.hidden = scene.problem === "";
-  problem.textContent = scene.problem;
-  byId(`${section}-remarks`).replaceChildren(...scene.remarks.map((text) => {
+  const time = table.get(metered.get(section));
+  if (!time) return;
+  byId(`${section}-remarks`).replaceChildren(...time.remarks.map((text) => {
     const item = document.createElement("li");
     item.textContent = text;
     return item;
   }));
-  const input = byId(`${section}-metered`);
-  if (input !== document.activeElement) input.value = metered.get(section);
-  every(".metered-text", byId(`${section}-body`)).forEach((text) => { text.textContent = metered.get(section); });
+  byId(`${section}-metered`).value = time.metered;
+  every(".metered-text", byId(`${section}-body`)).forEach((text) => { text.textContent = time.shown; });
 }
 
 const nextRow = () => rowsOf(place).find((row) => !row.done);
 
 function sentence(row) {
   const last = row.number + row.count - 1;
-  const which = row.count === 1 ? `frame ${row.number} of ${rowsOf(row.section).length}` : `frames ${row.number} to ${last}`;
+  const which = row.count === 1 ? `frame ${row.number} of ${frameCount(rowsOf(row.section))}` : `frames ${row.number} to ${last}`;
   const what = row.element.querySelector(".tick .soft").textContent.split(" · ")[1];
   return `${row.section}, ${which}: ${what}`;
 }
@@ -317,7 +198,6 @@ function hint(row) {
 
 function showNext() {
   const row = nextRow();
-  const problem = problemOf(place);
   const all = [...rows.values()];
   const done = frameCount(all.filter((one) => one.done));
   byId("total").value = done;
@@ -325,22 +205,20 @@ function showNext() {
   byId("preparation-title").querySelector(".count").textContent = `${every(":checked", byId("preparation-body")).length} of ${every("[data-item]", byId("preparation-body")).length}`;
   byId("place").value = place;
   byId("where").textContent = row ? sentence(row) : done === frameCount(all) ? "All frames are taken. Export, then copy the card." : `${place}: all frames are taken.`;
-  byId("dials").hidden = !row || problem !== "";
-  byId("hint").textContent = row && problem === "" ? hint(row) : "";
+  byId("dials").hidden = !row;
   byId("next-iso").textContent = row ? row.iso : "";
   byId("next-dial").textContent = row ? `${row.dial} s` : "";
-  byId("next-problem").hidden = !row || problem === "";
-  byId("next-problem").textContent = problem;
-  byId("taken").disabled = !row || problem !== "";
+  byId("taken").disabled = !row;
   byId("taken").textContent = row && row.count > 1 ? `Taken, all ${row.count}` : "Taken";
   byId("show").disabled = !row;
-  byId("show").textContent = row && problem ? "Metered time" : "File and remark";
   byId("again").disabled = !before(row);
   const undo = undoable[undoable.length - 1];
   byId("undo").disabled = !undo;
   byId("undo").textContent = undo ? `Undo ${undo.label}` : "Undo";
   every(".shot.now").forEach((element) => element.classList.remove("now"));
   row?.element.classList.add("now");
+  showTimer();
+  stayAwake();
 }
 
 /** What "Repeat the one before" means: the shot taken last, else the one before the next. */
@@ -359,7 +237,7 @@ function showAll() {
 /** Say what has happened, to readers of the screen with the next shot in one sentence. */
 function announce(text) {
   const row = nextRow();
-  const next = row && !problemOf(place) ? `Next: ${sentence(row)}, ISO ${row.iso}, ${row.dial} s.` : byId("where").textContent;
+  const next = row ? `Next: ${sentence(row)}, ISO ${row.iso}, ${row.dial} s.` : byId("where").textContent;
   byId("say").textContent = text;
   byId("live").textContent = `${text} ${next}`.trim();
 }
@@ -381,12 +259,11 @@ function fold(section, open) {
 function change(label, list, edit, fields = ["takenAt", "repeats"]) {
   undoable.push({
     label,
-    rows: list.map((row) => [row, Object.fromEntries(fields.map((name) => [name, row[name]]))]),
-    metered: new Map(metered),
+    rows: Object.fromEntries(list.map((row) => [row.key, Object.fromEntries(fields.map((name) => [name, row[name]]))])),
+    metered: Object.fromEntries(metered),
     prepared: [...prepared],
     place,
   });
-  if (undoable.length > 200) undoable.shift();
   edit();
   save();
 }
@@ -394,8 +271,8 @@ function change(label, list, edit, fields = ["takenAt", "repeats"]) {
 function undo() {
   const last = undoable.pop();
   if (!last) return;
-  for (const [row, entered] of last.rows) Object.assign(row, entered);
-  for (const [name, time] of last.metered) metered.set(name, time);
+  for (const [key, entered] of Object.entries(last.rows)) Object.assign(rows.get(key), entered);
+  for (const [name, time] of Object.entries(last.metered)) metered.set(name, time);
   prepared.clear();
   last.prepared.forEach((name) => prepared.add(name));
   lastTaken = null;
@@ -449,36 +326,27 @@ function repeat(row) {
 }
 
 function meter(section, text) {
-  const input = byId(`${section}-metered`);
-  const found = seconds(text.trim().replace(/\s*s$/, "").replace(",", "."));
-  input.setAttribute("aria-invalid", String(!found));
-  if (!found) {
-    const problem = byId(`${section}-problem`);
-    problem.hidden = false;
-    problem.textContent = `"${text}" is not a time: write seconds such as 4, 1/2 or 0.5. The shots below are still those of ${metered.get(section)} s.`;
-    return;
+  const [time, now] = [table.get(text), table.get(metered.get(section))];
+  const problem = byId(`${section}-problem`);
+  problem.hidden = !time.problem;
+  problem.textContent = time.problem ? `${time.problem}. The shots below are still those of ${now.shown} s.` : "";
+  if (!time.problem && time !== now) {
+    change(`metered time of ${section}`, [], () => {
+      metered.set(section, text);
+      replan(section);
+    });
   }
-  const time = textOf(found);
-  input.value = time;
-  if (time === metered.get(section)) { showSection(section); return; }
-  change(`metered time of ${section}`, [], () => {
-    metered.set(section, time);
-    replan(section);
-  });
-  const taken = rowsOf(section).filter((row) => row.takenAt !== null && !row.done);
-  showSection(section);
+  showSection(section);  // a list that stands at a refused time goes back
+  if (time.problem || time === now) return;
   showNext();
-  const planned = problemOf(section) ? "cannot be taken when metered at" : "is planned for";
-  announce(`${section} ${planned} ${time} s.${taken.length ? ` ${taken.length} shots were taken at other settings and are to be taken again.` : ""}`);
+  const taken = rowsOf(section).filter((row) => row.takenAt !== null && !row.done);
+  announce(`${section} is planned for ${time.shown} s.${taken.length ? ` ${taken.length} shots were taken at other settings and are to be taken again.` : ""}`);
 }
 
-/** The camera's next faster or slower time. */
+/** The next faster or slower time of the table. */
 function step(section, direction) {
-  const now = seconds(metered.get(section));
-  const other = direction < 0
-    ? settings.filter((setting) => less(setting.nominal, now)).pop()
-    : settings.find((setting) => less(now, setting.nominal));
-  if (other) meter(section, textOf(other.nominal));
+  const other = plan.times[plan.times.indexOf(table.get(metered.get(section))) + direction];
+  if (other) meter(section, other.metered);
 }
 
 // Cold fingers tap twice: the second tap within half a second on the same control is not meant.
@@ -535,6 +403,85 @@ async function importFile(file) {
   byId("kept").textContent = `Imported ${file.name}.${left.length ? ` Not in this plan, and left out: ${left.join(", ")}.` : ""}`;
 }
 
+// --- seconds to wait, and a screen that stays on -------------------------------------------------------------------
+
+let timer = null;   // of the exposure that runs: its row and dial, when it ends, its sounds
+let audio = null;
+let lock = null;    // on the screen
+
+/** Lay out the sounds of a timer at once: a page in the background is given few moments of its own, its sounds are not. */
+function sounds(end) {
+  audio ??= new AudioContext();  // browsers allow sound only after a tap
+  const volume = new GainNode(audio, { gain: 0.5 });
+  volume.connect(audio.destination);
+  audio.resume().then(() => {
+    const over = audio.currentTime + (end - Date.now()) / 1000;
+    for (const [before, lasting, frequency] of [[3, 0.08, 660], [2, 0.08, 660], [1, 0.08, 660], [0, 0.8, 880]]) {
+      if (over - before < audio.currentTime) continue;
+      const tone = new OscillatorNode(audio, { frequency });
+      tone.connect(volume);
+      tone.start(over - before);
+      tone.stop(over - before + lasting);
+      tone.onended = () => { if (!timer) audio.suspend(); };  // or it would go on playing silence
+    }
+  });
+  return volume;
+}
+
+function startTimer() {
+  const { key, dial } = nextRow();
+  const end = Date.now() + 1000 * plan.lasting[dial];
+  let volume = null;
+  try { volume = sounds(end); } catch { byId("say").textContent = "No sound here: watch the seconds."; }
+  timer = { key, dial, end, volume, clock: setInterval(showTimer, 200) };
+  showNext();
+}
+
+function stopTimer() {
+  clearInterval(timer.clock);
+  timer.volume?.disconnect();
+  timer = null;
+  audio?.suspend();
+}
+
+/** Show the seconds left, and what the button beside the next shot would do. */
+function showTimer() {
+  const row = nextRow();
+  if (timer && (row?.key !== timer.key || row.dial !== timer.dial)) stopTimer();  // taken, or another one is next
+  const left = timer ? Math.ceil((timer.end - Date.now()) / 1000) : 0;
+  if (timer && left <= 0) {
+    clearInterval(timer.clock);  // its last sound goes on
+    timer = null;
+    byId("say").textContent = byId("live").textContent = "The time is over.";
+    stayAwake();
+  }
+  const seconds = plan.lasting[row?.dial];
+  byId("timer").hidden = seconds === undefined;
+  byId("timer").textContent = timer ? "Stop timer" : `Start timer, ${Math.round(seconds)} s`;
+  byId("left").textContent = timer ? `${left} s ` : "";
+  byId("hint").textContent = timer ? "left" : row ? hint(row) : "";
+}
+
+/** Keep the screen on while a scene is being shot; the browser lets go of it whenever the page is hidden. */
+async function stayAwake() {
+  const list = rowsOf(place);
+  const shooting = timer !== null || (list.some((row) => row.done) && list.some((row) => !row.done));
+  if (document.visibilityState !== "visible" || shooting === (lock !== null)) return;
+  const held = lock;
+  lock = shooting ? "asked for" : null;
+  if (!shooting) { held.release?.(); return; }
+  try {
+    const granted = await navigator.wakeLock.request("screen");
+    granted.addEventListener("release", () => { if (lock === granted) lock = null; });
+    lock = granted;
+    byId("not-awake").hidden = true;
+    stayAwake();  // what was asked for may no longer be wanted
+  } catch {
+    lock = null;
+    byId("not-awake").hidden = document.visibilityState !== "visible";  // hidden meanwhile, or refused, as on a low battery
+  }
+}
+
 // --- the page ------------------------------------------------------------------------------------------------------
 
 function startPlace() {
@@ -548,6 +495,7 @@ function setTheme(name) {
   if (![...byId("theme").options].some((option) => option.value === name)) return;
   byId("theme").value = name;
   document.documentElement.dataset.theme = name;
+  document.querySelector('meta[name="theme-color"]').content = getComputedStyle(document.body).backgroundColor;
 }
 
 function listen() {
@@ -577,6 +525,7 @@ function listen() {
   }));
   every("[data-metered]").forEach((input) => {
     const section = input.dataset.metered;
+    input.replaceChildren(...plan.times.map((time) => new Option(`${time.shown} s`, time.metered)));
     input.addEventListener("change", () => meter(section, input.value));
     const [faster, slower] = every("button", input.parentElement);
     faster.addEventListener("click", () => step(section, -1));
@@ -590,6 +539,12 @@ function listen() {
     if (row && !doubled("taken", event)) setDone(row, true);
     if (byId("taken").disabled) byId("next").focus();  // a disabled button would lose the keyboard's place
   });
+  byId("timer").addEventListener("click", (event) => {
+    if (doubled("timer", event)) return;
+    if (!timer) { startTimer(); return; }
+    stopTimer();
+    showNext();
+  });
   byId("undo").addEventListener("click", () => {
     undo();
     if (byId("undo").disabled) byId("taken").focus();
@@ -601,7 +556,6 @@ function listen() {
   byId("show").addEventListener("click", () => {
     const { element } = nextRow();
     fold(place, true);
-    if (problemOf(place)) { byId(`${place}-metered`).focus(); return; }
     element.querySelector(".more").setAttribute("aria-expanded", "true");
     element.scrollIntoView({ block: "center" });
     element.querySelector(".file").focus({ preventScroll: true });
@@ -625,18 +579,25 @@ function listen() {
     keep("capture-checklist:theme", event.target.value);
   });
   addEventListener("storage", (event) => {  // the same page in another tab
-    if (event.key !== KEY || event.newValue === null) return;
+    if (event.newValue === null) return;
+    if (event.key === UNDO) {
+      restoreUndo();
+      showNext();
+    }
+    if (event.key !== KEY) return;
     try { adopt(JSON.parse(event.newValue)); } catch { return; }
-    undoable.length = 0;
     showAll();
   });
+  document.addEventListener("visibilitychange", stayAwake);
   addEventListener("beforeunload", (event) => { if (unsaved) event.preventDefault(); });
 }
 
-every(".screen, .more, .again").forEach((element) => { element.hidden = element.id === "not-kept"; });
+every(".screen:not(.warn), .more, .again").forEach((element) => { element.hidden = false; });
+byId("not-awake").hidden = "wakeLock" in navigator;
 plan.scenes.forEach((scene) => metered.set(scene.name, scene.metered));
 keep("capture-checklist:test", "");  // to say at once if nothing is kept
 restore();
+restoreUndo();
 setTheme(kept("capture-checklist:theme"));
 startPlace();
 fold("preparation", prepared.size < plan.preparation.length);

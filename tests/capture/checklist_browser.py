@@ -31,6 +31,7 @@ _KEYS = {
     "Enter": ("Enter", 13, "\r"),
     "Space": (" ", 32, " "),
     "ArrowDown": ("ArrowDown", 40, ""),
+    "ArrowUp": ("ArrowUp", 38, ""),
     "ArrowRight": ("ArrowRight", 39, ""),
 }
 
@@ -122,12 +123,12 @@ class Page:
         """Go on in a new tab of the same profile."""
         browser = self._browser
         self.target = browser.send("Target.createTarget", url="about:blank", browserContextId=self.context)["targetId"]
-        self._session = browser.send("Target.attachToTarget", targetId=self.target, flatten=True)["sessionId"]
+        self.tab = browser.send("Target.attachToTarget", targetId=self.target, flatten=True)["sessionId"]
         for domain in ("Page", "Runtime", "Network", "Log"):
             self.send(f"{domain}.enable")
 
     def send(self, method: str, **parameters: Any) -> dict[str, Any]:
-        session = None if method.startswith("Browser.") else self._session
+        session = None if method.startswith("Browser.") else self.tab
         return self._browser.send(method, session, **parameters)
 
     def resize(self, width: int, height: int = 844) -> None:
@@ -137,11 +138,11 @@ class Page:
 
     def open(self, address: str) -> None:
         self.send("Page.navigate", url=address)
-        self._browser.event("Page.loadEventFired", self._session)
+        self._browser.event("Page.loadEventFired", self.tab)
 
     def reload(self) -> None:
         self.send("Page.reload")
-        self._browser.event("Page.loadEventFired", self._session)
+        self._browser.event("Page.loadEventFired", self.tab)
 
     def run(self, code: str) -> Any:
         """Return what JavaScript gives."""
@@ -200,7 +201,7 @@ class Page:
 
     def problems(self) -> list[str]:
         """Return what the page asked of the network, and what it complained about, so far."""
-        events = [event for event in self._browser.events if event.get("sessionId") == self._session]
+        events = [event for event in self._browser.events if event.get("sessionId") == self.tab]
         found = [
             event["params"]["request"]["url"] for event in events if event.get("method") == "Network.requestWillBeSent"
         ]

@@ -29,7 +29,9 @@ SCHEMA: Final = 1
 TrueTimes = Literal["powers-of-two", "as-named"]
 Cfa = Literal["bayer", "xtrans"]
 
+_MOST_STOPS_OFF: Final = 1  # of an ISO's name: ISO 12232 lets makers choose it, and cameras are up to half a stop off
 _LONGEST_BULB_S: Final = 3600
+_ISO: Final = re.compile(r"[1-9][0-9]{0,8}")
 _NAME: Final = re.compile(r"[A-Za-z0-9][\w.+-]*", re.ASCII)
 
 # The times as cameras name them, from 2^-15 s in steps of a third and from 2^-14 s in steps of half a stop. Steps of
@@ -248,11 +250,14 @@ class CameraDescription:
         Its exposure times.
     cfa
         ``"bayer"`` or ``"xtrans"``.
+    true_isos
+        Measured speeds of ISOs, for those that are known: what the camera calls ISO 100 may be ISO 81. Whole cameras
+        that are off by the same factor need none, since only ratios count.
 
     Raises
     ------
     CameraError
-        If a field is invalid, or the base ISO is not among the ISOs.
+        If a field is invalid, or the base ISO or one with a measured speed is not among the ISOs.
     """
 
     name: str
@@ -262,6 +267,7 @@ class CameraDescription:
     base_iso: int
     shutter: Shutter
     cfa: Cfa = "bayer"
+    true_isos: tuple[tuple[int, Fraction], ...] = ()
 
     def __post_init__(self) -> None:
         if _NAME.fullmatch(self.name) is None:
@@ -285,6 +291,14 @@ class CameraDescription:
             )
         if self.cfa not in get_args(Cfa):
             raise CameraError(f"cfa of {self.name}: expected {' or '.join(get_args(Cfa))}, found {self.cfa!r}")
+        for iso, speed in self.true_isos:
+            if iso not in self.isos:
+                raise CameraError(f"true_isos of {self.name}: expected its ISOs, found {iso}, which it does not have")
+            if abs(as_exact(speed / iso).log2) > _MOST_STOPS_OFF:
+                raise CameraError(
+                    f"true_isos of {self.name}: expected speeds within {_MOST_STOPS_OFF} stop of their names, found "
+                    f"{float(speed):g} for ISO {iso}"
+                )
 
     @classmethod
     def load(cls, path: Path | str) -> CameraDescription:
@@ -303,6 +317,22 @@ class CameraDescription:
     def save(self, path: Path | str) -> None:
         """Write the description as JSON, whole or not at all."""
         write_json(path, {"schema": SCHEMA} | camera_as_dict(self))
+
+    def speed(self, iso: int) -> Fraction:
+        """Return the measured speed of an ISO; its name, if the camera states none at all.
+
+        Raises
+        ------
+        CameraError
+            If the camera states those of others: a ratio of a measured speed and a name would be neither.
+        """
+        speeds = dict(self.true_isos)
+        if speeds and iso not in speeds:
+            raise CameraError(
+                f"{self.name} states the true speed of ISO {', '.join(map(str, speeds))}, and not of ISO {iso}: "
+                "measure that too, or leave true_isos out"
+            )
+        return speeds.get(iso, Fraction(iso))
 
     @property
     def fastest(self) -> ShutterTime:
@@ -336,7 +366,7 @@ class CameraDescription:
         return next((time for time in reversed(self.shutter.times) if time.true_exact <= wanted), None)
 
 
-_FIELDS: Final = ("name", "models", "raw_extension", "isos", "base_iso", "shutter", "cfa")
+_FIELDS: Final = ("name", "models", "raw_extension", "isos", "base_iso", "shutter", "cfa", "true_isos")
 _SHUTTER_FIELDS: Final = ("step", "fastest", "slowest", "times", "true_times", "bulb_s")
 
 
@@ -367,12 +397,24 @@ def camera_from(top: Fields) -> CameraDescription:
         "isos": wholes(top, "isos"),
         "base_iso": top.whole("base_iso", at_least=1),
         "cfa": top.optional("cfa", top.choice, "bayer", known=get_args(Cfa)),
+        "true_isos": _true_isos(top) if "true_isos" in top.data else (),
     }
     if "times" in shutter.data:
         found = Shutter(shutter.texts("times"), step, true_times, bulb_s)
     else:
         found = Shutter.between(shutter.text("fastest"), shutter.text("slowest"), step, true_times, bulb_s)
     return CameraDescription(**values, shutter=found)
+
+
+def _true_isos(top: Fields) -> tuple[tuple[int, Fraction], ...]:
+    speeds = top.inside("true_isos")
+    found = {}
+    for name in speeds.data:
+        iso = int(name) if _ISO.fullmatch(name) else 0
+        if not iso or iso in found:
+            raise top.wrong("true_isos", 'ISOs, each once, with their speeds, as {"100": 81, "800": 644.5}', name)
+        found[iso] = Fraction(str(speeds.number(name, above=0)))
+    return tuple(sorted(found.items()))
 
 
 def camera_as_dict(camera: CameraDescription) -> dict[str, Any]:
@@ -392,7 +434,7 @@ def camera_as_dict(camera: CameraDescription) -> dict[str, Any]:
         "base_iso": camera.base_iso,
         "shutter": content,
         "cfa": camera.cfa,
-    }
+    } | ({"true_isos": {str(iso): float(speed) for iso, speed in camera.true_isos}} if camera.true_isos else {})
 
 
 def _is_standard_range(shutter: Shutter) -> bool:

@@ -12,13 +12,14 @@ import hashlib
 import json
 from typing import TYPE_CHECKING, Any, Final
 
+from capture.apertures import f_text
 from capture.capture_errors import ImpossibleShotError
 from capture.checklist_content import (
     TEMPLATES,
     at_each_scene,
-    bias_and_flats,
+    calibration_parts,
     every_item,
-    items,
+    preparation,
     rows,
 )
 from capture.checklist_progress import (
@@ -73,21 +74,18 @@ def html_checklist(plan: Plan) -> str:
 
     # With the line end that stands before them in the page, since the policy's hashes are of elements' whole content.
     style, script = ("\n" + (TEMPLATES / f"checklist.{suffix}").read_text(encoding="utf-8") for suffix in ("css", "js"))
-    bias, flats = bias_and_flats(plan)
     return rendered(
         "checklist.html",
         TEMPLATES,
         plan=plan,
+        f_text=f_text,
         protocol=plan.protocol,
         calibration=plan.calibration,
         frames=len(plan.shots),
         time_needed=minutes(plan.duration.total_s),
         scene_rows=[(scene, rows(scene.shots)) for scene in plan.scenes],
-        bias=bias,
-        flats=flats,
-        preparation=items("preparation", plan),
-        before_bias=items("bias", plan),
-        before_flats=items("flats", plan),
+        parts=calibration_parts(plan),
+        preparation=preparation(plan),
         at_each_scene=at_each_scene(plan),
         longest_text=LONGEST_TEXT,
         data=_embedded(_page_data(plan)),
@@ -120,7 +118,6 @@ def _embedded(data: dict[str, Any]) -> str:
 def _page_data(plan: Plan) -> dict[str, Any]:
     """Return what the page's script computes with."""
     camera = plan.camera
-    bias, flats = bias_and_flats(plan)
     return {
         "kind": KIND,
         "schema": SCHEMA,
@@ -131,7 +128,7 @@ def _page_data(plan: Plan) -> dict[str, Any]:
         "times": _times(plan),
         "frames": [row.as_dict() for scene in plan.scenes[:1] for row in rows(scene.shots)],
         "scenes": [{"name": scene.name, "metered": str(scene.metered_s)} for scene in plan.scenes],
-        "calibration": [row.as_dict() for row in (*bias, *flats)],
+        "calibration": [row.as_dict() for part in calibration_parts(plan) for row in part.rows],
         "preparation": [item.name for item in every_item(plan)],
         "longest_text": LONGEST_TEXT,
         "most_repeats": MOST_REPEATS,

@@ -8,6 +8,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from capture.calibration import WARM
 from capture.capture_errors import PlanError
 from eldata.base.fields import TextFile
 
@@ -39,7 +40,7 @@ class Item:
 
 @dataclass(frozen=True, slots=True)
 class ChecklistRow:
-    """A row with one box to tick: a shot, or successive calibration shots with the same settings.
+    """A row with one box to tick: a shot, or successive shots with the same settings.
 
     Attributes
     ----------
@@ -75,6 +76,9 @@ class ChecklistRow:
             words = f"noisy x{self.shot.factor}"
         if self.shot.level is not None:
             words = f"flat {float(100 * self.shot.level):.0f} %"
+        if self.shot.series:
+            longer = self.shot.series.rpartition("/")[2] != WARM
+            words = " ".join([*([WARM] if part_of(self.shot) == WARM else []), "dark" if longer else "bias"])
         return words if self.count == 1 else f"{words}, {self.count} frames"
 
     def as_dict(self) -> dict[str, Any]:
@@ -89,23 +93,55 @@ class ChecklistRow:
 
 
 def rows(shots: Iterable[Shot]) -> tuple[ChecklistRow, ...]:
-    """Return the rows of shots: one per shot, but calibration shots with equal settings together."""
+    """Return the rows of shots: those in a row that are to be equal in everything are one."""
     groups = [list(group) for _, group in groupby(shots, key=_together)]
     return tuple(ChecklistRow(group[0], len(group)) for group in groups)
 
 
 def _together(shot: Shot) -> tuple[object, ...]:
-    alone = shot.number if shot.role in ("reference", "noisy") else None
-    return (alone, shot.role, shot.iso, shot.setting.dial, shot.level)
+    return (shot.role, shot.iso, shot.setting.dial, shot.factor, shot.reference, shot.level, shot.series)
 
 
-def items(kind: str, plan: Plan) -> tuple[Item, ...]:
-    """Return what to do before the first shot (``"preparation"``), before the bias frames or before the ``"flats"``."""
-    return tuple(
-        Item(item["name"], _filled(item["text"], plan), item["why"])
-        for item in _words()[kind]
-        if kind == "preparation" or plan.calibration is not None
-    )
+@dataclass(frozen=True, slots=True)
+class CalibrationPart:
+    """Calibration frames of one kind: ``"bias"``, ``"flats"``, ``"dark"`` or ``"warm"``, with what to do before."""
+
+    kind: str
+    title: str
+    items: tuple[Item, ...]
+    rows: tuple[ChecklistRow, ...]
+
+
+_TITLES: Final = {
+    "bias": "Bias frames",
+    "flats": "Flat-field frames",
+    "dark": "Dark frames of the scenes' times",
+    WARM: "With the sensor warm, after the shooting",
+}
+
+
+def part_of(shot: Shot) -> str:
+    """Return the kind of calibration frames that a shot belongs to."""
+    if shot.role == "flat":
+        return "flats"
+    return "bias" if not shot.series else WARM if shot.series.startswith(WARM) else "dark"
+
+
+def calibration_parts(plan: Plan) -> tuple[CalibrationPart, ...]:
+    """Return the plan's calibration frames by kind, in the order in which they are taken."""
+    found: dict[str, list[Shot]] = {}
+    for shot in () if plan.calibration is None else plan.calibration.shots:
+        found.setdefault(part_of(shot), []).append(shot)
+    return tuple(CalibrationPart(kind, _TITLES[kind], _items(kind, plan), rows(shots)) for kind, shots in found.items())
+
+
+def preparation(plan: Plan) -> tuple[Item, ...]:
+    """Return what to do before the first shot."""
+    return _items("preparation", plan)
+
+
+def _items(kind: str, plan: Plan) -> tuple[Item, ...]:
+    return tuple(Item(item["name"], _filled(item["text"], plan), item["why"]) for item in _words()[kind])
 
 
 def at_each_scene(plan: Plan) -> tuple[str, ...]:
@@ -115,7 +151,7 @@ def at_each_scene(plan: Plan) -> tuple[str, ...]:
 
 def every_item(plan: Plan) -> tuple[Item, ...]:
     """Return everything that can be ticked besides shots."""
-    return tuple(item for kind in ("preparation", "bias", "flats") for item in items(kind, plan))
+    return (*preparation(plan), *(item for part in calibration_parts(plan) for item in part.items))
 
 
 @cache
@@ -130,11 +166,3 @@ def _filled(text: str, plan: Plan) -> str:
         raw_extension=plan.camera.raw_extension,
         step=plan.camera.shutter.step,
     )
-
-
-def bias_and_flats(plan: Plan) -> tuple[tuple[ChecklistRow, ...], tuple[ChecklistRow, ...]]:
-    """Return the rows of the calibration frames; both are empty in a plan without them."""
-    shots = () if plan.calibration is None else plan.calibration.shots
-    found = rows(shots)
-    bias, flats = (tuple(row for row in found if row.shot.role == role) for role in ("bias", "flat"))
-    return bias, flats

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from capture.checklist_content import at_each_scene, bias_and_flats, items, rows
+from capture.apertures import f_text
+from capture.checklist_content import at_each_scene, calibration_parts, preparation, rows
 from capture.shots import minutes
 from eldata.base.tables import aligned_markdown, markdown_text, one_line, text_table
 
@@ -47,7 +48,7 @@ def _checklist(
         heading(1, f"Capture checklist: {plain(plan.camera.name)}"),
         f"{counted}; base ISO {protocol.base_iso}.",
         heading(2, "Preparation"),
-        _items(items("preparation", plan)),
+        _items(preparation(plan)),
     ]
     if plan.scenes:
         steps = (f"{number}. {text}" for number, text in enumerate(at_each_scene(plan), 1))
@@ -55,21 +56,17 @@ def _checklist(
     for scene in plan.scenes:
         notes = [f"- Note: {plain(note)}" for note in scene.notes]
         remarks = [f"- {plain(remark)}" for remark in scene.remarks]
-        metered = f"- Planned for a metered time of {scene.metered_s} s at ISO {protocol.base_iso}. Metered: ________ s"
+        at = f"ISO {protocol.base_iso}{'' if scene.aperture is None else f', {f_text(scene.aperture)}'}"
+        metered = f"- Planned for a metered time of {scene.metered_s} s at {at}. Metered: ________ s"
         parts += [
             heading(2, scene.name),
             "\n".join([metered, *notes, *remarks]),
             _rows(rows(scene.shots), table),
         ]
-    if plan.calibration is not None:
-        bias, flats = bias_and_flats(plan)
-        remarks = [f"- {plain(remark)}" for remark in plan.calibration.remarks]
-        parts += [heading(2, "Bias frames"), _items(items("bias", plan)), _rows(bias, table)]
-        parts += [
-            heading(2, "Flat-field frames"),
-            "\n".join([_items(items("flats", plan)), *remarks]),
-            _rows(flats, table),
-        ]
+    for part in calibration_parts(plan):
+        said = plan.calibration.remarks if plan.calibration is not None and part.kind == "flats" else ()
+        before = "\n".join([_items(part.items), *(f"- {plain(remark)}" for remark in said)])
+        parts += [heading(2, part.title), before, _rows(part.rows, table)]
     return "\n\n".join(parts) + "\n"
 
 

@@ -10,12 +10,14 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from capture.calibration import WARM
 from capture.capture_errors import MappingError
 from capture.plan import CALIBRATION
 from eldata.base.files import sha256_of
 from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.manifest.card import CameraCard, Card
+from eldata.manifest.pairs import LONGER_DARK, WARM_SENSOR
 from eldata.records import FrameRecord
 
 if TYPE_CHECKING:
@@ -63,8 +65,12 @@ class Dataset:
 
 
 def layout_path(plan: Plan, scene: str, shot: Shot, source: Path) -> str:
-    """Return a shot's path in the dataset: ``<camera>/scene-1/IMG_0004.ARW``, ``<camera>/bias/ISO100/IMG_0001.ARW``."""
-    place = f"{shot.role}/ISO{shot.iso}" if scene == CALIBRATION else scene
+    """Return a shot's path in the dataset: ``<camera>/scene-1/IMG_0004.ARW``, ``<camera>/bias/ISO100/IMG_0001.ARW``.
+
+    Dark frames and those of a warm sensor are kept apart, in folders that ``eldata calibrate`` takes as they are:
+    ``<camera>/dark-0.5s/bias/ISO800/IMG_0133.ARW``.
+    """
+    place = "/".join(filter(None, (shot.series, shot.role, f"ISO{shot.iso}"))) if scene == CALIBRATION else scene
     return f"{plan.camera.name}/{place}/IMG_{shot.number:04d}{source.suffix}"
 
 
@@ -165,7 +171,15 @@ def _record(plan: Plan, scene: str, shot: Shot, frame: ObservedFrame, path: str,
         exposure_s=frame.exposure_s,
         ratio=None if shot.factor is None else Fraction(shot.factor),
         reference=reference,
+        flags=flags_of(shot.series),
     )
+
+
+def flags_of(series: str) -> tuple[str, ...]:
+    """Return the flags of calibration frames of a series: by them ``eldata calibrate`` leaves these rows to it."""
+    parts = series.split("/")
+    found = [WARM_SENSOR] if parts[0] == WARM else []
+    return tuple(found + ([LONGER_DARK] if parts[-1] not in ("", WARM) else []))
 
 
 def with_hashes(dataset: Dataset, workers: Workers = IN_THIS_PROCESS) -> Dataset:
@@ -194,8 +208,6 @@ def set_title(records: Sequence[FrameRecord]) -> str:
 
 def card_of(plan: Plan, name: str, folder: str, records: Sequence[FrameRecord]) -> Card:
     """Return the dataset's card; what only the photographer knows, such as the licence, is left to fill in."""
-    isos, factors = (", ".join(map(str, some)) for some in (plan.protocol.noisy_isos, plan.protocol.low_light_factors))
-    settings = f"protocol of base ISO {plan.protocol.base_iso}, ISOs {isos}, low-light factors {factors}"
     return Card(
         name=name,
         title=set_title(records),
@@ -207,5 +219,5 @@ def card_of(plan: Plan, name: str, folder: str, records: Sequence[FrameRecord]) 
         cfa=plan.camera.cfa,
         cameras={plan.camera.name: CameraCard(plan.camera.models)},
         counts=counts_of(records),
-        sources=(f"capture manifest: {settings}; ISO and exposure times as the files state them",),
+        sources=(f"capture manifest: protocol of {plan.protocol}; ISO and exposure times as the files state them",),
     )

@@ -43,6 +43,7 @@ Kind = Literal[
     "checklist",
     "scene-order",
     "no-times",
+    "aperture",
     "copies",
     "retaken",
     "skipped",
@@ -180,11 +181,12 @@ def no_file(title: str, shot: Shot) -> str:
 def blocks_of(plan: Plan) -> tuple[_Block, ...]:
     """Return what is taken in one go: scenes, then bias frames and flats by ISO."""
     blocks = [_Block(scene.name, scene.name, scene.shots) for scene in plan.scenes]
-    groups: dict[tuple[str, int], list[Shot]] = defaultdict(list)
+    groups: dict[tuple[str, int, str], list[Shot]] = defaultdict(list)
     for shot in () if plan.calibration is None else plan.calibration.shots:
-        groups[shot.role, shot.iso].append(shot)
-    for (role, iso), shots in groups.items():
-        blocks.append(_Block(CALIBRATION, f"{role} frames of ISO {iso}", tuple(shots)))
+        groups[shot.role, shot.iso, shot.series].append(shot)
+    for (role, iso, series), shots in groups.items():
+        title = f"{role} frames of ISO {iso}{f' ({series})' if series else ''}"
+        blocks.append(_Block(CALIBRATION, title, tuple(shots)))
     return tuple(blocks)
 
 

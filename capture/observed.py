@@ -33,13 +33,14 @@ _NUMBERED = re.compile(r"(.*?)(\d{1,12})", re.ASCII)
 
 @dataclass(frozen=True, slots=True)
 class ObservedFrame:
-    """A raw file that can be matched: ``taken`` is ``None`` if EXIF does not say when."""
+    """A raw file that can be matched: ``taken`` and ``f_number`` are ``None`` if EXIF does not state them."""
 
     path: Path
     iso: Fraction
     exposure_s: Fraction
     taken: datetime | None
     model: str
+    f_number: Fraction | None = None
 
     @property
     def settings(self) -> str:
@@ -236,7 +237,7 @@ def observe_one(path: Path) -> ObservedFrame:
     iso, exposure_s = header.exposure.iso, header.exposure.exposure_s
     if iso is None or exposure_s is None:
         raise RawFileError(path, f"states no {'ISO' if iso is None else 'exposure time'}: copy the original file")
-    return ObservedFrame(path, iso, exposure_s, header.taken, header.model)
+    return ObservedFrame(path, iso, exposure_s, header.taken, header.model, header.exposure.f_number)
 
 
 def _natural(path: Path) -> list[tuple[int, int, str]]:

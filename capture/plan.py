@@ -13,7 +13,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from capture.calibration import CalibrationPlan, plan_calibration
+from capture.calibration import CalibrationPlan, DarkSetting, dark_settings, plan_calibration
 from capture.camera import CameraDescription, camera_as_dict, camera_from, wholes
 from capture.capture_errors import PlanError, naming
 from capture.exact import parse_seconds
@@ -30,6 +30,7 @@ CALIBRATION: Final = "calibration"
 # As in eldata verify, which refuses a pair whose ratio is further off its nominal one.
 RATIO_TOLERANCE: Final = Fraction(1, 10)
 _MOST_BIAS_FRAMES: Final = 10_000  # of one ISO: every shot is planned
+_ALIKE: Final = ("repeats", "references")  # of a protocol: how many frames of a setting
 _SCENE: Final = re.compile(r"scene-[1-9][0-9]{0,5}")
 
 
@@ -47,12 +48,15 @@ class ScenePlan:
         In the order in which they are taken.
     notes
         The photographer's notes: what the scene shows.
+    aperture
+        The f-number of all its shots, as EXIF will state it; ``None`` if the plan leaves it open.
     """
 
     name: str
     metered_s: Fraction
     shots: tuple[Shot, ...]
     notes: tuple[str, ...] = ()
+    aperture: Fraction | None = None
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -129,6 +133,14 @@ class Plan:
         """How long the shots take, without what is to be done between the scenes."""
         return duration_of([shot for _, shot in self.shots])
 
+    @property
+    def without_dark(self) -> tuple[DarkSetting, ...]:
+        """ISO and marked time of noisy frames that the plan's dark frames lack: of scenes that changed since."""
+        if self.calibration is None or not self.calibration.dark:
+            return ()
+        used = dark_settings(shot for scene in self.scenes for shot in scene.shots)
+        return tuple(one for one in used if one not in self.calibration.dark)
+
     def scene(self, name: str) -> ScenePlan:
         """Return a scene by its name.
 
@@ -166,8 +178,19 @@ class Plan:
         ImpossibleShotError
             If one of its shots is beyond the camera.
         """
-        changed = plan_scene(self.camera, self.protocol, name, metered_s, self.scene(name).notes)
-        return replace(self, scenes=tuple(changed if scene.name == name else scene for scene in self.scenes))
+        scene = self.scene(name)
+        shots = plan_scene(self.camera, self.protocol, name, metered_s).shots
+        return self._with(replace(scene, metered_s=metered_s, shots=shots))
+
+    def set_aperture(self, name: str, aperture: Fraction) -> Plan:
+        """Return the plan with a scene's aperture, an f-number.
+
+        Raises
+        ------
+        PlanError
+            If the scene is unknown.
+        """
+        return self._with(replace(self.scene(name), aperture=aperture))
 
     def add_note(self, name: str, note: str) -> Plan:
         """Return the plan with one more note on a scene.
@@ -177,8 +200,10 @@ class Plan:
         PlanError
             If the scene is unknown.
         """
-        noted = replace(self.scene(name), notes=(*self.scene(name).notes, note))
-        return replace(self, scenes=tuple(noted if scene.name == name else scene for scene in self.scenes))
+        return self._with(replace(self.scene(name), notes=(*self.scene(name).notes, note)))
+
+    def _with(self, changed: ScenePlan) -> Plan:
+        return replace(self, scenes=tuple(changed if one.name == changed.name else one for one in self.scenes))
 
     def only(self, names: Sequence[str]) -> Plan:
         """Return the plan of some scenes alone; ``"calibration"`` names the calibration frames.
@@ -202,15 +227,12 @@ class Plan:
         return {
             "schema": SCHEMA,
             "camera": camera_as_dict(self.camera),
-            "protocol": {
-                "base_iso": self.protocol.base_iso,
-                "noisy_isos": list(self.protocol.noisy_isos),
-                "low_light_factors": list(self.protocol.low_light_factors),
-            },
+            "protocol": _protocol_as_dict(self.protocol),
             "scenes": [
                 {
                     "name": scene.name,
                     "metered_s": str(scene.metered_s),
+                    **({} if scene.aperture is None else {"aperture": str(scene.aperture)}),
                     "notes": list(scene.notes),
                     "shots": [_shot_as_dict(shot) for shot in scene.shots],
                 }
@@ -285,6 +307,16 @@ def make_plan(
 # --- the file -----------------------------------------------------------------------------------------------------
 
 
+def _protocol_as_dict(protocol: CaptureProtocol) -> dict[str, Any]:
+    content: dict[str, Any] = {
+        "base_iso": protocol.base_iso,
+        "noisy_isos": list(protocol.noisy_isos),
+        "low_light_factors": list(protocol.low_light_factors),
+    }
+    # Named where there are several: plans of one frame each are what they were before.
+    return content | {name: count for name in _ALIKE if (count := getattr(protocol, name)) != 1}
+
+
 def _shot_as_dict(shot: Shot) -> dict[str, Any]:
     content: dict[str, Any] = {
         "number": shot.number,
@@ -304,15 +336,26 @@ def _shot_as_dict(shot: Shot) -> dict[str, Any]:
         }
     if shot.level is not None:
         content["level"] = str(shot.level)
+    if shot.true_iso is not None:
+        content["true_iso"] = float(shot.true_iso)
+    if shot.series:
+        content["series"] = shot.series
     return content
 
 
 def _calibration_as_dict(calibration: CalibrationPlan) -> dict[str, Any]:
+    more: dict[str, Any] = {}
+    if calibration.dark:
+        settings = [{"iso": iso, "nominal_s": str(seconds)} for iso, seconds in calibration.dark]
+        more["dark"] = {"frames": calibration.dark_frames, "settings": settings}
+    if calibration.warm:
+        more["warm"] = True
     return {
         "isos": list(calibration.isos),
         "bias_frames": calibration.bias_frames,
         "flat_levels": [str(level) for level in calibration.flat_levels],
         "flat_clips_at_s": str(calibration.flat_clips_at_s),
+        **more,
         "shots": [_shot_as_dict(shot) for shot in calibration.shots],
     }
 
@@ -324,9 +367,10 @@ def _load(path: Path) -> Plan:
     with naming(path, PlanError):
         camera = camera_from(top.inside("camera"))
         fields = top.inside("protocol")
-        fields.only(("base_iso", "noisy_isos", "low_light_factors"))
+        fields.only(("base_iso", "noisy_isos", "low_light_factors", *_ALIKE))
         isos, factors = (wholes(fields, name) for name in ("noisy_isos", "low_light_factors"))
-        protocol = CaptureProtocol(fields.whole("base_iso", at_least=1), isos, factors)
+        alike = {name: fields.optional(name, fields.whole, 1, at_least=1) for name in _ALIKE}
+        protocol = CaptureProtocol(fields.whole("base_iso", at_least=1), isos, factors, **alike)
         check_isos(camera, protocol)
         scenes = tuple(_scene(scene, camera, protocol) for scene in top.objects("scenes"))
         calibration = None
@@ -336,7 +380,7 @@ def _load(path: Path) -> Plan:
 
 
 def _scene(fields: Fields, camera: CameraDescription, protocol: CaptureProtocol) -> ScenePlan:
-    fields.only(("name", "metered_s", "notes", "shots"))
+    fields.only(("name", "metered_s", "aperture", "notes", "shots"))
     scene = plan_scene(
         camera,
         protocol,
@@ -345,11 +389,17 @@ def _scene(fields: Fields, camera: CameraDescription, protocol: CaptureProtocol)
         fields.texts("notes", unseen=True),
     )
     _check_shots(fields, scene.shots)
-    return scene
+    return replace(scene, aperture=fields.optional("aperture", fields.fraction, above=0))
 
 
 def _calibration(fields: Fields, camera: CameraDescription, protocol: CaptureProtocol) -> CalibrationPlan:
-    fields.only(("isos", "bias_frames", "flat_levels", "flat_clips_at_s", "shots"))
+    fields.only(("isos", "bias_frames", "flat_levels", "flat_clips_at_s", "dark", "warm", "shots"))
+    more: dict[str, Any] = {"warm": fields.optional("warm", fields.flag, False)}
+    if "dark" in fields.data:
+        dark = fields.inside("dark")
+        dark.only(("frames", "settings"))
+        more["dark_frames"] = dark.whole("frames", at_least=1, at_most=_MOST_BIAS_FRAMES)
+        more["dark"] = tuple(_dark_setting(one) for one in dark.objects("settings"))
     calibration = plan_calibration(
         camera,
         protocol.base_iso,
@@ -357,9 +407,15 @@ def _calibration(fields: Fields, camera: CameraDescription, protocol: CapturePro
         fields.parsed("flat_clips_at_s", parse_seconds),
         bias_frames=fields.whole("bias_frames", at_least=1, at_most=_MOST_BIAS_FRAMES),
         flat_levels=fields.each("flat_levels", Fields.parsed, parse=parse_seconds),
+        **more,
     )
     _check_shots(fields, calibration.shots)
     return calibration
+
+
+def _dark_setting(fields: Fields) -> DarkSetting:
+    fields.only(("iso", "nominal_s"))
+    return fields.whole("iso", at_least=1), fields.parsed("nominal_s", parse_seconds)
 
 
 def _check_shots(fields: Fields, shots: Sequence[Shot]) -> None:

@@ -9,14 +9,18 @@ one after an ISO is also the one before the next, so three ISOs come with four r
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
     from eldata.records import Role
+
+_MOST_ALIKE: Final = 99
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,11 +60,15 @@ class CaptureProtocol:
         ISOs of the noisy frames, in the order in which they are taken: the algorithm's ``g_h``.
     low_light_factors
         How much less light the noisy frames get, in any order: the algorithm's ``f``.
+    repeats
+        Noisy frames of each ISO and factor, one after the other; LRID has ten. Up to 99.
+    references
+        Reference frames of each block, one after the other, up to 99. Each noisy frame is compared with one of them.
 
     Raises
     ------
     ArgumentError
-        If a value is not a positive whole number, or if a tuple is empty or repeats a value.
+        If a value is not a positive whole number or too large, or if a tuple is empty or repeats a value.
 
     Examples
     --------
@@ -69,24 +77,38 @@ class CaptureProtocol:
     (16, 10)
     >>> CaptureProtocol(noisy_isos=(1600,), low_light_factors=(100,)).frames()[1].factor
     100
+    >>> len(CaptureProtocol(repeats=10, references=2).frames())
+    128
     """
 
     base_iso: int = 100
     noisy_isos: tuple[int, ...] = (800, 1600, 3200)
     low_light_factors: tuple[int, ...] = (1, 10, 100, 200)
+    repeats: int = 1
+    references: int = 1
 
     def __post_init__(self) -> None:
         _check_positive("base_iso", self.base_iso)
+        for name in ("repeats", "references"):
+            _check_positive(name, getattr(self, name))
+            if getattr(self, name) > _MOST_ALIKE:
+                raise ArgumentError(f"{name} must be at most {_MOST_ALIKE}, found {getattr(self, name)}")
         _check_distinct("noisy_isos", self.noisy_isos)
         _check_distinct("low_light_factors", self.low_light_factors)
+
+    def __str__(self) -> str:
+        isos, factors = (", ".join(map(str, some)) for some in (self.noisy_isos, self.low_light_factors))
+        words = f"base ISO {self.base_iso}, ISOs {isos}, low-light factors {factors}"
+        words += f", {self.repeats} noisy frames of each" if self.repeats > 1 else ""
+        return words + (f", {self.references} references before and after" if self.references > 1 else "")
 
     def frames(self) -> tuple[ProtocolFrame, ...]:
         """Return the frames of one scene in the order in which they are taken.
 
-        A reference comes first. Then follow, for each ISO, its noisy frames by rising factor and another
-        reference. With the default settings the references are the numbers 1, 6, 11 and 16, and the noisy
-        frame of the i-th ISO and the k-th factor, both counted from 0, is ``5 i + 2 + k``. Other settings,
-        :data:`PAPER` among them, number their own frames from 1 by the same rule.
+        A block of references comes first. Then follow, for each ISO, its noisy frames by rising factor, those of a
+        factor together, and another block of references. With the default settings the references are the numbers
+        1, 6, 11 and 16, and the noisy frame of the i-th ISO and the k-th factor, both counted from 0, is
+        ``5 i + 2 + k``. Other settings, :data:`PAPER` among them, number their own frames from 1 by the same rule.
 
         Returns
         -------
@@ -94,15 +116,7 @@ class CaptureProtocol:
             The frame at index n has the number n + 1. The reference of a noisy frame is the one nearest by
             number, the earlier of two equally near: by default the noisy frames 4 and 5 use 6, not 1.
         """
-        factors = sorted(self.low_light_factors)
-        block = len(factors) + 1
-        references = [1 + block * i for i in range(len(self.noisy_isos) + 1)]
-        frames = [ProtocolFrame(1, "reference", self.base_iso, None, None)]
-        for iso, before in zip(self.noisy_isos, references, strict=False):
-            for number, factor in enumerate(factors, start=before + 1):
-                frames.append(ProtocolFrame(number, "noisy", iso, factor, _nearest(references, number)))
-            frames.append(ProtocolFrame(before + block, "reference", self.base_iso, None, None))
-        return tuple(frames)
+        return _frames(self)
 
     def exposure_s(self, frame: ProtocolFrame, metered_s: Fraction | int) -> Fraction:
         """Return the exposure time of a frame, exactly.
@@ -132,16 +146,33 @@ class CaptureProtocol:
             raise ArgumentError(f"metered_s must be a Fraction, so that exposures are exact; found {metered_s!r}")
         if metered_s <= 0:
             raise ArgumentError(f"metered_s must be above 0 seconds, found {metered_s}")
-        if frame not in self.frames():
+        if self.frames()[frame.number - 1 : frame.number] != (frame,):
             raise ArgumentError(f"{frame} is not a frame of {self}; take one from its frames()")
         if frame.factor is None:
             return Fraction(metered_s)
         return Fraction(self.base_iso, frame.iso * frame.factor) * metered_s
 
 
+@lru_cache(maxsize=64)  # every exposure of every time on a dial asks whether its frame is among them
+def _frames(protocol: CaptureProtocol) -> tuple[ProtocolFrame, ...]:
+    settings: list[tuple[int, int | None]] = [(protocol.base_iso, None)] * protocol.references
+    for iso in protocol.noisy_isos:
+        settings += [(iso, factor) for factor in sorted(protocol.low_light_factors) for _ in range(protocol.repeats)]
+        settings += [(protocol.base_iso, None)] * protocol.references
+    references = [number for number, (_, factor) in enumerate(settings, 1) if factor is None]
+    return tuple(
+        ProtocolFrame(number, "reference", iso, None, None)
+        if factor is None
+        else ProtocolFrame(number, "noisy", iso, factor, _nearest(references, number))
+        for number, (iso, factor) in enumerate(settings, 1)
+    )
+
+
 def _nearest(references: list[int], number: int) -> int:
     # The references rise, and min() returns the first of two that are equally near: the earlier.
-    return min(references, key=lambda reference: abs(number - reference))
+    after = bisect_left(references, number)
+    near = references[max(after - 1, 0) : after + 1]
+    return min(near, key=lambda reference: abs(number - reference))
 
 
 def _check_positive(name: str, value: object) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cache
 from itertools import pairwise
@@ -39,11 +39,16 @@ class Shot:
     factor, reference
         Low-light factor and number of the reference of a noisy frame; else ``None``.
     true_ratio
-        (ISO t) of the reference over (ISO t) of the noisy frame, by the times that the camera gives.
+        (ISO t) of the reference over (ISO t) of the noisy frame, by the times that the camera gives and, where they are
+        known, the speeds that its ISOs have.
     named_ratio
-        The same by the times that it names: what EXIF will say with most makers.
+        The same by the times and ISOs that it names: what EXIF will say with most makers.
     level
         Of a flat: wanted mean, as a share of the range over black.
+    true_iso
+        The ISO's measured speed, where the camera's description states it.
+    series
+        Of calibration frames beside the usual ones, the folder that keeps them apart: ``dark-0.5s``, ``warm``.
     """
 
     number: int
@@ -56,6 +61,8 @@ class Shot:
     true_ratio: ExactNumber | None = None
     named_ratio: Fraction | None = None
     level: Fraction | None = None
+    true_iso: Fraction | None = None
+    series: str = ""
 
     @property
     def settings(self) -> str:
@@ -124,7 +131,7 @@ def scene_shots(camera: CameraDescription, protocol: CaptureProtocol, metered_s:
 
     The metered time becomes a setting first: the one marked so, else the nearest. Each noisy frame then gets the
     setting whose given time is nearest, by ratio, to ``t* / f`` with ``t`` the time that the references are really
-    given: the light is what counts, not the names.
+    given: the light is what counts, not the names. So it is with ISOs whose measured speed the camera states.
 
     Raises
     ------
@@ -148,6 +155,12 @@ def check_isos(camera: CameraDescription, protocol: CaptureProtocol) -> None:
                 f"{camera.name} has no ISO {iso}; it has {', '.join(map(str, camera.isos))}: choose others, or correct "
                 "the camera description"
             )
+        camera.speed(iso)
+
+
+def _light_share(camera: CameraDescription, protocol: CaptureProtocol, frame: ProtocolFrame) -> Fraction:
+    """Return the time of a noisy frame over that of its reference: by the ISOs' speeds, and its factor."""
+    return camera.speed(protocol.base_iso) / camera.speed(frame.iso) / (frame.factor or 1)
 
 
 @cache  # a checklist asks for every time on the dial, and what to change needs all of them
@@ -160,19 +173,23 @@ def _shots_or_none(
     if base is None:
         return frames[0]
     shots = []
+    speeds = dict(camera.true_isos)
     for frame in frames:
         target_s = protocol.exposure_s(frame, base.nominal_s)
+        true_iso = speeds.get(frame.iso)
         if frame.factor is None:
-            shots.append(Shot(frame.number, frame.role, frame.iso, target_s, base))
+            shots.append(Shot(frame.number, frame.role, frame.iso, target_s, base, true_iso=true_iso))
             continue
-        wanted = base.true_exact * Fraction(protocol.base_iso, frame.iso * frame.factor)
-        setting = camera.nearest(wanted)
+        light = _light_share(camera, protocol, frame)
+        setting = camera.nearest(base.true_exact * light)
         if setting is None:
             return frame
-        speeds = Fraction(protocol.base_iso, frame.iso)
-        ratios = (base.true_exact / setting.true_exact * speeds, base.nominal_s / setting.nominal_s * speeds)
+        ratios = (
+            base.true_exact / setting.true_exact * light * frame.factor,
+            base.nominal_s / setting.nominal_s * Fraction(protocol.base_iso, frame.iso),
+        )
         shot = Shot(frame.number, frame.role, frame.iso, target_s, setting, frame.factor, frame.reference, *ratios)
-        shots.append(shot)
+        shots.append(replace(shot, true_iso=true_iso))
     return tuple(shots)
 
 

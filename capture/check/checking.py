@@ -9,12 +9,14 @@ from capture.check.flat import check_flats
 from capture.check.frames import Unit
 from capture.check.result import CheckedGroup, CheckReport
 from capture.check.scene import check_scene
+from capture.observed import exposure_text
 from eldata.base.workers import AnyWorkers, Workers
 from eldata.errors import ArgumentError, ManifestError
 from eldata.manifest.catalogue import Manifest, load_manifest
+from eldata.manifest.pairs import LONGER_DARK, WARM_SENSOR
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Collection, Iterable, Sequence
     from pathlib import Path
 
     from eldata.records import FrameRecord
@@ -55,18 +57,23 @@ def check(
     folder = loaded.folder(root)
     if not folder.is_dir():
         raise ManifestError(f"no folder {folder}: --root names the folder that holds {loaded.card.folder}")
-    groups: dict[str, list[FrameRecord]] = {}
-    for record in _of_scenes(_of_cameras(loaded.records, cameras), scenes):
-        groups.setdefault(_unit_name(record), []).append(record)
-    if not groups:
+    units = units_of(_of_scenes(_of_cameras(loaded.records, cameras), scenes), folder, workers)
+    if not units:
         raise ArgumentError(f"{loaded.name}: no scenes and no calibration frames to check")
-    within = Workers(max(1, workers.jobs // len(groups)))
-    units = [
-        Unit(name, folder, tuple(sorted(records, key=lambda one: (one.role == "noisy", one.path))), within)
-        for name, records in groups.items()
-    ]
     found = workers.run(check_unit, units, label=loaded.name, unit="scene")
     return CheckReport(loaded.name, tuple(found))
+
+
+def units_of(records: Iterable[FrameRecord], folder: Path, workers: Workers) -> list[Unit]:
+    """Return the units of work that a manifest's rows are."""
+    groups: dict[str, list[FrameRecord]] = {}
+    for record in records:
+        groups.setdefault(_unit_name(record), []).append(record)
+    within = Workers(max(1, workers.jobs // max(1, len(groups))))
+    return [
+        Unit(name, folder, tuple(sorted(found, key=lambda one: (one.role == "noisy", one.path))), within)
+        for name, found in groups.items()
+    ]
 
 
 _CHECKS = {"bias": check_bias, "flat": check_flats}
@@ -79,7 +86,10 @@ def check_unit(unit: Unit) -> CheckedGroup:
 
 def _unit_name(record: FrameRecord) -> str:
     if record.role in ("bias", "flat"):
-        return f"{record.camera} {record.role} ISO {'?' if record.iso is None else f'{float(record.iso):g}'}"
+        series = [one for one in (LONGER_DARK, WARM_SENSOR) if one in record.flags]
+        at = [exposure_text(record.exposure_s)] if LONGER_DARK in series and record.exposure_s is not None else []
+        name = f"{record.camera} {record.role} ISO {'?' if record.iso is None else f'{float(record.iso):g}'}"
+        return " ".join([name, *series, *at])
     return f"{record.camera} {record.scene}".rstrip()
 
 

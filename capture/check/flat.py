@@ -58,6 +58,9 @@ def check_flats(unit: Unit) -> CheckedGroup:
     waiting: ReducedFrame | None = None
     for frame in reduced_frames(unit, group):
         path = frame.record.path
+        if min(frame.cells.mean_dn.shape[1:]) < BLOCK:
+            group.remark(path, "is too small to check")
+            continue
         group.measure(_SATURATED, path, "saturated pixels", 100 * frame.cells.clipped_share)
         text = "difference between bright and dark parts (95th and 5th percentile) over the median"
         group.measure(_UNEVEN, path, text, 100 * unevenness(frame.cells))

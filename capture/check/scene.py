@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from capture.apertures import f_text, same_aperture
 from capture.check.drift import brightest_level, brightness_ratios
 from capture.check.flicker import flicker_between
 from capture.check.frames import ReducedFrame, Unit, file_name, reduced_frames
@@ -15,6 +16,8 @@ from capture.check.result import CheckedGroup, SheetPicture
 from capture.check.shift import make_tiles, measure_focus, measure_shift, moved_tiles
 
 if TYPE_CHECKING:
+    from fractions import Fraction
+
     from capture.check.shift import Tiles
 
 
@@ -27,8 +30,10 @@ def check_scene(unit: Unit) -> CheckedGroup:
     tiles_of_first: Tiles | None = None
     last: ReducedFrame | None = None
     changes: list[SheetPicture] = []
+    apertures: dict[str, Fraction] = {}
     for frame in reduced_frames(unit, group):
         path = frame.record.path
+        _compare_aperture(frame, apertures, group)
         if frame.record.role == "noisy":
             named = frame.record.reference or (unit.records[0].path if len(noisy) < len(unit.records) else "")
             check_pair(frame, named, references, noisy, group)
@@ -56,6 +61,21 @@ def check_scene(unit: Unit) -> CheckedGroup:
         text = "is the only reference: whether the light changed or the camera moved cannot be told"
         group.remark(first.record.path, text)
     return group
+
+
+def _compare_aperture(frame: ReducedFrame, known: dict[str, Fraction], group: CheckedGroup) -> None:
+    """Remark on a frame whose EXIF states another aperture than the scene's first file that states one."""
+    path, f_number = frame.record.path, frame.header.exposure.f_number
+    if f_number is None:
+        return
+    known.setdefault(path, f_number)
+    first, expected = next(iter(known.items()))
+    if not same_aperture(f_number, expected):
+        text = (
+            f"EXIF states {f_text(f_number)}, expected {f_text(expected)} as in {file_name(first)}: the exposure ratio "
+            "is computed from ISO and time alone; keep the aperture fixed"
+        )
+        group.remark(path, text, "shoot again")
 
 
 def _well(group: CheckedGroup, frame: ReducedFrame) -> bool:

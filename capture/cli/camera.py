@@ -58,10 +58,12 @@ def _text(camera: CameraDescription) -> str:
     from eldata.base.tables import text_table
 
     rows = [(f"{time.dial} s", f"{time.true_s:.6g} s") for time in camera.shutter.times]
+    speeds = ", ".join(f"{iso} is {float(speed):g}" for iso, speed in camera.true_isos)
     return "\n".join(
         (
             f"{camera.name} ({', '.join(camera.models)}): {camera.raw_extension}, {camera.cfa}",
             f"ISO {', '.join(map(str, camera.isos))}; base {camera.base_iso}",
+            *([f"measured: ISO {speeds}"] if speeds else []),
             text_table(("marked", "gives"), rows, left=()),
         )
     )

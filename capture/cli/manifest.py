@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -99,6 +100,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
+    from capture.apertures import aperture_remarks
     from capture.mapping import load_mapping, mapping_as_dict
     from capture.matching import match, other_reading
     from capture.noted import match_noted
@@ -146,6 +148,7 @@ def run(arguments: argparse.Namespace) -> int:
             other = other_reading(plan, observed, found, matching)
     else:
         found = load_mapping(arguments.mapping, plan, observed)
+    found = replace(found, remarks=(*found.remarks, *aperture_remarks(plan, found.frames)))
     if other is not None:
         print("by the camera's clock:")
     print(format_match(plan, observed, found))

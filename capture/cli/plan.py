@@ -7,8 +7,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from capture.calibration import DARK_FRAMES
 from capture.cli.values import (
+    add_alike,
     add_progress,
+    aperture,
     metered,
     nine_digits,
     or_dash,
@@ -16,7 +19,6 @@ from capture.cli.values import (
     scene_numbers,
     scene_time,
     seconds,
-    spaced,
 )
 from capture.protocol import PROTOCOLS, CaptureProtocol
 from eldata.base.console import OK, add_output, add_shared, each_of
@@ -34,7 +36,7 @@ if TYPE_CHECKING:
     from capture.plan import Plan
     from capture.shots import Shot
 
-_CREATING = ("camera", "scenes", "metered", "protocol", "isos", "factors")
+_CREATING = ("camera", "scenes", "metered", "protocol", "isos", "factors", "repeats", "references")
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -74,6 +76,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     new.add_argument(
         "--factors", type=nine_digits, nargs="+", metavar="FACTOR", help="other low-light factors than the protocol's"
     )
+    add_alike(new)
     change = parser.add_argument_group("changes")
     change.add_argument(
         "--remeter",
@@ -98,6 +101,15 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="SCENE=TEXT",
         help="a note on a scene, as scene-2=bookshelf; may be repeated",
     )
+    change.add_argument(
+        "--aperture",
+        type=aperture,
+        action="append",
+        default=[],
+        metavar="F",
+        help="the f-number of every scene, as 8, or of one: scene-3=5.6; in a new plan or an older one. That of the "
+        "files is compared with it",
+    )
     add_progress(change, "metered times and remarks are taken into the plan")
     calibration = parser.add_argument_group("calibration frames, in a new plan or an older one")
     calibration.add_argument(
@@ -117,6 +129,21 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="ISOs to calibrate (default: full stops from the base ISO to the highest noisy one)",
     )
     calibration.add_argument("--bias-frames", type=nine_digits, metavar="N", help="bias frames per ISO (default: 10)")
+    calibration.add_argument(
+        "--dark-frames",
+        type=nine_digits,
+        nargs="?",
+        const=DARK_FRAMES,
+        metavar="N",
+        help=f"dark frames at each ISO and time of the noisy frames too, N of each (default: {DARK_FRAMES}), for the "
+        "dark current of eldata calibrate",
+    )
+    calibration.add_argument(
+        "--warm",
+        action="store_true",
+        default=None,
+        help="bias and dark frames a second time, with the sensor warm from the shooting; the first come before it",
+    )
     add_output(parser, "-o", "--output", help="the new plan's file; with PLAN: write the changes there")
     add_shared(
         parser,
@@ -176,8 +203,14 @@ def _new(arguments: argparse.Namespace) -> Plan:
         camera.base_iso,
         tuple(arguments.isos or chosen.noisy_isos),
         tuple(arguments.factors or chosen.low_light_factors),
+        chosen.repeats if arguments.repeats is None else arguments.repeats,
+        chosen.references if arguments.references is None else arguments.references,
     )
-    return make_plan(camera, protocol, _metered(arguments), _calibration(camera, protocol, arguments))
+    times = _metered(arguments)
+    if not times:
+        return make_plan(camera, protocol, {}, _calibration(camera, protocol, (), arguments))
+    plan = make_plan(camera, protocol, times)
+    return replace(plan, calibration=_calibration(camera, protocol, plan.shots, arguments))
 
 
 def _metered(arguments: argparse.Namespace) -> dict[str, Fraction]:
@@ -204,12 +237,16 @@ def _metered(arguments: argparse.Namespace) -> dict[str, Fraction]:
 
 
 def _calibration(
-    camera: CameraDescription, protocol: CaptureProtocol, arguments: argparse.Namespace
+    camera: CameraDescription,
+    protocol: CaptureProtocol,
+    shots: Sequence[tuple[str, Shot]],
+    arguments: argparse.Namespace,
 ) -> CalibrationPlan | None:
-    from capture.calibration import BIAS_FRAMES, default_isos, plan_calibration
+    """Return the calibration frames that are asked for; ``shots`` are the scenes', whose times dark frames have."""
+    from capture.calibration import BIAS_FRAMES, dark_settings, default_isos, plan_calibration
 
     if not arguments.calibration:
-        for name in ("flat_clips_at", "calibration_isos", "bias_frames"):
+        for name in ("flat_clips_at", "calibration_isos", "bias_frames", "dark_frames", "warm"):
             if getattr(arguments, name) is not None:
                 raise ArgumentError(f"--{name.replace('_', '-')} goes with --calibration")
         return None
@@ -220,7 +257,19 @@ def _calibration(
         )
     isos = tuple(sorted(arguments.calibration_isos)) if arguments.calibration_isos else default_isos(camera, protocol)
     frames = BIAS_FRAMES if arguments.bias_frames is None else arguments.bias_frames
-    return plan_calibration(camera, protocol.base_iso, isos, arguments.flat_clips_at, bias_frames=frames)
+    dark = () if arguments.dark_frames is None else dark_settings(shot for _, shot in shots)
+    if arguments.dark_frames is not None and not dark:
+        raise ArgumentError("--dark-frames: they have the noisy frames' times, and the plan has no scenes")
+    return plan_calibration(
+        camera,
+        protocol.base_iso,
+        isos,
+        arguments.flat_clips_at,
+        bias_frames=frames,
+        dark=dark,
+        dark_frames=DARK_FRAMES if arguments.dark_frames is None else arguments.dark_frames,
+        warm=bool(arguments.warm),
+    )
 
 
 def _changed(plan: Plan, arguments: argparse.Namespace) -> Plan:
@@ -228,13 +277,18 @@ def _changed(plan: Plan, arguments: argparse.Namespace) -> Plan:
         plan = plan.add_scene(name, time)
     for name, time in arguments.remeter:
         plan = plan.remeter(name, time)
+    # First the aperture of every scene, whatever the order in which they are given.
+    for name, f_number in sorted(arguments.aperture, key=lambda given: given[0] is not None):
+        for scene in plan.scenes if name is None else (plan.scene(name),):
+            plan = plan.set_aperture(scene.name, f_number)
     for text in arguments.note:
         name, equals, note = text.partition("=")
         if not equals or not note.strip():
             raise ArgumentError(f"--note: expected a scene and a text, such as scene-2=bookshelf; found {text!r}")
         plan = plan.add_note(name, note.strip())
-    if arguments.plan is not None and (calibration := _calibration(plan.camera, plan.protocol, arguments)) is not None:
-        plan = replace(plan, calibration=calibration)
+    if arguments.plan is not None:
+        calibration = _calibration(plan.camera, plan.protocol, plan.shots, arguments)
+        plan = plan if calibration is None else replace(plan, calibration=calibration)
     return plan
 
 
@@ -243,15 +297,15 @@ def _changed(plan: Plan, arguments: argparse.Namespace) -> Plan:
 
 def format_plan(plan: Plan) -> str:
     """Return a plan as text: a table for the scenes of each metered time, and one for the calibration frames."""
+    from capture.apertures import f_text
     from capture.shots import duration_of
 
     protocol = plan.protocol
-    settings = f"base ISO {protocol.base_iso}, ISOs {spaced(protocol.noisy_isos)}"
-    factors = spaced(protocol.low_light_factors)
-    parts = [f"{plan.camera.name}: {len(plan.shots)} shots; {settings}, low-light factors {factors}"]
-    for time in dict.fromkeys(scene.metered_s for scene in plan.scenes):
-        scenes = [scene for scene in plan.scenes if scene.metered_s == time]
-        title = f"{', '.join(scene.name for scene in scenes)}: metered at {time} s"
+    parts = [f"{plan.camera.name}: {len(plan.shots)} shots; {protocol}"]
+    for time, f_number in dict.fromkeys((scene.metered_s, scene.aperture) for scene in plan.scenes):
+        scenes = [scene for scene in plan.scenes if (scene.metered_s, scene.aperture) == (time, f_number)]
+        at = "" if f_number is None else f", {f_text(f_number)}"
+        title = f"{', '.join(scene.name for scene in scenes)}: metered at {time} s{at}"
         notes = [f"{scene.name}: {note}" for scene in scenes for note in scene.notes]
         each = "each scene" if len(scenes) > 1 else scenes[0].name
         time_needed = f"{each}: {duration_of(scenes[0].shots)}"
@@ -265,11 +319,18 @@ def format_plan(plan: Plan) -> str:
                     _calibration_table(plan.calibration.shots),
                     f"calibration: {duration_of(plan.calibration.shots)}",
                     *plan.calibration.remarks,
+                    *_no_dark(plan),
                 ]
             )
         )
     parts.append(f"the whole plan: {plan.duration}; composing, focusing and metering come on top")
     return "\n\n".join(parts)
+
+
+def _no_dark(plan: Plan) -> list[str]:
+    listed = ", ".join(f"ISO {iso} at {seconds} s" for iso, seconds in plan.without_dark)
+    text = f"no dark frames are planned for {listed}, which scenes have by now: plan them again with --calibration"
+    return [text] if listed else []
 
 
 def format_left(progress: Progress) -> str:
@@ -283,14 +344,18 @@ def format_left(progress: Progress) -> str:
 
 
 def _table(shots: Sequence[Shot]) -> str:
+    from capture.checklist_content import rows as rows_of
     from eldata.base.tables import text_table
 
     header = ("frame", "role", "ISO", "factor", "asked", "set", "gives", "ratio", "EXIF", "error", "stops", "reference")
+    measured = any(shot.true_iso is not None for shot in shots)
+    header = (*header[:3], *(("true ISO",) if measured else ()), *header[3:])
     rows = [
         (
-            str(shot.number),
+            row.numbers,
             shot.role,
             str(shot.iso),
+            *([or_dash(None if shot.true_iso is None else float(shot.true_iso), "{:g}")] if measured else []),
             or_dash(shot.factor, "x{}"),
             f"{shot.target_s} s",
             f"{shot.setting.dial} s",
@@ -301,20 +366,25 @@ def _table(shots: Sequence[Shot]) -> str:
             or_dash(shot.error_stops, "{:+.3f}"),
             or_dash(shot.reference),
         )
-        for shot in shots
+        for row in rows_of(shots)
+        for shot in (row.shot,)
     ]
     return text_table(header, rows, left=(1,))
 
 
 def _calibration_table(shots: Sequence[Shot]) -> str:
+    from capture.checklist_content import rows as rows_of
     from eldata.base.tables import text_table
 
-    groups: dict[tuple[str, int, str, str], list[int]] = {}
-    for shot in shots:
-        level = or_dash(None if shot.level is None else float(100 * shot.level), "{:.0f} %")
-        groups.setdefault((shot.role, shot.iso, level, shot.setting.dial), []).append(shot.number)
     rows = [
-        (f"{numbers[0]}-{numbers[-1]}", role, str(iso), level, f"{dial} s", str(len(numbers)))
-        for (role, iso, level, dial), numbers in groups.items()
+        (
+            row.numbers,
+            " ".join(filter(None, (row.shot.series, row.shot.role))),
+            str(row.shot.iso),
+            or_dash(None if row.shot.level is None else float(100 * row.shot.level), "{:.0f} %"),
+            f"{row.dial} s",
+            str(row.count),
+        )
+        for row in rows_of(shots)
     ]
     return text_table(("frames", "role", "ISO", "level", "set", "count"), rows, left=(1,))

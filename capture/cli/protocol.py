@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from capture.cli.values import nine_digits, or_dash, seconds, spaced
+from capture.cli.values import add_alike, nine_digits, or_dash, seconds, spaced
 from capture.protocol import RELEASED, CaptureProtocol
 from eldata.base.console import OK, add_shared
 from eldata.base.files import write_json
@@ -56,12 +56,19 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="FACTOR",
         help=f"low-light factors (default: {spaced(RELEASED.low_light_factors)})",
     )
-    add_shared(parser, run, "json", example="capture protocol --metered 4")
+    add_alike(parser)
+    add_shared(parser, run, "json", example=("capture protocol --metered 4", "capture protocol --repeats 10"))
 
 
 def run(options: argparse.Namespace) -> int:
     """Run this command."""
-    protocol = CaptureProtocol(options.base_iso, tuple(options.isos), tuple(options.factors))
+    protocol = CaptureProtocol(
+        options.base_iso,
+        tuple(options.isos),
+        tuple(options.factors),
+        RELEASED.repeats if options.repeats is None else options.repeats,
+        RELEASED.references if options.references is None else options.references,
+    )
     metered_s: Fraction | None = options.metered
     frames = protocol.frames()
     exposures = [None if metered_s is None else str(protocol.exposure_s(frame, metered_s)) for frame in frames]
@@ -90,5 +97,6 @@ def _summary(protocol: CaptureProtocol, frames: Sequence[ProtocolFrame]) -> str:
     noisy = len(frames) - references
     return (
         f"{len(frames)} frames per scene: {references} references at ISO {protocol.base_iso}, {noisy} noisy "
-        f"(ISOs: {len(protocol.noisy_isos)}, factors: {len(protocol.low_light_factors)})"
+        f"(ISOs: {len(protocol.noisy_isos)}, factors: {len(protocol.low_light_factors)}"
+        f"{'' if protocol.repeats == 1 else f', frames of each: {protocol.repeats}'})"
     )

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_shared
+from eldata.base.console import OK, PROBLEMS, add_shared
 from eldata.base.files import write_json
 from eldata.errors import ArgumentError
 
@@ -25,8 +25,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         description=(
             "Shoot a plan with the camera on the USB cable. Before each scene it says what to prepare; for each shot "
             "it sets ISO and time, reads them back, releases, downloads, and compares the frame's EXIF with the plan. "
-            "Whatever cuts it off (a pulled cable, a crash, Ctrl-C), the same command resumes, without repeating or "
-            "losing a frame: DIR/journal.jsonl records each one."
+            "A scene is checked by its pixels as soon as it is taken, while the tripod still stands. Whatever cuts it "
+            "off (a pulled cable, a crash, Ctrl-C), the same command resumes, without repeating or losing a frame: "
+            "DIR/journal.jsonl records each one."
         ),
         epilog="Then: capture manifest PLAN DIR/* -o manifests/mine.csv --copy-to data/mine",
     )
@@ -49,6 +50,15 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         default=60.0,
         metavar="S",
         help="seconds that gphoto2 may take beyond twice the exposure (default: 60)",
+    )
+    parser.add_argument(
+        "--no-check", action="store_true", help="do not check each scene by its pixels when its last frame is here"
+    )
+    parser.add_argument(
+        "--flats-as-planned",
+        action="store_true",
+        help="take flats as they are planned; else the first one is taken until its level is right, and the others are "
+        "planned again by it (PLAN is changed)",
     )
     parser.add_argument("--yes", action="store_true", help="go on from scene to scene without waiting for Enter")
     parser.add_argument("--dry-run", action="store_true", help="only list the commands that are left to run")
@@ -84,14 +94,24 @@ def run(arguments: argparse.Namespace) -> int:
         raise ArgumentError("there is no terminal to ask on before each scene; use --yes to go on without asking")
     gphoto = replace(Gphoto.find(arguments.gphoto2, timeout_s=arguments.timeout), port=arguments.port)
     ask = _say if arguments.yes else _ask
-    outcome = run_session(part, folder, gphoto, whole=whole, path=arguments.plan, ask=ask, say=_say)
+    outcome = run_session(
+        part,
+        folder,
+        gphoto,
+        whole=whole,
+        path=arguments.plan,
+        ask=ask,
+        say=_say,
+        check=not arguments.no_check,
+        save=None if arguments.flats_as_planned else lambda plan: plan.save(arguments.plan),
+    )
     print(f"{len(outcome.files)} of {len(part.shots)} frames are in {folder}, {outcome.taken} of them taken now")
     if len(part.shots) == len(whole.shots):
         shots = f"{shlex.quote(str(folder))}/*"
         print(f"next: capture manifest {shlex.quote(arguments.plan)} {shots} -o manifests/mine.csv --copy-to data/mine")
     if arguments.json:
         write_json(arguments.json, _as_dict(part, outcome))
-    return OK
+    return OK if all(verdict == "keep" for verdict in outcome.verdicts.values()) else PROBLEMS
 
 
 def _scene_name(text: str) -> str:
@@ -133,4 +153,5 @@ def _as_dict(plan: Plan, outcome: Outcome) -> dict[str, object]:
         "planned": len(plan.shots),
         "taken_now": outcome.taken,
         "seconds": round(outcome.seconds, 1),
+        "verdicts": outcome.verdicts,
     }

@@ -7,6 +7,7 @@ import re
 import sys
 from typing import TYPE_CHECKING
 
+from capture.apertures import LEAST_F_NUMBER, MOST_F_NUMBER
 from capture.exact import parse_seconds
 from eldata.base.fields import shown
 from eldata.errors import ArgumentError
@@ -52,6 +53,21 @@ def metered(text: str) -> tuple[str | None, Fraction]:
     return scene_time(text) if "=" in text else (None, seconds(text))
 
 
+def aperture(text: str) -> tuple[str | None, Fraction]:
+    """Return the f-number for every scene (``None``) or, as ``scene-3=5.6``, for one."""
+    name, equals, number = text.rpartition("=")
+    if equals and not name:
+        raise argparse.ArgumentTypeError(f"expected an f-number such as 5.6, or scene-3=5.6; found {shown(text)}")
+    try:
+        found = parse_seconds(number.lower().removeprefix("f/"))
+    except ArgumentError:
+        found = None
+    if found is None or not LEAST_F_NUMBER <= found <= MOST_F_NUMBER:
+        expected = f"an f-number from {LEAST_F_NUMBER} to {MOST_F_NUMBER}, as 5.6"
+        raise argparse.ArgumentTypeError(f"expected {expected}; found {shown(number)}")
+    return name or None, found
+
+
 def scene_numbers(text: str) -> range:
     """Return the scenes that a text such as ``10``, the first ten, or ``11-15`` names."""
     first, dash, last = text.rpartition("-")
@@ -61,6 +77,23 @@ def scene_numbers(text: str) -> range:
             f"expected a number of scenes from 1 to {_MOST_SCENES}, or the first and the last, as 11-15; found {text!r}"
         )
     return found
+
+
+def add_alike(parser: argparse._ActionsContainer) -> None:
+    """Add ``--repeats`` and ``--references`` to a subcommand: how many frames of a setting the protocol has."""
+    parser.add_argument(
+        "--repeats",
+        type=nine_digits,
+        metavar="N",
+        help="noisy frames of each ISO and factor, one after the other (default: 1; LRID has 10)",
+    )
+    parser.add_argument(
+        "--references",
+        type=nine_digits,
+        metavar="N",
+        help="reference frames before and after the noisy ones of each ISO (default: 1); each noisy frame is compared "
+        "with the one nearest to it",
+    )
 
 
 def add_progress(parser: argparse._ActionsContainer, what: str) -> None:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import dataclass
 from itertools import count
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
+from capture.capture_errors import TetherError
 from capture.matching import can_be
 from capture.observed import observe_one
 from eldata.errors import RawFileError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from datetime import datetime
     from pathlib import Path
 
@@ -18,6 +21,9 @@ if TYPE_CHECKING:
     from capture.matching import Slot
     from capture.observed import ObservedFrame
     from capture.shots import Shot
+    from capture.tether.levels import Levels
+
+_LEAST_FREE_BYTES: Final = 200 << 20  # a raw of the largest sensors; gphoto2 does not notice a full disk
 
 
 def frame_name(slot: Slot, camera: CameraDescription) -> str:
@@ -40,11 +46,15 @@ def aside_path(folder: Path, slot: Slot, observed: ObservedFrame | None, suffix:
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What a file turned out to be: ``problem`` is ``None`` if it is the frame, ``observed`` if it is unreadable."""
+    """What a file turned out to be.
+
+    ``problem`` is ``None`` if it is the frame, ``observed`` and ``levels`` if it is unreadable.
+    """
 
     path: Path
     observed: ObservedFrame | None
     problem: str | None
+    levels: Levels | None = None
 
     @property
     def exif(self) -> dict[str, Any]:
@@ -66,13 +76,14 @@ def look(path: Path, shot: Shot, camera: CameraDescription) -> Look:
     Decoded, since gphoto2 ends well after a download that the disk had no room for, and not every format's header
     states how long the file should be.
     """
+    from capture.tether.levels import levels_of
     from eldata.raw.reading import read_raw
 
     if path.suffix.lower() != camera.raw_extension.lower():
         sent = f"the camera sent a {path.suffix or 'nameless'} file, not {camera.raw_extension}"
         return Look(path, None, f"{sent}: set its image format to raw alone")
     try:
-        read_raw(path)
+        levels = levels_of(read_raw(path))
         observed = observe_one(path)
     except RawFileError as error:
         return Look(path, None, f"the file that came cannot be used: {error.reason}")
@@ -83,7 +94,34 @@ def look(path: Path, shot: Shot, camera: CameraDescription) -> Look:
     elif not can_be(shot, observed):
         wanted = shot.settings
         problem = f"the frame was taken at {observed.settings}, and the plan asks for {wanted}"
-    return Look(path, observed, problem)
+    return Look(path, observed, problem, levels)
+
+
+def downloaded(folder: Path, shot: Shot, camera: CameraDescription) -> Look | None:
+    """Return the best of the files that came into a folder; raw files before others."""
+    if not folder.is_dir():
+        return None
+    paths = [path for path in sorted(folder.iterdir()) if path.name.startswith("frame.") and path.is_file()]
+    paths.sort(key=lambda path: path.suffix.lower() != camera.raw_extension.lower())
+    looks = [look(path, shot, camera) for path in paths]
+    return min(looks, key=lambda one: one.problem is not None, default=None)
+
+
+def check_free_space(folder: Path, sizes: Sequence[int]) -> None:
+    """Refuse to release if the frame would not fit: gphoto2 would cut it short without a word.
+
+    Raises
+    ------
+    TetherError
+        If twice the largest of the frames' ``sizes``, in bytes, is not free.
+    """
+    needed = 2 * max(sizes) if sizes else _LEAST_FREE_BYTES
+    free = shutil.disk_usage(folder).free
+    if free < needed:
+        raise TetherError(
+            f"{folder}: {free >> 20} MiB are free, and a frame may need {needed >> 20}; make room, then run "
+            "the same command again"
+        )
 
 
 def taken_of(exif: dict[str, Any]) -> datetime | None:

@@ -65,6 +65,8 @@ def fingerprint(plan: Plan, shot: Shot) -> str:
         what.append(f"x{shot.factor} of {shot.reference}")
     if shot.level is not None:
         what.append(f"level {shot.level}")
+    if shot.series:
+        what.append(shot.series)
     return f"{plan.camera.name}: {', '.join(what)}"
 
 

@@ -17,25 +17,31 @@ from typing import TYPE_CHECKING, Final
 
 from capture.capture_errors import CameraLostError, GphotoError, JournalError, TetherError
 from capture.tether.choices import Choices, is_iso, is_time
-from capture.tether.frames import Look, aside_path, frame_name, look, taken_of
+from capture.tether.flats import NEVER_RIGHT, TRIES, clips_at_s, with_flats
+from capture.tether.frames import Look, aside_path, check_free_space, downloaded, frame_name, look, taken_of
 from capture.tether.gphoto import LOG, Gphoto, parse_taken
 from capture.tether.journal import NAME as JOURNAL
 from capture.tether.journal import Entry, Journal, fingerprint, place
 from capture.tether.lock import locked
+from capture.tether.pace import Pace
 from capture.tether.preparing import prepare
 from capture.tether.stages import stages_of
+from capture.tether.verdicts import verdict_text
 from eldata.base.files import sha256_of
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from capture.check.measures import Verdict
     from capture.matching import Slot
     from capture.plan import Plan
     from capture.shots import Shot
+    from capture.tether.levels import Levels
+    from capture.tether.preparing import Ready
+    from capture.tether.stages import Stage
 
 INCOMING: Final = ".incoming"
 ATTEMPTS: Final = 2
-_LEAST_FREE_BYTES: Final = 200 << 20  # a raw of the largest sensors; gphoto2 does not notice a full disk
 _READ_BACK: Final = 3
 _READ_BACK_PAUSE_S: Final = 0.5
 
@@ -45,11 +51,24 @@ Ask = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a session did: files by shot, and how many of them it took itself."""
+    """What a session did.
+
+    Attributes
+    ----------
+    files
+        By shot.
+    taken
+        How many of them it took itself.
+    seconds
+        How long it took.
+    verdicts
+        Of the stages that were checked, by title.
+    """
 
     files: dict[Slot, Path]
     taken: int
     seconds: float
+    verdicts: dict[str, Verdict]
 
 
 def run_session(
@@ -61,6 +80,8 @@ def run_session(
     path: Path | str = "the plan",
     ask: Ask,
     say: Say,
+    check: bool = True,
+    save: Callable[[Plan], None] | None = None,
 ) -> Outcome:
     """Take every shot of a plan that the folder does not have yet.
 
@@ -80,6 +101,11 @@ def run_session(
         Shows what a stage needs, and returns when it is ready.
     say
         Shows a line of progress.
+    check
+        Whether each scene, and each set of calibration frames, is checked by its pixels when its last frame is here.
+    save
+        Writes the whole plan after its flats were planned again, since the first one showed that the surface clips at
+        another time; without it flats are taken as they are planned.
 
     Raises
     ------
@@ -97,7 +123,8 @@ def run_session(
         journal.check(whole, path)
         gphoto = replace(gphoto, inherited=(lock.descriptor,), started=lock.note)
         session = _Session(plan, whole, folder, gphoto, journal, ask, say)
-        return Outcome(session.run(), session.taken, time.monotonic() - begun)
+        session.check, session.save = check, save
+        return Outcome(session.run(), session.taken, time.monotonic() - begun, session.verdicts)
 
 
 class _Session:
@@ -107,8 +134,13 @@ class _Session:
         self.plan, self.whole, self.folder, self.gphoto = plan, whole, folder, gphoto
         self.journal, self.ask, self.say = journal, ask, say
         self.shots = {(scene, shot.number): shot for scene, shot in whole.shots}
+        self.check = True
+        self.save: Callable[[Plan], None] | None = None
         self.taken = 0
         self.state: dict[str, str] = {}
+        self.levels: dict[Slot, Levels] = {}
+        self.verdicts: dict[str, Verdict] = {}
+        self.pace = Pace()
 
     def run(self) -> dict[Slot, Path]:
         """Take what is missing; return the files of the plan."""
@@ -125,24 +157,74 @@ class _Session:
         for intent in self.journal.open_intents():
             self.settle(intent)
         self.sweep()
-        for stage in stages:
-            missing = [(slot, shot) for slot, shot in stage.shots if slot not in self.have]
-            if not missing:
+        for planned in stages:
+            here = sum(slot in self.have for slot, _ in planned.shots)
+            if here == len(planned.shots):
                 continue
-            if len(missing) == len(stage.shots):
-                head = f"{stage.title}: {len(missing)} frames"
-            else:
-                head = f"{stage.title}: {len(stage.shots) - len(missing)} of {len(stage.shots)} frames are here; go on"
-            self.ask("\n".join([head, *(f"    {line}" for line in stage.prepare)]))
-            for slot, shot in missing:
+            head = f"{planned.title}: {len(planned.shots)} frames"
+            if here:
+                head = f"{planned.title}: {here} of {len(planned.shots)} frames are here; go on"
+            self.ask("\n".join([head, *(f"    {line}" for line in planned.prepare)]))
+            stage, ready = self.expose_flats(planned, ready)
+            for number, (slot, shot) in enumerate(stage.shots, 1):
+                if slot in self.have:
+                    continue
+                self.pace.begin()
                 self.take(slot, shot, ready.choices)
-                number = next(n for n, (other, _) in enumerate(stage.shots, 1) if other == slot)
+                self.pace.end(shot)
                 self.say(
                     f"{stage.title}  {number}/{len(stage.shots)}  {shot.role}, {shot.settings}  "
-                    f"{self.have[slot].details['file']}"
+                    f"{self.have[slot].details['file']}  {self.levels[slot]}{self.pace.text(self.plan, self.have)}"
                 )
+            self.check_stage(stage)
         self.sweep()
         return self.files()
+
+    def check_stage(self, stage: Stage) -> None:
+        """Check a stage whose frames are all here, and say what came out."""
+        if not self.check:
+            return
+        files = self.files()
+        text, self.verdicts[stage.title] = verdict_text(self.plan, {slot: files[slot] for slot, _ in stage.shots})
+        self.say(text)
+
+    def expose_flats(self, stage: Stage, ready: Ready) -> tuple[Stage, Ready]:
+        """Take the first flat until its level is right, and plan the others by it; other stages stay as they are.
+
+        A flat that is too bright or too dark is kept aside before the plan is written, so that a session that is cut
+        off in between takes it again and comes to the same.
+        """
+        begun = any(slot in self.have for slot, _ in stage.shots[1:])
+        if self.save is None or stage.shots[0][1].level is None or begun:
+            return stage, ready
+        for _ in range(TRIES):
+            slot, shot = stage.shots[0]
+            if slot not in self.have:
+                self.take(slot, shot, ready.choices)
+            path = self.files()[slot]
+            seen = look(path, shot, self.plan.camera)
+            if seen.levels is None:
+                raise JournalError(f"{path}: {seen.problem}; move it away, then run this again")
+            levels = seen.levels
+            flat_clips_at_s = clips_at_s(self.plan, shot, levels)
+            wanted = f"{float(100 * (shot.level or 0)):.0f} % is wanted"
+            if flat_clips_at_s is None:
+                self.say(f"{stage.title}  {shot.settings}: {levels}; {wanted}, which is near enough")
+                return stage, ready
+            plan, whole = (with_flats(one, flat_clips_at_s) for one in (self.plan, self.whole))
+            place(path, aside_path(self.folder, slot, seen.observed, path.suffix))
+            self.gone.add(slot)
+            self.plan, self.whole = plan, whole
+            self.shots = {(scene, one.number): one for scene, one in whole.shots}
+            self.save(whole)
+            self.journal.write_plan(whole)
+            stage = next(one for one in stages_of(plan) if one.title == stage.title)
+            self.say(
+                f"{stage.title}  {shot.settings}: {levels}; {wanted}. The flats are planned again, for a surface that "
+                f"clips at {float(flat_clips_at_s):g} s, from {stage.shots[0][1].setting.dial} s on"
+            )
+            ready = prepare(plan, self.gphoto)
+        raise TetherError(NEVER_RIGHT)
 
     @property
     def have(self) -> dict[Slot, Entry]:
@@ -183,7 +265,8 @@ class _Session:
             raise JournalError(f"{target} is there already, and this session did not take it: move it away")
         problem: str | None = None
         for _ in range(ATTEMPTS):
-            self.check_room()
+            sizes = [int(entry.details["size_bytes"]) for entry in self.journal.done().values()]
+            check_free_space(self.folder, sizes)
             if problem is not None:
                 self.say(f"{_title(slot)}: {problem}; once more")
             try:
@@ -253,7 +336,7 @@ class _Session:
         A frame gets its final name and a ``done``; a wrong one is kept aside, and gets a ``wrong``.
         """
         folder = self.folder / INCOMING / intent.token
-        seen = self.downloaded(folder, shot)
+        seen = downloaded(folder, shot, self.plan.camera)
         if seen is None or seen.observed is None:
             if not card:
                 return None
@@ -280,22 +363,14 @@ class _Session:
 
     def finish(self, intent: Entry, seen: Look) -> None:
         """Give a frame its final name, and write it down."""
+        if seen.levels is not None:
+            self.levels[intent.slot] = seen.levels
         target = self.folder / frame_name(intent.slot, self.plan.camera)
         digest, size = sha256_of(seen.path), seen.path.stat().st_size
         if seen.path != target:
             place(seen.path, target)
         self.journal.end(intent, "done", file=target.name, size_bytes=size, sha256=digest, exif=seen.exif)
         self.gone.discard(intent.slot)
-
-    def downloaded(self, folder: Path, shot: Shot) -> Look | None:
-        """Return the best of the files that came; raw files before others."""
-        if not folder.is_dir():
-            return None
-        extension = self.plan.camera.raw_extension.lower()
-        paths = [path for path in sorted(folder.iterdir()) if path.name.startswith("frame.") and path.is_file()]
-        paths.sort(key=lambda path: path.suffix.lower() != extension)
-        looks = [look(path, shot, self.plan.camera) for path in paths]
-        return min(looks, key=lambda one: one.problem is not None, default=None)
 
     def from_card(self, folder: Path, shot: Shot) -> Look | None:
         """Download the frame from the camera's card, where a broken download left it; ``None`` if it is not there.
@@ -324,7 +399,7 @@ class _Session:
                 raise
             except GphotoError:
                 continue
-            seen = self.downloaded(inside, shot)
+            seen = downloaded(inside, shot, self.plan.camera)
             if seen is not None and seen.problem is None and (named or self.is_new(seen)):
                 self.say(f"the download had failed; {path.name} was fetched from the camera's card")
                 return seen
@@ -369,17 +444,6 @@ class _Session:
     def sweep(self) -> None:
         """Remove what ended attempts left in the folder for downloads."""
         shutil.rmtree(self.folder / INCOMING, ignore_errors=True)
-
-    def check_room(self) -> None:
-        """Refuse to release if the frame would not fit: gphoto2 would cut it short without a word."""
-        sizes = [int(entry.details["size_bytes"]) for entry in self.journal.done().values()]
-        needed = 2 * max(sizes) if sizes else _LEAST_FREE_BYTES
-        free = shutil.disk_usage(self.folder).free
-        if free < needed:
-            raise TetherError(
-                f"{self.folder}: {free >> 20} MiB are free, and a frame may need {needed >> 20}; make room, then run "
-                "the same command again"
-            )
 
 
 def _title(slot: Slot) -> str:

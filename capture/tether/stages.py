@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from capture.apertures import f_text
+from capture.checklist_content import part_of
 from capture.plan import CALIBRATION
 from capture.tether.gphoto import CAPTURE, get_arguments, set_arguments
 
@@ -33,21 +35,26 @@ def stages_of(plan: Plan) -> tuple[Stage, ...]:
         first = scene.shots[0].setting.dial
         prepare = (
             f"metered at {scene.metered_s} s, ISO {plan.protocol.base_iso}; the first frame at {first} s",
+            *(() if scene.aperture is None else (f"aperture {f_text(scene.aperture)}",)),
             *scene.notes,
             *scene.remarks,
             "tripod and focus fixed, lamps steady, nobody walks; the mode dial on M, image format raw",
         )
         stages.append(Stage(scene.name, prepare, tuple(((scene.name, shot.number), shot) for shot in scene.shots)))
     frames = () if plan.calibration is None else plan.calibration.shots
+    capped = "lens capped, viewfinder covered, room dark"
+    clips_at = "" if plan.calibration is None else f"{plan.calibration.flat_clips_at_s} s, ISO {plan.protocol.base_iso}"
+    surface = f"cap off; an evenly lit surface fills the frame, lens at infinity; it clips at {clips_at}"
     how = {
-        "bias": "lens capped, viewfinder covered, room dark",
-        "flat": "cap off; an evenly lit surface fills the frame, lens at infinity; it clips at "
-        f"{plan.calibration.flat_clips_at_s if plan.calibration else 0} s, ISO {plan.protocol.base_iso}",
+        "bias": ("bias frames", capped),
+        "flats": ("flat frames", surface),
+        "dark": ("dark frames", f"{capped}; the camera as warm as at the scenes"),
+        "warm": ("warm frames", f"{capped}, right after the last scene"),
     }
-    for role, text in how.items():
-        shots = tuple(((CALIBRATION, shot.number), shot) for shot in frames if shot.role == role)
+    for kind, (title, text) in how.items():
+        shots = tuple(((CALIBRATION, shot.number), shot) for shot in frames if part_of(shot) == kind)
         if shots:
-            stages.append(Stage(f"{role} frames", (text, f"{len(shots)} frames"), shots))
+            stages.append(Stage(title, (text, f"{len(shots)} frames"), shots))
     return tuple(stages)
 
 

@@ -16,6 +16,7 @@ from eldata.base.tables import frame_of
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, DatasetError, did_you_mean
 from eldata.manifest.catalogue import data_root, load_manifest
+from eldata.manifest.pairs import LONGER_DARK, WARM_SENSOR
 from eldata.raw.extensions import RAW_EXTENSIONS
 from eldata.records import FrameRecord
 
@@ -67,7 +68,8 @@ class CalibrationFrames:
     camera
         The camera's name; may be left out if there is one alone.
     manifest
-        A manifest's CSV file, whose rows of role ``bias`` and ``flat`` are taken in place of what the folders hold.
+        A manifest's CSV file, whose rows of role ``bias`` and ``flat`` are taken in place of what the folders hold;
+        not those with the flag ``longer-dark`` or ``warm-sensor``, which are series of their own: give their folder.
     isos
         Only these ISOs.
 
@@ -105,7 +107,11 @@ class CalibrationFrames:
         if manifest is not None:
             loaded = load_manifest(manifest)
             self.root = loaded.folder() if root is None else Path(root)
-            found = tuple(record for record in loaded.records if record.role in _ROLES)
+            found = tuple(
+                record
+                for record in loaded.records
+                if record.role in _ROLES and not {LONGER_DARK, WARM_SENSOR} & {*record.flags}
+            )
             self.camera = _chosen_camera(camera, {record.camera for record in found}, str(loaded.path))
             found = tuple(record for record in found if record.camera == self.camera)
             for record in found:

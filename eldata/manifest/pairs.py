@@ -23,6 +23,9 @@ Item = TypeVar("Item", "PairRecord", "FrameRecord")
 
 # Flag of a frame whose ISO the publisher states in two ways: its exposure ratio cannot be checked.
 UNCERTAIN_ISO = "uncertain-iso"
+# Flags of bias frames that are longer than the others of their ISO, or of a sensor that was warm from shooting.
+LONGER_DARK = "longer-dark"
+WARM_SENSOR = "warm-sensor"
 
 _OF_PAIRS = names_of(PairRecord)
 

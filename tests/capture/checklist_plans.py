@@ -27,6 +27,8 @@ def _with(shutter: Shutter) -> CameraDescription:
     return replace(EXAMPLE, shutter=shutter)
 
 
+# Speeds over their names: the first two differ by half a stop, so that frames get other times.
+MEASURED: Final = {100: Fraction(9, 10), 800: Fraction(6, 10), 1600: Fraction(4, 5), 3200: Fraction(81, 100)}
 # Every kind of shutter; the metered times make possible scenes.
 PLANS: Final[dict[str, tuple[CameraDescription, CaptureProtocol, Fraction]]] = {
     "thirds": (EXAMPLE, RELEASED, Fraction(2)),
@@ -40,6 +42,14 @@ PLANS: Final[dict[str, tuple[CameraDescription, CaptureProtocol, Fraction]]] = {
         Fraction(1),
     ),
     "bulb": (_with(Shutter.between("1/8000", "30", Fraction(1, 3), bulb_s=300)), RELEASED, Fraction(100)),
+    "measured": (
+        replace(
+            EXAMPLE,
+            true_isos=tuple((iso, Fraction(iso) * share) for iso, share in MEASURED.items()),
+        ),
+        replace(RELEASED, repeats=3, references=2),
+        Fraction(2),
+    ),
     "two-times": (_with(Shutter(("1/125", "1/100"))), CaptureProtocol(100, (125,), (1,)), Fraction(1, 100)),
 }
 

@@ -44,12 +44,13 @@ START = datetime(2026, 11, 21, 23, 50, 0)  # noqa: DTZ001 # a camera's clock; th
 
 @dataclass(frozen=True)
 class Taken:
-    """One press of the release: settings, when after the one before, and which camera."""
+    """One press of the release: settings, when after the one before, which camera, and what the lens says."""
 
     iso: int
     exposure_s: Fraction
     pause_s: float = 3.0
     model: str = "Nocturne 1"
+    f_number: Fraction | None = None
 
 
 def plan_of(*metered: str, factors: Sequence[int] = (1, 10, 100, 200)) -> Plan:
@@ -89,7 +90,7 @@ def shoot(folder: Path, taken: Iterable[Taken], *, times: bool = True, shuffle: 
         now += timedelta(seconds=press.pause_s)
         path = folder / f"DSC{number:04d}.dng" if times else folder / f"DSC{index + 1}.dng"
         sensor = replace(SENSOR, model=press.model)
-        exposure = Exposure(Fraction(press.iso), press.exposure_s)
+        exposure = Exposure(Fraction(press.iso), press.exposure_s, press.f_number)
         write_dng(path, _mosaic(index), sensor, exposure, taken=now if times else None)
         files.append(path)
     return files

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
@@ -259,3 +260,24 @@ def test_what_is_no_object_is_refused(content: bytes, tmp_path: Path) -> None:
     path.write_bytes(content)
     with pytest.raises(CameraError, match=r"cam\.json(: is not JSON|: expected an object|, field schema: .*found NaN)"):
         CameraDescription.load(tmp_path / "cam.json")
+
+
+def test_true_isos(tmp_path: Path) -> None:
+    camera = replace(EXAMPLE, true_isos=((100, Fraction(81)), (800, Fraction("644.5"))))
+    camera.save(tmp_path / "cam.json")
+    assert '"800": 644.5' in (tmp_path / "cam.json").read_text()
+    assert CameraDescription.load(tmp_path / "cam.json") == camera
+    assert (camera.speed(800), EXAMPLE.speed(800)) == (Fraction("644.5"), Fraction(800))
+    for wrong, words in (
+        ({"150": 100}, "expected its ISOs, found 150"),
+        ({"100": 20}, "expected speeds within 1 stop of their names, found 20 for ISO 100"),
+        ({"100": 0}, "true_isos.100: expected a finite number above 0"),
+        ({"100": "81"}, "true_isos.100: expected a finite number"),
+        ({"ISO 100": 81}, "true_isos: expected ISOs, each once, with their speeds"),
+        ([81], "true_isos: expected an object"),
+    ):
+        content = json.loads((tmp_path / "cam.json").read_text()) | {"true_isos": wrong}
+        (tmp_path / "wrong.json").write_text(json.dumps(content))
+        with pytest.raises(CameraError) as caught:
+            CameraDescription.load(tmp_path / "wrong.json")
+        assert words in str(caught.value)

@@ -770,3 +770,16 @@ def test_without_scripts_the_page_is_whole(bare: Page, file: Path) -> None:
         assert words in shown
     for words in ("Next shot", "Export", "Note"):
         assert words not in shown.replace("Notes", "")
+
+
+def test_repeated_frames_are_one_row(bare: Page, tmp_path: Path) -> None:
+    """Three noisy frames of a setting are ticked at once, and come home as three."""
+    plan = plan_of("measured")
+    (tmp_path / "page.html").write_text(html_checklist(plan), encoding="utf-8")
+    bare.open((tmp_path / "page.html").as_uri())
+    assert bare.text("#where") == "scene-1, frames 1 to 2: reference, 2 frames"
+    assert bare.text("#taken") == "Taken, all 2"
+    take(bare, 2)
+    assert bare.text("#total-text") == "5 of 44 frames"
+    found = load_progress("the page", plan, bare.run("exported()").encode())
+    assert [(row.number, row.count) for row in found.scenes[0].shots if row.done] == [(1, 2), (3, 3)]

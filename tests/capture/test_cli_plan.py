@@ -10,7 +10,7 @@ from capture.plan import Plan
 from tests.capture.test_checklist import exported
 
 TABLE = """\
-SonyA7S2: 14 shots; base ISO 100, ISOs 800 1600, low-light factors 10 200
+SonyA7S2: 14 shots; base ISO 100, ISOs 800, 1600, low-light factors 10, 200
 
 scene-1: metered at 4 s
 scene-1: books

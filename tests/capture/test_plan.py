@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 
 from capture.calibration import CalibrationPlan, default_isos, plan_calibration
 from capture.camera import EXAMPLE, Shutter
-from capture.capture_errors import ImpossibleShotError, PlanError
+from capture.capture_errors import CameraError, ImpossibleShotError, PlanError
 from capture.plan import CALIBRATION, RATIO_TOLERANCE, Plan, make_plan
 from capture.protocol import PAPER, RELEASED
 from capture.shots import duration_of, minutes, scene_shots
+from eldata.base.files import sha256_of
 from tests.capture.simulated import CAMERA, plan_of
 from tests.cases import in_one_test
 
@@ -198,6 +199,45 @@ def test_an_iso_that_the_camera_lacks_is_refused() -> None:
         make_plan(CAMERA, replace(RELEASED, noisy_isos=(1000,)), {"scene-1": Fraction(4)})
 
 
+def test_true_isos_give_the_light() -> None:
+    """ISO 800 that is ISO 566, half a stop slower: noisy frames are longer by half a stop, as far as thirds allow."""
+    half = Fraction(566, 800)
+    camera = replace(EXAMPLE, true_isos=((100, Fraction(100)), (800, 800 * half), (1600, Fraction(1600))))
+    protocol = replace(RELEASED, noisy_isos=(800, 1600))
+    plain, shots = scene_shots(EXAMPLE, protocol, Fraction(4)), scene_shots(camera, protocol, Fraction(4))
+    for before, shot in zip(plain, shots, strict=True):
+        assert shot.true_iso == {100: 100, 800: 566, 1600: 1600}[shot.iso]
+        if shot.iso != 800:
+            assert (shot.setting, shot.true_ratio) == (before.setting, before.true_ratio)
+            continue
+        true_light = shot.setting.true_s * 566
+        assert shot.true_ratio is not None
+        assert float(shot.true_ratio) == pytest.approx(4 * 100 / true_light)
+        assert shot.named_ratio == Fraction(4 * 100) / (shot.setting.nominal_s * 800)
+        assert shot.setting.true_s > before.setting.true_s
+        assert abs(shot.error_stops or 0) <= 1 / 6 + 1e-9
+    # A camera that is off everywhere alike is off nowhere in its ratios.
+    alike = replace(EXAMPLE, true_isos=tuple((iso, iso * half) for iso in EXAMPLE.isos))
+    found = scene_shots(alike, RELEASED, Fraction(4))
+    for before, shot in zip(scene_shots(EXAMPLE, RELEASED, Fraction(4)), found, strict=True):
+        assert replace(shot, true_iso=None) == before
+
+
+def test_an_iso_whose_speed_is_not_stated_is_refused() -> None:
+    camera = replace(EXAMPLE, true_isos=((100, Fraction(81)), (800, Fraction(650))))
+    with pytest.raises(CameraError, match="the true speed of ISO 100, 800, and not of ISO 1600: measure that too"):
+        scene_shots(camera, RELEASED, Fraction(4))
+
+
+def test_flats_follow_the_true_speed() -> None:
+    """ISO 800 that is ISO 400 takes twice the light."""
+    camera = replace(EXAMPLE, true_isos=((100, Fraction(100)), (800, Fraction(400))))
+    levels = {"flat_levels": (Fraction(1, 2),)}
+    slow = plan_calibration(camera, 100, (800,), Fraction(1), **levels).shots[-1].setting.true_s  # type: ignore[arg-type]
+    fast = plan_calibration(EXAMPLE, 100, (800,), Fraction(1), **levels).shots[-1].setting.true_s  # type: ignore[arg-type]
+    assert slow == pytest.approx(2 * fast)
+
+
 # --- calibration frames -------------------------------------------------------------------------------------------
 
 
@@ -328,7 +368,37 @@ def test_remeter_of_no_scene() -> None:
         plan_of("4").remeter("scene-9", Fraction(4))
 
 
+def test_plans_are_what_they_were_before_frames_were_repeated(tmp_path: Path) -> None:
+    """To the byte, as capture wrote them before plans had repeats, apertures, true ISOs and dark frames."""
+    frames = plan_calibration(CAMERA, 100, (100, 800), Fraction(1, 4), bias_frames=4)
+    for plan, digest in (
+        (
+            replace(plan_of("4", "1", "3.2"), calibration=frames),
+            "232b96786f84028b360ec6bd41c3904989c5f0cec40db2cc1cd24e564a4ffe93",
+        ),
+        (
+            make_plan(CAMERA, PAPER, {"scene-1": Fraction(8)}),
+            "b3c9ec999aa349d33c3a55cf7faa30cfff4e6160ae81933fa8f2433b7bbbe9e7",
+        ),
+    ):
+        plan.save(tmp_path / "plan.json")
+        assert sha256_of(tmp_path / "plan.json") == f"sha256:{digest}"
+        assert Plan.load(tmp_path / "plan.json") == plan
+
+
+def every_kind() -> Plan:
+    """A plan with everything that a file can say."""
+    speeds = tuple((iso, Fraction(iso) * Fraction(9, 10)) for iso in CAMERA.isos)
+    camera = replace(CAMERA, true_isos=speeds)
+    protocol = replace(RELEASED, repeats=2, references=3)
+    dark = ((800, Fraction(1, 2)), (800, Fraction(1, 20)))
+    frames = plan_calibration(camera, 100, (100, 800), Fraction(1, 2), bias_frames=4, dark=dark, warm=True)
+    plan = make_plan(camera, protocol, {"scene-1": Fraction(4)}, frames)
+    return plan.set_aperture("scene-1", Fraction("5.6"))
+
+
 CONTENT = calibrated(plan_of("4")).as_dict()
+EVERYTHING = every_kind().as_dict()
 
 
 def places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
@@ -342,8 +412,8 @@ def places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     return found
 
 
-def changed_at(place: tuple[Any, ...], value: object) -> dict[str, Any]:
-    content = copy.deepcopy(CONTENT)
+def changed_at(place: tuple[Any, ...], value: object, before: dict[str, Any] = CONTENT) -> dict[str, Any]:
+    content = copy.deepcopy(before)
     at = content
     for key in place[:-1]:
         at = at[key]
@@ -355,13 +425,13 @@ def dotted(place: tuple[Any, ...]) -> str:
     return "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in place).lstrip(".")
 
 
-@in_one_test("place", places(CONTENT))
+@in_one_test("place", places(EVERYTHING))
 @in_one_test("wrong", [{"x": 1}, -7, "soon"])
 def test_every_field_is_checked(place: tuple[Any, ...], wrong: object, tmp_path: Path) -> None:
     if place in ((("scenes", 0, "notes", 0)), ("camera", "name"), ("camera", "models", 0)) and wrong == "soon":
         return  # any text will do
     path = tmp_path / "plan.json"
-    path.write_text(json.dumps(changed_at(place, wrong)))
+    path.write_text(json.dumps(changed_at(place, wrong, EVERYTHING)))
     with pytest.raises(PlanError) as caught:
         Plan.load(path)
     assert str(caught.value).startswith(str(path))

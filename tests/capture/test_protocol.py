@@ -68,6 +68,33 @@ def test_equally_near_references_give_the_earlier() -> None:
     assert [frame.reference for frame in frames] == [None, 1, 1, 5, None, 5, 5, 9, None]
 
 
+def test_repeated_frames_and_references() -> None:
+    """Two references, three frames of each factor, two references: each frame with the nearer of the four."""
+    protocol = CaptureProtocol(noisy_isos=(800,), low_light_factors=(100, 10), repeats=3, references=2)
+    found = [(frame.number, frame.factor, frame.reference) for frame in protocol.frames()]
+    assert found == [
+        *((1, None, None), (2, None, None)),
+        *((3, 10, 2), (4, 10, 2), (5, 10, 2)),
+        *((6, 100, 9), (7, 100, 9), (8, 100, 9)),
+        *((9, None, None), (10, None, None)),
+    ]
+    assert len(dataclasses.replace(RELEASED, repeats=10).frames()) == 4 + 12 * 10
+
+
+@given(protocols, st.integers(1, 5), st.integers(1, 4))
+def test_repeats_are_the_same_frames_more_often(protocol: CaptureProtocol, repeats: int, references: int) -> None:
+    many = dataclasses.replace(protocol, repeats=repeats, references=references).frames()
+    times = {"noisy": repeats, "reference": references}
+    assert [(one.role, one.iso, one.factor) for one in many] == [
+        (one.role, one.iso, one.factor) for one in protocol.frames() for _ in range(times[one.role])
+    ]
+    known = [one.number for one in many if one.role == "reference"]
+    for one in many:
+        if one.reference is not None:
+            nearest = min(known, key=lambda number, one=one: (abs(number - one.number), number))  # type: ignore[misc]
+            assert one.reference == nearest
+
+
 def test_factors_rise_and_isos_keep_their_order() -> None:
     frames = CaptureProtocol(noisy_isos=(3200, 800), low_light_factors=(200, 100)).frames()
     noisy = [(frame.iso, frame.factor) for frame in frames if frame.role == "noisy"]

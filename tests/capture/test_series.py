@@ -1,0 +1,337 @@
+"""Frames beside the usual ones, with real files: repeated ones, other apertures, dark frames, a warm sensor."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from datetime import timedelta
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from capture.calibration import plan_calibration
+from capture.check import check
+from capture.cli import main
+from capture.plan import Plan, make_plan
+from capture.protocol import CaptureProtocol
+from eldata import CalibrationFrames
+from eldata.cli.main import main as eldata_main
+from eldata.demo.camera import CAMERAS
+from eldata.demo.scenes import scene_radiance
+from eldata.manifest import load_manifest
+from eldata.noise import DarkShading
+from eldata.raw.dng import write_dng
+from eldata.records import Exposure
+from tests.capture.simulated import CAMERA, START, Taken, as_planned, shoot, whole_plan
+from tests.capture.test_append import Nights, night
+from tests.capture.test_whole_path import description
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from capture.shots import Shot
+
+LRID = CaptureProtocol(noisy_isos=(800,), low_light_factors=(10, 100), repeats=3, references=2)
+HALF = Fraction(1, 2)
+
+
+@pytest.fixture
+def nights(tmp_path: Path) -> Nights:
+    return Nights(tmp_path)
+
+
+def lrid(*metered: str) -> Plan:
+    return make_plan(CAMERA, LRID, {f"scene-{n}": Fraction(time) for n, time in enumerate(metered, 1)})
+
+
+# --- repeated frames --------------------------------------------------------------------------------------------------
+
+
+def test_repeated_frames_become_pairs(nights: Nights, capsys: pytest.CaptureFixture[str]) -> None:
+    plan = lrid("4", "4")
+    shoot(nights.folder / "card", whole_plan(plan))
+    assert nights.add(plan, nights.folder / "card", options=()) == 0
+    assert "20 of 20 shots have a file" in capsys.readouterr().out
+    assert nights.problems() == []
+    rows = [row for row in load_manifest(nights.csv).records if row.scene == "scene-1"]
+    noisy = [(row.path[-8:-4], row.ratio, (row.reference or "")[-8:-4]) for row in rows if row.role == "noisy"]
+    assert noisy == [
+        *[(f"{n:04d}", Fraction(10), "0002") for n in (3, 4, 5)],
+        *[(f"{n:04d}", Fraction(100), "0009") for n in (6, 7, 8)],
+    ]
+    assert "3 noisy frames of each, 2 references before and after" in nights.csv.with_suffix(".json").read_text()
+
+
+def test_one_repeat_too_many_is_a_retake(nights: Nights, capsys: pytest.CaptureFixture[str]) -> None:
+    """Four of three planned frames: the first is left out, no other frame moves."""
+    plan = lrid("4")
+    taken = whole_plan(plan)
+    files = shoot(nights.folder / "card", [*taken[:3], *taken[2:]])
+    assert nights.add(plan, nights.folder / "card", options=("--yes",)) == 0
+    output = capsys.readouterr().out
+    assert f"{files[2].name}: scene-1 frame 5 was taken more than once; the last one is used" in output
+    assert "10 of 10 shots have a file" in output
+
+
+def test_one_repeat_too_few_is_missing(nights: Nights, capsys: pytest.CaptureFixture[str]) -> None:
+    plan = lrid("4")
+    taken = whole_plan(plan)
+    shoot(nights.folder / "card", [*taken[:3], *taken[4:]])
+    assert nights.add(plan, nights.folder / "card", options=()) == 1
+    output = capsys.readouterr().out
+    assert "9 of 10 shots have a file" in output
+    assert output.count("(noisy, ISO 800, 1/20 s): no file") == 1
+
+
+# --- speeds of ISOs ---------------------------------------------------------------------------------------------------
+
+
+def test_the_pixels_have_the_ratio_of_the_true_speeds(tmp_path: Path) -> None:
+    """A camera whose ISO 800 is ISO 672: the plan's ratio is the pixels', EXIF's is not; every repeat is checked."""
+    camera = CAMERAS[0].with_size(384, 576)
+    speeds = ((100, Fraction(100)), (800, Fraction(672)), (1600, Fraction(1600)), (3200, Fraction(3200)))
+    told = replace(description(CAMERAS[0]), true_isos=speeds)
+    plan = make_plan(told, CaptureProtocol(100, (800,), (10,), 3, 2), {"scene-1": Fraction(4)})
+    plan = plan.set_aperture("scene-1", Fraction(8))
+    plan.save(tmp_path / "plan.json")
+    assert Plan.load(tmp_path / "plan.json") == plan
+    shots = plan.scenes[0].shots
+    seen = scene_radiance(1, 384, 576)
+    card = tmp_path / "card"
+    card.mkdir()
+    for shot in shots:
+        # More light through the same gain is a faster sensor.
+        share = Fraction(shot.setting.true_s / shots[0].setting.true_s) * told.speed(shot.iso) / shot.iso
+        mosaic = camera.photograph(seen, share, shot.iso, np.random.default_rng(shot.number))
+        exposure = Exposure(Fraction(shot.iso), shot.setting.nominal_s, Fraction(8))
+        taken = START + timedelta(seconds=10 * shot.number)
+        write_dng(card / f"DSC{shot.number}.dng", mosaic, camera.sensor, exposure, taken=taken, compression="none")
+    nights = Nights(tmp_path)
+    command = ["manifest", str(tmp_path / "plan.json"), str(card), "-o", str(nights.csv), "--copy-to", str(nights.data)]
+    assert main([*command, "--jobs", "1"]) == 0
+    report = check(nights.csv, tmp_path / "data")
+    pairs = report.groups[0].pairs
+    noisy = [shot for shot in shots if shot.role == "noisy"]
+    assert [pair.path[-8:-4] for pair in pairs] == [f"{shot.number:04d}" for shot in noisy] == ["0003", "0004", "0005"]
+    for pair, shot in zip(pairs, noisy, strict=True):
+        assert pair.ratio is not None
+        assert shot.true_ratio is not None
+        assert shot.named_ratio is not None
+        # Standard errors are 5 to 10 % too small (docs/capture.md).
+        assert abs(pair.ratio.value - float(shot.true_ratio)) < 1.1 * 5 * pair.ratio.standard_error
+        assert abs(float(shot.named_ratio) / float(shot.true_ratio) - 1) > 0.1
+
+
+# --- apertures --------------------------------------------------------------------------------------------------------
+
+
+def at_aperture(taken: list[Taken], f_numbers: list[str | None]) -> list[Taken]:
+    known = [None if text is None else Fraction(text) for text in f_numbers]
+    return [replace(one, f_number=f_number) for one, f_number in zip(taken, known, strict=True)]
+
+
+def test_apertures_are_compared(nights: Nights, capsys: pytest.CaptureFixture[str]) -> None:
+    plan = lrid("4").set_aperture("scene-1", Fraction(8))
+    given = ["8", "8", "8", "7.9", "8", "5.6", "8", "8", None, "8"]
+    files = shoot(nights.folder / "card", at_aperture(whole_plan(plan), given))
+    assert nights.add(plan, nights.folder / "card", options=()) == 1  # to be confirmed
+    output = capsys.readouterr().out
+    assert f"{files[5].name} (scene-1 frame 6): taken at f/5.6, where the plan has f/8: take the scene again" in output
+    assert f"scene-1: 1 files state no aperture, such as {files[8].name}" in output
+    assert output.count("taken at f/") == 1
+    assert nights.add(plan, nights.folder / "card", options=("--yes",)) == 0
+    report = check(nights.csv, nights.folder / "data")
+    found = [str(remark) for remark in report.groups[0].remarks if "EXIF states" in remark.text]
+    assert len(found) == 1
+    assert "IMG_0006.dng: EXIF states f/5.6, expected f/8 as in IMG_0001.dng" in found[0]
+    assert report.groups[0].verdict == "shoot again"
+
+
+def test_a_plan_without_apertures_compares_none(nights: Nights, capsys: pytest.CaptureFixture[str]) -> None:
+    plan = lrid("4")
+    shoot(nights.folder / "card", at_aperture(whole_plan(plan), ["8"] * 10))
+    assert nights.add(plan, nights.folder / "card", options=()) == 0
+    assert "f/" not in capsys.readouterr().out
+
+
+def test_apertures_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    CAMERA.save(tmp_path / "cam.json")
+    file = tmp_path / "plan.json"
+    new = ["plan", "--camera", str(tmp_path / "cam.json"), "--scenes", "2", "--metered", "4", "-o", str(file)]
+    assert main([*new, "--aperture", "scene-2=5.6", "--aperture", "f/8"]) == 0
+    output = capsys.readouterr().out
+    assert "scene-1: metered at 4 s, f/8" in output
+    assert "scene-2: metered at 4 s, f/5.6" in output
+    assert main(["plan", str(file), "--aperture", "scene-1=11", "--remeter", "scene-2=2"]) == 0
+    assert [scene.aperture for scene in Plan.load(file).scenes] == [11, Fraction("5.6")]
+    for kind in ("html", "txt", "md"):
+        target = tmp_path / f"list.{kind}"
+        assert main(["checklist", str(file), "-o", str(target)]) == 0
+        assert "f/11" in target.read_text()
+    for wrong in ("x", "0", "=8", "scene-1=", "1000"):
+        assert main(["plan", str(file), "--aperture", wrong]) == 2
+        assert "expected an f-number" in capsys.readouterr().err
+
+
+# --- dark frames and a warm sensor ------------------------------------------------------------------------------------
+
+
+def with_series(plan: Plan) -> Plan:
+    dark = ((800, HALF), (800, Fraction(1, 20)), (1600, HALF))
+    frames = plan_calibration(
+        CAMERA, 100, (800,), Fraction(1), bias_frames=4, flat_levels=(HALF,), dark=dark, warm=True
+    )
+    return replace(plan, calibration=frames)
+
+
+def test_dark_frames_and_a_warm_sensor(nights: Nights, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each series is where eldata calibrate takes it from, and the usual frames are as if there were no other."""
+    plan = with_series(lrid("4"))
+    assert plan.calibration is not None
+    assert plan.calibration.remarks == (
+        "ISO 1600: no dark frames at 0.5 s, since no bias frames of this ISO are planned",
+    )
+    shots = plan.calibration.shots
+    assert [shot.number for shot in shots] == list(range(1, 4 + 2 + 8 + 12 + 1))
+    usual = plan_calibration(CAMERA, 100, (800,), Fraction(1), bias_frames=4, flat_levels=(HALF,)).shots
+    assert shots[:6] == usual
+    # The cold frames before the scene, the warm ones after it, and the darks at the very end.
+    kinds: dict[str, list[Shot]] = {}
+    for shot in shots:
+        kinds.setdefault(shot.series.partition("-")[0], []).append(shot)
+    order = (kinds[""], plan.scenes[0].shots, kinds["warm"], kinds["warm/dark"], kinds["dark"])
+    shoot(nights.folder / "card", [one for some in order for one in as_planned(some)])
+    assert nights.add(plan, nights.folder / "card", options=()) == 0
+    output = capsys.readouterr().out
+    assert "bias frames of ISO 800 (warm/dark-0.5s)" in output
+    assert "36 of 36 shots have a file" in output
+    assert nights.problems() == []
+    folder = nights.data / CAMERA.name
+    for series, exposure_s, count in (
+        ("", Fraction(1, 8000), 4),
+        ("dark-0.5s", HALF, 4),
+        ("dark-1_20s", Fraction(1, 20), 4),
+        ("warm", Fraction(1, 8000), 4),
+        ("warm/dark-0.5s", HALF, 4),
+    ):
+        frames = CalibrationFrames(folder / series)
+        bias = frames.of("bias", 800)
+        assert len(bias) == count
+        assert {frames.read(record).exposure.exposure_s for record in bias} == {exposure_s}
+    rows = CalibrationFrames(nights.data, manifest=nights.csv).records
+    assert [row.path for row in rows] == [
+        row.path for row in load_manifest(nights.csv).records if row.role in ("bias", "flat") and not row.flags
+    ]
+    assert len(rows) == 6
+    flags = {row.path.rpartition("/bias/")[0]: row.flags for row in load_manifest(nights.csv).records}
+    assert flags[CAMERA.name] == ()
+    assert flags[f"{CAMERA.name}/dark-0.5s"] == ("longer-dark",)
+    assert flags[f"{CAMERA.name}/warm"] == ("warm-sensor",)
+    assert flags[f"{CAMERA.name}/warm/dark-1_20s"] == ("warm-sensor", "longer-dark")
+    manifest = load_manifest(nights.csv)
+    dark = replace(
+        manifest, records=tuple(row for row in manifest.records if row.role == "bias")
+    )  # flats are too small
+    names = [group.name for group in check(dark, nights.folder / "data").groups]
+    assert names.count("AcmeNocturne bias ISO 800") == 1
+    assert "AcmeNocturne bias ISO 800 longer-dark 0.5 s" in names
+    assert "AcmeNocturne bias ISO 800 longer-dark warm-sensor 1/20 s" in names
+
+
+def test_cold_frames_on_one_card_and_warm_ones_on_another(
+    nights: Nights, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Their settings are equal; what the set has already is not looked for again, so that order is not needed."""
+    plan = with_series(lrid("4"))
+    assert plan.calibration is not None
+    later = [shot for shot in plan.calibration.shots if shot.series]
+    usual = plan.calibration.shots[:6]
+    first = [one for some in (usual, plan.scenes[0].shots) for one in as_planned(some)]
+    night(nights.folder / "one", first, monkeypatch, 0)
+    night(nights.folder / "two", as_planned(later), monkeypatch, 1)
+    assert nights.add(plan, nights.folder / "one", options=("--allow-gaps", "--yes")) == 0
+    assert "bias frames of ISO 800, bias frames of ISO 800 (warm) have equal exposures" in capsys.readouterr().out
+    assert nights.add(plan, nights.folder / "two", nights.folder / "one") == 0
+    assert "20 of 20 shots have a file" in capsys.readouterr().out
+    assert nights.problems() == []
+    assert len(CalibrationFrames(nights.data / CAMERA.name / "warm").of("bias", 800)) == 4
+
+
+def test_eldata_calibrate_takes_the_dark_frames(
+    nights: Nights, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """From the plan to a dark shading with dark current: of a sensor that gathers 32 DN in 4 s, more or less."""
+    camera = CAMERAS[0].with_size(256, 256)
+    told = description(CAMERAS[0])
+    planted = np.round(np.random.default_rng(7).gamma(2.0, 16.0, (256, 256)))
+    levels = (Fraction(1, 5), Fraction(1, 2), Fraction(4, 5))
+    dark_at = ((800, Fraction(4)),)
+    frames = plan_calibration(told, 100, (100, 800), Fraction(1), bias_frames=4, flat_levels=levels, dark=dark_at)
+    plan = make_plan(told, LRID, {}, frames)
+    plan.save(nights.folder / "plan.json")
+    card = nights.folder / "card"
+    card.mkdir()
+    for shot in frames.shots:
+        light = np.full((3, 256, 256), shot.role == "flat", dtype=np.float32)
+        share = Fraction(shot.setting.true_s)  # the surface clips after 1 s
+        mosaic = camera.photograph(light, share, shot.iso, np.random.default_rng(shot.number))
+        if shot.series:
+            mosaic = np.clip(mosaic + planted, 0, 16383).astype(np.uint16)
+        taken = START + timedelta(seconds=10 * shot.number)
+        exposure = Exposure(Fraction(shot.iso), shot.setting.nominal_s)
+        write_dng(card / f"DSC{shot.number:04d}.dng", mosaic, camera.sensor, exposure, taken=taken)
+    command = ["manifest", str(nights.folder / "plan.json"), str(card), "-o", str(nights.csv)]
+    assert main([*command, "--copy-to", str(nights.data), "--jobs", "1"]) == 0
+    folder = nights.data / told.name
+    shading = nights.folder / "shading.npz"
+    dark = ["--dark-shading", str(shading), "--dark-current", str(folder / "dark-4s")]
+    assert eldata_main(["calibrate", str(nights.csv), "--root", str(nights.folder / "data"), *dark, "--jobs", "1"]) == 0
+    assert "8 bias and 12 flat frames at 2 ISOs" in capsys.readouterr().out  # the dark ones are not among them
+    found = DarkShading.load(shading)
+    grown = found.at(800, exposure_s=4) - found.at(800, exposure_s=1 / 8000)
+    well = ~found.hot
+    # Four frames of each, of 1.9 DN: a pixel's error is 1.9 (1/4 + 1/4)^(1/2), that of the mean of 65,000 a 256th of
+    # it; rows of 0.3 DN add 0.3 (1/4 + 1/4)^(1/2) / 256^(1/2). Five times both.
+    off = (grown - planted)[well]
+    assert abs(float(off.mean())) < 5 * float(np.hypot(1.9 * 0.5**0.5 / 256, 0.3 * 0.5**0.5 / 16))
+    assert float(off.std()) < 1.2 * 1.9 * 0.5**0.5
+    assert float(planted[well].std()) > 20
+
+
+def test_dark_frames_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    CAMERA.save(tmp_path / "cam.json")
+    file = tmp_path / "plan.json"
+    new = ["plan", "--camera", str(tmp_path / "cam.json"), "-o", str(file), "--calibration", "--flat-clips-at", "1"]
+    scenes = ["--scenes", "1", "--metered", "4", "--isos", "800", "--factors", "1", "10"]
+    assert main([*new, *scenes, "--dark-frames", "--warm"]) == 0
+    plan = Plan.load(file)
+    assert plan.calibration is not None
+    assert plan.calibration.dark == ((800, Fraction(1, 20)), (800, HALF))
+    assert sum(shot.series == "dark-0.5s" for shot in plan.calibration.shots) == 4
+    capsys.readouterr()
+    # Metered again, the scene has a time that no dark frame has.
+    assert main(["plan", str(file), "--remeter", "scene-1=2"]) == 0
+    assert "no dark frames are planned for ISO 800 at 1/40 s, ISO 800 at 1/4 s" in capsys.readouterr().out
+    again = ["--calibration", "--flat-clips-at", "1", "--dark-frames", "5"]
+    assert main(["plan", str(file), *again]) == 0
+    output = capsys.readouterr().out
+    assert "no dark frames are planned" not in output
+    assert "dark-1_4s bias" in output
+    for wrong, words in (
+        (["--dark-frames"], "they have the noisy frames' times, and the plan has no scenes"),
+        ([*scenes, "--dark-frames", "3"], "dark frames per ISO and time: expected 4 or more, found 3"),
+    ):
+        other = [str(tmp_path / "other.json") if part == str(file) else part for part in new]
+        assert main([*other, *wrong]) == 2
+        assert words in capsys.readouterr().err
+
+
+def test_series_survive_the_plans_file(tmp_path: Path) -> None:
+    plan = with_series(lrid("4")).set_aperture("scene-1", Fraction("5.6"))
+    plan.save(tmp_path / "plan.json")
+    assert Plan.load(tmp_path / "plan.json") == plan
+    content = json.loads((tmp_path / "plan.json").read_text())
+    assert content["protocol"]["repeats"] == 3
+    assert content["calibration"]["dark"]["settings"][0] == {"iso": 800, "nominal_s": "1/2"}

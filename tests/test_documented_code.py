@@ -16,6 +16,7 @@ import sys
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -238,15 +239,37 @@ def of_stores(_: pytest.MonkeyPatch) -> Names:
     return {"network": lambda images: images}
 
 
+def of_lightning(patch: pytest.MonkeyPatch) -> Names:
+    lightning = pytest.importorskip("lightning", reason="needs eldata[lightning]")
+    names = of_stores(patch)
+    patch.setattr(
+        lightning, "Trainer", lambda **_: SimpleNamespace(fit=lambda _, data: next(iter(data.train_dataloader())))
+    )
+    return names | {"module": torch.nn.Identity()}
+
+
+def of_published_code(patch: pytest.MonkeyPatch) -> Names:
+    """LED is not installed: its package's names, with the registries' interface."""
+    from tests.integrations.test_basicsr import registry_module
+
+    for name in ("led", "led.utils", "led.train"):
+        patch.setitem(sys.modules, name, ModuleType(name))
+    patch.setitem(sys.modules, "led.utils.registry", registry_module())
+    patch.setattr(sys.modules["led.train"], "train_pipeline", lambda _: None, raising=False)
+    return {}
+
+
 NEEDS: dict[str, Callable[[pytest.MonkeyPatch], Names]] = {
     "README.md": of_readme,
     "docs/calibration.md": of_calibration,
     "docs/datasets.md": of_datasets,
     "docs/evaluation.md": of_evaluation,
+    "docs/lightning.md": of_lightning,
     "docs/manifests.md": of_manifests,
     "docs/metrics.md": of_metrics,
     "docs/noise.md": of_noise,
     "docs/plots.md": of_plots,
+    "docs/published-code.md": of_published_code,
     "docs/published-numbers.md": of_published,
     "docs/raw-files.md": of_raw_files,
     "docs/reports.md": of_reports,
@@ -279,7 +302,7 @@ def in_this_process(work: Any, units: Any, _: Any) -> Iterator[Any]:
 # Those that score or pack whole sets, and calibrate.
 LONG = {"README.md", *(f"docs/{name}.md" for name in (
     "calibration", "datasets", "evaluation", "metrics", "noise", "plots", "published-numbers", "reports", "streaming",
-    "training",
+    "lightning", "training",
 ))}  # fmt: skip
 
 

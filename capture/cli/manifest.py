@@ -72,6 +72,11 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument("--allow-gaps", action="store_true", help="write the manifest even if shots are missing")
     parser.add_argument("--yes", action="store_true", help="accept what was decided, without asking")
+    parser.add_argument(
+        "--croissant",
+        action="store_true",
+        help="describe the set in Croissant 1.1, too (JSON-LD): mine.croissant.json beside mine.csv",
+    )
     older = parser.add_mutually_exclusive_group()
     older.add_argument("--replace", action="store_true", help="replace an older manifest of this name")
     older.add_argument(
@@ -226,6 +231,7 @@ def _write(
 ) -> None:
     from capture.manifest import card_of, in_place, into_layout, with_hashes
     from capture.placing import Placement, check_free, copy, link, make_folders
+    from eldata.manifest import load_manifest, to_croissant
     from eldata.manifest.card import save_card
     from eldata.manifest.table import save_records
 
@@ -235,8 +241,10 @@ def _write(
     else:
         dataset = (begun.into_layout if begun is not None else into_layout)(plan, found, Path(place).absolute())
     card_path = output.with_suffix(".json")
-    if output.exists() and not arguments.replace and begun is None:
-        raise ArgumentError(f"{output} is there already: give another name, or --replace it")
+    croissant_path = output.with_suffix(".croissant.json") if arguments.croissant else None
+    for path in filter(None, (output, croissant_path)):
+        if path.exists() and not arguments.replace and begun is None:
+            raise ArgumentError(f"{path} is there already: give another name, or --replace it")
     dataset = with_hashes(dataset, workers)
     records = dataset.records
     make_card = (
@@ -258,12 +266,17 @@ def _write(
     output.parent.mkdir(parents=True, exist_ok=True)
     save_card(card_path, card)
     save_records(output, records)
+    if croissant_path is not None:
+        write_json(croissant_path, to_croissant(load_manifest(output)))
     print()
     for remark in dataset.remarks:
         print(remark)
     new = f", {len(dataset.rows)} of them new" if begun is not None else ""
     print(f"manifest: {output}, {len(records)} files below {dataset.folder}{new}")
     print(f"card: {card_path}; fill in its licence and homepage before you give the set to others")
+    if croissant_path is not None:
+        again = f"eldata info {shlex.quote(str(output))} --croissant {shlex.quote(str(croissant_path))}"
+        print(f"Croissant: {croissant_path}; write it again once the card is filled in: {again}")
     where = f"{shlex.quote(str(output))} --root {shlex.quote(str(dataset.folder.parent))}"
     print(f"check it with: eldata verify {where} --level full")
     _warn_of_unlisted(dataset, place)

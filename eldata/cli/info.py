@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from eldata.base.console import OK, PROBLEMS, add_shared, terminal_columns
 from eldata.base.files import write_json
-from eldata.errors import EldataError
+from eldata.errors import ArgumentError, EldataError
 
 if TYPE_CHECKING:
     import argparse
@@ -25,11 +25,21 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         ),
     )
     parser.add_argument("dataset", metavar="DATASET", nargs="?", help="a dataset's name, such as eld")
-    add_shared(parser, run, "root", "json", example=("eldata info", "eldata info eld --root data"))
+    parser.add_argument(
+        "--croissant",
+        metavar="FILE",
+        nargs="?",
+        const="",
+        help="describe DATASET, or the set of a manifest's CSV file, in Croissant 1.1 (JSON-LD): in FILE, or printed",
+    )
+    examples = ("eldata info", "eldata info eld --root data", "eldata info eld --croissant eld.croissant.json")
+    add_shared(parser, run, "root", "json", example=examples)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
+    if arguments.croissant is not None:
+        return _describe(arguments)
     from eldata.base.tables import text_table
     from eldata.download.overview import overview_of
     from eldata.manifest.catalogue import data_root, known_names
@@ -53,3 +63,28 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         write_json(arguments.json, {"datasets": [one.as_dict() for one in found]})
     return PROBLEMS if problems else OK
+
+
+def _describe(arguments: argparse.Namespace) -> int:
+    """Print or write one set's card and manifest as Croissant."""
+    from eldata.base.files import json_text
+    from eldata.manifest.catalogue import carded_names, known_manifest, load_manifest, shipped_card, shipped_names
+    from eldata.manifest.croissant import to_croissant
+
+    name = arguments.dataset
+    if name is None or arguments.json:
+        raise ArgumentError(
+            "--croissant describes one set, and is JSON already: eldata info eld --croissant eld.croissant.json"
+        )
+    if name in carded_names() and name not in shipped_names():
+        described, table = to_croissant(shipped_card(name)), None
+    else:
+        manifest = load_manifest(name) if name.endswith(".csv") else known_manifest(name)
+        described, table = to_croissant(manifest), manifest.path
+    if not arguments.croissant:
+        print(json_text(described), end="")
+        return OK
+    write_json(arguments.croissant, described)
+    beside = f"; it reads {table.name}: put {table} beside it" if table is not None else ""
+    print(f"{name} in Croissant: {arguments.croissant}{beside}")
+    return OK

@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import torch
 
 from eldata.errors import ArgumentError, EldataError
+from eldata.integrations.protocol_scores import protocol_of_tensors, protocol_score
 from eldata.metrics._images import check_data_range, check_threads
-from eldata.metrics.image_score import factor_by, score_by
 from eldata.metrics.signal_to_noise import psnr
 from eldata.metrics.similarity import ssim
-from eldata.protocols.kinds import IMAGES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -183,22 +182,12 @@ class ProtocolScore(_MeanOverImages):
     columns = ("psnr_db", "ssim")
 
     def __init__(self, protocol: str | Protocol = "eld", *, threads: int | None = None, **kwargs: Any) -> None:
-        from eldata.protocols import get_protocol
-
-        chosen = get_protocol(protocol) if isinstance(protocol, str) else protocol
+        chosen = protocol_of_tensors(protocol)
         super().__init__(chosen.digest, threads=threads, **kwargs)
         self.protocol = chosen
-        if self.protocol.space != "raw" or self.protocol.kind is not IMAGES:
-            what = "renderings" if self.protocol.kind is IMAGES else "clips"
-            raise ArgumentError(
-                f"protocol {self.protocol.name!r} is of {what}, which these tensors are not; use eldata evaluate"
-            )
 
     def _scores(self, prediction: torch.Tensor, reference: torch.Tensor) -> tuple[float, ...]:
-        protocol, shape, rules = self.protocol, tuple(reference.shape), self.protocol.rules
-        region, part = (crop[-reference.ndim :] for crop in (protocol.crop(shape), protocol.factor_crop(shape)))
-        factor = factor_by(prediction[part], reference[part], rules, threads=self.threads)
-        found = score_by(prediction[region], reference[region], rules, factor=factor, threads=self.threads)
+        found = protocol_score(self.protocol, prediction, reference, threads=self.threads)
         return found.psnr_db, found.ssim
 
     def compute(self) -> dict[str, torch.Tensor]:

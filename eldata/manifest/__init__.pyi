@@ -7,6 +7,7 @@ from .catalogue import load_manifest as load_manifest
 from .catalogue import shipped_card as shipped_card
 from .catalogue import shipped_manifest as shipped_manifest
 from .catalogue import shipped_names as shipped_names
+from .croissant import to_croissant as to_croissant
 from .lock import lock as lock
 from .table import load_records as load_records
 from .table import save_records as save_records

@@ -53,6 +53,8 @@ class Frame:
         Where it comes from, for messages.
     sensor, exposure
         As the file states them; ``None`` and nothing if no file does.
+    channel_white_levels_dn
+        As in :class:`eldata.records.RawFrame`.
     """
 
     mosaic: Any = field(repr=False)
@@ -62,11 +64,20 @@ class Frame:
     name: str
     sensor: Sensor | None = None
     exposure: Exposure = Exposure()  # noqa: RUF009 # frozen
+    channel_white_levels_dn: tuple[float, ...] | None = None
 
     @classmethod
-    def of_raw(cls, mosaic: Any, sensor: Sensor, name: str, exposure: Exposure) -> Frame:
+    def of_raw(
+        cls,
+        mosaic: Any,
+        sensor: Sensor,
+        name: str,
+        exposure: Exposure,
+        channel_white_levels_dn: tuple[float, ...] | None = None,
+    ) -> Frame:
         """Return the frame of a raw file, with the levels that the file states."""
-        return cls(mosaic, sensor.cfa, sensor.black_level_dn, sensor.white_level_dn, name, sensor, exposure)
+        black, white = sensor.black_level_dn, sensor.white_level_dn
+        return cls(mosaic, sensor.cfa, black, white, name, sensor, exposure, channel_white_levels_dn)
 
     @classmethod
     def of_rgb(cls, planes: Any, name: str) -> Frame:
@@ -238,4 +249,4 @@ class Files:
         if is_png(path):
             return Frame.of_rgb(read_rgb16(file).transpose(2, 0, 1), str(file))
         raw = read_raw(file)
-        return Frame.of_raw(raw.mosaic, raw.sensor, str(raw.path), raw.exposure)
+        return Frame.of_raw(raw.mosaic, raw.sensor, str(raw.path), raw.exposure, raw.channel_white_levels_dn)

@@ -18,7 +18,7 @@ import pytest
 from capture.calibration import plan_calibration
 from capture.cli import main
 from eldata.base.files import sha256_of
-from eldata.manifest import load_manifest, verify
+from eldata.manifest import load_manifest, to_croissant, verify
 from tests.capture.simulated import CAMERA, Taken, plan_of, shoot, whole_plan
 from tests.waiting import PATIENCE_S
 
@@ -82,6 +82,18 @@ def test_ten_scenes_from_card_to_dataset(tmp_path: Path, capsys: pytest.CaptureF
     assert record.reference == "AcmeNocturne/scene-8/IMG_0006.dng"
     assert field.copy("--replace") == 0  # again: nothing to do, nothing in the way
     assert field.problems() == []
+
+
+def test_it_is_described_in_croissant(small: Field, capsys: pytest.CaptureFixture[str]) -> None:
+    described = small.csv.with_suffix(".croissant.json")
+    assert small.copy("--croissant") == 0
+    assert f"eldata info {small.csv} --croissant {described}" in capsys.readouterr().out
+    assert json.loads(described.read_text()) == to_croissant(load_manifest(small.csv))
+    assert json.loads(described.read_text())["license"] == "unknown: no licence is stated"
+    small.csv.unlink()
+    assert small.copy("--croissant") == 2
+    assert f"{described} is there already" in capsys.readouterr().err
+    assert small.copy("--croissant", "--replace") == 0
 
 
 def test_eld_dataset_reads_it(small: Field) -> None:

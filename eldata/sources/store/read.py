@@ -381,7 +381,7 @@ class StoreFrames:
         mosaic = StoredMosaic(self._reader, held.key, held.shape)
         if isinstance(held, StoredRgb):
             return Frame.of_rgb(mosaic, name)
-        return Frame.of_raw(mosaic, held.sensor, name, held.exposure)
+        return Frame.of_raw(mosaic, held.sensor, name, held.exposure, held.channel_white_levels_dn)
 
     def pairs(self, choice: Choice) -> tuple[PairRecord, ...]:
         """Return the pairs that are held and chosen.

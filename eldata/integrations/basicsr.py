@@ -1,0 +1,438 @@
+"""Pairs and scores for training code on BasicSR, such as LED's: a dataset and two metrics for its registries.
+
+BasicSR, and each repository that began as a copy of it, finds datasets and metrics by the ``type`` of a yaml file in
+registries of its own package. :func:`register` puts those of this module there. Nothing here imports that package.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from operator import index as index_of
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, get_args
+
+import numpy as np
+import torch
+
+from eldata.base.seeds import item_generator
+from eldata.datasets.base import OpenedPair, PairDataset, PairItem, SourcePairs
+from eldata.datasets.crops import Crop
+from eldata.datasets.items import Part, ReadItems
+from eldata.datasets.packed_store import PackedStore
+from eldata.datasets.registry import dataset_class, dataset_names, open_dataset
+from eldata.errors import ArgumentError, EldataError, check_choice, did_you_mean
+from eldata.integrations.colours import balance_multipliers, matrix_to_srgb
+from eldata.integrations.protocol_scores import protocol_of_tensors, protocol_score
+from eldata.manifest.pairs import Choice
+from eldata.raw.cfa import pack, packed_black_level_dn
+from eldata.raw.levels import FrameLevels
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from eldata.protocols.protocol import Amplification
+    from eldata.records import Sensor
+    from eldata.sources.frames import Frame
+
+__all__ = [
+    "BatchSample",
+    "EldataPairs",
+    "EldataReferences",
+    "MissingBasicSRError",
+    "eldata_psnr",
+    "eldata_psnr_pt",
+    "eldata_ssim",
+    "eldata_ssim_pt",
+    "register",
+]
+
+LedLevels = Literal[FrameLevels, "metadata-per-channel"]
+Meta = Literal["gt", "lq"]
+Phase = Literal["train", "val", "test"]
+
+_DRAWS = 2**31  # what torch.randint draws an epoch from
+_STORES = (".h5", ".hdf5")
+
+
+class MissingBasicSRError(EldataError, ImportError):
+    """The package whose registries are wanted is not installed, or has none."""
+
+
+class BatchSample(TypedDict):
+    """One pair as LED's own dataset of pairs gives it.
+
+    ``lq`` and ``gt`` are (C, h, w) float32, ``lq`` multiplied by ``ratio``. ``wb`` are the multipliers of R, G1, B, G2
+    with G1 = 1, ``ccm`` the matrix (3, 3) from white-balanced camera colours to linear sRGB; nan where the file states
+    none.
+    """
+
+    lq: torch.Tensor
+    gt: torch.Tensor
+    ratio: torch.Tensor
+    wb: torch.Tensor
+    ccm: torch.Tensor
+    lq_path: str
+    gt_path: str
+
+
+class _Own(TypedDict, total=False):
+    """Keys of the yaml that say what a sample is."""
+
+    dataroot: str | None
+    data_pair_list: str
+    phase: Phase
+    crop_size: int | None
+    use_hflip: bool
+    use_rot: bool
+    zero_clip: bool
+    which_meta: Meta
+    levels: LedLevels
+    amplification: Amplification
+    ratio_range: Sequence[int]
+
+
+# Keys of the yaml that BasicSR's own code reads, or that say how LED keeps its files, which a manifest or store does.
+_READ_ELSEWHERE = frozenset(
+    (
+        *("name", "type", "scale", "num_worker_per_gpu", "batch_size_per_gpu", "dataset_enlarge_ratio", "pin_memory"),
+        *("persistent_workers", "prefetch_mode", "num_prefetch_queue", "use_shuffle", "postfix", "load_in_mem"),
+    )
+)
+# Keys of LED's loaders that change samples, and that this one does not do.
+_REFUSED = {
+    "use_patches": "frames are cut as they are read; leave it out, and choose crop_size",
+    "ratio_aug": "samples have the ratio of their files; synthetic noise at any ratio: eldata.SyntheticPairs",
+}
+
+
+class _LedItem(NamedTuple):
+    """A pair, the part of both frames, and the sensors of those that were read, by tensor."""
+
+    pair: Any
+    crop: Crop
+    sensors: dict[str, Sensor | None]
+
+
+class EldataPairs(ReadItems[_LedItem, BatchSample]):
+    """Pairs of a manifest or a store, as LED's ``PairedRAWDataset`` gives its own: the ``type`` of a yaml's dataset.
+
+    Parameters
+    ----------
+    opt
+        The dataset's part of the yaml. ``data_pair_list``: a set's name (``sid-sony``), a manifest's CSV file, or a
+        store (``.h5``). ``dataroot``: the set's own folder; not for a store. Which pairs:
+        :class:`~eldata.manifest.pairs.Choice`. ``phase``, which BasicSR sets: with ``train``, ``crop_size`` (side in
+        packed pixels) is cut at a random place, else from the middle; ``~`` takes whole frames. ``use_hflip`` and
+        ``use_rot``, both or neither: one of eight orientations. ``zero_clip`` (true): clip the input at 0 too.
+        ``which_meta``: ``gt`` or ``lq``, whose ``wb`` and ``ccm``. ``levels``: ``metadata-per-channel``, as LED has
+        them, LibRaw's white level per channel, and where it has none the file's; or as every dataset has them.
+        ``amplification``: as every dataset has it.
+
+    Raises
+    ------
+    ArgumentError
+        If a key is unknown (the message has the nearest one), or asks for what this dataset does not do.
+    EldataError
+        As :class:`~eldata.datasets.base.PairDataset` and :class:`~eldata.datasets.packed_store.PackedStore` do.
+
+    Notes
+    -----
+    Values are those of LED's arithmetic, to the bit: packed, less black, over white less black, times the ratio, and
+    clipped at 1 at the end alone. Places and orientations of training crops are drawn from torch's random numbers, as
+    LED draws them, so that its seed decides them and no epoch needs to be set; turning keeps the CFA in order, where
+    LED's turns packed arrays.
+    """
+
+    opt: dict[str, Any]
+
+    def __init__(self, opt: Mapping[str, Any]) -> None:
+        self.opt = dict(opt)
+        own, choice = _understood(self.opt)
+        self._set_ratios(own.get("ratio_range"))
+        self.phase: Phase = own.get("phase", "train")
+        self.which_meta: Meta = own.get("which_meta", "gt")
+        check_choice("phase", self.phase, get_args(Phase))
+        check_choice("which_meta", self.which_meta, get_args(Meta))
+        if own.get("use_hflip", False) != own.get("use_rot", False):
+            raise ArgumentError(
+                "use_hflip and use_rot must be the same: eldata draws one of all eight orientations, or none"
+            )
+        self.crop_size = own.get("crop_size")
+        self.zero_clip = own.get("zero_clip", True)
+        self.levels: LedLevels = own.get("levels", "metadata-per-channel")
+        check_choice("levels", self.levels, get_args(LedLevels))
+        self.pairs = _opened(own, choice, in_training=self.phase == "train")
+        self.source = self.pairs.source
+
+    def _set_ratios(self, ratio_range: Sequence[int] | None) -> None:
+        if ratio_range is not None:
+            raise ArgumentError("ratio_range: pairs have the ratio of their files; EldataReferences draws ratios")
+
+    def __len__(self) -> int:
+        return len(self.pairs)
+
+    @property
+    def may_differ(self) -> bool:
+        """As that of the pairs."""
+        return self.pairs.may_differ
+
+    def item(self, index: int) -> _LedItem:
+        """Draw an item: in training by torch's random numbers, else the whole frame or its middle."""
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"index {index} is outside of {len(self)} items")
+        index %= len(self)
+        draw = int(torch.randint(_DRAWS, ())) if self.phase == "train" else 0
+        pair, crop = self._drawn(index, item_generator(0, draw, index))
+        if self.phase != "train" and self.crop_size is not None:
+            _, height, width = crop.packed_shape
+            place = (height - self.crop_size) // 2, (width - self.crop_size) // 2
+            crop = Crop.region(pair.target, (*place, self.crop_size, self.crop_size))
+        return _LedItem(pair, crop, {})
+
+    def _drawn(self, index: int, generator: np.random.Generator) -> PairItem:
+        return self.pairs.drawn(index, generator)
+
+    def shapes(self, item: _LedItem) -> dict[str, tuple[int, ...]]:
+        """Return the shapes of both tensors."""
+        return dict.fromkeys(("lq", "gt"), item.crop.packed_shape)
+
+    def parts(self, item: _LedItem) -> Iterator[Part]:
+        """Yield the reference, then the noisy frame."""
+        names = {"target": "gt", "input": "lq"}
+        for part in self.pairs.parts(PairItem(item.pair, item.crop)):
+            yield part._replace(tensor=names[part.tensor])
+
+    def fill(self, item: _LedItem, part: Part, out: NDArray[Any]) -> None:
+        """Write one tensor, in LED's order of steps, each in float32."""
+        self._fill_dn(item, part, out)
+        black, white = self._levels_dn(part.frame, item.crop)
+        out -= black
+        out /= white - black
+        if part.tensor == "lq":
+            out *= np.float32(part.gain)
+        lowest = 0 if part.tensor == "gt" or self.zero_clip else None
+        np.clip(out, lowest, 1, out=out)
+
+    def _fill_dn(self, item: _LedItem, part: Part, out: NDArray[Any]) -> None:
+        item.sensors[part.tensor] = part.frame.sensor
+        if not item.crop.cfa or part.frame.sensor is None:
+            raise ArgumentError(f"{part.frame.name}: is not a raw frame in DN, which LED's arithmetic begins with")
+        out[...] = pack(item.crop.cut(part.frame), item.crop.cfa)
+
+    def _levels_dn(self, frame: Frame, crop: Crop) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return black and white level of each packed channel, (C, 1, 1)."""
+        black, white = frame.black_level_dn, _whites_dn(frame, self.levels)
+        return tuple(packed_black_level_dn(crop.cfa, levels)[:, None, None] for levels in (black, white))  # type: ignore[return-value] # two
+
+    def facts(self, item: _LedItem) -> dict[str, Any]:
+        """Return the fields of a :class:`BatchSample` that are not images."""
+        sensor = item.sensors[self.which_meta]
+        record = item.pair.record
+        return {
+            "ratio": torch.tensor(float(item.pair.ratio), dtype=torch.float32),
+            "wb": torch.from_numpy(balance_multipliers(sensor)),
+            "ccm": torch.from_numpy(matrix_to_srgb(sensor)),
+            "lq_path": record.path,
+            "gt_path": record.reference,
+        }
+
+    def __repr__(self) -> str:
+        name = type(self).__name__
+        return f"{name}({self.pairs!r}, phase={self.phase!r}, crop_size={self.crop_size}, levels={self.levels!r})"
+
+
+class EldataReferences(EldataPairs):
+    """Clean references in DN, as LED's ``RAWGTDataset`` gives its files: for the noise that LED's model makes.
+
+    Each reference of the chosen pairs is an item, once. ``lq`` and ``gt`` are the same, (C, h, w) float32 in DN,
+    ``black_level`` and ``white_level`` (C, 1, 1), ``ratio`` is a whole number drawn from torch's random numbers.
+    Nothing is turned, as LED turns nothing here: its model does.
+
+    Parameters
+    ----------
+    opt
+        As for :class:`EldataPairs`, and ``ratio_range``: the smallest and the largest ratio, [100, 300].
+
+    Raises
+    ------
+    ArgumentError, EldataError
+        As :class:`EldataPairs` does.
+    """
+
+    def __init__(self, opt: Mapping[str, Any]) -> None:
+        super().__init__(opt)
+        self._references = tuple({record.reference: record for record in self.pairs.records}.values())
+
+    def _set_ratios(self, ratio_range: Sequence[int] | None) -> None:
+        try:
+            self.lowest, self.largest = map(index_of, (100, 300) if ratio_range is None else ratio_range)
+        except (TypeError, ValueError):
+            self.lowest = self.largest = 0
+        if not 0 < self.lowest <= self.largest:
+            raise ArgumentError(f"ratio_range: expected two whole numbers such as [100, 300], found {ratio_range}")
+
+    def __len__(self) -> int:
+        return len(self._references)
+
+    def _drawn(self, index: int, generator: np.random.Generator) -> PairItem:
+        record = self._references[index]
+        frame = self.source.frame(record.reference).with_levels(self.pairs.levels)
+        return PairItem(OpenedPair(record, frame), Crop.draw(frame, generator, crop=self.pairs.crop, augment=False))
+
+    def parts(self, item: _LedItem) -> Iterator[Part]:
+        """Yield the reference."""
+        yield Part("gt", item.pair.target)
+
+    def fill(self, item: _LedItem, part: Part, out: NDArray[Any]) -> None:
+        """Write it in DN."""
+        self._fill_dn(item, part, out)
+
+    def finish(self, items: Sequence[_LedItem], arrays: Mapping[str, NDArray[Any]]) -> None:  # noqa: ARG002
+        """Copy it: LED's model makes its noisy input of it."""
+        arrays["lq"][...] = arrays["gt"]
+
+    def facts(self, item: _LedItem) -> dict[str, Any]:
+        """Return levels, ratio, colours and paths."""
+        item.sensors["lq"] = item.sensors["gt"]
+        black, white = map(torch.from_numpy, self._levels_dn(item.pair.target, item.crop))
+        reference = item.pair.record.reference
+        drawn = {"ratio": int(torch.randint(self.lowest, self.largest + 1, ())), "lq_path": reference}
+        return super().facts(item) | drawn | {"black_level": black, "white_level": white}
+
+
+def _understood(opt: Mapping[str, Any]) -> tuple[_Own, Choice]:
+    """Return what a dataset's part of a yaml says of samples, and of which pairs."""
+    known = (*_Own.__annotations__, *Choice.__annotations__)
+    for name, value in opt.items():
+        if value and name in _REFUSED:
+            raise ArgumentError(f"{name}: EldataPairs does not do this; {_REFUSED[name]}")
+        if name not in (*known, *_REFUSED, *_READ_ELSEWHERE):
+            raise ArgumentError(
+                f"{name}: EldataPairs has no such key; known are {', '.join(known)}{did_you_mean(name, known)}"
+            )
+    if not opt.get("data_pair_list"):
+        raise ArgumentError(
+            "data_pair_list: expected a set's name, a manifest's CSV file, or a store that eldata pack made; found "
+            "nothing"
+        )
+    own: Any = {name: opt[name] for name in _Own.__annotations__ if name in opt}
+    choice: Any = {name: opt[name] for name in Choice.__annotations__ if opt.get(name) is not None}
+    return own, choice
+
+
+def _opened(own: _Own, choice: Choice, *, in_training: bool) -> SourcePairs:
+    """Return the pairs. A set of this package's own has the amplification that its papers have."""
+    levels = own.get("levels", "metadata-per-channel")
+    options: dict[str, Any] = {
+        **choice,
+        "levels": "metadata" if levels == "metadata-per-channel" else levels,
+        "crop": own.get("crop_size") if in_training else None,
+        "augment": in_training and own.get("use_rot", False),
+    }
+    if "amplification" in own:
+        options["amplification"] = own["amplification"]
+    pair_list, root = str(own["data_pair_list"]), own.get("dataroot")
+    if Path(pair_list).suffix in _STORES:
+        if root:
+            raise ArgumentError(f"dataroot: {pair_list} is a store, which needs no other files; leave it out")
+        return PackedStore(pair_list, **options)
+    if pair_list not in dataset_names():
+        return PairDataset(root, pair_list, **options)
+    if not issubclass(dataset_class(pair_list), SourcePairs):
+        raise ArgumentError(f"data_pair_list: {pair_list} is a set of clips, and LED's code reads pairs")
+    opened: SourcePairs = open_dataset(pair_list, root, **options)
+    return opened
+
+
+def _whites_dn(frame: Frame, levels: LedLevels) -> tuple[float, ...]:
+    whites = frame.channel_white_levels_dn if levels == "metadata-per-channel" else None
+    return (frame.white_level_dn,) * len(frame.black_level_dn) if whites is None else whites
+
+
+# --- metrics ----------------------------------------------------------------------------------------------------------
+
+
+def eldata_psnr(img: torch.Tensor, img2: torch.Tensor, *, protocol: str = "eld", **_: Any) -> torch.Tensor:
+    """Return each image's PSNR in dB under a protocol: a metric's ``type``, with ``protocol`` as its other key.
+
+    Parameters
+    ----------
+    img, img2
+        Predictions and references, (B, C, h, w) whole frames, normalised as the protocol says.
+    protocol
+        A name such as ``led-sid``, or the path of a TOML file.
+
+    Returns
+    -------
+    torch.Tensor
+        (B,) float64, as ``eldata evaluate`` has each to the last bit; the training code takes the mean.
+
+    Raises
+    ------
+    ArgumentError
+        If the images are no batches of tensors: the yaml needs ``calculate_metric_in_batch: true``, or BasicSR rounds
+        them to 8 bits first. If the protocol is not one of raw images.
+    """
+    return _scores(img, img2, protocol, "psnr_db")
+
+
+def eldata_ssim(img: torch.Tensor, img2: torch.Tensor, *, protocol: str = "eld", **_: Any) -> torch.Tensor:
+    """Return each image's SSIM under a protocol; all else is as for :func:`eldata_psnr`."""
+    return _scores(img, img2, protocol, "ssim")
+
+
+def eldata_psnr_pt(img: torch.Tensor, img2: torch.Tensor, *, protocol: str = "eld", **_: Any) -> torch.Tensor:
+    """Return what :func:`eldata_psnr` does: LED adds ``_pt`` to the names of metrics that it gives tensors."""
+    return _scores(img, img2, protocol, "psnr_db")
+
+
+def eldata_ssim_pt(img: torch.Tensor, img2: torch.Tensor, *, protocol: str = "eld", **_: Any) -> torch.Tensor:
+    """Return what :func:`eldata_ssim` does: LED adds ``_pt`` to the names of metrics that it gives tensors."""
+    return _scores(img, img2, protocol, "ssim")
+
+
+def _scores(img: torch.Tensor, img2: torch.Tensor, protocol: str, column: str) -> torch.Tensor:
+    given: tuple[Any, ...] = (img, img2)  # whatever the training code hands over
+    for image in given:
+        if not isinstance(image, torch.Tensor) or image.ndim != 4:
+            raise ArgumentError(
+                f"expected batches of tensors (B, C, h, w), found {type(image).__name__} {tuple(image.shape)}; set "
+                "calculate_metric_in_batch: true in the yaml's val section, so that images are not rounded to 8 bits"
+            )
+    chosen = protocol_of_tensors(protocol)
+    each = [getattr(protocol_score(chosen, *one), column) for one in zip(img, img2, strict=True)]
+    return torch.tensor(each, dtype=torch.float64)
+
+
+def register(package: str = "basicsr") -> None:
+    """Put the dataset and the metrics into a package's registries: BasicSR's, or those of a copy such as ``led``.
+
+    Call it before the training code builds its datasets. What is there already is left.
+
+    Raises
+    ------
+    MissingBasicSRError
+        If the package, or its ``utils.registry``, cannot be imported; the message has the reason.
+    ArgumentError
+        If a registry has something else of that name.
+    """
+    place = f"{package}.utils.registry"
+    try:
+        registries = import_module(place)
+        found: dict[Any, tuple[Any, ...]] = {
+            registries.DATASET_REGISTRY: (EldataPairs, EldataReferences),
+            registries.METRIC_REGISTRY: (eldata_psnr, eldata_psnr_pt, eldata_ssim, eldata_ssim_pt),
+        }
+    except (ImportError, AttributeError) as error:
+        raise MissingBasicSRError(
+            f"{place} cannot be imported ({error}); run this where {package} is installed, or in its repository's "
+            "folder, or name the package that has the registries"
+        ) from error
+    for registry, entries in found.items():
+        for entry in entries:
+            if entry.__name__ not in registry:
+                registry.register(entry)
+            elif registry.get(entry.__name__) is not entry:
+                raise ArgumentError(f"{place}: something else is registered as {entry.__name__}; register eldata first")

@@ -1,0 +1,2 @@
+from .exporting import export as export
+from .writing import ExportReport as ExportReport

@@ -1,0 +1,277 @@
+"""A dataset and metrics in BasicSR's registries: LED's arithmetic to the bit, the protocols' scores."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import sys
+import types
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import rawpy
+import torch
+import yaml
+
+from eldata.cli.main import main
+from eldata.errors import ArgumentError
+from eldata.integrations import basicsr
+from eldata.integrations.basicsr import EldataPairs, EldataReferences, MissingBasicSRError, register
+from tests.integrations.published_sets import eld_like, sid_like
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+# --- the published loader's steps (LED repository, commit ee3d372, led/data/paired_raw_dataset.py) ---
+
+
+def led_frame(path: Path) -> torch.Tensor:
+    """Its ``depack_meta`` without a postfix: packed by ``raw_pattern``, and LibRaw's levels per channel."""
+    with rawpy.imread(str(path)) as raw:
+        visible, pattern = raw.raw_image_visible.copy(), raw.raw_pattern
+        black = np.array(raw.black_level_per_channel, "float32").reshape(4, 1, 1)
+        white = np.array(raw.camera_white_level_per_channel, "float32").reshape(4, 1, 1)
+    visible = visible[: visible.shape[0] // 2 * 2, : visible.shape[1] // 2 * 2]
+    sites = [[int(at[0]) for at in np.where(pattern == colour)] for colour in range(4)]
+    packed = np.stack([visible[row::2, column::2] for row, column in sites]).astype("float32")
+    image, black_level, white_level = map(torch.from_numpy, (packed, black, white))
+    return (image - black_level) / (white_level - black_level)
+
+
+def led_seconds(name: str) -> float:
+    found = re.search(r"_(\d+(\.\d+)?)s.", name)
+    assert found is not None
+    return float(found.group(0)[1:-2])
+
+
+def led_pair(root: Path, line: str, *, zero_clip: bool) -> tuple[torch.Tensor, torch.Tensor, float]:
+    """Its ``__getitem__`` of whole frames, of one line of its list."""
+    noisy, clean = line.split(" ")[:2]
+    clean = clean.rstrip("\n")
+    ratio = min(led_seconds(clean) / led_seconds(noisy), 300)
+    lowest = 0 if zero_clip else None
+    lq, gt = led_frame(root / noisy), led_frame(root / clean)
+    return torch.clip(lq * ratio, lowest, 1), torch.clip(gt, 0, 1), ratio
+
+
+# --- values -----------------------------------------------------------------------------------------------------------
+
+
+def options(text: str) -> dict[str, Any]:
+    """A dataset's part of a yaml, as BasicSR hands it on: its ``phase`` is added."""
+    part: dict[str, Any] = yaml.safe_load(text)
+    return {"phase": "val", "scale": 1, **part}
+
+
+VALIDATION = """
+name: OwnPaired
+type: EldataPairs
+postfix: ~
+which_meta: gt
+crop_size: ~
+load_in_mem: false
+amplification: nominal
+"""
+
+
+@pytest.mark.parametrize("zero_clip", [True, False])
+@pytest.mark.parametrize("kind", ["manifest", "store"])
+def test_samples_equal_leds_to_the_bit(kind: str, zero_clip: bool, tmp_path: Path) -> None:
+    manifest = sid_like(tmp_path)
+    root = tmp_path / "data/OWN"
+    where = {"data_pair_list": str(manifest.path), "dataroot": str(root)}
+    if kind == "store":
+        store = tmp_path / "own.h5"
+        packing = ["pack", "own", "--manifest", str(manifest.path), "--root", str(tmp_path / "data"), "-o", str(store)]
+        assert main(packing) == 0
+        where = {"data_pair_list": str(store)}
+    dataset = EldataPairs(options(VALIDATION) | where | {"zero_clip": zero_clip})
+    assert len(dataset) == 18
+    below = 0
+    for sample in dataset:
+        lq, gt, ratio = led_pair(root, f"{sample['lq_path']} {sample['gt_path']}\n", zero_clip=zero_clip)
+        assert torch.equal(sample["lq"], lq)
+        assert torch.equal(sample["gt"], gt)
+        assert torch.equal(sample["ratio"], torch.tensor(ratio).float())
+        below += int((lq < 0).sum())
+    assert (below == 0) == zero_clip
+
+
+@pytest.mark.parametrize("crop", [None, 16])
+def test_references_equal_leds_clean_frames(crop: int | None, tmp_path: Path) -> None:
+    """Its ``RAWGTDataset``: DN and levels as the file has them, a whole ratio; here of three references, each once."""
+    manifest, root = sid_like(tmp_path), tmp_path / "data/OWN"
+    where = {"data_pair_list": str(manifest.path), "dataroot": str(root), "crop_size": crop, "ratio_range": [100, 102]}
+    dataset = EldataReferences(options(VALIDATION) | where)
+    assert len(dataset) == 3
+    for sample in dataset:
+        with rawpy.imread(str(root / sample["gt_path"])) as raw:
+            black = np.array(raw.black_level_per_channel, "float32").reshape(4, 1, 1)
+            white = np.array(raw.camera_white_level_per_channel, "float32").reshape(4, 1, 1)
+            sites = [[int(at[0]) for at in np.where(raw.raw_pattern == colour)] for colour in range(4)]
+            packed = np.stack([raw.raw_image_visible[y::2, x::2] for y, x in sites]).astype("float32")
+        if crop is not None:
+            packed = packed[:, 4:20, 9:25]
+        assert np.array_equal(sample["gt"], packed)
+        assert torch.equal(sample["lq"], sample["gt"])
+        assert np.array_equal(sample["black_level"], black)  # type: ignore[typeddict-item]
+        assert np.array_equal(sample["white_level"], white)  # type: ignore[typeddict-item]
+    training = EldataReferences(options(VALIDATION) | where | {"phase": "train"})
+    torch.manual_seed(1)
+    assert {training[0]["ratio"] for _ in range(60)} == {100, 101, 102}  # one is missing with 3 (2/3)^60, below 1e-10
+    with pytest.raises(ArgumentError, match="two whole numbers"):
+        EldataReferences(options(VALIDATION) | where | {"ratio_range": [300, 100]})
+
+
+def test_the_ratio_of_eld_is_that_of_the_files(tmp_path: Path) -> None:
+    manifest = eld_like(tmp_path)
+    where = {"data_pair_list": str(manifest.path), "dataroot": str(tmp_path / "data/OWN"), "amplification": "metadata"}
+    for sample in EldataPairs(options(VALIDATION) | where):
+        record = next(one for one in manifest.records if one.path == sample["lq_path"])
+        assert record.ratio is not None
+        assert float(sample["ratio"]) == float(record.ratio)
+
+
+def test_the_middle_in_validation_and_random_places_in_training(tmp_path: Path) -> None:
+    manifest, root = sid_like(tmp_path), tmp_path / "data/OWN"
+    where = {"data_pair_list": str(manifest.path), "dataroot": str(root), "split": "train", "crop_size": 16}
+    middle = EldataPairs(options(VALIDATION) | where)[0]
+    whole, _, _ = led_pair(root, f"{middle['lq_path']} {middle['gt_path']}", zero_clip=True)
+    assert torch.equal(middle["lq"], whole[:, 4:20, 9:25])  # LED: (25 - 16) // 2 and (34 - 16) // 2
+
+    training = EldataPairs(options(VALIDATION) | where | {"phase": "train", "use_hflip": True, "use_rot": True})
+    loader = torch.utils.data.DataLoader(training, batch_size=6)
+    torch.manual_seed(5)
+    batches = [next(iter(loader))["lq"] for _ in range(2)]
+    assert batches[0].shape == (6, 4, 16, 16)
+    assert not torch.equal(*batches), "BasicSR repeats an epoch's items: each time they are cut elsewhere"
+    torch.manual_seed(5)
+    assert torch.equal(next(iter(loader))["lq"], batches[0])
+
+
+def test_turned_crops_are_parts_of_the_frame(tmp_path: Path) -> None:
+    """Each value is one of LED's of that colour, whatever the orientation, which may change the two greens."""
+    manifest, root = sid_like(tmp_path), tmp_path / "data/OWN"
+    where = {"data_pair_list": str(manifest.path), "dataroot": str(root), "split": "train", "zero_clip": False}
+    training = EldataPairs(options(VALIDATION) | where | {"phase": "train", "use_hflip": True, "use_rot": True})
+    torch.manual_seed(0)
+    for _ in range(8):
+        sample = training[0]
+        whole, _, _ = led_pair(root, f"{sample['lq_path']} {sample['gt_path']}", zero_clip=False)
+        for channels in ([0], [1, 3], [2]):
+            assert np.isin(sample["lq"][channels].numpy(), whole[channels].numpy()).all()
+
+
+def test_white_balance_and_matrix(tmp_path: Path) -> None:
+    manifest, root = sid_like(tmp_path), tmp_path / "data/OWN"
+    sample = EldataPairs(options(VALIDATION) | {"data_pair_list": str(manifest.path), "dataroot": str(root)})[0]
+    assert sample["wb"].tolist() == [2.0, 1.0, 1.5, 1.0]
+    # White-balanced white is white: rows of the matrix to sRGB sum to 1.
+    assert np.allclose(sample["ccm"].sum(dim=1), 1, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ({"crop_siz": 3}, "did you mean crop_size"),
+        ({"ratio_aug": [100, 300]}, "synthetic noise"),
+        ({"use_patches": True}, "crop_size"),
+        ({"use_hflip": True}, "must be the same"),
+        ({"ratio_range": [100, 300]}, "EldataReferences draws ratios"),
+        ({"data_pair_list": ""}, "found nothing"),
+        ({"data_pair_list": "drv"}, "set of clips"),
+        ({"data_pair_list": "a.h5"}, "leave it out"),
+        ({"levels": "own"}, "metadata-per-channel"),
+        ({"phase": "training"}, "train"),
+    ],
+)
+def test_what_is_refused(more: dict[str, Any], said: str, tmp_path: Path) -> None:
+    (tmp_path / "DRV").mkdir()
+    given = options(VALIDATION) | {"data_pair_list": "own.csv", "dataroot": str(tmp_path / "DRV")} | more
+    with pytest.raises(ArgumentError, match=re.escape(said)):
+        EldataPairs(given)
+
+
+# --- metrics and registries -------------------------------------------------------------------------------------------
+
+
+def test_metrics_are_the_protocols() -> None:
+    generator = torch.Generator().manual_seed(3)
+    target = torch.rand((3, 4, 40, 44), generator=generator)
+    prediction = 0.9 * target + 0.05 * torch.randn(target.shape, generator=generator)
+    pytest.importorskip("torchmetrics", reason="needs eldata[torchmetrics]")
+    from eldata.integrations.torchmetrics import ProtocolScore
+
+    for function, column in ((basicsr.eldata_psnr_pt, "psnr_db"), (basicsr.eldata_ssim, "ssim")):
+        found = function(prediction, target, protocol="led-sid", crop_border=2)
+        for one, image, reference in zip(found.tolist(), prediction, target, strict=True):
+            metric = ProtocolScore("led-sid")
+            metric.update(image, reference)
+            assert one == metric.compute()[column]
+    with pytest.raises(ArgumentError, match="calculate_metric_in_batch: true"):
+        basicsr.eldata_psnr(np.zeros((40, 44, 3), np.uint8), np.zeros((40, 44, 3), np.uint8))  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match="is of clips"):
+        basicsr.eldata_ssim(prediction, target, protocol="drv-raw")
+
+
+def registry_module() -> types.ModuleType:
+    """BasicSR's registry module: the installed package's own file, or one with its documented interface.
+
+    Importing the package itself loads torchvision and opencv, so its file is loaded alone.
+    """
+    found = importlib.util.find_spec("basicsr")
+    if found is not None and found.submodule_search_locations:
+        path = f"{found.submodule_search_locations[0]}/utils/registry.py"
+        spec = importlib.util.spec_from_file_location("standing_in.utils.registry", path)
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module
+    module = types.ModuleType("standing_in.utils.registry")
+    module.DATASET_REGISTRY, module.METRIC_REGISTRY = Registry(), Registry()  # type: ignore[attr-defined]
+    return module
+
+
+class Registry:
+    """What BasicSR's ``Registry`` documents: objects by their ``__name__``, each once."""
+
+    def __init__(self) -> None:
+        self._held: dict[str, Any] = {}
+
+    def register(self, entry: Any) -> None:
+        assert entry.__name__ not in self._held
+        self._held[entry.__name__] = entry
+
+    def get(self, name: str) -> Any:
+        return self._held[name]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._held
+
+
+def test_the_registries_hold_what_a_yaml_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    registries = registry_module()
+    for name in ("standing_in", "standing_in.utils"):
+        monkeypatch.setitem(sys.modules, name, types.ModuleType(name))
+    monkeypatch.setitem(sys.modules, "standing_in.utils.registry", registries)
+    for _ in range(2):  # a second time changes nothing
+        register("standing_in")
+    assert registries.DATASET_REGISTRY.get("EldataPairs") is EldataPairs
+    assert registries.DATASET_REGISTRY.get("EldataReferences") is EldataReferences
+    for name in ("eldata_psnr", "eldata_ssim", "eldata_psnr_pt", "eldata_ssim_pt"):
+        assert registries.METRIC_REGISTRY.get(name) is getattr(basicsr, name)
+
+    def eldata_psnr() -> None: ...
+
+    other = registry_module()
+    other.METRIC_REGISTRY.register(eldata_psnr)
+    monkeypatch.setitem(sys.modules, "standing_in.utils.registry", other)
+    with pytest.raises(ArgumentError, match="something else is registered as eldata_psnr"):
+        register("standing_in")
+
+
+def test_a_package_that_is_not_there() -> None:
+    with pytest.raises(MissingBasicSRError, match=r"no_such_code\.utils\.registry cannot be imported"):
+        register("no_such_code")

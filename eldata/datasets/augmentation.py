@@ -82,6 +82,18 @@ def copy_oriented(mosaic: NDArray[Scalar], cfa: CfaRows, orientation: Orientatio
     turn(with_rows(part), copy, orientation.flip_rows, orientation.flip_columns)
 
 
+def turned_levels(levels: tuple[float, ...], orientation: Orientation) -> tuple[float, ...]:
+    """Return the levels of a CFA's channels, 3 for X-Trans and else 4, as the channels of the turned mosaic have them.
+
+    The first green is the one in red's rows. A flip leaves it there; a transpose puts the other in its place, with its
+    level, of which that of the first may differ by some DN.
+    """
+    if not orientation.transpose or len(levels) != 4:
+        return levels
+    red, first, blue, second = levels
+    return red, second, blue, first
+
+
 def _turned(array: NDArray[Scalar], orientation: Orientation) -> NDArray[Scalar]:
     turned = array.T if orientation.transpose else array
     return turned[:: -1 if orientation.flip_rows else 1, :: -1 if orientation.flip_columns else 1]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from eldata.base.scratch import scratch
-from eldata.datasets.augmentation import ORIENTATIONS, Orientation, copy_oriented, oriented
+from eldata.datasets.augmentation import ORIENTATIONS, Orientation, copy_oriented, oriented, turned_levels
 from eldata.errors import ArgumentError, DatasetError
 from eldata.raw.cfa import (
     CLIP_RANGES,
@@ -161,13 +161,17 @@ class Crop:
         """Return the crop of a mosaic in DN, turned, to be used before the thread reads the next frame."""
         return self.turned(frame.read(*self.slices))
 
+    def levels(self, levels_dn: tuple[float, ...]) -> tuple[float, ...]:
+        """Return levels of a frame's channels as those of the turned crop have them."""
+        return turned_levels(levels_dn, self.orientation)
+
     def fill(self, frame: Frame, out: NDArray[np.float32], *, clip: Clip = "both", gain: float = 1.0) -> None:
         """Write the crop of a frame into ``out`` (C, h, w): packed, normalised, amplified; RGB divided by 65535."""
         if not self.cfa:
             for plane, target in zip(frame.read(*self.slices), out, strict=True):
                 np.divide(self.turned(plane), np.float32(RGB_WHITE), out=target)
             return
-        cut, black, white = self.cut(frame), frame.black_level_dn, frame.white_level_dn
+        cut, black, white = self.cut(frame), self.levels(frame.black_level_dn), frame.white_level_dn
         if cut.dtype in _TURNED:
             corrected = cut.dtype == np.float32
             pack_normalised(cut, self.cfa, black, white, clip=clip, gain=gain, corrected=corrected, out=out)

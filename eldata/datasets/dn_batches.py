@@ -102,7 +102,7 @@ class DnPairs(ReadItems[PairItem, DnSample]):
         facts = self.pairs.facts(item) | {"cfa": torch.tensor(item.crop.cfa, dtype=torch.uint8)}
         for side, frame in (("input", item.pair.input), ("target", item.pair.target)):
             if frame is not None:
-                facts[f"{side}_black_dn"] = torch.tensor(frame.black_level_dn, dtype=torch.float64)
+                facts[f"{side}_black_dn"] = torch.tensor(item.crop.levels(frame.black_level_dn), dtype=torch.float64)
                 facts[f"{side}_white_dn"] = frame.white_level_dn
         return facts
 

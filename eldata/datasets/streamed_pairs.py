@@ -263,7 +263,15 @@ class StreamedPairs(IterableDataset[Sample]):
             place = None if self.index.tile is None else (facts.top, facts.left)
             frames[1] = frames[1].less(self.dark_shading, place)
         drawn = Crop.draw(frames[0], generator, crop=self.crop, augment=self.augment)
-        target, noisy = (replace(frame, mosaic=drawn.cut(frame).copy(), cfa=drawn.cfa) for frame in frames)
+        target, noisy = (
+            replace(
+                frame,
+                mosaic=drawn.cut(frame).copy(),
+                cfa=drawn.cfa,
+                black_level_dn=drawn.levels(frame.black_level_dn),
+            )
+            for frame in frames
+        )
         ratio = stated_ratio(facts.record, self.amplification) or facts.ratio
         pair = OpenedPair(facts.record, target, noisy, ratio, noisy.exposure)
         whole = Crop((slice(None), slice(None)), drawn.cfa, Orientation(), drawn.height, drawn.width)

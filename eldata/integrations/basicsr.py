@@ -223,7 +223,7 @@ class EldataPairs(ReadItems[_LedItem, BatchSample]):
 
     def _levels_dn(self, frame: Frame, crop: Crop) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return black and white level of each packed channel, (C, 1, 1)."""
-        black, white = frame.black_level_dn, _whites_dn(frame, self.levels)
+        black, white = crop.levels(frame.black_level_dn), crop.levels(_whites_dn(frame, self.levels))
         return tuple(packed_black_level_dn(crop.cfa, levels)[:, None, None] for levels in (black, white))  # type: ignore[return-value] # two
 
     def facts(self, item: _LedItem) -> dict[str, Any]:

@@ -7,9 +7,9 @@ import itertools
 import numpy as np
 import pytest
 
-from eldata.datasets.augmentation import ORIENTATIONS, Orientation, copy_oriented, oriented
+from eldata.datasets.augmentation import ORIENTATIONS, Orientation, copy_oriented, oriented, turned_levels
 from eldata.errors import ArgumentError
-from eldata.raw.cfa import XTRANS_CFA, pack
+from eldata.raw.cfa import XTRANS_CFA, pack, packed_black_level_dn
 from tests.cases import in_one_test
 from tests.raw.helpers import BAYER, NONA, QUAD, SOME_CFAS, XTRANS, Cfa, colours_of
 
@@ -110,6 +110,17 @@ def test_the_first_green_is_the_one_in_reds_rows(cfa: Cfa, orientation: Orientat
     red, green, blue, other_green = row_of[pack(view, cfa)]
     np.testing.assert_array_equal(red, green)
     np.testing.assert_array_equal(blue, other_green)
+
+
+@EACH
+@in_one_test("cfa", ALL_CFAS.values())
+def test_levels_go_with_their_pixels(cfa: Cfa, orientation: Orientation) -> None:
+    """Of a mosaic whose pixels have their channel's level as their value."""
+    levels = (500.0, 520.0, 505.0, 560.0)[: int(np.max(cfa)) + 1]
+    mosaic = np.tile(np.array(levels, np.uint16)[np.array(cfa)], (4, 4))
+    packed = pack(oriented(mosaic, cfa, orientation), cfa)
+    expected = packed_black_level_dn(cfa, turned_levels(levels, orientation))
+    np.testing.assert_array_equal(packed, np.broadcast_to(expected[:, None, None], packed.shape))
 
 
 @EACH

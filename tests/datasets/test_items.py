@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,11 +11,11 @@ import torch
 from torch.utils.data import DataLoader
 
 from eldata import DRVDataset, PackedClips, PackedStore, StreamedPairs
-from eldata.datasets import DRVRawDataset, PairDataset, SourcePairs
+from eldata.datasets import DRVRawDataset, PairDataset, SourcePairs, normalise_batch
 from eldata.datasets.synthesis import Recipe, synthesize
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise import CameraProfile
-from eldata.raw import read_raw
+from eldata.raw import read_raw, write_dng
 from eldata.sources.frames import Frame, FrameSource
 from eldata.sources.shards import write_shards
 from eldata.sources.store import source_of_dataset
@@ -22,7 +23,7 @@ from tests.drv_tree import SmallDrv, small_drv, write_raw_clip
 from tests.sources.store.helpers import pack_tree
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
 
     from eldata.records import FrameRecord
@@ -80,6 +81,37 @@ def test_crops_of_files_stores_and_other_sources_are_the_same(pristine: Tree, st
             assert torch.equal(batch["input"], wanted["input"])
             assert batch["path"] == wanted["path"]
     assert "crop=6, augment=True, crops_per_frame=2, seed=4" in repr(others[0])
+
+
+def test_turned_crops_are_normalised_by_their_own_greens_levels(tree: Tree, tmp_path: Path) -> None:
+    """Greens of unequal black levels, in files whose every pixel lies a quarter of the range above its own."""
+    for record in tree.manifest.records:
+        raw = read_raw(tree.data / record.path)
+        black = np.array([500.0, 520.0, 504.0, 560.0])
+        sensor = replace(raw.sensor, black_level_dn=tuple(black), white_level_dn=16000.0)
+        levels = np.tile(black[np.array(sensor.cfa)], (raw.mosaic.shape[0] // 2, raw.mosaic.shape[1] // 2))
+        write_dng(
+            tree.data / record.path, np.rint(levels + (16000 - levels) / 4).astype(np.uint16), sensor, raw.exposure
+        )
+    options: Any = {"crop": 16, "augment": True, "crops_per_frame": 4, "levels": "metadata", "clip": "none"}
+    store = pack_tree(tree, tmp_path / "eld.h5").store
+    write_shards(store, tmp_path / "shards", tile=None)
+    stored = PackedStore(store, **options)
+    ways: list[Iterable[Any]] = [
+        PairDataset(tree.data, tree.csv, **options),
+        stored,
+        StreamedPairs(tmp_path / "shards", **options),
+        (normalise_batch(sample, clip="none") for sample in stored.in_dn()),
+    ]
+    for samples in ways:
+        seen = 0
+        for sample in samples:
+            seen += 1
+            input_, target = sample["input"] / sample["ratio"], sample["target"]
+            # A DN of the range is 6.5e-5, half of which rounding took; the other green's level would be off by 2.6e-3.
+            assert torch.allclose(target, torch.tensor(0.25), atol=4e-5, rtol=0)
+            assert torch.allclose(input_.float(), torch.tensor(0.25), atol=4e-5, rtol=0)
+        assert seen == 96
 
 
 def test_a_source_of_what_is_no_pair_is_refused(pristine: Tree, store: Path) -> None:

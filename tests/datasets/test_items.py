@@ -100,7 +100,7 @@ def test_turned_crops_are_normalised_by_their_own_greens_levels(tree: Tree, tmp_
     ways: list[Iterable[Any]] = [
         PairDataset(tree.data, tree.csv, **options),
         stored,
-        StreamedPairs(tmp_path / "shards", **options),
+        StreamedPairs(str(tmp_path / "shards"), **options),
         (normalise_batch(sample, clip="none") for sample in stored.in_dn()),
     ]
     for samples in ways:

@@ -27,7 +27,7 @@ import pytest
 
 from capture import CameraDescription, Plan
 from eldata import PackedClips, PackedStore, StreamedPairs, verify
-from eldata.datasets import PackedUnpairedClips, PairDataset, StoredFrames
+from eldata.datasets import PackedUnpairedClips, PairDataset, StoredFrames, normalise_batch
 from eldata.manifest import load_manifest
 from eldata.noise import CameraProfile, NoiseModel, NoiseParameters
 from eldata.raw import read_raw
@@ -191,12 +191,20 @@ def stores_of_pairs(files: Path, work: Path) -> Any:
 
 @reader
 def crops_of_a_store(files: Path, work: Path) -> Any:
-    """Which crops are drawn: item i of epoch e depends on (seed, e, i) alone."""
+    """Which crops are drawn: item i of epoch e depends on (seed, e, i) alone.
+
+    In transposed crops version 0.1 exchanged the black levels of the greens, a mistake that is made again here.
+    """
+    store = files / "stores" / "mine.h5"
+    blacks = {
+        sample["path"]: {name: sample[name] for name in ("input_black_dn", "target_black_dn")}
+        for sample in PackedStore(store, **WHOLE).in_dn()
+    }
     found = []
-    dataset = PackedStore(files / "stores" / "mine.h5", crop=8, crops_per_frame=2, seed=7)
+    dataset = PackedStore(store, crop=8, crops_per_frame=2, seed=7)
     for epoch in range(2):
         dataset.set_epoch(epoch)
-        found.append(samples(dataset))
+        found.append(samples([normalise_batch(sample | blacks[sample["path"]]) for sample in dataset.in_dn()]))
     return found
 
 

@@ -46,7 +46,7 @@ lint: $(STAMP)  ## Style and types
 	$(BIN)/mypy
 	$(BIN)/mypy examples/*.py docs/conf.py docs/site/*.py
 
-test: lint  ## Style, types and every test that is quick, in five to eight minutes on two cores
+test: lint  ## Style, types and every test that is quick, in about a quarter of an hour on two cores
 	$(PYTEST) -m 'not ($(RARE))'
 
 test-all: test test-rest  ## The same, then long studies and tests of browser, tether, Dask, kills and memory

@@ -60,10 +60,10 @@ class Begun:
         ManifestError
             If manifest or card are malformed.
         MappingError
-            If there is no such manifest, or its files are not in this folder.
+            If the manifest does not exist, or its files are not in this folder.
         """
         if not path.exists():
-            raise MappingError(f"{path}: there is no such set to join yet; leave --append out for its first files")
+            raise MappingError(f"{path}: this set does not exist yet; leave --append out for its first files")
         begun = cls(path, load_card(path.with_suffix(".json")), load_records(path))
         lacking = [record.path for record in begun.records if not (folder / record.path).is_file()]
         if begun.card.folder != folder.name or lacking:

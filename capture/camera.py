@@ -127,7 +127,7 @@ class Shutter:
     Raises
     ------
     CameraError
-        If there is no time, a time is named twice, a name is not a standard time of the step, or ``bulb_s`` is not
+        If the list of times is empty, a time is named twice, a name is not a standard time of the step, or ``bulb_s`` is not
         above the slowest time.
     """
 

@@ -59,7 +59,7 @@ def fine_noise(found: CommonShift) -> Estimate | None:
 def empty_share(mosaic: NDArray[np.uint16]) -> float:
     """Return the share of values that never occur, of those whose neighbours are frequent; 0 if none is.
 
-    Neighbours on both sides: beside a saturated area or a peak of black, values that do not occur are no gap.
+    Neighbours on both sides: beside a saturated area or a peak of black, values that do not occur are not a gap.
     """
     counts = np.bincount(mosaic.ravel())
     below = np.cumsum(counts)

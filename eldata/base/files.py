@@ -278,7 +278,7 @@ def check_posix(what: str) -> None:
 
 
 def wait_for_lock(descriptor: int) -> None:
-    """Lock an open file or folder for as long as it is open, once nobody else does; not where there are no locks."""
+    """Wait for the lock of an open file or folder, and hold it while that is open; does nothing on systems without locks."""
     with suppress(ImportError, OSError):
         import fcntl
 

@@ -1,6 +1,6 @@
 """How records show in a notebook: a heading, tables and small pictures, in HTML that fits a light and a dark page.
 
-Colours are the notebook's own, lines half transparent. There is no script and no style sheet, nothing comes from the
+Colours are the notebook's own, lines half transparent. They have neither script nor style sheet, nothing comes from the
 network, and every text is escaped, with only characters that show.
 """
 

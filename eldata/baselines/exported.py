@@ -97,7 +97,8 @@ def save_network(
     frames = () if checked_window(window) == 1 else (window,)
     if clip is not None:
         check_choice("clip", clip, CLIP_RANGES)
-    # A copy: the caller's network, perhaps in training on a GPU, stays where and as it is.
+    # A copy: the caller's network, perhaps in training on a GPU, stays where and as it is. What predicts neither drops
+    # values at random nor updates its batch statistics, which is what torch's eval() switches off.
     alone = copy.deepcopy(network).cpu().eval()
     example = torch.zeros(1, *frames, channels, 4 * multiple, 6 * multiple)
     first = example.ndim - 2

@@ -218,7 +218,7 @@ def test_what_cannot_be_joined(
     night(nights.folder / "one", whole_plan(plan.only(["scene-1"])), monkeypatch, 0)
     night(nights.folder / "two", whole_plan(plan.only(["scene-2"])), monkeypatch, 1)
     assert nights.add(plan, nights.folder / "one") == 2
-    assert "there is no such set to join yet; leave --append out" in capsys.readouterr().err
+    assert "this set does not exist yet; leave --append out" in capsys.readouterr().err
     assert nights.add(plan, nights.folder / "one", options=("--only", "scene-1")) == 0
     capsys.readouterr()
     command = ["manifest", str(nights.folder / "AcmeNocturne-scene-1.json"), str(nights.folder / "two"), "--append"]

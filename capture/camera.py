@@ -127,8 +127,8 @@ class Shutter:
     Raises
     ------
     CameraError
-        If the list of times is empty, a time is named twice, a name is not a standard time of the step, or ``bulb_s`` is not
-        above the slowest time.
+        If the list of times is empty, a time is named twice, a name is not a standard time of the step, or ``bulb_s``
+        is not above the slowest time.
     """
 
     dials: tuple[str, ...]

@@ -278,7 +278,7 @@ def check_posix(what: str) -> None:
 
 
 def wait_for_lock(descriptor: int) -> None:
-    """Wait for the lock of an open file or folder, and hold it while that is open; does nothing on systems without locks."""
+    """Wait for the lock of an open file or folder, and hold it while that is open. Without file locks, do nothing."""
     with suppress(ImportError, OSError):
         import fcntl
 

@@ -57,7 +57,7 @@ def planned(code: Code, pairs: PairsByCamera) -> ExportPlan:
 
 def _led(plan: ExportPlan, camera: str, pairs: Sequence[ExportPair]) -> None:
     names = _linked(plan, camera, pairs, sid_names(pairs))
-    for part, chosen in _parts(pairs, lambda pair: pair.record.split, always=False):
+    for part, chosen in _by_split(pairs, always=False):
         lists = {"": chosen} | {
             f"_{number_text(ratio)}": [pair for pair in chosen if pair.record.ratio == ratio]
             for ratio in sorted({pair.record.ratio for pair in chosen})
@@ -86,7 +86,7 @@ def _eld(plan: ExportPlan, camera: str, pairs: Sequence[ExportPair]) -> None:
     _check_suffixes(pairs)
     names = _linked(plan, camera, pairs, sid_names(pairs))
     bare = {path: name.partition("/")[2] for path, name in names.items()}
-    for split, chosen in _parts(pairs, lambda pair: pair.record.split, always=True):
+    for split, chosen in _by_split(pairs, always=True):
         lines = [f"{bare[pair.noisy.path]} {bare[pair.reference.path]}\n" for pair in chosen]
         plan.lists[f"{camera}{split}.txt"] = "".join(lines).encode()
     lines = [
@@ -122,7 +122,7 @@ def _elds_suffix(file: Path) -> str:
 def _sid(plan: ExportPlan, camera: str, pairs: Sequence[ExportPair]) -> None:
     _check_suffixes(pairs)
     names = _linked(plan, camera, pairs, sid_names(pairs, bursts=True))
-    for split, chosen in _parts(pairs, lambda pair: pair.record.split, always=True):
+    for split, chosen in _by_split(pairs, always=True):
         lines = [
             f"./{camera}/{names[pair.noisy.path]} ./{camera}/{names[pair.reference.path]} "
             f"{_iso(pair.noisy.exposure.iso)}\n"
@@ -192,12 +192,10 @@ def _linked(plan: ExportPlan, camera: str, pairs: Sequence[ExportPair], names: d
     return names
 
 
-def _parts(
-    pairs: Sequence[ExportPair], kind: Callable[[ExportPair], str], *, always: bool
-) -> list[tuple[str, list[ExportPair]]]:
-    """Return pairs by a field, ``_<value>`` for each; unless ``always``, all of them first, and parts if several."""
-    values = sorted({kind(pair) for pair in pairs})
-    parts = [(f"_{value}" if value else "_all", [pair for pair in pairs if kind(pair) == value]) for value in values]
+def _by_split(pairs: Sequence[ExportPair], *, always: bool) -> list[tuple[str, list[ExportPair]]]:
+    """Return pairs by ``_<split>``; unless ``always``, all of them first, and each split's only where there are several."""
+    splits = sorted({pair.record.split for pair in pairs})
+    parts = [(f"_{one}" if one else "_all", [pair for pair in pairs if pair.record.split == one]) for one in splits]
     return parts if always else [("", list(pairs)), *(parts if len(parts) > 1 else [])]
 
 

@@ -193,7 +193,7 @@ def _linked(plan: ExportPlan, camera: str, pairs: Sequence[ExportPair], names: d
 
 
 def _by_split(pairs: Sequence[ExportPair], *, always: bool) -> list[tuple[str, list[ExportPair]]]:
-    """Return pairs by ``_<split>``; unless ``always``, all of them first, and each split's only where there are several."""
+    """Return pairs by ``_<split>``; unless ``always``, all of them first, and splits only if there are several."""
     splits = sorted({pair.record.split for pair in pairs})
     parts = [(f"_{one}" if one else "_all", [pair for pair in pairs if pair.record.split == one]) for one in splits]
     return parts if always else [("", list(pairs)), *(parts if len(parts) > 1 else [])]

@@ -11,6 +11,7 @@ from math import log2
 from typing import TYPE_CHECKING, Final
 
 from capture.matching import STOPS_TOLERANCE, MatchRemark
+from eldata.base.numbers import counted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -55,7 +56,7 @@ def aperture_remarks(plan: Plan, frames: Mapping[Slot, ObservedFrame]) -> tuple[
                 remarks.append(MatchRemark("aperture", text, scene.name, shot.number, frame.path))
         if unknown:
             text = (
-                f"{scene.name}: {len(unknown)} files state no aperture, such as {unknown[0]}, so that "
+                f"{scene.name}: {counted(len(unknown), 'file')} without an aperture, such as {unknown[0]}, so that "
                 f"{f_text(scene.aperture)} cannot be checked; a lens without contacts states none"
             )
             remarks.append(MatchRemark("note", text, scene.name))

@@ -63,7 +63,7 @@ def aperture(text: str) -> tuple[str | None, Fraction]:
     except ArgumentError:
         found = None
     if found is None or not LEAST_F_NUMBER <= found <= MOST_F_NUMBER:
-        expected = f"an f-number from {LEAST_F_NUMBER} to {MOST_F_NUMBER}, as 5.6"
+        expected = f"an f-number from {float(LEAST_F_NUMBER):g} to {float(MOST_F_NUMBER):g}, such as 5.6"
         raise argparse.ArgumentTypeError(f"expected {expected}; found {shown(number)}")
     return name or None, found
 

@@ -20,12 +20,12 @@ from eldata.baselines.prediction_folder import begun
 from eldata.baselines.signal_noise import SignalNoise, noise_of_image, noise_of_parameters
 from eldata.errors import ArgumentError, DatasetError
 from eldata.evaluation.layouts import stem_of
-from eldata.evaluation.pairs import amplified_by, frames_of, iso_of, place_of
+from eldata.evaluation.pairs import amplified_by, files_of, frames_of, iso_of, place_of, reference_of
 from eldata.evaluation.planning import plan_scoring, require_pairs
 from eldata.evaluation.predictions import save_prediction
 from eldata.evaluation.references import less_shading, levels_dn, normalised_frame
 from eldata.evaluation.request import make_request
-from eldata.manifest.clips import clips_of
+from eldata.manifest.clips import choose_clips, clips_of
 from eldata.manifest.patterns import expand
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.noise.parameters import NoiseParameters
@@ -294,8 +294,7 @@ def _units(request: Request, pairs: Sequence[Pair], folder: Path) -> list[_Unit]
     """Return the pairs and windows of which predictions are missing, with the clips that they are of."""
     clips: dict[str, Clip] = {}
     if request.kind is not IMAGES:
-        scenes = {pair.scene for pair in pairs}
-        rows = [row for row in request.manifest.records if row.scene in scenes]
+        rows = choose_clips(request.manifest.records, (), ids={pair.scene for pair in pairs})
         clips = {clip.scene: clip for clip in clips_of(expand(rows, request.folder))}
     units = []
     for pair in pairs:
@@ -337,7 +336,7 @@ class _Prediction:
 
     def __call__(self, unit: _Unit) -> None:
         pair = unit.pair
-        require_files(inside(self.dataset, pair.path), inside(self.dataset, pair.reference or pair.path))
+        require_files(*(inside(self.dataset, path) for path in files_of(pair)))
         frames = _Frames(self, pair, unit.clip)
         for path in unit.missing:
             frame = frames.frame(path)
@@ -376,7 +375,7 @@ class _Frames:
         frame = read_raw(noisy)
         ratio = amplified_by(pair, work.protocol.amplification)
         if ratio is None:
-            ratio = float(exposure_ratio(read_header(inside(work.dataset, pair.reference or path)), frame))
+            ratio = float(exposure_ratio(read_header(inside(work.dataset, reference_of(pair, path) or path)), frame))
         corrected = work.dark_shading is not None
         taken = less_shading(frame, dark_shading_in(work.dark_shading), path) if work.dark_shading else frame
         image = normalised_frame(taken, work.protocol.levels, clip=work.clip, gain=ratio, corrected=corrected)

@@ -64,7 +64,8 @@ class ClipSample(_Facts):
 
     ``target`` is the one still that all frames are compared with, (C, h, w) float32: once, for a copy of it for each
     frame would say nothing more. ``target.expand_as(input)`` repeats it without memory, and ``target[:, None]`` does so
-    in a batch. The rest is as in :class:`UnpairedClipSample`; ``reference`` is the reference's file.
+    in a batch. Of a sequence (:mod:`eldata.manifest.clips`) it has each frame's own, (T, C, h, w). The rest is as in
+    :class:`UnpairedClipSample`; ``reference`` is the reference's file, of a sequence the first frame's.
     """
 
     input: torch.Tensor
@@ -197,7 +198,8 @@ class ClipWindows(CroppedItems[_Item, Sample]):
         reference = None if clip.reference is None else self._frame(clip.reference)
         first = self._frame(clip.frames[0])
         ratio = self._ratio(first, reference, clip.frames[0])
-        for path in clip.frames:
+        for place, path in enumerate(clip.frames):
+            reference = self._frame(clip.references[place]) if clip.references else reference
             self._check_frame(self._input(path), path, reference or first, reference, first.name, ratio)
 
     @property
@@ -230,17 +232,18 @@ class ClipWindows(CroppedItems[_Item, Sample]):
         return _Item(record, crop, reference, first)
 
     def shapes(self, item: _Item) -> dict[str, tuple[int, ...]]:
-        """Return the shapes of input (T, C, h, w) and, if there is a reference, target (C, h, w)."""
+        """Return the shapes of input (T, C, h, w) and, if there is a reference, target (C, h, w), or each frame's."""
         shape = item.crop.packed_shape
         shapes: dict[str, tuple[int, ...]] = {"input": (len(item.record.paths), *shape)}
-        return shapes | {"target": shape} if self._is_paired else shapes
+        return shapes | {"target": shapes["input"] if item.record.references else shape} if self._is_paired else shapes
 
     def parts(self, item: _Item) -> Iterator[Part]:
         """Yield the reference, then the frames in order; what is of another clip is refused on the way."""
         reference, item.reference = item.reference, None
         known = reference and reference.without_pixels()
+        own = item.record.references
         if reference is not None:
-            yield Part("target", reference)
+            yield Part("target", reference, 0 if own else None)
             del reference
         frame, item.first = self._corrected(item.first or self._frame(item.record.path)), None
         item.exposure = frame.exposure
@@ -248,6 +251,11 @@ class ClipWindows(CroppedItems[_Item, Sample]):
         item.ratio = math.nan if ratio is None else float(ratio)
         like, name = known or frame.without_pixels(), frame.name
         for place, path in enumerate(item.record.paths):
+            if place and own:
+                reference = self._frame(own[place])
+                known = reference.without_pixels()
+                yield Part("target", reference, place)
+                del reference
             if place:
                 frame = self._input(path)
             if not self.reads_parts:  # else it was checked before

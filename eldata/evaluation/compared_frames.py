@@ -12,7 +12,7 @@ import numpy as np
 from eldata.errors import RawFileError
 from eldata.evaluation.diagnosis import mistake_in
 from eldata.evaluation.inspected_frame import Circumstances
-from eldata.evaluation.pairs import Pair, ratio_of
+from eldata.evaluation.pairs import Pair, ratio_of, reference_of
 from eldata.evaluation.predictions import load_colours, load_dng, load_prediction
 from eldata.evaluation.references import levels_dn, normalised_frame
 from eldata.evaluation.shared_frames import NoisyInput, Reference, ScoringJob, Shared, file_problem_of
@@ -303,7 +303,7 @@ def scored_arrays(
         If a file is no longer what was scored.
     """
     job = ScoringJob(Path.cwd(), originals, (protocol,), None, dark_shading=dark_shading)
-    reference = Reference(originals, pair.reference or "")
+    reference = Reference(originals, reference_of(pair, frame.path) or "")
     shared = ComparedFrame(job, reference, pair, NoisyInput(job, reference, pair, frame.path), file)
     target = reference.target(protocol)
     factor = 1.0 if np.isnan(frame.rescale) else frame.rescale

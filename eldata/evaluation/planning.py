@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from eldata.errors import ArgumentError, DatasetError
 from eldata.evaluation.originals import CheckedOriginals, Originals, store_of
-from eldata.evaluation.pairs import Pair, clip_place, frames_of, iso_of
+from eldata.evaluation.pairs import Pair, clip_place, files_of, iso_of
 from eldata.evaluation.request import OF_CLIPS
 from eldata.manifest.catalogue import shipped_manifest, shipped_names
 from eldata.manifest.clip_checks import is_png
@@ -20,7 +20,7 @@ from eldata.manifest.patterns import expand
 from eldata.manifest.verify import check_files
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.protocols.choosing import default_protocol
-from eldata.protocols.clips import ClipProtocol
+from eldata.protocols.clips import OWN_SEQUENCES, ClipProtocol
 from eldata.protocols.kinds import IMAGES
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ def plan_scoring(request: Request, protocol: Protocol) -> ScoringPlan:
         If the files of clips are not there, or not what the manifest says.
     """
     name = request.manifest.name
-    if not (request.is_own or protocol.covers(name)):
+    if not (request.is_own and (protocol.kind is IMAGES or protocol.dataset == OWN_SEQUENCES) or protocol.covers(name)):
         raise ArgumentError(
             f"protocol {protocol.name!r} is for dataset {protocol.dataset!r}, not {name!r}; "
             "eldata protocols lists those for each"
@@ -236,11 +236,17 @@ def _clip_plan(request: Request, protocol: ClipProtocol) -> ScoringPlan:
     found = tuple(
         window
         for clip in clips_of(listed)
-        for window in windows(clip, length=protocol.frame_count, stride=protocol.frame_count, frames=protocol.frames)
+        for length in (protocol.frame_count or len(clip.frames),)
+        for window in windows(clip, length=length, stride=length, frames=protocol.frames)
     )
     for window in found:
         if window.reference is None:
             raise DatasetError(f"clip {window.scene}: has no reference, so it cannot be scored")
+        if protocol.dataset == OWN_SEQUENCES and not window.references:
+            raise ArgumentError(
+                f"clip {window.scene}: is no sequence, whose moments are scenes such as scene-1-moment-3; protocol "
+                f"{protocol.name!r} scores those. Choose others: {OF_CLIPS}"
+            )
         if is_png(window.path) != (protocol.pixels == "rgb"):
             raise ArgumentError(f"{window.path}: protocol {protocol.name!r} scores {protocol.pixels} frames")
     ids = None if request.ids is None else sorted(request.ids)
@@ -249,8 +255,10 @@ def _clip_plan(request: Request, protocol: ClipProtocol) -> ScoringPlan:
 
 
 def _clip_subset(request: Request) -> str | None:
-    """Return the name of the subset whose clips are chosen; ``None`` if they are named."""
+    """Return the name of the subset whose clips are chosen; ``None`` if they are named, or all are of your own set."""
     subsets = request.manifest.card.subsets
+    if request.ids is None and not subsets and request.is_own:
+        return None
     if request.ids is None and not subsets:
         raise ArgumentError(f"{request.manifest.path}: its card names no subset; name the clips: {OF_CLIPS}")
     return None if request.ids is not None else request.subset or subsets[0].name
@@ -273,7 +281,7 @@ def require_pairs(request: Request, pairs: Iterable[Pair]) -> CheckedOriginals:
 
     Their files are held against the manifest; of a store, what it kept of the files that it was packed from.
     """
-    needed = {path for pair in pairs for path in (*frames_of(pair), pair.reference)}
+    needed = {path for pair in pairs for path in files_of(pair)}
     rows = [row for row in request.manifest.records if row.role in ("noisy", "reference")]
     if request.store is not None:
         wanted = [row for row in rows if row.path in needed]

@@ -14,6 +14,7 @@ from eldata.evaluation.tasks import Task
 from eldata.manifest.catalogue import Manifest, known_manifest, load_manifest, shipped_names
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.protocols.choosing import default_protocol, get_protocol, protocols_for
+from eldata.protocols.clips import OWN_SEQUENCES
 from eldata.protocols.kinds import IMAGES, Kind
 from eldata.protocols.named import PROTOCOLS
 from eldata.protocols.protocol import NO_SHADING
@@ -103,8 +104,9 @@ class Request:
 
     @property
     def is_own(self) -> bool:
-        """Whether the set is the user's own, not one that comes with the package."""
-        return self.kind is IMAGES and self.manifest.name not in shipped_names()
+        """Whether the set is the user's own: it does not come with the package, nor has it a protocol of clips."""
+        name = self.manifest.name
+        return name not in shipped_names() and (self.kind is IMAGES or not default_protocol(name).covers(name))
 
 
 def make_request(
@@ -188,7 +190,7 @@ def _protocol(protocol: str | Path | Protocol | None, manifest: Manifest) -> Pro
         protocol = get_protocol(protocol, manifest.name, own=manifest.name not in shipped_names())
     chosen = protocol or default
     chosen.check()
-    if chosen.kind is not default.kind:
+    if chosen.kind is not default.kind and (default.covers(manifest.name) or chosen.dataset != OWN_SEQUENCES):
         own = ", ".join(one.name for one in protocols_for(manifest.name))
         raise ArgumentError(
             f"protocol {chosen.name!r} scores {chosen.kind.units}, and {manifest.name!r} is a dataset of "

@@ -14,7 +14,7 @@ from eldata.errors import ArgumentError, PredictionError
 from eldata.evaluation.compared_frames import ComparedFrame, as_scored
 from eldata.evaluation.looking import rendered_colours, worst_frame
 from eldata.evaluation.originals import Originals
-from eldata.evaluation.pairs import place_of
+from eldata.evaluation.pairs import place_of, reference_of
 from eldata.evaluation.predictions import find_predictions
 from eldata.evaluation.reproduction import protocol_of
 from eldata.evaluation.shared_frames import NoisyInput, Reference, ScoringJob
@@ -62,7 +62,7 @@ class MethodsImage:
             If a file is no longer what was scored.
         """
         originals = Originals(self.folder.absolute())
-        reference = Reference(originals, self.pair.reference or "")
+        reference = Reference(originals, reference_of(self.pair, self.frames[0].path) or "")
         first = self.protocols[0]
         predictions: list[NDArray[Any]] = []
         amplified: NDArray[Any] | None = None

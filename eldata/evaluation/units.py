@@ -1,7 +1,7 @@
 """The one scoring loop: images and windows of clips under one or several protocols at once.
 
 A unit of work is a reference with the predictions that are compared with it: those of the noisy frames of an image
-scene, or of the frames of a clip's window, in one folder or in several. Each file is read once, and what protocols and
+scene, or of the frames of a clip's window (which may have references of their own), in one folder or in several. Each file is read once, and what protocols and
 folders share is computed once; predictions are in memory one at a time, however many folders there are.
 """
 
@@ -19,7 +19,7 @@ import numpy as np
 from eldata.base.workers import Failed, require_files
 from eldata.errors import ArgumentError, EldataError, FileError, PredictionError
 from eldata.evaluation.compared_frames import ComparedFrame, as_scored
-from eldata.evaluation.pairs import Pair, frames_of, iso_of, place_of, ratio_of
+from eldata.evaluation.pairs import Pair, files_of, frames_of, iso_of, place_of, ratio_of, reference_of
 from eldata.evaluation.scores import EvaluationProblem, FrameScore, UnitScore, mean
 from eldata.evaluation.shared_frames import NoisyInput, Reference, ScoringJob
 from eldata.evaluation.suspicions import Inspection, chosen_frames
@@ -211,7 +211,7 @@ def _units(originals: Originals, contenders: Sequence[Contender]) -> list[_Unit]
 
 def _frames(reference: str, members: Sequence[_Member]) -> list[str]:
     """Return the dataset's frames that a unit may ask for."""
-    return list(dict.fromkeys((reference, *(frame for member in members for frame in frames_of(member.pair)))))
+    return list(dict.fromkeys((reference, *(frame for member in members for frame in files_of(member.pair)))))
 
 
 def _looked_at(pairs: Sequence[Pair]) -> frozenset[str]:
@@ -241,7 +241,7 @@ def _score_unit(job: ScoringJob, unit: _Unit) -> list[tuple[int, str, PlanScores
     job = replace(job, originals=unit.originals)
     job.originals.require(unit.reference)
     require_files(*(job.start / file for member in unit.members for file in member.files or ()))
-    reference = Reference(job.originals, unit.reference)
+    references = {unit.reference: Reference(job.originals, unit.reference)}
     found: list[tuple[int, str, PlanScores]] = []
     for path, of_pair in groupby(unit.members, key=lambda member: member.pair.path):
         noisy: dict[str, NoisyInput] = {}  # what several folders' predictions of this pair are held against
@@ -249,6 +249,7 @@ def _score_unit(job: ScoringJob, unit: _Unit) -> list[tuple[int, str, PlanScores
         for member in members:
             scorers = [_scorer(job, member, number) for number in member.contenders]
             for index, frame in enumerate(frames_of(member.pair)):
+                reference = _reference(job, references, reference_of(member.pair, frame) or unit.reference)
                 given = noisy.get(frame) or NoisyInput(job, reference, member.pair, frame)
                 if len(members) > 1:
                     noisy[frame] = given
@@ -258,6 +259,14 @@ def _score_unit(job: ScoringJob, unit: _Unit) -> list[tuple[int, str, PlanScores
                     scorer.take(shared)
             found += [(one, path, scorer.finished()) for one, scorer in zip(member.contenders, scorers, strict=True)]
     return found
+
+
+def _reference(job: ScoringJob, known: dict[str, Reference], path: str) -> Reference:
+    """Return a reference; the one that was asked for last is kept, as long as a clip's frames share it."""
+    if path not in known:
+        known.clear()
+        known[path] = Reference(job.originals, path)
+    return known[path]
 
 
 # --- what differs between images and clips ------------------------------------------------------------------------
@@ -341,22 +350,25 @@ class _ClipScorer(_Scorer):
     def __init__(self, window: ClipRecord, protocol: ClipProtocol, looked: str | None, threads: int | None) -> None:
         super().__init__(window, protocol, looked)
         self._window, self._peak, self._threads = window, protocol.st_rred_peak, threads
-        self._grey = self._still = np.empty(0)
+        self._grey = self._seen = np.empty(0)
 
     def _keep(self, prediction: NDArray[Any], target: NDArray[Any], found: Score) -> None:
         from eldata.metrics.st_rred import raw_to_grey
 
-        if not self._grey.size:
-            self._still = raw_to_grey(target)
-            self._grey = np.empty((len(self._window.paths), *self._still.shape))
+        place, window = len(self._frames), self._window
+        if not place:
+            self._grey = np.empty((len(window.paths), *target.shape[1:]))
+            self._seen = np.empty((len(window.references) or 1, *target.shape[1:]))
+        if place < len(self._seen):
+            self._seen[place] = raw_to_grey(target)
         scored = as_scored(prediction, self._protocol.rules, found.rescale, prediction.dtype)
-        self._grey[len(self._frames)] = raw_to_grey(scored)
+        self._grey[place] = raw_to_grey(scored)
 
     def _score(self) -> UnitScore:
         from eldata.metrics.st_rred import st_rred
 
-        motionless = np.broadcast_to(self._still, self._grey.shape)
-        video = st_rred(self._grey, motionless, peak=self._peak, threads=self._threads)
+        seen = np.broadcast_to(self._seen, self._grey.shape)  # of a still, for every frame
+        video = st_rred(self._grey, seen, peak=self._peak, threads=self._threads)
         values = self._means() | {
             "st_rred": video.st_rred,
             "spatial_rred": video.spatial,

@@ -2,12 +2,18 @@
 
 Rows of role ``noisy`` with the same scene are a clip, and their common ``reference`` is its reference. Positions in a
 clip count from 0, whatever the numbers in the file names.
+
+A *sequence* is photographed moment by moment, each a scene of its own, such as ``scene-1-moment-3``: nothing moves
+within one, and something has moved from one to the next. Its noisy rows of one camera, ISO and ratio are a clip, a frame
+a moment, in which each frame has its own reference; of several such rows in each moment, the n-th are the n-th clip.
 """
 
 from __future__ import annotations
 
-from collections import defaultdict
-from dataclasses import dataclass
+import re
+from collections import Counter, defaultdict
+from dataclasses import dataclass, replace
+from operator import attrgetter
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Literal, Unpack, get_args
 
@@ -17,7 +23,8 @@ from eldata.manifest.patterns import is_pattern, sequence_of
 from eldata.manifest.subsets import find_subset
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
+    from fractions import Fraction
 
     from eldata.manifest.subsets import Subset
     from eldata.records import FrameRecord
@@ -29,6 +36,19 @@ FRAME_RANGES: tuple[FrameRange, ...] = get_args(FrameRange)
 # first of them is the one that the DRV repository's test_image.py writes.
 EVALUATION_FRAMES = range(4, 9)
 
+_MOMENT = re.compile(r"(.+)-moment-([1-9][0-9]{0,5})")
+
+
+def moment_name(sequence: str, number: int) -> str:
+    """Return the scene that a moment of a sequence is, counted from 1: ``scene-1-moment-3``."""
+    return f"{sequence}-moment-{number}"
+
+
+def moment_of(scene: str) -> tuple[str, int] | None:
+    """Return the sequence that a scene is a moment of, and which; ``None`` if it is none."""
+    found = _MOMENT.fullmatch(scene)
+    return None if found is None else (found[1], int(found[2]))
+
 
 @dataclass(frozen=True, slots=True)
 class Clip:
@@ -36,14 +56,20 @@ class Clip:
 
     Attributes
     ----------
-    scene, split, camera
+    scene
+        Its name: the scene; of a sequence, camera, sequence and setting, as ``SonyA7S2/scene-1/ISO800-x100``.
+    split, camera
         As in the manifest.
     frames
         Files of its frames in order, POSIX paths relative to the dataset's folder.
     numbers
-        The running number in each frame's name, if the names have one.
+        The running number in each frame's name, if the names have one; of a sequence, the moments'.
     reference
-        The file of its reference, if it has one.
+        The file of its reference, if it has one; of a sequence, the first frame's.
+    references
+        Of a sequence, the reference of each frame; else none.
+    iso, ratio
+        Of a sequence, as in the manifest; else ``None``.
     """
 
     scene: str
@@ -52,6 +78,9 @@ class Clip:
     frames: tuple[str, ...]
     numbers: tuple[int, ...] | None
     reference: str | None
+    references: tuple[str, ...] = ()
+    iso: Fraction | None = None
+    ratio: Fraction | None = None
 
     def continuous(self, start: int, stop: int) -> bool:
         """Return whether no number is missing between the frames at these positions."""
@@ -68,8 +97,8 @@ class ClipRecord:
         Its frames, POSIX paths relative to the dataset's folder.
     start
         Position of the first one in the clip.
-    reference
-        The clip's reference, if it has one.
+    reference, references, iso, ratio
+        As of :class:`Clip`; ``references`` are those of these frames.
     """
 
     paths: tuple[str, ...]
@@ -78,11 +107,38 @@ class ClipRecord:
     camera: str
     scene: str
     split: str
+    references: tuple[str, ...] = ()
+    iso: Fraction | None = None
+    ratio: Fraction | None = None
 
     @property
     def path(self) -> str:
         """The first frame."""
         return self.paths[0]
+
+    def reference_of(self, path: str) -> str | None:
+        """Return what one of its frames is compared with, if there is anything."""
+        return self.references[self.paths.index(path)] if self.references else self.reference
+
+
+def clip_names(records: Iterable[FrameRecord]) -> dict[str, str]:
+    """Return the name of the clip (:attr:`Clip.scene`) that each noisy row is of, by the row's path."""
+    names: dict[str, str] = {}
+    alike: Counter[tuple[object, ...]] = Counter()
+    for row in sorted(records, key=attrgetter("path")):
+        moment = moment_of(row.scene)
+        if row.role != "noisy":
+            continue
+        if moment is None:
+            names[row.path] = row.scene
+            continue
+        setting = (row.camera, row.scene, row.iso, row.ratio)
+        alike[setting] += 1
+        numbers = ((word, value) for word, value in (("ISO", row.iso), ("x", row.ratio)) if value is not None)
+        parts = [f"{word}{float(value):g}" for word, value in numbers]
+        parts += [str(alike[setting])] if alike[setting] > 1 else []
+        names[row.path] = "/".join(filter(None, (row.camera, moment[0], "-".join(parts))))
+    return names
 
 
 def choose_clips(
@@ -99,7 +155,7 @@ def choose_clips(
     records, subsets
         Rows of a manifest, and the subsets of its card.
     ids
-        Scenes, by another name.
+        Names of clips; a sequence's name is all of its clips.
     choice
         See :class:`~eldata.manifest.pairs.Choice`.
 
@@ -123,13 +179,32 @@ def choose_clips(
                 "those with ids"
             )
     wanted = wanted_values(choice)
-    chosen = narrowed(narrowed(chosen, noisy, "clip", wanted), noisy, "clip", {"scene": ids})
-    kept = {row.scene for row in chosen}
-    return tuple(row for row in rows if row.scene in kept)
+    chosen = narrowed(chosen, noisy, "clip", wanted)
+    names = clip_names(noisy)
+    if ids is not None:
+        chosen = _of_ids(chosen, noisy, names, ids)
+    kept = {names[row.path] for row in chosen}
+    scenes = {row.scene for row in noisy if names[row.path] in kept}
+    return tuple(row for row in rows if row.scene in scenes and (row.role != "noisy" or names[row.path] in kept))
+
+
+def _of_ids(
+    chosen: Iterable[FrameRecord], every: Iterable[FrameRecord], names: Mapping[str, str], ids: Collection[str]
+) -> list[FrameRecord]:
+    """Return those of the chosen rows whose clips, or sequences, have these names."""
+    clips_in: dict[str, list[str]] = defaultdict(list)
+    for row in every:
+        moment = moment_of(row.scene)
+        if moment is not None:
+            clips_in[moment[0]].append(names[row.path])
+    wanted = ids if isinstance(ids, str) else [name for one in ids for name in clips_in.get(one, [one])]
+    by_name = [[replace(row, scene=names[row.path]) for row in rows] for rows in (chosen, every)]
+    kept = {row.path for row in narrowed(by_name[0], by_name[1], "clip", {"scene": wanted})}
+    return [row for row in chosen if row.path in kept]
 
 
 def clips_of(records: Iterable[FrameRecord]) -> tuple[Clip, ...]:
-    """Return the clips of a manifest's rows, sorted by scene. Every row must be a file (:func:`expand`).
+    """Return the clips of a manifest's rows, sorted by name. Every row must be a file (:func:`expand`).
 
     Raises
     ------
@@ -137,11 +212,12 @@ def clips_of(records: Iterable[FrameRecord]) -> tuple[Clip, ...]:
         If a clip has no frames or no file for its reference, or the frames' names do not follow one numbering.
     """
     scenes: dict[str, list[FrameRecord]] = defaultdict(list)
-    files: set[str] = set()
+    records = tuple(records)
+    files = {row.path for row in records}
+    names = clip_names(records)
     for row in records:
-        files.add(row.path)
         if row.role == "noisy":
-            scenes[row.scene].append(row)
+            scenes[names[row.path]].append(row)
     without = sorted(scene for scene, rows in scenes.items() if any(is_pattern(row.path) for row in rows))
     if without:
         have = sorted(set(scenes) - set(without))
@@ -151,6 +227,9 @@ def clips_of(records: Iterable[FrameRecord]) -> tuple[Clip, ...]:
 
 
 def _clip(scene: str, rows: Sequence[FrameRecord], files: Collection[str]) -> Clip:
+    moments = {row.path: moment[1] for row in rows if (moment := moment_of(row.scene)) is not None}
+    if moments:
+        return _sequence(scene, sorted(rows, key=lambda row: moments[row.path]), tuple(sorted(moments.values())), files)
     paths = {row.path: PurePosixPath(row.path) for row in rows}
     parents = {path.parent for path in paths.values()}
     sequence = sequence_of(path.name for path in paths.values())
@@ -169,6 +248,16 @@ def _clip(scene: str, rows: Sequence[FrameRecord], files: Collection[str]) -> Cl
     (parent,) = parents
     frames = tuple(str(parent / name) for name in sequence.names)
     return Clip(scene, rows[0].split, rows[0].camera, frames, sequence.numbers, reference)
+
+
+def _sequence(name: str, rows: Sequence[FrameRecord], moments: tuple[int, ...], files: Collection[str]) -> Clip:
+    references = tuple(row.reference for row in rows if row.reference is not None and row.reference in files)
+    if len(references) < len(rows):
+        lone = ", ".join(row.path for row in rows if row.reference is None or row.reference not in files)
+        raise DatasetError(f"clip {name}: expected a file as the reference of each frame; found none of {lone}")
+    first = rows[0]
+    frames = tuple(row.path for row in rows)
+    return Clip(name, first.split, first.camera, frames, moments, references[0], references, first.iso, first.ratio)
 
 
 def frame_range(name: FrameRange, count: int) -> range:
@@ -203,7 +292,17 @@ def windows(clip: Clip, *, length: int, stride: int, frames: FrameRange) -> list
         raise ArgumentError(f"window and stride must be 1 or more; found {length}, {stride}")
     inside = frame_range(frames, len(clip.frames))
     found = [
-        ClipRecord(clip.frames[start : start + length], start, clip.reference, clip.camera, clip.scene, clip.split)
+        ClipRecord(
+            clip.frames[start : start + length],
+            start,
+            clip.references[start] if clip.references else clip.reference,
+            clip.camera,
+            clip.scene,
+            clip.split,
+            clip.references[start : start + length],
+            clip.iso,
+            clip.ratio,
+        )
         for start in range(inside.start, inside.stop - length + 1, stride)
         if clip.continuous(start, start + length)
     ]

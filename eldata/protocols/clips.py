@@ -1,4 +1,4 @@
-"""What a protocol of clips is: each frame against the clip's one still, the window of frames as a video."""
+"""What a protocol of clips is: each frame against the clip's one still, or its own; the frames as a video."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ from typing import Any, ClassVar, Literal
 from eldata.protocols.digests import NEUTRAL
 from eldata.protocols.kinds import CLIPS, Kind
 from eldata.protocols.protocol import Clip, Levels, Pixels, Protocol, Rescaling
+
+OWN_SEQUENCES = "own-sequences"
+"""In place of a dataset's name: sequences of a set of your own, in which each frame has its own reference."""
 
 # What a clip's protocol states of itself, in this order; of the rest, which is about images, what is not neutral.
 _STATED = (
@@ -25,7 +28,7 @@ class ClipProtocol(Protocol):
     Attributes
     ----------
     dataset
-        Name of the manifest whose clips it scores.
+        Name of the manifest whose clips it scores, or :data:`OWN_SEQUENCES`.
     pixels
         ``rgb``: the preprocessed RGB frames; ``packed``: the packed mosaic.
     levels
@@ -33,7 +36,7 @@ class ClipProtocol(Protocol):
     frames
         Which frames of a clip are scored (:func:`eldata.manifest.clips.frame_range`).
     frame_count
-        Their number.
+        Their number; 0: every frame that a clip has.
     reference
         What a frame is compared with.
     st_rred_peak
@@ -48,7 +51,7 @@ class ClipProtocol(Protocol):
     region: str = "full"
     rescaling: Rescaling = "scalar"
     pixels: Pixels = "packed"
-    frames: Literal["evaluation"] = "evaluation"
+    frames: Literal["evaluation", "all"] = "evaluation"
     frame_count: int = 5
     reference: str = "the clip's one still, for every frame"
     st_rred_peak: float = 1.0
@@ -73,7 +76,7 @@ class ClipProtocol(Protocol):
 
     def covers(self, dataset: str) -> bool:
         """Return whether it is for a dataset of this name."""
-        return self.dataset == dataset
+        return self.dataset == dataset != OWN_SEQUENCES
 
     def as_dict(self) -> dict[str, Any]:
         """Return what it states as plain types, with the definitions of its metrics."""

@@ -62,7 +62,7 @@ FIELDS: Mapping[str, tuple[str, Callable[[Any], str]]] = {
     "scenes": ("scenes", _listed),
     "pixels": ("pixels", lambda value: _PIXELS[value]),
     "frames": ("frames", lambda value: {"evaluation": "the fifth to the ninth"}[value]),
-    "frame_count": ("frames of a clip", str),
+    "frame_count": ("frames of a clip", lambda value: str(value or "all")),
     "space": ("space", lambda value: {"raw": "packed raw", "srgb": "sRGB"}[value]),
     "rendering": ("rendering", lambda value: _RENDERINGS[value]),
     "levels": ("levels", lambda value: LEVELS[value]),
@@ -127,7 +127,7 @@ def summary(protocol: Protocol) -> tuple[str, ...]:
         if protocol.subset is None:
             pairs.insert(0, " ".join(f"x{ratio:g}" for ratio in protocol.ratios) or "all factors")
     else:
-        pairs = [f"{protocol.as_dict()['frame_count']} frames per clip"]
+        pairs = [f"{protocol.as_dict()['frame_count'] or 'all'} frames per clip"]
     levels = {"published": "16383", "metadata": "file", "metadata-per-channel": "file, channel"}
     levels |= {"sid-sony": "16383, black 512", "sid-fuji": "16383, black 1024"}
     scalar = "yes" if protocol.factor_region == protocol.region else f"yes ({_region(protocol.factor_region)})"

@@ -293,7 +293,7 @@ def test_unknown_names_list_the_known(drv: SmallDrv, predictions: Path) -> None:
 
 def test_protocols_for_clips() -> None:
     """One registry; what version 0.1 recorded of them is what they state now."""
-    of_clips = {name: protocol for name, protocol in PROTOCOLS.items() if protocol.kind is kinds.CLIPS}
+    of_clips = {name: one for name, one in PROTOCOLS.items() if one.kind is kinds.CLIPS and name != "sequences"}
     assert {name: fields_digest_0_1(protocol.as_dict()) for name, protocol in of_clips.items()} == {
         "drv-rgb": "sha256:cb7bfb0e60acf83cab2c26010c2210a8d6fb57cdd392bc0eb63b0f187e47352a",
         "drv-rgb-uncorrected": "sha256:023ba7d8b95d10f4d397f757d6b546ca581d69b1868440f3ae1d247ea5a39a80",

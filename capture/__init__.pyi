@@ -4,11 +4,11 @@ from .camera import CameraDescription as CameraDescription
 from .camera import Shutter as Shutter
 from .camera import ShutterTime as ShutterTime
 from .plan import Plan as Plan
-from .plan import ScenePlan as ScenePlan
 from .plan import make_plan as make_plan
 from .protocol import PAPER as PAPER
 from .protocol import PROTOCOLS as PROTOCOLS
 from .protocol import RELEASED as RELEASED
 from .protocol import CaptureProtocol as CaptureProtocol
 from .protocol import ProtocolFrame as ProtocolFrame
+from .scene_plan import ScenePlan as ScenePlan
 from .shots import Shot as Shot

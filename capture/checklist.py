@@ -17,6 +17,7 @@ from capture.capture_errors import ImpossibleShotError
 from capture.checklist_content import (
     TEMPLATES,
     at_each_scene,
+    before_moment,
     calibration_parts,
     every_item,
     preparation,
@@ -34,7 +35,7 @@ from capture.checklist_progress import (
     load_progress,
 )
 from capture.checklist_text import markdown_checklist, text_checklist
-from capture.plan import ScenePlan
+from capture.scene_plan import ScenePlan
 from capture.shots import minutes, scene_shots
 
 if TYPE_CHECKING:
@@ -83,7 +84,7 @@ def html_checklist(plan: Plan) -> str:
         calibration=plan.calibration,
         frames=len(plan.shots),
         time_needed=minutes(plan.duration.total_s),
-        scene_rows=[(scene, rows(scene.shots)) for scene in plan.scenes],
+        scene_rows=[(scene, before_moment(plan, scene), rows(scene.shots)) for scene in plan.scenes],
         parts=calibration_parts(plan),
         preparation=preparation(plan),
         at_each_scene=at_each_scene(plan),
@@ -127,7 +128,11 @@ def _page_data(plan: Plan) -> dict[str, Any]:
         "lasting": {time.dial: round(time.true_s, 2) for time in camera.shutter.times if time.true_s >= _TO_BE_TIMED_S},
         "times": _times(plan),
         "frames": [row.as_dict() for scene in plan.scenes[:1] for row in rows(scene.shots)],
-        "scenes": [{"name": scene.name, "metered": str(scene.metered_s)} for scene in plan.scenes],
+        "scenes": [
+            {"name": scene.name, "metered": str(scene.metered_s)}
+            | ({"sequence": scene.sequence, "before": before_moment(plan, scene)} if scene.moment else {})
+            for scene in plan.scenes
+        ],
         "calibration": [row.as_dict() for part in calibration_parts(plan) for row in part.rows],
         "preparation": [item.name for item in every_item(plan)],
         "longest_text": LONGEST_TEXT,

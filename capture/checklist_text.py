@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from capture.apertures import f_text
-from capture.checklist_content import at_each_scene, calibration_parts, preparation, rows
+from capture.checklist_content import at_each_scene, before_moment, calibration_parts, preparation, rows
 from capture.shots import minutes
 from eldata.base.tables import aligned_markdown, markdown_text, one_line, text_table
 
@@ -43,7 +43,7 @@ def _checklist(
     plan: Plan, heading: Callable[[int, str], str], plain: Callable[[str], str], table: Callable[[Rows], str]
 ) -> str:
     protocol = plan.protocol
-    counted = f"{len(plan.scenes)} scenes, {len(plan.shots)} frames, {minutes(plan.duration.total_s)} of shooting"
+    counted = f"{plan.extent}, {len(plan.shots)} frames, {minutes(plan.duration.total_s)} of shooting"
     parts = [
         heading(1, f"Capture checklist: {plain(plan.camera.name)}"),
         f"{counted}; base ISO {protocol.base_iso}.",
@@ -57,10 +57,13 @@ def _checklist(
         notes = [f"- Note: {plain(note)}" for note in scene.notes]
         remarks = [f"- {plain(remark)}" for remark in scene.remarks]
         at = f"ISO {protocol.base_iso}{'' if scene.aperture is None else f', {f_text(scene.aperture)}'}"
-        metered = f"- Planned for a metered time of {scene.metered_s} s at {at}. Metered: ________ s"
+        metered = [f"- Planned for a metered time of {scene.metered_s} s at {at}. Metered: ________ s"]
+        moment = [f"- {text}" for text in (before_moment(plan, scene),) if text]
+        if scene.moment > 1:
+            metered, remarks = [], []  # as of the first
         parts += [
             heading(2, scene.name),
-            "\n".join([metered, *notes, *remarks]),
+            "\n".join([*metered, *moment, *notes, *remarks]),
             _rows(rows(scene.shots), table),
         ]
     for part in calibration_parts(plan):

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -17,69 +16,21 @@ from capture.calibration import CalibrationPlan, DarkSetting, dark_settings, pla
 from capture.camera import CameraDescription, camera_as_dict, camera_from, wholes
 from capture.capture_errors import PlanError, naming
 from capture.exact import parse_seconds
-from capture.protocol import CaptureProtocol
-from capture.shots import Duration, Shot, check_isos, duration_of, scene_shots
+from capture.protocol import COUNTS, CaptureProtocol
+from capture.scene_plan import ScenePlan, moments_of, plan_scene, sequence_of
+from capture.shots import Duration, Shot, check_isos, duration_of
 from eldata.base.fields import Fields, TextFile, shown
 from eldata.base.files import write_json
+from eldata.base.numbers import counted
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from fractions import Fraction
 
 SCHEMA: Final = 1
 CALIBRATION: Final = "calibration"
-# As in eldata verify, which refuses a pair whose ratio is further off its nominal one.
-RATIO_TOLERANCE: Final = Fraction(1, 10)
 _MOST_BIAS_FRAMES: Final = 10_000  # of one ISO: every shot is planned
-_ALIKE: Final = ("repeats", "references")  # of a protocol: how many frames of a setting
 _SCENE: Final = re.compile(r"scene-[1-9][0-9]{0,5}")
-
-
-@dataclass(frozen=True, slots=True)
-class ScenePlan:
-    """One scene.
-
-    Attributes
-    ----------
-    name
-        Its folder: ``scene-1``.
-    metered_s
-        What the meter said at the base ISO, in seconds.
-    shots
-        In the order in which they are taken.
-    notes
-        The photographer's notes: what the scene shows.
-    aperture
-        The f-number of all its shots, as EXIF will state it; ``None`` if the plan leaves it open.
-    """
-
-    name: str
-    metered_s: Fraction
-    shots: tuple[Shot, ...]
-    notes: tuple[str, ...] = ()
-    aperture: Fraction | None = None
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """What to know about these shots: a metered time that was rounded, ratios far off their factor."""
-        found = []
-        base = self.shots[0].setting
-        if base.nominal_s != self.metered_s:
-            found.append(f"metered at {self.metered_s} s, set as {base.dial} s, the camera's nearest time")
-        far = [shot for shot in self.shots if _far_off(shot)]
-        if far:
-            listed = ", ".join(str(shot.number) for shot in far)
-            found.append(
-                f"frames {listed}: the ratio is more than {float(100 * RATIO_TOLERANCE):.0f} % off its factor, which "
-                "eldata verify refuses; set the camera to thirds of a stop, or meter another time"
-            )
-        return tuple(found)
-
-
-def _far_off(shot: Shot) -> bool:
-    if shot.factor is None or shot.true_ratio is None or shot.named_ratio is None:
-        return False
-    ratios = (float(shot.true_ratio), float(shot.named_ratio))
-    return any(abs(ratio - shot.factor) > RATIO_TOLERANCE * shot.factor for ratio in ratios)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,14 +42,15 @@ class Plan:
     camera, protocol
         What the camera can be set to; the frames of a scene.
     scenes
-        In the order in which they are taken.
+        In the order in which they are taken; of a protocol with moments, each moment of a scene is one.
     calibration
         Calibration frames, or ``None``.
 
     Raises
     ------
     PlanError
-        If there is nothing to take, a scene's name is not ``scene-<n>`` or occurs twice.
+        If there is nothing to take, a scene's name is not ``scene-<n>`` or occurs twice, it is no moment where the
+        protocol has some, or moments of one scene differ in their metered times.
     """
 
     camera: CameraDescription
@@ -111,15 +63,28 @@ class Plan:
         if not self.scenes and self.calibration is None:
             raise PlanError("a plan needs at least one scene, or calibration frames; found neither")
         names: list[str] = []
+        metered: dict[str, Fraction] = {}
         for scene in self.scenes:
-            if _SCENE.fullmatch(scene.name) is None:
+            if _SCENE.fullmatch(scene.sequence) is None:
                 raise PlanError(
                     f"scene name: expected scene-1, scene-2 and so on, as the dataset's folders are called; found "
-                    f"{scene.name!r} (what it shows belongs in its notes)"
+                    f"{scene.sequence!r} (what it shows belongs in its notes)"
                 )
             if scene.name in names:
                 raise PlanError(f"scene names: expected each once, found {scene.name} twice")
             names.append(scene.name)
+            self._check_moment(scene, metered.setdefault(scene.sequence, scene.metered_s))
+
+    def _check_moment(self, scene: ScenePlan, metered_s: Fraction) -> None:
+        moments = self.protocol.moments
+        if (scene.moment == 0) != (moments == 1) or scene.moment > moments:
+            expected = "no moments" if moments == 1 else f"moments 1 to {moments}, such as {scene.sequence}-moment-1"
+            raise PlanError(f"scene name: the protocol has {expected}; found {scene.name}")
+        if scene.metered_s != metered_s:
+            raise PlanError(
+                f"{scene.name}: metered at {scene.metered_s} s, and {scene.sequence}'s other moments at {metered_s} s: "
+                "a sequence has one metered time"
+            )
 
     @property
     def shots(self) -> tuple[tuple[str, Shot], ...]:
@@ -130,8 +95,19 @@ class Plan:
 
     @property
     def duration(self) -> Duration:
-        """How long the shots take, without what is to be done between the scenes."""
-        return duration_of([shot for _, shot in self.shots])
+        """How long the shots take, and the changes between moments, without what is to be done between the scenes."""
+        return duration_of([shot for _, shot in self.shots], len(self.scenes) - len(self.sequences))
+
+    @property
+    def sequences(self) -> tuple[str, ...]:
+        """The scenes by name, all moments of one as one."""
+        return tuple(dict.fromkeys(scene.sequence for scene in self.scenes))
+
+    @property
+    def extent(self) -> str:
+        """How many scenes there are, in words, and of how many moments."""
+        moments = f" of {self.protocol.moments} moments" if self.protocol.moments > 1 else ""
+        return f"{counted(len(self.sequences), 'scene')}{moments}"
 
     @property
     def without_dark(self) -> tuple[DarkSetting, ...]:
@@ -152,8 +128,19 @@ class Plan:
         for scene in self.scenes:
             if scene.name == name:
                 return scene
-        known = ", ".join(scene.name for scene in self.scenes) or "none"
+        known = ", ".join(self.sequences) or "none"
         raise PlanError(f"the plan has no scene called {name!r}; it has {known}")
+
+    def moments(self, name: str) -> tuple[ScenePlan, ...]:
+        """Return the moments of a scene by its name, or one by its own; a scene without moments is its only one.
+
+        Raises
+        ------
+        PlanError
+            If the name is unknown; the message lists the plan's scenes.
+        """
+        found = tuple(scene for scene in self.scenes if name in (scene.sequence, scene.name))
+        return found or (self.scene(name),)
 
     def add_scene(self, name: str, metered_s: Fraction, notes: Sequence[str] = ()) -> Plan:
         """Return the plan with one more scene at its end.
@@ -166,10 +153,12 @@ class Plan:
             If one of its shots is beyond the camera.
         """
         added = plan_scene(self.camera, self.protocol, name, metered_s, tuple(notes))
-        return replace(self, scenes=(*self.scenes, added))
+        return replace(self, scenes=(*self.scenes, *moments_of(added, self.protocol)))
 
     def remeter(self, name: str, metered_s: Fraction) -> Plan:
         """Return the plan with a scene's shots computed from another metered time; its notes stay.
+
+        All moments of a sequence are metered alike: by its name, or by that of any of them.
 
         Raises
         ------
@@ -178,9 +167,9 @@ class Plan:
         ImpossibleShotError
             If one of its shots is beyond the camera.
         """
-        scene = self.scene(name)
+        scenes = self.moments(sequence_of(name))
         shots = plan_scene(self.camera, self.protocol, name, metered_s).shots
-        return self._with(replace(scene, metered_s=metered_s, shots=shots))
+        return self._with(*(replace(scene, metered_s=metered_s, shots=shots) for scene in scenes))
 
     def set_aperture(self, name: str, aperture: Fraction) -> Plan:
         """Return the plan with a scene's aperture, an f-number.
@@ -190,20 +179,22 @@ class Plan:
         PlanError
             If the scene is unknown.
         """
-        return self._with(replace(self.scene(name), aperture=aperture))
+        return self._with(*(replace(scene, aperture=aperture) for scene in self.moments(name)))
 
     def add_note(self, name: str, note: str) -> Plan:
-        """Return the plan with one more note on a scene.
+        """Return the plan with one more note on a scene: on a sequence's first moment, or on that of the name.
 
         Raises
         ------
         PlanError
             If the scene is unknown.
         """
-        return self._with(replace(self.scene(name), notes=(*self.scene(name).notes, note)))
+        scene = self.moments(name)[0]
+        return self._with(replace(scene, notes=(*scene.notes, note)))
 
-    def _with(self, changed: ScenePlan) -> Plan:
-        return replace(self, scenes=tuple(changed if one.name == changed.name else one for one in self.scenes))
+    def _with(self, *changed: ScenePlan) -> Plan:
+        by_name = {scene.name: scene for scene in changed}
+        return replace(self, scenes=tuple(by_name.get(one.name, one) for one in self.scenes))
 
     def only(self, names: Sequence[str]) -> Plan:
         """Return the plan of some scenes alone; ``"calibration"`` names the calibration frames.
@@ -215,7 +206,7 @@ class Plan:
         """
         if CALIBRATION in names and self.calibration is None:
             raise PlanError("the plan has no calibration frames")
-        wanted = {self.scene(name).name for name in names if name != CALIBRATION}
+        wanted = {scene.name for name in names if name != CALIBRATION for scene in self.moments(name)}
         return replace(
             self,
             scenes=tuple(scene for scene in self.scenes if scene.name in wanted),
@@ -258,24 +249,6 @@ class Plan:
         return _load(Path(path))
 
 
-def plan_scene(
-    camera: CameraDescription, protocol: CaptureProtocol, name: str, metered_s: Fraction, notes: tuple[str, ...] = ()
-) -> ScenePlan:
-    """Return a scene with its shots computed.
-
-    Raises
-    ------
-    PlanError
-        If the camera does not have one of the protocol's ISOs.
-    ImpossibleShotError
-        If one of its shots is beyond the camera; the message names the scene and says what to change.
-    """
-    try:
-        return ScenePlan(name, metered_s, scene_shots(camera, protocol, metered_s), notes)
-    except PlanError as error:
-        raise type(error)(f"{name}: {error}") from None
-
-
 def make_plan(
     camera: CameraDescription,
     protocol: CaptureProtocol,
@@ -300,8 +273,8 @@ def make_plan(
     >>> [(shot.role, shot.iso, shot.setting.dial) for shot in plan.scenes[0].shots[:3]]
     [('reference', 100, '4'), ('noisy', 800, '0.5'), ('noisy', 800, '1/20')]
     """
-    scenes = tuple(plan_scene(camera, protocol, name, seconds) for name, seconds in metered_s.items())
-    return Plan(camera, protocol, scenes, calibration)
+    scenes = (plan_scene(camera, protocol, name, seconds) for name, seconds in metered_s.items())
+    return Plan(camera, protocol, tuple(one for scene in scenes for one in moments_of(scene, protocol)), calibration)
 
 
 # --- the file -----------------------------------------------------------------------------------------------------
@@ -314,7 +287,7 @@ def _protocol_as_dict(protocol: CaptureProtocol) -> dict[str, Any]:
         "low_light_factors": list(protocol.low_light_factors),
     }
     # Named where there are several: plans of one frame each are what they were before.
-    return content | {name: count for name in _ALIKE if (count := getattr(protocol, name)) != 1}
+    return content | {name: count for name in COUNTS if (count := getattr(protocol, name)) != 1}
 
 
 def _shot_as_dict(shot: Shot) -> dict[str, Any]:
@@ -367,10 +340,10 @@ def _load(path: Path) -> Plan:
     with naming(path, PlanError):
         camera = camera_from(top.inside("camera"))
         fields = top.inside("protocol")
-        fields.only(("base_iso", "noisy_isos", "low_light_factors", *_ALIKE))
+        fields.only(("base_iso", "noisy_isos", "low_light_factors", *COUNTS))
         isos, factors = (wholes(fields, name) for name in ("noisy_isos", "low_light_factors"))
-        alike = {name: fields.optional(name, fields.whole, 1, at_least=1) for name in _ALIKE}
-        protocol = CaptureProtocol(fields.whole("base_iso", at_least=1), isos, factors, **alike)
+        counts = {name: fields.optional(name, fields.whole, 1, at_least=1) for name in COUNTS}
+        protocol = CaptureProtocol(fields.whole("base_iso", at_least=1), isos, factors, **counts)
         check_isos(camera, protocol)
         scenes = tuple(_scene(scene, camera, protocol) for scene in top.objects("scenes"))
         calibration = None

@@ -88,34 +88,37 @@ class Shot:
 # raw file before the next release.
 DIAL_S: Final = 5
 WRITE_S: Final = 2
+MOVE_S: Final = 20  # to move an object, or to show the next picture, and let it come to rest
 
 
 @dataclass(frozen=True, slots=True)
 class Duration:
-    """How long shots take: exposures in seconds, how often ISO or time changes, how many files are written."""
+    """How long shots take: exposures in seconds, how often ISO or time changes, files, changes between moments."""
 
     exposures_s: float
     turns: int
     files: int
+    moves: int = 0
 
     @property
     def total_s(self) -> float:
-        """The sum, with :data:`DIAL_S` for a turn and :data:`WRITE_S` for a file."""
-        return self.exposures_s + DIAL_S * self.turns + WRITE_S * self.files
+        """The sum, with :data:`DIAL_S` for a turn, :data:`WRITE_S` for a file and :data:`MOVE_S` for a change."""
+        return self.exposures_s + DIAL_S * self.turns + WRITE_S * self.files + MOVE_S * self.moves
 
     def __str__(self) -> str:
         return (
             f"about {minutes(self.total_s)}: exposures {minutes(self.exposures_s)}, {self.turns} turns of a dial at "
             f"{DIAL_S} s, {self.files} files at {WRITE_S} s"
+            f"{f', {self.moves} changes between moments at {MOVE_S} s' if self.moves else ''}"
         )
 
 
-def duration_of(shots: Sequence[Shot]) -> Duration:
+def duration_of(shots: Sequence[Shot], moves: int = 0) -> Duration:
     """Return how long shots take one after the other, without composing, focusing, metering and changing scenes."""
     turns = sum((one.iso != other.iso) + (one.setting != other.setting) for one, other in pairwise(shots)) + 2 * bool(
         shots
     )
-    return Duration(sum(shot.setting.true_s for shot in shots), turns, len(shots))
+    return Duration(sum(shot.setting.true_s for shot in shots), turns, len(shots), moves)
 
 
 def minutes(seconds: float) -> str:

@@ -35,7 +35,9 @@ def nearest(name: str, known: Iterable[str], *, alike: float = 0.6) -> str | Non
     from difflib import get_close_matches
 
     spelt = {one.casefold(): one for one in known}
-    near = get_close_matches(name[:_LONGEST_COMPARED].casefold(), spelt, n=1, cutoff=alike)
+    asked = name[:_LONGEST_COMPARED].casefold()
+    near = get_close_matches(asked, spelt, n=3, cutoff=alike)
+    near.sort(key=lambda one: not one.startswith(asked))  # an abbreviation, of names that are equally near
     return spelt[near[0]] if near else None
 
 

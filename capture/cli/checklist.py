@@ -44,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(text, end="")
     else:
         write_text(arguments.output, text)
-        print(f"{arguments.output}: {len(plan.scenes)} scenes, {len(plan.shots)} frames")
+        print(f"{arguments.output}: {plan.extent}, {len(plan.shots)} frames")
     if arguments.json:
         content = {"file": arguments.output, "format": form, "plan": plan_digest(plan), "frames": len(plan.shots)}
         write_json(arguments.json, content)

@@ -12,6 +12,7 @@ from capture.cli.values import (
     add_alike,
     add_progress,
     aperture,
+    counts_of,
     metered,
     nine_digits,
     or_dash,
@@ -20,7 +21,7 @@ from capture.cli.values import (
     scene_time,
     seconds,
 )
-from capture.protocol import PROTOCOLS, CaptureProtocol
+from capture.protocol import COUNTS, PROTOCOLS, CaptureProtocol
 from eldata.base.console import OK, add_output, add_shared, each_of
 from eldata.base.files import write_json
 from eldata.errors import ArgumentError
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from capture.plan import Plan
     from capture.shots import Shot
 
-_CREATING = ("camera", "scenes", "metered", "protocol", "isos", "factors", "repeats", "references")
+_CREATING = ("camera", "scenes", "metered", "protocol", "isos", "factors", *COUNTS)
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -48,8 +49,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
             "Plan the shots of each scene: the setting to dial, what the camera then really gives, and by how much the "
             "exposure ratio misses its low-light factor. With PLAN, show that plan or change it."
         ),
-        epilog="The first makes a plan; the second is for the scene, when the meter says something else; the third is "
-        "for the desk, with what the checklist's page exported.",
+        epilog="The first makes a plan, the second one of a video set; the third is for the scene, when the meter says "
+        "something else; the last is for the desk, with what the checklist's page exported.",
     )
     parser.add_argument("plan", metavar="PLAN", nargs="?", help="a plan to show or to change in place")
     new = parser.add_argument_group("a new plan")
@@ -151,6 +152,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "json",
         example=(
             "capture plan --camera cam.json --scenes 10 --metered 4 -o plan.json",
+            "capture plan --camera cam.json --scenes 2 --metered 4 --moments 7 -o video.json",
             "capture plan plan.json --remeter scene-2=2",
             "capture plan plan.json --progress progress.json",
         ),
@@ -203,8 +205,7 @@ def _new(arguments: argparse.Namespace) -> Plan:
         camera.base_iso,
         tuple(arguments.isos or chosen.noisy_isos),
         tuple(arguments.factors or chosen.low_light_factors),
-        chosen.repeats if arguments.repeats is None else arguments.repeats,
-        chosen.references if arguments.references is None else arguments.references,
+        **counts_of(arguments),
     )
     times = _metered(arguments)
     if not times:
@@ -279,7 +280,7 @@ def _changed(plan: Plan, arguments: argparse.Namespace) -> Plan:
         plan = plan.remeter(name, time)
     # First the aperture of every scene, whatever the order in which they are given.
     for name, f_number in sorted(arguments.aperture, key=lambda given: given[0] is not None):
-        for scene in plan.scenes if name is None else (plan.scene(name),):
+        for scene in plan.scenes if name is None else plan.moments(name):
             plan = plan.set_aperture(scene.name, f_number)
     for text in arguments.note:
         name, equals, note = text.partition("=")
@@ -305,9 +306,11 @@ def format_plan(plan: Plan) -> str:
     for time, f_number in dict.fromkeys((scene.metered_s, scene.aperture) for scene in plan.scenes):
         scenes = [scene for scene in plan.scenes if (scene.metered_s, scene.aperture) == (time, f_number)]
         at = "" if f_number is None else f", {f_text(f_number)}"
-        title = f"{', '.join(scene.name for scene in scenes)}: metered at {time} s{at}"
+        names = list(dict.fromkeys(scene.sequence for scene in scenes))
+        title = f"{', '.join(names)}: metered at {time} s{at}"
         notes = [f"{scene.name}: {note}" for scene in scenes for note in scene.notes]
-        each = "each scene" if len(scenes) > 1 else scenes[0].name
+        each = "each scene" if len(names) > 1 else names[0]
+        each = each if protocol.moments == 1 else f"each of the {protocol.moments} moments of {each}"
         time_needed = f"{each}: {duration_of(scenes[0].shots)}"
         parts.append("\n".join([title, *notes, _table(scenes[0].shots), time_needed, *scenes[0].remarks]))
     if plan.calibration is not None:

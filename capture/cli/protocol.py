@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from capture.cli.values import add_alike, nine_digits, or_dash, seconds, spaced
+from capture.cli.values import add_alike, counts_of, nine_digits, or_dash, seconds, spaced
 from capture.protocol import RELEASED, CaptureProtocol
 from eldata.base.console import OK, add_shared
 from eldata.base.files import write_json
@@ -66,8 +66,7 @@ def run(options: argparse.Namespace) -> int:
         options.base_iso,
         tuple(options.isos),
         tuple(options.factors),
-        RELEASED.repeats if options.repeats is None else options.repeats,
-        RELEASED.references if options.references is None else options.references,
+        **counts_of(options),
     )
     metered_s: Fraction | None = options.metered
     frames = protocol.frames()
@@ -95,8 +94,10 @@ def run(options: argparse.Namespace) -> int:
 def _summary(protocol: CaptureProtocol, frames: Sequence[ProtocolFrame]) -> str:
     references = sum(frame.role == "reference" for frame in frames)
     noisy = len(frames) - references
+    of = "scene" if protocol.moments == 1 else "moment"
     return (
-        f"{len(frames)} frames per scene: {references} references at ISO {protocol.base_iso}, {noisy} noisy "
+        f"{len(frames)} frames per {of}: {references} references at ISO {protocol.base_iso}, {noisy} noisy "
         f"(ISOs: {len(protocol.noisy_isos)}, factors: {len(protocol.low_light_factors)}"
         f"{'' if protocol.repeats == 1 else f', frames of each: {protocol.repeats}'})"
+        f"{'' if protocol.moments == 1 else f'; {protocol.moments} moments, {len(frames) * protocol.moments} frames'}"
     )

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from capture.apertures import LEAST_F_NUMBER, MOST_F_NUMBER
 from capture.exact import parse_seconds
+from capture.protocol import COUNTS
 from eldata.base.fields import shown
 from eldata.errors import ArgumentError
 
@@ -80,7 +81,7 @@ def scene_numbers(text: str) -> range:
 
 
 def add_alike(parser: argparse._ActionsContainer) -> None:
-    """Add ``--repeats`` and ``--references`` to a subcommand: how many frames of a setting the protocol has."""
+    """Add ``--repeats``, ``--references`` and ``--moments`` to a subcommand: how often the protocol takes something."""
     parser.add_argument(
         "--repeats",
         type=nine_digits,
@@ -94,6 +95,18 @@ def add_alike(parser: argparse._ActionsContainer) -> None:
         help="reference frames before and after the noisy ones of each ISO (default: 1); each noisy frame is compared "
         "with the one nearest to it",
     )
+    parser.add_argument(
+        "--moments",
+        type=nine_digits,
+        metavar="N",
+        help="for video: take each scene N times, with something in it moved by hand, or the next picture of a film on "
+        "a monitor, in between (default: 1)",
+    )
+
+
+def counts_of(arguments: argparse.Namespace) -> dict[str, int]:
+    """Return those of the protocol's counts that are given."""
+    return {name: count for name in COUNTS if (count := getattr(arguments, name)) is not None}
 
 
 def add_progress(parser: argparse._ActionsContainer, what: str) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from capture.apertures import f_text
-from capture.checklist_content import part_of
+from capture.checklist_content import before_moment, part_of
 from capture.plan import CALIBRATION
 from capture.tether.gphoto import CAPTURE, get_arguments, set_arguments
 
@@ -33,13 +33,17 @@ def stages_of(plan: Plan) -> tuple[Stage, ...]:
     stages = []
     for scene in plan.scenes:
         first = scene.shots[0].setting.dial
+        moment = tuple(filter(None, (before_moment(plan, scene),)))
         prepare = (
             f"metered at {scene.metered_s} s, ISO {plan.protocol.base_iso}; the first frame at {first} s",
             *(() if scene.aperture is None else (f"aperture {f_text(scene.aperture)}",)),
             *scene.notes,
             *scene.remarks,
+            *moment,
             "tripod and focus fixed, lamps steady, nobody walks; the mode dial on M, image format raw",
         )
+        if scene.moment > 1:
+            prepare = (*moment, *scene.notes)  # all else is as it was
         stages.append(Stage(scene.name, prepare, tuple(((scene.name, shot.number), shot) for shot in scene.shots)))
     frames = () if plan.calibration is None else plan.calibration.shots
     capped = "lens capped, viewfinder covered, room dark"

@@ -104,7 +104,8 @@ def plan_scoring(request: Request, protocol: Protocol) -> ScoringPlan:
         If the files of clips are not there, or not what the manifest says.
     """
     name = request.manifest.name
-    if not (request.is_own and (protocol.kind is IMAGES or protocol.dataset == OWN_SEQUENCES) or protocol.covers(name)):
+    for_own = protocol.kind is IMAGES or protocol.dataset == OWN_SEQUENCES
+    if not ((request.is_own and for_own) or protocol.covers(name)):
         raise ArgumentError(
             f"protocol {protocol.name!r} is for dataset {protocol.dataset!r}, not {name!r}; "
             "eldata protocols lists those for each"

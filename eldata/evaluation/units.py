@@ -1,8 +1,9 @@
 """The one scoring loop: images and windows of clips under one or several protocols at once.
 
 A unit of work is a reference with the predictions that are compared with it: those of the noisy frames of an image
-scene, or of the frames of a clip's window (which may have references of their own), in one folder or in several. Each file is read once, and what protocols and
-folders share is computed once; predictions are in memory one at a time, however many folders there are.
+scene, or of the frames of a clip's window (each of which may have its own), in one folder or in several. Each file is
+read once, and what protocols and folders share is computed once; predictions are in memory one at a time, however many
+folders there are.
 """
 
 from __future__ import annotations

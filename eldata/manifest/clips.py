@@ -4,8 +4,8 @@ Rows of role ``noisy`` with the same scene are a clip, and their common ``refere
 clip count from 0, whatever the numbers in the file names.
 
 A *sequence* is photographed moment by moment, each a scene of its own, such as ``scene-1-moment-3``: nothing moves
-within one, and something has moved from one to the next. Its noisy rows of one camera, ISO and ratio are a clip, a frame
-a moment, in which each frame has its own reference; of several such rows in each moment, the n-th are the n-th clip.
+within one, and something has moved from one to the next. Its noisy rows of one camera, ISO and ratio are a clip, in
+which each frame has its own reference; of several such rows in each moment, the n-th are the n-th clip.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     import pytest
 
-    from capture.plan import ScenePlan
+    from capture.scene_plan import ScenePlan
     from eldata.demo.camera import SimulatedCamera
 
 SIZE = (384, 576)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
 from capture.check.bias import check_bias
@@ -13,6 +14,7 @@ from capture.observed import exposure_text
 from eldata.base.workers import AnyWorkers, Workers
 from eldata.errors import ArgumentError, ManifestError
 from eldata.manifest.catalogue import Manifest, load_manifest
+from eldata.manifest.clips import moment_of
 from eldata.manifest.pairs import LONGER_DARK, WARM_SENSOR
 
 if TYPE_CHECKING:
@@ -40,6 +42,7 @@ def check(
         The folder that holds the dataset; default ``$ELDATA_ROOT``, else ``./data``.
     scenes
         Only these scenes, by name or number (``"scene-3"``, ``"3"``), without the calibration frames; none means all.
+        That of a sequence is all of its moments.
     cameras
         Only these cameras; none means all.
     workers
@@ -70,10 +73,37 @@ def units_of(records: Iterable[FrameRecord], folder: Path, workers: Workers) -> 
     for record in records:
         groups.setdefault(_unit_name(record), []).append(record)
     within = Workers(max(1, workers.jobs // max(1, len(groups))))
+    references = _references_of_moments(record for found in groups.values() for record in found)
     return [
-        Unit(name, folder, tuple(sorted(found, key=lambda one: (one.role == "noisy", one.path))), within)
+        Unit(
+            name,
+            folder,
+            tuple(sorted(found, key=lambda one: (one.role == "noisy", one.path))),
+            within,
+            _before(found[0], references),
+        )
         for name, found in groups.items()
     ]
+
+
+_Moments = dict[tuple[str, str], dict[int, "FrameRecord"]]
+
+
+def _references_of_moments(records: Iterable[FrameRecord]) -> _Moments:
+    """Return the last reference of each moment, by camera and sequence, and by the moment's number."""
+    found: _Moments = {}
+    for record in sorted(records, key=attrgetter("path")):
+        moment = moment_of(record.scene)
+        if moment is not None and record.role == "reference":
+            found.setdefault((record.camera, moment[0]), {})[moment[1]] = record
+    return found
+
+
+def _before(record: FrameRecord, references: _Moments) -> FrameRecord | None:
+    """Return the last reference of the moment before that of a row, or of the nearest that is there."""
+    sequence, number = moment_of(record.scene) or ("", 0)
+    known = references.get((record.camera, sequence), {})
+    return known.get(max((one for one in known if one < number), default=0))
 
 
 _CHECKS = {"bias": check_bias, "flat": check_flats}
@@ -107,8 +137,8 @@ def _of_scenes(records: Sequence[FrameRecord], scenes: Collection[str]) -> list[
     known = sorted({record.scene for record in records if record.scene})
     wanted = set()
     for scene in scenes:
-        name = scene if scene in known else f"scene-{scene}"
-        if name not in known:
+        names = [one for one in known if {one, (moment_of(one) or ("",))[0]} & {scene, f"scene-{scene}"}]
+        if not names:
             raise ArgumentError(f"no scene {scene!r}; the manifest has {', '.join(known) or 'none'}")
-        wanted.add(name)
+        wanted.update(names)
     return [record for record in records if record.scene in wanted]

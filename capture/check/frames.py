@@ -26,13 +26,15 @@ if TYPE_CHECKING:
 class Unit:
     """The files of one scene, or the bias frames or flats of one camera and ISO: small, for worker processes.
 
-    Records stand in the order in which they are checked: by path, references before noisy frames.
+    Records stand in the order in which they are checked: by path, references before noisy frames. ``before`` is, of a
+    moment of a sequence, the last reference of the moment before.
     """
 
     name: str
     folder: Path
     records: tuple[FrameRecord, ...]
     workers: Workers
+    before: FrameRecord | None = None
 
     @property
     def path(self) -> Path:

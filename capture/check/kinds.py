@@ -40,6 +40,26 @@ SHIFT: Final = MeasureKind(
     SHIFT_SOURCE,
     "the camera moved: fix tripod and head, use a remote release, do not touch lens or focus",
 )
+# From one moment of a sequence to the next, whose pairs do not share a reference: what matters is what a denoiser of
+# video takes from one frame for the other.
+_OF_NEIGHBOURS: Final = "for a denoiser that takes what rests from the moment before: "
+MOMENT_DRIFT: Final = MeasureKind(
+    "moment drift",
+    "%",
+    100 * LIGHT_LOOK,
+    100 * LIGHT_AGAIN,
+    _OF_NEIGHBOURS + LIGHT_SOURCE,
+    "the light changed between the moments: let lamps warm up, shut out daylight, leave exposure and aperture alone; "
+    "take the sequence again",
+)
+MOMENT_SHIFT: Final = MeasureKind(
+    "moment shift",
+    "px",
+    SHIFT_LOOK_PX,
+    SHIFT_AGAIN_PX,
+    _OF_NEIGHBOURS + SHIFT_SOURCE,
+    "the camera moved between the moments: lock tripod and head, keep your hands off them; take the sequence again",
+)
 MOVEMENT: Final = MeasureKind(
     "movement",
     "%",

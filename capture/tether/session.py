@@ -184,8 +184,7 @@ class _Session:
         """Check a stage whose frames are all here, and say what came out."""
         if not self.check:
             return
-        files = self.files()
-        text, self.verdicts[stage.title] = verdict_text(self.plan, {slot: files[slot] for slot, _ in stage.shots})
+        text, self.verdicts[stage.title] = verdict_text(self.plan, [slot for slot, _ in stage.shots], self.files())
         self.say(text)
 
     def expose_flats(self, stage: Stage, ready: Ready) -> tuple[Stage, Ready]:

@@ -10,9 +10,10 @@ from capture.matching import Match
 from capture.observed import observe_one
 from eldata.base.workers import Workers
 from eldata.errors import EldataError
+from eldata.manifest.clips import moment_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from capture.check.measures import Verdict
@@ -20,8 +21,11 @@ if TYPE_CHECKING:
     from capture.plan import Plan
 
 
-def verdict_text(plan: Plan, files: Mapping[Slot, Path]) -> tuple[str, Verdict]:
+def verdict_text(plan: Plan, slots: Sequence[Slot], files: Mapping[Slot, Path]) -> tuple[str, Verdict]:
     """Return what ``capture check`` says of some shots, and the worst verdict; apertures are compared with the plan's.
+
+    ``files``: of these shots and of all others that are there, in the plan's order, for a moment of a sequence is
+    compared with the one before.
 
     Nothing that is wrong with the check ends a session: the frames are here and can be checked again.
     """
@@ -29,9 +33,12 @@ def verdict_text(plan: Plan, files: Mapping[Slot, Path]) -> tuple[str, Verdict]:
     from capture.check.measures import worst
 
     try:
-        frames = {slot: observe_one(path) for slot, path in files.items()}
-        dataset = in_place(plan, Match(frames, ()))
-        groups = [check_unit(unit) for unit in units_of(dataset.records, dataset.folder, Workers(1))]
+        frames = {slot: observe_one(files[slot]) for slot in slots}
+        earlier = {slot: observe_one(files[slot]) for slot in _earlier(slots[0][0], files)}
+        dataset = in_place(plan, Match(earlier | frames, ()))
+        units = units_of(dataset.records, dataset.folder, Workers(1))
+        of_earlier = {scene for scene, _ in earlier}
+        groups = [check_unit(unit) for unit in units if unit.records[0].scene not in of_earlier]
     except EldataError as error:
         return f"could not be checked: {error}", "look"
     apertures = aperture_remarks(plan, frames)
@@ -39,6 +46,17 @@ def verdict_text(plan: Plan, files: Mapping[Slot, Path]) -> tuple[str, Verdict]:
     wrong: list[Verdict] = ["shoot again" for one in apertures if one.kind == "aperture"]
     verdict = worst([*(group.verdict for group in groups), *wrong])
     if verdict == "shoot again":
-        names = ", ".join(sorted({path.name.rpartition("_")[0] for path in files.values()}))
+        names = ", ".join(sorted({files[slot].name.rpartition("_")[0] for slot in slots}))
         text += f"\n    to take frames again: Ctrl-C, delete those of {names} that are spoiled, run the same command"
     return text, verdict
+
+
+def _earlier(scene: str, slots: Iterable[Slot]) -> tuple[Slot, ...]:
+    """Return the last shot of each earlier moment of the sequence that a scene is a moment of."""
+    sequence, number = moment_of(scene) or ("", 0)
+    last: dict[str, Slot] = {}
+    for slot in slots:
+        of, at = moment_of(slot[0]) or ("", 0)
+        if of == sequence and at < number:
+            last[slot[0]] = slot
+    return tuple(last.values())

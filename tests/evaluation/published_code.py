@@ -494,5 +494,11 @@ XTRANS = {
 RENDERED = {"sid2018": sid_score}
 """Protocols that score renderings."""
 
-CLIPS = {"drv-rgb": True, "drv-rgb-uncorrected": False, "drv-raw": True, "drv-raw-uncorrected": False}
+CLIPS = {
+    "drv-rgb": True,
+    "drv-rgb-uncorrected": False,
+    "drv-raw": True,
+    "drv-raw-uncorrected": False,
+    "sequences": True,
+}
 """Protocols of clips, and whether each frame is corrected. ELD's code for video is not public but for its metrics."""

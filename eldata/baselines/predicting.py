@@ -25,7 +25,7 @@ from eldata.evaluation.planning import plan_scoring, require_pairs
 from eldata.evaluation.predictions import save_prediction
 from eldata.evaluation.references import less_shading, levels_dn, normalised_frame
 from eldata.evaluation.request import make_request
-from eldata.manifest.clips import choose_clips, clips_of
+from eldata.manifest.clips import clips_of, setting_name
 from eldata.manifest.patterns import expand
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.noise.parameters import NoiseParameters
@@ -294,8 +294,10 @@ def _units(request: Request, pairs: Sequence[Pair], folder: Path) -> list[_Unit]
     """Return the pairs and windows of which predictions are missing, with the clips that they are of."""
     clips: dict[str, Clip] = {}
     if request.kind is not IMAGES:
-        rows = choose_clips(request.manifest.records, (), ids={pair.scene for pair in pairs})
-        clips = {clip.scene: clip for clip in clips_of(expand(rows, request.folder))}
+        listed, first = expand(request.manifest.records, request.folder), {pair.path for pair in pairs}
+        names = {setting_name(row) for row in listed if row.path in first}
+        rows = [row for row in listed if row.role != "noisy" or setting_name(row) in names]
+        clips = {clip.scene: clip for clip in clips_of(rows)}
     units = []
     for pair in pairs:
         missing = tuple(path for path in frames_of(pair) if not _file_of(folder, pair, path).exists())

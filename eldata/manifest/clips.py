@@ -23,7 +23,7 @@ from eldata.manifest.patterns import is_pattern, sequence_of
 from eldata.manifest.subsets import find_subset
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Sequence
     from fractions import Fraction
 
     from eldata.manifest.subsets import Subset
@@ -57,7 +57,7 @@ class Clip:
     Attributes
     ----------
     scene
-        Its name: the scene; of a sequence, camera, sequence and setting, as ``SonyA7S2/scene-1/ISO800-x100``.
+        Its name: the scene; of a sequence as ``SonyA7S2/scene-1/ISO800-x100``, its second one ``...-x100-2``.
     split, camera
         As in the manifest.
     frames
@@ -121,23 +121,26 @@ class ClipRecord:
         return self.references[self.paths.index(path)] if self.references else self.reference
 
 
+def setting_name(row: FrameRecord) -> str:
+    """Return the clip that a noisy row is of, by its scene; in a sequence ``SonyA7S2/scene-1/ISO800-x100``."""
+    moment = moment_of(row.scene)
+    if moment is None:
+        return row.scene
+    numbers = ((word, value) for word, value in (("ISO", row.iso), ("x", row.ratio)) if value is not None)
+    setting = "-".join(f"{word}{float(value):g}" for word, value in numbers)
+    return "/".join(filter(None, (row.camera, moment[0], setting)))
+
+
 def clip_names(records: Iterable[FrameRecord]) -> dict[str, str]:
     """Return the name of the clip (:attr:`Clip.scene`) that each noisy row is of, by the row's path."""
     names: dict[str, str] = {}
-    alike: Counter[tuple[object, ...]] = Counter()
+    alike: Counter[tuple[str, str]] = Counter()
     for row in sorted(records, key=attrgetter("path")):
-        moment = moment_of(row.scene)
-        if row.role != "noisy":
-            continue
-        if moment is None:
-            names[row.path] = row.scene
-            continue
-        setting = (row.camera, row.scene, row.iso, row.ratio)
-        alike[setting] += 1
-        numbers = ((word, value) for word, value in (("ISO", row.iso), ("x", row.ratio)) if value is not None)
-        parts = [f"{word}{float(value):g}" for word, value in numbers]
-        parts += [str(alike[setting])] if alike[setting] > 1 else []
-        names[row.path] = "/".join(filter(None, (row.camera, moment[0], "-".join(parts))))
+        if row.role == "noisy":
+            name = setting_name(row)
+            alike[name, row.scene] += 1
+            rank = alike[name, row.scene] if moment_of(row.scene) else 1
+            names[row.path] = name if rank == 1 else f"{name}-{rank}"
     return names
 
 
@@ -155,7 +158,7 @@ def choose_clips(
     records, subsets
         Rows of a manifest, and the subsets of its card.
     ids
-        Names of clips; a sequence's name is all of its clips.
+        Names of clips; the name of a sequence, or of a setting of it, is all of its clips.
     choice
         See :class:`~eldata.manifest.pairs.Choice`.
 
@@ -180,25 +183,22 @@ def choose_clips(
             )
     wanted = wanted_values(choice)
     chosen = narrowed(chosen, noisy, "clip", wanted)
-    names = clip_names(noisy)
     if ids is not None:
-        chosen = _of_ids(chosen, noisy, names, ids)
-    kept = {names[row.path] for row in chosen}
-    scenes = {row.scene for row in noisy if names[row.path] in kept}
-    return tuple(row for row in rows if row.scene in scenes and (row.role != "noisy" or names[row.path] in kept))
+        chosen = _of_ids(chosen, noisy, ids)
+    kept = {setting_name(row) for row in chosen}
+    scenes = {row.scene for row in noisy if setting_name(row) in kept}
+    return tuple(row for row in rows if row.scene in scenes and (row.role != "noisy" or setting_name(row) in kept))
 
 
-def _of_ids(
-    chosen: Iterable[FrameRecord], every: Iterable[FrameRecord], names: Mapping[str, str], ids: Collection[str]
-) -> list[FrameRecord]:
+def _of_ids(chosen: Iterable[FrameRecord], every: Iterable[FrameRecord], ids: Collection[str]) -> list[FrameRecord]:
     """Return those of the chosen rows whose clips, or sequences, have these names."""
     clips_in: dict[str, list[str]] = defaultdict(list)
     for row in every:
         moment = moment_of(row.scene)
         if moment is not None:
-            clips_in[moment[0]].append(names[row.path])
+            clips_in[moment[0]].append(setting_name(row))
     wanted = ids if isinstance(ids, str) else [name for one in ids for name in clips_in.get(one, [one])]
-    by_name = [[replace(row, scene=names[row.path]) for row in rows] for rows in (chosen, every)]
+    by_name = [[replace(row, scene=setting_name(row)) for row in rows] for rows in (chosen, every)]
     kept = {row.path for row in narrowed(by_name[0], by_name[1], "clip", {"scene": wanted})}
     return [row for row in chosen if row.path in kept]
 

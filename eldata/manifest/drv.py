@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 
 from eldata.errors import DatasetError
 from eldata.manifest.catalogue import Manifest, save_manifest, shipped_manifest
+from eldata.manifest.clips import clip_names
 from eldata.manifest.patterns import expand, is_pattern
 from eldata.raw.extensions import RAW_EXTENSIONS
 from eldata.records import FrameRecord
@@ -72,12 +73,12 @@ class Layout:
             kind = (UNUSED if UNUSED in row.flags else row.role, _kind_of_name(row.path, row.scene))
             clips[kind].add(row.scene)
             files[kind] += 1
-        frames = Counter(row.scene for row in rows if row.role == "noisy")
+        frames = Counter(clip_names(rows).values())
         referenced = {row.scene for row in rows if row.role == "reference" and UNUSED not in row.flags}
         return cls(
             tuple((*kind, len(clips[kind]), files[kind]) for kind in sorted(files)),
             (min(frames.values(), default=0), max(frames.values(), default=0)),
-            tuple(clip for clip in frames if clip not in referenced),
+            tuple(dict.fromkeys(row.scene for row in rows if row.role == "noisy" and row.scene not in referenced)),
         )
 
     def __str__(self) -> str:

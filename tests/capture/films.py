@@ -1,4 +1,4 @@
-"""Sequences as a simulated photographer takes them: a scene that rests, and a thing in it that moves between moments."""
+"""Sequences as a simulated photographer takes them: a scene that rests, and a thing in it that moves."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def film(
         for shot in planned.shots:
             number += 1
             now += timedelta(seconds=10)
-            share = Fraction(shot.setting.true_s / planned.shots[0].setting.true_s)
+            share = shot.setting.nominal_s / planned.shots[0].setting.nominal_s  # a shutter that does what it says
             mosaic = camera.photograph(picture, share, shot.iso, np.random.default_rng([5, number]))
             exposure = Exposure(Fraction(shot.iso), shot.setting.nominal_s)
             path = card / f"DSC{number:05d}.dng"

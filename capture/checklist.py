@@ -128,16 +128,21 @@ def _page_data(plan: Plan) -> dict[str, Any]:
         "lasting": {time.dial: round(time.true_s, 2) for time in camera.shutter.times if time.true_s >= _TO_BE_TIMED_S},
         "times": _times(plan),
         "frames": [row.as_dict() for scene in plan.scenes[:1] for row in rows(scene.shots)],
-        "scenes": [
-            {"name": scene.name, "metered": str(scene.metered_s)}
-            | ({"sequence": scene.sequence, "before": before_moment(plan, scene)} if scene.moment else {})
-            for scene in plan.scenes
-        ],
+        "scenes": [_scene_data(plan, scene) for scene in plan.scenes],
         "calibration": [row.as_dict() for part in calibration_parts(plan) for row in part.rows],
         "preparation": [item.name for item in every_item(plan)],
         "longest_text": LONGEST_TEXT,
         "most_repeats": MOST_REPEATS,
     }
+
+
+def _scene_data(plan: Plan, scene: ScenePlan) -> dict[str, str]:
+    data = {"name": scene.name, "metered": str(scene.metered_s)}
+    if scene.moment:
+        data["sequence"] = scene.sequence
+    if scene.moment > 1:
+        data |= {"before": before_moment(plan, scene), "hint": before_moment(plan, scene, "move")}
+    return data
 
 
 def _times(plan: Plan) -> list[dict[str, Any]]:

@@ -150,12 +150,12 @@ def at_each_scene(plan: Plan) -> tuple[str, ...]:
     return tuple(_filled(text, plan) for text in _words()["at_each_scene"])
 
 
-def before_moment(plan: Plan, scene: ScenePlan) -> str:
-    """Return what to do before a moment of a sequence; nothing of a scene without moments."""
+def before_moment(plan: Plan, scene: ScenePlan, words: str = "between_moments") -> str:
+    """Return what to do before a moment of a sequence, ``"move"`` in short; nothing of a scene without moments."""
     if not scene.moment:
         return ""
-    words: str = _words()["first_moment" if scene.moment == 1 else "between_moments"]
-    return words.format(moment=scene.moment, moments=plan.protocol.moments)
+    text: str = _words()["first_moment" if scene.moment == 1 else words]
+    return text.format(moment=scene.moment, moments=plan.protocol.moments)
 
 
 def every_item(plan: Plan) -> tuple[Item, ...]:

@@ -33,9 +33,11 @@ every("[data-row]").forEach((element) => {
 });
 const rowsOf = (section) => [...rows.values()].filter((row) => row.section === section);
 
+const sceneAt = (section) => plan.scenes.find((scene) => scene.name === section);
+
 /** The moments of a section's sequence, which are metered alike; a scene without moments is alone. */
 function momentsOf(section) {
-  const own = plan.scenes.find((scene) => scene.name === section);
+  const own = sceneAt(section);
   return own?.sequence ? plan.scenes.filter((scene) => scene.sequence === own.sequence).map((scene) => scene.name) : [section];
 }
 const frameCount = (list) => list.reduce((sum, row) => sum + row.count, 0);
@@ -199,7 +201,7 @@ function hint(row) {
   const list = rowsOf(place);
   const before = list[list.indexOf(row) - 1];
   if (row.repeats || row.takenAt) return "Take it again; the last one counts.";
-  if (!before) return place === "calibration" ? "First calibration frames." : plan.scenes.find((scene) => scene.name === place).before ?? "First shot of the scene.";
+  if (!before) return place === "calibration" ? "First calibration frames." : sceneAt(place).hint ?? "First shot of the scene.";
   const changed = [before.iso !== row.iso && "ISO", before.dial !== row.dial && "shutter"].filter(Boolean);
   return changed.length ? `Change ${changed.join(" and ")}.` : "Settings stay as they are.";
 }
@@ -318,7 +320,8 @@ function setDone(row, done) {
   }
   showSection(row.section);
   showNext();
-  announce(done ? "Taken." : "No longer ticked.");
+  const moved = done && place !== row.section && nextRow() === rowsOf(place)[0] ? sceneAt(place)?.before : null;
+  announce(done ? ["Taken.", moved ?? ""].join(" ").trim() : "No longer ticked.");
 }
 
 function repeat(row) {

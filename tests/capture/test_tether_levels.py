@@ -156,6 +156,25 @@ def test_another_aperture_than_the_plans_is_said(tmp_path: Path, capsys: pytest.
     assert "scene-1_0002.dng (scene-1 frame 2): taken at f/5.6, where the plan has f/8" in output
 
 
+def test_moments_are_compared_with_the_one_before(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The stand-in's scene rests: that nothing moved is said at once. Metering is asked for once."""
+    rig = SceneRig(tmp_path)
+    protocol = CaptureProtocol(100, (800,), (1,), moments=3)
+    rig.plan_again(make_plan(description(CAMERAS[0]), protocol, {"scene-1": Fraction(4)}))
+    assert rig.run_checked("--json", str(tmp_path / "run.json"), "--scene", "1") == 1
+    output = capsys.readouterr().out
+    assert output.count("metered at 4 s") == output.count("tripod and focus fixed") == 1
+    assert "scene-1-moment-2: 3 frames\n    Do not touch the camera. Move what is to move a little" in output
+    assert [line.partition(" (")[0] for line in output.splitlines() if line.startswith("DemoAlpha scene-")] == [
+        "DemoAlpha scene-1-moment-1: keep",
+        "DemoAlpha scene-1-moment-2: look",
+        "DemoAlpha scene-1-moment-3: look",
+    ]
+    assert "nothing moved since moment 1 (scene-1-moment-1_0003.dng)" in output
+    assert "nothing moved since moment 2 (scene-1-moment-2_0003.dng)" in output
+    assert list(json.loads((tmp_path / "run.json").read_text())["verdicts"].values()) == ["keep", "look", "look"]
+
+
 def test_without_a_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig = SceneRig(tmp_path, moved_px=6)
     assert rig.run("--scene", "1") == 0

@@ -58,7 +58,8 @@ MOMENT_SHIFT: Final = MeasureKind(
     SHIFT_LOOK_PX,
     SHIFT_AGAIN_PX,
     _OF_NEIGHBOURS + SHIFT_SOURCE,
-    "the camera moved between the moments: lock tripod and head, keep your hands off them; take the sequence again",
+    "the camera moved between the moments, or what moves fills half of the picture: lock tripod and head, and let more "
+    "rest; take the sequence again",
 )
 MOVEMENT: Final = MeasureKind(
     "movement",

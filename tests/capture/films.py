@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from capture.cli import main as capture
 from capture.plan import make_plan
 from capture.protocol import CaptureProtocol
 from eldata.demo.camera import CAMERAS
@@ -51,10 +52,11 @@ def film(
     plan: Plan,
     order: Sequence[str] | None = None,
     mishap: Callable[[str, Picture], Picture] = lambda _, picture: picture,
+    size: tuple[int, int] = SIZE,
 ) -> Path:
     """Take the moments of a plan, by name in this order; ``mishap`` gets a name and what is seen at it."""
     card.mkdir(parents=True, exist_ok=True)
-    camera, now, number = ALPHA.with_size(*SIZE), NIGHT, len(list(card.iterdir()))
+    camera, now, number = ALPHA.with_size(*size), NIGHT, len(list(card.iterdir()))
     for name in [scene.name for scene in plan.scenes] if order is None else order:
         planned = plan.scene(name)
         picture = mishap(name, seen(int(planned.sequence.removeprefix("scene-")), max(1, planned.moment)))
@@ -68,6 +70,15 @@ def film(
             path = card / f"DSC{number:05d}.dng"
             write_dng(path, mosaic, camera.sensor, exposure, taken=now, compression="none")
     return card
+
+
+def made_set(folder: Path, plan: Plan, *options: str) -> Path:
+    """Make the set of a card's files; return its manifest."""
+    plan.save(folder / "plan.json")
+    target = folder / "manifests" / "mine.csv"
+    arguments = ["manifest", str(folder / "plan.json"), str(folder / "card"), "-o", str(target)]
+    assert capture([*arguments, "--copy-to", str(folder / "data" / "Mine"), "--jobs", "1", *options]) == 0
+    return target
 
 
 def shifted(down: float, right: float = 0.0) -> Callable[[Picture], Picture]:

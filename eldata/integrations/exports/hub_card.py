@@ -1,8 +1,8 @@
 """The page that a set has on the Hugging Face Hub: README.md, whose header the package ``datasets`` reads.
 
 Fields of the header: hub-docs, datasetcard.md; licences: docs/hub/repositories-licenses.md there. Features are stated,
-not left to ``datasets``, which takes them from the first five samples of the first shard: a field that is null in
-these, or absent, would refuse or lose what later samples have.
+not left to ``datasets`` (5.2), which takes them from the first five samples: a field that these lack is lost of all
+others, and a list that is empty in them may not be filled in later ones.
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ def export_hub(
     """Lay out a set for the package ``datasets``: a dataset card, manifest and Croissant, and pixels or references.
 
     ``load_dataset(folder)`` then gives the samples of the shards, or, without shards, a table of the pairs: names,
-    exposures, ratios, hashes and where to get them; ``load_dataset(folder, "frames")`` gives the manifest.
+    exposures, ratios, hashes and where to get them, and ``load_dataset(folder, "frames")`` the manifest.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def _with_pixels(plan: ExportPlan, manifest: Manifest, places: Iterable[Path]) -
         if split in splits:
             raise DatasetError(f"{place}: holds pairs of the split {split} as another folder does; shard them together")
         below = f"data/{split}"
-        splits[split] = HubSplit(split, f"{below}/*.tar", found.samples)
+        splits[split] = HubSplit(split, f"{below}/*.tar", found.samples, sum(shard.bytes for shard in index.shards))
         plan.links |= {f"{below}/{name}": place.absolute() / name for name in [*(s.name for s in index.shards), INDEX]}
         shapes |= found.shapes
         pairs |= found.pairs

@@ -74,11 +74,12 @@ PAIR_COLUMNS = (
 
 @dataclass(frozen=True, slots=True)
 class HubSplit:
-    """A split as ``datasets`` names it: its files below the folder (a pattern), and its number of samples or pairs."""
+    """A split as ``datasets`` names it: a pattern of its files, its number of samples or pairs, its shards' bytes."""
 
     name: str
     files: str
     examples: int
+    bytes: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,8 +101,6 @@ def hub_page(manifest: Manifest, layout: HubLayout) -> str:
 
 
 def _header(manifest: Manifest, layout: HubLayout) -> dict[str, Any]:
-    kinds = _kinds(manifest)
-    frames = {"config_name": "frames", **_table([HubSplit("frames", manifest.path.name, 0)], kinds)}
     examples = sum(split.examples for split in layout.splits) or len(manifest.records)
     header: dict[str, Any] = {
         **_licence(manifest.card),
@@ -110,21 +109,25 @@ def _header(manifest: Manifest, layout: HubLayout) -> dict[str, Any]:
         "tags": [word.replace(" ", "-") for word in to_croissant(manifest)["keywords"]],
         "size_categories": [next((text for most, text in _SIZES if examples < most), _LARGEST)],
     }
-    if layout.pixels:
-        pairs = {"config_name": "pairs", "default": True, "data_files": _files(layout.splits)}
-        array = {"array2_d": {"shape": list(layout.shape), "dtype": "uint16"}} if layout.shape else [["uint16"]]
-        features = {"json": _FACTS, "input.npy": array, "target.npy": array, "__key__": "string", "__url__": "string"}
-        stated_pairs = {
-            "config_name": "pairs",
-            "features": _features(features),
-            "splits": [{"name": split.name, "num_examples": split.examples} for split in layout.splits],
-        }
-        return header | {"configs": [pairs, frames], "dataset_info": [stated_pairs]}
-    if layout.splits:
-        own = {name: kinds.get(name.removeprefix("reference_"), "string") for name in PAIR_COLUMNS}
-        pairs = {"config_name": "pairs", "default": True, **_table(layout.splits, own)}
-        return header | {"configs": [pairs, frames]}
-    return header | {"configs": [frames]}
+    return header | (_of_shards(layout) if layout.pixels else _of_tables(manifest, layout))
+
+
+def _of_shards(layout: HubLayout) -> dict[str, Any]:
+    array = {"array2_d": {"shape": list(layout.shape), "dtype": "uint16"}} if layout.shape else [["uint16"]]
+    features = {"json": _FACTS, "input.npy": array, "target.npy": array, "__key__": "string", "__url__": "string"}
+    counts = [{"name": one.name, "num_bytes": one.bytes, "num_examples": one.examples} for one in layout.splits]
+    return {
+        "configs": [{"config_name": "pairs", "data_files": _files(layout.splits)}],
+        "dataset_info": [{"config_name": "pairs", "features": _features(features), "splits": counts}],
+    }
+
+
+def _of_tables(manifest: Manifest, layout: HubLayout) -> dict[str, Any]:
+    kinds = _kinds(manifest)
+    of_pairs = {name: kinds.get(name.removeprefix("reference_"), "string") for name in PAIR_COLUMNS}
+    pairs = {"config_name": "pairs", "default": True, **_table(layout.splits, of_pairs)}
+    frames = {"config_name": "frames", **_table([HubSplit("frames", manifest.path.name, 0)], kinds)}
+    return {"configs": [pairs, frames] if layout.splits else [frames]}
 
 
 def _licence(card: Card) -> dict[str, str]:

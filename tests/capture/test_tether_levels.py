@@ -118,7 +118,12 @@ def test_a_scene_is_checked_when_it_is_taken(tmp_path: Path, capsys: pytest.Capt
     ]
     # The first verdict comes before anything of the second scene.
     assert "scene-1  3/3" in lines[verdicts[0] - 1]
-    assert lines[verdicts[0] + 1].startswith("scene-2: 3 frames")
+    sheet = rig.shots / "checked" / "scene-1.html"
+    assert lines[verdicts[0] + 1 : verdicts[0] + 3] == [f"    to look at: {sheet}", "scene-2: 3 frames"]
+    page = sheet.read_text("utf-8")
+    assert page.count("data:image/jpeg;base64,") >= 3
+    assert all(f"scene-1_000{number}.dng" in page for number in (1, 2, 3))
+    assert "scene-2_000" not in page
     assert json.loads((tmp_path / "run.json").read_text())["verdicts"] == {"scene-1": "keep", "scene-2": "keep"}
     taken = [line for line in lines if "  scene-1_000" in line or "  scene-2_000" in line]
     assert len(taken) == 6

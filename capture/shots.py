@@ -14,9 +14,10 @@ from capture.capture_errors import ImpossibleShotError, PlanError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from capture.camera import CameraDescription, ShutterTime
+    from capture.camera import CameraDescription
     from capture.exact import ExactNumber
     from capture.protocol import CaptureProtocol, ProtocolFrame
+    from capture.shutter import ShutterTime
     from eldata.records import Role
 
 

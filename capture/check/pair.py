@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, Final
 
-from capture.camera import ladder
 from capture.check.common_shift import common_shift
 from capture.check.flicker import Flicker, flicker_of_contrast
 from capture.check.frames import ReducedFrame, file_name
@@ -22,6 +21,7 @@ from capture.check.measures import SIGMAS, Estimate, MeasureKind
 from capture.check.noise_structure import fine_noise
 from capture.check.ratio import changed_share, fit_ratio
 from capture.check.result import CheckedPair
+from capture.shutter import ladder
 from eldata.errors import RawFileError
 
 if TYPE_CHECKING:

@@ -17,7 +17,8 @@ from eldata.base.files import sha256_of
 from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.manifest.card import CameraCard, Card
-from eldata.manifest.pairs import LONGER_DARK, WARM_SENSOR
+from eldata.manifest.pairs import LONGER_DARK, UNCERTAIN_ISO, WARM_SENSOR
+from eldata.manifest.verify import RATIO_TOLERANCE
 from eldata.records import FrameRecord
 
 if TYPE_CHECKING:
@@ -177,8 +178,15 @@ def _record(plan: Plan, scene: str, shot: Shot, frame: ObservedFrame, path: str,
         exposure_s=frame.exposure_s,
         ratio=None if shot.factor is None else Fraction(shot.factor),
         reference=reference,
-        flags=flags_of(shot.series),
+        flags=(*flags_of(shot.series), *_doubted(shot)),
     )
+
+
+def _doubted(shot: Shot) -> tuple[str, ...]:
+    """Return the flag of a pair whose names of ISOs say another ratio than their measured speeds, known beforehand."""
+    if shot.true_iso is None or shot.named_ratio is None or shot.factor is None:
+        return ()
+    return (UNCERTAIN_ISO,) if abs(shot.named_ratio - shot.factor) > RATIO_TOLERANCE * shot.factor else ()
 
 
 def flags_of(series: str) -> tuple[str, ...]:

@@ -373,15 +373,21 @@ def test_shards_that_are_not_of_the_set(own: OwnSet, tmp_path: Path) -> None:
     refused("another folder does; shard them together", own.whole["test"], own.tiles["test"])
     refused("chosen as they were written", own.whole["test"], split="test")
     write_shards(own.store, tmp_path / "both", split=["test", "val"], tile=None)
-    refused("the splits test, val, and the package datasets tells splits by their files", tmp_path / "both")
+    refused(
+        "the splits '(test|val)' and '(test|val)'; the package datasets tells splits by their files",
+        tmp_path / "both",
+    )
     changed = tmp_path / "own.csv"
     card = own.manifest.card
     save_manifest(changed, card, [replace(one, flags=("windy",)) for one in own.manifest.records])
     refused(
-        "is not as the manifest has it now: expected .* pack and shard the set again",
+        r"is not as the manifest has it now \(flags: expected windy, found nothing\); pack and shard the set again",
         own.whole["val"],
         manifest=changed,
     )
+    rest = [one for one in own.manifest.records if one.split != "val"]
+    save_manifest(changed, replace(card, counts={"noisy": 12, "reference": 2}), rest)
+    refused(r"now \(it is not there\)", own.whole["val"], manifest=changed)
     save_manifest(changed, replace(card, name="other"), own.manifest.records)
     refused("holds pairs of 'own', but the manifest is of 'other'", own.whole["val"], manifest=changed)
 

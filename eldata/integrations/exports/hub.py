@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Unpack
 
 from tqdm import tqdm
 
-from eldata.base.fields import csv_text
+from eldata.base.fields import csv_text, names_of
 from eldata.base.files import folder_problem, json_text
 from eldata.errors import ArgumentError, DatasetError
 from eldata.integrations.exports.hub_card import PAIR_COLUMNS, HubLayout, HubSplit, hub_page
@@ -19,6 +19,7 @@ from eldata.manifest.catalogue import carded_names, known_manifest, load_manifes
 from eldata.manifest.croissant import to_croissant
 from eldata.manifest.pairs import Choice, select_pairs
 from eldata.manifest.table import cell_text
+from eldata.records import PairRecord
 from eldata.sources.shards.index import INDEX
 from eldata.sources.shards.reading import read_run
 from eldata.sources.shards.remote import Folder
@@ -29,7 +30,8 @@ if TYPE_CHECKING:
 
     from eldata.integrations.exports.writing import ExportReport, Linking
     from eldata.manifest.catalogue import Manifest
-    from eldata.records import FrameRecord, PairRecord
+    from eldata.records import FrameRecord
+    from eldata.sources.shards.index import ShardIndex
 
 # As `datasets` has it; it takes the pairs of "all" for those of every split.
 _SPLIT = re.compile(r"(?!all$)\w+(\.\w+)*", re.ASCII)
@@ -134,10 +136,10 @@ def _check_passed_on(manifest: Manifest) -> None:
 
 @dataclass(slots=True)
 class _Found:
-    """What the samples of a folder of shards are: how many, of which splits and pairs, and their sizes (H, W)."""
+    """What the samples of a folder of shards are: how many, of which split and pairs, and their sizes (H, W)."""
 
     samples: int = 0
-    splits: set[str] = field(default_factory=set)
+    split: str = ""
     pairs: set[str] = field(default_factory=set)
     shapes: set[tuple[int, int]] = field(default_factory=set)
 
@@ -154,13 +156,8 @@ def _with_pixels(plan: ExportPlan, manifest: Manifest, places: Iterable[Path]) -
         index = source.read_index()
         if index.dataset != manifest.name:
             raise DatasetError(f"{place}: holds pairs of {index.dataset!r}, but the manifest is of {manifest.name!r}")
-        found = _checked(source, known)
-        if len(found.splits) > 1:
-            raise DatasetError(
-                f"{place}: holds pairs of the splits {', '.join(sorted(found.splits))}, and the package datasets tells "
-                "splits by their files: shard each by itself, with eldata shard --split"
-            )
-        split = _split_name(*found.splits)
+        found = _checked(source, index, known)
+        split = _split_name(found.split)
         if split in splits:
             raise DatasetError(f"{place}: holds pairs of the split {split} as another folder does; shard them together")
         below = f"data/{split}"
@@ -172,25 +169,39 @@ def _with_pixels(plan: ExportPlan, manifest: Manifest, places: Iterable[Path]) -
     return HubLayout(tuple(splits.values()), pixels=True, shape=shape), len(pairs)
 
 
-def _checked(source: Folder, known: Mapping[str, PairRecord]) -> _Found:
+def _checked(source: Folder, index: ShardIndex, known: Mapping[str, PairRecord]) -> _Found:
     """Read every sample of a folder, and hold its record against the manifest's."""
-    index, found = source.read_index(), _Found()
+    found = _Found()
     with tqdm(total=len(index), desc="checking shards", unit="sample", disable=None, leave=False) as bar:
         for run in in_order([len(shard) for shard in index.shards]):
             with closing(read_run(source, index, run)) as samples:
                 for sample in samples:
                     record = sample.facts.record
-                    if known.get(record.path) != record:
+                    _check_record(source.address, record, known.get(record.path))
+                    if found.samples and record.split != found.split:
                         raise DatasetError(
-                            f"{source.address}: its pair {record.path} is not as the manifest has it now: expected "
-                            f"{known.get(record.path)}, found {record}; pack and shard the set again"
+                            f"{source.address}: holds pairs of the splits {found.split!r} and {record.split!r}; the "
+                            "package datasets tells splits by their files: shard each by itself (eldata shard --split)"
                         )
                     found.samples += 1
-                    found.splits.add(record.split)
+                    found.split = record.split
                     found.pairs.add(record.path)
                     found.shapes |= {sample.input_dn.shape, sample.target_dn.shape}
                     bar.update()
     return found
+
+
+def _check_record(place: str, found: PairRecord, expected: PairRecord | None) -> None:
+    if found == expected:
+        return
+    what = "it is not there"
+    if expected is not None:
+        name = next(name for name in names_of(PairRecord) if getattr(found, name) != getattr(expected, name))
+        wanted, had = (cell_text(getattr(record, name)) or "nothing" for record in (expected, found))
+        what = f"{name}: expected {wanted}, found {had}"
+    raise DatasetError(
+        f"{place}: the pair {found.path} is not as the manifest has it now ({what}); pack and shard the set again"
+    )
 
 
 def _split_name(split: str) -> str:
@@ -222,7 +233,10 @@ def _with_references(plan: ExportPlan, manifest: Manifest, choice: Choice) -> tu
         rows = [[_cell(name, manifest, *frames) for name in PAIR_COLUMNS] for frames in both]
         plan.lists[path] = csv_text(PAIR_COLUMNS, rows).encode()
         splits.append(HubSplit(split, path, len(chosen)))
-    plan.remarks.append("these are references; the pixels of a set whose card states its licence go along as --shards")
+    plan.remarks.append(
+        "these are references; the pixels of a set whose card states its licence go along by --shards (eldata pack, "
+        "eldata shard --split)"
+    )
     return HubLayout(tuple(splits)), len(pairs)
 
 

@@ -184,7 +184,9 @@ class _Session:
         """Check a stage whose frames are all here, and say what came out."""
         if not self.check:
             return
-        text, self.verdicts[stage.title] = verdict_text(self.plan, [slot for slot, _ in stage.shots], self.files())
+        sheet = self.folder / "checked" / f"{stage.title.replace(' ', '-')}.html"
+        slots = [slot for slot, _ in stage.shots]
+        text, self.verdicts[stage.title] = verdict_text(self.plan, slots, self.files(), sheet)
         self.say(text)
 
     def expose_flats(self, stage: Stage, ready: Ready) -> tuple[Stage, Ready]:

@@ -21,16 +21,17 @@ if TYPE_CHECKING:
     from capture.plan import Plan
 
 
-def verdict_text(plan: Plan, slots: Sequence[Slot], files: Mapping[Slot, Path]) -> tuple[str, Verdict]:
+def verdict_text(plan: Plan, slots: Sequence[Slot], files: Mapping[Slot, Path], sheet: Path) -> tuple[str, Verdict]:
     """Return what ``capture check`` says of some shots, and the worst verdict; apertures are compared with the plan's.
 
     ``files``: of these shots and of all others that are there, in the plan's order, for a moment of a sequence is
-    compared with the one before.
-
-    Nothing that is wrong with the check ends a session: the frames are here and can be checked again.
+    compared with the one before. The contact sheet of these shots is written, too. Nothing that is wrong with the check
+    ends a session: the frames are here and can be checked again.
     """
     from capture.check.checking import check_unit, units_of
     from capture.check.measures import worst
+    from capture.check.result import CheckReport
+    from capture.check.sheet import write_sheet
 
     try:
         frames = {slot: observe_one(files[slot]) for slot in slots}
@@ -39,10 +40,13 @@ def verdict_text(plan: Plan, slots: Sequence[Slot], files: Mapping[Slot, Path]) 
         units = units_of(dataset.records, dataset.folder, Workers(1))
         of_earlier = {scene for scene, _ in earlier}
         groups = [check_unit(unit) for unit in units if unit.records[0].scene not in of_earlier]
-    except EldataError as error:
+        sheet.parent.mkdir(exist_ok=True)
+        write_sheet(sheet, CheckReport(sheet.stem, tuple(groups)))
+    except (EldataError, OSError) as error:
         return f"could not be checked: {error}", "look"
     apertures = aperture_remarks(plan, frames)
-    text = "\n".join([*(group.format_text() for group in groups), *(f"    {one.text}" for one in apertures)])
+    shown = f"    to look at: {sheet}"
+    text = "\n".join([*(group.format_text() for group in groups), *(f"    {one.text}" for one in apertures), shown])
     wrong: list[Verdict] = ["shoot again" for one in apertures if one.kind == "aperture"]
     verdict = worst([*(group.verdict for group in groups), *wrong])
     if verdict == "shoot again":

@@ -30,7 +30,7 @@ from capture.capture_errors import PlanError
 from capture.checklist_content import ChecklistRow, every_item, rows
 from capture.exact import parse_seconds
 from capture.plan import CALIBRATION
-from capture.scene_plan import sequence_of
+from capture.scene_plan import sequence_name
 from eldata.base.fields import Fields, TextFile, shown
 
 if TYPE_CHECKING:
@@ -188,7 +188,7 @@ def load_progress(path: Path | str, plan: Plan, content: bytes | None = None) ->
     metered: dict[str, Fraction] = {}
     for item in top.objects("scenes"):
         scenes.append(_scene(item, plan, [scene.name for scene in scenes]))
-        metered_s = metered.setdefault(sequence_of(scenes[-1].name), scenes[-1].metered_s)
+        metered_s = metered.setdefault(sequence_name(scenes[-1].name), scenes[-1].metered_s)
         if scenes[-1].metered_s != metered_s:
             raise item.wrong("metered_s", f"{metered_s}, as of the scene's other moments", str(scenes[-1].metered_s))
     frames = () if plan.calibration is None else rows(plan.calibration.shots)

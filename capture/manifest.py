@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from capture.calibration import WARM
 from capture.capture_errors import MappingError
 from capture.plan import CALIBRATION
-from capture.scene_plan import sequence_of
+from capture.scene_plan import sequence_name
 from eldata.base.files import sha256_of
 from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers
@@ -214,7 +214,7 @@ def counts_of(records: Iterable[FrameRecord]) -> dict[str, int]:
 
 def set_title(records: Sequence[FrameRecord]) -> str:
     """Return what a set holds, in words."""
-    scenes = len({sequence_of(record.scene) for record in records} - {""})
+    scenes = len({sequence_name(record.scene) for record in records} - {""})
     what = [counted(scenes, "scene")] if scenes else []
     what += ["calibration frames"] if {"bias", "flat"} & set(counts_of(records)) else []
     cameras = dict.fromkeys(sorted(record.camera for record in records))

@@ -17,7 +17,7 @@ from capture.camera import CameraDescription, camera_as_dict, camera_from, whole
 from capture.capture_errors import PlanError, naming
 from capture.exact import parse_seconds
 from capture.protocol import COUNTS, CaptureProtocol
-from capture.scene_plan import ScenePlan, moments_of, plan_scene, sequence_of
+from capture.scene_plan import ScenePlan, moments_of, plan_scene, sequence_name
 from capture.shots import Duration, Shot, check_isos, duration_of
 from eldata.base.fields import Fields, TextFile, shown
 from eldata.base.files import write_json
@@ -167,7 +167,7 @@ class Plan:
         ImpossibleShotError
             If one of its shots is beyond the camera.
         """
-        scenes = self.moments(sequence_of(name))
+        scenes = self.moments(sequence_name(name))
         shots = plan_scene(self.camera, self.protocol, name, metered_s).shots
         return self._with(*(replace(scene, metered_s=metered_s, shots=shots) for scene in scenes))
 

@@ -46,7 +46,7 @@ class ScenePlan:
     @property
     def sequence(self) -> str:
         """The scene's name without the moment."""
-        return sequence_of(self.name)
+        return sequence_name(self.name)
 
     @property
     def moment(self) -> int:
@@ -70,7 +70,7 @@ class ScenePlan:
         return tuple(found)
 
 
-def sequence_of(name: str) -> str:
+def sequence_name(name: str) -> str:
     """Return the scene that a name means, without its moment."""
     return (moment_of(name) or (name,))[0]
 

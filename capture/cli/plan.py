@@ -12,7 +12,7 @@ from capture.cli.values import (
     add_alike,
     add_progress,
     aperture,
-    counts_of,
+    given_counts,
     metered,
     nine_digits,
     or_dash,
@@ -205,7 +205,7 @@ def _new(arguments: argparse.Namespace) -> Plan:
         camera.base_iso,
         tuple(arguments.isos or chosen.noisy_isos),
         tuple(arguments.factors or chosen.low_light_factors),
-        **counts_of(arguments),
+        **given_counts(arguments),
     )
     times = _metered(arguments)
     if not times:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from capture.cli.values import add_alike, counts_of, nine_digits, or_dash, seconds, spaced
+from capture.cli.values import add_alike, given_counts, nine_digits, or_dash, seconds, spaced
 from capture.protocol import RELEASED, CaptureProtocol
 from eldata.base.console import OK, add_shared
 from eldata.base.files import write_json
@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
         options.base_iso,
         tuple(options.isos),
         tuple(options.factors),
-        **counts_of(options),
+        **given_counts(options),
     )
     metered_s: Fraction | None = options.metered
     frames = protocol.frames()

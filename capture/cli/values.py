@@ -104,7 +104,7 @@ def add_alike(parser: argparse._ActionsContainer) -> None:
     )
 
 
-def counts_of(arguments: argparse.Namespace) -> dict[str, int]:
+def given_counts(arguments: argparse.Namespace) -> dict[str, int]:
     """Return those of the protocol's counts that are given."""
     return {name: count for name in COUNTS if (count := getattr(arguments, name)) is not None}
 

@@ -79,14 +79,15 @@ class Folder:
 
 
 class Forward:
-    """One file, read forward from a byte on; :meth:`read` gives exactly what was asked for, or an error."""
+    """One file, read forward; :meth:`read` gives exactly what was asked for, or an error."""
 
-    def __init__(self, folder: Folder, name: str, start: int = 0) -> None:
+    def __init__(self, folder: Folder, name: str) -> None:
         self.place = folder.place(name)
         self._folder = folder
         self._system, path = folder.file_system()
         self._path = f"{path}/{name}"
-        self._at = start
+        self._at = 0  # the byte that is next
+        self._file_at = 0
         self._file: IO[bytes] | None = None
         self._has_ranges = True
         protocol = self._system.protocol
@@ -98,6 +99,10 @@ class Forward:
             with suppress(Exception):  # nothing is lost with it
                 self._file.close()
             self._file = None
+
+    def go_to(self, place: int) -> None:
+        """Go on at a later byte; what lies between is not fetched where a file can be read from any byte on."""
+        self._at = place
 
     def read(self, count: int) -> bytes:
         """Return the next ``count`` bytes.
@@ -138,9 +143,7 @@ class Forward:
         attempt = 1
         while True:
             try:
-                if self._file is None:
-                    self._file = self._opened()
-                piece = self._file.read(most)
+                piece = self._opened().read(most)
             except ValueError as error:  # fsspec's, of a web server that knows no ranges
                 self.close()
                 if self._is_local or not self._has_ranges:
@@ -155,22 +158,24 @@ class Forward:
                     raise ShardError(self.place, f"cannot be read{tried} ({reason}); is the address right?") from error
             else:
                 self._at += len(piece)
+                self._file_at = self._at
                 return piece
             time.sleep(wait_s)
             wait_s *= 2
             attempt += 1
 
     def _opened(self) -> IO[bytes]:
-        """Open the file at the byte that is next."""
-        block_bytes = _BLOCK_BYTES if self._has_ranges else 0  # 0: fsspec streams from the first byte on
-        file: IO[bytes] = self._system.open(self._path, "rb", block_size=block_bytes)
-        if self._at and self._has_ranges:
+        """Return the file at the byte that is next."""
+        if self._file is None:
+            block_bytes = _BLOCK_BYTES if self._has_ranges else 0  # 0: fsspec streams from the first byte on
+            self._file = self._system.open(self._path, "rb", block_size=block_bytes)
+            self._file_at = 0
+        file: IO[bytes] = self._file
+        if self._file_at < self._at and self._has_ranges:
             with suppress(ValueError):  # a stream that cannot seek: what comes before is read and dropped
-                file.seek(self._at)
-                return file
-        left = self._at
-        while left > 0 and (dropped := file.read(min(left, _BLOCK_BYTES))):  # at the end the next read says so
-            left -= len(dropped)
+                self._file_at = file.seek(self._at)
+        while dropped := file.read(min(self._at - self._file_at, _BLOCK_BYTES)) if self._file_at < self._at else b"":
+            self._file_at += len(dropped)  # at the end the next read says so
         return file
 
 

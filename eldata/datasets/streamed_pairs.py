@@ -95,6 +95,8 @@ class StreamedPairs(IterableDataset[Sample]):
         Options of fsspec's file system, such as credentials.
     attempts, retry_wait_s
         How often a remote read is tried without any progress, and the seconds before the second attempt, which double.
+    timeout_s
+        A web server of which no byte comes for so long has failed; other places have options of their own.
 
     Raises
     ------
@@ -119,6 +121,7 @@ class StreamedPairs(IterableDataset[Sample]):
         storage_options: Mapping[str, Any] | None = None,
         attempts: int = 5,
         retry_wait_s: float = 0.5,
+        timeout_s: float = 60.0,
         **options: Unpack[StreamOptions],
     ) -> None:
         super().__init__()
@@ -129,7 +132,7 @@ class StreamedPairs(IterableDataset[Sample]):
                 "crops_per_frame and shuffle_buffer must be 1 or more and crop 2 or more; found "
                 f"{crops_per_frame}, {shuffle_buffer}, {crop}"
             )
-        self.folder = Folder(str(address), storage_options or {}, attempts, retry_wait_s)
+        self.folder = Folder(str(address), storage_options or {}, attempts, retry_wait_s, timeout_s)
         self.index = self.folder.read_index()
         if crop is not None and self.index.tile is not None and crop > self.index.tile:
             raise ArgumentError(f"crop must be at most the tiles' side, {self.index.tile}; found {crop}")

@@ -10,6 +10,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 from fsspec.core import url_to_fs  # type: ignore[import-untyped] # it has none
 
+from eldata.base.numbers import checked_number
 from eldata.errors import ArgumentError
 from eldata.sources.shards.index import INDEX, ShardError, ShardIndex, parse_index
 
@@ -29,19 +30,22 @@ class Folder:
     """A folder of shards: an address as fsspec takes it, the options of its file system, and how failures are met.
 
     A read that fails is tried ``attempts`` times in all without any progress, first after ``wait_s`` seconds and then
-    each time after twice as long. The options may be secrets, and are not shown.
+    each time after twice as long. A web server of which no byte comes for ``timeout_s`` seconds has failed; one that
+    sends slowly has not. The options may be secrets, and are not shown.
     """
 
     address: str
     options: Mapping[str, Any] = field(default_factory=dict, repr=False)
     attempts: int = 5
     wait_s: float = 0.5
+    timeout_s: float = 60.0
 
     def __post_init__(self) -> None:
         if self.attempts < 1 or self.wait_s < 0:
             raise ArgumentError(
                 f"attempts must be 1 or more and retry_wait_s 0 or more; found {self.attempts}, {self.wait_s}"
             )
+        checked_number("timeout_s", self.timeout_s, above=0)
 
     def file_system(self) -> tuple[AbstractFileSystem, str]:
         """Return the file system and the folder's path in it; each process asks for itself.
@@ -52,10 +56,19 @@ class Folder:
             If the address has a protocol that fsspec does not know, or whose package is not installed.
         """
         try:
-            system, path = url_to_fs(self.address, **self.options)
+            system, path = url_to_fs(self.address, **self._limits(), **self.options)
         except (ValueError, ImportError) as error:
             raise ArgumentError(f"{self.address}: cannot be opened ({error})") from error
         return system, path.rstrip("/")
+
+    def _limits(self) -> dict[str, Any]:
+        """Return the options that keep a web server to its time: aiohttp's own is five minutes for an answer, in all."""
+        if not self.address.startswith(("http://", "https://")) or "client_kwargs" in self.options:
+            return {}
+        from aiohttp import ClientTimeout
+
+        limit = ClientTimeout(total=None, sock_connect=self.timeout_s, sock_read=self.timeout_s)
+        return {"client_kwargs": {"timeout": limit}}
 
     def place(self, name: str) -> str:
         """Return a file's address, for people."""
@@ -154,8 +167,7 @@ class Forward:
                 self.close()
                 if self._is_local or _is_final(error) or attempt == self._folder.attempts:
                     tried = f" after {attempt} attempts" if attempt > 1 else ""
-                    reason = f"{type(error).__name__}: {error}".rstrip(": ")
-                    raise ShardError(self.place, f"cannot be read{tried} ({reason}); is the address right?") from error
+                    raise ShardError(self.place, f"cannot be read{tried} {self._reason(error)}") from error
             else:
                 self._at += len(piece)
                 self._file_at = self._at
@@ -163,6 +175,16 @@ class Forward:
             time.sleep(wait_s)
             wait_s *= 2
             attempt += 1
+
+    def _reason(self, error: BaseException) -> str:
+        """Return what failed, and what to do."""
+        # Of any failure to learn a file's size, fsspec makes a FileNotFoundError with its cause.
+        cause = error if error.__cause__ is None else error.__cause__
+        if isinstance(cause, TimeoutError) and not self._is_local:
+            limit = self._folder.timeout_s
+            return f"(no byte came for {limit:g} s); is the server up? timeout_s says how long it is waited for"
+        said = f"{type(error).__name__}: {error}".rstrip(": ")
+        return f"({said}); is the address right?"
 
     def _opened(self) -> IO[bytes]:
         """Return the file at the byte that is next."""
@@ -183,7 +205,6 @@ def _is_final(error: BaseException) -> bool:
     """Return whether another attempt would end the same: a file that is not there, or not available."""
     if not isinstance(error, (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError)):
         return False
-    # Of any failure to learn a file's size, fsspec makes a FileNotFoundError with its cause.
     cause = error.__cause__
     if cause is None or isinstance(cause, FileNotFoundError):
         return True

@@ -12,6 +12,8 @@ import multiprocessing
 import os
 import pickle
 import sys
+import threading
+from multiprocessing import connection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypedDict, Unpack, runtime_checkable
 
@@ -268,6 +270,7 @@ class _Loader(DataLoader[Any]):
             collate_fn=chosen["collate"],
             generator=torch.Generator(),  # torch seeds the workers' random numbers from it
             persistent_workers=is_training and settings["num_workers"] > 0,
+            worker_init_fn=_end_with_parent,
             **settings,
         )
         self.seed_workers(0)
@@ -281,6 +284,21 @@ class _Loader(DataLoader[Any]):
         """Seed the generator from which torch seeds its workers' torch, numpy and random."""
         sequence = purpose_sequence(self.seed, epoch, _WORKERS, self.rank.number)
         self.generator.manual_seed(int(sequence.generate_state(1, np.uint64)[0] >> 1))  # torch takes a signed number
+
+
+def _end_with_parent(_: int) -> None:
+    """End this worker with the process that reads from it, even if that is killed.
+
+    torch's own look at the parent sees the server that the worker was forked from, which lives as long as its workers.
+    """
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_ended_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def _ended_with(sentinel: int) -> None:
+    connection.wait([sentinel])
+    os._exit(1)
 
 
 def _chosen(name: str, batch_size: int, options: LoaderOptions) -> LoaderOptions:

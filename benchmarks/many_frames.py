@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from fractions import Fraction
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import h5py
@@ -14,7 +15,7 @@ from eldata.manifest.catalogue import load_manifest
 from eldata.manifest.table import table_text
 from eldata.raw.cfa import bayer_cfa
 from eldata.records import Exposure, FrameRecord, PairRecord, RawFrame, Sensor
-from eldata.sources.shards.index import INDEX, Facts, ShardIndex, Side, index_text, key_of
+from eldata.sources.shards.index import INDEX, Facts, Shard, ShardIndex, Side, index_text, key_of
 from eldata.sources.shards.members import to_bytes
 from eldata.sources.shards.writing import _written
 from eldata.sources.store.build import _begin, _header, finish, pixels_digest
@@ -22,8 +23,6 @@ from eldata.sources.store.format import PackedFile, frame_attributes
 from eldata.sources.store.sources import Source
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
 SIDE = 34  # of a mosaic: crops of 16 packed pixels, turned
@@ -51,7 +50,7 @@ def small_manifest(frames: int) -> tuple[bytes, bytes]:
     counts = {"noisy": noisy, "reference": frames - noisy}
     cameras = {"Small": CameraCard(("Small",))}
     card = Card("small", "Small frames", "1", "small", "none", "CC0", "none", "bayer", cameras, counts)
-    return table_text("small.csv", records).encode(), card_text(card).encode()
+    return table_text(Path("small.csv"), records).encode(), card_text(card).encode()
 
 
 def write_small_store(path: Path, frames: int) -> Path:
@@ -67,7 +66,9 @@ def write_small_store(path: Path, frames: int) -> Path:
             frame = RawFrame(path, mosaic, _sensor(number), _LONG if record.role == "reference" else _SHORT)
             digest = pixels_digest(mosaic)
             made = store["frames"].create_dataset(f"{number:06d}", data=mosaic, chunks=mosaic.shape)
-            made.attrs.update(frame_attributes(record.path, record.role, frame, digest, PackedFile(3000, digest, "none")))
+            made.attrs.update(
+                frame_attributes(record.path, record.role, frame, digest, PackedFile(3000, digest, "none"))
+            )
         finish(store)
     return path
 
@@ -76,7 +77,7 @@ def write_small_shards(folder: Path, samples: int) -> Path:
     """Write so many samples as shards, 64 in each."""
     folder.mkdir()
     generator = np.random.default_rng(0)
-    shards = []
+    shards: list[Shard] = []
     for first in range(0, samples, _EACH_SHARD):
         contents = []
         for number in range(first, min(first + _EACH_SHARD, samples)):

@@ -29,7 +29,8 @@ from eldata.sources.shards.reading import read_samples
 from eldata.sources.shards.remote import Folder
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterator, Mapping, Sequence, Set
+    from collections.abc import Generator, Iterator, Mapping, Sequence
+    from collections.abc import Set as AbstractSet
 
     from eldata.protocols.protocol import Amplification
     from eldata.raw.cfa import Clip
@@ -254,7 +255,9 @@ class StreamedPairs(IterableDataset[Sample]):
     def _generator(self, epoch: int, purpose: int, *place: int) -> np.random.Generator:
         return np.random.default_rng(purpose_sequence(self.seed, epoch, purpose, *place))
 
-    def _items(self, places: range, epoch: int, given: Set[int] = frozenset()) -> Generator[tuple[int, PairItem]]:
+    def _items(
+        self, places: range, epoch: int, given: AbstractSet[int] = frozenset()
+    ) -> Generator[tuple[int, PairItem]]:
         """Yield some places of the epoch's sequence and the items there, but for those that were given out before."""
         if not places:
             return

@@ -62,7 +62,7 @@ class Folder:
         return system, path.rstrip("/")
 
     def _limits(self) -> dict[str, Any]:
-        """Return the options that keep a web server to its time: aiohttp's own is five minutes for an answer, in all."""
+        """Return the options that keep a web server to its time: aiohttp's own is five minutes for an answer."""
         if not self.address.startswith(("http://", "https://")) or "client_kwargs" in self.options:
             return {}
         from aiohttp import ClientTimeout

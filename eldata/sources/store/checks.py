@@ -34,7 +34,8 @@ def verify_store(path: Path | str, *, level: Level = "quick", workers: AnyWorker
         The store.
     level
         ``"quick"`` and ``"metadata"``: it opens, is complete, holds as many frames as were packed, each of its stated
-        size, its table says what their attributes do, and both frames of each pair are there. ``"full"``: also the checksum of each frame's pixels.
+        size, its table says what their attributes do, and both frames of each pair are there. ``"full"``: also the
+        checksum of each frame's pixels.
     workers
         Number of threads, or an executor that reads the pixels (:mod:`eldata.base.workers`).
 

@@ -1,4 +1,4 @@
-"""What all frames of a store state, in one dataset beside them: opening a store reads this, not each frame's attributes.
+"""What all frames of a store state, in one dataset beside them: a store is opened by it, not by their attributes.
 
 ::
 
@@ -7,8 +7,9 @@
                 "sensor", "sensor_more", "exposure", "channel_white_levels_dn" as {"texts": those that there are,
                 "of": numbers of texts, with spaces between them, -1 for none}
 
-HDF5 takes about a millisecond for the attributes of a frame, which is minutes of 100,000. Stores of earlier versions, and
-those with RGB frames, have no table and are opened as before. The attributes stay what counts: ``eldata verify`` compares.
+HDF5 takes about a millisecond for the attributes of a frame, which is minutes of 100,000. Stores of earlier versions,
+and those with RGB frames, have no table and are opened as before. The attributes stay what counts: ``eldata verify``
+compares.
 """
 
 from __future__ import annotations
@@ -84,7 +85,9 @@ def _of_kind(name: str, values: Any, *kinds: type) -> list[Any]:
 def _files(column: Mapping[str, Any]) -> list[PackedFile | None]:
     values = {name: _of_kind(name, column[name], kind, type(None)) for name, kind in _FILE.items()}
     whole = zip(*values.values(), strict=True)
-    return [None if size is None else file for file, (size, *_) in zip(from_columns(PackedFile, values), whole, strict=True)]
+    return [
+        None if size is None else file for file, (size, *_) in zip(from_columns(PackedFile, values), whole, strict=True)
+    ]
 
 
 def _texts(column: Mapping[str, Any]) -> list[str | None]:

@@ -1,9 +1,9 @@
 """A web server on this machine that serves a folder, with or without ranges, and fails on request.
 
-Failures, by name: a status such as ``503``; ``cut`` and ``reset``, a body that ends in its middle, the connection closed
-or reset; ``stall``, no answer until the server ends; ``stop``, none after half of the body; ``trickle``, a body in many
-small pieces; ``short``, less than was asked for, and said so; ``shifted``, a range that begins a byte later than it says;
-``other``, another file's bytes.
+Failures, by name: a status such as ``503``; ``cut`` and ``reset``, a body that ends in its middle, the connection
+closed or reset; ``stall``, no answer until the server ends; ``stop``, none after half of the body; ``trickle``, a body
+in many small pieces; ``short``, less than was asked for, and said so; ``shifted``, a range that begins a byte later
+than it says; ``other``, another file's bytes.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from eldata.datasets.base import Sample
 from eldata.datasets.loading import describe, evaluation_loader, set_epoch, training_loader
 from eldata.datasets.ranks import Rank
 from eldata.errors import ArgumentError, DatasetError
-from eldata.sources.shards import reading, write_shards
+from eldata.sources.shards import members, reading, write_shards
 from tests.sources.shards.helpers import identities, identity, unbatched
 from tests.waiting import PATIENCE_S
 
@@ -183,7 +183,7 @@ def test_epochs_differ_and_a_restart_goes_on(tiles: Path) -> None:
 
 @pytest.mark.parametrize("workers", [0, 2, 3])
 def test_an_epoch_goes_on_in_its_middle(workers: int, tiles: Path) -> None:
-    """Whatever was given out before: 96 items of a rank in 13 batches of 7, of 2 workers 6 and 7, of 3 workers 4, 4, 5."""
+    """Whatever was given out before: 96 items of a rank in 13 batches of 7, of workers 6 and 7, or 4, 4 and 5."""
 
     def loader() -> DataLoader[Any]:
         dataset = StreamedPairs(str(tiles), crop=8, crops_per_frame=2, seed=5, shuffle_buffer=20)
@@ -205,7 +205,7 @@ def test_an_epoch_goes_on_in_its_middle(workers: int, tiles: Path) -> None:
 def test_what_was_given_out_is_not_read_again(tiles: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of 144 samples 96 were given out: the 48 others are read, those that lay in the buffer too, and no other."""
     read: list[int] = []
-    checked = reading.from_bytes
+    checked = members.from_bytes
 
     def counted(content: bytes) -> Any:
         sample = checked(content)

@@ -116,7 +116,9 @@ def test_a_server_that_never_answers_is_an_error(tiles: Path) -> None:
     with serving(tiles) as site:
         dataset = StreamedPairs(site.address, attempts=2, retry_wait_s=0, timeout_s=0.2)
         site.failures = ["stall"] * 100
-        words = r"shards/shard-00000\d\.tar: cannot be read after 2 attempts \(no byte came for 0\.2 s\); is the server up"
+        words = (
+            r"shards/shard-00000\d\.tar: cannot be read after 2 attempts \(no byte came for 0\.2 s\); is the server up"
+        )
         with pytest.raises(ShardError, match=words):
             next(iter(dataset))
         with pytest.raises(ArgumentError, match="timeout_s must be finite and above 0; found 0"):
@@ -147,7 +149,9 @@ def test_bytes_that_are_not_those_of_the_index_are_an_error(failure: str, tiles:
     with serving(tiles) as site:
         dataset = StreamedPairs(site.address, crop=10)
         site.failures = [failure] * 100
-        words = r"shard-00000\d\.tar: sample \d+ \(bytes \d+ to \d+\) is damaged or of other shards: its checksum is not"
+        words = (
+            r"shard-00000\d\.tar: sample \d+ \(bytes \d+ to \d+\) is damaged or of other shards: its checksum is not"
+        )
         with pytest.raises(ShardError, match=words):
             next(iter(dataset))
 

@@ -7,7 +7,7 @@ import subprocess
 import sys
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -37,8 +37,8 @@ def check(folder: Path, store: Path, shards: Path, ranks: int, workers: int) -> 
             for kind, items in enumerate(pair):
                 together[kind][step // batches].update(items)
     for epoch in range(EPOCHS):
-        packed, streamed = PackedStore(store, crop=8, crops_per_frame=6), StreamedPairs(str(shards), crop=8)
-        for kind, dataset in enumerate((packed, streamed)):
+        both: tuple[Any, ...] = PackedStore(store, crop=8, crops_per_frame=6), StreamedPairs(str(shards), crop=8)
+        for kind, dataset in enumerate(both):
             dataset.set_epoch(epoch)
             whole = Counter(identities(dataset))
             assert not together[kind][epoch] - whole
@@ -53,7 +53,16 @@ def test_a_killed_torchrun_goes_on_in_the_middle_of_an_epoch(
     """Rank 0 dies in the second epoch, after it had its fourth batch; torchrun ends the others."""
     die_at = 144 // ranks // BATCH + 3
     torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(ranks)]
-    command = [*torchrun, "-m", "tests.sources.shards.steps", tmp_path, eld, tiles, str(workers), str(die_at)]
+    command = [
+        *torchrun,
+        "-m",
+        "tests.sources.shards.steps",
+        str(tmp_path),
+        str(eld),
+        str(tiles),
+        str(workers),
+        str(die_at),
+    ]
     killed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S)
     assert killed.returncode != 0
     assert "Signal 9 (SIGKILL)" in killed.stderr
@@ -66,12 +75,13 @@ def test_a_killed_torchrun_goes_on_in_the_middle_of_an_epoch(
 @pytest.mark.dask
 @pytest.mark.kill
 def test_ranks_on_dask_go_on_in_the_middle_of_an_epoch(
-    dask: Executor, eld: Path, tiles: Path, tmp_path: Path  # noqa: F811 # the fixture
+    dask: Executor,  # noqa: F811 # the fixture
+    eld: Path,
+    tiles: Path,
+    tmp_path: Path,
 ) -> None:
     """Three ranks as tasks of two processes; that of rank 0 dies, and Dask runs its task again in another one."""
-    running = [
-        dask.submit(train, Rank(number, 3), tmp_path, str(eld), str(tiles), 0, 9, int) for number in range(3)
-    ]
+    running = [dask.submit(train, Rank(number, 3), tmp_path, str(eld), str(tiles), 0, 9, int) for number in range(3)]
     begun = [task.result(PATIENCE_S) for task in running]
     assert begun[0] == 9  # it went on
     check(tmp_path, eld, tiles, 3, 0)

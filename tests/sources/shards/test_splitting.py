@@ -59,8 +59,9 @@ def test_workers_that_go_on_take_the_turns_that_were_theirs(
     whole = in_turn([[(worker, batch) for batch in range(count)] for worker, count in enumerate(counts)])
     given = data.draw(st.integers(0, len(whole)))
     turns = splitting.turns(counts, given)
-    assert in_turn([[(worker, batch) for batch in range(share, counts[worker])] for worker, share in turns]) == (
-        whole[given:]
+    assert (
+        in_turn([[(worker, batch) for batch in range(share, counts[worker])] for worker, share in turns])
+        == (whole[given:])
     )
     assert sorted(worker for worker, _ in turns) == list(range(workers))
 

@@ -222,7 +222,7 @@ def test_the_table_says_what_the_attributes_say(clean: Packed, own: Path) -> Non
     (problem,) = verify_store(own).problems
     assert (problem.path, problem.field) == ("other.dng", "table")
     shared, file = table["sensor"], table["file"]
-    for damaged in (
+    changes: list[dict[str, Any]] = [
         {"path": table["path"][1:]},
         {"path": [1, 2, 3, 4]},
         {"role": None},
@@ -233,7 +233,8 @@ def test_the_table_says_what_the_attributes_say(clean: Packed, own: Path) -> Non
         {"exposure": {"texts": []}},
         {"file": file | {"size_bytes": ["1"] * 4}},
         {"file": [1]},
-    ):
+    ]
+    for damaged in changes:
         with_table(damaged)
         refused(own, "is damaged", open_store, verify_store)
 

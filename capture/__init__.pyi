@@ -1,8 +1,6 @@
 from .calibration import CalibrationPlan as CalibrationPlan
 from .calibration import plan_calibration as plan_calibration
 from .camera import CameraDescription as CameraDescription
-from .camera import Shutter as Shutter
-from .camera import ShutterTime as ShutterTime
 from .plan import Plan as Plan
 from .plan import ScenePlan as ScenePlan
 from .plan import make_plan as make_plan
@@ -12,3 +10,5 @@ from .protocol import RELEASED as RELEASED
 from .protocol import CaptureProtocol as CaptureProtocol
 from .protocol import ProtocolFrame as ProtocolFrame
 from .shots import Shot as Shot
+from .shutter import Shutter as Shutter
+from .shutter import ShutterTime as ShutterTime

@@ -31,8 +31,9 @@ from capture.shots import Shot
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from capture.camera import CameraDescription, ShutterTime
+    from capture.camera import CameraDescription
     from capture.protocol import CaptureProtocol
+    from capture.shutter import ShutterTime
 
 BIAS_FRAMES: Final = 10
 LEAST_BIAS_FRAMES: Final = 4  # below, eldata calibrate refuses

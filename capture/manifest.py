@@ -17,7 +17,8 @@ from eldata.base.files import sha256_of
 from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.manifest.card import CameraCard, Card
-from eldata.manifest.pairs import LONGER_DARK, WARM_SENSOR
+from eldata.manifest.pairs import LONGER_DARK, UNCERTAIN_ISO, WARM_SENSOR
+from eldata.manifest.verify import RATIO_TOLERANCE
 from eldata.records import FrameRecord
 
 if TYPE_CHECKING:
@@ -127,7 +128,7 @@ def _dataset(
     for scene, shot in plan.shots:
         if shot.role == "reference" and (scene, shot.number) in paths:
             references.setdefault(scene, []).append(shot.number)
-    rows, before, remarks = [], [], []
+    rows, before, remarks, others = [], [], [], 0
     for scene, shot in plan.shots:
         slot = (scene, shot.number)
         if slot not in paths:
@@ -147,11 +148,17 @@ def _dataset(
         if slot in there:
             row = there[slot]
             if row.reference != reference:  # what was measured was measured against another one
+                others += row.reference is not None and row.reference not in paths.values()
                 row = replace(row, reference=reference, measured_ratio=None, measured_shift_px=None)
             before.append(row)
         else:
             frame = match.frames[slot]
             rows.append(CopiedRow(frame.path, _record(plan, scene, shot, frame, paths[slot], reference)))
+    if others:
+        remarks.append(
+            f"{counted(others, 'noisy frame')} of the set compared with single references again: capture average makes "
+            "their means anew"
+        )
     return Dataset(folder, tuple(rows), tuple(remarks), tuple(before))
 
 
@@ -171,8 +178,15 @@ def _record(plan: Plan, scene: str, shot: Shot, frame: ObservedFrame, path: str,
         exposure_s=frame.exposure_s,
         ratio=None if shot.factor is None else Fraction(shot.factor),
         reference=reference,
-        flags=flags_of(shot.series),
+        flags=(*flags_of(shot.series), *_doubted(shot)),
     )
+
+
+def _doubted(shot: Shot) -> tuple[str, ...]:
+    """Return the flag of a pair whose names of ISOs say another ratio than their measured speeds, known beforehand."""
+    if shot.true_iso is None or shot.named_ratio is None or shot.factor is None:
+        return ()
+    return (UNCERTAIN_ISO,) if abs(shot.named_ratio - shot.factor) > RATIO_TOLERANCE * shot.factor else ()
 
 
 def flags_of(series: str) -> tuple[str, ...]:

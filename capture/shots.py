@@ -14,9 +14,10 @@ from capture.capture_errors import ImpossibleShotError, PlanError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from capture.camera import CameraDescription, ShutterTime
+    from capture.camera import CameraDescription
     from capture.exact import ExactNumber
     from capture.protocol import CaptureProtocol, ProtocolFrame
+    from capture.shutter import ShutterTime
     from eldata.records import Role
 
 
@@ -174,11 +175,16 @@ def _shots_or_none(
         return frames[0]
     shots = []
     speeds = dict(camera.true_isos)
+    alike: dict[tuple[int, int], Shot] = {}  # of up to 99 repeats one is computed
     for frame in frames:
         target_s = protocol.exposure_s(frame, base.nominal_s)
         true_iso = speeds.get(frame.iso)
         if frame.factor is None:
             shots.append(Shot(frame.number, frame.role, frame.iso, target_s, base, true_iso=true_iso))
+            continue
+        before = alike.get((frame.iso, frame.factor))
+        if before is not None:
+            shots.append(replace(before, number=frame.number, reference=frame.reference))
             continue
         light = _light_share(camera, protocol, frame)
         setting = camera.nearest(base.true_exact * light)
@@ -189,7 +195,8 @@ def _shots_or_none(
             base.nominal_s / setting.nominal_s * Fraction(protocol.base_iso, frame.iso),
         )
         shot = Shot(frame.number, frame.role, frame.iso, target_s, setting, frame.factor, frame.reference, *ratios)
-        shots.append(replace(shot, true_iso=true_iso))
+        alike[frame.iso, frame.factor] = replace(shot, true_iso=true_iso)
+        shots.append(alike[frame.iso, frame.factor])
     return tuple(shots)
 
 

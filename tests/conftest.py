@@ -30,6 +30,9 @@ settings.load_profile("eldata")
 # and run hundreds of commands, each of which would wait for such a process to start.
 os.environ["ELDATA_ISOLATE"] = "0"
 
+# The package datasets asks the Hub for the newest of what it has, unless it is told not to before it is imported.
+os.environ["HF_HUB_OFFLINE"] = "1"
+
 
 @pytest.fixture(scope="session")
 def demo_tree(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:

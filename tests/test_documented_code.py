@@ -32,6 +32,7 @@ from eldata.manifest.catalogue import shipped_manifest
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, Sensor
 from tests.drv_tree import build_drv_tree, write_raw_clip
+from tests.integrations.published_sets import sid_like
 from tests.sid_tree import build_sid_tree
 from tests.trees import build_published_tree
 from tests.waiting import PATIENCE_S
@@ -239,6 +240,18 @@ def of_stores(_: pytest.MonkeyPatch) -> Names:
     return {"network": lambda images: images}
 
 
+def of_hub(_: pytest.MonkeyPatch) -> Names:
+    pytest.importorskip("datasets", reason="needs datasets, which only the tests use")
+    sid_like(Path())
+    for line in (
+        "pack own --manifest own.csv --root data -o my-set.h5 --jobs 1",
+        "shard my-set.h5 -o shards --tile 16 --split train",
+        "export hub my-set --manifest own.csv --shards shards",
+    ):
+        assert main(line.split()) == 0
+    return {}
+
+
 def of_lightning(patch: pytest.MonkeyPatch) -> Names:
     lightning = pytest.importorskip("lightning", reason="needs eldata[lightning]")
     names = of_stores(patch)
@@ -264,6 +277,7 @@ NEEDS: dict[str, Callable[[pytest.MonkeyPatch], Names]] = {
     "docs/calibration.md": of_calibration,
     "docs/datasets.md": of_datasets,
     "docs/evaluation.md": of_evaluation,
+    "docs/hub.md": of_hub,
     "docs/lightning.md": of_lightning,
     "docs/manifests.md": of_manifests,
     "docs/metrics.md": of_metrics,

@@ -1,5 +1,6 @@
 """`capture check`: are the frames of each scene what they should be? Measured on the real pixels."""
 
+from capture.check.averaging import Averaged, average_references
 from capture.check.checking import check
 from capture.check.measures import Estimate, Measure, MeasureKind, Remark, Verdict
 from capture.check.recording import write_measured
@@ -7,6 +8,7 @@ from capture.check.result import CheckedGroup, CheckedPair, CheckReport
 from capture.check.sheet import write_sheet
 
 __all__ = [
+    "Averaged",
     "CheckReport",
     "CheckedGroup",
     "CheckedPair",
@@ -15,6 +17,7 @@ __all__ = [
     "MeasureKind",
     "Remark",
     "Verdict",
+    "average_references",
     "check",
     "write_measured",
     "write_sheet",

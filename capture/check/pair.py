@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, Final
 
-from capture.camera import ladder
 from capture.check.common_shift import common_shift
 from capture.check.flicker import Flicker, flicker_of_contrast
 from capture.check.frames import ReducedFrame, file_name
@@ -22,7 +21,9 @@ from capture.check.measures import SIGMAS, Estimate, MeasureKind
 from capture.check.noise_structure import fine_noise
 from capture.check.ratio import changed_share, fit_ratio
 from capture.check.result import CheckedPair
+from capture.shutter import ladder
 from eldata.errors import RawFileError
+from eldata.manifest.pairs import UNCERTAIN_ISO
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -34,6 +35,9 @@ if TYPE_CHECKING:
 
 _INFINITE: Final = float("inf")
 _STEPS: Final = (Fraction(1, 3), Fraction(1, 2))
+_RECORD_IT: Final = (
+    'capture check --write puts the measured ratio into the manifest, and amplification="measured" uses it'
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,18 +169,19 @@ def _nominal_kind(nominal: Fraction, advice: str) -> MeasureKind:
 def _exif_kind(record: FrameRecord, ratio: Estimate, exif_ratio: Fraction, given: tuple[float, ...]) -> MeasureKind:
     """Return what is expected of a ratio that EXIF states, or that the manifest holds as measured."""
     stated, recorded = float(exif_ratio), record.measured_ratio
-    settled = recorded is not None and abs(float(recorded) / stated - 1) <= RATIO_AGAIN
+    doubted = UNCERTAIN_ISO in record.flags
+    settled = recorded is not None and (doubted or abs(float(recorded) / stated - 1) <= RATIO_AGAIN)
     expected = float(recorded) if recorded is not None and settled else stated
     again = LIGHT_AGAIN * expected
     nearest = min(given, key=lambda one: abs(ratio.value - one), default=None)
     if settled:
         advice = "it is not the ratio that the manifest holds as measured: was the file replaced? Write it again"
+    elif doubted:
+        again = _INFINITE
+        advice = f"EXIF has the names of ISOs, whose measured speeds are others: {_RECORD_IT}"
     elif nearest is not None and abs(ratio.value - nearest) <= max(LIGHT_LOOK * nearest, SIGMAS * ratio.standard_error):
         again = _INFINITE
-        advice = (
-            "EXIF has the rounded names of the shutter's times: capture check --write puts the measured ratio into the "
-            'manifest, and amplification="measured" uses it'
-        )
+        advice = f"EXIF has the rounded names of the shutter's times: {_RECORD_IT}"
     else:
         advice = (
             "the light changed, the shutter is off, or it is not the file that the camera wrote; to keep it anyway, "

@@ -92,7 +92,7 @@ def add_alike(parser: argparse._ActionsContainer) -> None:
         type=nine_digits,
         metavar="N",
         help="reference frames before and after the noisy ones of each ISO (default: 1); each noisy frame is compared "
-        "with the one nearest to it",
+        "with the one nearest to it, or, after capture average, with their mean",
     )
 
 

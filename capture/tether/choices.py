@@ -19,8 +19,9 @@ from eldata.base.fields import fraction_of, whole_of
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from capture.camera import CameraDescription, ShutterTime
+    from capture.camera import CameraDescription
     from capture.shots import Shot
+    from capture.shutter import ShutterTime
     from capture.tether.gphoto import Setting
 
 _NUMBER: Final = r"[0-9]{1,9}(?:[.,][0-9]{1,9})?"

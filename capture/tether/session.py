@@ -185,7 +185,10 @@ class _Session:
         if not self.check:
             return
         files = self.files()
-        text, self.verdicts[stage.title] = verdict_text(self.plan, {slot: files[slot] for slot, _ in stage.shots})
+        sheet = self.folder / "checked" / f"{stage.title.replace(' ', '-')}.html"
+        text, self.verdicts[stage.title] = verdict_text(
+            self.plan, {slot: files[slot] for slot, _ in stage.shots}, sheet
+        )
         self.say(text)
 
     def expose_flats(self, stage: Stage, ready: Ready) -> tuple[Stage, Ready]:

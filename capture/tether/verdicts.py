@@ -20,22 +20,28 @@ if TYPE_CHECKING:
     from capture.plan import Plan
 
 
-def verdict_text(plan: Plan, files: Mapping[Slot, Path]) -> tuple[str, Verdict]:
+def verdict_text(plan: Plan, files: Mapping[Slot, Path], sheet: Path) -> tuple[str, Verdict]:
     """Return what ``capture check`` says of some shots, and the worst verdict; apertures are compared with the plan's.
 
-    Nothing that is wrong with the check ends a session: the frames are here and can be checked again.
+    The contact sheet of these shots is written, too. Nothing that is wrong with the check ends a session: the frames
+    are here and can be checked again.
     """
     from capture.check.checking import check_unit, units_of
     from capture.check.measures import worst
+    from capture.check.result import CheckReport
+    from capture.check.sheet import write_sheet
 
     try:
         frames = {slot: observe_one(path) for slot, path in files.items()}
         dataset = in_place(plan, Match(frames, ()))
         groups = [check_unit(unit) for unit in units_of(dataset.records, dataset.folder, Workers(1))]
-    except EldataError as error:
+        sheet.parent.mkdir(exist_ok=True)
+        write_sheet(sheet, CheckReport(sheet.stem, tuple(groups)))
+    except (EldataError, OSError) as error:
         return f"could not be checked: {error}", "look"
     apertures = aperture_remarks(plan, frames)
-    text = "\n".join([*(group.format_text() for group in groups), *(f"    {one.text}" for one in apertures)])
+    shown = f"    to look at: {sheet}"
+    text = "\n".join([*(group.format_text() for group in groups), *(f"    {one.text}" for one in apertures), shown])
     wrong: list[Verdict] = ["shoot again" for one in apertures if one.kind == "aperture"]
     verdict = worst([*(group.verdict for group in groups), *wrong])
     if verdict == "shoot again":

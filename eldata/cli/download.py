@@ -67,7 +67,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
-    from eldata.download.card_downloads import choose_parts, holds
+    from eldata.download.card_downloads import choose_parts
     from eldata.download.installing import unpack_dataset
     from eldata.download.overview import overview, presence_of
     from eldata.manifest.catalogue import known_manifest
@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
     downloads = manifest.card.downloads
     parts = choose_parts(downloads, arguments.parts) if arguments.yes or arguments.parts else ()
     wanted = [
-        record for record in manifest.records if not arguments.parts or any(holds(part, record.path) for part in parts)
+        record for record in manifest.records if not arguments.parts or any(part.holds(record.path) for part in parts)
     ]
     installed: list[Installed] = []
     if arguments.archives:
@@ -123,7 +123,6 @@ def _terms(found: Overview, downloads: Sequence[Download]) -> str:
 
 
 def _fetch(found: Overview, parts: Sequence[Download]) -> list[Installed]:
-    from eldata.download.card_downloads import holds
     from eldata.download.fetching import Fetcher
     from eldata.download.installing import fetch_dataset
     from eldata.download.overview import presence_of
@@ -131,7 +130,7 @@ def _fetch(found: Overview, parts: Sequence[Download]) -> list[Installed]:
     fetcher = Fetcher()
     installed = []
     for part in parts:
-        listed = [record for record in found.manifest.records if holds(part, record.path)]
+        listed = [record for record in found.manifest.records if part.holds(record.path)]
         if not presence_of(found.folder, listed).complete:
             installed.append(fetch_dataset(part, found.manifest, found.root, fetcher))
     return installed

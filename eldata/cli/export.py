@@ -1,31 +1,44 @@
-"""`eldata export`: a set's files under the names, and in the lists, that published code reads."""
+"""`eldata export`: a set as published code reads it, by names and lists, or as `datasets` does, with its card."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from eldata.base.console import OK, add_shared, chosen_workers
+from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
     import argparse
+
+    from eldata.manifest.pairs import Choice
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add this command."""
     parser = commands.add_parser(
         "export",
-        help="links and lists of a set, as the code of LED, PMN, ELD or SID reads them",
+        help="a set as the code of LED, PMN, ELD or SID reads it, or with its card for the Hugging Face Hub",
         description=(
             "Write what the published code of a repository reads of a set, your own included: links to its files under "
-            "the names from which that code takes scene and ratio, and its lists of pairs; for PMN, infos. Links are "
-            "no copies, and nothing that is there is overwritten."
+            "the names from which that code takes scene and ratio, and its lists of pairs; for PMN, infos. Or, as hub, "
+            "a folder that the package datasets reads and that can be uploaded as it is: dataset card, manifest and "
+            "Croissant with the pixels as shards, or, where no licence lets these be passed on, references alone. "
+            "Links are no copies, and nothing that is there is overwritten."
         ),
     )
-    parser.add_argument("code", metavar="CODE", choices=("led", "pmn", "eld", "sid"), help="led, pmn, eld or sid")
+    codes = ("led", "pmn", "eld", "sid", "hub")
+    parser.add_argument("code", metavar="CODE", choices=codes, help="led, pmn, eld, sid or hub")
     parser.add_argument("folder", metavar="FOLDER", help="where to write")
     which = parser.add_mutually_exclusive_group(required=True)
     which.add_argument("--dataset", metavar="N", help="name of a dataset that eldata knows, such as eld")
     which.add_argument("--manifest", metavar="FILE", help="manifest of a set of your own")
+    parser.add_argument(
+        "--shards",
+        action="append",
+        default=[],
+        metavar="DIR",
+        help="for hub: shards of one split of the set, from eldata shard --split; may be repeated",
+    )
     parser.add_argument(
         "--link",
         choices=("symbolic", "hard", "copy"),
@@ -49,14 +62,28 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         example=(
             "eldata export led datasets/ELD --dataset eld --root data --camera SonyA7S2",
             "eldata export eld for-eld --manifest my-set.csv --root data",
+            "eldata export hub for-the-hub --manifest my-set.csv --shards shards/train --shards shards/test",
         ),
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
-    from eldata.integrations.exports import export
+    from eldata.integrations.exports import export, export_hub
 
+    if arguments.code == "hub":
+        report = export_hub(
+            arguments.folder,
+            arguments.dataset or "",
+            manifest=arguments.manifest,
+            shards=arguments.shards,
+            link=arguments.link,
+            **_choice(arguments),
+        )
+        print(report.format_text())
+        return OK
+    if arguments.shards:
+        raise ArgumentError(f"--shards is for hub: the code of {arguments.code} reads the set's own files")
     with chosen_workers(arguments) as workers:
         report = export(
             arguments.code,
@@ -66,10 +93,16 @@ def run(arguments: argparse.Namespace) -> int:
             root=arguments.root,
             link=arguments.link,
             workers=workers,
-            cameras=arguments.cameras,
-            split=arguments.splits,
-            subset=arguments.subset,
-            exclude_flags=arguments.exclude,
+            **_choice(arguments),
         )
     print(report.format_text())
     return OK
+
+
+def _choice(arguments: argparse.Namespace) -> Choice:
+    return {
+        "cameras": arguments.cameras,
+        "split": arguments.splits,
+        "subset": arguments.subset,
+        "exclude_flags": arguments.exclude,
+    }

@@ -35,7 +35,7 @@ def demo_card(
         version="1.0",
         folder=folder,
         citation="none: made by eldata demo",
-        licence="CC0",
+        licence="CC0-1.0",
         homepage="made by eldata demo",
         cfa="bayer" if all(len(sensor.cfa) == 2 for sensor in sensors.values()) else "xtrans",
         cameras={camera: CameraCard((sensor.model,)) for camera, sensor in sensors.items()},

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from fnmatch import fnmatchcase
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 from urllib.parse import unquote, urlsplit
@@ -32,11 +31,6 @@ def archive_name(download: Download) -> str:
 def archive_size(download: Download) -> str:
     """Return the size in words, empty if it is not known."""
     return size_text(download.size_bytes) if download.size_bytes is not None else download.about
-
-
-def holds(download: Download, path: str) -> bool:
-    """Return whether the archive holds a path of the manifest."""
-    return fnmatchcase(path, download.paths)
 
 
 def choose_parts(downloads: Sequence[Download], names: Collection[str]) -> tuple[Download, ...]:

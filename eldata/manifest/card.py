@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import asdict, dataclass, field
+from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
 
 from eldata.base.fields import Fields, TextFile, names_of, shown
@@ -16,6 +18,14 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 CFA_WORDS = ("bayer", "xtrans", "quad-bayer", "nona-bayer", "both", "mixed")
+
+_UNSTATED = {"", "not stated", "none stated", "unknown"}
+# Of the families under which data are published; all of them let whoever has the data pass them on unchanged.
+_SPDX = re.compile(
+    r"CC0-1\.0|CC-BY(-NC)?(-SA|-ND)?-[1-4]\.[05]|CDLA-(Permissive-[12]|Sharing-1)\.0|O(DbL|DC-By)-1\.0|PDDL-1\.0|MIT|"
+    r"Apache-2\.0|BSD-[23]-Clause|[AL]?GPL-[23]\.[01]-(only|or-later)|MPL-2\.0|LicenseRef-[A-Za-z0-9.-]+",
+    re.ASCII,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +59,10 @@ class Download:
     below: str | None = None
     sha256: str | None = None
     about: str = ""
+
+    def holds(self, path: str) -> bool:
+        """Return whether the archive holds a path of the manifest."""
+        return fnmatchcase(path, self.paths)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +125,11 @@ class Card:
     unknown: tuple[str, ...] = ()
     unreadable: str = ""
 
+    @property
+    def spdx(self) -> str:
+        """The licence's SPDX name, ``LicenseRef-...`` for one's own; empty if the card has other words, or none."""
+        return self.licence.strip() if _SPDX.fullmatch(self.licence.strip()) else ""
+
     def check_readable(self) -> None:
         """Raise :class:`ManifestError` if eldata cannot load the set's files yet."""
         if self.unreadable:
@@ -118,6 +137,11 @@ class Card:
                 f"eldata cannot load {self.name} yet: {self.unreadable}; eldata info {self.name} says more, and "
                 "eldata verify --level quick checks names and sizes"
             )
+
+
+def stated(text: str) -> str:
+    """Return a card's text, empty if it says no more than that nothing is stated."""
+    return "" if text.strip().lower() in _UNSTATED else text.strip()
 
 
 def cfa_word(names: Iterable[str]) -> str:

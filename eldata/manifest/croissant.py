@@ -7,14 +7,13 @@ each file that is linked, so archives whose publisher states none are named in t
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from dataclasses import fields
 from operator import attrgetter
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any
 
-from eldata.manifest.card import Card
+from eldata.manifest.card import Card, stated
 from eldata.manifest.table import MEASURED, number_text
 from eldata.records import FrameRecord
 
@@ -61,8 +60,6 @@ _FORMATS = {
     ".tif": "image/tiff",
     ".tiff": "image/tiff",
 }
-_UNSTATED = {"", "not stated", "none stated", "unknown"}
-_SPDX = re.compile(r"(?:CC|CC0|MIT|BSD|Apache|ODbL|ODC|PDDL|GPL|LGPL|MPL)-?[A-Za-z0-9.+-]*")
 
 _COLUMNS = {
     "path": "path below the set's folder",
@@ -114,12 +111,12 @@ def to_croissant(described: Manifest | Card) -> dict[str, Any]:
         "@type": "sc:Dataset",
         "conformsTo": [CROISSANT, RESPONSIBLE_AI],
         "name": card.name,
-        "description": " ".join(_sentences(_described(card, described))),
+        "description": " ".join(sentences(_described(card, described))),
         "version": card.version,
-        "license": _licence(card.licence),
+        "license": licence_of(card),
         "keywords": ["raw images", "denoising", "low light"],
     }
-    if card.citation.strip().lower() not in _UNSTATED:
+    if stated(card.citation):
         found["citeAs"] = card.citation
     if card.homepage.startswith(("http://", "https://")):
         found["url"] = card.homepage
@@ -128,11 +125,11 @@ def to_croissant(described: Manifest | Card) -> dict[str, Any]:
     return found | _responsible(card)
 
 
-def _licence(text: str) -> str:
-    stated = text.strip()
-    if stated.lower() in _UNSTATED:
-        return "unknown: no licence is stated"
-    return f"https://spdx.org/licenses/{stated}" if _SPDX.fullmatch(stated) else stated
+def licence_of(card: Card) -> str:
+    """Return a set's licence: of an SPDX name its address, else the card's text, or that none is stated."""
+    if card.spdx and not card.spdx.startswith("LicenseRef-"):
+        return f"https://spdx.org/licenses/{card.spdx}"
+    return stated(card.licence) or "unknown: no licence is stated"
 
 
 def _described(card: Card, described: Manifest | Card) -> Iterable[str]:
@@ -147,16 +144,18 @@ def _described(card: Card, described: Manifest | Card) -> Iterable[str]:
         yield f"The manifest lists {', '.join(f'{count} {role}' for role, count in sorted(counts.items()))} frames"
     for download in card.downloads:
         if download.sha256 is None:
-            yield f"Available at {_place(download)}"
+            yield f"Available at {place_text(download)}"
 
 
-def _place(download: Download) -> str:
+def place_text(download: Download) -> str:
+    """Return an archive's address, and what is known of it."""
     size = download.about or (f"{download.size_bytes} bytes" if download.size_bytes is not None else "")
     facts = "; ".join(filter(None, (download.part and f"part {download.part}", size, download.notes)))
     return f"{download.address} ({facts})" if facts else download.address
 
 
-def _sentences(texts: Iterable[str]) -> Iterable[str]:
+def sentences(texts: Iterable[str]) -> Iterable[str]:
+    """Yield texts that are not empty as sentences."""
     return (text if text.endswith((".", "!", "?")) else f"{text}." for text in texts if text)
 
 
@@ -254,14 +253,14 @@ def _data_type(name: str, records: Sequence[FrameRecord]) -> str:
 
 def _responsible(card: Card) -> dict[str, Any]:
     told: dict[str, Any] = {
-        "rai:dataCollection": " ".join(_sentences([card.contents or card.title, *card.sources])),
+        "rai:dataCollection": " ".join(sentences([card.contents or card.title, *card.sources])),
         "rai:dataCollectionType": ["Physical data collection"],
         "rai:dataUseCases": [
             "Training and evaluation of denoisers of raw photographs taken in the dark, and of models of their noise."
         ],
-        "rai:dataPreprocessingProtocol": list(_sentences([card.levels])),
-        "rai:dataLimitations": list(_sentences([*card.known_defects, card.unreadable])),
-        "rai:dataCollectionMissingData": " ".join(_sentences(card.unknown)),
+        "rai:dataPreprocessingProtocol": list(sentences([card.levels])),
+        "rai:dataLimitations": list(sentences([*card.known_defects, card.unreadable])),
+        "rai:dataCollectionMissingData": " ".join(sentences(card.unknown)),
         "rai:personalSensitiveInformation": ["Not stated by the texts that this card was made from."],
     }
     return {name: value for name, value in told.items() if value}

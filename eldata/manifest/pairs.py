@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Item = TypeVar("Item", "PairRecord", "FrameRecord")
 
-# Flag of a frame whose ISO the publisher states in two ways: its exposure ratio cannot be checked.
+# Flag of a frame whose ISO is stated in two ways, or is known not to be its speed: EXIF cannot check its ratio.
 UNCERTAIN_ISO = "uncertain-iso"
 # Flags of bias frames that are longer than the others of their ISO, or of a sensor that was warm from shooting.
 LONGER_DARK = "longer-dark"

@@ -173,14 +173,15 @@ def table_text(path: Path, records: Iterable[FrameRecord]) -> str:
     ordered = tuple(sorted(records, key=attrgetter("path")))
     measured = any(getattr(record, column) is not None for record in ordered for column in MEASURED)
     columns = _ALL if measured else COLUMNS
-    text = csv_text(columns, ([_text(getattr(record, column)) for column in columns] for record in ordered))
+    text = csv_text(columns, ([cell_text(getattr(record, column)) for column in columns] for record in ordered))
     for record, read_back in zip(ordered, _parse(TextFile(path, ManifestError, content=text)), strict=True):
         if record != read_back:
             raise ManifestError(f"{path}, row {record.path!r}: cannot be written as text and read back the same")
     return text
 
 
-def _text(value: object) -> str:
+def cell_text(value: object) -> str:
+    """Return a field of a record as a cell holds it: flags joined by semicolons, nothing for what is not known."""
     if isinstance(value, tuple):
         return ";".join(value)
     if isinstance(value, Fraction):

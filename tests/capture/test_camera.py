@@ -10,9 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from capture.camera import EXAMPLE, CameraDescription, Shutter, ladder
+from capture.camera import EXAMPLE, CameraDescription
 from capture.capture_errors import CameraError
 from capture.exact import ExactNumber, as_exact
+from capture.shutter import Shutter, ladder
 from tests.cases import in_one_test
 
 if TYPE_CHECKING:

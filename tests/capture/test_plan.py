@@ -13,11 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from capture.calibration import CalibrationPlan, default_isos, plan_calibration
-from capture.camera import EXAMPLE, Shutter
+from capture.camera import EXAMPLE
 from capture.capture_errors import CameraError, ImpossibleShotError, PlanError
 from capture.plan import CALIBRATION, RATIO_TOLERANCE, Plan, make_plan
 from capture.protocol import PAPER, RELEASED
 from capture.shots import duration_of, minutes, scene_shots
+from capture.shutter import Shutter
 from eldata.base.files import sha256_of
 from tests.capture.simulated import CAMERA, plan_of
 from tests.cases import in_one_test

@@ -18,6 +18,7 @@ from capture.plan import Plan, make_plan
 from capture.protocol import CaptureProtocol
 from eldata import CalibrationFrames
 from eldata.cli.main import main as eldata_main
+from eldata.datasets import PairDataset
 from eldata.demo.camera import CAMERAS
 from eldata.demo.scenes import scene_radiance
 from eldata.manifest import load_manifest
@@ -88,7 +89,7 @@ def test_one_repeat_too_few_is_missing(nights: Nights, capsys: pytest.CaptureFix
 # --- speeds of ISOs ---------------------------------------------------------------------------------------------------
 
 
-def test_the_pixels_have_the_ratio_of_the_true_speeds(tmp_path: Path) -> None:
+def test_the_pixels_have_the_ratio_of_the_true_speeds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A camera whose ISO 800 is ISO 672: the plan's ratio is the pixels', EXIF's is not; every repeat is checked."""
     camera = CAMERAS[0].with_size(384, 576)
     speeds = ((100, Fraction(100)), (800, Fraction(672)), (1600, Fraction(1600)), (3200, Fraction(3200)))
@@ -122,6 +123,22 @@ def test_the_pixels_have_the_ratio_of_the_true_speeds(tmp_path: Path) -> None:
         # Standard errors are 5 to 10 % too small (docs/capture.md).
         assert abs(pair.ratio.value - float(shot.true_ratio)) < 1.1 * 5 * pair.ratio.standard_error
         assert abs(float(shot.named_ratio) / float(shot.true_ratio) - 1) > 0.1
+    # The manifest says that the names of ISOs are not to be trusted here, and the set can be used by what was measured.
+    assert nights.problems() == []
+    assert [record.flags for record in load_manifest(nights.csv).records if record.role == "noisy"] == [
+        ("uncertain-iso",)
+    ] * 3
+    checking = ["check", str(nights.csv), "--root", str(tmp_path / "data"), "--jobs", "1"]
+    capsys.readouterr()
+    assert main([*checking, "--write"]) == 1
+    output = capsys.readouterr().out
+    assert "DemoAlpha scene-1: look" in output
+    assert "EXIF has the names of ISOs, whose measured speeds are others: capture check --write puts" in output
+    assert main(checking) == 0  # settled
+    dataset = PairDataset(nights.data, nights.csv, amplification="measured")
+    for sample, pair in zip(dataset, pairs, strict=True):
+        assert pair.ratio is not None
+        assert sample["ratio"] == pytest.approx(pair.ratio.value, rel=1e-5)
 
 
 # --- apertures --------------------------------------------------------------------------------------------------------

@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from capture.camera import CameraDescription, Shutter
+from capture.camera import CameraDescription
 from capture.cli import main
 from capture.observed import observe_one
 from capture.plan import make_plan
 from capture.protocol import CaptureProtocol
 from capture.shots import Shot
+from capture.shutter import Shutter
 from capture.tether import CameraLostError, Gphoto, GphotoError, TetherError
 from capture.tether.choices import choose, format_problem, is_time, iso_choice, seconds_of, time_choice
 from capture.tether.frames import look

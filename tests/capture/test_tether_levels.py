@@ -12,9 +12,12 @@ import numpy as np
 import pytest
 
 from capture.calibration import plan_calibration
+from capture.capture_errors import TetherError
 from capture.cli import main
 from capture.plan import CALIBRATION, Plan, make_plan
 from capture.protocol import CaptureProtocol
+from capture.shutter import Shutter
+from capture.tether.flats import with_flats
 from capture.tether.gphoto import Gphoto
 from capture.tether.levels import levels_of
 from capture.tether.pace import Pace
@@ -118,7 +121,12 @@ def test_a_scene_is_checked_when_it_is_taken(tmp_path: Path, capsys: pytest.Capt
     ]
     # The first verdict comes before anything of the second scene.
     assert "scene-1  3/3" in lines[verdicts[0] - 1]
-    assert lines[verdicts[0] + 1].startswith("scene-2: 3 frames")
+    sheet = rig.shots / "checked" / "scene-1.html"
+    assert lines[verdicts[0] + 1 : verdicts[0] + 3] == [f"    to look at: {sheet}", "scene-2: 3 frames"]
+    page = sheet.read_text("utf-8")
+    assert page.count("data:image/jpeg;base64,") >= 3
+    assert all(f"scene-1_000{number}.dng" in page for number in (1, 2, 3))
+    assert "scene-2_000" not in page
     assert json.loads((tmp_path / "run.json").read_text())["verdicts"] == {"scene-1": "keep", "scene-2": "keep"}
     taken = [line for line in lines if "  scene-1_000" in line or "  scene-2_000" in line]
     assert len(taken) == 6
@@ -266,6 +274,17 @@ def test_light_that_does_not_follow_the_time(
     assert words in error
     assert error.count("\n") == 1
     assert len(rig.frames()) in (8, 9)  # the bias frames
+
+
+def test_steps_that_would_leave_another_number_of_flats() -> None:
+    """In full stops, levels of a surface that clips at 1/4 s fall on three times, and at 0.35 s on four."""
+    camera = replace(CAMERA, shutter=Shutter.between("1/8000", "30", Fraction(1)))
+    levels = tuple(Fraction(tenths, 10) for tenths in (1, 3, 5, 7, 9))
+    frames = plan_calibration(camera, 100, (100,), Fraction(1, 4), bias_frames=4, flat_levels=levels)
+    plan = make_plan(camera, CaptureProtocol(), {}, frames)
+    assert with_flats(plan, Fraction(1, 2)).calibration != frames
+    with pytest.raises(TetherError, match="the camera's steps then leave 12 calibration frames where the plan has 10"):
+        with_flats(plan, Fraction("0.35"))
 
 
 @pytest.mark.parametrize("when", ["before the plan is written", "after it"])

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from eldata.base.png import read_png, read_png_header, read_rgb16, rgb_frame
-from eldata.download.card_downloads import archive_name, choose_parts, holds
+from eldata.download.card_downloads import archive_name, choose_parts
 from eldata.errors import ArgumentError, DatasetError, FileError, ManifestError
 from eldata.manifest.card import load_card, save_card
 from eldata.manifest.catalogue import load_manifest, shipped_folder, shipped_manifest
@@ -116,7 +116,7 @@ def test_a_program_fetches_what_the_manifest_lists() -> None:
         with pytest.raises(ArgumentError, match="known are long, noisy"):
             choose_parts(tuple(downloads.values()), [part])
     for record in manifest.records:
-        holders = [download.part for download in downloads.values() if holds(download, record.path)]
+        holders = [download.part for download in downloads.values() if download.holds(record.path)]
         assert holders == ["long" if record.role == "reference" else "noisy"]
 
 

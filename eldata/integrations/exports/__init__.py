@@ -1,4 +1,4 @@
-"""A set's files under the names, and in the lists, that published training code reads."""
+"""A set as foreign code reads it: names and lists of published training code, and a folder for the Hugging Face Hub."""
 
 import lazy_loader
 

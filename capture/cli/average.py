@@ -1,0 +1,51 @@
+"""`capture average`: the mean of references that follow each other."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from eldata.base.console import OK, PROBLEMS, add_jobs, add_root, add_shared
+from eldata.base.files import write_json
+from eldata.base.numbers import counted
+from eldata.base.visible import in_line
+
+if TYPE_CHECKING:
+    import argparse
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add this command."""
+    parser = commands.add_parser(
+        "average",
+        help="compare noisy frames with the mean of several references",
+        description=(
+            "Write the mean of references that follow each other (capture plan --references 10) into a DNG beside "
+            "them, and let the manifest compare their noisy frames with it. The single frames stay. Frames among which "
+            "light or camera changed are not averaged. What was measured against a single one is removed from the "
+            "manifest: run capture check --write afterwards."
+        ),
+    )
+    parser.add_argument("manifest", metavar="MANIFEST", help="the manifest's CSV file, its card beside it")
+    add_root(parser)
+    add_jobs(parser)
+    add_shared(parser, run, "isolation", "json", example="capture average manifests/mine.csv --root data")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run this command."""
+    from dataclasses import asdict
+
+    from capture.check.averaging import average_references
+
+    found = average_references(arguments.manifest, arguments.root, workers=arguments.jobs)
+    for one in found:
+        what = f"{one.name}: {counted(len(one.files), 'reference')}, {one.files[0]} to {one.files[-1]}"
+        if one.mean is None:
+            print(f"{in_line(what)}: not averaged")
+            for reason in one.reasons:
+                print(f"    {reason}")
+        else:
+            print(f"{in_line(what)}: mean in {in_line(one.mean)}, for {counted(one.noisy, 'noisy frame')}")
+    if arguments.json:
+        write_json(arguments.json, {"blocks": [asdict(one) for one in found]})
+    return OK if all(one.mean for one in found) else PROBLEMS

@@ -29,7 +29,7 @@ from eldata.sources.store.format import (
     version_of,
 )
 from eldata.sources.store.journal import journaled, remove_stale_journal
-from eldata.sources.store.table import TABLE, key_of, table_of
+from eldata.sources.store.table import TABLE, frame_key, store_table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -134,7 +134,7 @@ def _fill(
         with bar, closing(decoded):  # type: ignore[type-var] # a generator, declared as an iterator
             for number, (pixels, attributes) in enumerate(decoded, resumed):
                 shape = chunk_shape(pixels.shape)
-                dataset = frames.create_dataset(key_of(number), data=pixels, chunks=shape, **options)
+                dataset = frames.create_dataset(frame_key(number), data=pixels, chunks=shape, **options)
                 dataset.attrs.update(attributes)
                 _commit(store, file)
                 bar.update()
@@ -160,7 +160,7 @@ def finish(store: h5py.File) -> None:
     frames = store["frames"]
     if TABLE in store:  # whoever was ended here begins again
         del store[TABLE]
-    table = table_of([dict(frames[key_of(number)].attrs) for number in range(len(frames))])
+    table = store_table([dict(frames[frame_key(number)].attrs) for number in range(len(frames))])
     if table is not None:
         store.create_dataset(TABLE, data=table)
     store.attrs["complete"] = True

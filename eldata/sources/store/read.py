@@ -38,7 +38,7 @@ from eldata.sources.store.format import (
     filters,
     stored,
 )
-from eldata.sources.store.table import TABLE, frames_of
+from eldata.sources.store.table import TABLE, frames_in_table
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -171,7 +171,7 @@ def _check_outline(file: h5py.File) -> None:
 
 def _listed(file: h5py.File) -> list[StoredFrame]:
     """Return the frames that the table lists; each is looked at as it is read (:func:`_frame`)."""
-    frames = frames_of(file[TABLE][:].tobytes())
+    frames = frames_in_table(file[TABLE][:].tobytes())
     if len(frames) != len(file["frames"]):
         raise ValueError(f"{TABLE} lists {len(frames)} frames, and there are {len(file['frames'])}")
     for shape in {frame.shape for frame in frames}:

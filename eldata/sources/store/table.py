@@ -35,12 +35,12 @@ _FILE = {"size_bytes": int, "sha256": str, "decoder": str}
 _SHARED = ("sensor", "sensor_more", "exposure", "channel_white_levels_dn")
 
 
-def key_of(number: int) -> str:
+def frame_key(number: int) -> str:
     """Return the name of a frame's HDF5 dataset, by its place in the order in which frames were packed."""
     return f"{number:06d}"
 
 
-def table_of(attributes: Sequence[Mapping[str, Any]]) -> NDArray[np.uint8] | None:
+def store_table(attributes: Sequence[Mapping[str, Any]]) -> NDArray[np.uint8] | None:
     """Return the table of frames, given the attributes of each; ``None`` if there is an RGB frame."""
     if any(each.get("kind") == RGB for each in attributes):
         return None
@@ -54,13 +54,13 @@ def table_of(attributes: Sequence[Mapping[str, Any]]) -> NDArray[np.uint8] | Non
     return np.frombuffer(json.dumps(columns, separators=(",", ":")).encode(), np.uint8)
 
 
-def frames_of(content: bytes) -> list[StoredFrame]:
+def frames_in_table(content: bytes) -> list[StoredFrame]:
     """Return the frames that a table states; those that state the same share one record of it.
 
     Raises
     ------
     ValueError, LookupError, TypeError
-        If it is not what :func:`table_of` makes.
+        If it is not what :func:`store_table` makes.
     """
     data = TextFile(TABLE, ArgumentError, content=content).json().data
     columns = {name: _of_kind(name, data[name], str) for name in _OWN}
@@ -72,7 +72,7 @@ def frames_of(content: bytes) -> list[StoredFrame]:
     count = len(columns["path"])
     if {*map(len, columns.values())} != {count}:
         raise ValueError(f"the table's columns have {sorted({*map(len, columns.values())})} rows")
-    columns["key"] = [*map(key_of, range(count))]
+    columns["key"] = [*map(frame_key, range(count))]
     return from_columns(StoredFrame, columns)
 
 

@@ -34,6 +34,7 @@ NAMES = (
     ),
     "store",
     "streaming",
+    "scale",
     "manifest",
     "shading",
 )

@@ -320,6 +320,7 @@ WRITES = {
     "eldata.reports.evaluation.page": "one value of a setting in a sentence",
     "eldata.sources.shards.index": "an index with one line per shard, and a sample's own JSON",
     "eldata.sources.store.format": "attributes of an HDF5 store",
+    "eldata.sources.store.table": "a data set of an HDF5 store, without spaces: it is as long as there are frames",
     "capture.checklist": "what a digest is made of, and a script's data",
     "capture.tether.journal": "its own lines, each written at once, and what a digest is made of",
     "capture.tether.lock": "its own note in a locked file",

@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 from torch import distributed
-from torch.utils.data import IterableDataset
 from tqdm import tqdm
 
 from eldata.base.files import atomic_write, check_same_work
@@ -174,7 +172,8 @@ class Training:
         while self.step < self.steps:
             epoch, first = divmod(self.step, len(self.loader))
             begun, waited = time.perf_counter(), 0.0
-            batches = self._batches(epoch, first)
+            set_epoch(self.loader, epoch, first_batch=first)
+            batches = iter(self.loader)
             end = min(self.steps, (epoch + 1) * len(self.loader))
             self._parallel.train()
             quiet = True if _rank() else None  # one bar, and only on a terminal
@@ -245,13 +244,6 @@ class Training:
         if "cuda" in mine and self.device.type == "cuda":
             torch.cuda.set_rng_state(mine["cuda"], self.device)
         self._loss_sum.copy_(mine["loss_sum"])
-
-    def _batches(self, epoch: int, first: int) -> Iterator[Any]:
-        if isinstance(self.loader.dataset, IterableDataset):  # gives its items only from the first one on
-            set_epoch(self.loader, epoch)
-            return islice(self.loader, first, None)
-        set_epoch(self.loader, epoch, first_batch=first)
-        return iter(self.loader)
 
     def _train_on(self, batch: Mapping[str, Any]) -> None:
         moved = {

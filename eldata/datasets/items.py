@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from eldata.sources.frames import Frame
 
 
-class SharedEpoch:
-    """The current epoch, in shared memory so that persistent workers see the next one."""
+class SharedNumber:
+    """A whole number, such as the current epoch, in shared memory so that persistent workers see the next one."""
 
     def __init__(self) -> None:
         self._value = torch.zeros((), dtype=torch.int64)
@@ -42,22 +42,16 @@ class SharedEpoch:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._share()  # a copy has an epoch of its own, which its workers share again
+        self._share()  # a copy has a number of its own, which its workers share again
 
     @property
     def value(self) -> int:
-        """The current epoch."""
+        """The number, at first 0."""
         return int(self._value)
 
-    def set(self, epoch: int) -> None:
-        """Choose the epoch.
-
-        Raises
-        ------
-        ArgumentError
-            If it is not a whole number from 0 up to below 2^32.
-        """
-        self._value.fill_(checked_epoch(epoch))
+    def set(self, value: int) -> None:
+        """Choose the number."""
+        self._value.fill_(value)
 
 
 class Part(NamedTuple):
@@ -278,7 +272,7 @@ class CroppedItems(ReadItems[Item, Sample]):
         self.crop = crop
         self.augment = cropping.get("augment", False)
         self.seed = seed
-        self._epoch = SharedEpoch()
+        self._epoch = SharedNumber()
 
     @abstractmethod
     def drawn(self, index: int, generator: np.random.Generator) -> Item:
@@ -302,5 +296,11 @@ class CroppedItems(ReadItems[Item, Sample]):
         return self._epoch.value
 
     def set_epoch(self, epoch: int) -> None:
-        """Choose the epoch whose items are drawn from now on, in running workers too."""
-        self._epoch.set(epoch)
+        """Choose the epoch whose items are drawn from now on, in running workers too.
+
+        Raises
+        ------
+        ArgumentError
+            If it is not a whole number from 0 up to below 2^32.
+        """
+        self._epoch.set(checked_epoch(epoch))

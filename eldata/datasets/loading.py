@@ -12,6 +12,8 @@ import multiprocessing
 import os
 import pickle
 import sys
+import threading
+from multiprocessing import connection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypedDict, Unpack, runtime_checkable
 
@@ -55,6 +57,9 @@ class SelfSplitting(Protocol):
 
     def for_evaluation(self, batch_size: int, rank: Rank) -> Any:
         """Return the dataset in order, with each item exactly once over all ranks."""
+
+    def set_first_batch(self, number: int) -> None:
+        """Choose from which of its rank's batches on the next iteration gives an epoch: for training alone."""
 
     def __len__(self) -> int:
         """Return the number of items of this rank."""
@@ -158,21 +163,24 @@ def set_epoch(loader: DataLoader[Any], epoch: int, *, first_batch: int = 0) -> N
     """Choose the epoch that the next iteration over a loader gives: its order, its items' crops and noise.
 
     The same call after a restart goes on with that epoch, with ``first_batch`` in the middle of it: the batches before
-    are not read, and the others are the same. (Numbers that a transform draws in a worker are those of another place.)
+    are not read, and the others are the same, from a stream with as many workers as before. (Numbers that a transform
+    draws in a worker are those of another place.)
 
     Raises
     ------
     ArgumentError
-        If the loader was not made here, the epoch is not a whole number from 0 up to below 2^32, or the loader is not
-        one for training that can begin there: a stream gives its items only from the first one on.
+        If the loader was not made here, the epoch is not a whole number from 0 up to below 2^32, or there is a first
+        batch but the loader is not one for training.
     """
     known = _known(loader)
     epoch = checked_epoch(epoch)
     checked_whole("first_batch", first_batch, at_least=0)
     if isinstance(loader.sampler, ShuffledSampler):
         loader.sampler.set_epoch(epoch, first_batch * (loader.batch_size or 1))
+    elif known.is_training:
+        loader.dataset.set_first_batch(first_batch)  # type: ignore[attr-defined] # a SelfSplitting one
     elif first_batch:
-        raise ArgumentError(f"first_batch={first_batch}: only a training loader of items by number can begin there")
+        raise ArgumentError(f"first_batch={first_batch}: only a training loader can begin there")
     for part in _parts(loader.dataset):
         if callable(getattr(part, "set_epoch", None)):
             part.set_epoch(epoch)
@@ -214,6 +222,7 @@ class _Loader(DataLoader[Any]):
         name = "training_loader" if is_training else "evaluation_loader"
         chosen = _chosen(name, batch_size, options)
         self.seed = chosen["seed"]
+        self.is_training = is_training
         self.rank = rank = chosen["rank"] or current_rank()
         sampler: Any = None
         order = "in order"
@@ -261,6 +270,7 @@ class _Loader(DataLoader[Any]):
             collate_fn=chosen["collate"],
             generator=torch.Generator(),  # torch seeds the workers' random numbers from it
             persistent_workers=is_training and settings["num_workers"] > 0,
+            worker_init_fn=_end_with_parent,
             **settings,
         )
         self.seed_workers(0)
@@ -274,6 +284,21 @@ class _Loader(DataLoader[Any]):
         """Seed the generator from which torch seeds its workers' torch, numpy and random."""
         sequence = purpose_sequence(self.seed, epoch, _WORKERS, self.rank.number)
         self.generator.manual_seed(int(sequence.generate_state(1, np.uint64)[0] >> 1))  # torch takes a signed number
+
+
+def _end_with_parent(_: int) -> None:
+    """End this worker with the process that reads from it, even if that is killed.
+
+    torch's own look at the parent sees the server that the worker was forked from, which lives as long as its workers.
+    """
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_ended_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def _ended_with(sentinel: int) -> None:
+    connection.wait([sentinel])
+    os._exit(1)
 
 
 def _chosen(name: str, batch_size: int, options: LoaderOptions) -> LoaderOptions:

@@ -13,23 +13,24 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack
 import numpy as np
 from torch.utils.data import IterableDataset, get_worker_info
 
-from eldata.base.seeds import checked_seed, item_generator, purpose_sequence
+from eldata.base.seeds import checked_epoch, checked_seed, item_generator, purpose_sequence
 from eldata.datasets.augmentation import Orientation
 from eldata.datasets.base import OpenedPair, PairItem, PairItems, Sample
 from eldata.datasets.choices import Representation, chosen_shading, shading_text, understood
 from eldata.datasets.crops import Crop
-from eldata.datasets.items import SharedEpoch
+from eldata.datasets.items import SharedNumber
 from eldata.datasets.ranks import Rank, current_rank
 from eldata.errors import ArgumentError
 from eldata.raw.cfa import packed_shape
 from eldata.sources.frames import Frame
 from eldata.sources.pairs import stated_ratio
 from eldata.sources.shards import splitting
-from eldata.sources.shards.reading import read_run
+from eldata.sources.shards.reading import read_samples
 from eldata.sources.shards.remote import Folder
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator, Mapping, Sequence
+    from collections.abc import Set as AbstractSet
 
     from eldata.protocols.protocol import Amplification
     from eldata.raw.cfa import Clip
@@ -95,6 +96,8 @@ class StreamedPairs(IterableDataset[Sample]):
         Options of fsspec's file system, such as credentials.
     attempts, retry_wait_s
         How often a remote read is tried without any progress, and the seconds before the second attempt, which double.
+    timeout_s
+        A web server of which no byte comes for so long has failed; other places have options of their own.
 
     Raises
     ------
@@ -119,6 +122,7 @@ class StreamedPairs(IterableDataset[Sample]):
         storage_options: Mapping[str, Any] | None = None,
         attempts: int = 5,
         retry_wait_s: float = 0.5,
+        timeout_s: float = 60.0,
         **options: Unpack[StreamOptions],
     ) -> None:
         super().__init__()
@@ -129,7 +133,7 @@ class StreamedPairs(IterableDataset[Sample]):
                 "crops_per_frame and shuffle_buffer must be 1 or more and crop 2 or more; found "
                 f"{crops_per_frame}, {shuffle_buffer}, {crop}"
             )
-        self.folder = Folder(str(address), storage_options or {}, attempts, retry_wait_s)
+        self.folder = Folder(str(address), storage_options or {}, attempts, retry_wait_s, timeout_s)
         self.index = self.folder.read_index()
         if crop is not None and self.index.tile is not None and crop > self.index.tile:
             raise ArgumentError(f"crop must be at most the tiles' side, {self.index.tile}; found {crop}")
@@ -143,7 +147,8 @@ class StreamedPairs(IterableDataset[Sample]):
         self.amplification: Amplification = given.get("amplification", "metadata")
         self.dark_shading = chosen_shading(given)
         self.rank = rank
-        self._epoch = SharedEpoch()
+        self._epoch = SharedNumber()
+        self._first_batch = SharedNumber()
         self._order: Literal["shuffled", "stored"] = "shuffled"
         self._parts: Literal["exact", "even"] = "exact"
         self._batch_size: int | None = None  # not known in a DataLoader of the user's own
@@ -153,9 +158,11 @@ class StreamedPairs(IterableDataset[Sample]):
     def for_training(self, batch_size: int, rank: Rank) -> StreamedPairs:
         """Return the same pairs shuffled, as many on every rank, and split over workers in whole batches.
 
-        Fewer items than there are ranks are left out, others each epoch. The epoch is shared with this dataset.
+        Fewer items than there are ranks are left out, others each epoch. The epoch is shared with this dataset, the
+        batch that an epoch begins with is not.
         """
-        return self._with(_order="shuffled", _parts="even", _batch_size=batch_size, rank=rank)
+        first = SharedNumber()
+        return self._with(_order="shuffled", _parts="even", _batch_size=batch_size, _first_batch=first, rank=rank)
 
     def for_evaluation(self, batch_size: int, rank: Rank) -> StreamedPairs:
         """Return the same pairs in the order of the shards, each item exactly once over all ranks."""
@@ -172,13 +179,23 @@ class StreamedPairs(IterableDataset[Sample]):
         return self._epoch.value
 
     def set_epoch(self, epoch: int) -> None:
-        """Choose the epoch that the next iteration gives, in running workers too."""
-        self._epoch.set(epoch)
+        """Choose the epoch that the next iteration gives, in running workers too.
+
+        Raises
+        ------
+        ArgumentError
+            If it is not a whole number from 0 up to below 2^32.
+        """
+        self._epoch.set(checked_epoch(epoch))
+
+    def set_first_batch(self, number: int) -> None:
+        """Choose from which of its rank's batches on the next iteration gives an epoch: for training alone."""
+        self._first_batch.set(number)
 
     @cached_property
     def sample_bytes(self) -> int:
         """Size of an item's two arrays: of the first sample of the first shard, which is read for it."""
-        with closing(read_run(self.folder, self.index, splitting.Run(0, 0, 1))) as samples:
+        with closing(read_samples(self.folder, self.index, 0, range(1))) as samples:
             first = next(samples)
         shape = packed_shape(first.input_dn.shape, first.facts.input.sensor.cfa)
         pixels = math.prod(shape[1:]) if self.crop is None else self.crop**2
@@ -214,24 +231,34 @@ class StreamedPairs(IterableDataset[Sample]):
 
     def __iter__(self) -> Iterator[Sample]:
         info = get_worker_info()
-        worker, workers = (0, 1) if info is None else (info.id, info.num_workers)
-        epoch = self.epoch
-        places = splitting.worker_part(self._part(), worker, workers, self._batch_size or 1)
-        with closing(self._items(places, epoch)) as read:
-            items: Iterator[PairItem] = read
-            if self._order == "shuffled":
-                rank = self._rank()
-                generator = self._generator(epoch, _BUFFER, rank.number, rank.of, worker, workers)
-                items = splitting.shuffled_through(read, self.shuffle_buffer, generator)
-            while batch := list(islice(items, self._batch_size or 1)):
+        process, workers = (0, 1) if info is None else (info.id, info.num_workers)
+        epoch, batch_size = self.epoch, self._batch_size or 1
+        parts = [splitting.worker_part(self._part(), worker, workers, batch_size) for worker in range(workers)]
+        worker, batches = splitting.turns([len(part) // batch_size for part in parts], self._first_batch.value)[process]
+        # Which item comes when is decided by numbers alone, so those that were given out before are not read.
+        order = self._order_of(parts[worker], epoch, worker, workers)
+        given = frozenset(islice(order, batches * batch_size))
+        with closing(self._items(parts[worker], epoch, given)) as read:
+            items = splitting.as_called(read, order)
+            while batch := list(islice(items, batch_size)):
                 crops = _Crops(batch, self.clip)
                 yield from crops if self._batch_size is None else crops.__getitems__(range(len(batch)))
+
+    def _order_of(self, places: range, epoch: int, worker: int, workers: int) -> Iterator[int]:
+        """Return a worker's places in the order in which their items are given out."""
+        if self._order == "stored":
+            return iter(places)
+        rank = self._rank()
+        generator = self._generator(epoch, _BUFFER, rank.number, rank.of, worker, workers)
+        return splitting.shuffled_through(places, self.shuffle_buffer, generator)
 
     def _generator(self, epoch: int, purpose: int, *place: int) -> np.random.Generator:
         return np.random.default_rng(purpose_sequence(self.seed, epoch, purpose, *place))
 
-    def _items(self, places: range, epoch: int) -> Generator[PairItem]:
-        """Yield the items at some places of the epoch's sequence."""
+    def _items(
+        self, places: range, epoch: int, given: AbstractSet[int] = frozenset()
+    ) -> Generator[tuple[int, PairItem]]:
+        """Yield some places of the epoch's sequence and the items there, but for those that were given out before."""
         if not places:
             return
         lengths = [len(shard) for shard in self.index.shards]
@@ -241,14 +268,17 @@ class StreamedPairs(IterableDataset[Sample]):
             runs = splitting.in_order(lengths)
         each = self.crops_per_frame
         samples = range(places.start // each, (places.stop - 1) // each + 1)
-        place = samples.start * each
+        at = samples.start * each
         for run in splitting.cut(runs, samples):
-            with closing(read_run(self.folder, self.index, run)) as read:
-                for sample in read:
-                    for crop in range(each):
-                        if place in places:
-                            yield self._item(sample, crop, epoch)
-                        place += 1
+            wanted: dict[int, list[int]] = {}  # the places of each sample that is read
+            for number in range(run.first, run.last):
+                if its := [place for place in range(at, at + each) if place in places and place not in given]:
+                    wanted[number] = its
+                at += each
+            with closing(read_samples(self.folder, self.index, run.shard, list(wanted))) as read:
+                for sample, its in zip(read, wanted.values(), strict=True):
+                    for place in its:
+                        yield place, self._item(sample, place % each, epoch)
 
     def _item(self, sample: StoredSample, crop: int, epoch: int) -> PairItem:
         # The same as PackedStore's, where whole frames were written: its items are numbered in this way.

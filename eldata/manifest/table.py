@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import gc
 import hashlib
 import re
-from contextlib import contextmanager
 from fractions import Fraction
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, get_args
 
 from eldata.base.fields import TextFile, TextRow, csv_text, names_of, shown
 from eldata.base.files import path_problem, write_text
+from eldata.base.garbage import no_search_for_cycles
 from eldata.errors import ArgumentError, ManifestError
-from eldata.records import FrameRecord, Role, from_columns
+from eldata.records import FrameRecord, Records, Role, from_columns
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
 MEASURED = ("measured_ratio", "measured_shift_px")
@@ -66,11 +65,11 @@ def _parse(file: TextFile) -> tuple[FrameRecord, ...]:
     """Return the rows, sorted by path: by columns, which is fast; if something is wrong, by rows, to say where."""
     records: list[FrameRecord] = []
     try:
-        with _no_search_for_cycles():
+        with no_search_for_cycles():
             _by_columns(file, records)
     except (ManifestError, ValueError):
         records = _by_rows(file, records)
-    return tuple(sorted(records, key=attrgetter("path")))
+    return Records(sorted(records, key=attrgetter("path")))
 
 
 def _by_rows(file: TextFile, begun: Sequence[FrameRecord] = ()) -> list[FrameRecord]:
@@ -134,18 +133,6 @@ def _by_columns(file: TextFile, records: list[FrameRecord]) -> None:
         are_references.update(path for path, role in pairs if role == "reference")
     if len(keys) < len(records) or not to_be_references <= are_references | {None}:
         raise ValueError(COLUMNS)
-
-
-@contextmanager
-def _no_search_for_cycles() -> Iterator[None]:
-    """Keep the interpreter from searching millions of new objects, none of them part of a cycle, again and again."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
 
 
 class _Known(dict[str, Any]):

@@ -12,11 +12,12 @@ pytest.importorskip("lightning", reason="needs eldata[lightning]")
 
 import lightning
 
-from eldata import PackedStore
+from eldata import PackedStore, StreamedPairs
 from eldata.cli.main import main
 from eldata.datasets import set_epoch, training_loader
 from eldata.errors import ArgumentError
 from eldata.integrations.lightning import EldataModule, TrainingBatches
+from eldata.sources.shards import write_shards
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -130,6 +131,26 @@ def test_states(store: Path) -> None:
         second.load_state_dict({"epoch": 0, "batches": 7})
     with pytest.raises(ArgumentError, match="found epoch"):
         second.load_state_dict({"epoch": 0})
+
+
+@pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.study)])
+def test_states_of_a_stream(workers: int, store: Path, tmp_path: Path) -> None:
+    """Three of 16 batches, then the rest of the epoch and the next one, as without a stop."""
+    write_shards(store, tmp_path / "shards", tile=16, samples_per_shard=50)
+
+    def batches() -> TrainingBatches:
+        pairs = StreamedPairs(str(tmp_path / "shards"), crop=16, seed=3, shuffle_buffer=30)
+        return TrainingBatches(training_loader(pairs, 9, workers=workers))
+
+    whole, cut, again = batches(), batches(), batches()
+    wanted = [batch["input"].clone() for _ in range(2) for batch in whole]
+    steps = iter(cut)
+    begun = [next(steps)["input"].clone() for _ in range(3)]
+    again.load_state_dict(cut.state_dict())
+    del steps
+    got = [*begun, *(batch["input"].clone() for _ in range(2) for batch in again)]
+    assert len(got) == len(wanted) == 2 * len(whole)
+    assert all(torch.equal(one, other) for one, other in zip(got, wanted, strict=True))
 
 
 def test_without_lightning_it_says_so() -> None:

@@ -21,9 +21,8 @@ from eldata.manifest.pairs import Choice, select_pairs
 from eldata.manifest.table import cell_text
 from eldata.records import PairRecord
 from eldata.sources.shards.index import INDEX
-from eldata.sources.shards.reading import read_run
+from eldata.sources.shards.reading import read_samples
 from eldata.sources.shards.remote import Folder
-from eldata.sources.shards.splitting import in_order
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -173,8 +172,8 @@ def _checked(source: Folder, index: ShardIndex, known: Mapping[str, PairRecord])
     """Read every sample of a folder, and hold its record against the manifest's."""
     found = _Found()
     with tqdm(total=len(index), desc="checking shards", unit="sample", disable=None, leave=False) as bar:
-        for run in in_order([len(shard) for shard in index.shards]):
-            with closing(read_run(source, index, run)) as samples:
+        for number, shard in enumerate(index.shards):
+            with closing(read_samples(source, index, number, range(len(shard)))) as samples:
                 for sample in samples:
                     record = sample.facts.record
                     _check_record(source.address, record, known.get(record.path))

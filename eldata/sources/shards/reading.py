@@ -13,30 +13,32 @@ from eldata.sources.shards.members import END, MemberError, StoredSample, from_b
 from eldata.sources.shards.remote import Folder, Forward
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterator, Mapping
+    from collections.abc import Generator, Iterator, Mapping, Sequence
 
     from eldata.sources.shards.index import Shard, ShardIndex
-    from eldata.sources.shards.splitting import Run
 
 
-def read_run(folder: Folder, index: ShardIndex, run: Run) -> Generator[StoredSample]:
-    """Yield neighbouring samples of a shard, one in memory at a time.
+def read_samples(
+    folder: Folder, index: ShardIndex, shard_number: int, numbers: Sequence[int]
+) -> Generator[StoredSample]:
+    """Yield samples of a shard by their rising places in it, one in memory at a time; those between are passed over.
 
     Raises
     ------
     ShardError
         If the shard is missing, truncated or damaged, or holds anything but samples; the message says where.
     """
-    shard = index.shards[run.shard]
-    with closing(Forward(folder, shard.name, int(shard.starts[run.first]))) as file:
-        for _, sample in _each(file, shard, run.first, run.last):
+    shard = index.shards[shard_number]
+    with closing(Forward(folder, shard.name)) as file:
+        for _, sample in _each(file, shard, numbers):
             yield sample
 
 
-def _each(file: Forward, shard: Shard, first: int, last: int) -> Iterator[tuple[bytes, StoredSample]]:
-    """Yield neighbouring samples of an open shard, and the bytes that they are."""
+def _each(file: Forward, shard: Shard, numbers: Sequence[int]) -> Iterator[tuple[bytes, StoredSample]]:
+    """Yield samples of an open shard, and the bytes that they are."""
     starts = shard.starts.tolist()
-    for number in range(first, last):
+    for number in numbers:
+        file.go_to(starts[number])
         where = f"sample {number} (bytes {starts[number]} to {starts[number + 1]})"
         content = file.read(int(shard.sample_bytes[number]))
         yield content, _checked_sample(file.place, where, content, int(shard.crc32[number]))
@@ -93,7 +95,7 @@ def _checked(folder: Folder, shard: Shard) -> set[int]:
     digest = hashlib.sha256()
     numbers = set()
     with closing(Forward(folder, shard.name)) as file:
-        for content, sample in _each(file, shard, 0, len(shard)):
+        for content, sample in _each(file, shard, range(len(shard))):
             digest.update(content)
             numbers.add(sample.number)
         end = file.read_rest(len(END))

@@ -10,6 +10,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 from fsspec.core import url_to_fs  # type: ignore[import-untyped] # it has none
 
+from eldata.base.numbers import checked_number
 from eldata.errors import ArgumentError
 from eldata.sources.shards.index import INDEX, ShardError, ShardIndex, parse_index
 
@@ -29,19 +30,22 @@ class Folder:
     """A folder of shards: an address as fsspec takes it, the options of its file system, and how failures are met.
 
     A read that fails is tried ``attempts`` times in all without any progress, first after ``wait_s`` seconds and then
-    each time after twice as long. The options may be secrets, and are not shown.
+    each time after twice as long. A web server of which no byte comes for ``timeout_s`` seconds has failed; one that
+    sends slowly has not. The options may be secrets, and are not shown.
     """
 
     address: str
     options: Mapping[str, Any] = field(default_factory=dict, repr=False)
     attempts: int = 5
     wait_s: float = 0.5
+    timeout_s: float = 60.0
 
     def __post_init__(self) -> None:
         if self.attempts < 1 or self.wait_s < 0:
             raise ArgumentError(
                 f"attempts must be 1 or more and retry_wait_s 0 or more; found {self.attempts}, {self.wait_s}"
             )
+        checked_number("timeout_s", self.timeout_s, above=0)
 
     def file_system(self) -> tuple[AbstractFileSystem, str]:
         """Return the file system and the folder's path in it; each process asks for itself.
@@ -52,10 +56,19 @@ class Folder:
             If the address has a protocol that fsspec does not know, or whose package is not installed.
         """
         try:
-            system, path = url_to_fs(self.address, **self.options)
+            system, path = url_to_fs(self.address, **self._limits(), **self.options)
         except (ValueError, ImportError) as error:
             raise ArgumentError(f"{self.address}: cannot be opened ({error})") from error
         return system, path.rstrip("/")
+
+    def _limits(self) -> dict[str, Any]:
+        """Return the options that keep a web server to its time: aiohttp's own is five minutes for an answer."""
+        if not self.address.startswith(("http://", "https://")) or "client_kwargs" in self.options:
+            return {}
+        from aiohttp import ClientTimeout
+
+        limit = ClientTimeout(total=None, sock_connect=self.timeout_s, sock_read=self.timeout_s)
+        return {"client_kwargs": {"timeout": limit}}
 
     def place(self, name: str) -> str:
         """Return a file's address, for people."""
@@ -79,14 +92,15 @@ class Folder:
 
 
 class Forward:
-    """One file, read forward from a byte on; :meth:`read` gives exactly what was asked for, or an error."""
+    """One file, read forward; :meth:`read` gives exactly what was asked for, or an error."""
 
-    def __init__(self, folder: Folder, name: str, start: int = 0) -> None:
+    def __init__(self, folder: Folder, name: str) -> None:
         self.place = folder.place(name)
         self._folder = folder
         self._system, path = folder.file_system()
         self._path = f"{path}/{name}"
-        self._at = start
+        self._at = 0  # the byte that is next
+        self._file_at = 0
         self._file: IO[bytes] | None = None
         self._has_ranges = True
         protocol = self._system.protocol
@@ -98,6 +112,10 @@ class Forward:
             with suppress(Exception):  # nothing is lost with it
                 self._file.close()
             self._file = None
+
+    def go_to(self, place: int) -> None:
+        """Go on at a later byte; what lies between is not fetched where a file can be read from any byte on."""
+        self._at = place
 
     def read(self, count: int) -> bytes:
         """Return the next ``count`` bytes.
@@ -138,9 +156,7 @@ class Forward:
         attempt = 1
         while True:
             try:
-                if self._file is None:
-                    self._file = self._opened()
-                piece = self._file.read(most)
+                piece = self._opened().read(most)
             except ValueError as error:  # fsspec's, of a web server that knows no ranges
                 self.close()
                 if self._is_local or not self._has_ranges:
@@ -151,26 +167,37 @@ class Forward:
                 self.close()
                 if self._is_local or _is_final(error) or attempt == self._folder.attempts:
                     tried = f" after {attempt} attempts" if attempt > 1 else ""
-                    reason = f"{type(error).__name__}: {error}".rstrip(": ")
-                    raise ShardError(self.place, f"cannot be read{tried} ({reason}); is the address right?") from error
+                    raise ShardError(self.place, f"cannot be read{tried} {self._reason(error)}") from error
             else:
                 self._at += len(piece)
+                self._file_at = self._at
                 return piece
             time.sleep(wait_s)
             wait_s *= 2
             attempt += 1
 
+    def _reason(self, error: BaseException) -> str:
+        """Return what failed, and what to do."""
+        # Of any failure to learn a file's size, fsspec makes a FileNotFoundError with its cause.
+        cause = error if error.__cause__ is None else error.__cause__
+        if isinstance(cause, TimeoutError) and not self._is_local:
+            limit = self._folder.timeout_s
+            return f"(no byte came for {limit:g} s); is the server up? timeout_s says how long it is waited for"
+        said = f"{type(error).__name__}: {error}".rstrip(": ")
+        return f"({said}); is the address right?"
+
     def _opened(self) -> IO[bytes]:
-        """Open the file at the byte that is next."""
-        block_bytes = _BLOCK_BYTES if self._has_ranges else 0  # 0: fsspec streams from the first byte on
-        file: IO[bytes] = self._system.open(self._path, "rb", block_size=block_bytes)
-        if self._at and self._has_ranges:
+        """Return the file at the byte that is next."""
+        if self._file is None:
+            block_bytes = _BLOCK_BYTES if self._has_ranges else 0  # 0: fsspec streams from the first byte on
+            self._file = self._system.open(self._path, "rb", block_size=block_bytes)
+            self._file_at = 0
+        file: IO[bytes] = self._file
+        if self._file_at < self._at and self._has_ranges:
             with suppress(ValueError):  # a stream that cannot seek: what comes before is read and dropped
-                file.seek(self._at)
-                return file
-        left = self._at
-        while left > 0 and (dropped := file.read(min(left, _BLOCK_BYTES))):  # at the end the next read says so
-            left -= len(dropped)
+                self._file_at = file.seek(self._at)
+        while dropped := file.read(min(self._at - self._file_at, _BLOCK_BYTES)) if self._file_at < self._at else b"":
+            self._file_at += len(dropped)  # at the end the next read says so
         return file
 
 
@@ -178,7 +205,6 @@ def _is_final(error: BaseException) -> bool:
     """Return whether another attempt would end the same: a file that is not there, or not available."""
     if not isinstance(error, (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError)):
         return False
-    # Of any failure to learn a file's size, fsspec makes a FileNotFoundError with its cause.
     cause = error.__cause__
     if cause is None or isinstance(cause, FileNotFoundError):
         return True

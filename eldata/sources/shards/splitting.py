@@ -51,6 +51,28 @@ def worker_part(items: range, worker: int, workers: int, batch_size: int) -> ran
     return range(min(first, items.stop), min(last, items.stop))
 
 
+def turns(batches: Sequence[int], given: int) -> list[tuple[int, int]]:
+    """Return the workers in the order of their turns after so many batches of a rank, each with its share of them.
+
+    A DataLoader asks its workers for a batch in turn, from the first one on, and passes over those that have no more.
+    Where one goes on, its first worker takes the place of the one whose turn it was, and so on.
+
+    Parameters
+    ----------
+    batches
+        Of each worker's part (:func:`worker_part`): they differ by one at most.
+    given
+        How many batches were given out.
+    """
+    least, workers = min(batches), len(batches)
+    rounds, turn = divmod(given, workers)
+    if rounds >= least:  # the last round is of those that have one batch more
+        last = [worker for worker, count in enumerate(batches) if count > least]
+        rounds, turn = least, [*last, workers][min(given - least * workers, len(last))]
+    shares = [min(count, rounds + (worker < turn)) for worker, count in enumerate(batches)]
+    return [(place % workers, shares[place % workers]) for place in range(turn, turn + workers)]
+
+
 def in_order(lengths: Sequence[int]) -> list[Run]:
     """Return all samples in the order of the shards."""
     return [Run(shard, 0, length) for shard, length in enumerate(lengths)]
@@ -88,6 +110,16 @@ def shuffled_through(items: Iterable[Item], size: int, generator: np.random.Gene
             yield _drawn(buffer, generator)
     while buffer:
         yield _drawn(buffer, generator)
+
+
+def as_called(read: Iterator[tuple[int, Item]], order: Iterable[int]) -> Iterator[Item]:
+    """Yield items as their places come in an order; what is read before its turn waits, and nothing is read ahead."""
+    waiting: dict[int, Item] = {}
+    for place in order:
+        while place not in waiting:
+            found, item = next(read)
+            waiting[found] = item
+        yield waiting.pop(place)
 
 
 def _drawn(buffer: list[Item], generator: np.random.Generator) -> Item:

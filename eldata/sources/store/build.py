@@ -29,6 +29,7 @@ from eldata.sources.store.format import (
     version_of,
 )
 from eldata.sources.store.journal import journaled, remove_stale_journal
+from eldata.sources.store.table import TABLE, frame_key, store_table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -133,12 +134,12 @@ def _fill(
         with bar, closing(decoded):  # type: ignore[type-var] # a generator, declared as an iterator
             for number, (pixels, attributes) in enumerate(decoded, resumed):
                 shape = chunk_shape(pixels.shape)
-                dataset = frames.create_dataset(f"{number:06d}", data=pixels, chunks=shape, **options)
+                dataset = frames.create_dataset(frame_key(number), data=pixels, chunks=shape, **options)
                 dataset.attrs.update(attributes)
                 _commit(store, file)
                 bar.update()
         pixel_bytes = sum(frame.size * frame.dtype.itemsize for frame in frames.values())
-        store.attrs["complete"] = True
+        finish(store)
         _commit(store, file)
         store.close()
     except BaseException as error:
@@ -152,6 +153,17 @@ def _fill(
             raise cause from None
         raise
     return resumed, pixel_bytes
+
+
+def finish(store: h5py.File) -> None:
+    """Write the table of a store's frames, and that it is complete."""
+    frames = store["frames"]
+    if TABLE in store:  # whoever was ended here begins again
+        del store[TABLE]
+    table = store_table([dict(frames[frame_key(number)].attrs) for number in range(len(frames))])
+    if table is not None:
+        store.create_dataset(TABLE, data=table)
+    store.attrs["complete"] = True
 
 
 def _header(source: Source, compression: Compression) -> dict[str, Any]:

@@ -34,7 +34,8 @@ def verify_store(path: Path | str, *, level: Level = "quick", workers: AnyWorker
         The store.
     level
         ``"quick"`` and ``"metadata"``: it opens, is complete, holds as many frames as were packed, each of its stated
-        size, and both frames of each pair. ``"full"``: also the checksum of each frame's pixels.
+        size, its table says what their attributes do, and both frames of each pair are there. ``"full"``: also the
+        checksum of each frame's pixels.
     workers
         Number of threads, or an executor that reads the pixels (:mod:`eldata.base.workers`).
 
@@ -65,8 +66,11 @@ def verify_store(path: Path | str, *, level: Level = "quick", workers: AnyWorker
 
 def structure_problems(store: Store) -> Iterator[Problem]:
     """Yield where frames are not of their stated size in whole chunks of uint16, and which pairs lack a reference."""
+    stated = {frame.key: frame for frame in open_store(store.path, by_table=False).every}
     with opened(store.path) as file:
         for frame in store.every:
+            if frame != stated[frame.key]:
+                yield Problem(store.dataset, frame.path, "table", str(stated[frame.key]), str(frame), _ADVICE)
             dataset, shape = file["frames"][frame.key], frame.shape
             found, expected = f"{dataset.dtype} {dataset.shape}", f"uint16 {shape}"
             if found != expected:

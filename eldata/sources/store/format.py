@@ -5,6 +5,7 @@
     /                   attributes format, version, written_by, dataset, compression, files_digest, complete
     /manifest/csv       the manifest's bytes, uint8; its digest is that of the file (not in a store of clean frames)
     /manifest/json      the dataset card's bytes, uint8
+    /table              what the attributes of all frames say once more (table.py); not in stores of RGB frames
     /frames/<n>         one file's visible mosaic, (H, W) uint16 in DN, in chunks of 256 x 256
                         attributes path, role, sha256 (of the pixels), sensor and exposure (JSON), and sensor_more
                         (JSON) where the sensor states more than version 0.1 knows
@@ -236,11 +237,25 @@ def stored(key: str, attributes: Mapping[str, Any], shape: tuple[int, ...]) -> S
         if planes != 3:
             raise ValueError(f"an RGB frame of {planes} planes")
         return StoredRgb(key, path, role, int(height), int(width), sha256, PackedFile.stated(attributes))
-    more = parsed("attribute sensor_more", attributes["sensor_more"]) if "sensor_more" in attributes else {}
-    sensor = sensor_of(parsed("attribute sensor", attributes["sensor"]), more)
-    exposure = exposure_of(parsed("attribute exposure", attributes["exposure"]))
-    whites = None
-    if "channel_white_levels_dn" in attributes:
-        values = parsed("attribute channel_white_levels_dn", attributes["channel_white_levels_dn"])["values"]
-        whites = tuple(map(float, values))
+    sensor = sensor_in(attributes["sensor"], attributes.get("sensor_more"))
+    exposure = exposure_in(attributes["exposure"])
+    whites = white_levels_in(attributes.get("channel_white_levels_dn"))
     return StoredFrame(key, path, role, sensor, exposure, sha256, PackedFile.stated(attributes), whites)
+
+
+def sensor_in(text: str, more: str | None) -> Sensor:
+    """Return the sensor that the attributes ``sensor`` and ``sensor_more`` state; raises like :func:`stored`."""
+    stated_more = {} if more is None else parsed("attribute sensor_more", more)
+    return sensor_of(parsed("attribute sensor", text), stated_more)
+
+
+def exposure_in(text: str) -> Exposure:
+    """Return the exposure that the attribute ``exposure`` states; raises like :func:`stored`."""
+    return exposure_of(parsed("attribute exposure", text))
+
+
+def white_levels_in(text: str | None) -> tuple[float, ...] | None:
+    """Return what the attribute ``channel_white_levels_dn`` states, if it is there; raises like :func:`stored`."""
+    if text is None:
+        return None
+    return tuple(map(float, parsed("attribute channel_white_levels_dn", text)["values"]))

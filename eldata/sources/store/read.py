@@ -16,6 +16,7 @@ import h5py
 import numpy as np
 
 from eldata.base.files import file_problem
+from eldata.base.garbage import no_search_for_cycles
 from eldata.base.isolation import Limits, guarded_file, isolating
 from eldata.base.scratch import scratch
 from eldata.errors import ArgumentError, DatasetError, EldataError
@@ -23,7 +24,7 @@ from eldata.manifest.catalogue import load_manifest
 from eldata.manifest.pairs import select_pairs
 from eldata.raw._kernels import gather
 from eldata.raw.cfa import pack, packing_sites
-from eldata.records import FrameRecord
+from eldata.records import FrameRecord, Records
 from eldata.sources.frames import Frame
 from eldata.sources.store.chunks import chunk_table, read_part, read_parts
 from eldata.sources.store.format import (
@@ -37,6 +38,7 @@ from eldata.sources.store.format import (
     filters,
     stored,
 )
+from eldata.sources.store.table import TABLE, frames_in_table
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -56,11 +58,11 @@ _MOST_TABLES = 4096
 _MOST_MANIFEST_BYTES = 256 << 20  # what the reader of text files takes
 _MOST_CHUNK_PIXELS = 1 << 22  # ours have 256 x 256
 _MOST_PIXELS = 1 << 29  # of a frame; RGB counts three times
-_TRIAL_LIMITS = Limits(seconds=20.0)  # to read a frame's attributes takes a fifth of a millisecond
+_TRIAL_LIMITS = Limits(seconds=20.0)  # and a second a MiB: to read a frame's attributes takes up to a millisecond
 
 
-def open_store(path: Path | str) -> Store:
-    """Read what a store holds, without pixels.
+def open_store(path: Path | str, *, by_table: bool = True) -> Store:
+    """Read what a store holds, without pixels: from its table, if it has one and ``by_table`` is not switched off.
 
     There are damaged files in whose attributes HDF5 runs for ever; where isolation is on
     (:func:`eldata.isolation`), as it is in commands, they are an error too.
@@ -74,28 +76,40 @@ def open_store(path: Path | str) -> Store:
     """
     path = Path(path)
     if isolating():
-        guarded_file(_try, path, StoreError, limits=_TRIAL_LIMITS)
-    return _held(path)
+        seconds = _TRIAL_LIMITS.seconds + (path.stat().st_size >> 20 if path.is_file() else 0)
+        limits = replace(_TRIAL_LIMITS, seconds=seconds)
+        guarded_file(_try if by_table else _try_attributes, path, StoreError, limits=limits)
+    return _held(path, by_table=by_table)
 
 
 def _try(path: Path) -> None:
     """Read what a store holds, to see that it can be read."""
-    _held(path)
+    _held(path, by_table=True)
 
 
-def _held(path: Path) -> Store:
-    with opened(path) as file:
+def _try_attributes(path: Path) -> None:
+    """Read the same from the attributes of its frames."""
+    _held(path, by_table=False)
+
+
+def _held(path: Path, *, by_table: bool) -> Store:
+    with opened(path) as file, no_search_for_cycles():
         try:
-            keys = _frame_keys(file)
+            _check_outline(file)
             manifest = _manifest(path, file)
-            held = [_stored(key, file["frames"]) for key in sorted(keys)]
+            frames_group = file["frames"]
+            held: list[StoredFrame | StoredRgb] = (
+                [*_listed(file)]
+                if by_table and TABLE in file
+                else [_stored(key, frames_group) for key in sorted(frames_group)]
+            )
             dataset, listed = str(file.attrs["dataset"]), int(file.attrs["files"])
         except (OSError, RuntimeError, ValueError, LookupError, TypeError, EldataError) as error:
             raise StoreError(path, f"is damaged ({error}); copy or pack it again") from error
         compression = file.attrs["compression"]  # known: it was opened with it
     if len(held) != listed:
         raise StoreError(path, f"is damaged: expected {listed} frames, found {len(held)}; copy or pack it again")
-    frames = tuple(frame for frame in held if isinstance(frame, StoredFrame))
+    frames = Records(frame for frame in held if isinstance(frame, StoredFrame))
     rgb = tuple(frame for frame in held if isinstance(frame, StoredRgb))
     return Store(path, dataset, compression, manifest, frames, rgb)
 
@@ -142,18 +156,27 @@ def _check_header(path: Path, attributes: dict[str, Any]) -> None:
     filters(compression)  # HDF5 must know it before it reads, in each process
 
 
-def _frame_keys(file: h5py.File) -> list[str]:
-    """Return the names of a store's frames, none of which is a link: that could lead to another file."""
-    for name in ("frames", "manifest"):
+def _check_outline(file: h5py.File) -> None:
+    """Refuse a file whose groups or texts are links, which could lead to other files, or too large."""
+    for name in ("frames", "manifest", TABLE):
         _check_held(file, name)
+    if TABLE in file and file[TABLE].size > _MOST_MANIFEST_BYTES:
+        raise ValueError(f"{TABLE} declares {file[TABLE].size} bytes")
     if "manifest" in file:
         for name in file["manifest"]:
             _check_held(file["manifest"], name)
             if file["manifest"][name].size > _MOST_MANIFEST_BYTES:
                 raise ValueError(f"manifest/{name} declares {file['manifest'][name].size} bytes")
-    for key in file["frames"]:
-        _check_held(file["frames"], key)
-    return list(file["frames"])
+
+
+def _listed(file: h5py.File) -> list[StoredFrame]:
+    """Return the frames that the table lists; each is looked at as it is read (:func:`_frame`)."""
+    frames = frames_in_table(file[TABLE][:].tobytes())
+    if len(frames) != len(file["frames"]):
+        raise ValueError(f"{TABLE} lists {len(frames)} frames, and there are {len(file['frames'])}")
+    for shape in {frame.shape for frame in frames}:
+        _check_pixels(TABLE, shape)
+    return frames
 
 
 def _check_held(group: h5py.Group, name: str) -> None:
@@ -169,13 +192,24 @@ def _check_held(group: h5py.Group, name: str) -> None:
 
 def _stored(key: str, frames: h5py.Group) -> StoredFrame | StoredRgb:
     """Return a frame, of a size that a camera has: its pixels are read into memory of that size."""
-    frame = frames[key]
+    frame = _frame(frames, key)
     held = stored(key, frame.attrs, frame.shape)
-    if not 0 < math.prod(held.shape) <= _MOST_PIXELS:
-        raise ValueError(f"frame {key} declares {held.shape} pixels")
+    _check_pixels(f"frame {key}", held.shape)
+    return held
+
+
+def _frame(frames: h5py.Group, key: str) -> h5py.Dataset:
+    """Return a frame's HDF5 dataset, which lies in this file, in chunks of a size that is read at once."""
+    _check_held(frames, key)
+    frame = frames[key]
     if frame.chunks is not None and math.prod(frame.chunks) > _MOST_CHUNK_PIXELS:
         raise ValueError(f"frame {key} has chunks of {frame.chunks} pixels")
-    return held
+    return frame
+
+
+def _check_pixels(name: str, shape: tuple[int, ...]) -> None:
+    if not 0 < math.prod(shape) <= _MOST_PIXELS:
+        raise ValueError(f"{name} declares {shape} pixels")
 
 
 def _manifest(path: Path, file: h5py.File) -> Manifest | None:
@@ -250,7 +284,7 @@ class PixelReader:
             if table is None:
                 part = ..., slice(rows.start, rows.stop), slice(columns.start, columns.stop)
                 with self._lock:
-                    held.file["frames"][key].read_direct(pixels, part)
+                    _frame(held.file["frames"], key).read_direct(pixels, part)
                 return
             for number, plane in enumerate(pixels[None] if pixels.ndim == 2 else pixels):
                 read_part(held.number, table, number, rows, columns, plane)
@@ -288,7 +322,7 @@ class _Opened:
 
     def __init__(self, path: Path) -> None:
         self.file = file = opened(path)
-        self.table = lru_cache(_MOST_TABLES)(lambda key: chunk_table(file["frames"][key].id))
+        self.table = lru_cache(_MOST_TABLES)(lambda key: chunk_table(_frame(file["frames"], key).id))
         self.number = os.open(path, os.O_RDONLY)
 
     def __del__(self) -> None:
@@ -358,6 +392,15 @@ class StoreFrames:
         self.decodes_long = self.store.compression == "zstd"
         self._reader = PixelReader(self.path)
         self._held = {frame.path: frame for frame in self.store.every}
+        self._before = f"{self.path.as_posix()}/"
+        self._kinds: dict[tuple[int, int], int] = {}
+        self._kind_numbers: dict[tuple[object, ...], int] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_held": {}, "_kinds": {}}  # of this process's objects
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _held={frame.path: frame for frame in state["store"].every})
 
     @property
     def records(self) -> tuple[FrameRecord, ...]:
@@ -374,14 +417,37 @@ class StoreFrames:
         DatasetError
             If the store does not hold it.
         """
-        held = self._held.get(path.removeprefix(f"{self.path.as_posix()}/"))
-        if held is None:
-            raise DatasetError(f"{self.path}: holds no frame {path!r}; pack the dataset again")
+        held = self._found(path)
         name = str(self.path / held.path)
         mosaic = StoredMosaic(self._reader, held.key, held.shape)
         if isinstance(held, StoredRgb):
             return Frame.of_rgb(mosaic, name)
         return Frame.of_raw(mosaic, held.sensor, name, held.exposure, held.channel_white_levels_dn)
+
+    def kind_of(self, path: str) -> int:
+        """Return a number that frames share which make a pair, or none, with the same others: by all but its colours.
+
+        Raises
+        ------
+        DatasetError
+            If the store does not hold it.
+        """
+        held = self._found(path)
+        if isinstance(held, StoredRgb):
+            return self._kind_numbers.setdefault((held.shape,), len(self._kind_numbers))
+        facts = id(held.sensor), id(held.exposure)  # which a store keeps as long as itself
+        if facts not in self._kinds:
+            sensor = held.sensor
+            levels = sensor.black_level_dn, sensor.white_level_dn
+            kind = held.shape, sensor.cfa, levels, held.exposure.iso, held.exposure.exposure_s
+            self._kinds[facts] = self._kind_numbers.setdefault(kind, len(self._kind_numbers))
+        return self._kinds[facts]
+
+    def _found(self, path: str) -> StoredFrame | StoredRgb:
+        held = self._held.get(path.removeprefix(self._before))
+        if held is None:
+            raise DatasetError(f"{self.path}: holds no frame {path!r}; pack the dataset again")
+        return held
 
     def pairs(self, choice: Choice) -> tuple[PairRecord, ...]:
         """Return the pairs that are held and chosen.

@@ -1,9 +1,18 @@
-"""A web server on this machine that serves a folder, with or without ranges, and fails on request."""
+"""A web server on this machine that serves a folder, with or without ranges, and fails on request.
+
+Failures, by name: a status such as ``503``; ``cut`` and ``reset``, a body that ends in its middle, the connection
+closed or reset; ``stall``, no answer until the server ends; ``stop``, none after half of the body; ``trickle``, a body
+in many small pieces; ``short``, less than was asked for, and said so; ``shifted``, a range that begins a byte later
+than it says; ``other``, another file's bytes.
+"""
 
 from __future__ import annotations
 
 import re
+import socket
+import struct
 import threading
+import time
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import TYPE_CHECKING, Any
@@ -21,6 +30,10 @@ class Site:
         self.ranges = ranges
         self.failures: list[str] = []
         self.sent = 0
+        self.requests = 0
+        self.latency_s = 0.0
+        self.bytes_per_s = float("inf")
+        self.ended = threading.Event()
         self.lock = threading.Lock()
         self.address = ""
 
@@ -46,7 +59,14 @@ class Handler(BaseHTTPRequestHandler):
             self.send_header("Content-Length", "0")
             self.end_headers()
             return
+        self.site.requests += 1
+        if self.site.latency_s:
+            time.sleep(self.site.latency_s)
         failure = self.site.failure() if path.suffix == ".tar" else ""
+        if failure == "stall":
+            self.site.ended.wait()
+            self.close_connection = True
+            return
         if failure.isdecimal():
             self.send_response(int(failure))
             self.send_header("Content-Length", "0")
@@ -54,9 +74,12 @@ class Handler(BaseHTTPRequestHandler):
             return
         content = path.read_bytes()
         size = len(content)
+        content = {"other": content[::-1], "shifted": content[1:] + b"\0"}.get(failure, content)
         asked = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
         if asked and self.site.ranges:
             content = content[int(asked[1]) : int(asked[2]) + 1]
+            if failure == "short":
+                content = content[: max(1, len(content) // 2)]
             self.send_response(206)
             self.send_header("Content-Range", f"bytes {asked[1]}-{int(asked[1]) + len(content) - 1}/{size}")
         else:
@@ -65,10 +88,19 @@ class Handler(BaseHTTPRequestHandler):
         self.send_header("Content-Length", str(len(content)))
         self.end_headers()
         if body:
-            if failure == "cut":
+            if failure in ("cut", "reset", "stop"):
                 content = content[: len(content) // 2]
                 self.close_connection = True
-            self.wfile.write(content)
+            if failure == "reset":
+                self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            pieces = 50 if failure == "trickle" else max(1, round(len(content) / self.site.bytes_per_s / 0.02))
+            each = -(-len(content) // pieces) or 1
+            for start in range(0, len(content), each):
+                self.wfile.write(content[start : start + each])
+                if pieces > 1:
+                    time.sleep(0.02)
+            if failure == "stop":
+                self.site.ended.wait()
             with self.site.lock:
                 self.site.sent += len(content)
 
@@ -88,5 +120,6 @@ def serving(folder: Path, *, ranges: bool = True) -> Iterator[Site]:
         try:
             yield site
         finally:
+            site.ended.set()
             server.shutdown()
             thread.join()

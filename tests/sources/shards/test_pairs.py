@@ -20,7 +20,7 @@ from eldata.datasets.base import Sample
 from eldata.datasets.loading import describe, evaluation_loader, set_epoch, training_loader
 from eldata.datasets.ranks import Rank
 from eldata.errors import ArgumentError, DatasetError
-from eldata.sources.shards import write_shards
+from eldata.sources.shards import members, reading, write_shards
 from tests.sources.shards.helpers import identities, identity, unbatched
 from tests.waiting import PATIENCE_S
 
@@ -181,6 +181,53 @@ def test_epochs_differ_and_a_restart_goes_on(tiles: Path) -> None:
     assert unbatched(again) == epochs[2]
 
 
+@pytest.mark.parametrize("workers", [0, 2, 3])
+def test_an_epoch_goes_on_in_its_middle(workers: int, tiles: Path) -> None:
+    """Whatever was given out before: 96 items of a rank in 13 batches of 7, of workers 6 and 7, or 4, 4 and 5."""
+
+    def loader() -> DataLoader[Any]:
+        dataset = StreamedPairs(str(tiles), crop=8, crops_per_frame=2, seed=5, shuffle_buffer=20)
+        return training_loader(dataset, 7, workers=workers, rank=Rank(1, 3))
+
+    whole, again = loader(), loader()
+    set_epoch(whole, 2)
+    wanted = unbatched(whole)
+    assert len(wanted) == 7 * len(whole) == 91
+    for first in (0, 1, 5, 12, 13, 14):  # by the same workers, one after the other
+        set_epoch(again, 2, first_batch=first)
+        assert unbatched(again) == wanted[7 * first :]
+        assert len(again) == 13  # of an epoch
+    set_epoch(again, 3)
+    set_epoch(whole, 3)
+    assert unbatched(again) == unbatched(whole) != wanted
+
+
+def test_what_was_given_out_is_not_read_again(tiles: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 144 samples 96 were given out: the 48 others are read, those that lay in the buffer too, and no other."""
+    read: list[int] = []
+    checked = members.from_bytes
+
+    def counted(content: bytes) -> Any:
+        sample = checked(content)
+        read.append(sample.number)
+        return sample
+
+    monkeypatch.setattr(reading, "from_bytes", counted)
+    dataset = StreamedPairs(str(tiles), crop=8, shuffle_buffer=30)
+    loader = training_loader(dataset, 12, workers=0)
+    read.clear()  # one sample, for its size
+    list(loader)
+    assert sorted(read) == list(range(144))
+    read.clear()
+    set_epoch(loader, 0, first_batch=8)
+    rest = list(loader)
+    assert (len(read), len(set(read)), len(rest)) == (48, 48, 4)
+    read.clear()
+    assert len(list(dataset)) == len(list(dataset.for_evaluation(1, Rank()))) == 144  # which know nothing of it
+    with pytest.raises(ArgumentError, match="first_batch=1: only a training loader can begin there"):
+        set_epoch(evaluation_loader(dataset, workers=0), 0, first_batch=1)
+
+
 def test_evaluation_is_in_order_and_does_not_change(tiles: Path) -> None:
     dataset = StreamedPairs(str(tiles), augment=False)
     ordered = dataset.for_evaluation(4, Rank())
@@ -240,7 +287,7 @@ def test_memory_is_bounded_by_the_buffer(tiles: Path, frames: Path) -> None:
 def test_the_buffer_holds_crops_alone(frames: Path) -> None:
     """A view of the frame would keep the whole frame in memory."""
     dataset = StreamedPairs(str(frames), crop=8)
-    items = list(dataset._items(range(24), 0))
+    items = [item for _, item in dataset._items(range(24), 0)]
     assert len(items) == 24
     for item in items:
         assert item.pair.input is not None

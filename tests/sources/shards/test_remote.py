@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from eldata import StreamedPairs
-from eldata.datasets.loading import evaluation_loader
+from eldata.datasets.loading import evaluation_loader, set_epoch, training_loader
 from eldata.datasets.ranks import Rank
 from eldata.errors import ArgumentError
 from eldata.sources.shards import ShardError, remote, verify_shards
@@ -95,6 +95,79 @@ def test_a_connection_that_breaks_is_taken_up_again(failures: list[str], ranges:
         site.failures = list(failures)
         assert identities(dataset) == identities(StreamedPairs(str(tiles), crop=10))
         assert site.failures == []
+
+
+@pytest.mark.parametrize("ranges", [True, False])
+@pytest.mark.parametrize("failures", [["reset"], ["stall"], ["stop", "stop"], ["trickle", "trickle", "trickle"]])
+def test_a_slow_or_a_silent_server_is_waited_for_and_asked_again(
+    failures: list[str], ranges: bool, tiles: Path
+) -> None:
+    """A body of fifty pieces takes a second, which is longer than no byte may come for, and no failure."""
+    with serving(tiles, ranges=ranges) as site:
+        dataset = StreamedPairs(site.address, crop=10, retry_wait_s=0, timeout_s=0.7)
+        site.failures = list(failures)
+        assert identities(dataset) == identities(StreamedPairs(str(tiles), crop=10))
+        assert site.failures == []
+        if "trickle" in failures and not ranges:
+            assert site.requests <= 2 * 4  # of index and three shards: none was asked for again
+
+
+def test_a_server_that_never_answers_is_an_error(tiles: Path) -> None:
+    with serving(tiles) as site:
+        dataset = StreamedPairs(site.address, attempts=2, retry_wait_s=0, timeout_s=0.2)
+        site.failures = ["stall"] * 100
+        words = (
+            r"shards/shard-00000\d\.tar: cannot be read after 2 attempts \(no byte came for 0\.2 s\); is the server up"
+        )
+        with pytest.raises(ShardError, match=words):
+            next(iter(dataset))
+        with pytest.raises(ArgumentError, match="timeout_s must be finite and above 0; found 0"):
+            StreamedPairs(site.address, timeout_s=0)
+
+
+def test_options_of_the_callers_own_decide_how_long_it_is_waited_for(tiles: Path) -> None:
+    from aiohttp import ClientTimeout
+
+    with serving(tiles) as site:
+        own = {"client_kwargs": {"timeout": ClientTimeout(total=0.2)}}
+        dataset = StreamedPairs(site.address, attempts=1, storage_options=own)
+        site.failures = ["stall"] * 2
+        with pytest.raises(ShardError, match="cannot be read"):
+            next(iter(dataset))
+
+
+def test_a_range_shorter_than_asked_for_is_read_on(tiles: Path) -> None:
+    with serving(tiles) as site:
+        dataset = StreamedPairs(site.address, crop=10, retry_wait_s=0)
+        site.failures = ["", "short", "", "short", "short"]
+        assert identities(dataset) == identities(StreamedPairs(str(tiles), crop=10))
+
+
+@pytest.mark.parametrize("failure", ["shifted", "other"])
+def test_bytes_that_are_not_those_of_the_index_are_an_error(failure: str, tiles: Path) -> None:
+    """A range that is another one than its header says, and a file that was replaced after the index was read."""
+    with serving(tiles) as site:
+        dataset = StreamedPairs(site.address, crop=10)
+        site.failures = [failure] * 100
+        words = (
+            r"shard-00000\d\.tar: sample \d+ \(bytes \d+ to \d+\) is damaged or of other shards: its checksum is not"
+        )
+        with pytest.raises(ShardError, match=words):
+            next(iter(dataset))
+
+
+def test_a_restart_fetches_what_is_left_alone(tiles: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 144 samples 4 kB each are left; what was given out before is not fetched, but for parts of blocks."""
+    monkeypatch.setattr(remote, "_BLOCK_BYTES", 4096)
+    with serving(tiles) as site:
+        loader = training_loader(StreamedPairs(site.address, crop=8, shuffle_buffer=5), 4, workers=0)
+        site.sent = 0
+        whole = unbatched(loader)
+        all_sent = site.sent
+        site.sent = 0
+        set_epoch(loader, 0, first_batch=32)
+        assert unbatched(loader) == whole[128:]
+        assert site.sent < all_sent / 3
 
 
 def test_what_keeps_failing_is_one_error(tiles: Path) -> None:

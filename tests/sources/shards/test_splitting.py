@@ -44,6 +44,42 @@ def test_even_parts_are_even_and_leave_out_fewer_than_ranks(total: int, ranks: i
     assert list(chain(*parts)) == list(range(total // ranks * ranks))
 
 
+@given(items=st.integers(0, 60), workers=st.integers(1, 6), batch_size=st.integers(1, 4), data=st.data())
+def test_workers_that_go_on_take_the_turns_that_were_theirs(
+    items: int, workers: int, batch_size: int, data: st.DataObject
+) -> None:
+    """The oracle is what a DataLoader does: a batch of each worker in turn, those without any passed over."""
+
+    def in_turn(queues: list[list[tuple[int, int]]]) -> list[tuple[int, int]]:
+        longest = max(map(len, queues))
+        return [queue[turn] for turn in range(longest) for queue in queues if turn < len(queue)]
+
+    parts = [splitting.worker_part(range(items), worker, workers, batch_size) for worker in range(workers)]
+    counts = [len(part) // batch_size for part in parts]
+    whole = in_turn([[(worker, batch) for batch in range(count)] for worker, count in enumerate(counts)])
+    given = data.draw(st.integers(0, len(whole)))
+    turns = splitting.turns(counts, given)
+    assert (
+        in_turn([[(worker, batch) for batch in range(share, counts[worker])] for worker, share in turns])
+        == (whole[given:])
+    )
+    assert sorted(worker for worker, _ in turns) == list(range(workers))
+
+
+def test_items_come_as_they_are_called_and_none_is_read_early() -> None:
+    taken: list[int] = []
+
+    def read() -> Iterator[tuple[int, str]]:
+        for place in range(5):
+            taken.append(place)
+            yield place, f"item {place}"
+
+    called = splitting.as_called(read(), [2, 0, 1, 4, 3])
+    assert (next(called), taken) == ("item 2", [0, 1, 2])
+    assert (next(called), next(called), taken) == ("item 0", "item 1", [0, 1, 2])
+    assert [*called] == ["item 4", "item 3"]
+
+
 def samples(runs: list[Run]) -> list[tuple[int, int]]:
     return [(run.shard, sample) for run in runs for sample in range(run.first, run.last)]
 

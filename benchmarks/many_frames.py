@@ -1,0 +1,102 @@
+"""A store and shards of as many small frames as one likes, in a minute: for what grows with their number."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import h5py
+import numpy as np
+
+from eldata.manifest.card import CameraCard, Card, card_text
+from eldata.manifest.catalogue import load_manifest
+from eldata.manifest.table import table_text
+from eldata.raw.cfa import bayer_cfa
+from eldata.records import Exposure, FrameRecord, PairRecord, RawFrame, Sensor
+from eldata.sources.shards.index import INDEX, Facts, Shard, ShardIndex, Side, index_text, key_of
+from eldata.sources.shards.members import to_bytes
+from eldata.sources.shards.writing import _written
+from eldata.sources.store.build import _begin, _header, finish, pixels_digest
+from eldata.sources.store.format import PackedFile, frame_attributes
+from eldata.sources.store.sources import Source
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+SIDE = 34  # of a mosaic: crops of 16 packed pixels, turned
+_NOISY = 9  # of each reference
+_EACH_SHARD = 64
+_LONG, _SHORT = Exposure(Fraction(100), Fraction(10)), Exposure(Fraction(800), Fraction(1, 10))
+_CAMERA = Sensor("eldata", "Small", bayer_cfa(), (512.0,) * 4, 16383.0, SIDE, SIDE)
+
+
+def small_manifest(frames: int) -> tuple[bytes, bytes]:
+    """Return manifest and card of so many frames, of one camera: nine noisy ones after each reference."""
+    records = []
+    for number in range(frames):
+        scene, place = divmod(number, _NOISY + 1)
+        path = f"Small/scene-{scene:06d}/{place}.dng"
+        if place == 0:
+            reference = path
+            record = FrameRecord(path=path, role="reference", camera="Small", scene=f"scene-{scene}")
+            exposure = _LONG
+        else:
+            record = FrameRecord(path=path, role="noisy", camera="Small", scene=f"scene-{scene}", reference=reference)
+            record, exposure = replace(record, ratio=Fraction(25, 2)), _SHORT
+        records.append(replace(record, iso=exposure.iso, exposure_s=exposure.exposure_s, split="train"))
+    noisy = sum(record.role == "noisy" for record in records)
+    counts = {"noisy": noisy, "reference": frames - noisy}
+    cameras = {"Small": CameraCard(("Small",))}
+    card = Card("small", "Small frames", "1", "small", "none", "CC0", "none", "bayer", cameras, counts)
+    return table_text(Path("small.csv"), records).encode(), card_text(card).encode()
+
+
+def write_small_store(path: Path, frames: int) -> Path:
+    """Write a store of so many frames, as eldata pack does, but without a commit after each."""
+    manifest = load_manifest(path.with_suffix(".csv"), listing := small_manifest(frames))
+    files = tuple((record.path, record.role) for record in manifest.records)
+    source = Source("small", path.parent, files, manifest, listing)
+    generator = np.random.default_rng(0)
+    with h5py.File(path, "w", libver="earliest") as store:
+        _begin(store, source, _header(source, "none"))
+        for number, record in enumerate(manifest.records):
+            mosaic = _pixels(generator)
+            frame = RawFrame(path, mosaic, _sensor(number), _LONG if record.role == "reference" else _SHORT)
+            digest = pixels_digest(mosaic)
+            made = store["frames"].create_dataset(f"{number:06d}", data=mosaic, chunks=mosaic.shape)
+            made.attrs.update(
+                frame_attributes(record.path, record.role, frame, digest, PackedFile(3000, digest, "none"))
+            )
+        finish(store)
+    return path
+
+
+def write_small_shards(folder: Path, samples: int) -> Path:
+    """Write so many samples as shards, 64 in each."""
+    folder.mkdir()
+    generator = np.random.default_rng(0)
+    shards: list[Shard] = []
+    for first in range(0, samples, _EACH_SHARD):
+        contents = []
+        for number in range(first, min(first + _EACH_SHARD, samples)):
+            path = f"Small/scene-{number:06d}"
+            times = _SHORT.iso, _SHORT.exposure_s, Fraction(25, 2)
+            record = PairRecord(f"{path}/1.dng", f"{path}/0.dng", "Small", f"scene-{number}", "train", *times)
+            sides = Side(_sensor(number), _SHORT), Side(_sensor(number), _LONG)
+            facts = Facts(record, Fraction(25, 2), 0, 0, *sides)
+            contents.append(to_bytes(key_of(number), facts, _pixels(generator), _pixels(generator)))
+        shards.append(_written(folder / f"shard-{len(shards):06d}.tar", contents))
+    index = ShardIndex("small", None, 0, 0, tuple(shards))
+    (folder / INDEX).write_text(index_text(index, "eldata"))
+    return folder
+
+
+def _pixels(generator: np.random.Generator) -> NDArray[np.uint16]:
+    return generator.integers(500, 16000, (SIDE, SIDE), np.uint16)
+
+
+def _sensor(number: int) -> Sensor:
+    """Return the sensor as a file states it: the white balance is of its scene."""
+    return replace(_CAMERA, white_balance=(2.0 + number // (_NOISY + 1) % 1000 / 1000, 1.0, 1.5, 1.0))

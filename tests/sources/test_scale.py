@@ -1,0 +1,87 @@
+"""What must not grow with the number of frames: what is read and opened before the first batch."""
+
+from __future__ import annotations
+
+import pickle
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from benchmarks.many_frames import write_small_shards, write_small_store
+from eldata import PackedStore, StreamedPairs
+from eldata.datasets import base, training_loader
+from eldata.records import Records
+from eldata.sources.shards import members, reading
+from eldata.sources.store import open_store, read, verify_store
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def test_opening_a_store_reads_one_table_and_opens_one_pair_of_each_kind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """500 frames of 50 scenes, each with a white balance of its own: pairs of one kind. A batch opens its own four."""
+    path = write_small_store(tmp_path / "small.h5", 500)
+    assert verify_store(path).ok
+    assert len(open_store(path, by_table=False).frames) == 500
+    opened: list[str] = []
+    open_pair = base.SourcePairs._opened
+
+    def counted(pairs: Any, record: Any) -> Any:
+        opened.append(record.path)
+        return open_pair(pairs, record)
+
+    def read_frame(key: str, frames: Any) -> Any:
+        raise AssertionError(key)
+
+    monkeypatch.setattr(base.SourcePairs, "_opened", counted)
+    monkeypatch.setattr(read, "_stored", read_frame)
+    pairs = PackedStore(path, crop=16)
+    assert (len(pairs), len(opened)) == (450, 1)
+    loader = training_loader(pairs, 4, workers=0)
+    next(iter(loader))
+    assert len(opened) == 5
+    monkeypatch.setattr(base, "_MOST_OPEN", 10)
+    for _ in zip(range(20), loader, strict=False):
+        assert len(pairs._pairs) <= 10
+
+
+def test_a_dataset_goes_to_workers_by_columns(tmp_path: Path) -> None:
+    """It is the same there; frames share their sensors, and what one process has opened the others have not."""
+    pairs = PackedStore(write_small_store(tmp_path / "small.h5", 200), crop=16)
+    first = pairs[3]
+    sent = pickle.loads(pickle.dumps(pairs))
+    assert sent.records == pairs.records
+    assert sent.source.store == pairs.source.store
+    assert sent.source.records == pairs.source.records
+    assert {*map(id, (frame.sensor for frame in sent.source.store.frames))} == {
+        *map(id, (sent.source.store.frames[number].sensor for number in range(0, 200, 10)))
+    }
+    assert sent._pairs == {}
+    assert sent[3]["path"] == first["path"]
+    assert (sent[3]["input"] == first["input"]).all()
+    assert pickle.loads(pickle.dumps(Records())) == ()
+    assert isinstance(sent.records, tuple)
+
+
+@pytest.mark.parametrize("samples", [200, 1000])
+def test_a_stream_reads_what_it_gives_and_its_buffer(
+    samples: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However many samples there are, and wherever in the epoch it begins."""
+    shards = write_small_shards(tmp_path / "shards", samples)
+    decoded: list[int] = []
+    from_bytes = members.from_bytes
+
+    def counted(content: bytes) -> Any:
+        decoded.append(len(content))
+        return from_bytes(content)
+
+    monkeypatch.setattr(reading, "from_bytes", counted)
+    loader = training_loader(StreamedPairs(str(shards), crop=16, shuffle_buffer=20), 4, workers=0)
+    for first_batch in (0, samples // 8):
+        loader.dataset.set_first_batch(first_batch)  # type: ignore[attr-defined] # a stream
+        decoded.clear()
+        next(iter(loader))
+        assert 4 <= len(decoded) <= 4 + 20

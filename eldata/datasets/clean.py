@@ -19,7 +19,7 @@ from eldata.raw.cfa import packing_sites, unpack
 from eldata.raw.extensions import RAW_EXTENSIONS, no_raws, raws_below
 from eldata.raw.levels import LEVELS, Levels
 from eldata.sources.frames import Files, Frame
-from eldata.sources.store.read import StoreFrames
+from eldata.sources.store.frames import StoreFrames
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

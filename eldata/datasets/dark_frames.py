@@ -22,7 +22,7 @@ from eldata.noise.exposures import DarkCrops
 from eldata.noise.mosaic import region_anywhere
 from eldata.raw.cfa import pack, packed_black_level_dn, packing_sites
 from eldata.sources.store.format import SUFFIXES
-from eldata.sources.store.read import StoreFrames
+from eldata.sources.store.frames import StoreFrames
 from eldata.sources.store.sources import calibration_place
 
 if TYPE_CHECKING:

@@ -115,7 +115,7 @@ def _archive(path: Path) -> object:
 
 
 def _store(path: Path) -> object:
-    from eldata.sources.store.read import StoreFrames
+    from eldata.sources.store.frames import StoreFrames
 
     source = StoreFrames(path)
     for held in source.store.every:

@@ -22,7 +22,7 @@ from eldata.sources.pairs import checked_ratio
 from eldata.sources.shards.index import FORMAT, INDEX, VERSION, Facts, Shard, ShardIndex, Side, index_text, key_of
 from eldata.sources.shards.members import END, to_bytes
 from eldata.sources.shards.tiles import grid, whole
-from eldata.sources.store.read import StoreFrames
+from eldata.sources.store.frames import StoreFrames
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -19,13 +19,11 @@ from eldata.base.files import file_problem
 from eldata.base.garbage import no_search_for_cycles
 from eldata.base.isolation import Limits, guarded_file, isolating
 from eldata.base.scratch import scratch
-from eldata.errors import ArgumentError, DatasetError, EldataError
+from eldata.errors import ArgumentError, EldataError
 from eldata.manifest.catalogue import load_manifest
-from eldata.manifest.pairs import select_pairs
 from eldata.raw._kernels import gather
 from eldata.raw.cfa import pack, packing_sites
-from eldata.records import FrameRecord, Records
-from eldata.sources.frames import Frame
+from eldata.records import Records
 from eldata.sources.store.chunks import chunk_table, read_part, read_parts
 from eldata.sources.store.format import (
     COMPRESSIONS,
@@ -46,9 +44,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.manifest.catalogue import Manifest
-    from eldata.manifest.pairs import Choice
     from eldata.raw.cfa import CfaRows
-    from eldata.records import PairRecord
     from eldata.sources.store.chunks import ChunkTable
 
 # Enough for the chunks of a few rows of a crop; a read visits each chunk once. HDF5 frees it with the frame.
@@ -373,107 +369,3 @@ class StoredMosaic:
         if copy is False:
             raise ValueError("a stored mosaic cannot be read without new memory")
         return self[:, :].astype(dtype or self.dtype, copy=False)
-
-
-class StoreFrames:
-    """The frames of a store: a :class:`~eldata.sources.frames.FrameSource` that reads only the parts it is asked for.
-
-    Raises
-    ------
-    StoreError
-        If the file is not a store, truncated, not complete, or of a newer version.
-    """
-
-    reads_parts = True
-
-    def __init__(self, path: Path | str) -> None:
-        self.store = open_store(path)
-        self.path = self.store.path
-        self.decodes_long = self.store.compression == "zstd"
-        self._reader = PixelReader(self.path)
-        self._held = {frame.path: frame for frame in self.store.every}
-        self._before = f"{self.path.as_posix()}/"
-        self._kinds: dict[tuple[int, int], int] = {}
-        self._kind_numbers: dict[tuple[object, ...], int] = {}
-
-    def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_held": {}, "_kinds": {}}  # of this process's objects
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state, _held={frame.path: frame for frame in state["store"].every})
-
-    @property
-    def records(self) -> tuple[FrameRecord, ...]:
-        """The rows of the manifest whose files are held; of clean frames those that they would have."""
-        if self.store.manifest is None:
-            return tuple(FrameRecord(frame.path, frame.role, frame.sensor.model) for frame in self.store.frames)
-        return tuple(record for record in self.store.manifest.records if record.path in self._held)
-
-    def frame(self, path: str) -> Frame:
-        """Open a frame by its path, with or without the store's before it.
-
-        Raises
-        ------
-        DatasetError
-            If the store does not hold it.
-        """
-        held = self._found(path)
-        name = str(self.path / held.path)
-        mosaic = StoredMosaic(self._reader, held.key, held.shape)
-        if isinstance(held, StoredRgb):
-            return Frame.of_rgb(mosaic, name)
-        return Frame.of_raw(mosaic, held.sensor, name, held.exposure, held.channel_white_levels_dn)
-
-    def kind_of(self, path: str) -> int:
-        """Return a number that frames share which make a pair, or none, with the same others: by all but its colours.
-
-        Raises
-        ------
-        DatasetError
-            If the store does not hold it.
-        """
-        held = self._found(path)
-        if isinstance(held, StoredRgb):
-            return self._kind_numbers.setdefault((held.shape,), len(self._kind_numbers))
-        facts = id(held.sensor), id(held.exposure)  # which a store keeps as long as itself
-        if facts not in self._kinds:
-            sensor = held.sensor
-            levels = sensor.black_level_dn, sensor.white_level_dn
-            kind = held.shape, sensor.cfa, levels, held.exposure.iso, held.exposure.exposure_s
-            self._kinds[facts] = self._kind_numbers.setdefault(kind, len(self._kind_numbers))
-        return self._kinds[facts]
-
-    def _found(self, path: str) -> StoredFrame | StoredRgb:
-        held = self._held.get(path.removeprefix(self._before))
-        if held is None:
-            raise DatasetError(f"{self.path}: holds no frame {path!r}; pack the dataset again")
-        return held
-
-    def pairs(self, choice: Choice) -> tuple[PairRecord, ...]:
-        """Return the pairs that are held and chosen.
-
-        Raises
-        ------
-        DatasetError
-            If the store holds clean frames or clips, or only a part of the chosen subset.
-        ArgumentError
-            If a value is unknown, or no pair is left.
-        """
-        manifest = self.store.manifest
-        if manifest is None:
-            raise DatasetError(f"{self.path}: holds clean frames, not pairs; read it with StoredFrames")
-        subset = choice.get("subset")
-        if subset is not None:  # counted on the whole manifest: a store of a part may lack some
-            wanted = {pair.path for pair in select_pairs(manifest.records, manifest.card.subsets, subset=subset)}
-            lacking = sorted(wanted - set(self._held))
-            if lacking:
-                raise DatasetError(
-                    f"{self.path}: lacks {len(lacking)} of the {len(wanted)} pairs of the subset {subset!r}, such as "
-                    f"{lacking[0]}; pack the whole dataset, or that subset"
-                )
-            held = [record for record in self.records if record.role != "noisy" or record.path in wanted]
-        else:
-            held = list(self.records)
-        rest = choice.copy()
-        rest["subset"] = None  # it is chosen
-        return select_pairs(held, (), **rest)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Unpack
 
+from eldata.base.garbage import no_search_for_cycles
 from eldata.datasets.base import PairCropping, PairOptions, SourcePairs
 from eldata.datasets.choices import Representation, understood
 from eldata.datasets.dn_batches import DnPairs
@@ -56,14 +57,15 @@ class PackedStore(SourcePairs):
 
     def __init__(self, path: Path | str, **options: Unpack[PairOptions]) -> None:
         choice, representation, cropping = understood(self, options, Choice, Representation, PairCropping)
-        source = StoreFrames(path)
-        super().__init__(
-            source,
-            source.pairs(choice),
-            name=source.store.dataset,
-            representation=representation,
-            cropping={"crop": 512, "augment": True} | cropping,
-        )
+        with no_search_for_cycles():
+            source = StoreFrames(path)
+            super().__init__(
+                source,
+                source.pairs(choice),
+                name=source.store.dataset,
+                representation=representation,
+                cropping={"crop": 512, "augment": True} | cropping,
+            )
 
     def in_dn(self) -> DnPairs:
         """Return the same items in DN, for :func:`~eldata.datasets.dn_batches.normalise_batch` after the DataLoader.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
@@ -163,7 +162,7 @@ class Forward:
                     raise ShardError(self.place, f"cannot be read ({error})") from error
                 self._has_ranges = False
                 continue
-            except _failures() as error:
+            except Exception as error:  # each file system of fsspec raises what its own library does
                 self.close()
                 if self._is_local or _is_final(error) or attempt == self._folder.attempts:
                     tried = f" after {attempt} attempts" if attempt > 1 else ""
@@ -209,9 +208,3 @@ def _is_final(error: BaseException) -> bool:
     if cause is None or isinstance(cause, FileNotFoundError):
         return True
     return getattr(cause, "status", 0) in (401, 403, 404, 410)
-
-
-def _failures() -> tuple[type[BaseException], ...]:
-    """Return what a broken connection raises."""
-    aiohttp = sys.modules.get("aiohttp")  # fsspec's, if the address needs it
-    return OSError, EOFError, *([] if aiohttp is None else [aiohttp.ClientError])

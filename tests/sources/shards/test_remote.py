@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import io
+import os
 import pickle
 import shutil
+import subprocess
+import sys
 import tarfile
 import time
 import zlib
@@ -194,6 +197,23 @@ def test_what_is_not_there_is_not_tried_again(tiles: Path, tmp_path: Path) -> No
             StreamedPairs(site.address, retry_wait_s=1000)
     with pytest.raises(ShardError, match=r"nowhere/index\.json: cannot be read \(FileNotFoundError"):
         StreamedPairs(str(tmp_path / "nowhere"))
+
+
+def test_a_hub_that_is_not_reached_is_one_error() -> None:
+    pytest.importorskip("huggingface_hub")
+    code = """
+import sys
+from eldata import StreamedPairs
+try:
+    StreamedPairs("hf://datasets/somebody/set", attempts=2, retry_wait_s=0)
+except Exception as error:
+    sys.exit(f"{type(error).__name__}: {error}")
+"""
+    # Nothing listens at the port of discard.
+    environment = {**os.environ, "HF_ENDPOINT": "http://127.0.0.1:9", "HF_HUB_OFFLINE": "0"}
+    run = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
+    assert run.stderr.startswith("ShardError: hf://datasets/somebody/set/index.json: cannot be read after 2 attempts (")
+    assert "ConnectError" in run.stderr
 
 
 def test_addresses_that_fsspec_cannot_open() -> None:

@@ -109,7 +109,12 @@ def damage(store: Path, path: str, change: Callable[[h5py.File, str], None]) -> 
 
 
 def unstated(file: h5py.File, key: str) -> None:
+    del file["table"]  # as in version 0.1
     del file["frames"][key].attrs["file"]
+
+
+def other_than_its_table(file: h5py.File, key: str) -> None:
+    file["frames"][key].attrs["sha256"] = "0" * 64
 
 
 def other_pixels(file: h5py.File, key: str) -> None:
@@ -126,7 +131,7 @@ def floats(file: h5py.File, key: str) -> None:
 def crop(file: h5py.File, key: str) -> None:
     frame = file["frames"][key]
     kept, attributes = frame[:40, :40], dict(frame.attrs)
-    del file["frames"][key]
+    del file["table"], file["frames"][key]
     attributes["sha256"] = pixels_digest(kept)
     file["frames"].create_dataset(key, data=kept, chunks=(40, 40)).attrs.update(attributes)
 
@@ -135,6 +140,7 @@ def crop(file: h5py.File, key: str) -> None:
     ("change", "words"),
     [
         (unstated, "does not say which files it was packed from"),
+        (other_than_its_table, f"sha256 in the table: expected {'0' * 64}, found "),
         (floats, "expected uint16 (60, 84), found float32 (60, 84)"),
         (crop, "expected uint16 (60, 84), found uint16 (40, 40)"),
     ],

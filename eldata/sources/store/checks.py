@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import fields
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -69,8 +70,11 @@ def structure_problems(store: Store) -> Iterator[Problem]:
     stated = {frame.key: frame for frame in open_store(store.path, by_table=False).every}
     with opened(store.path) as file:
         for frame in store.every:
-            if frame != stated[frame.key]:
-                yield Problem(store.dataset, frame.path, "table", str(stated[frame.key]), str(frame), _ADVICE)
+            if frame.key not in stated:
+                yield Problem(store.dataset, frame.path, "table", "nothing", f"a frame {frame.key}", _ADVICE)
+                continue
+            for name, expected, found in _differences(stated[frame.key], frame):
+                yield Problem(store.dataset, frame.path, f"{name} in the table", expected, found, _ADVICE)
             dataset, shape = file["frames"][frame.key], frame.shape
             found, expected = f"{dataset.dtype} {dataset.shape}", f"uint16 {shape}"
             if found != expected:
@@ -85,6 +89,14 @@ def structure_problems(store: Store) -> Iterator[Problem]:
         for record in store.manifest.records:
             if record.path in held and record.reference is not None and record.reference not in held:
                 yield Problem(store.dataset, record.path, "reference", record.reference, "nothing", _ADVICE)
+
+
+def _differences(one: StoredFrame | StoredRgb, other: StoredFrame | StoredRgb) -> Iterator[tuple[str, str, str]]:
+    """Yield name and both values of the fields in which two records of a frame differ."""
+    for name in (field.name for field in fields(other)):
+        values = getattr(one, name, None), getattr(other, name)
+        if values[0] != values[1]:
+            yield name, str(values[0]), str(values[1])
 
 
 def _pixels(dataset: str, reader: PixelReader, frame: StoredFrame | StoredRgb) -> list[Problem]:

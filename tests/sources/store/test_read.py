@@ -220,7 +220,8 @@ def test_the_table_says_what_the_attributes_say(clean: Packed, own: Path) -> Non
 
     with_table({"path": ["other.dng", *table["path"][1:]]})
     (problem,) = verify_store(own).problems
-    assert (problem.path, problem.field) == ("other.dng", "table")
+    assert (problem.path, problem.field, problem.found) == ("other.dng", "path in the table", "other.dng")
+    assert problem.expected == table["path"][0]
     shared, file = table["sensor"], table["file"]
     changes: list[dict[str, Any]] = [
         {"path": table["path"][1:]},
@@ -237,6 +238,11 @@ def test_the_table_says_what_the_attributes_say(clean: Packed, own: Path) -> Non
     for damaged in changes:
         with_table(damaged)
         refused(own, "is damaged", open_store, verify_store)
+    with_table({})
+    with h5py.File(own, "r+") as store:
+        store.move("frames/000001", "frames/000009")
+    (problem,) = verify_store(own).problems
+    assert (problem.path, problem.field, problem.found) == (table["path"][1], "table", "a frame 000001")
 
 
 # --- verification -------------------------------------------------------------------------------------------------

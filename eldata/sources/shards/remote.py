@@ -202,9 +202,9 @@ class Forward:
 
 def _is_final(error: BaseException) -> bool:
     """Return whether another attempt would end the same: a file that is not there, or not available."""
-    if not isinstance(error, (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError)):
-        return False
-    cause = error.__cause__
-    if cause is None or isinstance(cause, FileNotFoundError):
-        return True
-    return getattr(cause, "status", 0) in (401, 403, 404, 410)
+    cause = error if error.__cause__ is None else error.__cause__
+    # aiohttp's errors have the server's answer as `status`, those of httpx have it as `response`.
+    status = getattr(cause, "status", None) or getattr(getattr(cause, "response", None), "status_code", None)
+    if status is not None:
+        return status in (401, 403, 404, 410)
+    return isinstance(cause, (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError))

@@ -199,9 +199,7 @@ def test_what_is_not_there_is_not_tried_again(tiles: Path, tmp_path: Path) -> No
         StreamedPairs(str(tmp_path / "nowhere"))
 
 
-def test_a_hub_that_is_not_reached_is_one_error() -> None:
-    pytest.importorskip("huggingface_hub")
-    code = """
+HUB = """
 import sys
 from eldata import StreamedPairs
 try:
@@ -209,11 +207,27 @@ try:
 except Exception as error:
     sys.exit(f"{type(error).__name__}: {error}")
 """
-    # Nothing listens at the port of discard.
-    environment = {**os.environ, "HF_ENDPOINT": "http://127.0.0.1:9", "HF_HUB_OFFLINE": "0"}
-    run = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
-    assert run.stderr.startswith("ShardError: hf://datasets/somebody/set/index.json: cannot be read after 2 attempts (")
-    assert "ConnectError" in run.stderr
+
+
+def said_of_the_hub(endpoint: str) -> str:
+    pytest.importorskip("huggingface_hub")
+    environment = {**os.environ, "HF_ENDPOINT": endpoint, "HF_HUB_OFFLINE": "0"}  # read as it is imported
+    return subprocess.run(
+        [sys.executable, "-c", HUB], env=environment, capture_output=True, text=True, check=False
+    ).stderr
+
+
+def test_a_hub_that_is_not_reached_is_one_error() -> None:
+    said = said_of_the_hub("http://127.0.0.1:9")  # the port of discard: nothing listens
+    assert said.startswith("ShardError: hf://datasets/somebody/set/index.json: cannot be read after 2 attempts (")
+    assert "ConnectError" in said
+
+
+def test_what_is_not_on_the_hub_is_not_tried_again(tiles: Path) -> None:
+    with serving(tiles) as site:
+        said = said_of_the_hub(site.address)
+    assert said.startswith("ShardError: hf://datasets/somebody/set/index.json: cannot be read (")
+    assert "404" in said
 
 
 def test_addresses_that_fsspec_cannot_open() -> None:

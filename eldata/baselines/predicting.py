@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 import numpy as np
 
 from eldata.base.files import inside, remove_leftovers
+from eldata.base.numbers import counted
 from eldata.base.png import rgb_frame
 from eldata.base.workers import Failed, require_files
 from eldata.baselines.classical import BASELINES
@@ -187,7 +188,7 @@ class PredictionReport:
     def format_text(self) -> str:
         """Return what a command shows."""
         kept = f", {self.kept} were there" if self.kept else ""
-        lines = [*self.problems, f"{self.written} frames predicted{kept}: {self.folder}"]
+        lines = [*self.problems, f"{counted(self.written, 'frame')} predicted{kept}: {self.folder}"]
         return "\n".join(lines)
 
 

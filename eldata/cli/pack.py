@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from eldata.base.console import OK, add_cameras, add_output, add_root, add_shared, chosen_workers
 from eldata.base.files import folder_problem
+from eldata.base.numbers import counted
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -66,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
         report = build_store(source, arguments.out, compression=arguments.compression, workers=workers)
     resumed = f" ({report.resumed} of them before)" if report.resumed else ""
     print(
-        f"{report.frames} frames packed{resumed}: {report.path}, {report.store_bytes / 1e6:.1f} MB for "
+        f"{counted(report.frames, 'frame')} packed{resumed}: {report.path}, {report.store_bytes / 1e6:.1f} MB for "
         f"{report.pixel_bytes / 1e6:.1f} MB of pixels"
     )
     print(f"to check: eldata verify {shlex.quote(str(report.path))} --level full")

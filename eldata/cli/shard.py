@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from eldata.base.console import OK, add_shared, whole_number
+from eldata.base.numbers import counted
 
 if TYPE_CHECKING:
     import argparse
@@ -62,8 +63,8 @@ def run(arguments: argparse.Namespace) -> int:
     )
     resumed = f" ({report.resumed} of them before)" if report.resumed else ""
     print(
-        f"{report.samples} samples in {report.shards} shards{resumed}: {report.folder}, {report.bytes / 1e6:.1f} MB; "
-        "index.json came last"
+        f"{counted(report.samples, 'sample')} in {counted(report.shards, 'shard')}{resumed}: {report.folder}, "
+        f"{report.bytes / 1e6:.1f} MB; index.json came last"
     )
     return OK
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -66,6 +67,9 @@ def test_a_folder_of_clean_raws(eldata: Cli, tree: Tree, tmp_path: Path) -> None
     assert eldata("pack", folder, "-o", tmp_path / "clean.h5").out.startswith("16 frames packed: ")
     assert_one_line(eldata("pack", folder, "-o", tmp_path / "x.h5", "--split", "test"), "--split", "is a folder")
     assert_one_line(eldata("pack", tmp_path, "-o", tmp_path / "x.h5"), "holds no camera raw file")
+    (tmp_path / "one").mkdir()
+    shutil.copy(next(iter(folder.glob("*.dng"))), tmp_path / "one")
+    assert eldata("pack", tmp_path / "one", "-o", tmp_path / "one.h5").out.startswith("1 frame packed: ")
 
 
 def test_a_damaged_store_is_listed_with_code_1(eldata: Cli, tree: Tree, tmp_path: Path) -> None:

@@ -48,7 +48,7 @@ def test_shards_of_a_store(sharded: Shard, store: Path, tmp_path: Path) -> None:
     assert outcome.out.startswith("288 samples in 3 shards: ")
     assert verify_shards(str(tmp_path / "shards")) == []
     whole = sharded(store, "-o", tmp_path / "whole", "--tile", "whole", "--camera", "DemoBeta", "--seed", "3")
-    assert whole.out.startswith("12 samples in 1 shards: ")
+    assert whole.out.startswith("12 samples in 1 shard: ")
     assert len(StreamedPairs(str(tmp_path / "whole"))) == 12
 
 

@@ -104,6 +104,7 @@ def published_sidd(instances: Iterable[Instance]) -> tuple[Card, tuple[FrameReco
         cfa="bayer",
         cameras={name: CameraCard(()) for name in CAMERAS.values()},
         counts=dict(sorted(Counter(str(record.role) for record in records).items())),
+        scenes_shared=True,  # ten scenes, of which each phone photographed most
         downloads=(
             Download(
                 "https://abdokamel.github.io/sidd/", notes="the authors' page; their older one is offline at times"

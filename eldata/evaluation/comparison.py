@@ -13,7 +13,7 @@ from eldata.base.numbers import counted
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation.scores import UnitScore, json_object, means
-from eldata.evaluation.statistics import LEVEL, RESAMPLES, SEED, Difference, holm, paired_difference
+from eldata.evaluation.statistics import LEVEL, RESAMPLES, SEED, Difference, clusters_of, holm, paired_difference
 from eldata.evaluation.table import factor_text, grouped_table, groups_of, short_digest
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ _NOT_DECIDING = (
 # What of it chooses the images, which does not count where the same were chosen.
 _CHOOSING = ("cameras", "subset", "ids", "ratios", "set_aside", "excluded_flags")
 # What a result means that does not state it, as those of clips of version 0.1 do not.
-_UNSTATED: dict[str, Any] = {"cameras": "all", "excluded_flags": {}}
+_UNSTATED: dict[str, Any] = {"cameras": "all", "excluded_flags": {}, "scenes_shared": True}
 _SHOWN = 10  # biggest wins, and losses
 
 
@@ -149,6 +149,11 @@ class Comparison:
         return _common_kind(self.methods)
 
     @property
+    def scenes_shared(self) -> bool:
+        """Whether scenes of one name under several cameras are one scene, as the first's set has it."""
+        return self.methods[0].result.scenes_shared
+
+    @property
     def whole(self) -> Group:
         """The group of all common images."""
         return self.groups[-1]
@@ -248,7 +253,12 @@ class Comparison:
                 for method in self.methods
             ],
             "warnings": list(self.warnings),
-            "statistics": {"level": LEVEL, "resamples": RESAMPLES, "seed": SEED, "clusters": ["camera", "scene"]},
+            "statistics": {
+                "level": LEVEL,
+                "resamples": RESAMPLES,
+                "seed": SEED,
+                "clusters": ["scene"] if self.scenes_shared else ["camera", "scene"],
+            },
             "common": [scores[0].path for scores in self.images],
             "groups": [asdict(group) for group in self.groups],
             "contests": [asdict(contest) for contest in self.contests],
@@ -287,7 +297,7 @@ def compare(methods: Sequence[Method]) -> Comparison:
     return Comparison(
         methods=tuple(methods),
         images=images,
-        groups=_groups(images, kind.metrics, methods[0].result.dataset),
+        groups=_groups(images, kind.metrics, methods[0].result),
         warnings=(*_warnings(methods), *_image_warnings(methods, images), *_coverage_warnings(methods, len(common))),
         contests=_contests(methods, images, kind.metrics) if len(methods) > 2 else (),
     )
@@ -296,7 +306,7 @@ def compare(methods: Sequence[Method]) -> Comparison:
 def _contests(
     methods: Sequence[Method], images: Sequence[tuple[UnitScore, ...]], metrics: Sequence[Metric]
 ) -> tuple[Contest, ...]:
-    places = [scores[0].place for scores in images]
+    places = clusters_of((scores[0] for scores in images), scenes_shared=methods[0].result.scenes_shared)
     values = [
         {metric.name: [score.values[metric.name] for score in of] for metric in metrics}
         for of in zip(*images, strict=True)
@@ -324,14 +334,16 @@ def _common_kind(methods: Sequence[Method]) -> Kind:
     return replace(first, metrics=shared, values=tuple(name for name in first.values if name not in left_out))
 
 
-def _groups(images: Sequence[tuple[UnitScore, ...]], metrics: Sequence[Metric], dataset: str) -> tuple[Group, ...]:
+def _groups(
+    images: Sequence[tuple[UnitScore, ...]], metrics: Sequence[Metric], result: EvaluationResult
+) -> tuple[Group, ...]:
     names = [metric.name for metric in metrics]
     groups = []
-    for camera, ratio in groups_of([(scores[0].camera, scores[0].ratio) for scores in images], dataset):
+    for camera, ratio in groups_of([(scores[0].camera, scores[0].ratio) for scores in images], result.dataset):
         members = [
             scores for scores in images if camera in (None, scores[0].camera) and ratio in (None, scores[0].ratio)
         ]
-        places = [scores[0].place for scores in members]
+        places = clusters_of((scores[0] for scores in members), scenes_shared=result.scenes_shared)
         of_methods = tuple(zip(*members, strict=True))
         values = [{name: [score.values[name] for score in scores] for name in names} for scores in of_methods]
         groups.append(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from eldata.base.numbers import counted
 from eldata.base.tables import Strong, latex_table, markdown_table, markdown_text, text_table, wrapped
-from eldata.evaluation.statistics import FEWEST_SCENES, LEVEL, RESAMPLES, SEED
+from eldata.evaluation.statistics import FEWEST_SCENES, LEVEL, over_scenes
 from eldata.evaluation.table import PaperTable, grouped_table, short_digest
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ def format_comparison(comparison: Comparison, form: Format) -> str:
     means = means_table(comparison)
     gains = {other.name: gains_table(comparison, index) for index, other in enumerate(others)}
     titles = {name: f"{name} minus {first.name}" for name in gains}
-    summary, note = summary_of(comparison), statistics_note()
+    summary, note = summary_of(comparison), statistics_note(comparison)
     # Of three methods or more. No method has an empty name.
     contests = {"": contests_table(comparison)} if comparison.contests else {}
     notes = [contests_note(comparison)] if contests else []
@@ -171,9 +171,9 @@ def summary_of(comparison: Comparison) -> str:
     )
 
 
-def statistics_note() -> str:
+def statistics_note(comparison: Comparison) -> str:
     """Return what interval and p are, in a sentence."""
     return (
-        f"Interval: {LEVEL:.0%}, bootstrap over scenes ({RESAMPLES} resamples, seed {SEED}); p: signs of whole scenes "
-        f"flipped, two-sided. With fewer than {FEWEST_SCENES} scenes there is no interval."
+        f"Interval: {LEVEL:.0%}, Student's t over {over_scenes(shared=comparison.scenes_shared)}; p: signs of whole "
+        f"scenes flipped, two-sided. With fewer than {FEWEST_SCENES} scenes there is no interval."
     )

@@ -400,6 +400,7 @@ def _provenance(request: Request, plan: ScoringPlan, scored: PlanScores) -> dict
         "dataset": manifest.name,
         "manifest_version": manifest.card.version,
         "manifest_sha256": manifest.digest,
+        "scenes_shared": manifest.card.scenes_shared,
         "cameras": "all" if cameras is None else [name for name in manifest.card.cameras if name in cameras],
         "predictions": THE_INPUT if request.predictions is None else str(request.predictions),
         "python": platform.python_version(),

@@ -16,7 +16,7 @@ from eldata.evaluation.originals import Originals
 from eldata.evaluation.pairs import place_of
 from eldata.evaluation.predictions import find_predictions
 from eldata.evaluation.scores import FrameScore
-from eldata.evaluation.statistics import FEWEST_SCENES, LEVEL, RESAMPLES, SEED, interval_of_scores
+from eldata.evaluation.statistics import FEWEST_SCENES, LEVEL, interval_of_scores, over_scenes
 from eldata.isp.preview import preview
 from eldata.protocols.protocol import Protocol
 
@@ -44,10 +44,11 @@ class Column:
     group: str
     ratio: float | None
     scores: tuple[UnitScore, ...]
+    scenes_shared: bool
 
     def interval(self, name: str) -> Interval:
         """Return the mean of a value with its interval over scenes."""
-        return interval_of_scores(self.scores, name)
+        return interval_of_scores(self.scores, name, scenes_shared=self.scenes_shared)
 
     def to_draw(self, name: str, *, mean: bool = True) -> Strip:
         """Return a value of each score to be drawn, with its mean and interval, unless they are not wanted."""
@@ -57,13 +58,13 @@ class Column:
         return Strip(self.group, self.ratio, values, self.interval(name).ends if mean else None)
 
 
-def columns_of(scores: Iterable[UnitScore], by: Grouping) -> tuple[Column, ...]:
+def columns_of(scores: Iterable[UnitScore], by: Grouping, *, scenes_shared: bool) -> tuple[Column, ...]:
     """Return scores by camera or ISO, and by factor; ISOs in the order of their numbers, cameras as they come."""
     ordered = sorted(scores, key=lambda score: score.iso) if by == "iso" else list(scores)
     members: dict[tuple[str, float | None], list[UnitScore]] = defaultdict(list)
     for score in ordered:
         members[_group_of(score, by), score.ratio].append(score)
-    return tuple(Column(name, ratio, tuple(of)) for (name, ratio), of in members.items())
+    return tuple(Column(name, ratio, tuple(of), scenes_shared) for (name, ratio), of in members.items())
 
 
 def _group_of(score: UnitScore, by: Grouping) -> str:
@@ -210,11 +211,10 @@ INTERVAL = f"{LEVEL:.0%} interval"
 TOO_FEW = f"no interval with fewer than {FEWEST_SCENES} scenes"
 
 
-def interval_note(kind: Kind) -> str:
+def interval_note(result: EvaluationResult) -> str:
     """Return what the intervals are, in a sentence or two."""
     return (
-        f"Intervals: {LEVEL:.0%}, bootstrap over scenes, because {kind.units} of one scene err together ({RESAMPLES} "
-        f"resamples, seed {SEED}, percentiles at the level for few samples). There is none with fewer than "
-        f"{FEWEST_SCENES} scenes. They say how far the mean would move with other scenes like these, not how "
-        "exact a score is."
+        f"Intervals: {LEVEL:.0%}, Student's t over {over_scenes(shared=result.scenes_shared)}, because "
+        f"{result.kind.units} of one scene err together. There is none with fewer than {FEWEST_SCENES} scenes. They "
+        "say how far the mean would move with other scenes like these, not how exact a score is."
     )

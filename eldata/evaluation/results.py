@@ -130,6 +130,11 @@ class EvaluationResult:
         return str(self.provenance["dataset"])
 
     @property
+    def scenes_shared(self) -> bool:
+        """Whether scenes of one name under several cameras are one scene, as the set's card says."""
+        return bool(self.provenance.get("scenes_shared", True))
+
+    @property
     def digest(self) -> str:
         """``sha256:<hex>`` of what of the protocol decides a score, by this version's rule."""
         return self.protocol.digest
@@ -225,7 +230,7 @@ class EvaluationResult:
         """Return a mean of the table with its interval over scenes; ``name`` is the value's, such as ``psnr_db``."""
         from eldata.evaluation.statistics import interval_of_scores
 
-        return interval_of_scores(self.scores_of(row), name)
+        return interval_of_scores(self.scores_of(row), name, scenes_shared=self.scenes_shared)
 
     # --- in words -----------------------------------------------------------------------------------------------------
 

@@ -71,6 +71,7 @@ def _result(top: Fields) -> EvaluationResult:
     _check_digest(provenance, stated)
     provenance.optional("subset", provenance.text)
     provenance.optional("excluded_flags", provenance.inside)
+    provenance.optional("scenes_shared", provenance.flag)
     if "equal_choices" in provenance.data:
         choices = provenance.inside("equal_choices")
         for name in choices.data:

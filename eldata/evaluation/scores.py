@@ -113,7 +113,7 @@ class UnitScore(Valued):
 
     @property
     def place(self) -> tuple[str, str]:
-        """Camera and scene: scores that share them are not independent."""
+        """Camera and scene."""
         return self.camera, self.scene
 
     @property

@@ -91,6 +91,9 @@ class Card:
         EXIF identity of each camera in the manifest.
     counts
         Expected number of rows per role. A card without a manifest has none.
+    scenes_shared
+        Whether a scene's name under several cameras is one scene that all of them photographed; scores of it then count
+        as one in intervals and p-values (:func:`eldata.evaluation.statistics.clusters_of`).
     subsets
         Named choices of pairs. ``eldata evaluate`` scores the first one by default.
     known_defects, sources
@@ -115,6 +118,7 @@ class Card:
     cfa: str
     cameras: dict[str, CameraCard]
     counts: dict[str, int]
+    scenes_shared: bool = True
     downloads: tuple[Download, ...] = ()
     subsets: tuple[Subset, ...] = ()
     known_defects: tuple[str, ...] = ()
@@ -180,6 +184,7 @@ def load_card(path: Path, content: bytes | None = None) -> Card:
         cfa=top.choice("cfa", CFA_WORDS),
         cameras={name: _camera(cameras, name) for name in cameras.data},
         counts={role: counts.whole(role) for role in counts.data},
+        scenes_shared=top.optional("scenes_shared", top.flag, default=True),
         downloads=tuple(map(_download, top.objects("downloads", missing_ok=True))),
         subsets=subsets,
         known_defects=top.texts("known_defects", missing_ok=True, empty=True),

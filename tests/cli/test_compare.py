@@ -12,6 +12,7 @@ import pytest
 from eldata.base.console import run
 from eldata.base.parsing import Parser
 from eldata.cli import compare as command
+from eldata.evaluation.saved import saved_result
 from eldata.protocols import PROTOCOLS
 from tests.cli.conftest import Outcome, assert_golden
 from tests.reports.evaluations import result_data, table_of, written
@@ -69,7 +70,7 @@ def test_json_has_the_numbers_and_they_are_right(
     assert [method["name"] for method in found["methods"]] == ["base", "unet"]
     assert found["warnings"] == []
     assert found["common"] == [image["path"] for image in first]
-    assert found["statistics"] == {"level": 0.95, "resamples": 9999, "seed": 0, "clusters": ["camera", "scene"]}
+    assert found["statistics"] == {"level": 0.95, "resamples": 9999, "seed": 0, "clusters": ["scene"]}
     keys = [(group["camera"], group["ratio"]) for group in found["groups"]]
     cameras, ratios = ("SonyA7S2", "NikonD850"), (100.0, 200.0)
     assert keys == [(c, r) for c in (*cameras, None) for r in ratios] + [(None, None)]
@@ -87,7 +88,40 @@ def test_json_has_the_numbers_and_they_are_right(
             interval = group["gains"][0][field]["interval"]
             assert interval["mean"] == pytest.approx((b - a).mean(), rel=1e-9)
             assert interval["low"] < interval["mean"] < interval["high"]
-    assert found["groups"][-1]["gains"][0]["psnr_db"]["p_value"] < 0.001
+    assert found["groups"][-1]["gains"][0]["psnr_db"]["p_value"] == 2 / 2**8, "eight scenes of both cameras"
+
+
+@pytest.mark.parametrize("shared", [None, True, False])  # None: the result does not say
+def test_scenes_of_all_cameras_count_once_where_they_are_shared(
+    shared: bool | None, compare: Callable[..., Outcome], tmp_path: Path
+) -> None:
+    """Two cameras on four scenes, as in the demo: p is 2 / 2^4, and there is no interval, unless scenes are apart."""
+    results = []
+    for name, gain_db in (("base", 0.0), ("unet", 5.0)):
+        data = result_data(scenes=4, gain_db=gain_db)
+        if shared is not None:
+            data["provenance"]["scenes_shared"] = shared
+        saved_result(data, name).write_json(tmp_path / f"{name}.json")
+        results.append(tmp_path / f"{name}.json")
+    out, page = tmp_path / "out.json", tmp_path / "page.html"
+    outcome = compare(*results, "--json", out, "--html", page)
+    assert (outcome.code, outcome.err) == (0, "")
+    apart = shared is False
+    scenes = 8 if apart else 4
+    assert outcome.out.startswith(f"2 methods on 48 common images of {scenes} scenes: ")
+    assert ("Student's t over the scenes of each camera; p" in outcome.out) == apart
+    found = json.loads(out.read_text(encoding="utf-8"))
+    assert found["statistics"]["clusters"] == (["camera", "scene"] if apart else ["scene"])
+    for group in found["groups"]:
+        difference = group["gains"][0]["psnr_db"]
+        count = 4 if group["camera"] else scenes
+        assert (group["scenes"], difference["interval"]["scenes"], difference["p_value"]) == (
+            count,
+            count,
+            2 / 2**count,
+        )
+        assert (difference["interval"]["low"] is None) == (count == 4)
+    assert ("0.008" in outcome.out) == ("0.008" in page.read_text(encoding="utf-8")) == apart
 
 
 def test_names(compare: Callable[..., Outcome], files: list[Path]) -> None:
@@ -103,7 +137,7 @@ def test_only_common_images_count_and_that_is_said(compare: Callable[..., Outcom
     changed(files[1], drop)
     outcome = compare(*files[:2])
     assert outcome.code == 0
-    assert "2 methods on 90 common images of 15 scenes" in outcome.out
+    assert "2 methods on 90 common images of 8 scenes" in outcome.out
     assert "warning: base has scores of 96 images, of which 90 are common to all and count" in outcome.err
     assert "warning: unet is incomplete: 90 of 96 pairs were scored" in outcome.err
 
@@ -137,6 +171,7 @@ def test_another_protocol_is_warned_of(compare: Callable[..., Outcome], files: l
     [
         ("manifest_sha256", "sha256:" + "b" * 64, "manifest sha256: sha256:aaaaaaaa against sha256:bbbbbbbb"),
         ("dataset", "mine", 'dataset: "eld" against "mine"'),
+        ("scenes_shared", False, "scenes shared: true against false"),
     ],
 )
 def test_another_set_is_warned_of(

@@ -7,7 +7,8 @@ import re
 import shutil
 from dataclasses import replace
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any, NoReturn
+from pathlib import Path
+from typing import Any, NoReturn
 
 import numpy as np
 import pytest
@@ -17,13 +18,12 @@ from eldata.base.files import sha256_of
 from eldata.errors import ArgumentError, DatasetError, EldataError, ManifestError
 from eldata.evaluation import EvaluationResult, UnitScore, evaluate, save_prediction
 from eldata.evaluation.request import EvaluationOptions
+from eldata.evaluation.saved import saved_result
+from eldata.manifest.card import load_card, save_card
 from eldata.protocols import PROTOCOLS
 from eldata.protocols.kinds import IMAGES
 from tests.evaluation import oracle
 from tests.evaluation.helpers import Tree, place, small_tree
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 COLUMNS = ["path", "camera", "scene", "iso", "ratio", "psnr_db", "ssim", "rescale"]
 
@@ -342,6 +342,19 @@ def test_root_from_the_environment(
 
 
 # --- what is written ------------------------------------------------------------------------------------------
+
+
+def test_the_card_says_whether_cameras_share_their_scenes(tree: Tree, result: EvaluationResult, tmp_path: Path) -> None:
+    """Two cameras and one scene's name; the result, and what was saved of it, count scenes as the card has them."""
+    manifest = Path(shutil.copy(tree.manifest, tmp_path / "mine.csv"))
+    card = load_card(tree.manifest.with_suffix(".json"))
+    save_card(manifest.with_suffix(".json"), replace(card, scenes_shared=False))
+    apart = evaluate(None, manifest=manifest, root=tree.root, baseline="input")
+    for found, shared, scenes in ((result, True, 1), (apart, False, 2)):
+        again = saved_result(found.as_dict(), "test")
+        for one in (found, again):
+            assert one.scenes_shared is one.provenance["scenes_shared"] is shared
+            assert [one.interval(row, "psnr_db").scenes for row in one.table] == [1] * 4 + [scenes] * 3
 
 
 def test_provenance(tree: Tree, predictions: Path, result: EvaluationResult) -> None:

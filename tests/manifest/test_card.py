@@ -65,11 +65,16 @@ def test_round_trip(path: Path) -> None:
     assert "“quotes”" in path.read_text(encoding="utf-8"), "people read this file: text is not escaped"
 
 
+def test_scenes_of_one_name_may_be_each_cameras_own(path: Path) -> None:
+    save_card(path, replace(CARD, scenes_shared=False))
+    assert not load_card(path).scenes_shared
+
+
 def test_optional_fields_may_be_left_out(path: Path) -> None:
     least = data()
     del least["downloads"], least["known_defects"], least["sources"]
     path.write_text(json.dumps(least), encoding="utf-8")
-    assert load_card(path).downloads == ()
+    assert (load_card(path).downloads, load_card(path).scenes_shared) == ((), True)
     least["downloads"] = [{"address": "https://example.org/a.zip"}]
     path.write_text(json.dumps(least), encoding="utf-8")
     assert load_card(path).downloads == (Download("https://example.org/a.zip", None, ""),)
@@ -128,6 +133,7 @@ REQUIRED = ("name", "title", "version", "folder", "citation", "licence", "homepa
         (("cameras", "Cam", "models"), [1], "cameras.Cam.models[0]"),
         (("cameras", "Cam", "lens"), "50", "cameras.Cam.lens"),
         (("counts", "noisy"), "1", "counts.noisy"),
+        (("scenes_shared",), "no", "scenes_shared"),
         (("counts", "noisy"), 1.0, "counts.noisy"),
         (("counts", "noisy"), True, "counts.noisy"),
         (("downloads",), {}, "downloads"),

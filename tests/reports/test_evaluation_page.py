@@ -185,7 +185,7 @@ def test_intervals_over_scenes_are_in_the_table() -> None:
     text = evaluation_page([one], NOTHING)
     for row in one.table:
         images = one.scores_of(row)
-        interval = interval_of_mean([image.psnr_db for image in images], [image.place for image in images])
+        interval = interval_of_mean([image.psnr_db for image in images], [image.scene for image in images])
         assert f"<td>{interval.low:.2f} to {interval.high:.2f}</td>" in text
 
 
@@ -232,20 +232,25 @@ def test_the_same_page_each_time(
 def test_wrong_exposure_shows() -> None:
     one = result()
     dark = tuple(replace(image, values=image.values | {"rescale": 4.0}) for image in one.images)
-    plots = {plot.name: plot for plot in score_plots(dark, one.kind, rescaled=True)}
+    plots = {plot.name: plot for plot in score_plots(dark, one.kind, rescaled=True, scenes_shared=True)}
     assert "from 4 to 4" in plots["rescaling"].alt
     assert plots["rescaling"].light != plots["rescaling"].dark
-    assert score_plots((), one.kind, rescaled=True) == ()
+    assert score_plots((), one.kind, rescaled=True, scenes_shared=True) == ()
 
 
 def test_long_names_of_cameras_are_turned_and_come_in_the_papers_order() -> None:
     """Side by side, CanonEOS70D and CanonEOS700D touch; those of the demo do not."""
     names = ("CanonEOS700D", "CanonEOS70D", "NikonD850", "SonyA7S2")
     text = evaluation_page([result(cameras=names)], NOTHING)
-    plots = {plot.name: plot for plot in score_plots(result(cameras=names).scores, IMAGES, rescaled=True)}
+    plots = {
+        plot.name: plot for plot in score_plots(result(cameras=names).scores, IMAGES, rescaled=True, scenes_shared=True)
+    }
     assert b"rotate(-25)" in plots["psnr-camera"].light
     assert b"rotate(-25)" not in plots["psnr-iso"].light
-    few = {plot.name: plot for plot in score_plots(result(cameras=names[2:]).scores, IMAGES, rescaled=True)}
+    few = {
+        plot.name: plot
+        for plot in score_plots(result(cameras=names[2:]).scores, IMAGES, rescaled=True, scenes_shared=True)
+    }
     assert b"rotate(-25)" not in few["psnr-camera"].light
     rows = re.findall(r'<th scope="row">(?:<a[^>]*>)?([^<]+)/scene-(\d+)/', text)
     assert [name for name, _ in dict.fromkeys((name, "") for name, _ in rows)] == list(reversed(names))

@@ -77,7 +77,12 @@ def evaluation_page(results: Sequence[EvaluationResult], shown: ShownImages) -> 
     """Return the page; the same results and pictures give the same text."""
     result, kind = results[0], results[0].kind
     ids = {image.score.path: f"picture-{index}" for index, image in enumerate(shown.images, start=1)}
-    plots = score_plots(scores_in_order(result.scores, result.dataset), kind, rescaled=result.rescales)
+    plots = score_plots(
+        scores_in_order(result.scores, result.dataset),
+        kind,
+        rescaled=result.rescales,
+        scenes_shared=result.scenes_shared,
+    )
     sections = [("means", "Means")]
     sections += [("distributions", "Distributions")] if plots else []
     sections += [("pictures", "Worst and best")] if shown.images else []
@@ -95,7 +100,7 @@ def evaluation_page(results: Sequence[EvaluationResult], shown: ShownImages) -> 
         tiles=_tiles(result),
         sections=[*sections, ("provenance", "Provenance")],
         table=table_with_intervals(result),
-        interval_note=interval_note(kind),
+        interval_note=interval_note(result),
         protocols=_protocols(results) if len(results) > 1 else None,
         others=[(other, table_with_intervals(other)) for other in results[1:]],
         plots=plots,
@@ -246,12 +251,11 @@ def _tiles(result: EvaluationResult) -> list[tuple[str, str, str]]:
         interval = result.interval(result.whole, metric.name)
         note = f"{INTERVAL.split()[0]}: {_interval_text(interval, metric)}" if interval.is_known else TOO_FEW
         tiles.append((metric.label, f"{metric.text(interval.mean)} {metric.unit}".rstrip(), note))
-    scenes = len({score.place for score in result.scores})
     cameras = len({score.camera for score in result.scores})
     return [
         *tiles,
         (result.kind.units.capitalize(), str(result.scored), f"of {result.expected} {result.kind.counted}"),
-        ("Scenes", str(scenes), f"of {counted(cameras, 'camera')}"),
+        ("Scenes", str(interval.scenes), f"of {counted(cameras, 'camera')}"),
     ]
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
-    from eldata.evaluation.looking import Grouping
+    from eldata.evaluation.looking import Column, Grouping
     from eldata.evaluation.scores import UnitScore
     from eldata.plots.axes import Theme
     from eldata.protocols.kinds import Kind, Metric
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 _USUAL = (0.8, 1.25)
 
 
-def score_plots(scores: Sequence[UnitScore], kind: Kind, *, rescaled: bool) -> tuple[Plot, ...]:
+def score_plots(scores: Sequence[UnitScore], kind: Kind, *, rescaled: bool, scenes_shared: bool) -> tuple[Plot, ...]:
     """Return the plots of a result; none of no scores. Those of the rescaling only if the protocol rescales."""
     finite = finite_scores(scores, kind)
     if not finite:
@@ -37,18 +37,23 @@ def score_plots(scores: Sequence[UnitScore], kind: Kind, *, rescaled: bool) -> t
     left_out = len(scores) - len(finite)
     note = f" Not drawn: {left_out} without a finite score." if left_out else ""
     groupings: tuple[Grouping, ...] = ("camera", "iso") if any(score.iso for score in finite) else ("camera",)
-    plots = [_strips(metric, by, finite, kind, note) for by in groupings for metric in kind.metrics]
+    plots = [
+        _strips(metric, columns_of(finite, by, scenes_shared=scenes_shared), by, kind, note)
+        for by in groupings
+        for metric in kind.metrics
+    ]
     positive = [score for score in finite if math.isfinite(score.rescale) and score.rescale > 0]
     if rescaled and positive:
-        plots += [_rescaling_plot(positive, kind), _rescaling_scores_plot(positive, kind)]
+        columns = columns_of(positive, "camera", scenes_shared=scenes_shared)
+        plots += [_rescaling_plot(columns, kind), _rescaling_scores_plot(positive, kind)]
     return tuple(plots)
 
 
 # --- one column per group -----------------------------------------------------------------------------------------
 
 
-def _strips(metric: Metric, by: Grouping, scores: Sequence[UnitScore], kind: Kind, note: str) -> Plot:
-    columns = columns_of(scores, by)
+def _strips(metric: Metric, columns: Sequence[Column], by: Grouping, kind: Kind, note: str) -> Plot:
+    scores = [score for column in columns for score in column.scores]
     groups = list(dict.fromkeys(column.group for column in columns))
     values = [score.values[metric.name] for score in scores]
 
@@ -71,17 +76,17 @@ def _strips(metric: Metric, by: Grouping, scores: Sequence[UnitScore], kind: Kin
     )
 
 
-def _rescaling_plot(scores: Sequence[UnitScore], kind: Kind) -> Plot:
-    factors = [score.rescale for score in scores]
+def _rescaling_plot(columns: Sequence[Column], kind: Kind) -> Plot:
+    factors = [score.rescale for column in columns for score in column.scores]
 
     def draw(axes: Axes, theme: Theme) -> None:
         _exposure_band(axes, theme, horizontal=True)
-        values = [column.to_draw("rescale", mean=False) for column in columns_of(scores, "camera")]
+        values = [column.to_draw("rescale", mean=False) for column in columns]
         strips(axes, values, theme)
         _factor_axis(axes, factors)
         axes.set_ylabel("rescaled by")
 
-    alt = f"Factor of each of {len(scores)} predictions by camera, from {min(factors):.3g} to {max(factors):.3g}."
+    alt = f"Factor of each of {len(factors)} predictions by camera, from {min(factors):.3g} to {max(factors):.3g}."
     said = plot_words("evaluation")["rescaling"]
     return drawn_axes("rescaling", said["title"], alt, said["caption"].format(units=kind.units), draw)
 

@@ -422,8 +422,8 @@ def check(bench: Bench, row: str) -> dict[str, float]:
 def with_interval(values: np.ndarray, scenes: list[str]) -> tuple[float, float]:
     """Return the mean of scores, or of differences, (seeds, images), and the half width of its 95 % interval.
 
-    Of the scenes by a bootstrap, and of the seeds by Student's law on their means, put together as independent. With
-    one seed its share is not known, and not in it.
+    Student's of the scenes, and Student's of the seeds' means, put together as independent. With one seed its share is
+    not known, and not in it.
     """
     from scipy.stats import t
 

@@ -130,17 +130,23 @@ def differences(generator: np.random.Generator, shared: float) -> NDArray[np.flo
 
 @pytest.mark.study
 @pytest.mark.parametrize("shared", [0.0, 0.3, 0.6, 0.9])
-def test_intervals_over_cameras_hold_the_truth_and_equal_methods_are_seldom_called_different(shared: float) -> None:
+@pytest.mark.parametrize("each", [[4] * 10, [1, 2, 3, 4, 1, 2, 3, 4, 1, 2]])  # how many cameras photographed a scene
+def test_intervals_over_cameras_hold_the_truth_and_equal_methods_are_seldom_called_different(
+    shared: float, each: list[int]
+) -> None:
     """4000 sets of 4 cameras and 10 scenes, 0.25 dB apart: 0.95 +- 4 x 0.0034, within 0.93 to 0.965.
+    Of scenes that fewer cameras photographed than others, intervals hold it in 0.94: 2.7 standard errors above 0.93.
 
     Of equal methods 5 % are called different: by intervals that leave out 0, and by p-values of 0.05 and less, which
     are multiples of 2 / 1024. Bounds of 0.04 and 0.065 are 2.7 and 4.5 standard errors from the largest below, 0.0488.
     """
     generator = np.random.default_rng([14, round(10 * shared)])
-    scenes = clusters_of(of_cameras(differences(generator, shared)), scenes_shared=True)
+    there = (np.arange(CAMERAS)[:, None] < each).repeat(IMAGES)
+    every = clusters_of(of_cameras(differences(generator, shared)), scenes_shared=True)
+    scenes = [scene for scene, kept in zip(every, there, strict=True) if kept]
     held = different = apart = 0
     for _ in range(SETS):
-        equal, first = differences(generator, shared).ravel(), np.full(len(scenes), 40.0)
+        equal, first = differences(generator, shared).ravel()[there], np.full(len(scenes), 40.0)
         found = paired_difference(first, first + 0.25 + equal, scenes).interval
         held += found.low <= 0.25 <= found.high
         null = paired_difference(first, first + equal, scenes)

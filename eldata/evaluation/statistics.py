@@ -111,7 +111,7 @@ def clusters_of(scores: Iterable[UnitScore], *, scenes_shared: bool) -> list[Has
 
 
 def over_scenes(*, shared: bool) -> str:
-    """Return what is drawn or flipped as one, in words."""
+    """Return what intervals and p-values are over, in words."""
     return "scenes" if shared else "the scenes of each camera"
 
 

@@ -71,7 +71,8 @@ class Recipe:
     seed
         First part of each frame's seed: (seed, place of the file, number of the copy).
     iso, row, extrapolate
-        As in :meth:`eldata.noise.CameraProfile.sample`.
+        As in :meth:`eldata.noise.CameraProfile.sample`. The noisy frames state this ISO; without one the whole ISO that
+        belongs to the drawn K, or the clean frame's where the profile knows none.
     per_image
         Noisy frames per clean one.
     format

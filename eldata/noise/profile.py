@@ -39,7 +39,8 @@ SCHEMA_WITH_STRUCTURE = 3  # with modes or without
 RowChoice = Literal["any", "nearest-gain", "measured"]
 
 _OF_ONE_MODE = ("tukey_lambda_fit", "gauss_fit", "row_fit")  # fields that a profile with modes leaves to them
-_GO_ON = "To go on with the nearer one's lines has to be asked for (extrapolate=True, --extrapolate)"
+_ASKED = "has to be asked for (extrapolate=True, or --extrapolate where a command has it)"
+_GO_ON = f"To go on with the nearer one's lines {_ASKED}"
 
 
 Sigma = Literal["TL", "G", "row"]
@@ -328,7 +329,7 @@ class CameraProfile:
         if not (low <= iso <= high or extrapolate):
             raise ArgumentError(
                 f"ISO {iso:g} is outside of the calibrated range {low:g} to {high:g} of {self.camera}; extrapolating "
-                "beyond it has to be asked for (extrapolate=True, --extrapolate)"
+                f"beyond it {_ASKED}"
             )
         if iso in gains:
             return gains[iso]

@@ -512,7 +512,7 @@ def test_the_gain_between_measured_isos_some_of_which_share_it(tmp_path: Path) -
     for iso, gain in ((64, 0.4), (99, 0.4), (125, 0.5), (320, 1.28), (640, 2.56), (1000, 3.2)):
         assert profile.gain_at_iso(iso) == pytest.approx(gain, rel=1e-12)
         for row in ("any", "nearest-gain"):
-            drawn = profile.sample(np.random.default_rng(0), iso=iso, row=row)  # type: ignore[arg-type]
+            drawn = profile.sample(np.random.default_rng(0), iso=iso, row=row)
             assert (drawn.gain_dn_per_e, drawn.iso) == (profile.gain_at_iso(iso), iso)
 
 
@@ -525,8 +525,12 @@ def test_the_gain_rises_wherever_the_measured_ones_do(seed: int) -> None:
     rows = tuple(
         ProfileRow(0.0, (0.0,) * 4, iso, gain) for iso, gain in zip(isos.tolist(), gains.tolist(), strict=True)
     )
-    ends = {"iso_range": (isos[0], isos[-1]), "gain_range_dn_per_e": (gains[0], gains[-1])}
-    profile = dataclasses.replace(FULL, rows=rows[::-1], **ends)  # their order is free
+    profile = dataclasses.replace(
+        FULL,
+        rows=rows[::-1],  # their order is free
+        iso_range=(float(isos[0]), float(isos[-1])),
+        gain_range_dn_per_e=(float(gains[0]), float(gains[-1])),
+    )
     every = np.arange(isos[0], isos[-1] + 1)
     found = np.array([profile.gain_at_iso(iso) for iso in every])
     assert np.all(np.diff(found) >= 0)

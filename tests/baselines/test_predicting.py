@@ -94,7 +94,7 @@ def test_from_the_command_to_a_better_score(tree: Tree, tmp_path: Path, capsys: 
 
 
 def test_a_profile_is_taken_between_its_isos() -> None:
-    """K of a camera whose ISO 50 has the gain of ISO 100; by one line from end to end it was 1.6 times as large at 125."""
+    """K of a camera whose ISO 50 has the gain of ISO 100; by one line from end to end 1.6 times that at 125."""
     known = known_profile(CAMERAS[0], (100, 200, 400, 800))
     profile = replace(known, rows=(replace(known.rows[0], iso=50.0), *known.rows), iso_range=(50.0, 800.0))
     base = CAMERAS[0].gain_dn_per_e(100)

@@ -80,7 +80,7 @@ def joint_fits(isos: Sequence[IsoCalibration], starts: Sequence[float] | None = 
     if starts:
         fitted = [_from(one, start, remarks) for one, start in zip(fitted, (None, *starts), strict=True)]
     modes = [one.mode for one in fitted]
-    ends = [end for mode in modes for end in mode.iso_range or (math.nan,)]
+    ends = [end for mode in modes for end in mode.iso_range or ()]
     if not all(low <= high for low, high in pairwise(ends)):  # K does not go with the ISO
         fitted = [replace(one, mode=replace(one.mode, iso_range=None)) for one in fitted]
         modes = [one.mode for one in fitted]
@@ -115,7 +115,9 @@ def _makes_a_mode(part: Sequence[IsoCalibration]) -> bool:
 
 
 def _fitted_mode(part: Sequence[IsoCalibration], is_one_of_several: bool, remarks: list[str]) -> FittedMode:
-    (least_gain, lowest), (most_gain, highest) = ((_gain(one), one.iso) for one in (part[0], part[-1]))
+    # An extended ISO has the K of its neighbour, and by chance the larger or the smaller one.
+    isos = [one.iso for one in part]
+    lowest, highest = min(isos), max(isos)
     where = f" from ISO {lowest:g} to {highest:g}" if is_one_of_several else ""
     tukey_lambda, gauss, rows = (
         _fitted(f"{name}{where}", _points(part, scale_of), remarks) for name, scale_of in _SCALES.items()
@@ -126,11 +128,11 @@ def _fitted_mode(part: Sequence[IsoCalibration], is_one_of_several: bool, remark
         else:
             remarks.append("sigma_row is withheld wherever K is known: the profile makes no row noise")
     mode = GainMode(
-        gain_range_dn_per_e=(least_gain, most_gain),
+        gain_range_dn_per_e=(_gain(part[0]), _gain(part[-1])),
         tukey_lambda_fit=tukey_lambda[1],
         gauss_fit=gauss[1],
         row_fit=rows[1],
-        iso_range=(lowest, highest) if lowest <= highest else None,
+        iso_range=(lowest, highest),
     )
     return FittedMode(mode, tukey_lambda[0], gauss[0], rows[0])
 

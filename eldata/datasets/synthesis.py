@@ -44,7 +44,7 @@ from eldata.raw.cfa import (
 )
 from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
-from eldata.records import Exposure, FrameRecord, RawFrame
+from eldata.records import Exposure, FrameRecord, RawFrame, exact_fraction
 from eldata.sources.frames import Frame
 
 if TYPE_CHECKING:
@@ -71,7 +71,8 @@ class Recipe:
     seed
         First part of each frame's seed: (seed, place of the file, number of the copy).
     iso, row, extrapolate
-        As in :meth:`eldata.noise.CameraProfile.sample`.
+        As in :meth:`eldata.noise.CameraProfile.sample`. The noisy frames state this ISO; without one the whole ISO that
+        belongs to the drawn K, or the clean frame's where the profile knows none.
     per_image
         Noisy frames per clean one.
     format
@@ -104,8 +105,13 @@ class Recipe:
         if self.per_image < 1:
             raise ArgumentError(f"per_image must be 1 or more; found {self.per_image}")
         check_choice("format", self.format, get_args(Format))
-        # Refuses now what the profile cannot be sampled with.
+        # Refuses now what the profile cannot be sampled with, and what a file cannot state.
         self.profile.sample(np.random.default_rng(0), iso=self.iso, row=self.row, extrapolate=self.extrapolate)
+        if self.iso is not None and self.format == "dng" and not (float(self.iso).is_integer() and self.iso < 2**32):
+            raise ArgumentError(
+                f"a DNG states its ISO as a whole number of 32 bits; found {self.iso:g}. Choose a whole one, or "
+                "format='npy' (--format npy)"
+            )
         for name, kind in (("dark_frames", "dark frames"), ("dark_shading", "the dark shading")):
             if (path := getattr(self, name)) is not None:
                 object.__setattr__(self, name, Path(path).absolute())  # workers may stand elsewhere
@@ -329,7 +335,11 @@ class _Draw:
         parameters = recipe.profile.sample(generator, iso=recipe.iso, row=recipe.row, extrapolate=recipe.extrapolate)
         low, high = recipe.ratio
         ratio = Fraction(round(float(generator.uniform(low, high)) * 100), 100)
-        iso = _iso_of(recipe.profile, parameters.gain_dn_per_e, clean.iso)
+        iso = clean.iso  # where the profile knows of none
+        if recipe.iso is not None:
+            iso = exact_fraction(recipe.iso)
+        elif (of_gain := recipe.profile.iso_at_gain(parameters.gain_dn_per_e)) is not None:
+            iso = Fraction(max(1, round(of_gain)))
         exposure_s = (clean.iso * clean.exposure_s / (iso * ratio)).limit_denominator(2**31)
         return cls(f"noisy-{copy + 1}.{recipe.format}", parameters, ratio, iso, exposure_s, generator)
 
@@ -404,11 +414,3 @@ def _cropped(frame: RawFrame) -> RawFrame:
     area = packed_area((frame.mosaic.shape[0], frame.mosaic.shape[1]), cfa)
     sensor = replace(frame.sensor, cfa=cfa_from(cfa, area.top, area.left), height=area.height, width=area.width)
     return replace(frame, mosaic=np.ascontiguousarray(frame.mosaic[area.slices]), sensor=sensor)
-
-
-def _iso_of(profile: CameraProfile, gain_dn_per_e: float, otherwise: Fraction) -> Fraction:
-    """Return the whole ISO that belongs to a gain, if the profile says how they go together."""
-    mode = profile.mode_at(gain_dn_per_e, extrapolate=True)
-    if mode.iso_range is None:
-        return otherwise
-    return Fraction(max(1, round(mode.iso_range[0] * gain_dn_per_e / mode.gain_range_dn_per_e[0])))

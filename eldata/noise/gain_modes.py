@@ -35,11 +35,11 @@ class GainMode:
     Attributes
     ----------
     gain_range_dn_per_e
-        System gain K at its lowest and its highest ISO.
+        Its lowest and its highest system gain K.
     tukey_lambda_fit, gauss_fit, row_fit
         Fits of sigma_TL, of the Gaussian sigma and of sigma_row over K.
     iso_range
-        The ISOs of ``gain_range_dn_per_e``, if known.
+        Its lowest and its highest ISO, if known: those of ``gain_range_dn_per_e``, where no row has them.
     """
 
     gain_range_dn_per_e: tuple[float, float]
@@ -58,16 +58,6 @@ class GainMode:
         """Return how far a gain lies from the range, as the absolute difference of logarithms; 0 within it."""
         low, high = self.gain_range_dn_per_e
         return max(0.0, math.log(low / gain_dn_per_e), math.log(gain_dn_per_e / high))
-
-    def gain_at_iso(self, iso: float) -> float | None:
-        """Return K at an ISO in proportion between the ends of the range, if their ISOs are known."""
-        if self.iso_range is None:
-            return None
-        (low, high), (first, last) = self.iso_range, self.gain_range_dn_per_e
-        if low == high:
-            return first * iso / low
-        share = math.log(iso / low) / math.log(high / low)
-        return math.exp(math.log(first) + share * math.log(last / first))
 
     def __str__(self) -> str:
         """Return the ISOs, or the gains where those are not known."""

@@ -39,7 +39,8 @@ SCHEMA_WITH_STRUCTURE = 3  # with modes or without
 RowChoice = Literal["any", "nearest-gain", "measured"]
 
 _OF_ONE_MODE = ("tukey_lambda_fit", "gauss_fit", "row_fit")  # fields that a profile with modes leaves to them
-_GO_ON = "To go on with the nearer one's lines has to be asked for (extrapolate=True, --extrapolate)"
+_ASKED = "has to be asked for (extrapolate=True, or --extrapolate where a command has it)"
+_GO_ON = f"To go on with the nearer one's lines {_ASKED}"
 
 
 Sigma = Literal["TL", "G", "row"]
@@ -80,13 +81,13 @@ class CameraProfile:
     camera, source
         The camera's name, and where the figures come from.
     gain_range_dn_per_e
-        System gain K at the lowest and the highest calibrated ISO.
+        The lowest and the highest system gain K that was calibrated.
     tukey_lambda_fit, gauss_fit, row_fit
         Fits of sigma_TL, of the Gaussian sigma and of sigma_row over K; ``None`` if there are ``modes``.
     rows
         Measurements by ISO.
     iso_range
-        The ISOs of ``gain_range_dn_per_e``, if known.
+        The lowest and the highest calibrated ISO, if known: those of ``gain_range_dn_per_e``, where no row has them.
     black_level_dn, white_level_dn
         Levels of the calibrated frames, if known.
     notes
@@ -300,15 +301,19 @@ class CameraProfile:
         return self.white_level_dn - self.black_level_dn
 
     def gain_at_iso(self, iso: float, *, extrapolate: bool = False) -> float:
-        """Return K at an ISO: the row's where one was measured, else in proportion between the known limits.
+        """Return K at an ISO: as measured there, else between the two measured ISOs next to it, in one gain mode.
+
+        ln K is straight over ln ISO from each measured ISO to the next one, which may have the same K, as extended ISOs
+        do. The ends of the ranges count as measured where no row has their ISO.
 
         Parameters
         ----------
         iso
-            ISO speed, within ``iso_range`` if the profile has one.
+            ISO speed, within ``iso_range``; within the ISOs of the rows where that is not known.
         extrapolate
-            Allow ISOs beyond it: at a row's K where one has it, else in proportion. The fits hold there only if the
-            camera goes on as it was measured; its extended ISOs often do not.
+            Allow ISOs beyond it and between two gain modes: at a row's K where one has it; else, unless it lies between
+            two rows of one mode, in proportion to the ISO from the nearest measured one on. The fits hold there only
+            if the camera goes on as it was measured; its extended ISOs often do not.
 
         Raises
         ------
@@ -317,37 +322,59 @@ class CameraProfile:
         """
         if not (math.isfinite(iso) and iso > 0):
             raise ArgumentError(f"an ISO is finite and above 0; found {iso:g}")
-        measured = [row.gain_dn_per_e for row in self.rows if row.iso == iso and row.gain_dn_per_e is not None]
-        modes = self.gain_modes
-        if self.iso_range is not None and not self.iso_range[0] <= iso <= self.iso_range[1] and not extrapolate:
-            low, high = self.iso_range
+        gains = self._gains_by_iso()
+        if not gains:
+            raise ArgumentError(f"the profile of {self.camera} does not say which ISO its gains belong to; give a gain")
+        low, high = self.iso_range or (min(gains), max(gains))
+        if not (low <= iso <= high or extrapolate):
             raise ArgumentError(
                 f"ISO {iso:g} is outside of the calibrated range {low:g} to {high:g} of {self.camera}; extrapolating "
-                "beyond it has to be asked for (extrapolate=True, --extrapolate)"
+                f"beyond it {_ASKED}"
             )
-        if not extrapolate and any(
-            below.iso_range is not None
-            and above.iso_range is not None
-            and below.iso_range[1] < iso < above.iso_range[0]
-            for below, above in pairwise(modes)
-        ):
+        if iso in gains:
+            return gains[iso]
+        around = [*[one for one in gains if one < iso][-1:], *[one for one in gains if one > iso][:1]]
+        if len(around) == 2 and self._share_a_mode(*(gains[one] for one in around)):
+            below, above = around
+            share = math.log(iso / below) / math.log(above / below)
+            return gains[below] * math.pow(gains[above] / gains[below], share)
+        if not extrapolate:
             raise ArgumentError(
-                f"ISO {iso:g} lies between the gain modes of {self.camera}, {' and '.join(map(str, modes))}: which of "
-                f"them the camera has there was not measured. {_GO_ON}"
+                f"ISO {iso:g} lies between the gain modes of {self.camera}, {' and '.join(map(str, self.modes))}: "
+                f"which of them the camera has between ISO {' and '.join(f'{one:g}' for one in around)} was not "
+                f"measured. {_GO_ON}"
             )
-        if measured:
-            return sum(measured) / len(measured)
-        # Of several modes the one that is nearest in ISO: within its range, or beyond it if that was asked for.
-        distances = [
-            0.0
-            if mode.iso_range is None
-            else max(0.0, math.log(mode.iso_range[0] / iso), math.log(iso / mode.iso_range[1]))
-            for mode in modes
-        ]
-        gain = modes[distances.index(min(distances))].gain_at_iso(iso)
-        if gain is None:
-            raise ArgumentError(f"the profile of {self.camera} does not say which ISO its gains belong to; give a gain")
-        return gain
+        nearest = min(around, key=lambda one: abs(math.log(one / iso)))
+        return gains[nearest] * iso / nearest
+
+    def iso_at_gain(self, gain_dn_per_e: float) -> float | None:
+        """Return the ISO at which :meth:`gain_at_iso` is K, the lowest of several; ``None`` if no ISO is known.
+
+        Beyond the measured gains, and between those of two gain modes, it is in proportion to the nearest one's.
+        """
+        gains = self._gains_by_iso()
+        for (below, first), (above, last) in pairwise(gains.items()):
+            if min(first, last) <= gain_dn_per_e <= max(first, last) and self._share_a_mode(first, last):
+                share = 0.0 if first == last else math.log(gain_dn_per_e / first) / math.log(last / first)
+                return below * math.pow(above / below, share)
+        nearest = min(gains, key=lambda iso: abs(math.log(gains[iso] / gain_dn_per_e)), default=None)
+        return None if nearest is None else nearest * gain_dn_per_e / gains[nearest]
+
+    def _gains_by_iso(self) -> dict[float, float]:
+        """Return K by ISO, ascending: the rows' mean, and the ends of the ranges where no row has their ISO."""
+        found: dict[float, list[float]] = {}
+        for row in self.rows:
+            if row.iso is not None and row.gain_dn_per_e is not None:
+                found.setdefault(row.iso, []).append(row.gain_dn_per_e)
+        for mode in self.gain_modes:
+            for iso, gain in zip(mode.iso_range or (), mode.gain_range_dn_per_e, strict=False):
+                found.setdefault(iso, [gain])
+        return {iso: sum(found[iso]) / len(found[iso]) for iso in sorted(found)}
+
+    def _share_a_mode(self, *gains: float) -> bool:
+        """Return whether gains are of one gain mode."""
+        modes = self.gain_modes
+        return len(modes) == 1 or any(max(map(mode.distance, gains)) <= GAIN_ROUNDING for mode in modes)
 
     def measured(self, iso: float) -> NoiseParameters:
         """Return the figures that were measured at an ISO, without the spread of the fits; the first of several.

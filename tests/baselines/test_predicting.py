@@ -9,6 +9,7 @@ import re
 import shutil
 import zipfile
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -19,7 +20,7 @@ import torch
 
 from eldata.baselines.classical import BASELINES
 from eldata.baselines.networks import load_network
-from eldata.baselines.predicting import BaselineDenoiser, PredictionReport, write_predictions
+from eldata.baselines.predicting import BaselineDenoiser, PredictionReport, typical, write_predictions
 from eldata.cli.baseline import NAMES
 from eldata.cli.main import main
 from eldata.datasets.eld import ELDDataset
@@ -90,6 +91,15 @@ def test_from_the_command_to_a_better_score(tree: Tree, tmp_path: Path, capsys: 
     (out / SETTINGS).rename(tmp_path / SETTINGS)
     assert main(["baseline", "dct", *of_set(tree), "-o", str(out)]) == 2
     assert "holds files, and none is predictions.json" in capsys.readouterr().err
+
+
+def test_a_profile_is_taken_between_its_isos() -> None:
+    """K of a camera whose ISO 50 has the gain of ISO 100; by one line from end to end 1.6 times that at 125."""
+    known = known_profile(CAMERAS[0], (100, 200, 400, 800))
+    profile = replace(known, rows=(replace(known.rows[0], iso=50.0), *known.rows), iso_range=(50.0, 800.0))
+    base = CAMERAS[0].gain_dn_per_e(100)
+    for iso, gain in ((50, base), (80, base), (125, 1.25 * base), (320, 3.2 * base)):
+        assert typical(profile, iso).gain_dn_per_e == pytest.approx(gain, rel=1e-12)
 
 
 def test_what_is_there_is_kept_and_other_settings_are_refused(tree: Tree, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shutil
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ import pytest
 from eldata import calibrate
 from eldata.calibration import Calibration, FramesError, fit_log_log, reproduction
 from eldata.calibration.camera import joined
+from eldata.cli.main import main
 from eldata.demo.body import Body, FixedFeatures
 from eldata.demo.calibration_frames import DEMO_FEATURES, DEMO_GAMMA
 from eldata.errors import ArgumentError, DatasetError
@@ -185,6 +187,35 @@ def test_the_text_shows_every_figure(found: Calibration) -> None:
     assert len(blocks[3].splitlines()) == 3 + 3
     assert [line.strip() for line in blocks[4].splitlines()[1:]] == list(found.all_remarks)
     assert max(map(len, text.split("remarks")[0].splitlines())) < 160
+
+
+# --- an extended ISO --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("share", [0.999, 1.001])
+def test_an_extended_iso_of_the_base_isos_gain(
+    found: Calibration, share: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its K by chance is the smaller one or the larger; a third of such profiles refused their own lowest ISO."""
+    base = found.isos[0]
+    assert base.transfer is not None
+    gain = share * base.transfer.gain_dn_per_e
+    extended = replace(base, iso=50.0, transfer=replace(base.transfer, gain_dn_per_e=gain))
+    wider = joined(CAMERA, [extended, *found.isos])
+    wider.profile.save(tmp_path / "wider.json")
+    profile = CameraProfile.load(tmp_path / "wider.json")
+    assert profile.iso_range == (50.0, 1600.0)
+    gains = [one.gain_dn_per_e for one in found.isos]
+    assert [profile.gain_at_iso(iso) for iso in (50, *ISOS)] == [gain, *gains]
+    assert profile.gain_range_dn_per_e == (min(gain, gains[0] or 0.0), gains[-1])
+    assert profile.gain_at_iso(200) == pytest.approx(math.sqrt((gains[0] or 0.0) * (gains[1] or 0.0)), rel=1e-12)
+
+    (remark,) = (note for note in profile.notes if note.startswith("K / ISO is usually"))
+    assert re.search(r"but not at ISO 50 \((1\.9|2\.0)\d of it\): an extended ISO", remark)
+    page = tmp_path / "page.html"
+    assert main(["profile", "show", str(tmp_path / "wider.json"), "--iso", "50", "--html", str(page)]) == 0
+    assert f"  note    {remark}\n" in capsys.readouterr().out
+    assert f"<dd>{remark}</dd>" in page.read_text(encoding="utf-8")
 
 
 # --- the same figures -------------------------------------------------------------------------------------------------

@@ -67,6 +67,34 @@ def test_hot_pixels_that_are_not_masked_change_little() -> None:
     assert found.gain_dn_per_e == pytest.approx(1, rel=0.01)
 
 
+def test_a_channel_that_is_hardly_known_hardly_counts() -> None:
+    """Four pairs; K = 1, but 1.3 in B, with a thirtieth of the light on a sixteenth of the pixels: plain mean 1.075."""
+    generator, shape = np.random.default_rng(7), (256, 384)
+    channel = np.array(BAYER)[np.arange(shape[0])[:, None] % 2, np.arange(shape[1]) % 2]
+    blue = channel == 2
+    gain = np.where(blue, 1.3, 1.0)
+    defects = blue & (np.arange(shape[0]) >= shape[0] // 16)[:, None]
+    flats = FlatPairs(BAYER, BLACK, 16383, defects=defects)
+    for level in (500, 3000, 6000, 9000):
+        electrons = level * np.where(blue, 1 / 30, 1.0) / gain
+        flats.add(
+            *(
+                np.rint(512 + gain * generator.poisson(electrons) + generator.normal(0, 10, shape)).astype(np.uint16)
+                for _ in range(2)
+            )
+        )
+    found = photon_transfer(flats)
+    gains = np.array([line.gain_dn_per_e for line in found.channels])
+    weights = np.array([line.gain_error for line in found.channels]) ** -2.0
+    assert weights.argmin() == 2
+    assert weights[2] < weights.sum() / 100
+    # Its 1.3 moves K by less than a hundredth of 0.3.
+    assert abs(found.gain_dn_per_e - 1) < 4 * found.gain_error + 0.003 < 0.03
+    assert gains.mean() - 1 > 4 * found.gain_error + 0.003
+    assert found.gain_dn_per_e == pytest.approx(np.average(gains, weights=weights), rel=1e-12)
+    assert found.gain_error == pytest.approx(weights.sum() ** -0.5, rel=1e-12)
+
+
 def test_one_channel_against_plain_numpy() -> None:
     """Segments of one row: temporal variance and mean as numpy computes them."""
     body = Body(Camera(shape=(12, 96), hot_share=0.0), np.random.default_rng(6))

@@ -9,6 +9,7 @@ from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
+import exifread
 import numpy as np
 import pytest
 
@@ -20,8 +21,9 @@ from eldata.datasets.packed_store import PackedStore
 from eldata.datasets.synthesis import Recipe, synthesize
 from eldata.datasets.synthesis_journal import NAME
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError
-from eldata.manifest import verify
+from eldata.manifest import load_manifest, verify
 from eldata.noise import CameraProfile, NoiseModel, NoiseParameters
+from eldata.noise.profile import ProfileRow
 from eldata.noise.shading_content import DarkCurrent
 from eldata.raw import bayer_cfa, read_raw, write_dng
 from eldata.raw.cfa import XTRANS_CFA, pack, pack_normalised
@@ -333,6 +335,59 @@ def test_dark_frames_and_dark_shading(tmp_path: Path) -> None:
         DatasetError, match=r"other.dng: has 32 x 64 pixels .* the dark shading of Planted is of 32 x 48"
     ):
         synthesize(clean, tmp_path / "third", recipe)
+
+
+# K as it is measured, nearly in proportion to the ISO, with an extended ISO 50 of the same gain as 100.
+CALIBRATED = replace(
+    SONY,
+    gain_range_dn_per_e=(0.1, 6.37),
+    rows=tuple(
+        ProfileRow(0.1, (0.0,) * 4, iso, gain)
+        for iso, gain in {50: 0.1, 100: 0.1, 200: 0.2, 400: 0.4, 800: 0.8, 1600: 1.599, 6400: 6.37}.items()
+    ),
+    iso_range=(50.0, 6400.0),
+)
+WANTED = (50, 100, 125, 320, 1600, 6400)
+
+
+# Regression: 1600 became 1599, 6400 became 6395 and 100 became 50, of which there is no dark shading.
+def test_the_iso_asked_for_is_the_iso_written_and_its_dark_shading_takes_the_frames(tmp_path: Path) -> None:
+    clean, csv = tmp_path / "clean", "manifests/{0}.csv"
+    clean.mkdir()
+    write_flat(clean / "a.dng", 32, 48)
+    CALIBRATED.save(tmp_path / "camera.json")
+    for iso in WANTED:
+        shading_of(sensor(32, 48), (iso,)).save(tmp_path / "s.npz")
+        out = tmp_path / f"iso{iso}"
+        noise = ["--camera", str(tmp_path / "camera.json"), "--model", "S", "--dark-shading", str(tmp_path / "s.npz")]
+        assert main(["synthesize", str(clean), "-o", str(out), *noise, "--iso", str(iso), "--ratio", "100"]) == 0
+        (row,) = (row for row in load_manifest(out / csv.format(out.name)).records if row.role == "noisy")
+        assert row.iso == iso
+        with (out / "data" / out.name / row.path).open("rb") as file:
+            assert exifread.process_file(file)["EXIF ISOSpeedRatings"].values == [iso]
+        options: dict[str, Any] = {"levels": "metadata", "clip": "none", "dark_shading": tmp_path / "s.npz"}
+        (pair,) = PairDataset(out / "data" / out.name, out / csv.format(out.name), **options)
+        assert pair["iso"] == iso
+        # What it added it takes off: the clean light is left, to the DNG's rounding, which the ratio makes larger.
+        np.testing.assert_allclose(pair["input"].numpy(), LEVEL, atol=100 * 0.51 / RANGE)
+
+
+def test_the_iso_of_a_drawn_gain_is_the_nearest_whole_one(clean: Path, tmp_path: Path) -> None:
+    manifest = synthesize(clean, tmp_path / "out", Recipe(CALIBRATED, per_image=6))
+    noisy = {row.path: row for row in manifest.records if row.role == "noisy"}
+    for frame in recorded(tmp_path / "out"):
+        iso = noisy[frame["path"]].iso
+        assert iso is not None
+        assert read_raw(tmp_path / "out" / "data" / "out" / frame["path"]).exposure.iso == iso
+        low, high = (CALIBRATED.gain_at_iso(float(iso + off)) for off in (-0.5, 0.5))
+        assert low <= frame["gain_dn_per_e"] <= high
+
+
+def test_an_iso_that_a_dng_cannot_state(clean: Path, tmp_path: Path) -> None:
+    with pytest.raises(ArgumentError, match=r"states its ISO as a whole number of 32 bits; found 112\.5"):
+        Recipe(SONY, iso=112.5)
+    manifest = synthesize(clean, tmp_path / "out", Recipe(SONY, iso=112.5, format="npy"))
+    assert {row.iso for row in load_manifest(manifest.path).records if row.role == "noisy"} == {Fraction(225, 2)}
 
 
 def test_only_the_same_dark_noise_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

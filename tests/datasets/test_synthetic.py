@@ -512,6 +512,20 @@ def test_the_iso_and_the_row_are_passed_on() -> None:
     assert everywhere == {row.tukey_lambda for row in sony.rows}
 
 
+def test_an_iso_between_two_that_were_measured() -> None:
+    """A camera whose ISO 50 has the gain of ISO 100; by one line from end to end K at ISO 320 was 1.61."""
+    sony = CameraProfile.load("SonyA7S2")
+    rows = tuple(
+        dataclasses.replace(sony.rows[0], iso=float(iso), gain_dn_per_e=gain)
+        for iso, gain in {50: 0.4, 100: 0.4, 200: 0.8, 400: 1.6, 800: 3.2}.items()
+    )
+    profile = dataclasses.replace(sony, rows=rows, iso_range=(50.0, 800.0), gain_range_dn_per_e=(0.4, 3.2))
+    for iso, gain in ((125, 0.5), (320, 1.28)):
+        for item in items(flat(profiles=profile, iso=iso, crops_per_frame=3)):
+            assert item["gain_dn_per_e"] == pytest.approx(gain, rel=1e-12)
+            assert item["iso"] == iso
+
+
 def measured_profile() -> CameraProfile:
     """The Sony with all figures of ISO 800 and 1600, off the lines of its fits, and not all of ISO 3200."""
     sony = CameraProfile.load("SonyA7S2")

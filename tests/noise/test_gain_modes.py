@@ -107,7 +107,7 @@ def test_an_iso_belongs_to_one_mode_and_nothing_is_known_between_them() -> None:
     for options, text in (
         (
             {"iso": 2000},
-            "ISO 2000 lies between the gain modes of Acme Nocturne 2, ISO 200 to 1600 and ISO 3200 to 12800",
+            "ISO 3200 to 12800: which of them the camera has between ISO 1600 and 3200 was not measured",
         ),
         (
             {"gain_dn_per_e": 2.0},
@@ -129,12 +129,38 @@ def test_an_iso_belongs_to_one_mode_and_nothing_is_known_between_them() -> None:
         assert drawn.tukey_lambda == nearest / 1e5
 
 
-def test_a_mode_without_isos() -> None:
+def test_modes_whose_isos_only_the_rows_know() -> None:
     modes = tuple(dataclasses.replace(mode, iso_range=None) for mode in TWO.modes)
     profile = dataclasses.replace(TWO, modes=modes, iso_range=None)
     assert exact(profile, iso=1600) == exact(TWO, iso=1600)
+    assert profile.gain_at_iso(1000) == pytest.approx(1.0)
+    with pytest.raises(ArgumentError, match="which of them the camera has between ISO 1600 and 3200"):
+        profile.gain_at_iso(2000)
+    silent = dataclasses.replace(profile, rows=tuple(dataclasses.replace(row, iso=None) for row in TWO.rows))
     with pytest.raises(ArgumentError, match="does not say which ISO"):
-        profile.gain_at_iso(1000)
+        silent.gain_at_iso(1000)
+
+
+def test_the_gain_follows_the_rows_of_its_own_mode() -> None:
+    """A camera whose gain doubles where it switches, is stated to from ISO 2000 on, and has an extended ISO 12800."""
+    gains = {200: 0.2, 400: 0.4, 800: 0.8, 1600: 1.6, 3200: 6.4, 6400: 12.8, 12800: 12.8}
+    profile = dataclasses.replace(
+        TWO,
+        rows=tuple(ProfileRow(0.1, (0.0,) * 4, iso, gain) for iso, gain in gains.items()),
+        modes=(LOW, dataclasses.replace(HIGH, gain_range_dn_per_e=(4.0, 12.8), iso_range=(2000, 12800))),
+    )
+    assert {iso: profile.gain_at_iso(iso) for iso in gains} == gains
+    for iso, gain in ((250, 0.25), (1250, 1.25), (2000, 4.0), (2500, 5.0), (4000, 8.0), (10000, 12.8)):
+        assert profile.gain_at_iso(iso) == pytest.approx(gain, rel=1e-12)
+        assert profile.iso_at_gain(gain) == pytest.approx(min(iso, 6400), rel=1e-12)
+    text = (
+        "ISO 200 to 1600 and ISO 2000 to 12800: which of them the camera has between ISO 1600 and 2000 was not measured"
+    )
+    for iso in (1601, 1999):
+        with pytest.raises(ArgumentError, match=text):
+            profile.gain_at_iso(iso)
+    for iso, gain in ((1700, 1.7), (1900, 3.8)):
+        assert profile.gain_at_iso(iso, extrapolate=True) == pytest.approx(gain, rel=1e-12), "the nearer mode goes on"
 
 
 def test_the_diagnostics_hold_each_draw_against_its_own_mode() -> None:

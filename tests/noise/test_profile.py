@@ -489,11 +489,63 @@ def test_the_gain_at_an_iso() -> None:
     low, high = sony.gain_range_dn_per_e
     assert sony.gain_at_iso(100) == low
     assert sony.gain_at_iso(6400) == pytest.approx(high, rel=1e-6)
-    assert sony.gain_at_iso(800) == 8 * low  # measured
-    assert sony.gain_at_iso(1000) == pytest.approx(10 * low, rel=1e-6)  # not measured: in proportion
+    assert sony.gain_at_iso(800) == 8 * low  # a row
+    assert sony.gain_at_iso(1000) == pytest.approx(10 * low, rel=1e-12)  # the rows' gains are in proportion
 
 
-def test_a_measured_gain_wins_over_the_proportion() -> None:
+# Truth by construction: ISO 50 is an extended one, which has the gain of ISO 100; so has 1600 that of 800.
+TRUE_GAINS = {50.0: 0.4, 100.0: 0.4, 200.0: 0.8, 400.0: 1.6, 800.0: 3.2, 1600.0: 3.2}
+EXTENDED = dataclasses.replace(
+    FULL,
+    gain_range_dn_per_e=(0.4, 3.2),
+    rows=tuple(ProfileRow(0.1, (0.0,) * 4, iso, gain, 1.5, 2.5, 0.5) for iso, gain in TRUE_GAINS.items()),
+    iso_range=(50.0, 1600.0),
+)
+
+
+# Regression: 0.796 at ISO 125 and 1.61 at ISO 320, on the line from one end of the range to the other.
+def test_the_gain_between_measured_isos_some_of_which_share_it(tmp_path: Path) -> None:
+    EXTENDED.save(tmp_path / "extended.json")
+    profile = CameraProfile.load(tmp_path / "extended.json")
+    assert profile == EXTENDED
+    assert {iso: profile.gain_at_iso(iso) for iso in TRUE_GAINS} == TRUE_GAINS
+    for iso, gain in ((64, 0.4), (99, 0.4), (125, 0.5), (320, 1.28), (640, 2.56), (1000, 3.2)):
+        assert profile.gain_at_iso(iso) == pytest.approx(gain, rel=1e-12)
+        for row in ("any", "nearest-gain"):
+            drawn = profile.sample(np.random.default_rng(0), iso=iso, row=row)
+            assert (drawn.gain_dn_per_e, drawn.iso) == (profile.gain_at_iso(iso), iso)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_gain_rises_wherever_the_measured_ones_do(seed: int) -> None:
+    """Against numpy's interpolation, at every whole ISO; a third of the neighbours have one gain."""
+    generator = np.random.default_rng(seed)
+    isos = np.unique(generator.integers(40, 4000, 12)).astype(float)
+    gains = 0.1 * np.cumprod(np.where(generator.random(len(isos)) < 1 / 3, 1.0, generator.uniform(1, 3, len(isos))))
+    rows = tuple(
+        ProfileRow(0.0, (0.0,) * 4, iso, gain) for iso, gain in zip(isos.tolist(), gains.tolist(), strict=True)
+    )
+    profile = dataclasses.replace(
+        FULL,
+        rows=rows[::-1],  # their order is free
+        iso_range=(float(isos[0]), float(isos[-1])),
+        gain_range_dn_per_e=(float(gains[0]), float(gains[-1])),
+    )
+    every = np.arange(isos[0], isos[-1] + 1)
+    found = np.array([profile.gain_at_iso(iso) for iso in every])
+    assert np.all(np.diff(found) >= 0)
+    np.testing.assert_array_equal(found[np.isin(every, isos)], gains)
+    np.testing.assert_allclose(found, np.exp(np.interp(np.log(every), np.log(isos), np.log(gains))), rtol=1e-12)
+
+
+def test_beyond_measured_isos_in_proportion_from_the_last_one() -> None:
+    for iso, gain in ((25, 0.2), (3200, 6.4), (1700, 3.4)):
+        with pytest.raises(ArgumentError, match="outside of the calibrated range 50 to 1600"):
+            EXTENDED.gain_at_iso(iso)
+        assert EXTENDED.gain_at_iso(iso, extrapolate=True) == pytest.approx(gain, rel=1e-12)
+
+
+def test_rows_of_one_iso_and_the_ends_of_a_range_that_no_row_has() -> None:
     rows = (
         ProfileRow(0.0, (0.0,) * 4, iso=200.0, gain_dn_per_e=0.3),
         ProfileRow(0.0, (0.0,) * 4, iso=200.0, gain_dn_per_e=0.5),
@@ -501,9 +553,19 @@ def test_a_measured_gain_wins_over_the_proportion() -> None:
     )
     profile = dataclasses.replace(FULL, rows=rows)
     assert profile.gain_at_iso(200) == pytest.approx(0.4)
-    assert profile.gain_at_iso(400) == pytest.approx(0.4)
-    # Measured beyond the range, or where there is none.
+    assert [profile.gain_at_iso(iso) for iso in (100, 12800)] == [0.1, 12.8]
+    assert profile.gain_at_iso(400) == pytest.approx(0.4 * 32 ** (1 / 6)), "one stop of six from 200 to 12800"
     assert dataclasses.replace(profile, iso_range=None).gain_at_iso(200) == pytest.approx(0.4)
+
+
+def test_the_iso_of_a_gain() -> None:
+    for gain in np.geomspace(0.4, 3.2, 50)[1:-1]:
+        iso = EXTENDED.iso_at_gain(gain)
+        assert iso is not None
+        assert EXTENDED.gain_at_iso(iso) == pytest.approx(gain, rel=1e-12)
+    for gain, iso in ((0.4, 50), (0.5, 125), (1.6, 400), (3.2, 800), (0.2, 25), (6.4, 1600)):
+        assert EXTENDED.iso_at_gain(gain) == pytest.approx(iso, rel=1e-12)
+    assert dataclasses.replace(FULL, rows=FULL.rows[1:], iso_range=None).iso_at_gain(1.0) is None
 
 
 @pytest.mark.parametrize("iso", [99.0, 6401.0, 10000.0, 12800.0, 25600.0])
@@ -618,7 +680,7 @@ def test_levels_that_make_no_sense() -> None:
 
 
 def test_an_iso_of_a_profile_that_knows_none() -> None:
-    profile = dataclasses.replace(FULL, iso_range=None)
+    profile = dataclasses.replace(FULL, rows=FULL.rows[1:], iso_range=None)
     with pytest.raises(ArgumentError, match=r"does not say which ISO its gains belong to; give a gain"):
         profile.sample(np.random.default_rng(0), iso=800)
 

@@ -58,7 +58,7 @@ class Folder:
             If the address has a protocol that fsspec does not know, or whose package is not installed.
         """
         try:
-            system, path = url_to_fs(self.address, **self.options | self._web_options())
+            system, path = url_to_fs(self.address, **{**self.options, **self._web_options()})
         except (ValueError, ImportError) as error:
             raise ArgumentError(f"{self.address}: cannot be opened ({error})") from error
         return system, path.rstrip("/")

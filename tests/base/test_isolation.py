@@ -159,7 +159,10 @@ def read_what_cannot_be_read(_: Path) -> bytes:
 def test_a_disk_that_fails_names_the_file_and_is_not_called_damage(isolate: bool, tmp_path: Path) -> None:
     file = tmp_path / "IMG_0001.dng"
     file.write_bytes(b"II*\0")
-    with isolation(isolate), pytest.raises(RawFileError, match=r"^\S*IMG_0001\.dng: cannot be read: Input/output error"):
+    with (
+        isolation(isolate),
+        pytest.raises(RawFileError, match=r"^\S*IMG_0001\.dng: cannot be read: Input/output error"),
+    ):
         guarded_file(read_what_cannot_be_read, file, RawFileError)
 
 

@@ -47,8 +47,8 @@ if TYPE_CHECKING:
     from eldata.raw.cfa import CfaRows
     from eldata.sources.store.chunks import ChunkTable
 
-# A finished store is never written again, so readers need no lock, which some network disks do not have. But HDF5 opens a
-# file twice in one process only if both ask for the same: h5py's own default, or what the user's code says.
+# A finished store is never written again, so readers need no lock, which some network disks do not have. But HDF5 opens
+# a file twice in one process only if both ask for the same: h5py's own default, or what the user's code says.
 _LOCKING = (False, None, True, "best-effort")
 # Enough for the chunks of a few rows of a crop; a read visits each chunk once. HDF5 frees it with the frame.
 _CHUNK_CACHE_BYTES = 1 << 20

@@ -44,6 +44,7 @@ Kind = Literal[
     "scene-order",
     "no-times",
     "aperture",
+    "metered",
     "copies",
     "retaken",
     "skipped",

@@ -7,13 +7,12 @@ that leads out of its folder is how a manifest from a stranger would reach other
 from __future__ import annotations
 
 import os
-import shutil
 import sys
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import IO, TYPE_CHECKING, Final
 
 from capture.capture_errors import MappingError
-from eldata.base.files import remove_leftovers, sha256_of, temporary_file
+from eldata.base.files import naming_file, remove_leftovers, sha256_of, temporary_file
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -68,7 +67,8 @@ def copy(placement: Placement) -> None:
     target.parent.mkdir(parents=True, exist_ok=True)
     try:
         with source.open("rb") as reading, temporary_file(target) as (writing, temporary):
-            shutil.copyfileobj(reading, writing, _PIECE)
+            while piece := _read_piece(reading, source):
+                writing.write(piece)
             writing.flush()
             os.fsync(writing.fileno())
             seen = os.fstat(reading.fileno())
@@ -80,6 +80,18 @@ def copy(placement: Placement) -> None:
             rename_to_new(temporary, target)
     except FileExistsError:
         raise _occupied(target) from None
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        raise MappingError(
+            f"cannot write {target}: {error.strerror or error}; the files copied before it stay, and the same command "
+            "goes on"
+        ) from error
+
+
+def _read_piece(file: IO[bytes], path: Path) -> bytes:
+    with naming_file(path):
+        return file.read(_PIECE)
 
 
 def link(placement: Placement) -> None:

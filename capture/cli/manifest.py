@@ -103,6 +103,7 @@ def run(arguments: argparse.Namespace) -> int:
     from capture.apertures import aperture_remarks
     from capture.mapping import load_mapping, mapping_as_dict
     from capture.matching import match, other_reading
+    from capture.metering import explain_metering
     from capture.noted import match_noted
     from capture.observed import observe, raw_files
     from capture.plan import Plan
@@ -144,6 +145,7 @@ def run(arguments: argparse.Namespace) -> int:
         if progress is not None:
             matching = partial(match_noted, progress=progress, repeated=arguments.repeated)
         found = matching(plan, observed)
+        found = explain_metering(plan, observed, found)
         if arguments.order is None:
             other = other_reading(plan, observed, found, matching)
     else:
@@ -168,9 +170,9 @@ def run(arguments: argparse.Namespace) -> int:
             f"\n{len(found.missing)} of {len(plan.shots)} shots have no file. Take them again, or accept the gaps with"
         )
         print("--allow-gaps; --only names the scenes to begin with.")
-        return _leave_mapping(output, plan, observed, found)
+        return _leave_mapping(output, plan, observed, found, "--allow-gaps" if arguments.yes else "--allow-gaps --yes")
     if found.doubtful and arguments.mapping is None and not arguments.yes and not _confirmed():
-        return _leave_mapping(output, plan, observed, found)
+        return _leave_mapping(output, plan, observed, found, "--yes")
     _write(whole, found, begun, output, arguments, workers)
     return OK
 
@@ -208,8 +210,11 @@ def _confirmed() -> bool:
         return False
 
 
-def _leave_mapping(output: Path, plan: Plan, observed: Observed, found: Match) -> int:
-    """Write the mapping for a person to edit, unless one that may be edited is there."""
+def _leave_mapping(output: Path, plan: Plan, observed: Observed, found: Match, accepting: str) -> int:
+    """Write the mapping for a person to edit, unless one that may be edited is there.
+
+    ``accepting`` are the options with which this command would take it as it is.
+    """
     from capture.mapping import mapping_as_dict
     from eldata.base.files import json_text, write_text
 
@@ -222,7 +227,7 @@ def _leave_mapping(output: Path, plan: Plan, observed: Observed, found: Match) -
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, text)
     print(f"no manifest was written. The mapping is in {path}: look at it, edit it and pass it back with")
-    print(f"--mapping {path}, or accept it as it is with --yes")
+    print(f"--mapping {path}, or accept it as it is with {accepting}")
     return PROBLEMS
 
 

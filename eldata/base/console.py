@@ -321,6 +321,12 @@ def _explained(error: BaseException, arguments: argparse.Namespace) -> tuple[int
     if isinstance(error, OSError) and error.filename is not None:
         _drop_output()
         return UNUSABLE, f"{error.filename}: {error.strerror}"
+    if isinstance(error, OSError) and error.strerror:
+        return UNUSABLE, f"the system refused a step of this: {error.strerror}; --debug shows which"
+    from eldata.base.workers import blamed
+
+    if isinstance(error, Exception) and isinstance(known := blamed(error), EldataError):
+        return UNUSABLE, str(known)
     return UNUSABLE, f"unexpected {type(error).__name__}: {error}; --debug shows where"
 
 

@@ -25,9 +25,20 @@ if TYPE_CHECKING:
 _LONGEST_PATH = 4096
 
 
+@contextmanager
+def naming_file(path: Path) -> Iterator[None]:
+    """Let an ``OSError`` of the block name this file: the system names it only where it is opened."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None:
+            error.filename = str(path)
+        raise
+
+
 def sha256_of(path: Path) -> str:
     """Return ``sha256:<hex>`` of a file's bytes, read in pieces."""
-    with path.open("rb") as file:
+    with naming_file(path), path.open("rb") as file:
         return f"sha256:{hashlib.file_digest(file, 'sha256').hexdigest()}"
 
 
@@ -63,6 +74,14 @@ def folder_problem(folder: Path) -> str | None:
     if folder.is_dir():
         return None
     return "is a file, not a folder" if folder.exists() else "there is no such folder"
+
+
+def current_folder() -> str | None:
+    """Return where relative paths start; ``None`` if that folder was removed."""
+    try:
+        return str(Path.cwd())
+    except OSError:
+        return None
 
 
 def write_problem(path: Path) -> str | None:

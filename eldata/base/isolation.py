@@ -33,15 +33,16 @@ import sys
 import threading
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from pathlib import Path
+from functools import partial
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from eldata.base.files import check_posix, file_problem
+from eldata.base.files import check_posix, current_folder, file_problem
 from eldata.errors import ArgumentError, EldataError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
+    from pathlib import Path
 
     from eldata.errors import FileError
 
@@ -172,7 +173,7 @@ def guarded(work: Callable[..., Result], *arguments: object, limits: Limits = LI
     if not isolating():
         return work(*arguments)
     check_posix("decoding in a process of its own")
-    request = pickle.dumps((_folder(), limits, work, arguments))
+    request = pickle.dumps((current_folder(), limits, work, arguments))
     with suppress(IndexError, _LostError):  # an earlier file may have left it in a bad state: a new one tells
         return _idle.pop().answer(request, limits)  # type: ignore[no-any-return]
     return _Helper().answer(request, limits)  # type: ignore[no-any-return]
@@ -205,12 +206,21 @@ def guarded_file(
     if problem is not None:
         raise error(path, problem)
     try:
-        return guarded(work, path, limits=limits)
+        return guarded(partial(_read_file, work), path, error, limits=limits)
     except GuardError as how:
         raise error(path, f"{how}; is the file whole, and what it says it is?") from None
     except MemoryError as lack:
         reason = "needs more memory than there is; is the file whole, and what it says it is?"
         raise error(path, reason) from lack
+
+
+def _read_file(work: Callable[[Path], Result], path: Path, error: type[FileError]) -> Result:
+    try:
+        return work(path)
+    except OSError as cause:
+        if cause.errno is None:  # not the system's: a library that does not load, say
+            raise
+        raise error(path, f"cannot be read: {cause.strerror or cause}") from cause
 
 
 # --- the parent's side ------------------------------------------------------------------------------------------------
@@ -226,18 +236,25 @@ class _Helper:
     def __init__(self) -> None:
         import subprocess
 
-        self._socket, theirs = socket.socketpair()
+        try:
+            self._socket, theirs = socket.socketpair()
+        except OSError as error:
+            raise _unstartable(error) from error
         start = f"import sys; sys.path[:] = {sys.path!r}; from eldata.base.isolation import serve; serve()"
         environment = os.environ | {VARIABLE: "0"} | _ENVIRONMENT
         with theirs:
             theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SOCKET_BYTES)
-            self._process = subprocess.Popen(  # noqa: S603 # this interpreter
-                [sys.executable, "-c", start],
-                stdin=theirs.fileno(),
-                stdout=subprocess.DEVNULL,
-                env=environment,
-                start_new_session=True,  # Ctrl-C goes to the parent alone
-            )
+            try:
+                self._process = subprocess.Popen(  # noqa: S603 # this interpreter
+                    [sys.executable, "-c", start],
+                    stdin=theirs.fileno(),
+                    stdout=subprocess.DEVNULL,
+                    env=environment,
+                    start_new_session=True,  # Ctrl-C goes to the parent alone
+                )
+            except OSError as error:
+                self._socket.close()
+                raise _unstartable(error) from error
         _all.add(self)
         try:
             self._socket.settimeout(_START_S)
@@ -318,12 +335,11 @@ if _CAN_ISOLATE:
     os.register_at_fork(after_in_child=_forget_all)
 
 
-def _folder() -> str | None:
-    """Return where relative paths start."""
-    try:
-        return str(Path.cwd())
-    except OSError:  # it was removed
-        return None
+def _unstartable(error: OSError) -> EldataError:
+    return EldataError(
+        f"the process that is to decode cannot be started: {error.strerror or error}; --no-isolate "
+        "(eldata.isolation(False)) decodes in this one"
+    )
 
 
 def _ending(code: int) -> str:

@@ -69,7 +69,8 @@ class Lifeline:
             self._ours.settimeout(_GRACE_S + _START_S)
             self._ours.recv(1)  # nothing, once each of them has closed its end
         for worker in self.context.workers:
-            worker.kill()
+            if worker.pid is not None:  # the system may have refused to start it
+                worker.kill()
 
 
 class _InMainThread:

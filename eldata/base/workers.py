@@ -9,6 +9,7 @@ do not pile up; else 64.
 from __future__ import annotations
 
 import copy
+import errno
 import os
 import socket
 import sys
@@ -26,13 +27,14 @@ from concurrent.futures import (
     wait,
 )
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial, wraps
 from typing import TYPE_CHECKING, Any, Generic, ParamSpec, Protocol, TypeVar
 
 from tqdm import tqdm
 
+from eldata.base.files import current_folder
 from eldata.base.isolation import isolating, set_isolation
 from eldata.base.lifeline import Lifeline, begin, interruptible
 from eldata.base.main_guard import require_main_guard
@@ -134,9 +136,7 @@ class Workers:
         Raises
         ------
         EldataError
-            If a unit's worker is lost, and lost again as the unit runs alone; if the executor cannot run units at all;
-            or if worker processes would run the caller's script again (:mod:`eldata.base.main_guard`). Errors that
-            ``work`` raises come through as they are.
+        X
         """
         return _results(self.attempt(work, units, label=label, unit=unit))
 
@@ -150,6 +150,8 @@ class Workers:
         """
         with tqdm(total=len(units), desc=label, unit=unit, disable=None, leave=False) as bar:
             for outcome in _outcomes(work, units, self):
+                if isinstance(outcome, Failed) and isinstance(outcome.error, BrokenInstallationError):
+                    raise outcome.error
                 bar.update()
                 yield outcome
 
@@ -268,14 +270,33 @@ def _run_unit(
         if _here() != caller:
             set_isolation(isolate)
         return work(unit)
-    except Exception as error:  # noqa: BLE001 # whatever it is, it is the unit's
+    except Exception as raised:  # noqa: BLE001 # whatever it is, it is the unit's
         raise_if_told()
+        error = blamed(raised)
         host, process = _here()
         if (host, process) == caller:
             return Failed(unit, error)
         # A traceback does not travel.
         error.add_note(f"on {host}, process {process}:\n{traceback.format_exc()}")
         return Failed(unit, _transportable(error))
+
+
+class BrokenInstallationError(EldataError):
+    """A library does not load: no unit is to blame, and none would succeed."""
+
+
+def blamed(error: Exception) -> Exception:
+    """Return an error as it is, or that a library does not load if a module raised it as it was imported."""
+    if not (isinstance(error, ImportError) or (isinstance(error, OSError) and error.errno is None)):
+        return error
+    told = "".join(traceback.format_exception(error))
+    if ", in <module>" not in told:  # where a module runs: here or, as a note says, in the process that decodes
+        return error
+    broken = BrokenInstallationError(
+        f"a library that eldata needs does not load ({error}): install eldata again, in a fresh environment"
+    )
+    broken.add_note(f"on {socket.gethostname()}:\n{told}")
+    return broken
 
 
 def _here() -> tuple[str, int]:
@@ -475,13 +496,41 @@ class _Lent:
         )
 
 
+@contextmanager
+def _starting() -> Iterator[None]:
+    """Say what to do if the system refuses to start a process, or what processes have in common.
+
+    Raises
+    ------
+    EldataError
+        If it does.
+    """
+    try:
+        yield
+    except OSError as error:
+        advice = "are /dev/shm and the temporary folder there, with room, and may you write to them?"
+        if error.errno in (errno.EMFILE, errno.ENFILE):
+            advice = "let more files be open at a time (ulimit -n)"
+        elif current_folder() is None:
+            advice = "the current folder was removed: change to another one"
+        raise EldataError(
+            f"worker processes cannot be started ({error.strerror or error}): {advice}; one job "
+            "(--jobs 1, workers=1) needs none"
+        ) from error
+
+
 class _Own:
     """Processes of our own."""
 
     def __init__(self, jobs: int) -> None:
         self._jobs = jobs
-        self._lifeline = Lifeline()
-        self._pool = self._new()
+        with _starting():
+            self._lifeline = Lifeline()
+            try:
+                self._pool = self._new()
+            except BaseException:
+                self._lifeline.cut()
+                raise
 
     def _new(self) -> ProcessPoolExecutor:
         line = self._lifeline
@@ -498,7 +547,8 @@ class _Own:
             return self._start(unit)
 
     def _start(self, unit: Callable[[], Any]) -> Future[Any]:
-        return self._pool.submit(interruptible, unit)
+        with _starting():
+            return self._pool.submit(interruptible, unit)
 
     def is_loss(self, error: BaseException) -> bool:
         return isinstance(error, BrokenProcessPool)

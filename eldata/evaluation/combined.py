@@ -74,11 +74,23 @@ class CombinedResult:
         shared = [(score.values[name], first[score.path]) for score in result.scores if score.path in first]
         return mean([0.0 if one == other else one - other for one, other in shared]), len(shared)
 
+    def is_suspect(self, result: EvaluationResult) -> bool:
+        """Return whether the predictions look wrong under a protocol, and not under the first one.
+
+        They were made for other levels, say: its scores then differ from the first's by more than the rules of scoring.
+        """
+        known = {(one.words, one.where) for one in self.results[0].suspicions}
+        return any((one.words, one.where) not in known for one in result.suspicions)
+
     def spans(self) -> dict[str, float]:
-        """Return how far apart the protocols' means of each metric lie, over the pairs that each shares."""
+        """Return how far apart the protocols' means of each metric lie, over the pairs that each shares.
+
+        Protocols under which the predictions are suspect are left out.
+        """
+        sound = [result for result in self.results if not self.is_suspect(result)]
         found = {}
         for metric in self.results[0].kind.metrics:
-            shifts = [shift for shift, shared in (self.shift(one, metric.name) for one in self.results) if shared]
+            shifts = [shift for shift, shared in (self.shift(one, metric.name) for one in sound) if shared]
             found[metric.name] = max(shifts) - min(shifts) if shifts else 0.0
         return found
 
@@ -104,7 +116,9 @@ class CombinedResult:
             for ratio in (*ratios, None)
         ]
         against = ""
-        if result is not self.results[0]:
+        if self.is_suspect(result):
+            against = "suspect"
+        elif result is not self.results[0]:
             difference, shared = self.shift(result, metric.name)
             places = metric.places
             against = f"{round(difference, places) + 0.0:+.{places}f}" if shared else "-"

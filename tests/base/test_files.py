@@ -49,6 +49,11 @@ def only(path: Path, content: bytes) -> bool:
 # --- what may be opened ---------------------------------------------------------------------------------------
 
 
+def test_a_file_that_cannot_be_read_to_its_end_is_named() -> None:
+    with pytest.raises(OSError, match=r"Input/output error: '/proc/self/mem'"):
+        sha256_of(Path("/proc/self/mem"))
+
+
 def test_only_a_file_with_something_in_it_may_be_opened(tmp_path: Path) -> None:
     """A named pipe would be waited for; none of these is opened."""
     (tmp_path / "file").write_bytes(b"x")

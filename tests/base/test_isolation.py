@@ -6,6 +6,7 @@ The work is functions of the standard library and of numpy, which any process ca
 from __future__ import annotations
 
 import ctypes
+import errno
 import os
 import signal
 import subprocess
@@ -22,9 +23,9 @@ import numpy as np
 import pytest
 
 import eldata.base.isolation
-from eldata.base.isolation import VARIABLE, GuardError, Limits, guarded, isolating, isolation
+from eldata.base.isolation import VARIABLE, GuardError, Limits, guarded, guarded_file, isolating, isolation
 from eldata.base.workers import Workers
-from eldata.errors import ArgumentError, RawFileError
+from eldata.errors import ArgumentError, EldataError, RawFileError
 from eldata.records import Exposure, RawHeader
 from tests.cases import in_one_test
 from tests.waiting import PATIENCE_S, until
@@ -147,6 +148,31 @@ def test_only_records_arrays_and_plain_values_are_taken(isolated: None) -> None:
     for code in ("open", "__import__('subprocess').Popen", "__import__('eldata').__version__.__class__"):
         with pytest.raises(TypeError, match="expected records, arrays and plain values"):
             guarded(eval, code)
+
+
+def read_what_cannot_be_read(_: Path) -> bytes:
+    with Path("/proc/self/mem").open("rb", buffering=0) as file:
+        return file.read(1)  # the system's own Input/output error
+
+
+@pytest.mark.parametrize("isolate", [False, True])
+def test_a_disk_that_fails_names_the_file_and_is_not_called_damage(isolate: bool, tmp_path: Path) -> None:
+    file = tmp_path / "IMG_0001.dng"
+    file.write_bytes(b"II*\0")
+    with (
+        isolation(isolate),
+        pytest.raises(RawFileError, match=r"^\S*IMG_0001\.dng: cannot be read: Input/output error"),
+    ):
+        guarded_file(read_what_cannot_be_read, file, RawFileError)
+
+
+def test_a_process_that_cannot_be_started_is_blamed(isolated: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refusing() -> None:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    monkeypatch.setattr("socket.socketpair", refusing)
+    with pytest.raises(EldataError, match=r"cannot be started: Too many open files; --no-isolate"):
+        guarded(abs, -1)
 
 
 def test_relative_paths_are_those_of_the_caller(

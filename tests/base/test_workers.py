@@ -6,6 +6,7 @@ The work is functions of the standard library, which a spawned process can impor
 from __future__ import annotations
 
 import contextlib
+import errno
 import multiprocessing
 import os
 import py_compile
@@ -17,6 +18,7 @@ import time
 import weakref
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
@@ -141,6 +143,56 @@ def test_the_error_names_the_unit_that_kills() -> None:
     assert [next(results) for _ in range(7)] == [None] * 7
     with pytest.raises(EldataError, match=r"^9: a worker process died"):
         next(results)
+
+
+STARTS = """
+import os, resource, sys
+from pathlib import Path
+from eldata.base.workers import Workers
+
+if __name__ == "__main__":
+    at, most = sys.argv[1:]
+    os.chdir(at)
+    Path(at).rmdir() if most == "gone" else resource.setrlimit(resource.RLIMIT_NOFILE, (int(most), int(most)))
+    print(list(Workers(2).run(abs, [1, 2, 3])))
+"""
+
+
+@pytest.mark.parametrize(
+    ("most", "advice"), [(most, "ulimit -n") for most in ("14", "17", "19")] + [("gone", "folder")]
+)
+def test_a_system_that_starts_no_workers_is_blamed(most: str, advice: str, tmp_path: Path) -> None:
+    """With 14, 17 and 19 open files the first socket, the pool's own pipes, and a worker's are too many."""
+    script, at = tmp_path / "work.py", tmp_path / "here"
+    script.write_text(STARTS, encoding="utf-8")
+    at.mkdir()
+    command = [sys.executable, str(script), str(at), most]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    last = done.stderr.splitlines()[-1]
+    assert done.returncode == 1, done.stdout
+    assert "worker processes cannot be started" in last
+    assert advice in last
+    assert "--jobs 1" in last
+
+
+def test_shared_memory_that_cannot_be_written_is_blamed(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refusing(*_: object, **__: object) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    monkeypatch.setattr(workers, "ProcessPoolExecutor", refusing)
+    with pytest.raises(EldataError, match=r"Read-only file system.*/dev/shm.*--jobs 1"):
+        list(Workers(2).run(abs, [1, 2]))
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+@pytest.mark.parametrize("raised", ["OSError('no libllvmlite.so')", "ImportError('undefined symbol')"])
+def test_a_library_that_does_not_load_is_no_fault_of_the_units(
+    raised: str, jobs: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "broken_library.py").write_text(f"raise {raised}\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(EldataError, match=r"does not load \((no libllvmlite\.so|undefined symbol)\): install eldata"):
+        list(Workers(jobs).attempt(import_module, ["broken_library"] * 3))
 
 
 UNGUARDED = """

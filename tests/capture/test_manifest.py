@@ -206,6 +206,9 @@ def test_everything_that_goes_wrong(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert not field.csv.exists()
     assert not field.data.exists()
 
+    assert field.copy("--yes") == 1  # which has been said
+    assert "accept it as it is with --allow-gaps\n" in capsys.readouterr().out
+    field.mapping.unlink()
     assert field.copy("--allow-gaps") == 1  # still to be confirmed
     assert field.mapping.exists()
     assert field.copy("--allow-gaps", "--yes") == 0

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from capture.calibration import plan_calibration
 from capture.matching import Match, match
+from capture.metering import explain_metering
 from capture.observed import Observed, ObservedFrame
 from eldata.errors import ArgumentError
 from tests.capture.simulated import START, Taken, as_planned, plan_of
@@ -296,3 +297,29 @@ def test_frames_of_another_plan() -> None:
 def test_repeated_must_be_known() -> None:
     with pytest.raises(ArgumentError, match="repeated must be 'last' or 'first'"):
         match(plan_of("4"), Observed((), (), True), repeated="best")  # type: ignore[arg-type]
+
+
+# --- scenes that were metered again -----------------------------------------------------------------------------------
+
+
+def explained(plan: Plan, shot: Plan, *more: Press) -> Match:
+    observed, _ = develop([*session(shot), *more])
+    return explain_metering(plan, observed, match(plan, observed))
+
+
+def test_a_scene_that_was_metered_again_is_one_line_with_what_to_do() -> None:
+    plan = plan_of("4", "4", "1")
+    found = explained(plan, plan.remeter("scene-2", Fraction(16, 5)))
+    (remark,) = [remark for remark in found.remarks if remark.kind == "metered"]
+    assert "16 of its 16 frames are there if it was metered at 3.2 s" in remark.text
+    assert "--remeter scene-2=3.2" in remark.text
+    assert "extra" not in kinds(found)
+    assert found.doubtful
+
+
+def test_of_what_no_metered_time_explains_each_file_is_named() -> None:
+    plan = plan_of("4", "1")
+    assert explained(plan, plan).remarks == ()
+    found = explained(plan, plan.only(["scene-1"]), EXTRA)
+    assert "metered" not in kinds(found)
+    assert [remark.path for remark in found.remarks if remark.kind == "extra"] == [Path("DSC0016.ARW")]

@@ -1,9 +1,11 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -54,6 +56,23 @@ def test_a_dangling_link_is_not_written_through(placement: Placement, tmp_path: 
     with pytest.raises(MappingError, match="appeared meanwhile"):
         copy(placement)
     assert not (tmp_path / "elsewhere").exists()
+
+
+@pytest.mark.parametrize("side", ["source", "target"])
+def test_the_disk_that_fails_is_named(side: str, placement: Placement) -> None:
+    """A source that the system does not let be read; a target for which it has no room."""
+    if side == "source":
+        with pytest.raises(OSError, match="Input/output error: '/proc/self/mem'"):
+            copy(replace(placement, path=Path("/proc/self/mem")))
+    else:
+        before = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, before[1]))
+        try:
+            with pytest.raises(MappingError, match=r"cannot write \S*IMG_0001.ARW: File too large; .* goes on"):
+                copy(placement)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert list(placement.target.parent.iterdir()) == []
 
 
 def test_a_source_that_changes_is_not_placed(placement: Placement) -> None:

@@ -20,6 +20,7 @@ from eldata.evaluation import evaluate, evaluate_all, load_prediction, save_pred
 from eldata.evaluation.evaluate import perform
 from eldata.evaluation.published_comparison import comparison_table
 from eldata.evaluation.request import make_request
+from eldata.evaluation.suspicions import Suspicion
 from eldata.manifest.catalogue import load_manifest, shipped_manifest
 from eldata.manifest.table import save_records
 from eldata.protocols import PROTOCOLS
@@ -110,6 +111,21 @@ def test_shifts_are_of_the_same_pairs(own: OwnSet, preds: Path) -> None:
     assert combined.spans()["psnr_db"] == max(shifts) - min(shifts)
     line = next(line for line in combined.format_table().splitlines() if line.startswith("eld-uncorrected"))
     assert line.split()[-1] == f"{expected:+.2f}"
+
+
+def test_what_is_suspect_under_a_protocol_alone_is_not_laid_to_it(own: OwnSet, preds: Path) -> None:
+    combined = evaluate_all(preds, manifest=own.manifest, root=own.root)
+    known, new = (
+        Suspicion(words, "", 2, 2, 30.0, 35.0, "s0/x100.dng")
+        for words in ("as if packed R, G1, G2, B", "as if normalised with 1023")
+    )
+    first, other, *rest = (replace(one, suspicions=(known,)) for one in combined.results)
+    combined = replace(combined, results=(first, replace(other, suspicions=(known, new)), *rest))
+    assert [combined.is_suspect(one) for one in combined.results] == [False, True, *(False for _ in rest)]
+    row = next(line for line in combined.format_table().splitlines() if line.startswith(other.protocol.name))
+    assert row.endswith(" suspect")
+    shifts = [combined.shift(one, "psnr_db")[0] for one in (first, *rest)]
+    assert combined.spans()["psnr_db"] == max(shifts) - min(shifts)
 
 
 def test_text_says_what_distinguishes_the_protocols(own: OwnSet, preds: Path) -> None:

@@ -26,6 +26,7 @@ from eldata.cli.main import main
 from eldata.datasets import PackedStore, StreamedPairs, evaluation_loader
 from eldata.errors import ArgumentError, EldataError
 from eldata.integrations.exports import export_hub
+from eldata.integrations.exports.hub_card import HubLayout, hub_page
 from eldata.manifest import shipped_manifest, shipped_names
 from eldata.manifest.card import save_card
 from eldata.manifest.catalogue import load_manifest, save_manifest
@@ -238,6 +239,45 @@ def test_the_lines_of_the_page_run(own: OwnSet, tmp_path: Path) -> None:
         exec(compile(local, "README.md", "exec"), names)  # noqa: S102 # our own
     assert names["noisy"].dtype == np.uint16
     assert len(names["pairs"]) == 6
+
+
+HOSTILE = (
+    "<script>alert(1)</script>",
+    "[a](javascript:alert(2)) <javascript:alert(3)> javascript:alert(4)",
+    "![x](https://evil.example/x.png) <img src=x onerror=alert(5)>",
+    "&lt;b&gt; `code` _a_ **b** ~~c~~ | d # e",
+    "see https://example.org/a_b(c)?d=1&e=2. And https://example.org/x",
+)
+
+
+def test_texts_of_a_card_are_texts_on_its_page(own: OwnSet) -> None:
+    """The oracle is markdown-it, with HTML switched on: no markup but links to web addresses, and every text whole."""
+    from markdown_it import MarkdownIt
+
+    title, citation, homepage, contents, licence = HOSTILE
+    card = replace(
+        own.manifest.card,
+        title=title,
+        citation=citation,
+        homepage=homepage,
+        contents=contents,
+        licence=licence,
+        unknown=HOSTILE,
+        known_defects=HOSTILE,
+    )
+    page = hub_page(replace(own.manifest, card=card), HubLayout(()))
+    body = page.split("---\n", 2)[2]
+    tokens = [inner for token in MarkdownIt().parse(body) for inner in (token, *(token.children or ()))]
+    assert not {"html_block", "html_inline", "image"} & {token.type for token in tokens}
+    links = {str(token.attrGet("href")) for token in tokens if token.type == "link_open"}
+    assert {"https://example.org/x", "https://example.org/a_b(c)?d=1&e=2"} <= links
+    assert all(link.startswith("https://") for link in links)
+    shown = [
+        "".join(part.content for part in token.children or () if part.type in ("text", "text_special"))
+        for token in tokens
+        if token.type == "inline"
+    ]
+    assert [text for text in HOSTILE if not any(text in found for found in shown)] == []
 
 
 # --- references -------------------------------------------------------------------------------------------------------

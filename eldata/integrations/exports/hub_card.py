@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from eldata.base.fields import names_of
 from eldata.base.files import json_text
+from eldata.base.tables import markdown_text
 from eldata.manifest.card import stated
 from eldata.manifest.croissant import licence_of, place_text, sentences, to_croissant
 from eldata.records import Exposure, PairRecord
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from eldata.manifest.catalogue import Manifest
 
 _ADDRESS = "OWNER/{name}"
+# In escaped text: it ends before what cannot stand between angle brackets, and before a sentence's own marks.
+_WEB_ADDRESS = re.compile(r"""https?://(?:\\[*_{}\[\]|~&$]|[^\s\\"'])*(?:\\[_~&$]|[\w/=%#-])""")
 
 # What the Hub calls an SPDX name otherwise than in small letters, and, of the names of Card.spdx, those that it has.
 _RENAMED = {"ODbL-1.0": "odbl", "ODC-By-1.0": "odc-by", "PDDL-1.0": "pddl"}
@@ -203,25 +206,27 @@ def _entry(start: str, item: Any) -> list[str]:
 
 def _sections(manifest: Manifest, layout: HubLayout) -> Iterable[str]:
     card = manifest.card
-    yield f"# {card.title}"
-    yield " ".join(sentences([card.contents, f"Cameras: {', '.join(card.cameras)}", card.levels]))
+    yield f"# {_quoted(card.title)}"
+    yield _quoted(" ".join(sentences([card.contents, f"Cameras: {', '.join(card.cameras)}", card.levels])))
     facts = (("Licence", licence_of(card)), ("Citation", stated(card.citation)), ("Homepage", stated(card.homepage)))
-    yield "\n".join(f"- {name}: {text}" for name, text in facts if text)
+    yield "\n".join(f"- {name}: {_quoted(text)}" for name, text in facts if text)
     yield from _reading(manifest, layout)
     if not layout.pixels:
         yield "## Where the photographs are"
-        yield _bullets(map(place_text, card.downloads)) or f"Not stated; the manifest's paths begin in `{card.folder}`."
+        yield _bullets(_quoted(place_text(one)) for one in card.downloads) or (
+            f"Not stated; the manifest's paths begin in {_quoted(card.folder)}."
+        )
     for title, texts in (("Known defects", card.known_defects), ("What is not known", card.unknown)):
         if texts:
             yield f"## {title}"
-            yield _bullets(texts)
+            yield _bullets(map(_quoted, texts))
     yield "## Files"
     yield _bullets(_files_in_words(manifest, layout))
 
 
 def _reading(manifest: Manifest, layout: HubLayout) -> Iterable[str]:
     """Yield how the folder is read; the lines are those of docs/hub.md."""
-    address = _ADDRESS.format(name=manifest.name)
+    address = _ADDRESS.format(name=re.sub(r"[^\w.-]", "", manifest.name))  # it stands in code that people copy
     yield "## Reading it"
     if layout.pixels:
         split = layout.splits[0].name
@@ -252,17 +257,22 @@ rows = load_dataset("{address}"{what})
 ```"""
     yield (
         "Rows name the photographs, which are not here: a data set is passed on by those who may. With your own copy, "
-        f"`eldata verify {manifest.path.name} --root FOLDER` says whether it is whole."
+        f"eldata verify {_quoted(manifest.path.name)} --root FOLDER says whether it is whole."
     )
 
 
 def _files_in_words(manifest: Manifest, layout: HubLayout) -> Iterable[str]:
     for split in layout.splits:
         what = "samples as tar shards, and their index" if layout.pixels else "pairs: names, exposures, ratios, hashes"
-        yield f"`{split.files}`: {split.examples} {what}"
-    stem = manifest.path.stem
-    yield f"`{stem}.csv`, `{stem}.json`: the manifest, one row a file, and its card"
-    yield f"`{stem}.croissant.json`: the same in Croissant 1.1"
+        yield f"{_quoted(split.files)}: {split.examples} {what}"
+    stem = _quoted(manifest.path.stem)
+    yield f"{stem}.csv, {stem}.json: the manifest, one row a file, and its card"
+    yield f"{stem}.croissant.json: the same in Croissant 1.1"
+
+
+def _quoted(text: str) -> str:
+    """Return Markdown that shows a card's text as it is: of what it holds, only web addresses become links."""
+    return _WEB_ADDRESS.sub(lambda found: f"<{found[0].replace(chr(92), '')}>", markdown_text(text))
 
 
 def _bullets(texts: Iterable[str]) -> str:

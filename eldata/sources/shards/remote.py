@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import time
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
+from functools import cache
 from typing import IO, TYPE_CHECKING, Any
 
 from fsspec.core import url_to_fs  # type: ignore[import-untyped] # it has none
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
 _BLOCK_BYTES = 8 << 20
 _MOST_INDEX_BYTES = 256 << 20  # what the reader of text files takes
 _LOCAL = ("file", "local", "memory")
+_RANGE = re.compile(r"bytes=(\d+)-(\d+)")
 
 
 @dataclass(frozen=True)
@@ -55,19 +58,23 @@ class Folder:
             If the address has a protocol that fsspec does not know, or whose package is not installed.
         """
         try:
-            system, path = url_to_fs(self.address, **self._limits(), **self.options)
+            system, path = url_to_fs(self.address, **{**self.options, **self._web_options()})
         except (ValueError, ImportError) as error:
             raise ArgumentError(f"{self.address}: cannot be opened ({error})") from error
         return system, path.rstrip("/")
 
-    def _limits(self) -> dict[str, Any]:
-        """Return the options that keep a web server to its time: aiohttp's own is five minutes for an answer."""
-        if not self.address.startswith(("http://", "https://")) or "client_kwargs" in self.options:
+    def _web_options(self) -> dict[str, Any]:
+        """Return the options that hold a web server to its time and to what it was asked for.
+
+        aiohttp's own time is five minutes for an answer, and fsspec keeps all that a server sends for a range.
+        """
+        if not self.address.startswith(("http://", "https://")):
             return {}
         from aiohttp import ClientTimeout
 
         limit = ClientTimeout(total=None, sock_connect=self.timeout_s, sock_read=self.timeout_s)
-        return {"client_kwargs": {"timeout": limit}}
+        own = self.options.get("client_kwargs", {})
+        return {"client_kwargs": {"timeout": limit, **own, "response_class": _bounded_response()}}
 
     def place(self, name: str) -> str:
         """Return a file's address, for people."""
@@ -88,6 +95,26 @@ class Folder:
         if len(content) > _MOST_INDEX_BYTES:
             raise ShardError(self.place(INDEX), f"has more than {_MOST_INDEX_BYTES >> 20} MiB; is it an index?")
         return parse_index(self.place(INDEX), content)
+
+
+@cache
+def _bounded_response() -> type:
+    """Return the answers that aiohttp is to give fsspec: a body longer than its request's range is an error."""
+    from aiohttp import ClientPayloadError, ClientResponse
+
+    class BoundedResponse(ClientResponse):
+        async def read(self) -> bytes:
+            asked = _RANGE.fullmatch(self.request_info.headers.get("Range", ""))
+            most = int(asked[2]) + 1 - int(asked[1]) if asked else _MOST_INDEX_BYTES
+            content = bytearray()
+            async for piece in self.content.iter_any():
+                content += piece
+                if len(content) > most:
+                    self.close()  # what is still to come is not waited for
+                    raise ClientPayloadError(f"the server sent more than the {most} bytes that it was asked for")
+            return bytes(content)
+
+    return BoundedResponse
 
 
 class Forward:

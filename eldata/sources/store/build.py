@@ -100,6 +100,8 @@ def build_store(
             resumed, pixel_bytes = _fill(file, source, compression, options, workers)
             file.finish(path)
         except OSError as error:
+            if error.filename not in (None, str(part)):
+                raise  # of a file that is packed
             raise EldataError(
                 f"cannot write {part}: {error.strerror or error}; what is finished is kept there: make room and the "
                 "same command goes on"

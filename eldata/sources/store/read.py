@@ -39,7 +39,7 @@ from eldata.sources.store.format import (
 from eldata.sources.store.table import TABLE, frames_in_table
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -47,6 +47,9 @@ if TYPE_CHECKING:
     from eldata.raw.cfa import CfaRows
     from eldata.sources.store.chunks import ChunkTable
 
+# A finished store is never written again, so readers need no lock, which some network disks do not have. But HDF5 opens
+# a file twice in one process only if both ask for the same: h5py's own default, or what the user's code says.
+_LOCKING = (False, None, True, "best-effort")
 # Enough for the chunks of a few rows of a crop; a read visits each chunk once. HDF5 frees it with the frame.
 _CHUNK_CACHE_BYTES = 1 << 20
 # Frames whose chunks' places are kept: 3 kB each at 12 megapixels. To look them up takes a millisecond.
@@ -117,12 +120,7 @@ def opened(path: Path) -> h5py.File:
         raise StoreError(path, problem)
     if not h5py.is_hdf5(path):
         raise StoreError(path, "is not an HDF5 file; eldata pack makes stores")
-    try:
-        # A finished store is never written again, so readers need no lock, which some network disks do not have.
-        file = h5py.File(path, "r", locking=False, rdcc_nbytes=_CHUNK_CACHE_BYTES)
-    except OSError as error:
-        reason = "is truncated" if "truncated" in str(error) else "is damaged"
-        raise StoreError(path, f"{reason} ({error}); copy or pack it again") from error
+    file = _open(path)
     try:
         _check_header(path, dict(file.attrs))
     except BaseException as error:  # Ctrl-C too: the caller gets no file that it could close
@@ -132,6 +130,16 @@ def opened(path: Path) -> h5py.File:
         # HDF5 looks at what it reads while it reads it, and h5py raises many kinds.
         raise StoreError(path, f"is damaged ({error}); copy or pack it again") from error
     return file
+
+
+def _open(path: Path, lockings: Sequence[Any] = _LOCKING) -> h5py.File:
+    try:
+        return h5py.File(path, "r", locking=lockings[0], rdcc_nbytes=_CHUNK_CACHE_BYTES)
+    except OSError as error:
+        if "flag values don't match" in str(error) and len(lockings) > 1:
+            return _open(path, lockings[1:])
+        reason = "is truncated" if "truncated" in str(error) else "is damaged"
+        raise StoreError(path, f"{reason} ({error}); copy or pack it again") from error
 
 
 def _check_header(path: Path, attributes: dict[str, Any]) -> None:

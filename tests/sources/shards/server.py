@@ -3,7 +3,7 @@
 Failures, by name: a status such as ``503``; ``cut`` and ``reset``, a body that ends in its middle, the connection
 closed or reset; ``stall``, no answer until the server ends; ``stop``, none after half of the body; ``trickle``, a body
 in many small pieces; ``short``, less than was asked for, and said so; ``shifted``, a range that begins a byte later
-than it says; ``other``, another file's bytes.
+than it says; ``other``, another file's bytes; ``endless``, a body that goes on, up to ``ENDLESS_BYTES``.
 """
 
 from __future__ import annotations
@@ -13,13 +13,16 @@ import socket
 import struct
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
+
+
+ENDLESS_BYTES = 1 << 30
 
 
 class Site:
@@ -84,6 +87,14 @@ class Handler(BaseHTTPRequestHandler):
             self.send_header("Content-Range", f"bytes {asked[1]}-{int(asked[1]) + len(content) - 1}/{size}")
         else:
             self.send_response(200)
+        if failure == "endless" and body:
+            self.end_headers()  # without its length
+            self.close_connection = True
+            with suppress(OSError):  # the client has enough
+                while self.site.sent < ENDLESS_BYTES:
+                    self.wfile.write(bytes(1 << 20))
+                    self.site.sent += 1 << 20
+            return
         self.send_header("Accept-Ranges", "bytes") if self.site.ranges else None
         self.send_header("Content-Length", str(len(content)))
         self.end_headers()

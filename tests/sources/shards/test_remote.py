@@ -146,6 +146,19 @@ def test_a_range_shorter_than_asked_for_is_read_on(tiles: Path) -> None:
         assert identities(dataset) == identities(StreamedPairs(str(tiles), crop=10))
 
 
+@pytest.mark.parametrize("ranges", [True, False])
+def test_a_body_without_an_end_is_not_kept(ranges: bool, tiles: Path) -> None:
+    """What was asked for is 8 MiB at the most, and some lie in the buffers between server and client."""
+    with serving(tiles, ranges=ranges) as site:
+        dataset = StreamedPairs(site.address, crop=10, attempts=2, retry_wait_s=0)
+        site.failures = ["endless"] * 100
+        site.sent = 0
+        words = r"shard-00000\d\.tar: .*(sent more than the \d+ bytes that it was asked for|index)"
+        with pytest.raises(ShardError, match=words):
+            identities(dataset)
+        assert site.sent < 128 << 20
+
+
 @pytest.mark.parametrize("failure", ["shifted", "other"])
 def test_bytes_that_are_not_those_of_the_index_are_an_error(failure: str, tiles: Path) -> None:
     """A range that is another one than its header says, and a file that was replaced after the index was read."""

@@ -253,6 +253,17 @@ def test_a_full_disk_is_an_error_and_the_finished_part_stays(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["store.h5"]
 
 
+def test_a_file_that_cannot_be_read_is_named_and_not_the_store(
+    clean: Packed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def failing_disk(*_: object) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr("hashlib.file_digest", failing_disk)
+    with pytest.raises(OSError, match=f"Input/output error: '.*{clean.source.files[0][0]}'"):
+        build_store(clean.source, tmp_path / "store.h5")
+
+
 @pytest.mark.kill
 @pytest.mark.parametrize("number", [3, 14, 25, 36])
 def test_ctrl_c_keeps_the_finished_part(

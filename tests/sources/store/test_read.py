@@ -42,6 +42,15 @@ def own(clean: Packed, tmp_path: Path) -> Path:
     return Path(shutil.copy(clean.store, tmp_path / "store.h5"))
 
 
+@pytest.mark.parametrize("mode", ["r", "r+"])
+@pytest.mark.parametrize("options", [{}, {"locking": True}, {"locking": False}, {"libver": "latest"}], ids=str)
+def test_a_store_that_the_callers_h5py_holds_open(mode: str, options: dict[str, Any], own: Path) -> None:
+    whole = open_store(own)
+    with h5py.File(own, mode, **options):
+        assert open_store(own).frames == whole.frames
+        all_pixels(own)
+
+
 # --- refusals -----------------------------------------------------------------------------------------------------
 
 

@@ -1,0 +1,85 @@
+"""What a document shows of a command, the command prints: blocks of `$ eldata ...`, on the data of the demo."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from eldata.cli.main import main
+from eldata.noise import CameraProfile, NoiseModel
+from tests.shared import made_once
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+ROOT = Path(__file__).parents[1]
+_BLOCK = re.compile(r"^```\n\$ (eldata (?:evaluate|demo) eldata-.*)\n((?:.*\n)*?)```$", re.MULTILINE)
+BLOCKS = [
+    (f"{path.name} {number}", command, shown.splitlines())
+    for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+    for number, (command, shown) in enumerate(_BLOCK.findall(path.read_text(encoding="utf-8")), 1)
+]
+
+
+def run_demo(folder: Path) -> None:
+    assert main(["demo", str(folder / "eldata-demo")]) == 0
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    with made_once(tmp_path_factory, "whole-demo", run_demo) as folder:
+        yield folder
+
+
+@pytest.mark.study
+@pytest.mark.parametrize(("command", "shown"), [block[1:] for block in BLOCKS], ids=[block[0] for block in BLOCKS])
+def test_a_command_prints_what_a_document_shows(
+    command: str,
+    shown: list[str],
+    demo: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A line may be cut off at its end; "..." stands for lines that are left out, and nothing else may be."""
+    (tmp_path / "eldata-demo").symlink_to(demo / "eldata-demo")
+    monkeypatch.chdir(tmp_path)
+    capsys.readouterr()
+    assert main(shlex.split(command)[1:]) == 0
+    printed = capsys.readouterr().out.splitlines()
+    at, may_skip = 0, False
+    for line in shown:
+        if line == "...":
+            may_skip = True
+            continue
+        found = next((number for number in range(at, len(printed)) if printed[number].startswith(line)), None)
+        assert found is not None, f"no line of the output begins with: {line}"
+        assert may_skip or found == at, f"left out before {line!r}: {printed[at:found]}"
+        at, may_skip = found + 1, False
+
+
+def test_there_are_blocks() -> None:
+    assert {name.partition(" ")[0] for name, *_ in BLOCKS} >= {"README.md", "evaluation.md"}
+
+
+def test_the_early_clip_lifts_the_dark_as_documented() -> None:
+    """docs/noise.md: the mean of 4,000 draws of a dark patch in DN, whose standard error is 0.03."""
+    text = (ROOT / "docs" / "noise.md").read_text(encoding="utf-8")
+    found = re.search(r"mean of (\d\.\d) DN in place of (\d\.\d)\)", text)
+    assert found is not None
+    generator, range_dn = np.random.default_rng(1), 15871.0
+    profile, model = CameraProfile.load("SonyA7S2"), NoiseModel("P*+G*+B+R+U")
+    dark = np.zeros((4, 32, 32), np.float32)
+    clipped, whole = [], []
+    for _ in range(4000):
+        parameters = profile.sample(generator)
+        noisy = model(dark, parameters=parameters, ratio=1.0, range_dn=range_dn, generator=generator) * range_dn
+        clipped.append(np.maximum(noisy, 0).mean())
+        whole.append(noisy.mean())
+    for stated, drawn in zip(found.groups(), (clipped, whole), strict=True):
+        assert float(stated) == pytest.approx(np.mean(drawn), abs=0.05 + 4 * float(np.std(drawn)) / 4000**0.5)

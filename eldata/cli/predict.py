@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_shared, whole_number
-from eldata.cli.baseline import add_choice, chosen_options, scoring_line
+from eldata.base.console import add_shared, whole_number
+from eldata.cli.baseline import add_choice, chosen_options, shown
 
 if TYPE_CHECKING:
     import argparse
@@ -92,6 +92,4 @@ def run(arguments: argparse.Namespace) -> int:
     network = load_network(arguments.model, **{name: getattr(arguments, name) for name in options})
     clip = arguments.clip or network.clip or "protocol"
     report = write_predictions(network, arguments.dataset or "", arguments.out, clip=clip, **chosen_options(arguments))
-    print(report.format_text())
-    print(scoring_line(arguments))
-    return PROBLEMS if report.problems else OK
+    return shown(report, arguments)

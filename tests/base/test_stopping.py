@@ -9,6 +9,8 @@ import subprocess
 import sys
 import threading
 from contextlib import suppress
+from pathlib import Path
+from subprocess import PIPE
 from typing import TYPE_CHECKING
 
 import pytest
@@ -18,7 +20,6 @@ from tests.waiting import PATIENCE_S, until
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
 
 def raised_by(work: Callable[[], None], state: Stopping) -> int | None:
@@ -254,6 +255,45 @@ finally:
 def test_who_asks_again_is_served_at_once() -> None:
     done = subprocess.run([sys.executable, "-c", IMPATIENT], capture_output=True, text=True, timeout=PATIENCE_S)
     assert (done.returncode, done.stdout, done.stderr) == (143, "", "eldata: terminated\n")
+
+
+# Waits for a lock of C that nobody will open: signals do not end that, nor does Python's handler get to run.
+STUCK = """
+import ctypes, sys
+from eldata.base import stopping
+stopping.exit_when_told("eldata")
+with stopping.stoppable(stopping.Stopping("eldata")):
+    libc, lock = ctypes.CDLL(None), ctypes.create_string_buffer(256)
+    libc.pthread_mutex_lock(lock)
+    print("stuck", flush=True)
+    libc.pthread_mutex_lock(lock)
+"""
+
+
+def is_asleep(pid: int) -> bool:
+    """Whether the main thread of a process waits for something."""
+    return Path(f"/proc/{pid}/task/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0] == "S"
+
+
+@pytest.mark.kill
+@pytest.mark.skipif(sys.platform != "linux", reason="a lock of zeros is one of glibc")
+@pytest.mark.parametrize(("number", "word"), [(signal.SIGINT, "interrupted"), (signal.SIGTERM, "terminated")])
+def test_who_asks_again_is_served_inside_a_call_into_c(number: int, word: str) -> None:
+    """The first time waits for the call's return, and so does the same event again."""
+    with subprocess.Popen([sys.executable, "-c", STUCK], stdout=PIPE, stderr=PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "stuck\n"
+            until(lambda: is_asleep(process.pid), "the second lock")
+            for _ in range(2):
+                process.send_signal(number)
+            with pytest.raises(subprocess.TimeoutExpired):
+                process.wait(1.5)  # longer than what counts as one event
+            process.send_signal(number)
+            out, said = process.communicate(timeout=PATIENCE_S)
+        finally:
+            process.kill()
+    assert (process.returncode, out, said) == (128 + number, "", f"eldata: {word}\n")
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="shells with >&-")

@@ -208,7 +208,7 @@ def test_dark_frames_that_are_not_held_out(
     for number, path in enumerate(sorted(own.files("bias", 100))):
         (path if number < 2 else next(one for one in held_out.files("bias", 100) if one.name == path.name)).unlink()
     command = ["noise", "check", str(made), "--frames", str(held_out.root), "--model", "P*+D", "--iso", "100"]
-    assert main(command + ["--dark-frames", str(own.root)]) == 2
+    assert main([*command, "--dark-frames", str(own.root)]) == 2
     assert "no profile of the camera DemoGamma was given, only of Nobody's" in capsys.readouterr().err
     command.append("--profile-of-another-camera")
     assert main([*command, "--pairs", "16", "--dark-frames", str(own.root), "--json", str(numbers)]) == 1

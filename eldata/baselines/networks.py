@@ -1,7 +1,8 @@
 """Networks from files, as denoisers: TorchScript, torch.export, ONNX, or Python code of one's own.
 
-No pickle is ever loaded: weights come by ``torch.load(weights_only=True)`` or safetensors, programs by
-``torch.jit.load``, which knows TorchScript's own types alone, by :mod:`eldata.baselines.exported`, or by ONNX Runtime.
+A model is code, and the user's own. No pickle is loaded all the same: weights come by
+``torch.load(weights_only=True)`` or safetensors, programs by ``torch.jit.load``, :mod:`eldata.baselines.exported`, or
+ONNX Runtime.
 """
 
 from __future__ import annotations

@@ -23,7 +23,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
             "predictions that eldata evaluate reads. The network takes (1, C, h, w) float32, packed, normalised and "
             "amplified, and returns the same shape; one of clips takes a window (1, T, C, h, w) and returns its middle "
             "frame, and at a clip's ends the frames inside are mirrored. Predictions that are there are kept, so that "
-            "interrupted work goes on."
+            "interrupted work goes on. A model, whatever its format, is a program that runs with all of your rights: give "
+            "your own, or one that you trust as such."
         ),
     )
     parser.add_argument(

@@ -102,10 +102,10 @@ def run(arguments: argparse.Namespace) -> int:
         report = write_predictions(
             denoiser, arguments.dataset or "", arguments.out, workers=workers, **chosen_options(arguments)
         )
-    return shown(report, arguments)
+    return show_report(report, arguments)
 
 
-def shown(report: PredictionReport, arguments: argparse.Namespace) -> int:
+def show_report(report: PredictionReport, arguments: argparse.Namespace) -> int:
     """Show what was predicted, and the command that scores it if there is anything; return the exit code."""
     print(report.format_text())
     if report.written or report.kept:

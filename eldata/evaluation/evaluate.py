@@ -339,6 +339,8 @@ def _found(request: Request, plans: Sequence[ScoringPlan]) -> list[FoundPredicti
     if problem is not None:
         return [FoundPredictions({}, (problem,), 0) for _ in plans]
     find = partial(find_predictions, request.predictions, elsewhere=elsewhere, allow_missing=request.allow_missing)
+    if request.every:  # its plans are of the predictions' space, and share their problems
+        return [find(places=wanted, known=known) for wanted in places]
     return [
         _of_its_space(request.predictions, plan, find(places=wanted, known=known, because=_own_pairs(plan)))
         for plan, wanted in zip(plans, places, strict=True)

@@ -9,17 +9,17 @@ import subprocess
 import sys
 import threading
 from contextlib import suppress
-from pathlib import Path
 from subprocess import PIPE
 from typing import TYPE_CHECKING
 
 import pytest
 
 from eldata.base.stopping import SIGNALS, Stopped, Stopping, held, stoppable
-from tests.waiting import PATIENCE_S, until
+from tests.waiting import PATIENCE_S, is_asleep, until
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
 
 def raised_by(work: Callable[[], None], state: Stopping) -> int | None:
@@ -268,11 +268,6 @@ with stopping.stoppable(stopping.Stopping("eldata")):
     print("stuck", flush=True)
     libc.pthread_mutex_lock(lock)
 """
-
-
-def is_asleep(pid: int) -> bool:
-    """Whether the main thread of a process waits for something."""
-    return Path(f"/proc/{pid}/task/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0] == "S"
 
 
 @pytest.mark.kill

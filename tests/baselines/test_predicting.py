@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import pickle
 import re
 import shutil
+import signal
+import subprocess
 import sys
 import zipfile
 from contextlib import suppress
 from pathlib import Path
+from subprocess import PIPE
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,6 +35,7 @@ from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.request import SETTINGS
 from eldata.noise.profile import CameraProfile
 from tests.trees import tree_in
+from tests.waiting import PATIENCE_S, is_asleep, until
 
 if TYPE_CHECKING:
     from eldata.baselines.predicting import Denoiser, NoisyFrame
@@ -229,6 +234,56 @@ def test_a_missing_extra_is_one_line_before_anything_is_written(
         assert (said.out, said.err.count("\n")) == ("", 1)
         assert f"pip install 'eldata[{extra}]'" in said.err
         assert not (tmp_path / "p").exists()
+
+
+# At its fourth call, of which two are of the fixed input, it waits in C for a lock that nobody will open.
+STUCK = """
+import ctypes, os
+calls = 0
+def network(image):
+    global calls
+    calls += 1
+    if calls == int(os.environ.get("STUCK_AT", "0")):
+        libc, lock = ctypes.CDLL(None), ctypes.create_string_buffer(256)
+        libc.pthread_mutex_lock(lock)
+        print("stuck", flush=True)
+        libc.pthread_mutex_lock(lock)
+    return 0.5 * image
+"""
+
+
+@pytest.mark.kill
+@pytest.mark.skipif(sys.platform != "linux", reason="a lock of zeros is one of glibc")
+def test_the_second_ctrl_c_ends_a_network_inside_a_call_into_c(tree: Tree, tmp_path: Path) -> None:
+    """And the same command goes on to what an undisturbed one writes."""
+    (tmp_path / "mine.py").write_text(STUCK, encoding="utf-8")
+    command = [sys.executable, "-m", "eldata.cli.main", "predict", "mine:network", *of_set(tree), "--device", "cpu"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[2]), str(tmp_path)])}
+    out, straight = tmp_path / "p", tmp_path / "straight"
+    with subprocess.Popen(
+        [*command, "-o", str(out)], env=environment | {"STUCK_AT": "4"}, stdout=PIPE, stderr=PIPE, text=True
+    ) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "stuck\n"
+            until(lambda: is_asleep(process.pid), "the second lock")
+            process.send_signal(signal.SIGINT)
+            with pytest.raises(subprocess.TimeoutExpired):
+                process.wait(1.5)  # longer than what counts as one event
+            process.send_signal(signal.SIGINT)
+            shown, said = process.communicate(timeout=PATIENCE_S)
+        finally:
+            process.kill()
+    assert (process.returncode, shown, said) == (130, "", "eldata: interrupted\n")
+    assert len(list(out.rglob("*.npy"))) == 1
+    for folder in (out, straight):
+        subprocess.run([*command, "-o", str(folder)], env=environment, check=True, stdout=PIPE, timeout=PATIENCE_S)
+    first, second = (
+        {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+        for folder in (out, straight)
+    )
+    assert first == second
+    assert len(first) == 13
 
 
 def test_damaged_frames_are_listed_and_the_rest_is_predicted(

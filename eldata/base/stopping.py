@@ -2,7 +2,9 @@
 
 A command line goes through three stages. While it imports and parses, :func:`exit_when_told` ends it on the spot:
 there is nothing to tidy. While its work runs, :func:`stoppable` raises :class:`Stopped` in it, which unwinds: files
-that are half written are removed, workers end. Afterwards it ends on the spot again.
+that are half written are removed, workers end. Afterwards it ends on the spot again. Who asks twice is served at once,
+even while the main thread is inside a call into C, for whose return Python's handlers wait: a thread ends the program
+then, unless the call keeps the interpreter's lock.
 
 What this module and the entry points import decides how soon the first stage begins: neither ``typing`` nor
 ``threading``, which would take as long as all the rest.
@@ -15,7 +17,7 @@ import os
 import signal
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -98,6 +100,7 @@ class Stopping:
         self._program = program
         self._since = 0.0
         self._again = False
+        self._is_watched = False
 
     def told(self, number: int, _: FrameType | None) -> None:
         """Handle a signal: the first unwinds; a later one is impatience, and ends a program at once."""
@@ -105,11 +108,29 @@ class Stopping:
             self.number, self._since = number, time.monotonic()
         elif self._again:
             self._again = False
-        elif time.monotonic() - self._since < _SAME_EVENT_S:
+        elif self._is_watched or time.monotonic() - self._since < _SAME_EVENT_S:
             return
         elif self._program is not None:
             _exit(self.number, self._program)
         raise Stopped(self.number)
+
+    @contextmanager
+    def watched(self) -> Iterator[None]:
+        """Have a thread end the program when it is told again: C's own handler of signals writes to it at once."""
+        if self._program is None or not hasattr(signal, "pthread_sigmask"):  # Windows has neither masks nor such pipes
+            yield
+            return
+        told, telling = os.pipe()
+        os.set_blocking(telling, False)
+        before = signal.set_wakeup_fd(telling, warn_on_full_buffer=False)
+        _thread.start_new_thread(_watch, (told, self._program))
+        self._is_watched = True
+        try:
+            yield
+        finally:
+            self._is_watched = False
+            signal.set_wakeup_fd(before)
+            os.close(telling)  # which ends the thread
 
     def after(self, before: Any) -> Any:
         """Return what handles a signal once the work is over: of a program what ends it, else what did before."""
@@ -130,6 +151,18 @@ class Stopping:
         self._again = True
         _thread.start_new_thread(_again_soon, (unraisable.exc_value.number,))
         return True
+
+
+def _watch(told: int, program: str) -> None:
+    signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)  # they are to interrupt the main thread
+    first, since = 0, 0.0
+    while numbers := os.read(told, 64):
+        for number in filter(SIGNALS.__contains__, numbers):
+            if not first:
+                first, since = number, time.monotonic()
+            elif time.monotonic() - since >= _SAME_EVENT_S:
+                _exit(first, program)
+    os.close(told)
 
 
 def _again_soon(number: int) -> None:
@@ -169,7 +202,8 @@ def stoppable(state: Stopping) -> Iterator[None]:
             sys.unraisablehook = watching
         for number in before:
             signal.signal(number, state.told)
-        yield
+        with state.watched() if before else nullcontext():
+            yield
         if state.number is not None:
             raise Stopped(state.number)
     finally:

@@ -6,7 +6,9 @@ Each takes a packed frame, normalised and amplified, negative values kept, and t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from importlib import import_module
+from importlib.metadata import version
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -40,11 +42,41 @@ class Baseline:
         (C, h, w) and the line of its noise to (C, h, w).
     uses_noise
         Whether it looks at the noise at all.
+    needs
+        The packages that it needs beyond those of eldata, by the modules that it imports.
     """
 
     title: str
     denoise: Callable[[Values, SignalNoise | None], Values]
     uses_noise: bool = True
+    needs: Mapping[str, str] = field(default_factory=dict)
+
+    def versions(self) -> dict[str, str]:
+        """Return the versions of the packages that it needs.
+
+        Raises
+        ------
+        EldataError
+            If one of them is not there; the message names the extra to install.
+        """
+        for module in self.needs:
+            _imported(module)
+        return {package: version(package) for package in self.needs.values()}
+
+
+_WAVELET = {"pywt": "PyWavelets", "skimage.restoration": "scikit-image"}  # which asks for the first only at work
+_BM3D = {"bm3d": "bm3d"}
+_EXTRAS = {
+    **dict.fromkeys(_WAVELET, "wavelet needs scikit-image and PyWavelets: pip install 'eldata[baselines]'"),
+    "bm3d": "BM3D is not installed: pip install 'eldata[bm3d]'. Its authors allow it for non-commercial use only",
+}
+
+
+def _imported(module: str) -> Any:
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise EldataError(_EXTRAS[module]) from error
 
 
 def _known(line: SignalNoise | None) -> SignalNoise:
@@ -73,15 +105,9 @@ def _wavelet(image: Values, line: SignalNoise | None) -> Values:
 
 
 def _wavelet_of_white(image: Values) -> Values:
-    try:
-        import pywt  # noqa: F401 # scikit-image asks for it only once it is at work
-        from skimage.restoration import denoise_wavelet
-    except ImportError as error:
-        raise EldataError(
-            "the baseline wavelet needs scikit-image and PyWavelets: pip install 'eldata[baselines]'"
-        ) from error
-
-    shrunk = [denoise_wavelet(channel, sigma=1.0, wavelet="sym4", method="BayesShrink") for channel in image]
+    _imported("pywt")
+    denoise = _imported("skimage.restoration").denoise_wavelet
+    shrunk = [denoise(channel, sigma=1.0, wavelet="sym4", method="BayesShrink") for channel in image]
     return np.stack(shrunk)
 
 
@@ -98,17 +124,11 @@ def _anscombe_bm3d(image: Values, line: SignalNoise | None) -> Values:
 
 
 def _bm3d_of_white(image: Values) -> Values:
-    try:
-        from bm3d import BM3DProfile, bm3d
-    except ImportError as error:
-        raise EldataError(
-            "BM3D is not installed: pip install 'eldata[bm3d]'. Its authors allow it for non-commercial use only"
-        ) from error
-
+    bm3d = _imported("bm3d")
     last = np.ascontiguousarray(np.moveaxis(image, 0, -1), dtype=np.float64)
-    profile = BM3DProfile()
+    profile = bm3d.BM3DProfile()
     profile.num_threads = 1  # frames run side by side
-    return np.moveaxis(np.asarray(bm3d(last, 1.0, profile)), -1, 0)
+    return np.moveaxis(np.asarray(bm3d.bm3d(last, 1.0, profile)), -1, 0)
 
 
 def _in_brightness(image: Values, denoise: Callable[[Values], Values]) -> Values:
@@ -121,10 +141,12 @@ BASELINES: Mapping[str, Baseline] = MappingProxyType(
     {
         "input": Baseline("the noisy input, amplified, nothing else", _input, uses_noise=False),
         "gaussian": Baseline(f"a Gaussian filter of {_GAUSSIAN_PX:g} packed pixels", _gaussian, uses_noise=False),
-        "wavelet": Baseline("BayesShrink of stabilised values (scikit-image)", _wavelet),
+        "wavelet": Baseline("BayesShrink of stabilised values (scikit-image)", _wavelet, needs=_WAVELET),
         "dct": Baseline("sliding-window DCT thresholding", _dct),
-        "bm3d": Baseline("BM3D with one noise level for the frame", _bm3d),
-        "anscombe-bm3d": Baseline("BM3D of stabilised values, exact unbiased inverse (A-BM3D)", _anscombe_bm3d),
+        "bm3d": Baseline("BM3D with one noise level for the frame", _bm3d, needs=_BM3D),
+        "anscombe-bm3d": Baseline(
+            "BM3D of stabilised values, exact unbiased inverse (A-BM3D)", _anscombe_bm3d, needs=_BM3D
+        ),
     }
 )
 """The denoisers without training, by the names that ``eldata baseline`` and ``--baseline`` take."""

@@ -1,11 +1,14 @@
 """Networks from files, as denoisers: TorchScript, torch.export, ONNX, or Python code of one's own.
 
-No pickle is ever loaded: weights come by ``torch.load(weights_only=True)`` or safetensors, programs by
-``torch.jit.load``, which knows TorchScript's own types alone, by :mod:`eldata.baselines.exported`, or by ONNX Runtime.
+A model is code, and the user's own. No pickle is loaded all the same: weights come by
+``torch.load(weights_only=True)`` or safetensors, programs by ``torch.jit.load``, :mod:`eldata.baselines.exported`, or
+ONNX Runtime.
 """
 
 from __future__ import annotations
 
+import glob
+import hashlib
 import warnings
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
@@ -19,11 +22,12 @@ from eldata.base.files import sha256_of
 from eldata.base.naming import named_object
 from eldata.baselines.consistency import checked_window
 from eldata.baselines.exported import TakenInput, load_exported
+from eldata.baselines.prediction_folder import ANSWERS, answer_of
 from eldata.baselines.tiling import tiled
 from eldata.errors import ArgumentError, EldataError, FileError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection
 
     from numpy.typing import NDArray
 
@@ -33,6 +37,7 @@ if TYPE_CHECKING:
     Values = NDArray[np.floating[Any]]
 
 Precision = Literal["float32", "bfloat16", "float16"]
+_SIDE = 64  # of the fixed input: whole halvings and windows of attention fit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +58,8 @@ class NetworkDenoiser:
         Frames of a clip that it takes, of which it predicts the middle one; 1: it takes single frames.
     clip
         Of the inputs that it was trained with, if that is known.
+    is_code
+        Whether it is code that the identity does not hold: then what it gives for a fixed input is part of it.
     """
 
     run: Callable[[NDArray[np.float32]], Values]
@@ -63,11 +70,15 @@ class NetworkDenoiser:
     precision: Precision = "float32"
     window: int = 1
     clip: Clip | None = None
+    is_code: bool = False
 
-    @property
-    def settings(self) -> dict[str, Any]:
-        """What decides its predictions."""
-        known = {} if self.clip is None else {"clip": self.clip}
+    def settings(self, cameras: Collection[str], channels: Collection[int]) -> dict[str, Any]:  # noqa: ARG002 # any
+        """Return what decides its predictions."""
+        known: dict[str, Any] = {} if self.clip is None else {"clip": self.clip}
+        if self.is_code:
+            frames, side = (self.window,) if self.window > 1 else (), self.multiple * -(-_SIDE // self.multiple)
+            shapes = {count: (*frames, count, side, side) for count in channels}
+            known[ANSWERS] = {str(count): answer_of(self.run, shape, self.precision) for count, shape in shapes.items()}
         return {
             **self.identity,
             "tile": self.tile,
@@ -186,10 +197,12 @@ def load_network(
     if precision == "float16" and kind == "cpu":
         raise ArgumentError("--precision float16 needs a GPU; on a CPU take bfloat16 or float32")
     run: Callable[[NDArray[np.float32]], Values]
-    taken = TakenInput()
-    if ":" in model and not Path(model).exists():
+    taken, is_code = TakenInput(), ":" in model and not Path(model).exists()
+    if is_code:
         module = _from_python(model, weights)
         identity = {"denoiser": model}
+        if isinstance(module, torch.nn.Module):
+            identity["weights_sha256"] = _digest_of(module)
         run = _TorchRun(_ready(module, where), where, precision)
         if isinstance(module, torch.nn.Module):
             taken = TakenInput(_stated(module, "window"), _stated(module, "multiple"))
@@ -202,16 +215,28 @@ def load_network(
             raise FileError(path, f"{found}; give a model's file, or package.module:name")
         identity = {"denoiser": path.name, "denoiser_sha256": sha256_of(path)}
         if path.suffix == ".onnx":
+            beside = sorted(path.parent.glob(f"{glob.escape(path.name)}[._]data"))  # where exporters put large weights
+            identity |= {file.name: sha256_of(file) for file in beside}
             if precision != "float32":
                 raise ArgumentError(f"--precision is torch's; {model} computes in the types that it was exported with")
             run = _OnnxRun(_onnx(path, where))
         else:
             module, taken = load_exported(path) if path.suffix == ".pt2" else (_scripted(path), taken)
             run = _TorchRun(_ready(module, where), where, precision)
-    if weights is not None:
-        identity["weights_sha256"] = sha256_of(Path(weights))
     frames, sides = _agreed(model, taken, window, multiple)
-    return NetworkDenoiser(run, identity, tile, overlap, sides, precision, frames, taken.clip)
+    return NetworkDenoiser(run, identity, tile, overlap, sides, precision, frames, taken.clip, is_code)
+
+
+def _digest_of(module: Any) -> str:
+    """Return ``sha256:<hex>`` of a module's weights and buffers, wherever they came from."""
+    import torch
+
+    digest = hashlib.sha256()
+    for name, value in module.state_dict().items():
+        digest.update(f"{name} {getattr(value, 'dtype', '')} {tuple(getattr(value, 'shape', ()))}".encode())
+        plain = value.detach().cpu().contiguous().reshape(-1) if isinstance(value, torch.Tensor) else None
+        digest.update(repr(value).encode() if plain is None else plain.view(torch.uint8).numpy().tobytes())
+    return f"sha256:{digest.hexdigest()}"
 
 
 def _stated(module: Any, name: str) -> int | None:

@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 
+from eldata import __version__
 from eldata.base.files import inside, remove_leftovers
 from eldata.base.numbers import counted
 from eldata.base.png import rgb_frame
 from eldata.base.workers import Failed, require_files
 from eldata.baselines.classical import BASELINES
 from eldata.baselines.consistency import checked_window
-from eldata.baselines.prediction_folder import begun
+from eldata.baselines.prediction_folder import ANSWERS, begun, remarks_on
 from eldata.baselines.signal_noise import SignalNoise, noise_of_image, noise_of_parameters
 from eldata.errors import ArgumentError, DatasetError
 from eldata.evaluation.layouts import stem_of
@@ -26,15 +27,17 @@ from eldata.evaluation.planning import plan_scoring, require_pairs
 from eldata.evaluation.predictions import save_prediction
 from eldata.evaluation.references import less_shading, levels_dn, normalised_frame
 from eldata.evaluation.request import make_request
+from eldata.manifest.card import CHANNELS
 from eldata.manifest.clips import clips_of, setting_name
 from eldata.manifest.patterns import expand
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.noise.parameters import NoiseParameters
+from eldata.noise.profile import profile_of
 from eldata.protocols.kinds import IMAGES
 from eldata.raw.reading import exposure_ratio, read_header, read_raw
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Collection, Sequence
 
     from numpy.typing import NDArray
 
@@ -48,6 +51,8 @@ if TYPE_CHECKING:
     Values = NDArray[np.floating[Any]]
 
 PixelType = Literal["float32", "float16", "uint16"]
+ANOTHER = "profile_of_another_camera"
+"""In the settings: whether a profile was allowed to stand for cameras that it is not of."""
 _SCHEMA = 1
 
 
@@ -88,9 +93,16 @@ class NoisyFrame:
 class Denoiser(Protocol):
     """Whatever predicts a frame. With more than one worker it has to be picklable."""
 
-    @property
-    def settings(self) -> dict[str, Any]:
-        """What decides its predictions, of plain types: a folder holds those of one."""
+    def settings(self, cameras: Collection[str], channels: Collection[int]) -> dict[str, Any]:
+        """Return what decides its predictions, of plain types: a folder holds those of one.
+
+        Parameters
+        ----------
+        cameras
+            Whose frames it will get; they may be refused, and must not change what is returned.
+        channels
+            How many channels C the data set's frames may have.
+        """
         ...
 
     def __call__(self, frame: NoisyFrame) -> Values:
@@ -108,20 +120,42 @@ class BaselineDenoiser:
         Its key there.
     profiles
         The cameras' noise; without, it is estimated from each frame.
+    profile_of_another_camera
+        Whether the only profile may stand for cameras that it is not of.
     """
 
     name: str
     profiles: tuple[CameraProfile, ...] = ()
+    profile_of_another_camera: bool = False
 
     def __post_init__(self) -> None:
         if self.name not in BASELINES:
             raise ArgumentError(f"no baseline is called {self.name!r}; known are {', '.join(BASELINES)}")
+        cameras = [profile.camera for profile in self.profiles]
+        if len(set(cameras)) < len(cameras):
+            raise ArgumentError(f"give one profile of each camera; found profiles of {', '.join(cameras)}")
 
-    @property
-    def settings(self) -> dict[str, Any]:
-        """Its name, and where the noise is known from."""
+    def settings(self, cameras: Collection[str], channels: Collection[int]) -> dict[str, Any]:  # noqa: ARG002 # any
+        """Return its name, the versions of what it needs, and where the noise is known from.
+
+        Raises
+        ------
+        ArgumentError
+            If a camera has no profile.
+        EldataError
+            If a package that it needs is not installed.
+        """
+        baseline = BASELINES[self.name]
+        if self.profiles and baseline.uses_noise:
+            for camera in cameras:
+                profile_of(camera, self.profiles, another=self.profile_of_another_camera)
         noise = {profile.camera: sha256(repr(profile).encode()).hexdigest() for profile in self.profiles}
-        return {"denoiser": self.name, "noise": noise or "each frame's own"}
+        return {
+            "denoiser": self.name,
+            **baseline.versions(),
+            "noise": noise or "each frame's own",
+            ANOTHER: bool(self.profiles) and self.profile_of_another_camera,
+        }
 
     def __call__(self, frame: NoisyFrame) -> Values:
         """Return its estimate of the signal."""
@@ -138,14 +172,10 @@ class BaselineDenoiser:
                 ) from error
         if math.isnan(frame.range_dn):
             raise ArgumentError("a profile is of raw frames, and these are preprocessed; leave --profile out")
-        camera, iso = frame.pair.camera, frame.iso
-        found = [one for one in self.profiles if len(self.profiles) == 1 or one.camera == camera]
-        if not found:
-            known = ", ".join(one.camera for one in self.profiles)
-            raise ArgumentError(f"no profile of the camera {camera} was given, only of {known}; add --profile")
-        if iso is None:
+        profile = profile_of(frame.pair.camera, self.profiles, another=self.profile_of_another_camera)
+        if frame.iso is None:
             raise DatasetError(f"{frame.path}: its ISO is not known, so the profile does not tell its noise")
-        return noise_of_parameters(typical(found[0], float(iso)), ratio=frame.ratio, range_dn=frame.range_dn)
+        return noise_of_parameters(typical(profile, float(frame.iso)), ratio=frame.ratio, range_dn=frame.range_dn)
 
 
 def typical(profile: CameraProfile, iso: float) -> NoiseParameters:
@@ -178,17 +208,20 @@ class PredictionReport:
         Numbers of frames predicted now, and of those that were there.
     problems
         Frames without a prediction, in words; those of one reason together.
+    remarks
+        What a reader of the scores should know.
     """
 
     folder: Path
     written: int
     kept: int
     problems: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
 
     def format_text(self) -> str:
         """Return what a command shows."""
         kept = f", {self.kept} were there" if self.kept else ""
-        lines = [*self.problems, f"{counted(self.written, 'frame')} predicted{kept}: {self.folder}"]
+        lines = [*self.problems, *self.remarks, f"{counted(self.written, 'frame')} predicted{kept}: {self.folder}"]
         return "\n".join(lines)
 
 
@@ -228,7 +261,9 @@ def write_predictions(
     ------
     ArgumentError
         If names are unknown, the protocol scores renderings, the denoiser states another ``clip`` or a ``window`` of
-        frames where there are no clips, or the folder holds other predictions.
+        frames where there are no clips, a camera has no profile, or the folder holds other predictions.
+    EldataError
+        If a package that the denoiser needs is not installed.
     DatasetError, ManifestError
         If the data set is not there or not what its manifest says.
     """
@@ -237,7 +272,9 @@ def write_predictions(
     (chosen,) = request.protocols
     if chosen.pixels == "srgb":
         raise ArgumentError(f"protocol {chosen.name!r} scores renderings, so no raw frames can be predicted for it")
-    stated = denoiser.settings
+    pairs = plan_scoring(request, chosen).pairs
+    cameras = list(dict.fromkeys(pair.camera for pair in pairs))
+    stated = denoiser.settings(cameras, (3,) if chosen.pixels == "rgb" else CHANNELS[request.manifest.card.cfa])
     frames = stated.get("window", 1)
     if request.kind is IMAGES and frames > 1:
         raise ArgumentError(
@@ -251,11 +288,11 @@ def write_predictions(
             f"the network was trained with inputs clipped as {known!r}, by its own account; found {wanted_clip!r}: "
             "leave --clip (clip=...) out"
         )
-    pairs = plan_scoring(request, chosen).pairs
     require_pairs(request, pairs)
     folder = Path(out)
     settings = {
         "schema": _SCHEMA,
+        "eldata": __version__,
         **stated,
         "dataset": request.manifest.name,
         "manifest_sha256": request.manifest.digest,
@@ -284,7 +321,18 @@ def write_predictions(
         f"{paths[0]}: {reason}" if len(paths) == 1 else f"{len(paths)} {several}, such as {paths[0]}: {reason}"
         for reason, paths in failed.items()
     )
-    return PredictionReport(folder, written, len(every) - len(missing), problems)
+    return PredictionReport(folder, written, len(every) - len(missing), problems, _remarks(stated, cameras))
+
+
+def _remarks(settings: dict[str, Any], cameras: Sequence[str]) -> tuple[str, ...]:
+    """Return what the folder's settings mean for its reader."""
+    remarks = []
+    if settings.get(ANOTHER):
+        known = ", ".join(settings["noise"])
+        without = [camera for camera in cameras if camera not in settings["noise"]]
+        if without:
+            remarks.append(f"the noise of {known} was taken for frames of {', '.join(without)}, another camera")
+    return (*remarks, *remarks_on(settings.get(ANSWERS, {})))
 
 
 def _unit_name(request: Request) -> str:

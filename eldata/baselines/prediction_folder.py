@@ -1,10 +1,13 @@
-"""The folder that predictions are written to: begun by one work, and refused to another."""
+"""The folder that predictions are written to: begun by one work, and refused to another; and how to tell them apart."""
 
 from __future__ import annotations
 
+import math
 import os
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from eldata.base.fields import TextFile
 from eldata.base.files import can_lock, check_same_work, remove_leftovers, wait_for_lock, write_json
@@ -12,8 +15,10 @@ from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation.request import SETTINGS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
+
+    from numpy.typing import NDArray
 
 
 @contextmanager
@@ -51,14 +56,20 @@ def begun(folder: Path, settings: dict[str, Any]) -> Iterator[None]:
 
 def _is_other(file: Path, settings: dict[str, Any]) -> bool:
     """Return whether the folder was begun by other work that nobody does; raise if it has come to something."""
-    stated = TextFile(file, EldataError, "remove the folder to start again").json().data
-    if stated == settings:
+    stated = dict(TextFile(file, EldataError, "remove the folder to start again").json().data)
+    given = settings.get(ANSWERS)
+    is_same = is_alike(stated.get(ANSWERS), given, settings.get("precision"))
+    if is_same and stated | {ANSWERS: given} == settings | {ANSWERS: given}:
         return False
     with file.open("rb") as settled:
         if can_lock(settled.fileno()) and not any(file.parent.rglob("*.npy")):
             return True
-    check_same_work(file.parent, stated, settings)
-    return False
+    check_same_work(file.parent, stated | {ANSWERS: given}, dict.fromkeys(stated) | settings)
+    raise ArgumentError(
+        f"{file.parent}: was begun with a network of this name and these weights that gave something else for a fixed "
+        "input: its code or a file that it reads has changed, or it gives something else at each call; give a new "
+        "folder, or remove this one to start again"
+    )
 
 
 @contextmanager
@@ -74,3 +85,55 @@ def _alone_in(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.close(descriptor)
+
+
+# --- what a network gives for a fixed input ---------------------------------------------------------------------------
+
+ANSWERS = "answers"
+"""In a folder's settings: what code, which no hash names, gives for a fixed input, by the input's channels."""
+_EACH_TIME, _NOT_TAKEN = "another at each call", "cannot take it"
+_NUMBERS = 8
+_TOLERANCE = {"bfloat16": 1e-2, "float16": 1e-2}  # of the largest number; float32 differs by less between processors
+_TOLERANCE_FLOAT32 = 1e-4
+
+
+def answer_of(
+    run: Callable[[NDArray[np.float32]], NDArray[Any]], shape: tuple[int, ...], precision: str
+) -> list[float] | str:
+    """Return what a network gives for a fixed input: sums over all of it, each with weights of its own.
+
+    The input, of the ``shape`` (..., h, w), grows from 0 to 1 over its columns, and has noise that goes below 0.
+    """
+    generator = np.random.default_rng(0)
+    noise = 0.05 * generator.standard_normal(shape)
+    image = (np.linspace(0.0, 1.0, shape[-1]) ** 2 + noise).astype(np.float32)
+    try:
+        made = [np.asarray(run(image.copy()), np.float64).ravel() for _ in range(2)]
+    except EldataError:  # a set of several sensors has channels that are not for it; else no frame will be predicted
+        return _NOT_TAKEN
+    if len({one.size for one in made}) > 1:
+        return _EACH_TIME
+    weights = generator.standard_normal((_NUMBERS, made[0].size)) / math.sqrt(made[0].size)
+    first, second = ([float(value) for value in weights @ np.nan_to_num(one, posinf=0.0, neginf=0.0)] for one in made)
+    return first if is_alike(first, second, precision) else _EACH_TIME
+
+
+def is_alike(found: Any, expected: Any, precision: str | None) -> bool:
+    """Return whether two answers, or all those of two folders, are those of one network."""
+    if isinstance(found, dict) and isinstance(expected, dict):
+        keys = found.keys() | expected.keys()
+        return all(is_alike(found.get(key), expected.get(key), precision) for key in keys)
+    if isinstance(found, list) and isinstance(expected, list) and len(found) == len(expected):
+        limit = _TOLERANCE.get(precision or "", _TOLERANCE_FLOAT32) * max(map(abs, expected), default=0.0)
+        return all(abs(one - other) <= limit for one, other in zip(found, expected, strict=True))
+    return bool(found == expected != _EACH_TIME)
+
+
+def remarks_on(answers: dict[str, list[float] | str]) -> tuple[str, ...]:
+    """Return what people should know of a network's answers."""
+    found = set(map(str, answers.values()))
+    if _EACH_TIME in found:
+        return ("the network gives something else for the same input at each call: interrupted work cannot go on",)
+    if found == {_NOT_TAKEN}:
+        return ("the network cannot take a small fixed input, so a change of its code would not be noticed here",)
+    return ()

@@ -45,7 +45,7 @@ from eldata.errors import ArgumentError, DatasetError
 from eldata.noise.diagnostics import sample_parameters
 from eldata.noise.makers import check_noise_maker, maker_name
 from eldata.noise.model import NoiseModel
-from eldata.noise.profile import CameraProfile
+from eldata.noise.profile import CameraProfile, profile_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence
@@ -82,6 +82,7 @@ def check_noise(
     seed: int = 0,
     pairs: int = PAIRS,
     whole_frames: bool = False,
+    profile_of_another_camera: bool = False,
     workers: AnyWorkers = 1,
 ) -> Acceptance:
     """Hold the frames that a noise model makes against frames of the camera that it has not seen.
@@ -109,6 +110,8 @@ def check_noise(
     whole_frames
         Hand the model frames of the sensor's size and compare the middle, for a model that knows the sensor's places;
         otherwise it makes that piece alone, 1024 x 1024 pixels at most.
+    profile_of_another_camera
+        Whether the profile may be of another camera than the frames; the model's name says so then.
     workers
         Number of threads that decode, and that make and measure a :class:`~eldata.noise.model.NoiseModel`'s frames (any
         other model's are made one after the other), or an executor that checks whole ISOs side by side, where the model
@@ -118,7 +121,8 @@ def check_noise(
     ------
     ArgumentError
         If the model cannot be called, returns what is not an exposure, clips at 0, or gives other units than normalised
-        ones; if the profile states other levels or does not know an ISO; or an option is out of its range.
+        ones; if the profile is of another camera, states other levels or does not know an ISO; or an option is out of
+        its range.
     FramesError
         If frames are missing or unfit: every problem is in it.
     DatasetError
@@ -132,6 +136,10 @@ def check_noise(
     elif isos is not None:
         raise ArgumentError("isos is for a folder; choose them with CalibrationFrames(..., isos=...)")
     name = maker_name(model)
+    if isinstance(parameters, CameraProfile):
+        profile_of(frames.camera, [parameters], another=profile_of_another_camera)
+        if parameters.camera != frames.camera:
+            name += f", with the profile of {parameters.camera}"
     if isinstance(model, NoiseModel) and model.components.quantisation and model.components.spec != "U":
         model = model.without_quantisation()
     workers = Workers.of(workers)

@@ -25,7 +25,7 @@ from eldata.calibration.structure import pooled_prnu
 from eldata.datasets.calibration_frames import CalibrationFrames
 from eldata.errors import ArgumentError
 from eldata.manifest.verify_report import Problem
-from eldata.noise.profile import CameraProfile, ProfileRow
+from eldata.noise.profile import CameraProfile, ProfileRow, profile_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -147,11 +147,13 @@ def stated_gains(frames: CalibrationFrames, gains: Mapping[float, float] | Camer
     Raises
     ------
     ArgumentError
-        If K is not finite and positive, there are no frames of its ISO, or a profile knows K at none of the ISOs.
+        If K is not finite and positive, there are no frames of its ISO, or a profile is of another camera or knows K at
+        none of the ISOs.
     """
     isos = [float(iso) for iso in frames.isos]
     listed = ", ".join(f"{iso:g}" for iso in isos)
     if isinstance(gains, CameraProfile):
+        profile_of(frames.camera, [gains], otherwise="its K in numbers: --gain ISO=K (gains={ISO: K})")
         known = {}
         for iso in isos:
             with suppress(ArgumentError):

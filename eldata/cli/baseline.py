@@ -10,6 +10,8 @@ from eldata.base.console import OK, PROBLEMS, add_cameras, add_root, add_shared,
 if TYPE_CHECKING:
     import argparse
 
+    from eldata.baselines.predicting import PredictionReport
+
 NAMES = ("input", "gaussian", "wavelet", "dct", "bm3d", "anscombe-bm3d")
 
 _EXAMPLE = "eldata baseline anscombe-bm3d --dataset eld --root data -o preds/bm3d"
@@ -39,8 +41,18 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="the camera's noise: a shipped profile (SonyA7S2) or a JSON file; once for each camera. Without it the "
         "noise is estimated from each frame",
     )
+    add_another_camera(parser, "frames of cameras that have none of their own")
     kept = "{out} keeps the finished predictions, and the same command goes on"
     add_shared(parser, run, "workers", "isolation", interrupted=kept, example=_EXAMPLE)
+
+
+def add_another_camera(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add ``--profile-of-another-camera``, without which a profile is for frames of its own camera alone."""
+    parser.add_argument(
+        "--profile-of-another-camera",
+        action="store_true",
+        help=f"take the profile for {what}, whose noise is another; what is written says so",
+    )
 
 
 def add_choice(parser: argparse.ArgumentParser) -> None:
@@ -84,17 +96,24 @@ def run(arguments: argparse.Namespace) -> int:
     from eldata.baselines.predicting import BaselineDenoiser, write_predictions
     from eldata.noise.profile import CameraProfile
 
-    denoiser = BaselineDenoiser(arguments.name, tuple(CameraProfile.load(name) for name in arguments.profiles))
+    profiles = tuple(CameraProfile.load(name) for name in arguments.profiles)
+    denoiser = BaselineDenoiser(arguments.name, profiles, arguments.profile_of_another_camera)
     with chosen_workers(arguments) as workers:
         report = write_predictions(
             denoiser, arguments.dataset or "", arguments.out, workers=workers, **chosen_options(arguments)
         )
+    return show_report(report, arguments)
+
+
+def show_report(report: PredictionReport, arguments: argparse.Namespace) -> int:
+    """Show what was predicted, and the command that scores it if there is anything; return the exit code."""
     print(report.format_text())
-    print(scoring_line(arguments))
+    if report.written or report.kept:
+        print(_scoring_line(arguments))
     return PROBLEMS if report.problems else OK
 
 
-def scoring_line(arguments: argparse.Namespace) -> str:
+def _scoring_line(arguments: argparse.Namespace) -> str:
     """Return the command that scores what was written."""
     given = ("dataset", "manifest", "protocol", "subset", "root", "dark_shading")
     options = [

@@ -68,7 +68,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         type=_stated_gain,
         metavar="ISO=K",
         help=(
-            "K in DN per photoelectron at an ISO that has no flats, or a profile that knows it, by name or path; may "
+            "K in DN per photoelectron at an ISO that has no flats, or a profile of the camera, by name or path; may "
             "be repeated. A measured K counts before a stated one"
         ),
     )

@@ -8,6 +8,7 @@ from eldata.base.console import OK, PROBLEMS, add_output, add_shared, chosen_wor
 from eldata.base.files import write_json
 from eldata.base.numbers import counted
 from eldata.base.parsing import add_examples
+from eldata.cli.baseline import add_another_camera
 
 if TYPE_CHECKING:
     import argparse
@@ -65,6 +66,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     check.add_argument(
         "--seed", type=whole_number(0), default=0, metavar="S", help="seed of the model (default: %(default)s)"
     )
+    add_another_camera(check, "frames of another camera")
     add_output(check, "--html", help="write a page with plots to FILE")
     add_shared(
         check,
@@ -156,6 +158,7 @@ def run_check(arguments: argparse.Namespace) -> int:
     try:
         with chosen_workers(arguments) as workers:
             options = {"seed": arguments.seed, "pairs": arguments.pairs, "whole_frames": of_sensor}
+            options["profile_of_another_camera"] = arguments.profile_of_another_camera
             found = check_noise(model, frames, profile, workers=workers, **options)
     except FramesError as error:
         for problem in error.problems:

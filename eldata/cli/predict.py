@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_shared, whole_number
-from eldata.cli.baseline import add_choice, chosen_options, scoring_line
+from eldata.base.console import add_shared, whole_number
+from eldata.cli.baseline import add_choice, chosen_options, show_report
 
 if TYPE_CHECKING:
     import argparse
@@ -23,7 +23,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
             "predictions that eldata evaluate reads. The network takes (1, C, h, w) float32, packed, normalised and "
             "amplified, and returns the same shape; one of clips takes a window (1, T, C, h, w) and returns its middle "
             "frame, and at a clip's ends the frames inside are mirrored. Predictions that are there are kept, so that "
-            "interrupted work goes on."
+            "interrupted work goes on. A model, whatever its format, is a program that runs with all your rights: give "
+            "your own, or one that you trust as such."
         ),
     )
     parser.add_argument(
@@ -92,6 +93,4 @@ def run(arguments: argparse.Namespace) -> int:
     network = load_network(arguments.model, **{name: getattr(arguments, name) for name in options})
     clip = arguments.clip or network.clip or "protocol"
     report = write_predictions(network, arguments.dataset or "", arguments.out, clip=clip, **chosen_options(arguments))
-    print(report.format_text())
-    print(scoring_line(arguments))
-    return PROBLEMS if report.problems else OK
+    return show_report(report, arguments)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import platform
 import warnings
 from dataclasses import replace
+from functools import partial
 from importlib.metadata import version
 from itertools import chain, islice
 from typing import TYPE_CHECKING, Any, Unpack
@@ -16,7 +17,13 @@ from eldata.evaluation.combined import CombinedResult, NotScored
 from eldata.evaluation.layouts import Expected
 from eldata.evaluation.pairs import frames_of, place_of
 from eldata.evaluation.planning import known_places, places_elsewhere, plan_scoring, require_pairs
-from eldata.evaluation.predictions import FoundPredictions, find_predictions, misplaced, prediction_space
+from eldata.evaluation.predictions import (
+    FoundPredictions,
+    dataset_itself,
+    find_predictions,
+    misplaced,
+    prediction_space,
+)
 from eldata.evaluation.request import ALL, SETTINGS, EvaluationOptions, Request, make_request, stated_shading
 from eldata.evaluation.results import THE_INPUT, EvaluationResult
 from eldata.evaluation.scores import EvaluationProblem
@@ -327,13 +334,43 @@ def _found(request: Request, plans: Sequence[ScoringPlan]) -> list[FoundPredicti
     for pair in (pair for plan in plans for pair in plan.pairs if isinstance(pair, PairRecord)):
         references.setdefault(pair.reference, pair.path)
     expected = Expected(list(dict.fromkeys(chain.from_iterable(places))), references, elsewhere)
-    problem = misplaced(request.predictions, expected, known)
+    problem = dataset_itself(request.predictions, request.folder, [row.path for row in request.manifest.records])
+    problem = problem or misplaced(request.predictions, expected, known)
     if problem is not None:
         return [FoundPredictions({}, (problem,), 0) for _ in plans]
+    find = partial(find_predictions, request.predictions, elsewhere=elsewhere, allow_missing=request.allow_missing)
+    if request.every:  # its plans are of the predictions' space, and share their problems
+        return [find(places=wanted, known=known) for wanted in places]
     return [
-        find_predictions(request.predictions, wanted, known, elsewhere=elsewhere, allow_missing=request.allow_missing)
-        for wanted in places
+        _of_its_space(request.predictions, plan, find(places=wanted, known=known, because=_own_pairs(plan)))
+        for plan, wanted in zip(plans, places, strict=True)
     ]
+
+
+def _own_pairs(plan: ScoringPlan) -> str:
+    """Return why a set of the user's own may lack predictions of pairs that its protocol does not choose elsewhere."""
+    name = plan.protocol.name
+    return f", and {name} scores this set's own pairs, not its {', '.join(plan.set_aside)}" if plan.set_aside else ""
+
+
+def _of_its_space(folder: Path, plan: ScoringPlan, found: FoundPredictions) -> FoundPredictions:
+    """Return the predictions; if none of them is in the space that the protocol takes, that is their one problem."""
+    wanted = "srgb" if plan.protocol.pixels == "srgb" else "raw"
+    if plan.protocol.kind is not IMAGES or not found.files:
+        return found
+    for file in found.files.values():
+        try:
+            if prediction_space(file) == wanted:
+                return found
+        except PredictionError:  # it will be among the problems
+            return found
+    what, there = ("renderings in sRGB", "raw frames")[:: 1 if wanted == "srgb" else -1]
+    first = next(iter(found.files.values())).relative_to(folder)
+    reason = (
+        f"protocol {plan.protocol.name} scores {what}, and these are {there}, such as {first}; give a protocol that "
+        "scores them: eldata protocols lists all"
+    )
+    return FoundPredictions({}, (EvaluationProblem(str(folder), reason),), 0)
 
 
 def _shading_notes(request: Request) -> list[str]:

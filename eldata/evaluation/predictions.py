@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -34,7 +34,7 @@ from eldata.raw.cfa import pack, packed_shape
 from eldata.raw.levels import with_levels
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping
+    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -81,6 +81,7 @@ def find_predictions(
     *,
     elsewhere: Mapping[str, Collection[str]] = MappingProxyType({}),
     allow_missing: bool = False,
+    because: str = "",
 ) -> FoundPredictions:
     """Match the files of a folder with where predictions may lie, but for their extension.
 
@@ -97,6 +98,8 @@ def find_predictions(
         The same of other datasets, by their names.
     allow_missing
         Whether noisy frames may lack a prediction.
+    because
+        Why a prediction is wanted that somebody may not expect to be, in words that go on a sentence.
 
     Raises
     ------
@@ -128,7 +131,7 @@ def find_predictions(
             there = add = ""
             if stem in unread:
                 there, add = f", only a {Path(unread[stem]).suffix} file, which is not read", f" as {READ}"
-            reason = f"has no prediction{there}; add it{add}, or score the rest with --allow-missing"
+            reason = f"has no prediction{there}{because}; add it{add}, or score the rest with --allow-missing"
             missing.append(EvaluationProblem(place, reason))
     unscored = sum(len(by_stem.pop(stem, ())) for stem in {stem_of(path) for path in known})
     counts = {
@@ -163,6 +166,39 @@ def misplaced(folder: Path, expected: Expected, known: Iterable[str]) -> Evaluat
     if not expected.places or any(is_read(name) and stem_of(name) in stems for name in names):
         return None
     return EvaluationProblem(str(folder), layout_in_words(folder, names, expected))
+
+
+def dataset_itself(folder: Path, dataset: Path, paths: Sequence[str]) -> EvaluationProblem | None:
+    """Return the one problem of a folder that is the dataset's, the one above it, or a camera's or scene's in it.
+
+    Predictions beside raw files of other kinds than predictions have are let through.
+
+    Parameters
+    ----------
+    folder
+        The folder of predictions.
+    dataset
+        The dataset's.
+    paths
+        Those of the manifest.
+    """
+    place, own = folder.resolve(), dataset.resolve()
+    above = place == own.parent
+    if not folder.is_dir() or not (above or place.is_relative_to(own)):
+        return None
+    parts = {parent.as_posix() for path in paths for parent in PurePosixPath(path).parents}
+    if not above and place.relative_to(own).as_posix() not in parts:
+        return None
+    # Beside raw files that are not read as predictions, and beside the dataset's folder, there may be some.
+    may_be = any((place / part).is_dir() for part in parts - {"."}) if above else any(map(is_read, _files(folder)))
+    if may_be and not any(map(is_read, paths)):
+        return None
+    what = "holds" if above else "is" if place == own else "is a part of"
+    return EvaluationProblem(
+        str(folder),
+        f"{what} the dataset itself, {dataset}; give a folder of predictions alone, such as eldata predict, eldata "
+        "baseline or code of yours writes, or --baseline input to score the noisy frames as they are",
+    )
 
 
 # What networks are kept in.

@@ -17,7 +17,16 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-CFA_WORDS = ("bayer", "xtrans", "quad-bayer", "nona-bayer", "both", "mixed")
+CHANNELS = {
+    "bayer": (4,),
+    "xtrans": (9,),
+    "quad-bayer": (16,),
+    "nona-bayer": (36,),
+    "both": (4, 9),
+    "mixed": (4, 9, 16, 36),
+}
+"""How many channels packed frames may have, by a card's word for their colour filter array."""
+CFA_WORDS = tuple(CHANNELS)
 
 _UNSTATED = {"", "not stated", "none stated", "unknown"}
 # Of the families under which data are published; all of them let whoever has the data pass them on unchanged.

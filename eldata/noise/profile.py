@@ -509,6 +509,32 @@ class CameraProfile:
         return [candidate for candidate, distance in zip(rows, distances, strict=True) if distance <= nearest + 1e-9]
 
 
+_ASKED_FOR = "one profile with --profile-of-another-camera (profile_of_another_camera=True)"
+
+
+def profile_of(
+    camera: str, profiles: Sequence[CameraProfile], *, another: bool = False, otherwise: str = _ASKED_FOR
+) -> CameraProfile:
+    """Return the profile of a camera: the one rule wherever a profile is to tell the noise of a named camera's frames.
+
+    Raises
+    ------
+    ArgumentError
+        If none is of it, unless there is only one, and one of ``another`` camera is asked for. ``otherwise`` is what to
+        give else.
+    """
+    for profile in profiles:
+        if profile.camera == camera:
+            return profile
+    if another and len(profiles) == 1:
+        return profiles[0]
+    known = ", ".join(profile.camera for profile in profiles)
+    raise ArgumentError(
+        f"no profile of the camera {camera} was given, only of {known}, whose noise is another; give its own, or "
+        f"{otherwise}"
+    )
+
+
 # --- files ----------------------------------------------------------------------------------------------------
 
 _FOLDER = Path(__file__).parent / "profiles"

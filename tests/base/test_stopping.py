@@ -9,12 +9,13 @@ import subprocess
 import sys
 import threading
 from contextlib import suppress
+from subprocess import PIPE
 from typing import TYPE_CHECKING
 
 import pytest
 
 from eldata.base.stopping import SIGNALS, Stopped, Stopping, held, stoppable
-from tests.waiting import PATIENCE_S, until
+from tests.waiting import PATIENCE_S, is_asleep, until
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -254,6 +255,40 @@ finally:
 def test_who_asks_again_is_served_at_once() -> None:
     done = subprocess.run([sys.executable, "-c", IMPATIENT], capture_output=True, text=True, timeout=PATIENCE_S)
     assert (done.returncode, done.stdout, done.stderr) == (143, "", "eldata: terminated\n")
+
+
+# Waits for a lock of C that nobody will open: signals do not end that, nor does Python's handler get to run.
+STUCK = """
+import ctypes, sys
+from eldata.base import stopping
+stopping.exit_when_told("eldata")
+with stopping.stoppable(stopping.Stopping("eldata")):
+    libc, lock = ctypes.CDLL(None), ctypes.create_string_buffer(256)
+    libc.pthread_mutex_lock(lock)
+    print("stuck", flush=True)
+    libc.pthread_mutex_lock(lock)
+"""
+
+
+@pytest.mark.kill
+@pytest.mark.skipif(sys.platform != "linux", reason="a lock of zeros is one of glibc")
+@pytest.mark.parametrize(("number", "word"), [(signal.SIGINT, "interrupted"), (signal.SIGTERM, "terminated")])
+def test_who_asks_again_is_served_inside_a_call_into_c(number: int, word: str) -> None:
+    """The first time waits for the call's return, and so does the same event again."""
+    with subprocess.Popen([sys.executable, "-c", STUCK], stdout=PIPE, stderr=PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "stuck\n"
+            until(lambda: is_asleep(process.pid), "the second lock")
+            for _ in range(2):
+                process.send_signal(number)
+            with pytest.raises(subprocess.TimeoutExpired):
+                process.wait(1.5)  # longer than what counts as one event
+            process.send_signal(number)
+            out, said = process.communicate(timeout=PATIENCE_S)
+        finally:
+            process.kill()
+    assert (process.returncode, out, said) == (128 + number, "", f"eldata: {word}\n")
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="shells with >&-")

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import pickle
 import re
 import shutil
+import signal
+import subprocess
+import sys
 import zipfile
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from subprocess import PIPE
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -31,6 +36,7 @@ from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.request import SETTINGS
 from eldata.noise.profile import CameraProfile
 from tests.trees import tree_in
+from tests.waiting import PATIENCE_S, is_asleep, until
 
 if TYPE_CHECKING:
     from eldata.baselines.predicting import Denoiser, NoisyFrame
@@ -127,7 +133,9 @@ def test_a_folder_without_a_prediction_begins_again(tree: Tree, tmp_path: Path) 
     out = tmp_path / "p"
 
     class Failing:
-        settings: ClassVar[dict[str, Any]] = {"denoiser": "failing"}
+        def settings(self, cameras: Any, channels: Any) -> dict[str, Any]:
+            assert (list(cameras), tuple(channels)) == (["DemoAlpha"], (4,))
+            return {"denoiser": "failing"}
 
         def __call__(self, frame: NoisyFrame) -> Any:
             with pytest.raises(ArgumentError, match="another denoiser: expected gaussian, found failing"):
@@ -142,6 +150,150 @@ def test_a_folder_without_a_prediction_begins_again(tree: Tree, tmp_path: Path) 
     assert json.loads((out / SETTINGS).read_text(encoding="utf-8"))["denoiser"] == "gaussian"
     with pytest.raises(ArgumentError, match="another denoiser: expected failing, found gaussian"):
         again(Failing())
+
+
+class Changing(torch.nn.Module):
+    """Scales by a weight, as its code has it, which the test changes as somebody edits a file between two runs."""
+
+    power = 1.0
+    weight = 0.5
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.scale = torch.nn.Parameter(torch.tensor(self.weight))
+
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        return self.scale * image.abs() ** self.power
+
+
+def unsteady(image: torch.Tensor) -> torch.Tensor:
+    return image + 0.01 * torch.randn_like(image)
+
+
+def test_predictions_of_a_network_that_has_changed_are_refused(
+    tree: Tree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Code is known by the weights that it returns and by what it gives; only the same goes on."""
+    code, out = "tests.baselines.test_predicting", tmp_path / "p"
+
+    def predict(model: str, *options: str, to: Path = out) -> tuple[int, str]:
+        found = main(["predict", model, *of_set(tree), "--device", "cpu", "-o", str(to), *options])
+        said = capsys.readouterr()
+        return found, said.out + said.err
+
+    changing = f"{code}:Changing"
+    assert predict(changing, "--camera", "DemoAlpha")[0] == 0
+    before = {file: file.read_bytes() for file in out.rglob("*.npy")}
+    assert "6 frames predicted, 6 were there" in predict(changing)[1]  # the same network for the other camera
+    for name, value, words in (
+        ("weight", 0.75, "was begun with another weights sha256"),
+        ("power", 1.01, "was begun with a network of this name and these weights that gave something else"),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setattr(Changing, name, value)
+            found, said = predict(changing)
+            assert (found, said.count("\n")) == (2, 1), said
+            assert words in said
+            assert predict(changing, to=tmp_path / name)[0] == 0
+    assert predict(changing)[0] == 0
+    assert {file: file.read_bytes() for file in before} == before
+
+    assert predict(f"{code}:halved", to=tmp_path / "f")[0] == 0
+    monkeypatch.setitem(globals(), "halved", lambda image: 0.49 * image)
+    assert "gave something else for a fixed input" in predict(f"{code}:halved", to=tmp_path / "f")[1]
+
+    found, said = predict(f"{code}:unsteady", to=tmp_path / "u")
+    assert found == 0
+    assert "the network gives something else for the same input at each call" in said
+    found, said = predict(f"{code}:unsteady", to=tmp_path / "u")
+    assert (found, "or it gives something else at each call" in said) == (2, True)
+
+
+def test_what_lies_beside_an_onnx_file_is_part_of_it(tree: Tree, tmp_path: Path) -> None:
+    pytest.importorskip("onnxruntime")
+    (tmp_path / "net.onnx").write_bytes(onnx_of_a_halving_network())
+    weights = tmp_path / "net.onnx.data"
+    weights.write_bytes(b"of yesterday")
+
+    def predict() -> PredictionReport:
+        network = load_network(str(tmp_path / "net.onnx"), tile=32, overlap=8, multiple=8, device="cpu")
+        return write_predictions(network, "", tmp_path / "p", manifest=tree.csv, root=tree.root, cameras=["DemoBeta"])
+
+    assert (predict().written, predict().kept) == (6, 6)
+    weights.write_bytes(b"of today")
+    with pytest.raises(ArgumentError, match=r"was begun with another net\.onnx\.data: "):
+        predict()
+    weights.unlink()
+    with pytest.raises(ArgumentError, match=r"was begun with another net\.onnx\.data: expected None"):
+        predict()
+
+
+def test_a_missing_extra_is_one_line_before_anything_is_written(
+    tree: Tree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, module, extra in (
+        ("bm3d", "bm3d", "bm3d"),
+        ("anscombe-bm3d", "bm3d", "bm3d"),
+        ("wavelet", "pywt", "baselines"),
+        ("wavelet", "skimage.restoration", "baselines"),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setitem(sys.modules, module, None)  # what an import of a package that is not installed meets
+            assert main(["baseline", name, *of_set(tree), "-o", str(tmp_path / "p"), "--jobs", "1"]) == 2
+        said = capsys.readouterr()
+        assert (said.out, said.err.count("\n")) == ("", 1)
+        assert f"pip install 'eldata[{extra}]'" in said.err
+        assert not (tmp_path / "p").exists()
+
+
+# At its fourth call, of which two are of the fixed input, it waits in C for a lock that nobody will open.
+STUCK = """
+import ctypes, os
+calls = 0
+def network(image):
+    global calls
+    calls += 1
+    if calls == int(os.environ.get("STUCK_AT", "0")):
+        libc, lock = ctypes.CDLL(None), ctypes.create_string_buffer(256)
+        libc.pthread_mutex_lock(lock)
+        print("stuck", flush=True)
+        libc.pthread_mutex_lock(lock)
+    return 0.5 * image
+"""
+
+
+@pytest.mark.kill
+@pytest.mark.skipif(sys.platform != "linux", reason="a lock of zeros is one of glibc")
+def test_the_second_ctrl_c_ends_a_network_inside_a_call_into_c(tree: Tree, tmp_path: Path) -> None:
+    """And the same command goes on to what an undisturbed one writes."""
+    (tmp_path / "mine.py").write_text(STUCK, encoding="utf-8")
+    command = [sys.executable, "-m", "eldata.cli.main", "predict", "mine:network", *of_set(tree), "--device", "cpu"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[2]), str(tmp_path)])}
+    out, straight = tmp_path / "p", tmp_path / "straight"
+    with subprocess.Popen(
+        [*command, "-o", str(out)], env=environment | {"STUCK_AT": "4"}, stdout=PIPE, stderr=PIPE, text=True
+    ) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "stuck\n"
+            until(lambda: is_asleep(process.pid), "the second lock")
+            process.send_signal(signal.SIGINT)
+            with pytest.raises(subprocess.TimeoutExpired):
+                process.wait(1.5)  # longer than what counts as one event
+            process.send_signal(signal.SIGINT)
+            shown, said = process.communicate(timeout=PATIENCE_S)
+        finally:
+            process.kill()
+    assert (process.returncode, shown, said) == (130, "", "eldata: interrupted\n")
+    assert len(list(out.rglob("*.npy"))) == 1
+    for folder in (out, straight):
+        subprocess.run([*command, "-o", str(folder)], env=environment, check=True, stdout=PIPE, timeout=PATIENCE_S)
+    first, second = (
+        {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+        for folder in (out, straight)
+    )
+    assert first == second
+    assert len(first) == 13
 
 
 def test_damaged_frames_are_listed_and_the_rest_is_predicted(
@@ -166,9 +318,9 @@ def test_damaged_frames_are_listed_and_the_rest_is_predicted(
 def test_where_the_noise_is_known_from(tree: Tree, tmp_path: Path) -> None:
     """From the profile alone where there is one; without, a frame that does not tell its noise is named."""
 
-    def predicted(name: str, *profiles: CameraProfile) -> PredictionReport:
+    def predicted(name: str, *profiles: CameraProfile, another: bool = False) -> PredictionReport:
         return write_predictions(
-            BaselineDenoiser("dct", profiles),
+            BaselineDenoiser("dct", profiles, another),
             "",
             tmp_path / name,
             cameras=["DemoAlpha"],
@@ -178,19 +330,34 @@ def test_where_the_noise_is_known_from(tree: Tree, tmp_path: Path) -> None:
 
     known = known_profile(CAMERAS[0], (800, 1600, 3200))
     assert predicted("known", known).written == 6
-    assert predicted("Sony", CameraProfile.load("SonyA7S2")).written == 6
+    with pytest.raises(
+        ArgumentError, match="no profile of the camera DemoAlpha was given, only of SonyA7S2, whose noise"
+    ):
+        predicted("Sony", CameraProfile.load("SonyA7S2"))
+    assert not (tmp_path / "Sony").exists()
+    other = predicted("Sony", CameraProfile.load("SonyA7S2"), another=True)
+    assert (other.written, other.remarks) == (
+        6,
+        ("the noise of SonyA7S2 was taken for frames of DemoAlpha, another camera",),
+    )
+    assert json.loads((tmp_path / "Sony" / SETTINGS).read_text(encoding="utf-8"))["profile_of_another_camera"] is True
     assert predicted("two", CameraProfile.load("SonyA7S2"), known).written == 6
     first = min((tmp_path / "known").rglob("*.npy")).relative_to(tmp_path / "known")
     one, other, two = (np.load(tmp_path / name / first) for name in ("known", "Sony", "two"))
     assert np.array_equal(one, two)
     assert not np.array_equal(one, other)
 
-    report = predicted("others", CameraProfile.load("SonyA7S2"), CameraProfile.load("NikonD850"))
-    assert (report.written, len(report.problems)) == (0, 1)
-    assert re.match(r"6 frames, such as DemoAlpha/.*: no profile of the camera DemoAlpha was given, only of SonyA7S2, "
-                    "NikonD850", report.problems[0])  # fmt: skip
+    several = (CameraProfile.load("SonyA7S2"), CameraProfile.load("NikonD850"))
+    for another in (False, True):  # which of them to take nobody can tell
+        with pytest.raises(
+            ArgumentError, match="no profile of the camera DemoAlpha was given, only of SonyA7S2, NikonD"
+        ):
+            predicted("others", *several, another=another)
+    with pytest.raises(ArgumentError, match="one profile of each camera; found profiles of DemoAlpha, DemoAlpha"):
+        predicted("twice", known, known)
     with pytest.raises(ArgumentError, match="another noise"):
-        predicted("known", CameraProfile.load("SonyA7S2"))
+        predicted("known", known_profile(CAMERAS[0], (400, 1600, 3200)))
+    assert not (tmp_path / "others").exists()
 
     # 24 windows a channel hardly tell; what they do not is left to the user.
     report = predicted("own")
@@ -363,7 +530,8 @@ def test_what_the_commands_say_to_wrong_input(tree: Tree, tmp_path: Path, capsys
     assert shown[0].startswith("12 frames, such as DemoAlpha/scene-1/IMG_0004.dng: the network cannot take (1, 4, ")
     assert "4 channels: " in shown[0]
     assert "9 channels" in shown[0]
-    assert shown[1].startswith("0 frames predicted")
+    assert "cannot take a small fixed input" in shown[1]
+    assert shown[2:] == [f"0 frames predicted: {tmp_path / 'p'}"]  # and no advice to score none
 
 
 class Nine(torch.nn.Conv2d):

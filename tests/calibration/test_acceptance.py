@@ -29,7 +29,7 @@ from eldata.noise.profile import ProfileRow
 from tests.calibration.faults import drift, telegraph
 from tests.calibration.judged import Specimen, judged, truth
 from tests.calibration.simulation import XTRANS, Camera
-from tests.calibration.trees import FrameTree, made_tree
+from tests.calibration.trees import CAMERA, FrameTree, made_tree
 
 if TYPE_CHECKING:
     from eldata.calibration.acceptance_results import IsoAcceptance
@@ -153,10 +153,12 @@ def pristine(tmp_path_factory: pytest.TempPathFactory) -> FrameTree:
 
 
 def profile(**changes: Any) -> CameraProfile:
-    """Of nobody's camera, measured at ISO 100."""
+    """As of the tree's camera, measured at ISO 100."""
     fit = LogLogFit(0.5, 0.0, 0.0)
     row = ProfileRow(0.1, (0.0, 0.0, 0.0, 0.0), 100.0, 0.1, 1.0, 1.5, 0.3)
-    return CameraProfile("Nobody's", "a test", (0.1, 0.1), fit, fit, fit, (row,), (100.0, 100.0), **changes)
+    return CameraProfile(
+        changes.pop("camera", CAMERA), "a test", (0.1, 0.1), fit, fit, fit, (row,), (100.0, 100.0), **changes
+    )
 
 
 def test_files_levels_and_what_is_missing(pristine: FrameTree, tmp_path: Path) -> None:
@@ -165,6 +167,8 @@ def test_files_levels_and_what_is_missing(pristine: FrameTree, tmp_path: Path) -
         check_noise(NoiseModel(), frames, profile(black_level_dn=64.0, white_level_dn=16383.0))
     with pytest.raises(ArgumentError, match="parameters are of one ISO"):
         check_noise(NoiseModel(), pristine.frames(), profile().measured(100))
+    with pytest.raises(ArgumentError, match="no profile of the camera DemoGamma was given, only of Nobody's"):
+        check_noise(NoiseModel(), frames, profile(camera="Nobody's"))
     with pytest.raises(ArgumentError, match="pairs must be"):
         check_noise(NoiseModel(), frames, profile(), pairs=2)
     few = pristine.copy(tmp_path / "few")
@@ -199,15 +203,20 @@ def test_dark_frames_that_are_not_held_out(
 ) -> None:
     """With frames of its own the command judges; those that the model has are refused."""
     made, numbers, own = tmp_path / "nobody.json", tmp_path / "found.json", pristine.copy(tmp_path / "own")
-    profile().save(made)
+    profile(camera="Nobody's").save(made)
     held_out = pristine.copy(tmp_path / "held-out")
     for number, path in enumerate(sorted(own.files("bias", 100))):
         (path if number < 2 else next(one for one in held_out.files("bias", 100) if one.name == path.name)).unlink()
     command = ["noise", "check", str(made), "--frames", str(held_out.root), "--model", "P*+D", "--iso", "100"]
+    assert main([*command, "--dark-frames", str(own.root)]) == 2
+    assert "no profile of the camera DemoGamma was given, only of Nobody's" in capsys.readouterr().err
+    command.append("--profile-of-another-camera")
     assert main([*command, "--pairs", "16", "--dark-frames", str(own.root), "--json", str(numbers)]) == 1
     found = json.loads(numbers.read_text(encoding="utf-8"))
     assert "rows" not in found["isos"][0]["missed"]  # which the paper's model of this profile misses, above
     assert found["model"].startswith("NoiseModel('P*+D', dark_frames=DarkFrames(")
+    assert found["model"].endswith("), with the profile of Nobody's")
+    assert found["model"] in capsys.readouterr().out
     assert main([*command, "--dark-frames", str(held_out.root)]) == 2
     assert "is in --frames and in --dark-frames; a model is judged by frames" in capsys.readouterr().err
 

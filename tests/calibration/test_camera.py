@@ -317,7 +317,12 @@ def test_a_stated_gain_takes_the_place_of_flats(found: Calibration, tree: FrameT
     assert stated.table()[1][0][3] == f"{gains[100.0]:.5g} (stated)"
     from_profile = calibrate(tree.root, gains=found.profile)
     assert from_profile.profile == stated.profile
-    other = CameraProfile.load("SonyA7S2")
+    shipped = CameraProfile.load("SonyA7S2")
+    with pytest.raises(
+        ArgumentError, match=r"camera DemoGamma .*, only of SonyA7S2, .* its K in numbers: --gain ISO=K"
+    ):
+        calibrate(tree.root, gains=shipped)
+    other = replace(shipped, camera="DemoGamma")
     assert calibrate(tree.root, gains=other).isos[2].gain_dn_per_e == other.gain_at_iso(1600)
 
 

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from eldata.errors import ManifestError
-from eldata.evaluation import EXTENSIONS, evaluate, evaluate_all
+from eldata.evaluation import EXTENSIONS, evaluate, evaluate_all, save_prediction
 from eldata.evaluation.layouts import Expected, layout_in_words, nearest_in_words
+from eldata.evaluation.predictions import dataset_itself
 from eldata.evaluation.results import problem_lines
 from eldata.evaluation.scores import EvaluationProblem
 from eldata.manifest.catalogue import shipped_manifest
@@ -172,6 +173,58 @@ def test_a_folder_within_the_layout_names_the_one_above(levels: int, tree: Tree,
     (problem,) = run(inner, tree).problems
     within = "/".join(FIRST.split("/")[:levels])
     assert f"this is {within} of the layout: give {predictions} as the folder of predictions" in problem.reason
+
+
+def test_the_dataset_is_not_predictions_of_it(tree: Tree, predictions: Path, tmp_path: Path) -> None:
+    """Its folder, those in it, the one above; nothing in it is to be renamed or moved away."""
+    (tmp_path / "link").symlink_to(tree.files)
+    for folder, what in (
+        (tree.files, "is the dataset itself"),
+        (tmp_path / "link", "is the dataset itself"),
+        (tree.files / "DemoAlpha", "is a part of the dataset itself"),
+        (tree.files / "DemoAlpha" / "scene-1", "is a part of the dataset itself"),
+        (tree.root, "holds the dataset itself"),
+    ):
+        result = run(folder, tree)
+        (problem,) = result.problems
+        assert problem.path == str(folder)
+        assert problem.reason.startswith(f"{what}, {tree.files}; give a folder of predictions alone, such as eldata")
+        assert not result.scores
+    own = tree.copy(tmp_path / "own")
+    shutil.copytree(predictions, own.files / "preds")
+    assert not run(own.files / "preds", own).problems
+
+
+def test_predictions_beside_raw_files_that_are_no_predictions_are_found(tmp_path: Path) -> None:
+    paths = ["SonyA7S2/scene-1/IMG_0001.ARW", "SonyA7S2/scene-1/IMG_0004.ARW"]
+    (tmp_path / "SonyA7S2" / "scene-1").mkdir(parents=True)
+    assert dataset_itself(tmp_path, tmp_path, paths) is not None
+    (tmp_path / "SonyA7S2" / "scene-1" / "IMG_0004.npy").touch()
+    assert dataset_itself(tmp_path, tmp_path, paths) is None
+    assert dataset_itself(tmp_path, tmp_path / "ELD", paths) is None
+    assert dataset_itself(tmp_path.parent, tmp_path, paths) is not None
+
+
+def test_predictions_of_another_space_are_one_message(tree: Tree, predictions: Path, tmp_path: Path) -> None:
+    """And not one for each frame that the protocol would score besides."""
+    (problem,) = evaluate(predictions, manifest=tree.manifest, root=tree.root, protocol="sid2018").problems
+    assert problem.reason == (
+        f"protocol sid2018 scores renderings in sRGB, and these are raw frames, such as {FIRST}.npy; give a protocol "
+        "that scores them: eldata protocols lists all"
+    )
+    for pair in tree.pairs:
+        save_prediction(tmp_path / "srgb", pair.path, np.zeros((3, 128, 192), np.float32))
+    (problem,) = run(tmp_path / "srgb", tree).problems
+    assert problem.reason.startswith("protocol eld scores raw frames, and these are renderings in sRGB, such as ")
+
+
+def test_why_more_frames_are_wanted_than_were_predicted_is_said(predictions: Path, tree: Tree) -> None:
+    """A set of one's own without all of a protocol's factors is scored whole."""
+    problems = evaluate(predictions, manifest=tree.manifest, root=tree.root, protocol="sid").problems
+    (reason,) = {problem.reason for problem in problems}
+    assert reason.startswith(
+        "has no prediction, and sid scores this set's own pairs, not its factors x100, x250, x300; add it, or score "
+    )
 
 
 def test_names_of_references_are_told(tree: Tree, predictions: Path, tmp_path: Path) -> None:

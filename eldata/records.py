@@ -138,6 +138,7 @@ class RawHeader:
     """What a raw file says about itself, before its pixels are decoded.
 
     ``taken``: by the camera's clock, which knows no time zone, with a fraction of a second where the file has one.
+    ``remarks``: those of :class:`RawFrame` that take no pixels.
     """
 
     path: Path
@@ -145,6 +146,7 @@ class RawHeader:
     model: str
     exposure: Exposure
     taken: datetime | None = None
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,6 +154,7 @@ class RawFrame:
     """One decoded raw frame: ``mosaic`` is (H, W) uint16 in DN, the visible area, black level not subtracted.
 
     ``channel_white_levels_dn``: LibRaw's own white level per CFA channel, where it has one; protocols may ask for it.
+    ``remarks``: what is right about the file but should be known, a sentence each (:mod:`eldata.raw.remarks`).
     """
 
     path: Path
@@ -159,6 +162,7 @@ class RawFrame:
     sensor: Sensor
     exposure: Exposure
     channel_white_levels_dn: tuple[float, ...] | None = None
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -48,6 +48,7 @@ from __future__ import annotations
 
 import ctypes
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import cache
 from itertools import chain
 from pathlib import Path
@@ -59,8 +60,9 @@ from eldata.raw.cfa import cfa_from, cfa_of_letters, packing_sites
 from eldata.raw.containers import check_container
 from eldata.raw.damage import check_damage, check_samples
 from eldata.raw.exif import exif_tags, header_of
+from eldata.raw.remarks import directory_remarks
 from eldata.raw.sensor_facts import as_shot_multipliers, camera_matrix, channel_whites, dng_black_level
-from eldata.raw.tiff import ACTIVE_AREA, BLACK_DELTAS, read_directories
+from eldata.raw.tiff import ACTIVE_AREA, BLACK_DELTAS, image_directory, read_directories
 from eldata.raw.unsupported import NEEDED, refuse_unsupported, unsupported_cfa
 from eldata.records import RawFrame, Sensor
 
@@ -71,6 +73,7 @@ if TYPE_CHECKING:
     import rawpy
 
     from eldata.raw.cfa import CfaRows
+    from eldata.raw.exif import Tags
     from eldata.raw.tiff import Directory
     from eldata.records import RawHeader
 
@@ -90,9 +93,15 @@ def read_header(path: Path | str) -> RawHeader:
 
 
 def _header(path: Path) -> RawHeader:
-    refuse_unsupported(path, read_directories(path))
-    with opened_raw(path):
-        return header_of(path, exif_tags(path))
+    directories = read_directories(path)
+    refuse_unsupported(path, directories)
+    with opened_raw(path) as raw:
+        return _header_of(path, raw, directories, exif_tags(path))
+
+
+def _header_of(path: Path, raw: rawpy.RawPy, directories: Sequence[Directory], tags: Tags) -> RawHeader:
+    mosaic = image_directory(directories, (raw.sizes.raw_height, raw.sizes.raw_width))
+    return replace(header_of(path, tags), remarks=directory_remarks(mosaic))
 
 
 def read_raw(path: Path | str) -> RawFrame:
@@ -135,7 +144,7 @@ def _decoded(path: Path) -> RawFrame:
         tags = exif_tags(path)
         _check_sizes(path, raw)
         raw.unpack()
-        header = header_of(path, tags)
+        header = _header_of(path, raw, directories, tags)
         if raw.raw_type != rawpy.RawType.Flat or raw.num_colors == 1:
             shape = raw.raw_image.shape
             kind = "no colour filter array (monochrome)" if len(shape) == 2 else "already demosaiced (an RGB raw)"
@@ -165,7 +174,7 @@ def _decoded(path: Path) -> RawFrame:
             matrix_illuminant=illuminant,
         )
     check_damage(path, directories, mosaic, black, white)
-    return RawFrame(path, mosaic, sensor, header.exposure, whites)
+    return RawFrame(path, mosaic, sensor, header.exposure, whites, header.remarks)
 
 
 def exposure_ratio(reference: RawFrame | RawHeader, noisy: RawFrame | RawHeader) -> Fraction:

@@ -16,6 +16,7 @@ from typing import IO, TYPE_CHECKING
 from eldata.errors import RawFileError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
 MAGIC = (b"II*\0", b"MM\0*")
@@ -28,6 +29,7 @@ BLACK_REPEAT, BLACK_LEVEL, BLACK_DELTAS = 50713, 50714, (50715, 50716)
 CFA_PHOTOMETRIC = 32803
 CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT = 33421, 33422, 50711
 NOISE_PROFILE = 51041
+OPCODE_LISTS = (51008, 51009, 51022)  # of the stored, the linear and the demosaiced image
 
 _WHITE_LEVEL = 50717
 _LEVELS = {BLACK_LEVEL: "BlackLevel", BLACK_DELTAS[0]: "BlackLevelDeltaH", BLACK_DELTAS[1]: "BlackLevelDeltaV"}
@@ -41,6 +43,7 @@ _READ = _EXIF | {
     *(WIDTH, HEIGHT, COMPRESSION, PHOTOMETRIC, TILE_WIDTH, TILE_HEIGHT),
     *(271, 272, _SUB_IFDS, _EXIF_IFD, ACTIVE_AREA, BLACK_REPEAT, BLACK_LEVEL, *BLACK_DELTAS),
     *(_WHITE_LEVEL, 50721, 50722, 50728, 50778, 50779, CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT, NOISE_PROFILE),
+    *OPCODE_LISTS,
     *(tag for pair in _DATA for tag in pair),
 }
 
@@ -62,7 +65,10 @@ Numbers = tuple[Fraction, ...]
 
 @dataclass(frozen=True, slots=True)
 class Directory:
-    """The numbers of one IFD's relied-on tags, by tag, exactly; not of those that state none (0/0)."""
+    """The numbers of one IFD's relied-on tags, by tag, exactly; not of those that state none (0/0).
+
+    Of a list of opcodes their ids.
+    """
 
     values: dict[int, Numbers]
 
@@ -134,9 +140,9 @@ def read_directories(path: Path) -> tuple[Directory, ...]:
             budget.spend("directories", 1)
             directory, following = _read_directory(path, file, size, order, at, budget)
             found.append(directory)
-            waiting.append(following)
-            for tag in (_SUB_IFDS, _EXIF_IFD):
-                waiting += map(int, directory.values.get(tag, ()))
+            # In LibRaw's order: those within a directory before those behind it, each as listed.
+            within = (int(place) for tag in (_SUB_IFDS, _EXIF_IFD) for place in directory.values.get(tag, ()))
+            waiting += reversed([*within, following])
     for directory in found:
         _check_mosaic(path, directory)
     # The raw image alone where it is marked as such: some cameras declare previews that they do not write.
@@ -145,6 +151,13 @@ def read_directories(path: Path) -> tuple[Directory, ...]:
         raise RawFileError(path, f"damaged: it declares {extent[1]} bytes of image data at byte {extent[0]}")
     require(path, size, max((sum(extent) for directory in images for extent in directory.extents), default=0))
     return tuple(found)
+
+
+def image_directory(directories: Sequence[Directory], shape: tuple[int, int]) -> Directory | None:
+    """Return the first directory of a mosaic of this full size (H, W); if none has it, the only one of a mosaic."""
+    mosaics = [directory for directory in directories if directory.is_mosaic]
+    fitting = [directory for directory in mosaics if directory.shape == shape]
+    return next(iter(fitting or mosaics if len(mosaics) == 1 else fitting), None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,6 +217,9 @@ def _read_directory(
         if length > 4:
             offset = struct.unpack(order + "I", data)[0]
             require(path, size, offset + length)
+        if tag in OPCODE_LISTS:
+            values[tag] = tuple(_opcodes(path, file, range(offset, offset + length), budget)) if length > 4 else ()
+            continue
         code = "d" if (tag, kind) == (NOISE_PROFILE, _DOUBLE) else _CODES.get(kind)
         if code is None:
             continue
@@ -219,6 +235,20 @@ def _read_directory(
     # The pointer to the next directory may be missing at the very end of a file.
     following = struct.unpack(order + "I", table[-4:])[0] if len(table) == 12 * count + 4 else 0
     return Directory(values), following
+
+
+def _opcodes(path: Path, file: IO[bytes], place: range, budget: _Budget) -> Iterator[Fraction]:
+    """Yield the ids of a list of opcodes, whose byte order is always big-endian."""
+    file.seek(place.start)
+    at = place.start + 4
+    for _ in range(int.from_bytes(file.read(4), "big")):
+        if at + 16 > place.stop:
+            raise RawFileError(path, f"damaged: its list of opcodes holds more of them than its {len(place)} bytes")
+        budget.spend("values", 1)
+        file.seek(at)
+        opcode, _, _, length = struct.unpack(">4I", file.read(16))
+        yield Fraction(opcode)
+        at += 16 + length
 
 
 def _numbers(order: str, code: str, number: int, data: bytes) -> Numbers | None:

@@ -35,7 +35,7 @@ from eldata.manifest.clip_checks import (
 from eldata.manifest.pairs import UNCERTAIN_ISO
 from eldata.manifest.patterns import RowFinding, expand, pattern_findings
 from eldata.manifest.table import number_text
-from eldata.manifest.verify_report import LEVELS, DatasetReport, Level, Problem, FileRemark, VerifyReport, distinct
+from eldata.manifest.verify_report import LEVELS, DatasetReport, FileRemark, Level, Problem, VerifyReport, distinct
 from eldata.raw.facts import raw_facts
 from eldata.raw.unsupported import what_to_do
 

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from eldata.base.files import inside, sha256_of
 from eldata.base.workers import AnyWorkers, Failed, Workers, accepts_jobs, require_files
-from eldata.errors import ArgumentError, ManifestError, RawFileError, did_you_mean
+from eldata.errors import ArgumentError, ManifestError, RawFileError, UnusableRawError, did_you_mean
 from eldata.manifest.catalogue import Manifest, find_manifests
 from eldata.manifest.clip_checks import (
     exposure_findings,
@@ -37,7 +37,6 @@ from eldata.manifest.patterns import RowFinding, expand, pattern_findings
 from eldata.manifest.table import number_text
 from eldata.manifest.verify_report import LEVELS, DatasetReport, FileRemark, Level, Problem, VerifyReport, distinct
 from eldata.raw.facts import raw_facts
-from eldata.raw.unsupported import what_to_do
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -314,15 +313,15 @@ def content_findings(folder: Path, record: FrameRecord) -> list[RowFinding]:
     return _decoded_findings(record, decoded)
 
 
-def _unreadable(record: FrameRecord, error: RawFileError) -> RowFinding:
-    found, advice = what_to_do(error.reason) or (error.reason.removesuffix(f"; {_AGAIN}"), _AGAIN)
-    return RowFinding(record.path, "content", "a whole raw file", found, advice)
+def _unreadable(record: FrameRecord, error: RawFileError, expected: str = "a whole raw file") -> RowFinding:
+    if isinstance(error, UnusableRawError):
+        return RowFinding(record.path, "content", "a raw file that can be used", error.found, error.advice)
+    return RowFinding(record.path, "content", expected, error.reason.removesuffix(f"; {_AGAIN}"), _AGAIN)
 
 
-def _decoded_findings(record: FrameRecord, decoded: Sensor | str | None) -> list[RowFinding]:
-    if isinstance(decoded, str):
-        found = decoded.removesuffix(f"; {_AGAIN}")
-        return [RowFinding(record.path, "content", "a raw file that decodes", found, _AGAIN)]
+def _decoded_findings(record: FrameRecord, decoded: Sensor | RawFileError | None) -> list[RowFinding]:
+    if isinstance(decoded, RawFileError):
+        return [_unreadable(record, decoded, "a raw file that decodes")]
     if decoded is None:
         return []
     advice = "this file was taken in another mode or by another camera"

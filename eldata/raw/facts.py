@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from eldata.records import RawHeader, Sensor
 
 
-def raw_facts(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | str | None]:
+def raw_facts(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | RawFileError | None]:
     """Return a raw file's header and, if it is to be decoded, its sensor, or why it does not decode or is damaged.
 
     The header has what there is to remark of the file: of its pixels too, if it is decoded.
@@ -34,7 +34,7 @@ def raw_facts(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | str | No
     return guarded_file(partial(_facts, decode=decode), path, RawFileError)
 
 
-def _facts(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | str | None]:
+def _facts(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | RawFileError | None]:
     from eldata.raw.damage import check_streams
     from eldata.raw.reading import read_header, read_raw
 
@@ -45,5 +45,5 @@ def _facts(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | str | None]
         frame = read_raw(path)
         check_streams(path)
     except RawFileError as error:
-        return header, error.reason
+        return header, error
     return replace(header, remarks=frame.remarks), frame.sensor

@@ -55,7 +55,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eldata.base.isolation import guarded_file
-from eldata.errors import RawFileError
+from eldata.errors import RawFileError, UnusableRawError
 from eldata.raw.cfa import cfa_from, cfa_of_letters, packing_sites
 from eldata.raw.containers import check_container
 from eldata.raw.damage import check_damage, check_samples
@@ -150,7 +150,7 @@ def _decoded(path: Path) -> RawFrame:
             kind = "no colour filter array (monochrome)" if len(shape) == 2 else "already demosaiced (an RGB raw)"
             if len(shape) == 3 and header.make == "Canon" and "Image Tag 0xC612" not in tags:  # no DNG
                 kind = "already demosaiced (Canon's sRAW or mRAW)"
-            raise RawFileError(path, f"{kind}: {shape} samples; {NEEDED}")
+            raise UnusableRawError(path, f"{kind}: {shape} samples", NEEDED)
         cfa, index_of = _cfa_of_blocks(path, raw, directories) or _cfa(path, raw)
         mosaic = raw.raw_image_visible.copy()
         black = dng_black_level(path, raw, directories, cfa) or tuple(
@@ -285,7 +285,7 @@ def _cfa(path: Path, raw: rawpy.RawPy) -> tuple[CfaRows, tuple[int, ...]]:
     letters = ["".join(names[index] for index in row) for row in sites]
     cfa = cfa_of_letters(letters)
     if cfa is None:
-        raise RawFileError(path, unsupported_cfa(letters))
+        raise unsupported_cfa(path, letters)
     libraw_index = dict(zip(chain(*cfa), chain(*sites), strict=True))
     return cfa, tuple(libraw_index[channel] for channel in sorted(libraw_index))
 

@@ -48,10 +48,12 @@ from __future__ import annotations
 
 import ctypes
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, partial
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from eldata.base.isolation import guarded_file
 from eldata.errors import RawFileError
@@ -59,8 +61,23 @@ from eldata.raw.cfa import cfa_from, cfa_of_letters, packing_sites
 from eldata.raw.containers import check_container
 from eldata.raw.damage import check_damage, check_samples
 from eldata.raw.exif import exif_tags, header_of
-from eldata.raw.sensor_facts import as_shot_multipliers, camera_matrix, channel_whites, dng_black_level
-from eldata.raw.tiff import ACTIVE_AREA, BLACK_DELTAS, read_directories
+from eldata.raw.sensor_facts import (
+    as_shot_multipliers,
+    camera_matrix,
+    channel_whites,
+    dng_black_level,
+    dng_white_level,
+)
+from eldata.raw.strips import is_own, read_pixels
+from eldata.raw.tiff import (
+    ACTIVE_AREA,
+    BLACK_DELTAS,
+    COLUMN_INTERLEAVE,
+    DNG_VERSION,
+    ROW_INTERLEAVE,
+    SUBFILE,
+    read_directories,
+)
 from eldata.raw.unsupported import NEEDED, refuse_unsupported, unsupported_cfa
 from eldata.records import RawFrame, Sensor
 
@@ -69,6 +86,7 @@ if TYPE_CHECKING:
     from fractions import Fraction
 
     import rawpy
+    from numpy.typing import NDArray
 
     from eldata.raw.cfa import CfaRows
     from eldata.raw.tiff import Directory
@@ -95,21 +113,28 @@ def _header(path: Path) -> RawHeader:
         return header_of(path, exif_tags(path))
 
 
-def read_raw(path: Path | str) -> RawFrame:
+def read_raw(path: Path | str, *, image: int = 0) -> RawFrame:
     """Decode a raw file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    image
+        Which one, counted from 0, of a file that holds several of one size, such as the four of a pixel shift.
 
     Returns
     -------
     RawFrame
-        The visible mosaic, (H, W) uint16 in DN, with sensor and exposure. Exposure fields that the file does not
-        state are ``None`` (:func:`exposure_ratio` says which).
+        The visible mosaic, (H, W) in DN, with sensor and exposure: uint16, or float32 of a floating-point DNG. Exposure
+        fields that the file does not state are ``None`` (:func:`exposure_ratio` says which).
 
     Raises
     ------
     RawFileError
         If the file is missing, empty, truncated, not a raw file, already demosaiced (an RGB raw), without a CFA or
-        with one that is not supported; or, with :func:`eldata.isolation`, if its decoder crashes, hangs or
-        needs too much memory. The message names the file and the reason.
+        with one that is not supported, or has no such image; or, with :func:`eldata.isolation`, if its decoder
+        crashes, hangs or needs too much memory. The message names the file and the reason.
 
     Examples
     --------
@@ -122,19 +147,21 @@ def read_raw(path: Path | str) -> RawFrame:
     >>> frame.exposure.iso, frame.exposure.exposure_s
     (Fraction(800, 1), Fraction(1, 200))
     """
-    return guarded_file(_decoded, Path(path), RawFileError)
+    return guarded_file(partial(_decoded, image=image), Path(path), RawFileError)
 
 
-def _decoded(path: Path) -> RawFrame:
+def _decoded(path: Path, *, image: int) -> RawFrame:
     import rawpy
 
     directories = read_directories(path)
     refuse_unsupported(path, directories)
     check_samples(path, directories)
-    with opened_raw(path) as raw:
+    with opened_raw(path, image=image) as raw:
         tags = exif_tags(path)
         _check_sizes(path, raw)
-        raw.unpack()
+        main = _main_image(path, raw, directories, image)
+        if main is None or not is_own(main):
+            raw.unpack()
         header = header_of(path, tags)
         if raw.raw_type != rawpy.RawType.Flat or raw.num_colors == 1:
             shape = raw.raw_image.shape
@@ -142,15 +169,17 @@ def _decoded(path: Path) -> RawFrame:
             if len(shape) == 3 and header.make == "Canon" and "Image Tag 0xC612" not in tags:  # no DNG
                 kind = "already demosaiced (Canon's sRAW or mRAW)"
             raise RawFileError(path, f"{kind}: {shape} samples; {NEEDED}")
-        cfa, index_of = _cfa_of_blocks(path, raw, directories) or _cfa(path, raw)
-        mosaic = raw.raw_image_visible.copy()
-        black = dng_black_level(path, raw, directories, cfa) or tuple(
-            float(raw.black_level_per_channel[index]) for index in index_of
-        )
-        white = float(raw.white_level)
+        cfa, index_of = _cfa(path, raw, directories)
+        own = main if main is not None and is_own(main) else None
+        mosaic = _visible(raw, raw.raw_image if own is None else read_pixels(path, own), main)
+        black = dng_black_level(path, raw, directories if main is None else [main], cfa)
+        if black is None:
+            stated = [0.0] * 4 if own is not None else raw.black_level_per_channel  # 0 by the specification
+            black = tuple(float(stated[index]) for index in index_of)
+        white = float(raw.white_level) if own is None else dng_white_level(own)
         if not white > max(black):
             raise RawFileError(path, f"white level {white:g} DN is not above the black level {black} DN")
-        whites = channel_whites(raw, index_of)
+        whites = channel_whites(raw, index_of) if own is None else None  # on another scale than floats have
         matrix, illuminant = camera_matrix(raw, directories)
         sensor = Sensor(
             make=header.make,
@@ -211,9 +240,53 @@ def _check_sizes(path: Path, raw: rawpy.RawPy) -> None:
         )
 
 
+def _main_image(path: Path, raw: rawpy.RawPy, directories: Sequence[Directory], image: int) -> Directory | None:
+    """Return the directory of the mosaic that is read; None of a format that does not say which it is."""
+    size = raw.sizes.raw_height, raw.sizes.raw_width
+    found = [one for one in directories if one.is_mosaic and one.shape == size]
+    found = [one for one in found if not one.number(SUBFILE, 0)] or found  # no proxy
+    if not found:
+        return None
+    if not 0 <= image < len(found):
+        raise RawFileError(path, f"has no image {image}: it holds {len(found)}, counted from 0")
+    return found[image]
+
+
+def check_libraw_decodes(path: Path, raw: rawpy.RawPy) -> None:
+    """Refuse a DNG whose pixels LibRaw takes for others than they are, for what LibRaw makes of them itself."""
+    main = _main_image(path, raw, read_directories(path), 0)
+    if main is not None and (is_own(main) or _interleaved(main) != (1, 1)):
+        raise RawFileError(
+            path,
+            "has floating-point, Deflate-compressed or interleaved pixels, of which LibRaw makes a wrong picture; pack "
+            "it and use eldata.isp.Rendering",
+        )
+
+
+def _interleaved(main: Directory) -> tuple[int, int]:
+    return main.number(ROW_INTERLEAVE, 1), main.number(COLUMN_INTERLEAVE, 1)
+
+
+def _visible(raw: rawpy.RawPy, stored: NDArray[Any], main: Directory | None) -> NDArray[Any]:
+    """Return a copy of the visible area of what is stored, whose rows and columns may be interleaved."""
+    if main is not None and _interleaved(main) != (1, 1):
+        for axis, fields in enumerate(_interleaved(main)):
+            stored = _in_order(stored, fields, axis)
+    sizes = raw.sizes
+    rows, columns = (sizes.top_margin, sizes.height), (sizes.left_margin, sizes.width)
+    return stored[rows[0] : sum(rows), columns[0] : sum(columns)].copy()
+
+
+def _in_order(stored: NDArray[Any], fields: int, axis: int) -> NDArray[Any]:
+    """Return rows or columns in order that are stored field after field, each of which has every ``fields``-th one."""
+    size = stored.shape[axis]
+    places = np.concatenate([np.arange(first, size, fields) for first in range(min(fields, size))])
+    return np.take(stored, np.argsort(places), axis)
+
+
 @contextmanager
-def opened_raw(path: Path, what: str = "decode") -> Iterator[rawpy.RawPy]:
-    """Open a raw file with LibRaw, whose errors say that it cannot do ``what``.
+def opened_raw(path: Path, what: str = "decode", image: int = 0) -> Iterator[rawpy.RawPy]:
+    """Open a raw file with LibRaw, whose errors say that it cannot do ``what``; ``image`` as of :func:`read_raw`.
 
     Raises
     ------
@@ -227,9 +300,11 @@ def opened_raw(path: Path, what: str = "decode") -> Iterator[rawpy.RawPy]:
     # Not rawpy.imread: it warns in every forked process, of what the line above removes.
     raw = rawpy.RawPy()
     try:
+        raw.set_unpack_params(shot_select=image)  # before it is opened: which of a DNG's images, is chosen then
         _open(raw, path)
-        raw.set_unpack_params(shot_select=0)
         yield raw
+    except rawpy.LibRawRequestForNonexistentImageError as error:
+        raise RawFileError(path, f"has no image {image}: it holds fewer, counted from 0") from error
     except rawpy.LibRawFileUnsupportedError as error:
         raise RawFileError(path, "is not a raw file that LibRaw knows") from error
     except rawpy.LibRawError as error:
@@ -263,8 +338,11 @@ def _set_openmp_threads() -> Callable[[int], object]:
 # --- sensor ---------------------------------------------------------------------------------------------------
 
 
-def _cfa(path: Path, raw: rawpy.RawPy) -> tuple[CfaRows, tuple[int, ...]]:
+def _cfa(path: Path, raw: rawpy.RawPy, directories: Sequence[Directory]) -> tuple[CfaRows, tuple[int, ...]]:
     """Return the visible area's CFA in our channel indices, and LibRaw's colour index of each of them."""
+    stated = _stated_cfa(path, raw, directories)
+    if stated is not None and packing_sites(stated[0]).block > 1:
+        return stated
     names = raw.color_desc.decode("ascii", "replace")
     try:
         pattern = raw.raw_pattern
@@ -275,16 +353,20 @@ def _cfa(path: Path, raw: rawpy.RawPy) -> tuple[CfaRows, tuple[int, ...]]:
     sites = [[raw.raw_color(top + y, left + x) for x in range(period)] for y in range(period)]
     letters = ["".join(names[index] for index in row) for row in sites]
     cfa = cfa_of_letters(letters)
+    if (
+        cfa is None and stated is not None and DNG_VERSION in directories[0].values
+    ):  # a CFAPattern of 16-bit numbers, whose bytes LibRaw takes for numbers
+        return stated
     if cfa is None:
         raise RawFileError(path, unsupported_cfa(letters))
     libraw_index = dict(zip(chain(*cfa), chain(*sites), strict=True))
     return cfa, tuple(libraw_index[channel] for channel in sorted(libraw_index))
 
 
-def _cfa_of_blocks(
+def _stated_cfa(
     path: Path, raw: rawpy.RawPy, directories: Sequence[Directory]
 ) -> tuple[CfaRows, tuple[int, ...]] | None:
-    """Return what :func:`_cfa` does of a file whose tags declare quad-Bayer or nona-Bayer; None for any other."""
+    """Return what :func:`_cfa` does, from the file's own tags; None if they do not state it."""
     found: set[CfaRows] = set()
     for directory in directories:
         cfa = cfa_of_letters(directory.cfa_letters or ()) if directory.is_mosaic else None
@@ -299,9 +381,11 @@ def _cfa_of_blocks(
         # The pattern starts at the active area; LibRaw moves an odd margin on to the next even one.
         top, left = map(int, directory.values.get(ACTIVE_AREA, (0, 0))[:2])
         found.add(cfa_from(cfa, raw.sizes.top_margin - top, raw.sizes.left_margin - left))
-    if all(packing_sites(cfa).block == 1 for cfa in found):
+    if not found:
         return None
     if len(found) > 1:
         raise RawFileError(path, "declares several colour filter arrays for images of one size; one is needed")
     names = raw.color_desc.decode("ascii", "replace")
-    return found.pop(), (names.index("R"), names.index("G"), names.index("B"), names.rindex("G"))
+    cfa = found.pop()
+    indices = (names.index("R"), names.index("G"), names.index("B"), names.rindex("G"))
+    return cfa, indices[: packing_sites(cfa).levels]

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, is_dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
 
-from eldata.errors import RawFileError
+from eldata.errors import UnusableRawError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -140,6 +140,7 @@ class RawHeader:
     """What a raw file says about itself, before its pixels are decoded.
 
     ``taken``: by the camera's clock, which knows no time zone, with a fraction of a second where the file has one.
+    ``remarks``: those of :class:`RawFrame` that take no pixels.
     """
 
     path: Path
@@ -147,6 +148,7 @@ class RawHeader:
     model: str
     exposure: Exposure
     taken: datetime | None = None
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,6 +166,8 @@ class RawFrame:
         As the file states them.
     channel_white_levels_dn
         LibRaw's own white level per CFA channel, where it has one; protocols may ask for it.
+    remarks
+        What is right about the file but should be known, a sentence each (:mod:`eldata.raw.remarks`).
     """
 
     path: Path
@@ -171,21 +175,20 @@ class RawFrame:
     sensor: Sensor
     exposure: Exposure
     channel_white_levels_dn: tuple[float, ...] | None = None
+    remarks: tuple[str, ...] = ()
 
     def whole_dn(self, purpose: str) -> NDArray[np.uint16]:
         """Return the mosaic, for a purpose that only whole DN serve.
 
         Raises
         ------
-        RawFileError
+        UnusableRawError
             If it holds fractions of a DN; the message has the purpose.
         """
         if self.mosaic.dtype.kind != "u":
-            raise RawFileError(
-                self.path,
-                f"its pixels are floating-point numbers, as of an average or of exposures that were merged, and "
-                f"{purpose} takes whole DN alone: use the raw files as the camera wrote them",
-            )
+            found = "its pixels are floating-point numbers, as of an average or of exposures that were merged"
+            advice = f"{purpose} takes whole DN alone: use the raw files as the camera wrote them"
+            raise UnusableRawError(self.path, found, advice)
         return self.mosaic
 
 

@@ -5,6 +5,7 @@ Light: where isolation is on, numpy and the decoder are loaded only by the proce
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -17,8 +18,10 @@ if TYPE_CHECKING:
     from eldata.records import RawHeader, Sensor
 
 
-def raw_facts(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | str | None]:
+def raw_facts(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | RawFileError | None]:
     """Return a raw file's header and, if it is to be decoded, its sensor, or why it does not decode or is damaged.
+
+    The header has what there is to remark of the file: of its pixels too, if it is decoded.
 
     Every check that finds damage is made (:mod:`eldata.raw.damage`), so it takes about twice as long as decoding where
     the file has lossless JPEGs.
@@ -31,7 +34,7 @@ def raw_facts(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | str | No
     return guarded_file(partial(_facts, decode=decode), path, RawFileError)
 
 
-def _facts(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | str | None]:
+def _facts(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | RawFileError | None]:
     from eldata.raw.damage import check_streams
     from eldata.raw.reading import read_header, read_raw
 
@@ -39,8 +42,8 @@ def _facts(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | str | None]
     if not decode:
         return header, None
     try:
-        sensor = read_raw(path).sensor
+        frame = read_raw(path)
         check_streams(path)
     except RawFileError as error:
-        return header, error.reason
-    return header, sensor
+        return header, error
+    return replace(header, remarks=frame.remarks), frame.sensor

@@ -48,6 +48,7 @@ from __future__ import annotations
 
 import ctypes
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import cache, partial
 from itertools import chain
 from pathlib import Path
@@ -56,11 +57,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.base.isolation import guarded_file
-from eldata.errors import RawFileError
+from eldata.errors import RawFileError, UnusableRawError
 from eldata.raw.cfa import cfa_from, cfa_of_letters, packing_sites
 from eldata.raw.containers import check_container
 from eldata.raw.damage import check_damage, check_samples
 from eldata.raw.exif import exif_tags, header_of
+from eldata.raw.remarks import directory_remarks, image_remarks
 from eldata.raw.sensor_facts import (
     as_shot_multipliers,
     camera_matrix,
@@ -75,7 +77,7 @@ from eldata.raw.tiff import (
     COLUMN_INTERLEAVE,
     DNG_VERSION,
     ROW_INTERLEAVE,
-    SUBFILE,
+    image_directories,
     read_directories,
 )
 from eldata.raw.unsupported import NEEDED, refuse_unsupported, unsupported_cfa
@@ -89,8 +91,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.raw.cfa import CfaRows
+    from eldata.raw.exif import Tags
     from eldata.raw.tiff import Directory
     from eldata.records import RawHeader
+
+_MOST_IMAGES = 16  # of a pixel shift: cameras take up to 16
+
+_Images = tuple["Directory | None", ...]
 
 
 def read_header(path: Path | str) -> RawHeader:
@@ -108,9 +115,15 @@ def read_header(path: Path | str) -> RawHeader:
 
 
 def _header(path: Path) -> RawHeader:
-    refuse_unsupported(path, read_directories(path))
-    with opened_raw(path):
-        return header_of(path, exif_tags(path))
+    directories = read_directories(path)
+    refuse_unsupported(path, directories)
+    with opened_raw(path) as raw:
+        return _header_of(path, exif_tags(path), _stated_images(raw, directories) or (None,), 0)
+
+
+def _header_of(path: Path, tags: Tags, images: _Images, image: int) -> RawHeader:
+    remarks = *directory_remarks(_chosen(path, images, image)), *image_remarks(len(images), image)
+    return replace(header_of(path, tags), remarks=remarks)
 
 
 def read_raw(path: Path | str, *, image: int = 0) -> RawFrame:
@@ -159,19 +172,20 @@ def _decoded(path: Path, *, image: int) -> RawFrame:
     with opened_raw(path, image=image) as raw:
         tags = exif_tags(path)
         _check_sizes(path, raw)
-        main = _main_image(path, raw, directories, image)
+        images = _stated_images(raw, directories) or (None,) * _count_images(path)
+        main = _chosen(path, images, image)
         if main is None or not is_own(main):
             raw.unpack()
-        header = header_of(path, tags)
+        header = _header_of(path, tags, images, image)
         if raw.raw_type != rawpy.RawType.Flat or raw.num_colors == 1:
             shape = raw.raw_image.shape
             kind = "no colour filter array (monochrome)" if len(shape) == 2 else "already demosaiced (an RGB raw)"
             if len(shape) == 3 and header.make == "Canon" and "Image Tag 0xC612" not in tags:  # no DNG
                 kind = "already demosaiced (Canon's sRAW or mRAW)"
-            raise RawFileError(path, f"{kind}: {shape} samples; {NEEDED}")
+            raise UnusableRawError(path, f"{kind}: {shape} samples", NEEDED)
         cfa, index_of = _cfa(path, raw, directories)
         own = main if main is not None and is_own(main) else None
-        mosaic = _visible(raw, raw.raw_image if own is None else read_pixels(path, own), main)
+        mosaic = _visible(path, raw, raw.raw_image if own is None else read_pixels(path, own), main)
         black = dng_black_level(path, raw, directories if main is None else [main], cfa)
         if black is None:
             stated = [0.0] * 4 if own is not None else raw.black_level_per_channel  # 0 by the specification
@@ -194,7 +208,7 @@ def _decoded(path: Path, *, image: int) -> RawFrame:
             matrix_illuminant=illuminant,
         )
     check_damage(path, directories, mosaic, black, white)
-    return RawFrame(path, mosaic, sensor, header.exposure, whites)
+    return RawFrame(path, mosaic, sensor, header.exposure, whites, header.remarks)
 
 
 def exposure_ratio(reference: RawFrame | RawHeader, noisy: RawFrame | RawHeader) -> Fraction:
@@ -240,26 +254,43 @@ def _check_sizes(path: Path, raw: rawpy.RawPy) -> None:
         )
 
 
-def _main_image(path: Path, raw: rawpy.RawPy, directories: Sequence[Directory], image: int) -> Directory | None:
-    """Return the directory of the mosaic that is read; None of a format that does not say which it is."""
-    size = raw.sizes.raw_height, raw.sizes.raw_width
-    found = [one for one in directories if one.is_mosaic and one.shape == size]
-    found = [one for one in found if not one.number(SUBFILE, 0)] or found  # no proxy
-    if not found:
-        return None
-    if not 0 <= image < len(found):
-        raise RawFileError(path, f"has no image {image}: it holds {len(found)}, counted from 0")
-    return found[image]
+def _stated_images(raw: rawpy.RawPy, directories: Sequence[Directory]) -> _Images:
+    return image_directories(directories, (raw.sizes.raw_height, raw.sizes.raw_width))
+
+
+def _count_images(path: Path) -> int:
+    """Return how many images LibRaw knows in a file of another format; each but the first is decoded for it."""
+    import rawpy
+
+    for count in range(1, _MOST_IMAGES):
+        raw = rawpy.RawPy()
+        try:
+            raw.set_unpack_params(shot_select=count)
+            _open(raw, path)
+            raw.unpack()
+        except rawpy.LibRawRequestForNonexistentImageError:
+            return count
+        except rawpy.LibRawError:  # there is one more, whatever is wrong with it
+            return count + 1
+        finally:
+            raw.close()
+    return _MOST_IMAGES
+
+
+def _chosen(path: Path, images: _Images, image: int) -> Directory | None:
+    if not 0 <= image < len(images):
+        raise RawFileError(path, f"has no image {image}: it holds {len(images)}, counted from 0")
+    return images[image]
 
 
 def check_libraw_decodes(path: Path, raw: rawpy.RawPy) -> None:
     """Refuse a DNG whose pixels LibRaw takes for others than they are, for what LibRaw makes of them itself."""
-    main = _main_image(path, raw, read_directories(path), 0)
-    if main is not None and (is_own(main) or _interleaved(main) != (1, 1)):
-        raise RawFileError(
+    images = _stated_images(raw, read_directories(path))
+    if any(main is not None and (is_own(main) or _interleaved(main) != (1, 1)) for main in images[:1]):
+        raise UnusableRawError(
             path,
-            "has floating-point, Deflate-compressed or interleaved pixels, of which LibRaw makes a wrong picture; pack "
-            "it and use eldata.isp.Rendering",
+            "has floating-point, Deflate-compressed or interleaved pixels, of which LibRaw makes a wrong picture",
+            "pack it and use eldata.isp.Rendering",
         )
 
 
@@ -267,12 +298,17 @@ def _interleaved(main: Directory) -> tuple[int, int]:
     return main.number(ROW_INTERLEAVE, 1), main.number(COLUMN_INTERLEAVE, 1)
 
 
-def _visible(raw: rawpy.RawPy, stored: NDArray[Any], main: Directory | None) -> NDArray[Any]:
+def _visible(path: Path, raw: rawpy.RawPy, stored: NDArray[Any], main: Directory | None) -> NDArray[Any]:
     """Return a copy of the visible area of what is stored, whose rows and columns may be interleaved."""
     if main is not None and _interleaved(main) != (1, 1):
         for axis, fields in enumerate(_interleaved(main)):
             stored = _in_order(stored, fields, axis)
     sizes = raw.sizes
+    if stored.shape != (sizes.raw_height, sizes.raw_width):
+        raise RawFileError(
+            path,
+            f"damaged: expected {sizes.raw_height} x {sizes.raw_width} pixels as LibRaw does; found {stored.shape}",
+        )
     rows, columns = (sizes.top_margin, sizes.height), (sizes.left_margin, sizes.width)
     return stored[rows[0] : sum(rows), columns[0] : sum(columns)].copy()
 
@@ -303,8 +339,6 @@ def opened_raw(path: Path, what: str = "decode", image: int = 0) -> Iterator[raw
         raw.set_unpack_params(shot_select=image)  # before it is opened: which of a DNG's images, is chosen then
         _open(raw, path)
         yield raw
-    except rawpy.LibRawRequestForNonexistentImageError as error:
-        raise RawFileError(path, f"has no image {image}: it holds fewer, counted from 0") from error
     except rawpy.LibRawFileUnsupportedError as error:
         raise RawFileError(path, "is not a raw file that LibRaw knows") from error
     except rawpy.LibRawError as error:
@@ -353,12 +387,10 @@ def _cfa(path: Path, raw: rawpy.RawPy, directories: Sequence[Directory]) -> tupl
     sites = [[raw.raw_color(top + y, left + x) for x in range(period)] for y in range(period)]
     letters = ["".join(names[index] for index in row) for row in sites]
     cfa = cfa_of_letters(letters)
-    if (
-        cfa is None and stated is not None and DNG_VERSION in directories[0].values
-    ):  # a CFAPattern of 16-bit numbers, whose bytes LibRaw takes for numbers
-        return stated
+    if cfa is None and stated is not None and DNG_VERSION in directories[0].values:
+        return stated  # a CFAPattern of 16-bit numbers, whose bytes LibRaw takes for numbers
     if cfa is None:
-        raise RawFileError(path, unsupported_cfa(letters))
+        raise unsupported_cfa(path, letters)
     libraw_index = dict(zip(chain(*cfa), chain(*sites), strict=True))
     return cfa, tuple(libraw_index[channel] for channel in sorted(libraw_index))
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from eldata.errors import RawFileError
+from eldata.errors import RawFileError, UnusableRawError
 from eldata.raw.tiff import (
     BITS,
     COMPRESSION,
@@ -124,10 +124,7 @@ class _Layout:
         self.places = ((self.height * (i // across), self.width * (i % across)) for i in range(down * across))
 
     def _refuse(self, what: str) -> None:
-        raise RawFileError(
-            self.path,
-            f"is a DNG whose pixels are {what}: that is not supported; write it as uncompressed floats or integers",
-        )
+        raise UnusableRawError(self.path, f"cannot be decoded: {what}", "write it as uncompressed floats or integers")
 
     def decode(self, file: IO[bytes], offset: int, count: int, rows: int) -> NDArray[np.generic]:
         """Return the first samples of a strip or tile, (rows, columns)."""

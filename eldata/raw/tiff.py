@@ -16,6 +16,7 @@ from typing import IO, TYPE_CHECKING, Literal
 from eldata.errors import RawFileError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
 MAGIC = (b"II*\0", b"MM\0*")
@@ -31,6 +32,7 @@ BLACK_REPEAT, BLACK_LEVEL, BLACK_DELTAS, WHITE_LEVEL = 50713, 50714, (50715, 507
 CFA_PHOTOMETRIC = 32803
 CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT = 33421, 33422, 50711
 NOISE_PROFILE = 51041
+OPCODE_LISTS = (51008, 51009, 51022)  # of the stored, the linear and the demosaiced image
 
 _LEVELS = {BLACK_LEVEL: "BlackLevel", BLACK_DELTAS[0]: "BlackLevelDeltaH", BLACK_DELTAS[1]: "BlackLevelDeltaV"}
 _LEVELS |= {WHITE_LEVEL: "WhiteLevel"}
@@ -45,6 +47,7 @@ _READ = _EXIF | {
     *(ROW_INTERLEAVE, COLUMN_INTERLEAVE),
     *(271, 272, _SUB_IFDS, _EXIF_IFD, ACTIVE_AREA, BLACK_REPEAT, BLACK_LEVEL, *BLACK_DELTAS),
     *(WHITE_LEVEL, 50721, 50722, 50728, 50778, 50779, CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT, NOISE_PROFILE),
+    *OPCODE_LISTS,
     *(tag for pair in _DATA for tag in pair),
 }
 
@@ -66,7 +69,10 @@ Numbers = tuple[Fraction, ...]
 
 @dataclass(frozen=True, slots=True)
 class Directory:
-    """The numbers of one IFD's relied-on tags, by tag, exactly; not of those that state none (0/0)."""
+    """The numbers of one IFD's relied-on tags, by tag, exactly; not of those that state none (0/0).
+
+    Of a list of opcodes their ids.
+    """
 
     values: dict[int, Numbers]
     order: Literal["<", ">"] = "<"
@@ -148,10 +154,9 @@ def read_directories(path: Path) -> tuple[Directory, ...]:
             budget.spend("directories", 1)
             directory, following = _read_directory(path, file, size, order, at, budget)
             found.append(directory)
-            # As LibRaw goes through them, which numbers images so: sub-IFDs in their order, then the next of the chain.
-            waiting.append(following)
-            for tag in (_EXIF_IFD, _SUB_IFDS):
-                waiting += map(int, reversed(directory.values.get(tag, ())))
+            # In LibRaw's order: those within a directory before those behind it, each as listed.
+            within = (int(place) for tag in (_SUB_IFDS, _EXIF_IFD) for place in directory.values.get(tag, ()))
+            waiting += reversed([*within, following])
     for directory in found:
         _check_mosaic(path, directory)
     # The raw image alone where it is marked as such: some cameras declare previews that they do not write.
@@ -160,6 +165,17 @@ def read_directories(path: Path) -> tuple[Directory, ...]:
         raise RawFileError(path, f"damaged: it declares {extent[1]} bytes of image data at byte {extent[0]}")
     require(path, size, max((sum(extent) for directory in images for extent in directory.extents), default=0))
     return tuple(found)
+
+
+def image_directories(directories: Sequence[Directory], shape: tuple[int, int]) -> tuple[Directory, ...]:
+    """Return the directories of mosaics of this full size (H, W), in order; if none has it, the only one of a mosaic.
+
+    They are the images of a pixel shift, mostly one; no proxies.
+    """
+    mosaics = [directory for directory in directories if directory.is_mosaic]
+    fitting = [directory for directory in mosaics if directory.shape == shape]
+    fitting = fitting or (mosaics if len(mosaics) == 1 else [])
+    return tuple([directory for directory in fitting if not directory.number(SUBFILE, 0)] or fitting)
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,6 +237,9 @@ def _read_directory(
         if length > 4:
             offset = struct.unpack(order + "I", data)[0]
             require(path, size, offset + length)
+        if tag in OPCODE_LISTS:
+            values[tag] = tuple(_opcodes(path, file, range(offset, offset + length), budget)) if length > 4 else ()
+            continue
         code = "d" if (tag, kind) == (NOISE_PROFILE, _DOUBLE) else _CODES.get(kind)
         if code is None:
             continue
@@ -236,6 +255,20 @@ def _read_directory(
     # The pointer to the next directory may be missing at the very end of a file.
     following = struct.unpack(order + "I", table[-4:])[0] if len(table) == 12 * count + 4 else 0
     return Directory(values, order), following
+
+
+def _opcodes(path: Path, file: IO[bytes], place: range, budget: _Budget) -> Iterator[Fraction]:
+    """Yield the ids of a list of opcodes, whose byte order is always big-endian."""
+    file.seek(place.start)
+    at = place.start + 4
+    for _ in range(int.from_bytes(file.read(4), "big")):
+        if at + 16 > place.stop:
+            raise RawFileError(path, f"damaged: its list of opcodes holds more of them than its {len(place)} bytes")
+        budget.spend("values", 1)
+        file.seek(at)
+        opcode, _, _, length = struct.unpack(">4I", file.read(16))
+        yield Fraction(opcode)
+        at += 16 + length
 
 
 def _numbers(order: str, code: str, number: int, data: bytes) -> Numbers | None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.errors import RawFileError
+from eldata.errors import UnusableRawError
 from eldata.raw import tiff
 from eldata.raw.cfa import cfa_of_letters
 
@@ -20,29 +20,22 @@ if TYPE_CHECKING:
 NEEDED = "a mosaic of a Bayer, quad-Bayer, nona-Bayer or X-Trans sensor is needed"
 
 _BY_HEAD = {
-    b"FOVb": f"is a Sigma X3F: its Foveon sensor has no colour filter array; {NEEDED}",
-    b"\xff\xd8\xff": "is a JPEG picture whatever its name says: use the raw file that the camera wrote with it",
-    b"PK\x03\x04": "is a ZIP archive (Capture One's EIP is one): unpack it and use the raw file inside",
+    b"FOVb": ("is a Sigma X3F, whose Foveon sensor has no colour filter array", NEEDED),
+    b"\xff\xd8\xff": ("is a JPEG picture whatever its name says", "use the raw file that the camera wrote with it"),
+    b"PK\x03\x04": ("is a ZIP archive (Capture One's EIP is one)", "unpack it and use the raw file inside"),
 }
 _BY_COMPRESSION = {
-    9: "is a GPR (GoPro, VC-5 compression), which LibRaw cannot decode: convert it to DNG with GoPro's gpr_tools "
-    "(gpr_tools -i NAME.GPR -o NAME.DNG; github.com/gopro/gpr)",
-    52546: "is a DNG with JPEG XL compression (DNG 1.7), which LibRaw cannot decode: convert it to one with lossless "
-    "JPEG compression (Adobe DNG Converter, compatibility 1.6 or earlier)",
+    9: (
+        "is a GPR (GoPro, VC-5 compression), which LibRaw cannot decode",
+        "convert it to DNG with GoPro's gpr_tools (gpr_tools -i NAME.GPR -o NAME.DNG; github.com/gopro/gpr)",
+    ),
+    52546: (
+        "is a DNG with JPEG XL compression (DNG 1.7), which LibRaw cannot decode",
+        "convert it to one with lossless JPEG compression (Adobe DNG Converter, compatibility 1.6 or earlier)",
+    ),
 }
 _HEXADECA = 4  # sites along a side of its blocks
 _LAYOUT_RECTANGULAR = 1
-
-
-def what_to_do(reason: str) -> tuple[str, str] | None:
-    """Return what a file is, and what to do about it, of a reason given here; ``None`` of any other.
-
-    Such a file is whole: to copy it again would not help.
-    """
-    if reason not in (*_BY_HEAD.values(), *_BY_COMPRESSION.values()):
-        return None
-    found, _, advice = reason.removeprefix("is ").partition(": ")
-    return found, advice
 
 
 def refuse_unsupported(path: Path, directories: Sequence[Directory]) -> None:
@@ -50,38 +43,40 @@ def refuse_unsupported(path: Path, directories: Sequence[Directory]) -> None:
 
     Raises
     ------
-    RawFileError
+    UnusableRawError
         If the file is of a kind, a compression or a colour filter array that cannot be used; it says which.
     """
     with path.open("rb") as file:
         head = file.read(4)
-    for magic, reason in _BY_HEAD.items():
+    for magic, found in _BY_HEAD.items():
         if head.startswith(magic):
-            raise RawFileError(path, reason)
+            raise UnusableRawError(path, *found)
     for directory in directories:
         if not directory.is_mosaic:
             continue
         values = directory.values
         for compression in map(int, values.get(tiff.COMPRESSION, ())):
             if compression in _BY_COMPRESSION:
-                raise RawFileError(path, _BY_COMPRESSION[compression])
+                raise UnusableRawError(path, *_BY_COMPRESSION[compression])
         layout = next(iter(values.get(tiff.CFA_LAYOUT, ())), _LAYOUT_RECTANGULAR)
         if layout != _LAYOUT_RECTANGULAR:
-            raise RawFileError(
+            raise UnusableRawError(
                 path,
                 f"unsupported colour filter array: its CFALayout is {layout} (staggered rows or columns, such as a "
-                f"Super CCD's); {NEEDED}",
+                "Super CCD's)",
+                NEEDED,
             )
         pattern = directory.cfa_letters  # without one LibRaw's word counts
         monochrome = pattern is not None and len(set("".join(pattern))) == 1  # said of the decoded samples
         if pattern is not None and not monochrome and cfa_of_letters(pattern) is None:
-            raise RawFileError(path, unsupported_cfa(pattern))
+            raise unsupported_cfa(path, pattern)
 
 
-def unsupported_cfa(rows: Sequence[str]) -> str:
-    """Return why a colour filter array, one period of it in letters by row, cannot be used."""
+def unsupported_cfa(path: Path, rows: Sequence[str]) -> UnusableRawError:
+    """Return the error of a colour filter array, one period of it in letters by row, that cannot be used."""
     size, colours = f"{len(rows)} x {len(rows[0]) if rows else 0}", "".join(sorted(set("".join(rows))))
-    return f"unsupported colour filter array: {_kind(rows)}{size} sites of {colours}; {NEEDED}"
+    found = f"unsupported colour filter array: {_kind(rows)}{size} sites of {colours}"
+    return UnusableRawError(path, found, NEEDED)
 
 
 def _kind(rows: Sequence[str]) -> str:

@@ -333,7 +333,7 @@ def test_compressions_that_libraw_cannot_decode(compression: int, words: str, tm
     refused(path, words)
 
 
-@pytest.mark.parametrize(("head", "words"), [(b"FOVb", "is a Sigma X3F: .*Foveon"), (b"PK\3\4", "Capture One's EIP")])
+@pytest.mark.parametrize(("head", "words"), [(b"FOVb", "is a Sigma X3F, .*Foveon"), (b"PK\3\4", "Capture One's EIP")])
 def test_containers_that_are_known_not_to_work(head: bytes, words: str, tmp_path: Path) -> None:
     (tmp_path / "a.X3F").write_bytes(head + bytes(1000))
     refused(tmp_path / "a.X3F", words)

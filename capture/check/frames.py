@@ -76,12 +76,13 @@ def reduced_frames(unit: Unit, group: CheckedGroup) -> Iterator[ReducedFrame]:
 
         try:
             frame = read_raw(inside(unit.folder, record.path))
+            mosaic = frame.whole_dn("the check of a set")
         except EldataError as error:
             return error
-        packed = pack(frame.mosaic, frame.sensor.cfa)
-        cells = reduce_to_cells(frame.mosaic, frame.sensor, packed)
+        packed = pack(mosaic, frame.sensor.cfa)
+        cells = reduce_to_cells(mosaic, frame.sensor, packed)
         header = RawHeader(frame.path, frame.sensor.make, frame.sensor.model, frame.exposure)
-        return ReducedFrame(record, header, frame.sensor, cells, luminance(packed, cells), empty_share(frame.mosaic))
+        return ReducedFrame(record, header, frame.sensor, cells, luminance(packed, cells), empty_share(mosaic))
 
     first: tuple[str, Sensor] | None = None
     for record, frame in zip(unit.records, unit.workers.read_ahead(reduce, unit.records), strict=True):

@@ -49,10 +49,12 @@ from __future__ import annotations
 import ctypes
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from eldata.base.isolation import guarded_file
 from eldata.errors import RawFileError, UnusableRawError
@@ -60,9 +62,24 @@ from eldata.raw.cfa import cfa_from, cfa_of_letters, packing_sites
 from eldata.raw.containers import check_container
 from eldata.raw.damage import check_damage, check_samples
 from eldata.raw.exif import exif_tags, header_of
-from eldata.raw.remarks import directory_remarks
-from eldata.raw.sensor_facts import as_shot_multipliers, camera_matrix, channel_whites, dng_black_level
-from eldata.raw.tiff import ACTIVE_AREA, BLACK_DELTAS, image_directory, read_directories
+from eldata.raw.remarks import directory_remarks, image_remarks
+from eldata.raw.sensor_facts import (
+    as_shot_multipliers,
+    camera_matrix,
+    channel_whites,
+    dng_black_level,
+    dng_white_level,
+)
+from eldata.raw.strips import is_own, read_pixels
+from eldata.raw.tiff import (
+    ACTIVE_AREA,
+    BLACK_DELTAS,
+    COLUMN_INTERLEAVE,
+    DNG_VERSION,
+    ROW_INTERLEAVE,
+    image_directories,
+    read_directories,
+)
 from eldata.raw.unsupported import NEEDED, refuse_unsupported, unsupported_cfa
 from eldata.records import RawFrame, Sensor
 
@@ -71,11 +88,16 @@ if TYPE_CHECKING:
     from fractions import Fraction
 
     import rawpy
+    from numpy.typing import NDArray
 
     from eldata.raw.cfa import CfaRows
     from eldata.raw.exif import Tags
     from eldata.raw.tiff import Directory
     from eldata.records import RawHeader
+
+_MOST_IMAGES = 16  # of a pixel shift: cameras take up to 16
+
+_Images = tuple["Directory | None", ...]
 
 
 def read_header(path: Path | str) -> RawHeader:
@@ -96,29 +118,36 @@ def _header(path: Path) -> RawHeader:
     directories = read_directories(path)
     refuse_unsupported(path, directories)
     with opened_raw(path) as raw:
-        return _header_of(path, raw, directories, exif_tags(path))
+        return _header_of(path, exif_tags(path), _stated_images(raw, directories) or (None,), 0)
 
 
-def _header_of(path: Path, raw: rawpy.RawPy, directories: Sequence[Directory], tags: Tags) -> RawHeader:
-    mosaic = image_directory(directories, (raw.sizes.raw_height, raw.sizes.raw_width))
-    return replace(header_of(path, tags), remarks=directory_remarks(mosaic))
+def _header_of(path: Path, tags: Tags, images: _Images, image: int) -> RawHeader:
+    remarks = *directory_remarks(_chosen(path, images, image)), *image_remarks(len(images), image)
+    return replace(header_of(path, tags), remarks=remarks)
 
 
-def read_raw(path: Path | str) -> RawFrame:
+def read_raw(path: Path | str, *, image: int = 0) -> RawFrame:
     """Decode a raw file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    image
+        Which one, counted from 0, of a file that holds several of one size, such as the four of a pixel shift.
 
     Returns
     -------
     RawFrame
-        The visible mosaic, (H, W) uint16 in DN, with sensor and exposure. Exposure fields that the file does not
-        state are ``None`` (:func:`exposure_ratio` says which).
+        The visible mosaic, (H, W) in DN, with sensor and exposure: uint16, or float32 of a floating-point DNG. Exposure
+        fields that the file does not state are ``None`` (:func:`exposure_ratio` says which).
 
     Raises
     ------
     RawFileError
         If the file is missing, empty, truncated, not a raw file, already demosaiced (an RGB raw), without a CFA or
-        with one that is not supported; or, with :func:`eldata.isolation`, if its decoder crashes, hangs or
-        needs too much memory. The message names the file and the reason.
+        with one that is not supported, or has no such image; or, with :func:`eldata.isolation`, if its decoder
+        crashes, hangs or needs too much memory. The message names the file and the reason.
 
     Examples
     --------
@@ -131,35 +160,40 @@ def read_raw(path: Path | str) -> RawFrame:
     >>> frame.exposure.iso, frame.exposure.exposure_s
     (Fraction(800, 1), Fraction(1, 200))
     """
-    return guarded_file(_decoded, Path(path), RawFileError)
+    return guarded_file(partial(_decoded, image=image), Path(path), RawFileError)
 
 
-def _decoded(path: Path) -> RawFrame:
+def _decoded(path: Path, *, image: int) -> RawFrame:
     import rawpy
 
     directories = read_directories(path)
     refuse_unsupported(path, directories)
     check_samples(path, directories)
-    with opened_raw(path) as raw:
+    with opened_raw(path, image=image) as raw:
         tags = exif_tags(path)
         _check_sizes(path, raw)
-        raw.unpack()
-        header = _header_of(path, raw, directories, tags)
+        images = _stated_images(raw, directories) or (None,) * _count_images(path)
+        main = _chosen(path, images, image)
+        if main is None or not is_own(main):
+            raw.unpack()
+        header = _header_of(path, tags, images, image)
         if raw.raw_type != rawpy.RawType.Flat or raw.num_colors == 1:
             shape = raw.raw_image.shape
             kind = "no colour filter array (monochrome)" if len(shape) == 2 else "already demosaiced (an RGB raw)"
             if len(shape) == 3 and header.make == "Canon" and "Image Tag 0xC612" not in tags:  # no DNG
                 kind = "already demosaiced (Canon's sRAW or mRAW)"
             raise UnusableRawError(path, f"{kind}: {shape} samples", NEEDED)
-        cfa, index_of = _cfa_of_blocks(path, raw, directories) or _cfa(path, raw)
-        mosaic = raw.raw_image_visible.copy()
-        black = dng_black_level(path, raw, directories, cfa) or tuple(
-            float(raw.black_level_per_channel[index]) for index in index_of
-        )
-        white = float(raw.white_level)
+        cfa, index_of = _cfa(path, raw, directories)
+        own = main if main is not None and is_own(main) else None
+        mosaic = _visible(path, raw, raw.raw_image if own is None else read_pixels(path, own), main)
+        black = dng_black_level(path, raw, directories if main is None else [main], cfa)
+        if black is None:
+            stated = [0.0] * 4 if own is not None else raw.black_level_per_channel  # 0 by the specification
+            black = tuple(float(stated[index]) for index in index_of)
+        white = float(raw.white_level) if own is None else dng_white_level(own)
         if not white > max(black):
             raise RawFileError(path, f"white level {white:g} DN is not above the black level {black} DN")
-        whites = channel_whites(raw, index_of)
+        whites = channel_whites(raw, index_of) if own is None else None  # on another scale than floats have
         matrix, illuminant = camera_matrix(raw, directories)
         sensor = Sensor(
             make=header.make,
@@ -220,9 +254,75 @@ def _check_sizes(path: Path, raw: rawpy.RawPy) -> None:
         )
 
 
+def _stated_images(raw: rawpy.RawPy, directories: Sequence[Directory]) -> _Images:
+    return image_directories(directories, (raw.sizes.raw_height, raw.sizes.raw_width))
+
+
+def _count_images(path: Path) -> int:
+    """Return how many images LibRaw knows in a file of another format; each but the first is decoded for it."""
+    import rawpy
+
+    for count in range(1, _MOST_IMAGES):
+        raw = rawpy.RawPy()
+        try:
+            raw.set_unpack_params(shot_select=count)
+            _open(raw, path)
+            raw.unpack()
+        except rawpy.LibRawRequestForNonexistentImageError:
+            return count
+        except rawpy.LibRawError:  # there is one more, whatever is wrong with it
+            return count + 1
+        finally:
+            raw.close()
+    return _MOST_IMAGES
+
+
+def _chosen(path: Path, images: _Images, image: int) -> Directory | None:
+    if not 0 <= image < len(images):
+        raise RawFileError(path, f"has no image {image}: it holds {len(images)}, counted from 0")
+    return images[image]
+
+
+def check_libraw_decodes(path: Path, raw: rawpy.RawPy) -> None:
+    """Refuse a DNG whose pixels LibRaw takes for others than they are, for what LibRaw makes of them itself."""
+    images = _stated_images(raw, read_directories(path))
+    if any(main is not None and (is_own(main) or _interleaved(main) != (1, 1)) for main in images[:1]):
+        raise UnusableRawError(
+            path,
+            "has floating-point, Deflate-compressed or interleaved pixels, of which LibRaw makes a wrong picture",
+            "pack it and use eldata.isp.Rendering",
+        )
+
+
+def _interleaved(main: Directory) -> tuple[int, int]:
+    return main.number(ROW_INTERLEAVE, 1), main.number(COLUMN_INTERLEAVE, 1)
+
+
+def _visible(path: Path, raw: rawpy.RawPy, stored: NDArray[Any], main: Directory | None) -> NDArray[Any]:
+    """Return a copy of the visible area of what is stored, whose rows and columns may be interleaved."""
+    if main is not None and _interleaved(main) != (1, 1):
+        for axis, fields in enumerate(_interleaved(main)):
+            stored = _in_order(stored, fields, axis)
+    sizes = raw.sizes
+    if stored.shape != (sizes.raw_height, sizes.raw_width):
+        raise RawFileError(
+            path,
+            f"damaged: expected {sizes.raw_height} x {sizes.raw_width} pixels as LibRaw does; found {stored.shape}",
+        )
+    rows, columns = (sizes.top_margin, sizes.height), (sizes.left_margin, sizes.width)
+    return stored[rows[0] : sum(rows), columns[0] : sum(columns)].copy()
+
+
+def _in_order(stored: NDArray[Any], fields: int, axis: int) -> NDArray[Any]:
+    """Return rows or columns in order that are stored field after field, each of which has every ``fields``-th one."""
+    size = stored.shape[axis]
+    places = np.concatenate([np.arange(first, size, fields) for first in range(min(fields, size))])
+    return np.take(stored, np.argsort(places), axis)
+
+
 @contextmanager
-def opened_raw(path: Path, what: str = "decode") -> Iterator[rawpy.RawPy]:
-    """Open a raw file with LibRaw, whose errors say that it cannot do ``what``.
+def opened_raw(path: Path, what: str = "decode", image: int = 0) -> Iterator[rawpy.RawPy]:
+    """Open a raw file with LibRaw, whose errors say that it cannot do ``what``; ``image`` as of :func:`read_raw`.
 
     Raises
     ------
@@ -236,8 +336,8 @@ def opened_raw(path: Path, what: str = "decode") -> Iterator[rawpy.RawPy]:
     # Not rawpy.imread: it warns in every forked process, of what the line above removes.
     raw = rawpy.RawPy()
     try:
+        raw.set_unpack_params(shot_select=image)  # before it is opened: which of a DNG's images, is chosen then
         _open(raw, path)
-        raw.set_unpack_params(shot_select=0)
         yield raw
     except rawpy.LibRawFileUnsupportedError as error:
         raise RawFileError(path, "is not a raw file that LibRaw knows") from error
@@ -272,8 +372,11 @@ def _set_openmp_threads() -> Callable[[int], object]:
 # --- sensor ---------------------------------------------------------------------------------------------------
 
 
-def _cfa(path: Path, raw: rawpy.RawPy) -> tuple[CfaRows, tuple[int, ...]]:
+def _cfa(path: Path, raw: rawpy.RawPy, directories: Sequence[Directory]) -> tuple[CfaRows, tuple[int, ...]]:
     """Return the visible area's CFA in our channel indices, and LibRaw's colour index of each of them."""
+    stated = _stated_cfa(path, raw, directories)
+    if stated is not None and packing_sites(stated[0]).block > 1:
+        return stated
     names = raw.color_desc.decode("ascii", "replace")
     try:
         pattern = raw.raw_pattern
@@ -284,16 +387,18 @@ def _cfa(path: Path, raw: rawpy.RawPy) -> tuple[CfaRows, tuple[int, ...]]:
     sites = [[raw.raw_color(top + y, left + x) for x in range(period)] for y in range(period)]
     letters = ["".join(names[index] for index in row) for row in sites]
     cfa = cfa_of_letters(letters)
+    if cfa is None and stated is not None and DNG_VERSION in directories[0].values:
+        return stated  # a CFAPattern of 16-bit numbers, whose bytes LibRaw takes for numbers
     if cfa is None:
         raise unsupported_cfa(path, letters)
     libraw_index = dict(zip(chain(*cfa), chain(*sites), strict=True))
     return cfa, tuple(libraw_index[channel] for channel in sorted(libraw_index))
 
 
-def _cfa_of_blocks(
+def _stated_cfa(
     path: Path, raw: rawpy.RawPy, directories: Sequence[Directory]
 ) -> tuple[CfaRows, tuple[int, ...]] | None:
-    """Return what :func:`_cfa` does of a file whose tags declare quad-Bayer or nona-Bayer; None for any other."""
+    """Return what :func:`_cfa` does, from the file's own tags; None if they do not state it."""
     found: set[CfaRows] = set()
     for directory in directories:
         cfa = cfa_of_letters(directory.cfa_letters or ()) if directory.is_mosaic else None
@@ -308,9 +413,11 @@ def _cfa_of_blocks(
         # The pattern starts at the active area; LibRaw moves an odd margin on to the next even one.
         top, left = map(int, directory.values.get(ACTIVE_AREA, (0, 0))[:2])
         found.add(cfa_from(cfa, raw.sizes.top_margin - top, raw.sizes.left_margin - left))
-    if all(packing_sites(cfa).block == 1 for cfa in found):
+    if not found:
         return None
     if len(found) > 1:
         raise RawFileError(path, "declares several colour filter arrays for images of one size; one is needed")
     names = raw.color_desc.decode("ascii", "replace")
-    return found.pop(), (names.index("R"), names.index("G"), names.index("B"), names.rindex("G"))
+    cfa = found.pop()
+    indices = (names.index("R"), names.index("G"), names.index("B"), names.rindex("G"))
+    return cfa, indices[: packing_sites(cfa).levels]

@@ -29,7 +29,19 @@ _NOT_APPLIED = (
 
 def directory_remarks(mosaic: Directory | None) -> tuple[str, ...]:
     """Return what there is to say before pixels are decoded; ``mosaic``: the directory whose pixels are read."""
-    return () if mosaic is None else tuple(_of_opcodes(mosaic))
+    return () if mosaic is None else (*_of_samples(mosaic), *_of_opcodes(mosaic))
+
+
+def image_remarks(images: int, image: int) -> tuple[str, ...]:
+    """Return what there is to say of a file with several images, of which one, counted from 0, was read."""
+    if images == 1:
+        return ()
+    return (f"it holds {images} images of one size, as of a pixel shift: this is image {image}, read_raw has image=",)
+
+
+def _of_samples(mosaic: Directory) -> Iterator[str]:
+    if mosaic.samples > 1:
+        yield f"it has {mosaic.samples} samples of each pixel, as dual pixels give: the mosaic is the first"
 
 
 def _of_opcodes(mosaic: Directory) -> Iterator[str]:

@@ -14,7 +14,17 @@ import numpy as np
 from eldata.base.isolation import guarded_file
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw.neutrals import white_balance_of
-from eldata.raw.tiff import ACTIVE_AREA, BLACK_DELTAS, BLACK_LEVEL, BLACK_REPEAT, NOISE_PROFILE, read_directories
+from eldata.raw.strips import is_float
+from eldata.raw.tiff import (
+    ACTIVE_AREA,
+    BITS,
+    BLACK_DELTAS,
+    BLACK_LEVEL,
+    BLACK_REPEAT,
+    NOISE_PROFILE,
+    WHITE_LEVEL,
+    read_directories,
+)
 from eldata.records import D65, exact_number
 
 if TYPE_CHECKING:
@@ -49,7 +59,7 @@ def dng_black_level(
     if mosaic is None or any(tag in mosaic.values for tag in BLACK_DELTAS):  # LibRaw adds the deltas' mean
         return None
     rows, columns = map(int, mosaic.values.get(BLACK_REPEAT, (1, 1)))
-    pattern = mosaic.values[BLACK_LEVEL]
+    pattern = mosaic.values[BLACK_LEVEL][:: mosaic.samples]  # of two samples a pixel in turn
     # The pattern starts at the active area; LibRaw's visible area may start a pixel off it.
     active = mosaic.values.get(ACTIVE_AREA, (0, 0))
     if len(pattern) != rows * columns or not pattern:
@@ -73,6 +83,13 @@ def dng_black_level(
                     path, "its BlackLevel differs between sites of one colour; one level per channel is needed"
                 )
     return tuple(exact_number(levels[channel].pop()) for channel in sorted(levels))
+
+
+def dng_white_level(mosaic: Directory) -> float:
+    """Return a DNG's WhiteLevel; if it states none, that of the specification: 1 of floats, else the largest number."""
+    whites = mosaic.values.get(WHITE_LEVEL)
+    largest = 1 if is_float(mosaic) else (1 << mosaic.number(BITS, 16)) - 1
+    return exact_number(whites[0]) if whites else float(largest)
 
 
 def dng_noise_profile(path: Path) -> tuple[float, ...] | None:

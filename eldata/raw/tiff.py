@@ -11,7 +11,7 @@ import math
 import struct
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Literal
 
 from eldata.errors import RawFileError
 
@@ -22,27 +22,31 @@ if TYPE_CHECKING:
 MAGIC = (b"II*\0", b"MM\0*")
 COLOURS = "RGBCMYW"  # of a DNG's CFAPattern, by number
 
-WIDTH, HEIGHT, COMPRESSION, PHOTOMETRIC = 256, 257, 259, 262
+SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC = 254, 256, 257, 258, 259, 262
+SAMPLES, ROWS_PER_STRIP, PLANAR, PREDICTOR, SAMPLE_FORMAT = 277, 278, 284, 317, 339
 TILE_WIDTH, TILE_HEIGHT = 322, 323
+DNG_VERSION, LINEARIZATION = 50706, 50712
+ROW_INTERLEAVE, COLUMN_INTERLEAVE = 50975, 52547
 ACTIVE_AREA = 50829
-BLACK_REPEAT, BLACK_LEVEL, BLACK_DELTAS = 50713, 50714, (50715, 50716)
+BLACK_REPEAT, BLACK_LEVEL, BLACK_DELTAS, WHITE_LEVEL = 50713, 50714, (50715, 50716), 50717
 CFA_PHOTOMETRIC = 32803
 CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT = 33421, 33422, 50711
 NOISE_PROFILE = 51041
 OPCODE_LISTS = (51008, 51009, 51022)  # of the stored, the linear and the demosaiced image
 
-_WHITE_LEVEL = 50717
 _LEVELS = {BLACK_LEVEL: "BlackLevel", BLACK_DELTAS[0]: "BlackLevelDeltaH", BLACK_DELTAS[1]: "BlackLevelDeltaV"}
-_LEVELS |= {_WHITE_LEVEL: "WhiteLevel"}
+_LEVELS |= {WHITE_LEVEL: "WhiteLevel"}
 
 _SUB_IFDS, _EXIF_IFD = 330, 34665
 _DATA = ((273, 279), (324, 325))  # strips, tiles: offsets and byte counts
 # Tags whose values must lie inside the file: those above, and what reading.py takes from EXIF and DNG tags.
 _EXIF = {33434, 33437, 34855, 34864, 34865, 34866, 34867}
 _READ = _EXIF | {
-    *(WIDTH, HEIGHT, COMPRESSION, PHOTOMETRIC, TILE_WIDTH, TILE_HEIGHT),
+    *(SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, TILE_WIDTH, TILE_HEIGHT),
+    *(SAMPLES, ROWS_PER_STRIP, PLANAR, PREDICTOR, SAMPLE_FORMAT, DNG_VERSION, LINEARIZATION),
+    *(ROW_INTERLEAVE, COLUMN_INTERLEAVE),
     *(271, 272, _SUB_IFDS, _EXIF_IFD, ACTIVE_AREA, BLACK_REPEAT, BLACK_LEVEL, *BLACK_DELTAS),
-    *(_WHITE_LEVEL, 50721, 50722, 50728, 50778, 50779, CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT, NOISE_PROFILE),
+    *(WHITE_LEVEL, 50721, 50722, 50728, 50778, 50779, CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT, NOISE_PROFILE),
     *OPCODE_LISTS,
     *(tag for pair in _DATA for tag in pair),
 }
@@ -71,6 +75,17 @@ class Directory:
     """
 
     values: dict[int, Numbers]
+    order: Literal["<", ">"] = "<"
+    """Of its bytes, as struct and numpy name it."""
+
+    def number(self, tag: int, default: int) -> int:
+        """Return the first number of a tag; ``default`` if it is not there."""
+        return int(next(iter(self.values.get(tag, ())), default))
+
+    @property
+    def samples(self) -> int:
+        """Numbers that it has of each pixel: two where each photosite is halved (dual pixels)."""
+        return self.number(SAMPLES, 1)
 
     @property
     def is_mosaic(self) -> bool:
@@ -102,8 +117,7 @@ class Directory:
     @property
     def shape(self) -> tuple[int, int]:
         """(H, W) in pixels that it declares; 0 for one that it does not."""
-        height, width = (int(next(iter(self.values.get(tag, ())), 0)) for tag in (HEIGHT, WIDTH))
-        return height, width
+        return self.number(HEIGHT, 0), self.number(WIDTH, 0)
 
     @property
     def pixels(self) -> int:
@@ -125,7 +139,7 @@ def read_directories(path: Path) -> tuple[Directory, ...]:
         head = file.read(8)
         if head[:4] not in MAGIC or len(head) < 8:
             return ()
-        order = "<" if head[:2] == b"II" else ">"
+        order: Literal["<", ">"] = "<" if head[:2] == b"II" else ">"
         budget = _Budget(path, {"directories": _MOST_DIRECTORIES, "entries": _MOST_ENTRIES, "values": _MOST_VALUES})
         waiting = [struct.unpack(order + "I", head[4:])[0]]
         seen: set[int] = set()
@@ -153,11 +167,15 @@ def read_directories(path: Path) -> tuple[Directory, ...]:
     return tuple(found)
 
 
-def image_directory(directories: Sequence[Directory], shape: tuple[int, int]) -> Directory | None:
-    """Return the first directory of a mosaic of this full size (H, W); if none has it, the only one of a mosaic."""
+def image_directories(directories: Sequence[Directory], shape: tuple[int, int]) -> tuple[Directory, ...]:
+    """Return the directories of mosaics of this full size (H, W), in order; if none has it, the only one of a mosaic.
+
+    They are the images of a pixel shift, mostly one; no proxies.
+    """
     mosaics = [directory for directory in directories if directory.is_mosaic]
     fitting = [directory for directory in mosaics if directory.shape == shape]
-    return next(iter(fitting or mosaics if len(mosaics) == 1 else fitting), None)
+    fitting = fitting or (mosaics if len(mosaics) == 1 else [])
+    return tuple([directory for directory in fitting if not directory.number(SUBFILE, 0)] or fitting)
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +216,7 @@ def _check_mosaic(path: Path, directory: Directory) -> None:
 
 
 def _read_directory(
-    path: Path, file: IO[bytes], size: int, order: str, at: int, budget: _Budget
+    path: Path, file: IO[bytes], size: int, order: Literal["<", ">"], at: int, budget: _Budget
 ) -> tuple[Directory, int]:
     require(path, size, at + 2)
     file.seek(at)
@@ -212,6 +230,8 @@ def _read_directory(
         tag, kind, number = struct.unpack(order + "HHI", entry[:8])
         if tag not in _READ:
             continue
+        if tag == LINEARIZATION:  # all that is asked is whether it is there; it may have 65536 numbers
+            number = 1
         length = _SIZES.get(kind, 1) * number
         data = entry[8:12]
         if length > 4:
@@ -234,7 +254,7 @@ def _read_directory(
             raise RawFileError(path, f"damaged: its {_LEVELS[tag]} has a denominator of 0, which is not a number")
     # The pointer to the next directory may be missing at the very end of a file.
     following = struct.unpack(order + "I", table[-4:])[0] if len(table) == 12 * count + 4 else 0
-    return Directory(values), following
+    return Directory(values, order), following
 
 
 def _opcodes(path: Path, file: IO[bytes], place: range, budget: _Budget) -> Iterator[Fraction]:

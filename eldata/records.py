@@ -186,7 +186,7 @@ class RawFrame:
             If it holds fractions of a DN; the message has the purpose.
         """
         if self.mosaic.dtype.kind != "u":
-            found = "its pixels are floating-point numbers, as of an average or of exposures that were merged"
+            found = "its pixels are floating-point numbers, as of an average, merged exposures or a black level by row"
             advice = f"{purpose} takes whole DN alone: use the raw files as the camera wrote them"
             raise UnusableRawError(self.path, found, advice)
         return self.mosaic

@@ -58,6 +58,7 @@ import numpy as np
 
 from eldata.base.isolation import guarded_file
 from eldata.errors import RawFileError, UnusableRawError
+from eldata.raw.black_levels import BlackLevel, VisibleArea, check_black_counts, dng_black_level
 from eldata.raw.cfa import cfa_from, cfa_of_letters, packing_sites
 from eldata.raw.containers import check_container
 from eldata.raw.damage import check_damage, check_samples
@@ -67,13 +68,11 @@ from eldata.raw.sensor_facts import (
     as_shot_multipliers,
     camera_matrix,
     channel_whites,
-    dng_black_level,
     dng_white_level,
 )
 from eldata.raw.strips import is_own, read_pixels
 from eldata.raw.tiff import (
     ACTIVE_AREA,
-    BLACK_DELTAS,
     COLUMN_INTERLEAVE,
     DNG_VERSION,
     ROW_INTERLEAVE,
@@ -118,11 +117,14 @@ def _header(path: Path) -> RawHeader:
     directories = read_directories(path)
     refuse_unsupported(path, directories)
     with opened_raw(path) as raw:
-        return _header_of(path, exif_tags(path), _stated_images(raw, directories) or (None,), 0)
+        return _header_of(path, exif_tags(path), directories, _stated_images(raw, directories) or (None,), 0)
 
 
-def _header_of(path: Path, tags: Tags, images: _Images, image: int) -> RawHeader:
-    remarks = *directory_remarks(_chosen(path, images, image)), *image_remarks(len(images), image)
+def _header_of(path: Path, tags: Tags, directories: Sequence[Directory], images: _Images, image: int) -> RawHeader:
+    main = _chosen(path, images, image)
+    if main is not None and _is_dng(directories):
+        check_black_counts(path, main)
+    remarks = *directory_remarks(main), *image_remarks(len(images), image)
     return replace(header_of(path, tags), remarks=remarks)
 
 
@@ -176,7 +178,7 @@ def _decoded(path: Path, *, image: int) -> RawFrame:
         main = _chosen(path, images, image)
         if main is None or not is_own(main):
             raw.unpack()
-        header = _header_of(path, tags, images, image)
+        header = _header_of(path, tags, directories, images, image)
         if raw.raw_type != rawpy.RawType.Flat or raw.num_colors == 1:
             shape = raw.raw_image.shape
             kind = "no colour filter array (monochrome)" if len(shape) == 2 else "already demosaiced (an RGB raw)"
@@ -185,11 +187,15 @@ def _decoded(path: Path, *, image: int) -> RawFrame:
             raise UnusableRawError(path, f"{kind}: {shape} samples", NEEDED)
         cfa, index_of = _cfa(path, raw, directories)
         own = main if main is not None and is_own(main) else None
-        mosaic = _visible(path, raw, raw.raw_image if own is None else read_pixels(path, own), main)
-        black = dng_black_level(path, raw, directories if main is None else [main], cfa)
-        if black is None:
+        sizes = raw.sizes
+        area = VisibleArea(sizes.top_margin, sizes.left_margin, (sizes.height, sizes.width), cfa)
+        stored = _in_place(path, raw, raw.raw_image if own is None else read_pixels(path, own), main)
+        mosaic = area.of(stored).copy()
+        levels = dng_black_level(path, main, area, stored) if main is not None and _is_dng(directories) else None
+        if levels is None:
             stated = [0.0] * 4 if own is not None else raw.black_level_per_channel  # 0 by the specification
-            black = tuple(float(stated[index]) for index in index_of)
+            levels = BlackLevel(tuple(float(stated[index]) for index in index_of))
+        black = levels.level_dn
         white = float(raw.white_level) if own is None else dng_white_level(own)
         if not white > max(black):
             raise RawFileError(path, f"white level {white:g} DN is not above the black level {black} DN")
@@ -208,7 +214,8 @@ def _decoded(path: Path, *, image: int) -> RawFrame:
             matrix_illuminant=illuminant,
         )
     check_damage(path, directories, mosaic, black, white)
-    return RawFrame(path, mosaic, sensor, header.exposure, whites, header.remarks)
+    mosaic = levels.flatten(mosaic, area)
+    return RawFrame(path, mosaic, sensor, header.exposure, whites, (*header.remarks, *levels.remarks))
 
 
 def exposure_ratio(reference: RawFrame | RawHeader, noisy: RawFrame | RawHeader) -> Fraction:
@@ -252,6 +259,10 @@ def _check_sizes(path: Path, raw: rawpy.RawPy) -> None:
             f"damaged: its visible area of {sizes.height} x {sizes.width} pixels from {sizes.top_margin}, "
             f"{sizes.left_margin} on does not lie inside its {sizes.raw_height} x {sizes.raw_width} pixels",
         )
+
+
+def _is_dng(directories: Sequence[Directory]) -> bool:
+    return any(DNG_VERSION in directory.values for directory in directories)
 
 
 def _stated_images(raw: rawpy.RawPy, directories: Sequence[Directory]) -> _Images:
@@ -298,8 +309,8 @@ def _interleaved(main: Directory) -> tuple[int, int]:
     return main.number(ROW_INTERLEAVE, 1), main.number(COLUMN_INTERLEAVE, 1)
 
 
-def _visible(path: Path, raw: rawpy.RawPy, stored: NDArray[Any], main: Directory | None) -> NDArray[Any]:
-    """Return a copy of the visible area of what is stored, whose rows and columns may be interleaved."""
+def _in_place(path: Path, raw: rawpy.RawPy, stored: NDArray[Any], main: Directory | None) -> NDArray[Any]:
+    """Return what is stored, whose rows and columns may be interleaved, in order."""
     if main is not None and _interleaved(main) != (1, 1):
         for axis, fields in enumerate(_interleaved(main)):
             stored = _in_order(stored, fields, axis)
@@ -309,8 +320,7 @@ def _visible(path: Path, raw: rawpy.RawPy, stored: NDArray[Any], main: Directory
             path,
             f"damaged: expected {sizes.raw_height} x {sizes.raw_width} pixels as LibRaw does; found {stored.shape}",
         )
-    rows, columns = (sizes.top_margin, sizes.height), (sizes.left_margin, sizes.width)
-    return stored[rows[0] : sum(rows), columns[0] : sum(columns)].copy()
+    return stored
 
 
 def _in_order(stored: NDArray[Any], fields: int, axis: int) -> NDArray[Any]:
@@ -387,7 +397,7 @@ def _cfa(path: Path, raw: rawpy.RawPy, directories: Sequence[Directory]) -> tupl
     sites = [[raw.raw_color(top + y, left + x) for x in range(period)] for y in range(period)]
     letters = ["".join(names[index] for index in row) for row in sites]
     cfa = cfa_of_letters(letters)
-    if cfa is None and stated is not None and DNG_VERSION in directories[0].values:
+    if cfa is None and stated is not None and _is_dng(directories):
         return stated  # a CFAPattern of 16-bit numbers, whose bytes LibRaw takes for numbers
     if cfa is None:
         raise unsupported_cfa(path, letters)
@@ -404,12 +414,6 @@ def _stated_cfa(
         cfa = cfa_of_letters(directory.cfa_letters or ()) if directory.is_mosaic else None
         if cfa is None or directory.shape != (raw.sizes.raw_height, raw.sizes.raw_width):
             continue  # another image of the file, such as a binned one
-        if packing_sites(cfa).block > 1 and any(tag in directory.values for tag in BLACK_DELTAS):
-            raise RawFileError(
-                path,
-                f"{packing_sites(cfa).name} with BlackLevelDeltaH or BlackLevelDeltaV, which is not supported: convert "
-                "it to a DNG with BlackLevel alone",
-            )
         # The pattern starts at the active area; LibRaw moves an odd margin on to the next even one.
         top, left = map(int, directory.values.get(ACTIVE_AREA, (0, 0))[:2])
         found.add(cfa_from(cfa, raw.sizes.top_margin - top, raw.sizes.left_margin - left))

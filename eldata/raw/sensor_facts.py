@@ -6,7 +6,6 @@ A DNG's own figures to the last digit, from the file; those of other formats as 
 
 from __future__ import annotations
 
-from math import gcd
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,11 +15,7 @@ from eldata.errors import ArgumentError, RawFileError
 from eldata.raw.neutrals import white_balance_of
 from eldata.raw.strips import is_float
 from eldata.raw.tiff import (
-    ACTIVE_AREA,
     BITS,
-    BLACK_DELTAS,
-    BLACK_LEVEL,
-    BLACK_REPEAT,
     NOISE_PROFILE,
     WHITE_LEVEL,
     read_directories,
@@ -43,46 +38,6 @@ COLOUR_MATRICES = ((50721, 50778), (50722, 50779))
 
 # Daylight, flash, D55, D75, D50, as EXIF numbers sources of light.
 _DAYLIGHT = (1, 4, 20, 22, 23)
-
-
-def dng_black_level(
-    path: Path, raw: rawpy.RawPy, directories: Sequence[Directory], cfa: tuple[tuple[int, ...], ...]
-) -> tuple[float, ...] | None:
-    """Return a DNG's BlackLevel per channel of the visible area; None if LibRaw's figure is to be taken.
-
-    Raises
-    ------
-    RawFileError
-        If the level differs between sites of one colour.
-    """
-    mosaic = next((d for d in directories if d.is_mosaic and BLACK_LEVEL in d.values), None)
-    if mosaic is None or any(tag in mosaic.values for tag in BLACK_DELTAS):  # LibRaw adds the deltas' mean
-        return None
-    rows, columns = map(int, mosaic.values.get(BLACK_REPEAT, (1, 1)))
-    pattern = mosaic.values[BLACK_LEVEL][:: mosaic.samples]  # of two samples a pixel in turn
-    # The pattern starts at the active area; LibRaw's visible area may start a pixel off it.
-    active = mosaic.values.get(ACTIVE_AREA, (0, 0))
-    if len(pattern) != rows * columns or not pattern:
-        return None
-    top, left = raw.sizes.top_margin - int(active[0]), raw.sizes.left_margin - int(active[1])
-    period = len(cfa)
-    # A site of the CFA meets each place of the pattern that it can be brought to in steps of these: all sites that
-    # start alike meet the same places.
-    down, right = gcd(period, rows), gcd(period, columns)
-    met: dict[tuple[int, int], set[Fraction]] = {}
-    levels: dict[int, set[Fraction]] = {}
-    for y in range(period):
-        for x in range(period):
-            first = (y + top) % down, (x + left) % right
-            if first not in met:
-                at = (row * columns for row in range(first[0], rows, down))
-                met[first] = set().union(*(pattern[row + first[1] : row + columns : right] for row in at))
-            levels.setdefault(cfa[y][x], set()).update(met[first])
-            if len(levels[cfa[y][x]]) > 1:
-                raise RawFileError(
-                    path, "its BlackLevel differs between sites of one colour; one level per channel is needed"
-                )
-    return tuple(exact_number(levels[channel].pop()) for channel in sorted(levels))
 
 
 def dng_white_level(mosaic: Directory) -> float:

@@ -6,6 +6,7 @@ A DNG's own figures to the last digit, from the file; those of other formats as 
 
 from __future__ import annotations
 
+from math import prod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from eldata.raw.tiff import (
     BITS,
     NOISE_PROFILE,
     WHITE_LEVEL,
+    image_directories,
     read_directories,
 )
 from eldata.records import D65, exact_number
@@ -59,10 +61,11 @@ def dng_noise_profile(path: Path) -> tuple[float, ...] | None:
         If a directory of the file is damaged.
     """
     directories = guarded_file(read_directories, path, RawFileError)
-    stated = [one for one in directories if NOISE_PROFILE in one.values]
-    # It stands in IFD0 or beside the mosaic.
-    chosen = next((one for one in stated if one.is_mosaic), stated[0] if stated else None)
-    return None if chosen is None else tuple(map(float, chosen.values[NOISE_PROFILE]))
+    largest = max((one.shape for one in directories if one.is_mosaic), key=prod, default=(0, 0))
+    # It stands beside the mosaic, not a proxy of it, or in IFD0.
+    places = (*image_directories(directories, largest), *directories)
+    stated = (one.values[NOISE_PROFILE] for one in places if NOISE_PROFILE in one.values)
+    return next((tuple(map(float, numbers)) for numbers in stated), None)
 
 
 def channel_whites(raw: rawpy.RawPy, index_of: Sequence[int]) -> tuple[float, ...] | None:

@@ -15,8 +15,11 @@ import numpy as np
 import pytest
 import tifffile
 
+from eldata import evaluate
+from eldata.cli.main import main
 from eldata.errors import UnusableRawError
 from eldata.raw import read_header, read_raw, write_dng
+from eldata.raw.sensor_facts import dng_noise_profile
 from eldata.records import exact_fraction
 from tests.raw.helpers import (
     BAYER,
@@ -28,10 +31,12 @@ from tests.raw.helpers import (
     add_tags,
     black_levels,
     letters,
+    opcode_list,
     random_mosaic,
     write_plain_dng,
     xtrans_at,
 )
+from tests.trees import copy_tree, tree_in
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -184,7 +189,8 @@ def test_deltas_with_the_period_of_the_cfa_are_levels_of_channels(
     base = ((60, 61), (63, 62))
     expected = {BAYER[name][y][x]: base[y][x] + across[x] + down[y] for y, x in product(range(2), repeat=2)}
     assert [exact_fraction(level) for level in found.sensor.black_level_dn] == [expected[k] for k in range(4)]
-    assert (found.mosaic.dtype, found.remarks) == (np.uint16, ())
+    assert found.mosaic.dtype == np.uint16
+    assert found.remarks == ()
     write_dng(tmp_path / "b.dng", found.mosaic, found.sensor, found.exposure)
     assert read_raw(tmp_path / "b.dng").sensor == found.sensor
 
@@ -246,7 +252,7 @@ def test_levels_are_those_of_the_image_that_is_read(tmp_path: Path) -> None:
         masked((0, 0, 8, 8)),
         deltas("H", [40] * 96),
         active_area(1, 0, 64, 96),
-        (51009, "B", 4, b"\0\0\0\0", True),
+        opcode_list(2, 9),
         (51041, "B", len(profile), profile, True),
     )
     found, plain = read_raw(path), field("two-cfa-images-proxy-first")
@@ -254,3 +260,130 @@ def test_levels_are_those_of_the_image_that_is_read(tmp_path: Path) -> None:
     assert (found.sensor.black_level_dn, found.sensor.white_level_dn) == ((64.0,) * 4, 1023.0)
     assert found.remarks == ()
     np.testing.assert_array_equal(found.mosaic, plain.mosaic)
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_the_noise_profile_is_that_of_the_image_or_of_the_file(beside: bool, tmp_path: Path) -> None:
+    """Of a proxy that has one too, the image's counts; IFD0 may state it for the whole file."""
+    path, images = tmp_path / "a.dng", ((64, 96), (128, 192))
+    with tifffile.TiffWriter(path) as writer:
+        for number, shape in enumerate(images):
+            tags: list[Tag] = [(33421, "H", 2, (2, 2), True), (33422, "B", 4, bytes((0, 1, 1, 2)), True)]
+            if number == 0 or beside:
+                tags.append((51041, "d", 2, (1.0 + number, 0.5), True))
+            writer.write(random_mosaic(*shape), photometric=32803, metadata=None, extratags=tags, subifds=1 - number)
+    assert dng_noise_profile(path) == ((2.0, 0.5) if beside else (1.0, 0.5))
+
+
+# --- masked pixels ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["RGGB", "GBRG", "xtrans-00", "quad-13"])
+@pytest.mark.parametrize("margins", [(8, 12), (7, 13)])
+def test_masked_pixels_are_the_level_where_none_is_stated(name: str, margins: tuple[int, int], tmp_path: Path) -> None:
+    """The mean of each channel's, exactly; what lies in the margin beside them does not count."""
+    cfa: Cfa = {**BAYER, **QUAD, "xtrans-00": xtrans_at(0, 0)}[name]
+    top, left = margins
+    mosaic, generator = random_mosaic(80, 96), np.random.default_rng(5)
+    areas = ((0, 2, 6, 90), (10, 1, 80, 10))
+    for first, start, bottom, right in areas:
+        mosaic[first:bottom, start:right] = generator.integers(60, 70, (bottom - first, right - start))
+    write_plain_dng(tmp_path / "a.dng", mosaic, letters(cfa), active_area(top, left, 80, 96), masked(*areas))
+    found = read_raw(tmp_path / "a.dng")
+    # The CFA begins at the active area's corner.
+    rows, columns = np.arange(80) - top, np.arange(96) - left
+    sites = np.array(cfa)[(rows % len(cfa))[:, None], columns % len(cfa)]
+    is_masked = np.zeros((80, 96), bool)
+    for first, start, bottom, right in areas:
+        is_masked[first:bottom, start:right] = True
+    expected = [mosaic[is_masked & (sites == channel)] for channel in range(sites.max() + 1)]
+    means = [Fraction(int(values.sum()), values.size) for values in expected]
+    assert [exact_fraction(level) for level in found.sensor.black_level_dn] == means
+    (remark,) = found.remarks
+    assert (
+        remark
+        == f"it states no BlackLevel: the mean of its masked pixels is taken, {float(sum(means) / len(means)):.1f} DN"
+    )
+    write_dng(tmp_path / "b.dng", found.mosaic, found.sensor, found.exposure)
+    assert read_raw(tmp_path / "b.dng").sensor == found.sensor
+
+
+def test_masked_pixels_of_one_colour_count_for_all(tmp_path: Path) -> None:
+    """A column of R and G2 alone."""
+    mosaic = random_mosaic(64, 66)
+    mosaic[:, 0] = 60
+    mosaic[1::2, 0] = 63
+    write_plain_dng(tmp_path / "a.dng", mosaic, ("RG", "GB"), active_area(0, 2, 64, 66), masked((0, 0, 64, 1)))
+    assert read_raw(tmp_path / "a.dng").sensor.black_level_dn == (60, 61.5, 61.5, 63)
+
+
+@pytest.mark.parametrize(("stated", "remarks"), [(64, 0), (63, 1), (0, 1)])
+def test_a_stated_level_that_the_masked_pixels_bear_out_is_not_remarked_on(
+    stated: int, remarks: int, tmp_path: Path
+) -> None:
+    mosaic = random_mosaic(64, 66)
+    mosaic[:, :2] = 64
+    tags = active_area(0, 2, 64, 66), masked((0, 0, 64, 2)), (BLACK, "I", 1, stated, True)
+    write_plain_dng(tmp_path / "a.dng", mosaic, ("RG", "GB"), *tags)
+    found = read_raw(tmp_path / "a.dng")
+    assert found.sensor.black_level_dn == (stated,) * 4
+    assert len(found.remarks) == remarks
+
+
+# --- a set of such files ------------------------------------------------------------------------------------------
+
+
+def restate(path: Path, kind: str) -> None:
+    """State the same levels, or levels of other pixels of the same signal, in another way."""
+    frame = read_raw(path)
+    height, width = frame.mosaic.shape
+    black = int(frame.sensor.black_level_dn[0])
+    assert set(frame.sensor.black_level_dn) == {black}
+    one_level: list[Tag] = [(REPEAT, "H", 2, (1, 1), True), (BLACK, "I", 1, black, True)]
+    # Of rows in pairs, so that each channel's mean is 0.
+    slope = np.repeat(np.arange(height // 2) * 2 - height // 2 + 1, 2)
+    if kind == "one number":
+        add_tags(path, (REPEAT, "H", 1, 1, True), one_level[1])
+    elif kind == "no pattern":
+        add_tags(path, one_level[0], (BLACK, "I", 4, (black,) * 4, True))
+    elif kind == "a slope":
+        write_dng(path, (frame.mosaic + slope[:, None]).astype(np.uint16), frame.sensor, frame.exposure)
+        add_tags(path, *one_level, deltas("V", slope.tolist()))
+    else:
+        add_tags(path, (REPEAT, "H", 2, (1, 1), True), (BLACK, "I", 1, black - 16, True), deltas("H", [16] * width))
+
+
+@pytest.mark.parametrize("kind", ["one number", "a slope", "deltas for all"])
+def test_a_set_whose_levels_are_stated_otherwise_scores_the_same(
+    kind: str, demo_tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tree = copy_tree(tree_in(demo_tree), tmp_path)
+    plain = evaluate(None, manifest=tree.csv, root=tree.root, baseline="input", cameras=["DemoAlpha"])
+    for number in range(1, 17):
+        restate(tree.file(number), kind)
+    found = evaluate(None, manifest=tree.csv, root=tree.root, baseline="input", cameras=["DemoAlpha"])
+    assert len(plain.images) == 6
+    assert found.images == plain.images
+    assert main(["verify", str(tree.csv), "--root", str(tree.root), "--level", "metadata", "--jobs", "1"]) == 0
+    said = [line for line in capsys.readouterr().out.splitlines() if ": remark: " in line]
+    if kind == "a slope":
+        assert len(said) == 1
+        assert said[0].startswith("DemoAlpha/scene-1/IMG_0001.dng and 15 others alike: remark: by its BlackLevelDeltaV")
+    else:
+        assert said == []
+
+
+def test_verify_and_evaluate_name_levels_that_do_not_fit(
+    demo_tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tree = copy_tree(tree_in(demo_tree), tmp_path)
+    restate(tree.file(4), "no pattern")
+    arguments = ["--root", str(tree.root), "--jobs", "1"]
+    assert main(["verify", str(tree.csv), *arguments, "--level", "metadata"]) == 1
+    text = capsys.readouterr().out
+    assert "DemoAlpha/scene-1/IMG_0004.dng: content" in text
+    assert "found     its BlackLevel has 4 numbers, expected 1, as its BlackLevelRepeatDim is 1 x 1" in text
+    assert "to do     write it again with a BlackLevelRepeatDim that fits" in text
+    assert main(["evaluate", "--baseline", "input", "--manifest", str(tree.csv), *arguments]) != 0
+    said = capsys.readouterr()
+    assert "its BlackLevel has 4 numbers" in said.out + said.err

@@ -52,8 +52,8 @@ def render_libraw(path: Path | str, *, bits: Bits = 8) -> NDArray[np.uint8] | ND
     RawFileError
         Like :func:`eldata.raw.read_raw`; or if the file has no as-shot white balance or no colour matrix, in place of
         which LibRaw would put its own; or is quad-Bayer, nona-Bayer, or
-        X-Trans with a side under 512 pixels, which LibRaw does not demosaic; or has floating-point, Deflate-compressed
-        or interleaved pixels, of which it makes others.
+        X-Trans with a side under 512 pixels, which LibRaw does not demosaic; or has floating-point or interleaved
+        pixels, of which it makes others.
     ArgumentError
         If ``bits`` is neither 8 nor 16.
     """

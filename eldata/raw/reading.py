@@ -68,9 +68,9 @@ from eldata.raw.sensor_facts import (
     camera_matrix,
     channel_whites,
     dng_black_level,
-    dng_white_level,
+    float_white_level,
 )
-from eldata.raw.strips import is_own, read_pixels
+from eldata.raw.strips import read_floats
 from eldata.raw.tiff import (
     ACTIVE_AREA,
     BLACK_DELTAS,
@@ -174,7 +174,8 @@ def _decoded(path: Path, *, image: int) -> RawFrame:
         _check_sizes(path, raw)
         images = _stated_images(raw, directories) or (None,) * _count_images(path)
         main = _chosen(path, images, image)
-        if main is None or not is_own(main):
+        in_floats = main if main is not None and main.is_float else None
+        if in_floats is None:
             raw.unpack()
         header = _header_of(path, tags, images, image)
         if raw.raw_type != rawpy.RawType.Flat or raw.num_colors == 1:
@@ -184,16 +185,15 @@ def _decoded(path: Path, *, image: int) -> RawFrame:
                 kind = "already demosaiced (Canon's sRAW or mRAW)"
             raise UnusableRawError(path, f"{kind}: {shape} samples", NEEDED)
         cfa, index_of = _cfa(path, raw, directories)
-        own = main if main is not None and is_own(main) else None
-        mosaic = _visible(path, raw, raw.raw_image if own is None else read_pixels(path, own), main)
+        mosaic = _visible(path, raw, raw.raw_image if in_floats is None else read_floats(path, in_floats), main)
         black = dng_black_level(path, raw, directories if main is None else [main], cfa)
         if black is None:
-            stated = [0.0] * 4 if own is not None else raw.black_level_per_channel  # 0 by the specification
+            stated = [0.0] * 4 if in_floats else raw.black_level_per_channel  # 0 by the specification
             black = tuple(float(stated[index]) for index in index_of)
-        white = float(raw.white_level) if own is None else dng_white_level(own)
+        white = float(raw.white_level) if in_floats is None else float_white_level(in_floats)
         if not white > max(black):
             raise RawFileError(path, f"white level {white:g} DN is not above the black level {black} DN")
-        whites = channel_whites(raw, index_of) if own is None else None  # on another scale than floats have
+        whites = channel_whites(raw, index_of) if in_floats is None else None  # on another scale than floats have
         matrix, illuminant = camera_matrix(raw, directories)
         sensor = Sensor(
             make=header.make,
@@ -286,10 +286,10 @@ def _chosen(path: Path, images: _Images, image: int) -> Directory | None:
 def check_libraw_decodes(path: Path, raw: rawpy.RawPy) -> None:
     """Refuse a DNG whose pixels LibRaw takes for others than they are, for what LibRaw makes of them itself."""
     images = _stated_images(raw, read_directories(path))
-    if any(main is not None and (is_own(main) or _interleaved(main) != (1, 1)) for main in images[:1]):
+    if any(main is not None and (main.is_float or _interleaved(main) != (1, 1)) for main in images[:1]):
         raise UnusableRawError(
             path,
-            "has floating-point, Deflate-compressed or interleaved pixels, of which LibRaw makes a wrong picture",
+            "has floating-point or interleaved pixels, of which LibRaw makes a wrong picture",
             "pack it and use eldata.isp.Rendering",
         )
 

@@ -6,6 +6,7 @@ A DNG's own figures to the last digit, from the file; those of other formats as 
 
 from __future__ import annotations
 
+from fractions import Fraction
 from math import gcd
 from typing import TYPE_CHECKING, Any
 
@@ -14,10 +15,8 @@ import numpy as np
 from eldata.base.isolation import guarded_file
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw.neutrals import white_balance_of
-from eldata.raw.strips import is_float
 from eldata.raw.tiff import (
     ACTIVE_AREA,
-    BITS,
     BLACK_DELTAS,
     BLACK_LEVEL,
     BLACK_REPEAT,
@@ -29,7 +28,6 @@ from eldata.records import D65, exact_number
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-    from fractions import Fraction
     from pathlib import Path
 
     import rawpy
@@ -85,11 +83,9 @@ def dng_black_level(
     return tuple(exact_number(levels[channel].pop()) for channel in sorted(levels))
 
 
-def dng_white_level(mosaic: Directory) -> float:
-    """Return a DNG's WhiteLevel; if it states none, that of the specification: 1 of floats, else the largest number."""
-    whites = mosaic.values.get(WHITE_LEVEL)
-    largest = 1 if is_float(mosaic) else (1 << mosaic.number(BITS, 16)) - 1
-    return exact_number(whites[0]) if whites else float(largest)
+def float_white_level(mosaic: Directory) -> float:
+    """Return a floating-point DNG's WhiteLevel, by the specification 1 where it states none."""
+    return exact_number(next(iter(mosaic.values.get(WHITE_LEVEL, ())), Fraction(1)))
 
 
 def dng_noise_profile(path: Path) -> tuple[float, ...] | None:

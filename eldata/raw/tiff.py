@@ -19,13 +19,14 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
+DEFLATE = (8, 32946)  # of COMPRESSION
 MAGIC = (b"II*\0", b"MM\0*")
 COLOURS = "RGBCMYW"  # of a DNG's CFAPattern, by number
 
 SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC = 254, 256, 257, 258, 259, 262
 SAMPLES, ROWS_PER_STRIP, PLANAR, PREDICTOR, SAMPLE_FORMAT = 277, 278, 284, 317, 339
 TILE_WIDTH, TILE_HEIGHT = 322, 323
-DNG_VERSION, LINEARIZATION = 50706, 50712
+DNG_VERSION = 50706
 ROW_INTERLEAVE, COLUMN_INTERLEAVE = 50975, 52547
 ACTIVE_AREA = 50829
 BLACK_REPEAT, BLACK_LEVEL, BLACK_DELTAS, WHITE_LEVEL = 50713, 50714, (50715, 50716), 50717
@@ -38,12 +39,13 @@ _LEVELS = {BLACK_LEVEL: "BlackLevel", BLACK_DELTAS[0]: "BlackLevelDeltaH", BLACK
 _LEVELS |= {WHITE_LEVEL: "WhiteLevel"}
 
 _SUB_IFDS, _EXIF_IFD = 330, 34665
+_FLOAT = 3  # of SAMPLE_FORMAT
 _DATA = ((273, 279), (324, 325))  # strips, tiles: offsets and byte counts
 # Tags whose values must lie inside the file: those above, and what reading.py takes from EXIF and DNG tags.
 _EXIF = {33434, 33437, 34855, 34864, 34865, 34866, 34867}
 _READ = _EXIF | {
     *(SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, TILE_WIDTH, TILE_HEIGHT),
-    *(SAMPLES, ROWS_PER_STRIP, PLANAR, PREDICTOR, SAMPLE_FORMAT, DNG_VERSION, LINEARIZATION),
+    *(SAMPLES, ROWS_PER_STRIP, PLANAR, PREDICTOR, SAMPLE_FORMAT, DNG_VERSION),
     *(ROW_INTERLEAVE, COLUMN_INTERLEAVE),
     *(271, 272, _SUB_IFDS, _EXIF_IFD, ACTIVE_AREA, BLACK_REPEAT, BLACK_LEVEL, *BLACK_DELTAS),
     *(WHITE_LEVEL, 50721, 50722, 50728, 50778, 50779, CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT, NOISE_PROFILE),
@@ -86,6 +88,11 @@ class Directory:
     def samples(self) -> int:
         """Numbers that it has of each pixel: two where each photosite is halved (dual pixels)."""
         return self.number(SAMPLES, 1)
+
+    @property
+    def is_float(self) -> bool:
+        """Whether its samples are floating-point numbers."""
+        return self.number(SAMPLE_FORMAT, 1) == _FLOAT
 
     @property
     def is_mosaic(self) -> bool:
@@ -230,8 +237,6 @@ def _read_directory(
         tag, kind, number = struct.unpack(order + "HHI", entry[:8])
         if tag not in _READ:
             continue
-        if tag == LINEARIZATION:  # all that is asked is whether it is there; it may have 65536 numbers
-            number = 1
         length = _SIZES.get(kind, 1) * number
         data = entry[8:12]
         if length > 4:

@@ -34,6 +34,10 @@ _BY_COMPRESSION = {
         "convert it to one with lossless JPEG compression (Adobe DNG Converter, compatibility 1.6 or earlier)",
     ),
 }
+_WHOLE_IN_DEFLATE = (
+    "is a DNG of whole numbers in Deflate compression, which LibRaw cannot decode",
+    "convert it to one with lossless JPEG compression or without any (Adobe DNG Converter)",
+)
 _HEXADECA = 4  # sites along a side of its blocks
 _LAYOUT_RECTANGULAR = 1
 
@@ -55,6 +59,8 @@ def refuse_unsupported(path: Path, directories: Sequence[Directory]) -> None:
         if not directory.is_mosaic:
             continue
         values = directory.values
+        if directory.number(tiff.COMPRESSION, 1) in tiff.DEFLATE and not directory.is_float:
+            raise UnusableRawError(path, *_WHOLE_IN_DEFLATE)
         for compression in map(int, values.get(tiff.COMPRESSION, ())):
             if compression in _BY_COMPRESSION:
                 raise UnusableRawError(path, *_BY_COMPRESSION[compression])

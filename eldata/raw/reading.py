@@ -75,7 +75,6 @@ from eldata.raw.tiff import (
     ACTIVE_AREA,
     BLACK_DELTAS,
     COLUMN_INTERLEAVE,
-    DNG_VERSION,
     ROW_INTERLEAVE,
     image_directories,
     read_directories,
@@ -174,27 +173,29 @@ def _decoded(path: Path, *, image: int) -> RawFrame:
         _check_sizes(path, raw)
         images = _stated_images(raw, directories) or (None,) * _count_images(path)
         main = _chosen(path, images, image)
-        in_floats = main if main is not None and main.is_float else None
-        if in_floats is None:
-            raw.unpack()
         header = _header_of(path, tags, images, image)
-        if raw.raw_type != rawpy.RawType.Flat or raw.num_colors == 1:
-            shape = raw.raw_image.shape
-            kind = "no colour filter array (monochrome)" if len(shape) == 2 else "already demosaiced (an RGB raw)"
-            if len(shape) == 3 and header.make == "Canon" and "Image Tag 0xC612" not in tags:  # no DNG
-                kind = "already demosaiced (Canon's sRAW or mRAW)"
-            raise UnusableRawError(path, f"{kind}: {shape} samples", NEEDED)
-        cfa, index_of = _cfa(path, raw, directories)
-        mosaic = _visible(path, raw, raw.raw_image if in_floats is None else read_floats(path, in_floats), main)
+        stored: NDArray[Any]
+        decoder = None if main is not None and main.is_float else raw  # which decodes the pixels for what it is asked
+        if main is not None and main.is_float:
+            stated = _stated_cfa(path, raw, main)
+            if stated is None:
+                raise RawFileError(path, "states no colour filter array that can be used, and its pixels are floats")
+            stored, (cfa, index_of) = read_floats(path, main), stated
+            white, whites = float_white_level(main), None
+        else:
+            raw.unpack()
+            if raw.raw_type != rawpy.RawType.Flat or raw.num_colors == 1:
+                raise _without_cfa(path, raw.raw_image.shape, header, is_dng="Image Tag 0xC612" in tags)
+            stored, (cfa, index_of) = raw.raw_image, _cfa(path, raw, main, is_dng="Image Tag 0xC612" in tags)
+            white, whites = float(raw.white_level), channel_whites(raw, index_of)
+        mosaic = _visible(path, raw, stored, main)
         black = dng_black_level(path, raw, directories if main is None else [main], cfa)
-        if black is None:
-            stated = [0.0] * 4 if in_floats else raw.black_level_per_channel  # 0 by the specification
-            black = tuple(float(stated[index]) for index in index_of)
-        white = float(raw.white_level) if in_floats is None else float_white_level(in_floats)
+        if black is None:  # by the specification 0
+            levels = [0] * 4 if decoder is None else decoder.black_level_per_channel
+            black = tuple(float(levels[index]) for index in index_of)
         if not white > max(black):
             raise RawFileError(path, f"white level {white:g} DN is not above the black level {black} DN")
-        whites = channel_whites(raw, index_of) if in_floats is None else None  # on another scale than floats have
-        matrix, illuminant = camera_matrix(raw, directories)
+        matrix, illuminant = camera_matrix(decoder, directories)
         sensor = Sensor(
             make=header.make,
             model=header.model,
@@ -203,12 +204,19 @@ def _decoded(path: Path, *, image: int) -> RawFrame:
             white_level_dn=white,
             height=mosaic.shape[0],
             width=mosaic.shape[1],
-            white_balance=as_shot_multipliers(path, raw, directories, tags),
+            white_balance=as_shot_multipliers(path, decoder, directories, tags),
             xyz_to_camera=matrix,
             matrix_illuminant=illuminant,
         )
     check_damage(path, directories, mosaic, black, white)
     return RawFrame(path, mosaic, sensor, header.exposure, whites, header.remarks)
+
+
+def _without_cfa(path: Path, shape: tuple[int, ...], header: RawHeader, *, is_dng: bool) -> UnusableRawError:
+    kind = "no colour filter array (monochrome)" if len(shape) == 2 else "already demosaiced (an RGB raw)"
+    if len(shape) == 3 and header.make == "Canon" and not is_dng:
+        kind = "already demosaiced (Canon's sRAW or mRAW)"
+    return UnusableRawError(path, f"{kind}: {shape} samples", NEEDED)
 
 
 def exposure_ratio(reference: RawFrame | RawHeader, noisy: RawFrame | RawHeader) -> Fraction:
@@ -372,9 +380,9 @@ def _set_openmp_threads() -> Callable[[int], object]:
 # --- sensor ---------------------------------------------------------------------------------------------------
 
 
-def _cfa(path: Path, raw: rawpy.RawPy, directories: Sequence[Directory]) -> tuple[CfaRows, tuple[int, ...]]:
+def _cfa(path: Path, raw: rawpy.RawPy, main: Directory | None, *, is_dng: bool) -> tuple[CfaRows, tuple[int, ...]]:
     """Return the visible area's CFA in our channel indices, and LibRaw's colour index of each of them."""
-    stated = _stated_cfa(path, raw, directories)
+    stated = None if main is None else _stated_cfa(path, raw, main)
     if stated is not None and packing_sites(stated[0]).block > 1:
         return stated
     names = raw.color_desc.decode("ascii", "replace")
@@ -387,7 +395,7 @@ def _cfa(path: Path, raw: rawpy.RawPy, directories: Sequence[Directory]) -> tupl
     sites = [[raw.raw_color(top + y, left + x) for x in range(period)] for y in range(period)]
     letters = ["".join(names[index] for index in row) for row in sites]
     cfa = cfa_of_letters(letters)
-    if cfa is None and stated is not None and DNG_VERSION in directories[0].values:
+    if cfa is None and stated is not None and is_dng:
         return stated  # a CFAPattern of 16-bit numbers, whose bytes LibRaw takes for numbers
     if cfa is None:
         raise unsupported_cfa(path, letters)
@@ -395,29 +403,19 @@ def _cfa(path: Path, raw: rawpy.RawPy, directories: Sequence[Directory]) -> tupl
     return cfa, tuple(libraw_index[channel] for channel in sorted(libraw_index))
 
 
-def _stated_cfa(
-    path: Path, raw: rawpy.RawPy, directories: Sequence[Directory]
-) -> tuple[CfaRows, tuple[int, ...]] | None:
-    """Return what :func:`_cfa` does, from the file's own tags; None if they do not state it."""
-    found: set[CfaRows] = set()
-    for directory in directories:
-        cfa = cfa_of_letters(directory.cfa_letters or ()) if directory.is_mosaic else None
-        if cfa is None or directory.shape != (raw.sizes.raw_height, raw.sizes.raw_width):
-            continue  # another image of the file, such as a binned one
-        if packing_sites(cfa).block > 1 and any(tag in directory.values for tag in BLACK_DELTAS):
-            raise RawFileError(
-                path,
-                f"{packing_sites(cfa).name} with BlackLevelDeltaH or BlackLevelDeltaV, which is not supported: convert "
-                "it to a DNG with BlackLevel alone",
-            )
-        # The pattern starts at the active area; LibRaw moves an odd margin on to the next even one.
-        top, left = map(int, directory.values.get(ACTIVE_AREA, (0, 0))[:2])
-        found.add(cfa_from(cfa, raw.sizes.top_margin - top, raw.sizes.left_margin - left))
-    if not found:
+def _stated_cfa(path: Path, raw: rawpy.RawPy, main: Directory) -> tuple[CfaRows, tuple[int, ...]] | None:
+    """Return what :func:`_cfa` does, from the tags beside the pixels; None if they state none that is supported."""
+    whole, names = cfa_of_letters(main.cfa_letters or ()), raw.color_desc.decode("ascii", "replace")
+    if whole is None or not set("RGB") <= set(names):
         return None
-    if len(found) > 1:
-        raise RawFileError(path, "declares several colour filter arrays for images of one size; one is needed")
-    names = raw.color_desc.decode("ascii", "replace")
-    cfa = found.pop()
+    if packing_sites(whole).block > 1 and any(tag in main.values for tag in BLACK_DELTAS):
+        raise RawFileError(
+            path,
+            f"{packing_sites(whole).name} with BlackLevelDeltaH or BlackLevelDeltaV, which is not supported: convert "
+            "it to a DNG with BlackLevel alone",
+        )
+    # The pattern starts at the active area; LibRaw moves an odd margin on to the next even one.
+    top, left = map(int, main.values.get(ACTIVE_AREA, (0, 0))[:2])
+    cfa = cfa_from(whole, raw.sizes.top_margin - top, raw.sizes.left_margin - left)
     indices = (names.index("R"), names.index("G"), names.index("B"), names.rindex("G"))
     return cfa, indices[: packing_sites(cfa).levels]

@@ -115,9 +115,11 @@ def channel_whites(raw: rawpy.RawPy, index_of: Sequence[int]) -> tuple[float, ..
 
 
 def as_shot_multipliers(
-    path: Path, raw: rawpy.RawPy, directories: Sequence[Directory], tags: Mapping[str, Any]
+    path: Path, raw: rawpy.RawPy | None, directories: Sequence[Directory], tags: Mapping[str, Any]
 ) -> tuple[float, float, float, float] | None:
     """Return the multipliers of R, G1, B, G2 as shot, G1 = 1; None if they are not known.
+
+    LibRaw is asked, where it is given, for what the file does not state.
 
     Raises
     ------
@@ -132,6 +134,8 @@ def as_shot_multipliers(
             raise RawFileError(path, f"the white balance in its DNGPrivateData is damaged: {error}") from error
         red, green, blue, second_green = map(exact_number, exact)
         return red, green, blue, second_green
+    if raw is None:
+        return None
     red, green, blue, second_green = raw.camera_whitebalance
     if not (red > 0 and green > 0 and blue > 0):
         return None
@@ -147,7 +151,7 @@ def _private_data(tags: Mapping[str, Any]) -> bytes:
     return bytes(values) if ours else b""
 
 
-def camera_matrix(raw: rawpy.RawPy, directories: Sequence[Directory]) -> tuple[Matrix3 | None, int]:
+def camera_matrix(raw: rawpy.RawPy | None, directories: Sequence[Directory]) -> tuple[Matrix3 | None, int]:
     """Return the matrix from XYZ to the camera's colours, and the light that it is for; None if it is not known.
 
     Of a DNG's two matrices that for D65, else the first for another daylight, else the second: LibRaw's order.
@@ -164,7 +168,7 @@ def camera_matrix(raw: rawpy.RawPy, directories: Sequence[Directory]) -> tuple[M
         numbers = [exact_number(value) for value in values]
     else:
         illuminant = D65  # LibRaw's table
-        numbers = [round(float(value), 6) for row in raw.rgb_xyz_matrix[:3] for value in row]
+        numbers = [] if raw is None else [round(float(value), 6) for row in raw.rgb_xyz_matrix[:3] for value in row]
     if not np.any(numbers):
         return None, D65
     return (_three(numbers[:3]), _three(numbers[3:6]), _three(numbers[6:])), illuminant

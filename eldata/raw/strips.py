@@ -18,7 +18,6 @@ from eldata.errors import RawFileError, UnusableRawError
 from eldata.raw.tiff import (
     BITS,
     COMPRESSION,
-    DEFLATE,
     PLANAR,
     PREDICTOR,
     ROWS_PER_STRIP,
@@ -35,20 +34,45 @@ if TYPE_CHECKING:
     from eldata.raw.tiff import Directory
 
 _BITS = (16, 24, 32)
-_UNCOMPRESSED = 1
+_UNCOMPRESSED, _DEFLATE = 1, 8
 # Those that mix the bytes of a row, and by how many samples they reach back; 1 is none.
 _PREDICTORS = {1: 0, 3: 1, 34894: 2, 34895: 4}
 _DENSEST = 1032  # bytes that one byte of Deflate can stand for, at most
 _AGAIN = "copy or download it again"
 
 
-def read_floats(path: Path, mosaic: Directory) -> NDArray[np.float32]:
-    """Return the pixels that a directory describes, (H, W) in DN as they are stored; of several samples the first.
+def check_floats(path: Path, mosaic: Directory) -> None:
+    """Refuse floating-point pixels that are stored in a way that is not supported, of which LibRaw says less.
 
     Raises
     ------
     UnusableRawError
-        If they are stored in a way that is not supported, which the message names, or are not all finite.
+        If they are; it says which way.
+    """
+    for name, tag, known in (
+        ("BitsPerSample", BITS, _BITS),
+        ("Compression", COMPRESSION, (_UNCOMPRESSED, _DEFLATE)),
+        ("Predictor", PREDICTOR, tuple(_PREDICTORS)),
+    ):
+        found = mosaic.number(tag, 1)
+        if found not in known:
+            known_text = ", ".join(map(str, known))
+            raise UnusableRawError(
+                path,
+                f"its floating-point pixels have a {name} of {found}, not one of {known_text}",
+                "write it again as uncompressed floats of 32 bits",
+            )
+
+
+def read_floats(path: Path, mosaic: Directory) -> NDArray[np.float32]:
+    """Return the pixels that a directory describes, (H, W) in DN as they are stored; of several samples the first.
+
+    The directory is one that :func:`check_floats` lets pass.
+
+    Raises
+    ------
+    UnusableRawError
+        If they are not all finite.
     RawFileError
         If they are damaged.
     """
@@ -81,18 +105,7 @@ class _Layout:
             self.height = min(self.height, height)
         self.samples = mosaic.samples if mosaic.number(PLANAR, 1) == 1 else 1
         self.compression, self.predictor = mosaic.number(COMPRESSION, _UNCOMPRESSED), mosaic.number(PREDICTOR, 1)
-        bits = mosaic.number(BITS, 32)
-        self.bytes = bits // 8
-        for name, found, known in (
-            ("BitsPerSample", bits, _BITS),
-            ("Compression", self.compression, (_UNCOMPRESSED, *DEFLATE)),
-            ("Predictor", self.predictor, tuple(_PREDICTORS)),
-        ):
-            if found not in known:
-                found_text = (
-                    f"its floating-point pixels have a {name} of {found}, not one of {', '.join(map(str, known))}"
-                )
-                raise UnusableRawError(path, found_text, "write it again as uncompressed floats of 32 bits")
+        self.bytes = mosaic.number(BITS, 32) // 8
         if min(height, width, self.height, self.width, self.samples) < 1:
             raise RawFileError(path, f"damaged: one of the sizes that it declares is 0; {_AGAIN}")
         down, across = -(-height // self.height), -(-width // self.width)
@@ -121,11 +134,11 @@ class _Layout:
         decoder = zlib.decompressobj()
         try:
             found = decoder.decompress(content, size)
-            decoder.decompress(decoder.unconsumed_tail, 1)  # to the end, where its checksum is
+            found += decoder.decompress(decoder.unconsumed_tail, 1)  # to the end, where its checksum is
         except zlib.error as error:
             raise self._damaged(offset, f"it does not decompress ({error})") from error
-        if len(found) < size:
-            raise self._damaged(offset, f"it decompresses to {len(found)} of {size} bytes")
+        if len(found) != size or not decoder.eof:
+            raise self._damaged(offset, f"it does not decompress to just the {size} bytes of its pixels")
         return found
 
     def _damaged(self, offset: int, what: str) -> RawFileError:

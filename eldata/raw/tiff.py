@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-DEFLATE = (8, 32946)  # of COMPRESSION
 MAGIC = (b"II*\0", b"MM\0*")
 COLOURS = "RGBCMYW"  # of a DNG's CFAPattern, by number
 

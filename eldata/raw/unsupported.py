@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from eldata.errors import UnusableRawError
 from eldata.raw import tiff
 from eldata.raw.cfa import cfa_of_letters
+from eldata.raw.strips import check_floats
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,6 +35,7 @@ _BY_COMPRESSION = {
         "convert it to one with lossless JPEG compression (Adobe DNG Converter, compatibility 1.6 or earlier)",
     ),
 }
+_DEFLATE = (8, 32946)
 _WHOLE_IN_DEFLATE = (
     "is a DNG of whole numbers in Deflate compression, which LibRaw cannot decode",
     "convert it to one with lossless JPEG compression or without any (Adobe DNG Converter)",
@@ -59,7 +61,9 @@ def refuse_unsupported(path: Path, directories: Sequence[Directory]) -> None:
         if not directory.is_mosaic:
             continue
         values = directory.values
-        if directory.number(tiff.COMPRESSION, 1) in tiff.DEFLATE and not directory.is_float:
+        if directory.is_float:
+            check_floats(path, directory)
+        elif directory.number(tiff.COMPRESSION, 1) in _DEFLATE:
             raise UnusableRawError(path, *_WHOLE_IN_DEFLATE)
         for compression in map(int, values.get(tiff.COMPRESSION, ())):
             if compression in _BY_COMPRESSION:

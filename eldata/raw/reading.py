@@ -47,6 +47,8 @@ left behind for a forked worker to wait for, and reading is safe in DataLoader w
 from __future__ import annotations
 
 import ctypes
+import io
+import struct
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache, partial
@@ -57,7 +59,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.base.isolation import guarded_file
-from eldata.errors import RawFileError, UnusableRawError
+from eldata.errors import ArgumentError, RawFileError, UnusableRawError
 from eldata.raw.cfa import cfa_from, cfa_of_letters, packing_sites
 from eldata.raw.containers import check_container
 from eldata.raw.damage import check_damage, check_samples
@@ -74,6 +76,7 @@ from eldata.raw.strips import read_floats
 from eldata.raw.tiff import (
     ACTIVE_AREA,
     BLACK_DELTAS,
+    CFA_PATTERN,
     COLUMN_INTERLEAVE,
     ROW_INTERLEAVE,
     image_directories,
@@ -116,7 +119,7 @@ def read_header(path: Path | str) -> RawHeader:
 def _header(path: Path) -> RawHeader:
     directories = read_directories(path)
     refuse_unsupported(path, directories)
-    with opened_raw(path) as raw:
+    with opened_raw(path, directories) as raw:
         return _header_of(path, exif_tags(path), _stated_images(raw, directories) or (None,), 0)
 
 
@@ -159,6 +162,8 @@ def read_raw(path: Path | str, *, image: int = 0) -> RawFrame:
     >>> frame.exposure.iso, frame.exposure.exposure_s
     (Fraction(800, 1), Fraction(1, 200))
     """
+    if image < 0:
+        raise ArgumentError(f"image counts from 0; found {image}")
     return guarded_file(partial(_decoded, image=image), Path(path), RawFileError)
 
 
@@ -168,7 +173,7 @@ def _decoded(path: Path, *, image: int) -> RawFrame:
     directories = read_directories(path)
     refuse_unsupported(path, directories)
     check_samples(path, directories)
-    with opened_raw(path, image=image) as raw:
+    with opened_raw(path, directories, image=image) as raw:
         tags = exif_tags(path)
         _check_sizes(path, raw)
         images = _stated_images(raw, directories) or (None,) * _count_images(path)
@@ -186,7 +191,7 @@ def _decoded(path: Path, *, image: int) -> RawFrame:
             raw.unpack()
             if raw.raw_type != rawpy.RawType.Flat or raw.num_colors == 1:
                 raise _without_cfa(path, raw.raw_image.shape, header, is_dng="Image Tag 0xC612" in tags)
-            stored, (cfa, index_of) = raw.raw_image, _cfa(path, raw, main, is_dng="Image Tag 0xC612" in tags)
+            stored, (cfa, index_of) = raw.raw_image, _cfa(path, raw, main)
             white, whites = float(raw.white_level), channel_whites(raw, index_of)
         mosaic = _visible(path, raw, stored, main)
         black = dng_black_level(path, raw, directories if main is None else [main], cfa)
@@ -291,9 +296,9 @@ def _chosen(path: Path, images: _Images, image: int) -> Directory | None:
     return images[image]
 
 
-def check_libraw_decodes(path: Path, raw: rawpy.RawPy) -> None:
+def check_libraw_decodes(path: Path, raw: rawpy.RawPy, directories: Sequence[Directory]) -> None:
     """Refuse a DNG whose pixels LibRaw takes for others than they are, for what LibRaw makes of them itself."""
-    images = _stated_images(raw, read_directories(path))
+    images = _stated_images(raw, directories)
     if any(main is not None and (main.is_float or _interleaved(main) != (1, 1)) for main in images[:1]):
         raise UnusableRawError(
             path,
@@ -329,8 +334,12 @@ def _in_order(stored: NDArray[Any], fields: int, axis: int) -> NDArray[Any]:
 
 
 @contextmanager
-def opened_raw(path: Path, what: str = "decode", image: int = 0) -> Iterator[rawpy.RawPy]:
-    """Open a raw file with LibRaw, whose errors say that it cannot do ``what``; ``image`` as of :func:`read_raw`.
+def opened_raw(
+    path: Path, directories: Sequence[Directory], what: str = "decode", image: int = 0
+) -> Iterator[rawpy.RawPy]:
+    """Open a raw file, whose directories are given, with LibRaw.
+
+    Its errors say that it cannot do ``what``; ``image`` as of :func:`read_raw`.
 
     Raises
     ------
@@ -345,7 +354,10 @@ def opened_raw(path: Path, what: str = "decode", image: int = 0) -> Iterator[raw
     raw = rawpy.RawPy()
     try:
         raw.set_unpack_params(shot_select=image)  # before it is opened: which of a DNG's images, is chosen then
-        _open(raw, path)
+        if any(one.wide_cfa for one in directories):
+            raw.open_buffer(io.BytesIO(_with_narrow_cfa(path, directories)))
+        else:
+            _open(raw, path)
         yield raw
     except rawpy.LibRawFileUnsupportedError as error:
         raise RawFileError(path, "is not a raw file that LibRaw knows") from error
@@ -356,6 +368,20 @@ def opened_raw(path: Path, what: str = "decode", image: int = 0) -> Iterator[raw
         raise RawFileError(path, f"LibRaw cannot {what} it ({text}); is the file whole?") from error
     finally:
         raw.close()
+
+
+def _with_narrow_cfa(path: Path, directories: Sequence[Directory]) -> bytes:
+    """Return a file whose CFAPatterns are of bytes: LibRaw takes the bytes of 16-bit numbers for numbers."""
+    content = bytearray(path.read_bytes())
+    for one in directories:
+        if one.wide_cfa is not None:
+            numbers = bytes(min(int(number), 255) for number in one.values[CFA_PATTERN])
+            struct.pack_into(f"{one.order}HHI", content, one.wide_cfa, CFA_PATTERN, 1, len(numbers))
+            at = one.wide_cfa + 8
+            if len(numbers) > 4:
+                (at,) = struct.unpack_from(f"{one.order}I", content, at)
+            content[at : at + len(numbers)] = numbers
+    return bytes(content)
 
 
 def _open(raw: rawpy.RawPy, path: Path) -> None:
@@ -380,7 +406,7 @@ def _set_openmp_threads() -> Callable[[int], object]:
 # --- sensor ---------------------------------------------------------------------------------------------------
 
 
-def _cfa(path: Path, raw: rawpy.RawPy, main: Directory | None, *, is_dng: bool) -> tuple[CfaRows, tuple[int, ...]]:
+def _cfa(path: Path, raw: rawpy.RawPy, main: Directory | None) -> tuple[CfaRows, tuple[int, ...]]:
     """Return the visible area's CFA in our channel indices, and LibRaw's colour index of each of them."""
     stated = None if main is None else _stated_cfa(path, raw, main)
     if stated is not None and packing_sites(stated[0]).block > 1:
@@ -395,8 +421,6 @@ def _cfa(path: Path, raw: rawpy.RawPy, main: Directory | None, *, is_dng: bool) 
     sites = [[raw.raw_color(top + y, left + x) for x in range(period)] for y in range(period)]
     letters = ["".join(names[index] for index in row) for row in sites]
     cfa = cfa_of_letters(letters)
-    if cfa is None and stated is not None and is_dng:
-        return stated  # a CFAPattern of 16-bit numbers, whose bytes LibRaw takes for numbers
     if cfa is None:
         raise unsupported_cfa(path, letters)
     libraw_index = dict(zip(chain(*cfa), chain(*sites), strict=True))

@@ -53,6 +53,7 @@ _READ = _EXIF | {
 }
 
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4}
+_SHORT = 3
 _DOUBLE = 12  # what DNG states a NoiseProfile in, and no other tag that is relied on
 _CODES = {1: "B", 3: "H", 4: "I", 5: "II", 6: "b", 7: "B", 8: "h", 9: "i", 10: "ii", 13: "I"}
 # Of all directories together; a file with more is damaged, or made to keep a reader busy. Cameras write some hundred
@@ -78,6 +79,10 @@ class Directory:
     values: dict[int, Numbers]
     order: Literal["<", ">"] = "<"
     """Of its bytes, as struct and numpy name it."""
+    tags: frozenset[int] = frozenset()
+    """Every tag that it has, relied on or not."""
+    wide_cfa: int | None = None
+    """Where the entry of its CFAPattern stands in the file, if it has 16-bit numbers in place of bytes."""
 
     def number(self, tag: int, default: int) -> int:
         """Return the first number of a tag; ``default`` if it is not there."""
@@ -215,6 +220,11 @@ def _check_mosaic(path: Path, directory: Directory) -> None:
             f"damaged: its BlackLevel repeats every {repeat[0]} x {repeat[1]} pixels; expected 1 to {_MOST_REPEATED} "
             "either way",
         )
+    for tag, side in zip((ROW_INTERLEAVE, COLUMN_INTERLEAVE), directory.shape, strict=True):
+        if not 1 <= directory.number(tag, 1) <= max(side, 1):
+            raise RawFileError(
+                path, f"damaged: it declares {directory.number(tag, 1)} interleaved fields of {side} rows or columns"
+            )
     held = sum(count for _, count in directory.extents)
     # No lossless code takes less than one bit per pixel.
     if held * 8 < directory.pixels:
@@ -231,9 +241,14 @@ def _read_directory(
     require(path, size, at + 2 + 12 * count)
     table = file.read(12 * count + 4)
     values: dict[int, Numbers] = {}
+    tags: set[int] = set()
+    wide_cfa = None
     for index in range(count):
         entry = table[12 * index : 12 * index + 12]
         tag, kind, number = struct.unpack(order + "HHI", entry[:8])
+        tags.add(tag)
+        if (tag, kind) == (CFA_PATTERN, _SHORT):
+            wide_cfa = at + 2 + 12 * index
         if tag not in _READ:
             continue
         length = _SIZES.get(kind, 1) * number
@@ -258,7 +273,7 @@ def _read_directory(
             raise RawFileError(path, f"damaged: its {_LEVELS[tag]} has a denominator of 0, which is not a number")
     # The pointer to the next directory may be missing at the very end of a file.
     following = struct.unpack(order + "I", table[-4:])[0] if len(table) == 12 * count + 4 else 0
-    return Directory(values, order), following
+    return Directory(values, order, frozenset(tags), wide_cfa), following
 
 
 def _opcodes(path: Path, file: IO[bytes], place: range, budget: _Budget) -> Iterator[Fraction]:

@@ -60,6 +60,7 @@ import numpy as np
 
 from eldata.base.isolation import guarded_file
 from eldata.errors import ArgumentError, RawFileError, UnusableRawError
+from eldata.raw.black_levels import BlackLevel, VisibleArea, check_black_counts, dng_black_level
 from eldata.raw.cfa import cfa_from, cfa_of_letters, packing_sites
 from eldata.raw.containers import check_container
 from eldata.raw.damage import check_damage, check_samples
@@ -69,15 +70,14 @@ from eldata.raw.sensor_facts import (
     as_shot_multipliers,
     camera_matrix,
     channel_whites,
-    dng_black_level,
     float_white_level,
 )
 from eldata.raw.strips import read_floats
 from eldata.raw.tiff import (
     ACTIVE_AREA,
-    BLACK_DELTAS,
     CFA_PATTERN,
     COLUMN_INTERLEAVE,
+    DNG_VERSION,
     ROW_INTERLEAVE,
     image_directories,
     read_directories,
@@ -120,11 +120,14 @@ def _header(path: Path) -> RawHeader:
     directories = read_directories(path)
     refuse_unsupported(path, directories)
     with opened_raw(path, directories) as raw:
-        return _header_of(path, exif_tags(path), _stated_images(raw, directories) or (None,), 0)
+        return _header_of(path, exif_tags(path), directories, _stated_images(raw, directories) or (None,), 0)
 
 
-def _header_of(path: Path, tags: Tags, images: _Images, image: int) -> RawHeader:
-    remarks = *directory_remarks(_chosen(path, images, image)), *image_remarks(len(images), image)
+def _header_of(path: Path, tags: Tags, directories: Sequence[Directory], images: _Images, image: int) -> RawHeader:
+    main = _chosen(path, images, image)
+    if main is not None and _is_dng(directories):
+        check_black_counts(path, main)
+    remarks = *directory_remarks(main), *image_remarks(len(images), image)
     return replace(header_of(path, tags), remarks=remarks)
 
 
@@ -178,11 +181,11 @@ def _decoded(path: Path, *, image: int) -> RawFrame:
         _check_sizes(path, raw)
         images = _stated_images(raw, directories) or (None,) * _count_images(path)
         main = _chosen(path, images, image)
-        header = _header_of(path, tags, images, image)
+        header = _header_of(path, tags, directories, images, image)
         stored: NDArray[Any]
         decoder = None if main is not None and main.is_float else raw  # which decodes the pixels for what it is asked
         if main is not None and main.is_float:
-            stated = _stated_cfa(path, raw, main)
+            stated = _stated_cfa(raw, main)
             if stated is None:
                 raise RawFileError(path, "states no colour filter array that can be used, and its pixels are floats")
             stored, (cfa, index_of) = read_floats(path, main), stated
@@ -190,14 +193,18 @@ def _decoded(path: Path, *, image: int) -> RawFrame:
         else:
             raw.unpack()
             if raw.raw_type != rawpy.RawType.Flat or raw.num_colors == 1:
-                raise _without_cfa(path, raw.raw_image.shape, header, is_dng="Image Tag 0xC612" in tags)
+                raise _without_cfa(path, raw.raw_image.shape, header, is_dng=_is_dng(directories))
             stored, (cfa, index_of) = raw.raw_image, _cfa(path, raw, main)
             white, whites = float(raw.white_level), channel_whites(raw, index_of)
-        mosaic = _visible(path, raw, stored, main)
-        black = dng_black_level(path, raw, directories if main is None else [main], cfa)
-        if black is None:  # by the specification 0
-            levels = [0] * 4 if decoder is None else decoder.black_level_per_channel
-            black = tuple(float(levels[index]) for index in index_of)
+        sizes = raw.sizes
+        area = VisibleArea(sizes.top_margin, sizes.left_margin, (sizes.height, sizes.width), cfa)
+        stored = _in_place(path, raw, stored, main)
+        mosaic = area.of(stored).copy()
+        levels = dng_black_level(path, main, area, stored) if main is not None and _is_dng(directories) else None
+        if levels is None:  # by the specification 0
+            numbers = [0] * 4 if decoder is None else decoder.black_level_per_channel
+            levels = BlackLevel(tuple(float(numbers[index]) for index in index_of))
+        black = levels.level_dn
         if not white > max(black):
             raise RawFileError(path, f"white level {white:g} DN is not above the black level {black} DN")
         matrix, illuminant = camera_matrix(decoder, directories)
@@ -214,7 +221,8 @@ def _decoded(path: Path, *, image: int) -> RawFrame:
             matrix_illuminant=illuminant,
         )
     check_damage(path, directories, mosaic, black, white)
-    return RawFrame(path, mosaic, sensor, header.exposure, whites, header.remarks)
+    mosaic = levels.flatten(mosaic, area)
+    return RawFrame(path, mosaic, sensor, header.exposure, whites, (*header.remarks, *levels.remarks))
 
 
 def _without_cfa(path: Path, shape: tuple[int, ...], header: RawHeader, *, is_dng: bool) -> UnusableRawError:
@@ -267,6 +275,10 @@ def _check_sizes(path: Path, raw: rawpy.RawPy) -> None:
         )
 
 
+def _is_dng(directories: Sequence[Directory]) -> bool:
+    return any(DNG_VERSION in directory.values for directory in directories)
+
+
 def _stated_images(raw: rawpy.RawPy, directories: Sequence[Directory]) -> _Images:
     return image_directories(directories, (raw.sizes.raw_height, raw.sizes.raw_width))
 
@@ -311,8 +323,8 @@ def _interleaved(main: Directory) -> tuple[int, int]:
     return main.number(ROW_INTERLEAVE, 1), main.number(COLUMN_INTERLEAVE, 1)
 
 
-def _visible(path: Path, raw: rawpy.RawPy, stored: NDArray[Any], main: Directory | None) -> NDArray[Any]:
-    """Return a copy of the visible area of what is stored, whose rows and columns may be interleaved."""
+def _in_place(path: Path, raw: rawpy.RawPy, stored: NDArray[Any], main: Directory | None) -> NDArray[Any]:
+    """Return what is stored, whose rows and columns may be interleaved, in order."""
     if main is not None and _interleaved(main) != (1, 1):
         for axis, fields in enumerate(_interleaved(main)):
             stored = _in_order(stored, fields, axis)
@@ -322,14 +334,13 @@ def _visible(path: Path, raw: rawpy.RawPy, stored: NDArray[Any], main: Directory
             path,
             f"damaged: expected {sizes.raw_height} x {sizes.raw_width} pixels as LibRaw does; found {stored.shape}",
         )
-    rows, columns = (sizes.top_margin, sizes.height), (sizes.left_margin, sizes.width)
-    return stored[rows[0] : sum(rows), columns[0] : sum(columns)].copy()
+    return stored
 
 
 def _in_order(stored: NDArray[Any], fields: int, axis: int) -> NDArray[Any]:
     """Return rows or columns in order that are stored field after field, each of which has every ``fields``-th one."""
     size = stored.shape[axis]
-    places = np.concatenate([np.arange(first, size, fields) for first in range(min(fields, size))])
+    places = np.concatenate([np.arange(first, size, fields) for first in range(fields)])
     return np.take(stored, np.argsort(places), axis)
 
 
@@ -408,7 +419,7 @@ def _set_openmp_threads() -> Callable[[int], object]:
 
 def _cfa(path: Path, raw: rawpy.RawPy, main: Directory | None) -> tuple[CfaRows, tuple[int, ...]]:
     """Return the visible area's CFA in our channel indices, and LibRaw's colour index of each of them."""
-    stated = None if main is None else _stated_cfa(path, raw, main)
+    stated = None if main is None else _stated_cfa(raw, main)
     if stated is not None and packing_sites(stated[0]).block > 1:
         return stated
     names = raw.color_desc.decode("ascii", "replace")
@@ -427,17 +438,11 @@ def _cfa(path: Path, raw: rawpy.RawPy, main: Directory | None) -> tuple[CfaRows,
     return cfa, tuple(libraw_index[channel] for channel in sorted(libraw_index))
 
 
-def _stated_cfa(path: Path, raw: rawpy.RawPy, main: Directory) -> tuple[CfaRows, tuple[int, ...]] | None:
+def _stated_cfa(raw: rawpy.RawPy, main: Directory) -> tuple[CfaRows, tuple[int, ...]] | None:
     """Return what :func:`_cfa` does, from the tags beside the pixels; None if they state none that is supported."""
     whole, names = cfa_of_letters(main.cfa_letters or ()), raw.color_desc.decode("ascii", "replace")
     if whole is None or not set("RGB") <= set(names):
         return None
-    if packing_sites(whole).block > 1 and any(tag in main.values for tag in BLACK_DELTAS):
-        raise RawFileError(
-            path,
-            f"{packing_sites(whole).name} with BlackLevelDeltaH or BlackLevelDeltaV, which is not supported: convert "
-            "it to a DNG with BlackLevel alone",
-        )
     # The pattern starts at the active area; LibRaw moves an odd margin on to the next even one.
     top, left = map(int, main.values.get(ACTIVE_AREA, (0, 0))[:2])
     cfa = cfa_from(whole, raw.sizes.top_margin - top, raw.sizes.left_margin - left)

@@ -7,7 +7,7 @@ A DNG's own figures to the last digit, from the file; those of other formats as 
 from __future__ import annotations
 
 from fractions import Fraction
-from math import gcd
+from math import prod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,12 +16,9 @@ from eldata.base.isolation import guarded_file
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw.neutrals import white_balance_of
 from eldata.raw.tiff import (
-    ACTIVE_AREA,
-    BLACK_DELTAS,
-    BLACK_LEVEL,
-    BLACK_REPEAT,
     NOISE_PROFILE,
     WHITE_LEVEL,
+    image_directories,
     read_directories,
 )
 from eldata.records import D65, exact_number
@@ -43,46 +40,6 @@ COLOUR_MATRICES = ((50721, 50778), (50722, 50779))
 _DAYLIGHT = (1, 4, 20, 22, 23)
 
 
-def dng_black_level(
-    path: Path, raw: rawpy.RawPy, directories: Sequence[Directory], cfa: tuple[tuple[int, ...], ...]
-) -> tuple[float, ...] | None:
-    """Return a DNG's BlackLevel per channel of the visible area; None if LibRaw's figure is to be taken.
-
-    Raises
-    ------
-    RawFileError
-        If the level differs between sites of one colour.
-    """
-    mosaic = next((d for d in directories if d.is_mosaic and BLACK_LEVEL in d.values), None)
-    if mosaic is None or any(tag in mosaic.values for tag in BLACK_DELTAS):  # LibRaw adds the deltas' mean
-        return None
-    rows, columns = map(int, mosaic.values.get(BLACK_REPEAT, (1, 1)))
-    pattern = mosaic.values[BLACK_LEVEL][:: mosaic.samples]  # of two samples a pixel in turn
-    # The pattern starts at the active area; LibRaw's visible area may start a pixel off it.
-    active = mosaic.values.get(ACTIVE_AREA, (0, 0))
-    if len(pattern) != rows * columns or not pattern:
-        return None
-    top, left = raw.sizes.top_margin - int(active[0]), raw.sizes.left_margin - int(active[1])
-    period = len(cfa)
-    # A site of the CFA meets each place of the pattern that it can be brought to in steps of these: all sites that
-    # start alike meet the same places.
-    down, right = gcd(period, rows), gcd(period, columns)
-    met: dict[tuple[int, int], set[Fraction]] = {}
-    levels: dict[int, set[Fraction]] = {}
-    for y in range(period):
-        for x in range(period):
-            first = (y + top) % down, (x + left) % right
-            if first not in met:
-                at = (row * columns for row in range(first[0], rows, down))
-                met[first] = set().union(*(pattern[row + first[1] : row + columns : right] for row in at))
-            levels.setdefault(cfa[y][x], set()).update(met[first])
-            if len(levels[cfa[y][x]]) > 1:
-                raise RawFileError(
-                    path, "its BlackLevel differs between sites of one colour; one level per channel is needed"
-                )
-    return tuple(exact_number(levels[channel].pop()) for channel in sorted(levels))
-
-
 def float_white_level(mosaic: Directory) -> float:
     """Return a floating-point DNG's WhiteLevel, by the specification 1 where it states none."""
     return exact_number(next(iter(mosaic.values.get(WHITE_LEVEL, ())), Fraction(1)))
@@ -100,10 +57,11 @@ def dng_noise_profile(path: Path) -> tuple[float, ...] | None:
         If a directory of the file is damaged.
     """
     directories = guarded_file(read_directories, path, RawFileError)
-    stated = [one for one in directories if NOISE_PROFILE in one.values]
-    # It stands in IFD0 or beside the mosaic.
-    chosen = next((one for one in stated if one.is_mosaic), stated[0] if stated else None)
-    return None if chosen is None else tuple(map(float, chosen.values[NOISE_PROFILE]))
+    largest = max((one.shape for one in directories if one.is_mosaic), key=prod, default=(0, 0))
+    # It stands beside the mosaic, not a proxy of it, or in IFD0.
+    places = (*image_directories(directories, largest), *directories)
+    stated = (one.values[NOISE_PROFILE] for one in places if NOISE_PROFILE in one.values)
+    return next((tuple(map(float, numbers)) for numbers in stated), None)
 
 
 def channel_whites(raw: rawpy.RawPy, index_of: Sequence[int]) -> tuple[float, ...] | None:

@@ -27,7 +27,7 @@ SAMPLES, ROWS_PER_STRIP, PLANAR, PREDICTOR, SAMPLE_FORMAT = 277, 278, 284, 317, 
 TILE_WIDTH, TILE_HEIGHT = 322, 323
 DNG_VERSION = 50706
 ROW_INTERLEAVE, COLUMN_INTERLEAVE = 50975, 52547
-ACTIVE_AREA = 50829
+ACTIVE_AREA, MASKED_AREAS = 50829, 50830
 BLACK_REPEAT, BLACK_LEVEL, BLACK_DELTAS, WHITE_LEVEL = 50713, 50714, (50715, 50716), 50717
 CFA_PHOTOMETRIC = 32803
 CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT = 33421, 33422, 50711
@@ -46,7 +46,7 @@ _READ = _EXIF | {
     *(SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, TILE_WIDTH, TILE_HEIGHT),
     *(SAMPLES, ROWS_PER_STRIP, PLANAR, PREDICTOR, SAMPLE_FORMAT, DNG_VERSION),
     *(ROW_INTERLEAVE, COLUMN_INTERLEAVE),
-    *(271, 272, _SUB_IFDS, _EXIF_IFD, ACTIVE_AREA, BLACK_REPEAT, BLACK_LEVEL, *BLACK_DELTAS),
+    *(271, 272, _SUB_IFDS, _EXIF_IFD, ACTIVE_AREA, MASKED_AREAS, BLACK_REPEAT, BLACK_LEVEL, *BLACK_DELTAS),
     *(WHITE_LEVEL, 50721, 50722, 50728, 50778, 50779, CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT, NOISE_PROFILE),
     *OPCODE_LISTS,
     *(tag for pair in _DATA for tag in pair),
@@ -63,8 +63,16 @@ _MOST_DIRECTORIES = 64
 _MOST_ENTRIES = 1 << 12
 _MOST_VALUES = 1 << 17
 _MOST_REPEATED = 64  # rows or columns of BlackLevel's pattern: those of cameras have up to 8
+_MOST_MASKED = 8  # areas of masked pixels: those of cameras have up to 4
 # How many numbers these tags of a mosaic hold: readers take them apart.
-_COUNTS = {WIDTH: 1, HEIGHT: 1, ACTIVE_AREA: 4, BLACK_REPEAT: 2, CFA_REPEAT: 2}
+_COUNTS = {
+    WIDTH: (1,),
+    HEIGHT: (1,),
+    ACTIVE_AREA: (4,),
+    BLACK_REPEAT: (2, 1),
+    CFA_REPEAT: (2,),
+    MASKED_AREAS: range(4, 4 * _MOST_MASKED + 1, 4),  # four for each
+}
 
 Numbers = tuple[Fraction, ...]
 
@@ -208,17 +216,17 @@ def _check_mosaic(path: Path, directory: Directory) -> None:
     """Refuse a mosaic of which numbers that are relied on are missing or impossible, or that has too little data."""
     if not directory.is_mosaic:
         return
-    for tag, count in _COUNTS.items():
+    for tag, counts in _COUNTS.items():
         values = directory.values.get(tag)
-        if values is not None and (len(values) != count or min(values) < 0):
+        if values is not None and (len(values) not in counts or min(values, default=0) < 0):
             shown = ", ".join(map(str, values[:5]))
-            raise RawFileError(path, f"damaged: expected {count} numbers from 0 on as its tag {tag}; found {shown}")
+            raise RawFileError(path, f"damaged: expected {counts[0]} numbers from 0 on as its tag {tag}; found {shown}")
     repeat = directory.values.get(BLACK_REPEAT, (1, 1))
     if not 1 <= min(repeat) <= max(repeat) <= _MOST_REPEATED:
         raise RawFileError(
             path,
-            f"damaged: its BlackLevel repeats every {repeat[0]} x {repeat[1]} pixels; expected 1 to {_MOST_REPEATED} "
-            "either way",
+            f"damaged: its BlackLevel repeats every {' x '.join(map(str, repeat))} pixels; expected 1 to "
+            f"{_MOST_REPEATED} either way",
         )
     for tag, side in zip((ROW_INTERLEAVE, COLUMN_INTERLEAVE), directory.shape, strict=True):
         if not 1 <= directory.number(tag, 1) <= max(side, 1):

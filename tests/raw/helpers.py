@@ -267,3 +267,13 @@ def black_levels(pattern: Sequence[Sequence[int]]) -> tuple[Tag, Tag]:
     """BlackLevelRepeatDim and BlackLevel."""
     flat = tuple(level for row in pattern for level in row)
     return (50713, "H", 2, (len(pattern), len(pattern[0])), True), (50714, "I", len(flat), flat, True)
+
+
+OPCODE_LISTS = (51008, 51009, 51022)
+
+
+def opcode_list(number: int, *opcodes: int, length: int = 20, declared: int | None = None) -> Tag:
+    """OpcodeList1, 2 or 3 of opcodes by number, each with as many bytes of parameters."""
+    parts = [struct.pack(">IBBBBII", opcode, 1, 3, 0, 0, 1, length) + b"\xff" * length for opcode in opcodes]
+    data = struct.pack(">I", len(opcodes) if declared is None else declared) + b"".join(parts)
+    return OPCODE_LISTS[number - 1], "B", len(data), data, True

@@ -400,7 +400,7 @@ def test_a_refused_write_leaves_an_older_file_as_it_was(tmp_path: Path) -> None:
     check_round_trip(path, random_mosaic(60, 64), make_sensor())
     before = path.read_bytes()
     with pytest.raises(ArgumentError):
-        write_dng(path, random_mosaic(60, 64), make_sensor(make="é"), EXPOSURE)
+        write_dng(path, random_mosaic(60, 64), make_sensor(make=" é"), EXPOSURE)
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
 

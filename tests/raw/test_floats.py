@@ -204,7 +204,7 @@ def test_shares_of_white_are_not_taken_for_dn() -> None:
 
 def test_whole_dn_are_asked_for_by_name() -> None:
     frame = read_raw(FIELD / "float32-hot-1.5.dng")
-    with pytest.raises(RawFileError, match=r"floating-point numbers.*a store takes whole DN alone: use the raw files"):
+    with pytest.raises(RawFileError, match=r"no whole DN, .*; a store needs whole DN: use the raw files"):
         frame.whole_dn("a store")
     whole = read_raw(FIELD / "dual-pixel-2-samples.dng")
     assert whole.whole_dn("a store") is whole.mosaic

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import struct
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,21 +11,11 @@ import pytest
 from eldata.cli.main import main
 from eldata.errors import RawFileError
 from eldata.raw import read_header, read_raw
-from tests.raw.helpers import Tag, add_tags, random_mosaic, write_plain_dng
+from tests.raw.helpers import Tag, add_tags, opcode_list, random_mosaic, write_plain_dng
 from tests.trees import ALPHA, copy_tree, frame, tree_in
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-OPCODE_LISTS = (51008, 51009, 51022)
-
-
-def opcode_list(number: int, *opcodes: int, length: int = 20, declared: int | None = None) -> Tag:
-    """OpcodeList1, 2 or 3 of opcodes by number, each with as many bytes of parameters."""
-    parts = [struct.pack(">IBBBBII", opcode, 1, 3, 0, 0, 1, length) + b"\xff" * length for opcode in opcodes]
-    data = struct.pack(">I", len(opcodes) if declared is None else declared) + b"".join(parts)
-    return OPCODE_LISTS[number - 1], "B", len(data), data, True
-
 
 # --- opcodes ------------------------------------------------------------------------------------------------------
 

@@ -3,7 +3,8 @@
 Which figures are taken
 -----------------------
 mosaic
-    LibRaw's visible area, copied; the file is closed before the function returns.
+    LibRaw's visible area, copied, rows and columns that a DNG interleaves in order; the file is closed before the
+    function returns. Floating-point DNGs are decoded here (:mod:`eldata.raw.strips`), LibRaw says their visible area.
 CFA
     Asked of LibRaw for the visible area's own first sites. rawpy's ``raw_pattern`` counts from the corner of the
     full raw image and is out of phase where a margin is odd. Of quad-Bayer and nona-Bayer the file's own tags: LibRaw
@@ -14,7 +15,7 @@ black level
     joins the global level and the per-channel offsets, and for bodies without a recorded level it is measured in the
     masked pixels of that very file.
 white level
-    LibRaw's ``white_level``: the level at which the format saturates, from the file where the file has one (DNG).
+    Of floats what the file states, or 1. Else LibRaw's ``white_level``: the level at which the format saturates, from the file where the file has one (DNG).
     The per-channel ``camera_white_level_per_channel`` is missing for most cameras, comes from LibRaw's table or
     maker notes, and even for a DNG overrides what the file says. It is kept beside, for protocols that name it.
 colour matrix

@@ -15,7 +15,8 @@ black level
     joins the global level and the per-channel offsets, and for bodies without a recorded level it is measured in the
     masked pixels of that very file.
 white level
-    Of floats what the file states, or 1. Else LibRaw's ``white_level``: the level at which the format saturates, from the file where the file has one (DNG).
+    LibRaw's ``white_level``: the level at which the format saturates, from the file where the file has one (DNG).
+    Of floats, and of a DNG with several CFA images, what is stated beside the pixels that are read.
     The per-channel ``camera_white_level_per_channel`` is missing for most cameras, comes from LibRaw's table or
     maker notes, and even for a DNG overrides what the file says. It is kept beside, for protocols that name it.
 colour matrix
@@ -71,7 +72,7 @@ from eldata.raw.sensor_facts import (
     as_shot_multipliers,
     camera_matrix,
     channel_whites,
-    float_white_level,
+    dng_white_level,
 )
 from eldata.raw.strips import read_floats
 from eldata.raw.tiff import (
@@ -190,20 +191,24 @@ def _decoded(path: Path, *, image: int) -> RawFrame:
             if stated is None:
                 raise RawFileError(path, "states no colour filter array that can be used, and its pixels are floats")
             stored, (cfa, index_of) = read_floats(path, main), stated
-            white, whites = float_white_level(main), None
+            white, whites = dng_white_level(main), None
         else:
             raw.unpack()
             if raw.raw_type != rawpy.RawType.Flat or raw.num_colors == 1:
                 raise _without_cfa(path, raw.raw_image.shape, header, is_dng=_is_dng(directories))
             stored, (cfa, index_of) = raw.raw_image, _cfa(path, raw, main)
             white, whites = float(raw.white_level), channel_whites(raw, index_of)
+        # What one of several CFA images does not state, LibRaw takes from another.
+        alone = main is None or not _is_dng(directories) or sum(one.is_mosaic for one in directories) == 1
+        if main is not None and not alone:
+            white = dng_white_level(main)
         sizes = raw.sizes
         area = VisibleArea(sizes.top_margin, sizes.left_margin, (sizes.height, sizes.width), cfa)
         stored = _in_place(path, raw, stored, main)
         mosaic = area.of(stored).copy()
         levels = dng_black_level(path, main, area, stored) if main is not None and _is_dng(directories) else None
         if levels is None:  # by the specification 0
-            numbers = [0] * 4 if decoder is None else decoder.black_level_per_channel
+            numbers = decoder.black_level_per_channel if decoder is not None and alone else [0] * 4
             levels = BlackLevel(tuple(float(numbers[index]) for index in index_of))
         black = levels.level_dn
         if not white > max(black):

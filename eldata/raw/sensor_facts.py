@@ -16,6 +16,7 @@ from eldata.base.isolation import guarded_file
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw.neutrals import white_balance_of
 from eldata.raw.tiff import (
+    BITS,
     NOISE_PROFILE,
     WHITE_LEVEL,
     image_directories,
@@ -40,9 +41,10 @@ COLOUR_MATRICES = ((50721, 50778), (50722, 50779))
 _DAYLIGHT = (1, 4, 20, 22, 23)
 
 
-def float_white_level(mosaic: Directory) -> float:
-    """Return a floating-point DNG's WhiteLevel, by the specification 1 where it states none."""
-    return exact_number(next(iter(mosaic.values.get(WHITE_LEVEL, ())), Fraction(1)))
+def dng_white_level(mosaic: Directory) -> float:
+    """Return a DNG's WhiteLevel; where it states none, by the specification 1 of floats, else the largest number."""
+    largest = 1 if mosaic.is_float else (1 << mosaic.number(BITS, 16)) - 1
+    return exact_number(next(iter(mosaic.values.get(WHITE_LEVEL, ())), Fraction(largest)))
 
 
 def dng_noise_profile(path: Path) -> tuple[float, ...] | None:

@@ -112,6 +112,21 @@ def test_a_proxy_before_the_image_gives_it_no_levels() -> None:
     assert frame.remarks == ()
 
 
+@pytest.mark.parametrize("white", [None, 1023])
+def test_what_the_image_does_not_state_is_not_taken_from_a_proxy(white: int | None, tmp_path: Path) -> None:
+    """By the specification black is 0 then, and white the largest number."""
+    tags: list[Tag] = [(33421, "H", 2, (2, 2), True), (33422, "B", 4, bytes((0, 1, 1, 2)), True)]
+    levels: list[Tag] = [BLACK, (50717, "I", 1, 255, True), (50706, "B", 4, bytes((1, 4, 0, 0)), True)]
+    with tifffile.TiffWriter(tmp_path / "a.dng") as tiff:
+        options: Any = {"photometric": 32803, "metadata": None}
+        proxy = random_mosaic(32, 48, low=64, high=200)
+        tiff.write(proxy, subfiletype=1, subifds=1, extratags=[*tags, *levels], **options)
+        own: list[Tag] = [] if white is None else [(50717, "I", 1, white, True)]
+        tiff.write(random_mosaic(64, 96, low=100, high=1000), subfiletype=0, extratags=[*tags, *own], **options)
+    sensor = read_raw(tmp_path / "a.dng").sensor
+    assert (sensor.black_level_dn, sensor.white_level_dn) == ((0.0,) * 4, white or 65535.0)
+
+
 def write_shift(path: Path, mosaics: list[NDArray[np.uint16]], *, in_sub_ifds: bool) -> None:
     """A DNG of several images of one size with a black level each; previews are none of them."""
     first: list[Tag] = [
@@ -125,7 +140,7 @@ def write_shift(path: Path, mosaics: list[NDArray[np.uint16]], *, in_sub_ifds: b
             tiff.write(preview, photometric="rgb", subfiletype=1, subifds=len(mosaics), metadata=None, extratags=first)
         for index, mosaic in enumerate(mosaics):
             tags: list[Tag] = [(33421, "H", 2, (2, 2), True), (33422, "B", 4, bytes((0, 1, 1, 2)), True)]
-            tags += [(50714, "I", 1, 64 + index, True), (50717, "I", 1, 1023, True)]
+            tags += [(50714, "I", 1, 64 + index, True), (50717, "I", 1, 1023 + index, True)]
             tags += [] if in_sub_ifds else first
             tiff.write(mosaic, photometric=32803, subfiletype=0, metadata=None, extratags=tags)
 
@@ -139,6 +154,7 @@ def test_each_image_of_a_pixel_shift_can_be_chosen(in_sub_ifds: bool, tmp_path: 
         frame = read_raw(tmp_path / "a.dng", image=index)
         assert np.array_equal(frame.mosaic, mosaic)
         assert frame.sensor.black_level_dn == (64.0 + index,) * 4
+        assert frame.sensor.white_level_dn == 1023 + index
         assert frame.remarks == (
             f"it holds 4 images of one size, as of a pixel shift: this is image {index}, read_raw has image=",
         )

@@ -18,6 +18,7 @@ from eldata.errors import RawFileError, UnusableRawError
 from eldata.raw.tiff import (
     BITS,
     COMPRESSION,
+    LINEARIZATION,
     PLANAR,
     PREDICTOR,
     ROWS_PER_STRIP,
@@ -38,6 +39,8 @@ _UNCOMPRESSED, _DEFLATE = 1, 8
 # Those that mix the bytes of a row, and by how many samples they reach back; 1 is none.
 _PREDICTORS = {1: 0, 3: 1, 34894: 2, 34895: 4}
 _DENSEST = 1032  # bytes that one byte of Deflate can stand for, at most
+# Of strips and tiles, which may be larger than the image: a file with more is made to keep a reader busy.
+_MOST_BESIDE, _LARGE_TILE = 4, 1 << 24
 _AGAIN = "copy or download it again"
 
 
@@ -49,6 +52,10 @@ def check_floats(path: Path, mosaic: Directory) -> None:
     UnusableRawError
         If they are; it says which way.
     """
+    if LINEARIZATION in mosaic.tags:
+        raise UnusableRawError(
+            path, "its pixels are floating-point numbers with a LinearizationTable", "write it again without one"
+        )
     for name, tag, known in (
         ("BitsPerSample", BITS, _BITS),
         ("Compression", COMPRESSION, (_UNCOMPRESSED, _DEFLATE)),
@@ -109,6 +116,8 @@ class _Layout:
         if min(height, width, self.height, self.width, self.samples) < 1:
             raise RawFileError(path, f"damaged: one of the sizes that it declares is 0; {_AGAIN}")
         down, across = -(-height // self.height), -(-width // self.width)
+        if down * self.height * across * self.width > _MOST_BESIDE * height * width + _LARGE_TILE:
+            raise RawFileError(path, f"damaged: its strips or tiles have far more pixels than {height} x {width}")
         if down * across > len(mosaic.extents):
             raise RawFileError(
                 path, f"damaged: it declares {len(mosaic.extents)} of {down * across} strips or tiles; {_AGAIN}"

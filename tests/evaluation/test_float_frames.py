@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+import tifffile
 
 from eldata import SyntheticPairs, verify
 from eldata.calibration.one_image import estimate_profile
@@ -124,6 +125,17 @@ def test_clean_frames_in_dn_are_taken_and_shares_of_white_are_not(own: OwnSet, t
     shares = rewritten(own, tmp_path / "shares", "*/clean.dng", scale=15300)
     with pytest.raises(EldataError, match=r"clean\.dng: its white level is 1, .* noise is in DN"):
         SyntheticPairs(RawFiles(shares.files.glob("*/clean.dng")), profiles=profile, crop=16)[0]
+
+
+def test_a_grey_tiff_in_a_set_is_neither_whole_nor_scored(own: OwnSet, tmp_path: Path) -> None:
+    copy = rewritten(own, tmp_path, "nothing")
+    exif: Any = [(271, "s", 0, "Maker", True), (272, "s", 0, "Mine 1", True)]
+    clean = copy.files / "s0" / "clean.dng"
+    tifffile.imwrite(clean, read_raw(clean).mosaic, metadata=None, extratags=exif)
+    (problem,) = verify([load_manifest(copy.manifest)], copy.root, level="metadata").problems
+    assert "grey TIFF" in str(problem)
+    with pytest.raises(EldataError, match="the dataset is not what its manifest says: .* found a grey TIFF"):
+        scored(copy, "lrd-eld")
 
 
 def bias_of(floats: OwnSet, folder: Path) -> Path:

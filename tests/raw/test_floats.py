@@ -219,7 +219,8 @@ def test_whole_dn_are_asked_for_by_name() -> None:
         ({}, {259: 32946}, "floating-point pixels have a Compression of 32946, not one of 1, 8"),
         ({"compression": 1}, {278: 4}, r"damaged: it declares 3 of 12 strips or tiles"),
         ({"compression": 1}, {278: 30}, "damaged: .* 4160 bytes cannot hold 30 x 52 pixels"),
-        ({"tile": (32, 16)}, {322: 1 << 20}, "damaged: .* bytes cannot hold 32 x 1048576 pixels"),
+        ({"tile": (32, 16)}, {322: 1 << 18}, "damaged: .* bytes cannot hold 32 x 262144 pixels"),
+        ({"tile": (32, 16)}, {322: 1 << 20}, "damaged: its strips or tiles have far more pixels than 48 x 52"),
         ({"tile": (32, 16)}, {323: 0}, "damaged: one of the sizes that it declares is 0"),
     ],
 )
@@ -261,6 +262,22 @@ def test_a_bomb_takes_no_memory(tmp_path: Path) -> None:
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert most < 1 << 25
+
+
+def test_a_linearization_table_beside_floats_is_named(tmp_path: Path) -> None:
+    write_float_dng(tmp_path / "a.dng", floats(), (50712, "H", 4, (0, 1, 2, 3), True))
+    with pytest.raises(RawFileError, match="floating-point numbers with a LinearizationTable"):
+        read_raw(tmp_path / "a.dng")
+
+
+def test_of_two_samples_of_floats_the_first_is_taken(tmp_path: Path) -> None:
+    both = np.stack([floats(), floats(seed=1)])
+    for planes, stored in (("contig", np.moveaxis(both, 0, -1)), ("separate", both)):
+        options: Any = {"photometric": 1, "planarconfig": planes, "compression": "adobe_deflate", "predictor": 3}
+        write_plain_dng(tmp_path / "a.dng", np.ascontiguousarray(stored), ("RG", "GB"), white=None, **options)
+        with tifffile.TiffFile(tmp_path / "a.dng", mode="r+") as tiff:  # which writes no CFA of two samples
+            tiff.pages.first.tags[262].overwrite(32803)
+        assert np.array_equal(read_raw(tmp_path / "a.dng").mosaic, both[0])
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])

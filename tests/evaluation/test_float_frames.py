@@ -86,7 +86,9 @@ def test_shares_of_white_are_not_scored_against_a_white_level_in_dn(own: OwnSet,
     assert result.images == ()
     reasons = {str(problem) for problem in result.problems}
     assert len(reasons) == 2
-    assert all(re.search(r"clean\.dng: its white level is 1, .* white level of 16383 is in DN", one) for one in reasons)
+    assert all(
+        re.search(r"clean\.dng: its white level is 1, .* white level of 16383 .* is in DN", one) for one in reasons
+    )
 
 
 def test_predictions_may_be_floating_point_dngs(own: OwnSet, tmp_path: Path) -> None:
@@ -134,7 +136,7 @@ def test_a_grey_tiff_in_a_set_is_neither_whole_nor_scored(own: OwnSet, tmp_path:
     tifffile.imwrite(clean, read_raw(clean).mosaic, metadata=None, extratags=exif)
     (problem,) = verify([load_manifest(copy.manifest)], copy.root, level="metadata").problems
     assert "grey TIFF" in str(problem)
-    with pytest.raises(EldataError, match="the dataset is not what its manifest says: .* found a grey TIFF"):
+    with pytest.raises(EldataError, match=r"the dataset is not what its manifest says: .* found a grey TIFF"):
         scored(copy, "lrd-eld")
 
 

@@ -183,6 +183,9 @@ def _decoded(path: Path, *, image: int) -> RawFrame:
         _check_sizes(path, raw)
         images = _stated_images(raw, directories) or (None,) * _count_images(path)
         main = _chosen(path, images, image)
+        size = raw.sizes.raw_height, raw.sizes.raw_width
+        if main is None and any(one.is_float and one.shape == size for one in directories):
+            raise UnusableRawError(path, "its pixels are floating-point numbers, and no mosaic by its tags", NEEDED)
         header = _header_of(path, tags, directories, images, image)
         stored: NDArray[Any]
         decoder = None if main is not None and main.is_float else raw  # which decodes the pixels for what it is asked

@@ -264,6 +264,15 @@ def test_a_bomb_takes_no_memory(tmp_path: Path) -> None:
     assert most < 1 << 25
 
 
+def test_floats_that_are_no_mosaic_by_their_tags_are_not_libraws(tmp_path: Path) -> None:
+    """LibRaw would make integers of them."""
+    write_float_dng(tmp_path / "a.dng", floats(), white=1)
+    with tifffile.TiffFile(tmp_path / "a.dng", mode="r+") as tiff:
+        tiff.pages.first.tags[262].overwrite(34892)
+    with pytest.raises(RawFileError, match="its pixels are floating-point numbers, and no mosaic by its tags"):
+        read_raw(tmp_path / "a.dng")
+
+
 def test_a_linearization_table_beside_floats_is_named(tmp_path: Path) -> None:
     write_float_dng(tmp_path / "a.dng", floats(), (50712, "H", 4, (0, 1, 2, 3), True))
     with pytest.raises(RawFileError, match="floating-point numbers with a LinearizationTable"):

@@ -186,9 +186,11 @@ class RawFrame:
             If it holds fractions of a DN; the message has the purpose.
         """
         if self.mosaic.dtype.kind != "u":
-            found = "its pixels are floating-point numbers, as of an average, merged exposures or a black level by row"
-            advice = f"{purpose} takes whole DN alone: use the raw files as the camera wrote them"
-            raise UnusableRawError(self.path, found, advice)
+            raise UnusableRawError(
+                self.path,
+                "its pixels are no whole DN, as of an average, of merged exposures or of black that differs by row",
+                f"{purpose} needs whole DN: use the raw files as the camera wrote them",
+            )
         return self.mosaic
 
 

@@ -77,8 +77,14 @@ def check_in_dn(name: str, sensor: Sensor, what: str) -> None:
     if sensor.white_level_dn <= 1:
         raise DatasetError(
             f"{name}: its white level is {sensor.white_level_dn:g}, so it holds shares of white and no DN, and {what} "
-            "is in DN: use files whose numbers are those of the sensor"
+            "is in DN; use files that hold the sensor's numbers"
         )
+
+
+def check_white_in_dn(name: str, sensor: Sensor, white_level_dn: float) -> None:
+    """Refuse such a file for a white level that is not its own; raises like :func:`check_in_dn`."""
+    if white_level_dn != sensor.white_level_dn:
+        check_in_dn(name, sensor, f'a white level of {white_level_dn:g} (not the file\'s own, "metadata")')
 
 
 def packed_frame(frame: RawFrame, *, levels: FrameLevels, clip: Clip, gain: float = 1.0) -> NDArray[np.float32]:
@@ -92,8 +98,7 @@ def packed_frame(frame: RawFrame, *, levels: FrameLevels, clip: Clip, gain: floa
         If the white level is a constant and the file holds shares of white.
     """
     sensor = with_levels(frame.sensor, levels)
-    if sensor.white_level_dn != frame.sensor.white_level_dn:
-        check_in_dn(str(frame.path), frame.sensor, f"a white level of {sensor.white_level_dn:g}")
+    check_white_in_dn(str(frame.path), frame.sensor, sensor.white_level_dn)
     black, white = sensor.black_level_dn, sensor.white_level_dn
     in_floats = frame.mosaic.dtype.kind == "f"
     return pack_normalised(frame.mosaic, sensor.cfa, black, white, clip=clip, gain=gain, corrected=in_floats)

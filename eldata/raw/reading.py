@@ -3,7 +3,8 @@
 Which figures are taken
 -----------------------
 mosaic
-    LibRaw's visible area, copied; the file is closed before the function returns.
+    LibRaw's visible area, copied, rows and columns that a DNG interleaves in order; the file is closed before the
+    function returns. Floating-point DNGs are decoded here (:mod:`eldata.raw.strips`), LibRaw says their visible area.
 CFA
     Asked of LibRaw for the visible area's own first sites. rawpy's ``raw_pattern`` counts from the corner of the
     full raw image and is out of phase where a margin is odd. Of quad-Bayer and nona-Bayer the file's own tags: LibRaw
@@ -15,6 +16,7 @@ black level
     masked pixels of that very file.
 white level
     LibRaw's ``white_level``: the level at which the format saturates, from the file where the file has one (DNG).
+    Of floats, and of a DNG with several CFA images, what is stated beside the pixels that are read.
     The per-channel ``camera_white_level_per_channel`` is missing for most cameras, comes from LibRaw's table or
     maker notes, and even for a DNG overrides what the file says. It is kept beside, for protocols that name it.
 colour matrix
@@ -47,6 +49,8 @@ left behind for a forked worker to wait for, and reading is safe in DataLoader w
 from __future__ import annotations
 
 import ctypes
+import io
+import struct
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache, partial
@@ -57,7 +61,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.base.isolation import guarded_file
-from eldata.errors import RawFileError, UnusableRawError
+from eldata.errors import ArgumentError, RawFileError, UnusableRawError
 from eldata.raw.black_levels import BlackLevel, VisibleArea, check_black_counts, dng_black_level
 from eldata.raw.cfa import cfa_from, cfa_of_letters, packing_sites
 from eldata.raw.containers import check_container
@@ -70,9 +74,10 @@ from eldata.raw.sensor_facts import (
     channel_whites,
     dng_white_level,
 )
-from eldata.raw.strips import is_own, read_pixels
+from eldata.raw.strips import read_floats
 from eldata.raw.tiff import (
     ACTIVE_AREA,
+    CFA_PATTERN,
     COLUMN_INTERLEAVE,
     DNG_VERSION,
     ROW_INTERLEAVE,
@@ -116,7 +121,7 @@ def read_header(path: Path | str) -> RawHeader:
 def _header(path: Path) -> RawHeader:
     directories = read_directories(path)
     refuse_unsupported(path, directories)
-    with opened_raw(path) as raw:
+    with opened_raw(path, directories) as raw:
         return _header_of(path, exif_tags(path), directories, _stated_images(raw, directories) or (None,), 0)
 
 
@@ -162,6 +167,8 @@ def read_raw(path: Path | str, *, image: int = 0) -> RawFrame:
     >>> frame.exposure.iso, frame.exposure.exposure_s
     (Fraction(800, 1), Fraction(1, 200))
     """
+    if image < 0:
+        raise ArgumentError(f"image counts from 0; found {image}")
     return guarded_file(partial(_decoded, image=image), Path(path), RawFileError)
 
 
@@ -171,36 +178,45 @@ def _decoded(path: Path, *, image: int) -> RawFrame:
     directories = read_directories(path)
     refuse_unsupported(path, directories)
     check_samples(path, directories)
-    with opened_raw(path, image=image) as raw:
+    with opened_raw(path, directories, image=image) as raw:
         tags = exif_tags(path)
         _check_sizes(path, raw)
         images = _stated_images(raw, directories) or (None,) * _count_images(path)
         main = _chosen(path, images, image)
-        if main is None or not is_own(main):
-            raw.unpack()
+        size = raw.sizes.raw_height, raw.sizes.raw_width
+        if main is None and any(one.is_float and one.shape == size for one in directories):
+            raise UnusableRawError(path, "its pixels are floating-point numbers, and no mosaic by its tags", NEEDED)
         header = _header_of(path, tags, directories, images, image)
-        if raw.raw_type != rawpy.RawType.Flat or raw.num_colors == 1:
-            shape = raw.raw_image.shape
-            kind = "no colour filter array (monochrome)" if len(shape) == 2 else "already demosaiced (an RGB raw)"
-            if len(shape) == 3 and header.make == "Canon" and "Image Tag 0xC612" not in tags:  # no DNG
-                kind = "already demosaiced (Canon's sRAW or mRAW)"
-            raise UnusableRawError(path, f"{kind}: {shape} samples", NEEDED)
-        cfa, index_of = _cfa(path, raw, directories)
-        own = main if main is not None and is_own(main) else None
+        stored: NDArray[Any]
+        decoder = None if main is not None and main.is_float else raw  # which decodes the pixels for what it is asked
+        if main is not None and main.is_float:
+            stated = _stated_cfa(raw, main)
+            if stated is None:
+                raise RawFileError(path, "states no colour filter array that can be used, and its pixels are floats")
+            stored, (cfa, index_of) = read_floats(path, main), stated
+            white, whites = dng_white_level(main), None
+        else:
+            raw.unpack()
+            if raw.raw_type != rawpy.RawType.Flat or raw.num_colors == 1:
+                raise _without_cfa(path, raw.raw_image.shape, header, is_dng=_is_dng(directories))
+            stored, (cfa, index_of) = raw.raw_image, _cfa(path, raw, main)
+            white, whites = float(raw.white_level), channel_whites(raw, index_of)
+        # What one of several CFA images does not state, LibRaw takes from another.
+        alone = main is None or not _is_dng(directories) or sum(one.is_mosaic for one in directories) == 1
+        if main is not None and not alone:
+            white = dng_white_level(main)
         sizes = raw.sizes
         area = VisibleArea(sizes.top_margin, sizes.left_margin, (sizes.height, sizes.width), cfa)
-        stored = _in_place(path, raw, raw.raw_image if own is None else read_pixels(path, own), main)
+        stored = _in_place(path, raw, stored, main)
         mosaic = area.of(stored).copy()
         levels = dng_black_level(path, main, area, stored) if main is not None and _is_dng(directories) else None
-        if levels is None:
-            stated = [0.0] * 4 if own is not None else raw.black_level_per_channel  # 0 by the specification
-            levels = BlackLevel(tuple(float(stated[index]) for index in index_of))
+        if levels is None:  # by the specification 0
+            numbers = decoder.black_level_per_channel if decoder is not None and alone else [0] * 4
+            levels = BlackLevel(tuple(float(numbers[index]) for index in index_of))
         black = levels.level_dn
-        white = float(raw.white_level) if own is None else dng_white_level(own)
         if not white > max(black):
             raise RawFileError(path, f"white level {white:g} DN is not above the black level {black} DN")
-        whites = channel_whites(raw, index_of) if own is None else None  # on another scale than floats have
-        matrix, illuminant = camera_matrix(raw, directories)
+        matrix, illuminant = camera_matrix(decoder, directories)
         sensor = Sensor(
             make=header.make,
             model=header.model,
@@ -209,13 +225,20 @@ def _decoded(path: Path, *, image: int) -> RawFrame:
             white_level_dn=white,
             height=mosaic.shape[0],
             width=mosaic.shape[1],
-            white_balance=as_shot_multipliers(path, raw, directories, tags),
+            white_balance=as_shot_multipliers(path, decoder, directories, tags),
             xyz_to_camera=matrix,
             matrix_illuminant=illuminant,
         )
     check_damage(path, directories, mosaic, black, white)
     mosaic = levels.flatten(mosaic, area)
     return RawFrame(path, mosaic, sensor, header.exposure, whites, (*header.remarks, *levels.remarks))
+
+
+def _without_cfa(path: Path, shape: tuple[int, ...], header: RawHeader, *, is_dng: bool) -> UnusableRawError:
+    kind = "no colour filter array (monochrome)" if len(shape) == 2 else "already demosaiced (an RGB raw)"
+    if len(shape) == 3 and header.make == "Canon" and not is_dng:
+        kind = "already demosaiced (Canon's sRAW or mRAW)"
+    return UnusableRawError(path, f"{kind}: {shape} samples", NEEDED)
 
 
 def exposure_ratio(reference: RawFrame | RawHeader, noisy: RawFrame | RawHeader) -> Fraction:
@@ -294,13 +317,13 @@ def _chosen(path: Path, images: _Images, image: int) -> Directory | None:
     return images[image]
 
 
-def check_libraw_decodes(path: Path, raw: rawpy.RawPy) -> None:
+def check_libraw_decodes(path: Path, raw: rawpy.RawPy, directories: Sequence[Directory]) -> None:
     """Refuse a DNG whose pixels LibRaw takes for others than they are, for what LibRaw makes of them itself."""
-    images = _stated_images(raw, read_directories(path))
-    if any(main is not None and (is_own(main) or _interleaved(main) != (1, 1)) for main in images[:1]):
+    images = _stated_images(raw, directories)
+    if any(main is not None and (main.is_float or _interleaved(main) != (1, 1)) for main in images[:1]):
         raise UnusableRawError(
             path,
-            "has floating-point, Deflate-compressed or interleaved pixels, of which LibRaw makes a wrong picture",
+            "has floating-point or interleaved pixels, of which LibRaw makes a wrong picture",
             "pack it and use eldata.isp.Rendering",
         )
 
@@ -326,13 +349,17 @@ def _in_place(path: Path, raw: rawpy.RawPy, stored: NDArray[Any], main: Director
 def _in_order(stored: NDArray[Any], fields: int, axis: int) -> NDArray[Any]:
     """Return rows or columns in order that are stored field after field, each of which has every ``fields``-th one."""
     size = stored.shape[axis]
-    places = np.concatenate([np.arange(first, size, fields) for first in range(min(fields, size))])
+    places = np.concatenate([np.arange(first, size, fields) for first in range(fields)])
     return np.take(stored, np.argsort(places), axis)
 
 
 @contextmanager
-def opened_raw(path: Path, what: str = "decode", image: int = 0) -> Iterator[rawpy.RawPy]:
-    """Open a raw file with LibRaw, whose errors say that it cannot do ``what``; ``image`` as of :func:`read_raw`.
+def opened_raw(
+    path: Path, directories: Sequence[Directory], what: str = "decode", image: int = 0
+) -> Iterator[rawpy.RawPy]:
+    """Open a raw file, whose directories are given, with LibRaw.
+
+    Its errors say that it cannot do ``what``; ``image`` as of :func:`read_raw`.
 
     Raises
     ------
@@ -347,7 +374,10 @@ def opened_raw(path: Path, what: str = "decode", image: int = 0) -> Iterator[raw
     raw = rawpy.RawPy()
     try:
         raw.set_unpack_params(shot_select=image)  # before it is opened: which of a DNG's images, is chosen then
-        _open(raw, path)
+        if any(one.wide_cfa for one in directories):
+            raw.open_buffer(io.BytesIO(_with_narrow_cfa(path, directories)))
+        else:
+            _open(raw, path)
         yield raw
     except rawpy.LibRawFileUnsupportedError as error:
         raise RawFileError(path, "is not a raw file that LibRaw knows") from error
@@ -358,6 +388,20 @@ def opened_raw(path: Path, what: str = "decode", image: int = 0) -> Iterator[raw
         raise RawFileError(path, f"LibRaw cannot {what} it ({text}); is the file whole?") from error
     finally:
         raw.close()
+
+
+def _with_narrow_cfa(path: Path, directories: Sequence[Directory]) -> bytes:
+    """Return a file whose CFAPatterns are of bytes: LibRaw takes the bytes of 16-bit numbers for numbers."""
+    content = bytearray(path.read_bytes())
+    for one in directories:
+        if one.wide_cfa is not None:
+            numbers = bytes(min(int(number), 255) for number in one.values[CFA_PATTERN])
+            struct.pack_into(f"{one.order}HHI", content, one.wide_cfa, CFA_PATTERN, 1, len(numbers))
+            at = one.wide_cfa + 8
+            if len(numbers) > 4:
+                (at,) = struct.unpack_from(f"{one.order}I", content, at)
+            content[at : at + len(numbers)] = numbers
+    return bytes(content)
 
 
 def _open(raw: rawpy.RawPy, path: Path) -> None:
@@ -382,9 +426,9 @@ def _set_openmp_threads() -> Callable[[int], object]:
 # --- sensor ---------------------------------------------------------------------------------------------------
 
 
-def _cfa(path: Path, raw: rawpy.RawPy, directories: Sequence[Directory]) -> tuple[CfaRows, tuple[int, ...]]:
+def _cfa(path: Path, raw: rawpy.RawPy, main: Directory | None) -> tuple[CfaRows, tuple[int, ...]]:
     """Return the visible area's CFA in our channel indices, and LibRaw's colour index of each of them."""
-    stated = _stated_cfa(path, raw, directories)
+    stated = None if main is None else _stated_cfa(raw, main)
     if stated is not None and packing_sites(stated[0]).block > 1:
         return stated
     names = raw.color_desc.decode("ascii", "replace")
@@ -397,31 +441,19 @@ def _cfa(path: Path, raw: rawpy.RawPy, directories: Sequence[Directory]) -> tupl
     sites = [[raw.raw_color(top + y, left + x) for x in range(period)] for y in range(period)]
     letters = ["".join(names[index] for index in row) for row in sites]
     cfa = cfa_of_letters(letters)
-    if cfa is None and stated is not None and _is_dng(directories):
-        return stated  # a CFAPattern of 16-bit numbers, whose bytes LibRaw takes for numbers
     if cfa is None:
         raise unsupported_cfa(path, letters)
     libraw_index = dict(zip(chain(*cfa), chain(*sites), strict=True))
     return cfa, tuple(libraw_index[channel] for channel in sorted(libraw_index))
 
 
-def _stated_cfa(
-    path: Path, raw: rawpy.RawPy, directories: Sequence[Directory]
-) -> tuple[CfaRows, tuple[int, ...]] | None:
-    """Return what :func:`_cfa` does, from the file's own tags; None if they do not state it."""
-    found: set[CfaRows] = set()
-    for directory in directories:
-        cfa = cfa_of_letters(directory.cfa_letters or ()) if directory.is_mosaic else None
-        if cfa is None or directory.shape != (raw.sizes.raw_height, raw.sizes.raw_width):
-            continue  # another image of the file, such as a binned one
-        # The pattern starts at the active area; LibRaw moves an odd margin on to the next even one.
-        top, left = map(int, directory.values.get(ACTIVE_AREA, (0, 0))[:2])
-        found.add(cfa_from(cfa, raw.sizes.top_margin - top, raw.sizes.left_margin - left))
-    if not found:
+def _stated_cfa(raw: rawpy.RawPy, main: Directory) -> tuple[CfaRows, tuple[int, ...]] | None:
+    """Return what :func:`_cfa` does, from the tags beside the pixels; None if they state none that is supported."""
+    whole, names = cfa_of_letters(main.cfa_letters or ()), raw.color_desc.decode("ascii", "replace")
+    if whole is None or not set("RGB") <= set(names):
         return None
-    if len(found) > 1:
-        raise RawFileError(path, "declares several colour filter arrays for images of one size; one is needed")
-    names = raw.color_desc.decode("ascii", "replace")
-    cfa = found.pop()
+    # The pattern starts at the active area; LibRaw moves an odd margin on to the next even one.
+    top, left = map(int, main.values.get(ACTIVE_AREA, (0, 0))[:2])
+    cfa = cfa_from(whole, raw.sizes.top_margin - top, raw.sizes.left_margin - left)
     indices = (names.index("R"), names.index("G"), names.index("B"), names.rindex("G"))
     return cfa, indices[: packing_sites(cfa).levels]

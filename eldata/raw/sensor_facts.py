@@ -6,6 +6,7 @@ A DNG's own figures to the last digit, from the file; those of other formats as 
 
 from __future__ import annotations
 
+from fractions import Fraction
 from math import prod
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,6 @@ import numpy as np
 from eldata.base.isolation import guarded_file
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw.neutrals import white_balance_of
-from eldata.raw.strips import is_float
 from eldata.raw.tiff import (
     BITS,
     NOISE_PROFILE,
@@ -26,7 +26,6 @@ from eldata.records import D65, exact_number
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-    from fractions import Fraction
     from pathlib import Path
 
     import rawpy
@@ -43,10 +42,9 @@ _DAYLIGHT = (1, 4, 20, 22, 23)
 
 
 def dng_white_level(mosaic: Directory) -> float:
-    """Return a DNG's WhiteLevel; if it states none, that of the specification: 1 of floats, else the largest number."""
-    whites = mosaic.values.get(WHITE_LEVEL)
-    largest = 1 if is_float(mosaic) else (1 << mosaic.number(BITS, 16)) - 1
-    return exact_number(whites[0]) if whites else float(largest)
+    """Return a DNG's WhiteLevel; where it states none, by the specification 1 of floats, else the largest number."""
+    largest = 1 if mosaic.is_float else (1 << mosaic.number(BITS, 16)) - 1
+    return exact_number(next(iter(mosaic.values.get(WHITE_LEVEL, ())), Fraction(largest)))
 
 
 def dng_noise_profile(path: Path) -> tuple[float, ...] | None:
@@ -77,9 +75,11 @@ def channel_whites(raw: rawpy.RawPy, index_of: Sequence[int]) -> tuple[float, ..
 
 
 def as_shot_multipliers(
-    path: Path, raw: rawpy.RawPy, directories: Sequence[Directory], tags: Mapping[str, Any]
+    path: Path, raw: rawpy.RawPy | None, directories: Sequence[Directory], tags: Mapping[str, Any]
 ) -> tuple[float, float, float, float] | None:
     """Return the multipliers of R, G1, B, G2 as shot, G1 = 1; None if they are not known.
+
+    LibRaw is asked, where it is given, for what the file does not state.
 
     Raises
     ------
@@ -94,6 +94,8 @@ def as_shot_multipliers(
             raise RawFileError(path, f"the white balance in its DNGPrivateData is damaged: {error}") from error
         red, green, blue, second_green = map(exact_number, exact)
         return red, green, blue, second_green
+    if raw is None:
+        return None
     red, green, blue, second_green = raw.camera_whitebalance
     if not (red > 0 and green > 0 and blue > 0):
         return None
@@ -109,7 +111,7 @@ def _private_data(tags: Mapping[str, Any]) -> bytes:
     return bytes(values) if ours else b""
 
 
-def camera_matrix(raw: rawpy.RawPy, directories: Sequence[Directory]) -> tuple[Matrix3 | None, int]:
+def camera_matrix(raw: rawpy.RawPy | None, directories: Sequence[Directory]) -> tuple[Matrix3 | None, int]:
     """Return the matrix from XYZ to the camera's colours, and the light that it is for; None if it is not known.
 
     Of a DNG's two matrices that for D65, else the first for another daylight, else the second: LibRaw's order.
@@ -126,7 +128,7 @@ def camera_matrix(raw: rawpy.RawPy, directories: Sequence[Directory]) -> tuple[M
         numbers = [exact_number(value) for value in values]
     else:
         illuminant = D65  # LibRaw's table
-        numbers = [round(float(value), 6) for row in raw.rgb_xyz_matrix[:3] for value in row]
+        numbers = [] if raw is None else [round(float(value), 6) for row in raw.rgb_xyz_matrix[:3] for value in row]
     if not np.any(numbers):
         return None, D65
     return (_three(numbers[:3]), _three(numbers[3:6]), _three(numbers[6:])), illuminant

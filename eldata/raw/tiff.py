@@ -38,12 +38,13 @@ _LEVELS = {BLACK_LEVEL: "BlackLevel", BLACK_DELTAS[0]: "BlackLevelDeltaH", BLACK
 _LEVELS |= {WHITE_LEVEL: "WhiteLevel"}
 
 _SUB_IFDS, _EXIF_IFD = 330, 34665
+_FLOAT = 3  # of SAMPLE_FORMAT
 _DATA = ((273, 279), (324, 325))  # strips, tiles: offsets and byte counts
 # Tags whose values must lie inside the file: those above, and what reading.py takes from EXIF and DNG tags.
 _EXIF = {33434, 33437, 34855, 34864, 34865, 34866, 34867}
 _READ = _EXIF | {
     *(SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, TILE_WIDTH, TILE_HEIGHT),
-    *(SAMPLES, ROWS_PER_STRIP, PLANAR, PREDICTOR, SAMPLE_FORMAT, DNG_VERSION, LINEARIZATION),
+    *(SAMPLES, ROWS_PER_STRIP, PLANAR, PREDICTOR, SAMPLE_FORMAT, DNG_VERSION),
     *(ROW_INTERLEAVE, COLUMN_INTERLEAVE),
     *(271, 272, _SUB_IFDS, _EXIF_IFD, ACTIVE_AREA, MASKED_AREAS, BLACK_REPEAT, BLACK_LEVEL, *BLACK_DELTAS),
     *(WHITE_LEVEL, 50721, 50722, 50728, 50778, 50779, CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT, NOISE_PROFILE),
@@ -52,6 +53,7 @@ _READ = _EXIF | {
 }
 
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4}
+_SHORT = 3
 _DOUBLE = 12  # what DNG states a NoiseProfile in, and no other tag that is relied on
 _CODES = {1: "B", 3: "H", 4: "I", 5: "II", 6: "b", 7: "B", 8: "h", 9: "i", 10: "ii", 13: "I"}
 # Of all directories together; a file with more is damaged, or made to keep a reader busy. Cameras write some hundred
@@ -85,6 +87,10 @@ class Directory:
     values: dict[int, Numbers]
     order: Literal["<", ">"] = "<"
     """Of its bytes, as struct and numpy name it."""
+    tags: frozenset[int] = frozenset()
+    """Every tag that it has, relied on or not."""
+    wide_cfa: int | None = None
+    """Where the entry of its CFAPattern stands in the file, if it has 16-bit numbers in place of bytes."""
 
     def number(self, tag: int, default: int) -> int:
         """Return the first number of a tag; ``default`` if it is not there."""
@@ -94,6 +100,11 @@ class Directory:
     def samples(self) -> int:
         """Numbers that it has of each pixel: two where each photosite is halved (dual pixels)."""
         return self.number(SAMPLES, 1)
+
+    @property
+    def is_float(self) -> bool:
+        """Whether its samples are floating-point numbers."""
+        return self.number(SAMPLE_FORMAT, 1) == _FLOAT
 
     @property
     def is_mosaic(self) -> bool:
@@ -217,6 +228,11 @@ def _check_mosaic(path: Path, directory: Directory) -> None:
             f"damaged: its BlackLevel repeats every {' x '.join(map(str, repeat))} pixels; expected 1 to "
             f"{_MOST_REPEATED} either way",
         )
+    for tag, side in zip((ROW_INTERLEAVE, COLUMN_INTERLEAVE), directory.shape, strict=True):
+        if not 1 <= directory.number(tag, 1) <= max(side, 1):
+            raise RawFileError(
+                path, f"damaged: it declares {directory.number(tag, 1)} interleaved fields of {side} rows or columns"
+            )
     held = sum(count for _, count in directory.extents)
     # No lossless code takes less than one bit per pixel.
     if held * 8 < directory.pixels:
@@ -233,13 +249,16 @@ def _read_directory(
     require(path, size, at + 2 + 12 * count)
     table = file.read(12 * count + 4)
     values: dict[int, Numbers] = {}
+    tags: set[int] = set()
+    wide_cfa = None
     for index in range(count):
         entry = table[12 * index : 12 * index + 12]
         tag, kind, number = struct.unpack(order + "HHI", entry[:8])
+        tags.add(tag)
+        if (tag, kind) == (CFA_PATTERN, _SHORT):
+            wide_cfa = at + 2 + 12 * index
         if tag not in _READ:
             continue
-        if tag == LINEARIZATION:  # all that is asked is whether it is there; it may have 65536 numbers
-            number = 1
         length = _SIZES.get(kind, 1) * number
         data = entry[8:12]
         if length > 4:
@@ -262,7 +281,7 @@ def _read_directory(
             raise RawFileError(path, f"damaged: its {_LEVELS[tag]} has a denominator of 0, which is not a number")
     # The pointer to the next directory may be missing at the very end of a file.
     following = struct.unpack(order + "I", table[-4:])[0] if len(table) == 12 * count + 4 else 0
-    return Directory(values, order), following
+    return Directory(values, order, frozenset(tags), wide_cfa), following
 
 
 def _opcodes(path: Path, file: IO[bytes], place: range, budget: _Budget) -> Iterator[Fraction]:

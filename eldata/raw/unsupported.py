@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from eldata.errors import UnusableRawError
 from eldata.raw import tiff
 from eldata.raw.cfa import cfa_of_letters
+from eldata.raw.strips import check_floats
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,6 +35,24 @@ _BY_COMPRESSION = {
         "convert it to one with lossless JPEG compression (Adobe DNG Converter, compatibility 1.6 or earlier)",
     ),
 }
+_GREY_TIFF = (
+    "is a grey TIFF, which states no colour filter array and neither black nor white level",
+    "use the camera's raw file, or write the mosaic to a DNG with eldata.raw.write_dng (docs/datasets.md: CRVD)",
+)
+# What only a camera's raw file has in a directory: a DNG's version, a CFA, and Kodak's, Leaf's, Imacon's, Sinar's and
+# Hasselblad's own tags, by which LibRaw knows raws that call themselves grey.
+_OF_CAMERAS = frozenset(
+    (
+        *(tiff.DNG_VERSION, tiff.CFA_REPEAT, tiff.CFA_PATTERN, 33405, 33424, *range(34303, 34311), 46275, 46279),
+        *(50454, 50455, 50458, 50459, 61450, 64772, 65024, 65026),
+    )
+)
+_GREY = (0, 1)  # of tiff.PHOTOMETRIC: white or black at 0
+_DEFLATE = (8, 32946)
+_WHOLE_IN_DEFLATE = (
+    "is a DNG of whole numbers in Deflate compression, which LibRaw cannot decode",
+    "convert it to one with lossless JPEG compression or without any (Adobe DNG Converter)",
+)
 _HEXADECA = 4  # sites along a side of its blocks
 _LAYOUT_RECTANGULAR = 1
 
@@ -51,10 +70,16 @@ def refuse_unsupported(path: Path, directories: Sequence[Directory]) -> None:
     for magic, found in _BY_HEAD.items():
         if head.startswith(magic):
             raise UnusableRawError(path, *found)
+    if _is_grey_tiff(directories):
+        raise UnusableRawError(path, *_GREY_TIFF)
     for directory in directories:
         if not directory.is_mosaic:
             continue
         values = directory.values
+        if directory.is_float:
+            check_floats(path, directory)
+        elif directory.number(tiff.COMPRESSION, 1) in _DEFLATE:
+            raise UnusableRawError(path, *_WHOLE_IN_DEFLATE)
         for compression in map(int, values.get(tiff.COMPRESSION, ())):
             if compression in _BY_COMPRESSION:
                 raise UnusableRawError(path, *_BY_COMPRESSION[compression])
@@ -70,6 +95,14 @@ def refuse_unsupported(path: Path, directories: Sequence[Directory]) -> None:
         monochrome = pattern is not None and len(set("".join(pattern))) == 1  # said of the decoded samples
         if pattern is not None and not monochrome and cfa_of_letters(pattern) is None:
             raise unsupported_cfa(path, pattern)
+
+
+def _is_grey_tiff(directories: Sequence[Directory]) -> bool:
+    """Return whether the largest image of a TIFF-based file is grey, and nothing says that a camera wrote it as raw."""
+    largest = max(directories, key=lambda one: one.pixels, default=None)
+    if largest is None or not largest.pixels or any(one.tags & _OF_CAMERAS for one in directories):
+        return False
+    return largest.number(tiff.PHOTOMETRIC, -1) in _GREY
 
 
 def unsupported_cfa(path: Path, rows: Sequence[str]) -> UnusableRawError:

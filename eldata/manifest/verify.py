@@ -6,7 +6,8 @@ quick
     Every listed file is there, of the recorded size and not empty; no unlisted raw file lies beside them.
 metadata
     Every file opens as a raw file and is not truncated; camera model, ISO and exposure time are the manifest's, and
-    the exposure ratio of each noisy frame to its reference is within a tenth of the nominal one.
+    the exposure ratio of each noisy frame to its reference is within a tenth of the nominal one. What should be known
+    of files that are well is remarked on, each thing once.
 full
     Every recorded hash matches. Files without one are decoded instead and searched for damage that shows
     (:mod:`eldata.raw.damage`), which finds less.

@@ -10,10 +10,10 @@ CFA
     full raw image and is out of phase where a margin is odd. Of quad-Bayer and nona-Bayer the file's own tags: LibRaw
     decodes their pixels as any others, but takes a pattern of 4 x 4 for one of 8 x 2, and of 6 x 6 for X-Trans.
 black level
-    A DNG's own BlackLevel, exactly, at the sites of the visible area; LibRaw keeps its whole DN, and where an active
-    area starts at an odd row or column gives its pattern to the wrong channels. Else LibRaw's per-channel figure: it
-    joins the global level and the per-channel offsets, and for bodies without a recorded level it is measured in the
-    masked pixels of that very file.
+    A DNG's own, exactly, at the sites of the visible area (:mod:`eldata.raw.black_levels`); LibRaw keeps its whole DN,
+    has one mean of all deltas, and where an active area starts at an odd row or column gives the pattern to the wrong
+    channels. Else LibRaw's per-channel figure: it joins the global level and the per-channel offsets, and for bodies
+    without a recorded level it is measured in the masked pixels of that very file.
 white level
     LibRaw's ``white_level``: the level at which the format saturates, from the file where the file has one (DNG).
     Of floats, and of a DNG with several CFA images, what is stated beside the pixels that are read.
@@ -77,6 +77,7 @@ from eldata.raw.sensor_facts import (
 from eldata.raw.strips import read_floats
 from eldata.raw.tiff import (
     ACTIVE_AREA,
+    BLACK_DELTAS,
     CFA_PATTERN,
     COLUMN_INTERLEAVE,
     DNG_VERSION,
@@ -319,13 +320,13 @@ def _chosen(path: Path, images: _Images, image: int) -> Directory | None:
 
 def check_libraw_decodes(path: Path, raw: rawpy.RawPy, directories: Sequence[Directory]) -> None:
     """Refuse a DNG whose pixels LibRaw takes for others than they are, for what LibRaw makes of them itself."""
-    images = _stated_images(raw, directories)
-    if any(main is not None and (main.is_float or _interleaved(main) != (1, 1)) for main in images[:1]):
-        raise UnusableRawError(
-            path,
-            "has floating-point or interleaved pixels, of which LibRaw makes a wrong picture",
-            "pack it and use eldata.isp.Rendering",
-        )
+    for main in filter(None, _stated_images(raw, directories)[:1]):
+        found = "floating-point or interleaved pixels" if main.is_float or _interleaved(main) != (1, 1) else ""
+        if any(len(set(main.values.get(tag, ()))) > 1 for tag in BLACK_DELTAS):
+            found = "black levels by row or column"
+        if found:
+            todo = "pack it and use eldata.isp.Rendering"
+            raise UnusableRawError(path, f"has {found}, of which LibRaw makes a wrong picture", todo)
 
 
 def _interleaved(main: Directory) -> tuple[int, int]:

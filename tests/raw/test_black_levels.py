@@ -18,6 +18,7 @@ import tifffile
 from eldata import evaluate
 from eldata.cli.main import main
 from eldata.errors import UnusableRawError
+from eldata.isp import render_libraw
 from eldata.raw import read_header, read_raw, write_dng
 from eldata.raw.sensor_facts import dng_noise_profile
 from eldata.records import exact_fraction
@@ -115,6 +116,12 @@ def test_a_slope_of_black_down_the_frame_is_taken_off_row_by_row(tmp_path: Path)
 def test_masked_pixels_are_remarked_on_where_the_file_says_otherwise() -> None:
     (remark,) = field("masked-areas-black-0").remarks
     assert "have a mean of 64.1 DN, but its BlackLevel says 0.0 DN" in remark
+
+
+@pytest.mark.parametrize("name", ["black-deltaH-columns", "black-deltaV-slope"])
+def test_libraws_own_rendering_of_one_mean_of_all_deltas_is_refused(name: str) -> None:
+    with pytest.raises(UnusableRawError, match="has black levels by row or column, of which LibRaw makes a wrong"):
+        render_libraw(FIELD / f"{name}.dng")
 
 
 # --- counts -------------------------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import tifffile
 
+from capture.tether.levels import levels_of
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.raw import normalise, pack, pack_normalised, read_raw, write_dng
 from eldata.raw.levels import packed_frame
@@ -208,6 +209,11 @@ def test_whole_dn_are_asked_for_by_name() -> None:
         frame.whole_dn("a store")
     whole = read_raw(FIELD / "dual-pixel-2-samples.dng")
     assert whole.whole_dn("a store") is whole.mosaic
+
+
+def test_what_looks_at_a_sets_files_asks_for_whole_dn() -> None:
+    with pytest.raises(RawFileError, match=r"float32-hot-1\.5\.dng: its pixels are no whole DN"):
+        levels_of(read_raw(FIELD / "float32-hot-1.5.dng"))
 
 
 @pytest.mark.parametrize(

@@ -143,7 +143,7 @@ def test_tifffiles_own_floats_are_read(bits: int, tmp_path: Path) -> None:
 
 
 def test_floats_behind_a_preview_are_read(tmp_path: Path) -> None:
-    """As HDRMerge lays its files out: levels and CFA stand in the sub-IFD; a proxy of whole numbers beside it is not read."""
+    """As HDRMerge lays its files out: levels and CFA stand in the sub-IFD; a proxy beside it is not read."""
     values = floats(96, 128)
     first: list[Tag] = [(50706, "B", 4, bytes((1, 4, 0, 0)), True), (271, "s", 0, "A", True), (272, "s", 0, "B", True)]
     cfa: list[Tag] = [(33421, "H", 2, (2, 2), True), (33422, "B", 4, bytes((1, 0, 2, 1)), True)]

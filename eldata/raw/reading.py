@@ -56,7 +56,7 @@ from dataclasses import replace
 from functools import cache, partial
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -174,46 +174,30 @@ def read_raw(path: Path | str, *, image: int = 0) -> RawFrame:
 
 
 def _decoded(path: Path, *, image: int) -> RawFrame:
-    import rawpy
-
     directories = read_directories(path)
     refuse_unsupported(path, directories)
     check_samples(path, directories)
     with opened_raw(path, directories, image=image) as raw:
         tags = exif_tags(path)
         _check_sizes(path, raw)
-        images = _stated_images(raw, directories) or (None,) * _count_images(path)
+        images = _stated_images(raw, directories) or (None,) * count_images(path)
         main = _chosen(path, images, image)
         size = raw.sizes.raw_height, raw.sizes.raw_width
         if main is None and any(one.is_float and one.shape == size for one in directories):
             raise UnusableRawError(path, "its pixels are floating-point numbers, and no mosaic by its tags", NEEDED)
         header = _header_of(path, tags, directories, images, image)
-        stored: NDArray[Any]
-        decoder = None if main is not None and main.is_float else raw  # which decodes the pixels for what it is asked
+        # Whatever else LibRaw is asked, it decodes the pixels first.
+        decoder = None if main is not None and main.is_float else raw
         if main is not None and main.is_float:
-            stated = _stated_cfa(raw, main)
-            if stated is None:
-                raise RawFileError(path, "states no colour filter array that can be used, and its pixels are floats")
-            stored, (cfa, index_of) = read_floats(path, main), stated
-            white, whites = dng_white_level(main), None
+            stored = _stored_floats(path, raw, main)
         else:
-            raw.unpack()
-            if raw.raw_type != rawpy.RawType.Flat or raw.num_colors == 1:
-                raise _without_cfa(path, raw.raw_image.shape, header, is_dng=_is_dng(directories))
-            stored, (cfa, index_of) = raw.raw_image, _cfa(path, raw, main)
-            white, whites = float(raw.white_level), channel_whites(raw, index_of)
-        # What one of several CFA images does not state, LibRaw takes from another.
-        alone = main is None or not _is_dng(directories) or sum(one.is_mosaic for one in directories) == 1
-        if main is not None and not alone:
-            white = dng_white_level(main)
+            stored = _stored_by_libraw(path, raw, main, directories, header)
         sizes = raw.sizes
-        area = VisibleArea(sizes.top_margin, sizes.left_margin, (sizes.height, sizes.width), cfa)
-        stored = _in_place(path, raw, stored, main)
-        mosaic = area.of(stored).copy()
-        levels = dng_black_level(path, main, area, stored) if main is not None and _is_dng(directories) else None
-        if levels is None:  # by the specification 0
-            numbers = decoder.black_level_per_channel if decoder is not None and alone else [0] * 4
-            levels = BlackLevel(tuple(float(numbers[index]) for index in index_of))
+        area = VisibleArea(sizes.top_margin, sizes.left_margin, (sizes.height, sizes.width), stored.cfa)
+        pixels = _in_place(path, raw, stored.pixels, main)
+        mosaic, white = area.of(pixels).copy(), stored.white_dn
+        levels = dng_black_level(path, main, area, pixels) if main is not None and _is_dng(directories) else None
+        levels = levels or BlackLevel(stored.black_dn)
         black = levels.level_dn
         if not white > max(black):
             raise RawFileError(path, f"white level {white:g} DN is not above the black level {black} DN")
@@ -221,7 +205,7 @@ def _decoded(path: Path, *, image: int) -> RawFrame:
         sensor = Sensor(
             make=header.make,
             model=header.model,
-            cfa=cfa,
+            cfa=stored.cfa,
             black_level_dn=black,
             white_level_dn=white,
             height=mosaic.shape[0],
@@ -232,7 +216,42 @@ def _decoded(path: Path, *, image: int) -> RawFrame:
         )
     check_damage(path, directories, mosaic, black, white)
     mosaic = levels.flatten(mosaic, area)
-    return RawFrame(path, mosaic, sensor, header.exposure, whites, (*header.remarks, *levels.remarks))
+    return RawFrame(path, mosaic, sensor, header.exposure, stored.channel_whites_dn, (*header.remarks, *levels.remarks))
+
+
+class _Stored(NamedTuple):
+    """All pixels of a file as they are stored, the visible area's CFA, levels in DN: black if the file states none."""
+
+    pixels: NDArray[Any]
+    cfa: CfaRows
+    black_dn: tuple[float, ...]
+    white_dn: float
+    channel_whites_dn: tuple[float, ...] | None
+
+
+def _stored_floats(path: Path, raw: rawpy.RawPy, main: Directory) -> _Stored:
+    stated = _stated_cfa(raw, main)
+    if stated is None:
+        raise RawFileError(path, "states no colour filter array that can be used, and its pixels are floats")
+    cfa, index_of = stated
+    return _Stored(read_floats(path, main), cfa, (0.0,) * len(index_of), dng_white_level(main), None)
+
+
+def _stored_by_libraw(
+    path: Path, raw: rawpy.RawPy, main: Directory | None, directories: Sequence[Directory], header: RawHeader
+) -> _Stored:
+    import rawpy
+
+    raw.unpack()
+    is_dng = _is_dng(directories)
+    if raw.raw_type != rawpy.RawType.Flat or raw.num_colors == 1:
+        raise _without_cfa(path, raw.raw_image.shape, header, is_dng=is_dng)
+    cfa, index_of = _cfa(path, raw, main)
+    black, white = tuple(float(raw.black_level_per_channel[index]) for index in index_of), float(raw.white_level)
+    if main is not None and is_dng and sum(one.is_mosaic for one in directories) > 1:
+        # What one of several CFA images does not state, LibRaw takes from another; by the specification black is 0.
+        black, white = (0.0,) * len(index_of), dng_white_level(main)
+    return _Stored(raw.raw_image, cfa, black, white, channel_whites(raw, index_of))
 
 
 def _without_cfa(path: Path, shape: tuple[int, ...], header: RawHeader, *, is_dng: bool) -> UnusableRawError:
@@ -293,7 +312,7 @@ def _stated_images(raw: rawpy.RawPy, directories: Sequence[Directory]) -> _Image
     return image_directories(directories, (raw.sizes.raw_height, raw.sizes.raw_width))
 
 
-def _count_images(path: Path) -> int:
+def count_images(path: Path) -> int:
     """Return how many images LibRaw knows in a file of another format; each but the first is decoded for it."""
     import rawpy
 

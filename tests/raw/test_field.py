@@ -14,6 +14,7 @@ import tifffile
 from eldata.errors import ArgumentError, RawFileError, UnusableRawError
 from eldata.isp import render_libraw
 from eldata.raw import pack, read_header, read_raw, write_dng
+from eldata.raw.reading import count_images
 from eldata.raw.tiff import read_directories
 from eldata.raw.unsupported import refuse_unsupported
 from tests.raw.helpers import BAYER, EXPOSURE, active_area, letters, make_sensor, random_mosaic, write_plain_dng
@@ -162,6 +163,14 @@ def test_each_image_of_a_pixel_shift_can_be_chosen(in_sub_ifds: bool, tmp_path: 
         read_raw(tmp_path / "a.dng", image=4)
     with pytest.raises(ArgumentError, match="image counts from 0; found -1"):
         read_raw(tmp_path / "a.dng", image=-1)
+
+
+def test_images_that_no_directory_lists_are_counted_by_libraw(tmp_path: Path) -> None:
+    """As of formats other than TIFF; a DNG serves, of which both is known."""
+    for count in (1, 2, 4):
+        mosaics = [random_mosaic(64, 96, seed=seed, low=100, high=1000) for seed in range(count)]
+        write_shift(tmp_path / "a.dng", mosaics, in_sub_ifds=True)
+        assert count_images(tmp_path / "a.dng") == count
 
 
 def test_a_file_of_one_image_says_so(tmp_path: Path) -> None:

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 import tifffile
 
+from capture.tether.levels import levels_of
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.raw import normalise, pack, pack_normalised, read_raw, write_dng
 from eldata.raw.levels import packed_frame
 from eldata.raw.tiff import read_directories
-from tests.raw.helpers import EXPOSURE, active_area, black_levels, make_sensor, write_plain_dng
+from tests.raw.helpers import BAYER, EXPOSURE, active_area, black_levels, make_sensor, write_plain_dng
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -141,6 +142,26 @@ def test_tifffiles_own_floats_are_read(bits: int, tmp_path: Path) -> None:
     assert frame.sensor.white_level_dn == 1  # the specification's, where none is stated
 
 
+def test_floats_behind_a_preview_are_read(tmp_path: Path) -> None:
+    """As HDRMerge lays its files out: levels and CFA stand in the sub-IFD; a proxy beside it is not read."""
+    values = floats(96, 128)
+    first: list[Tag] = [(50706, "B", 4, bytes((1, 4, 0, 0)), True), (271, "s", 0, "A", True), (272, "s", 0, "B", True)]
+    cfa: list[Tag] = [(33421, "H", 2, (2, 2), True), (33422, "B", 4, bytes((1, 0, 2, 1)), True)]
+    cfa += [(50714, "2I", 1, (1, 100), True), (50717, "I", 1, 2, True)]
+    with tifffile.TiffWriter(tmp_path / "a.dng") as tiff:
+        options: Any = {"metadata": None, "photometric": 32803}
+        preview = np.zeros((24, 32, 3), np.uint8)
+        tiff.write(preview, photometric="rgb", subfiletype=1, subifds=2, metadata=None, extratags=first)
+        proxy = np.full((48, 64), 300, np.uint16)
+        tiff.write(proxy, subfiletype=1, extratags=[*cfa[:2], (50714, "I", 1, 256, True)], **options)
+        coded: Any = {"tile": (32, 32), "compression": "adobe_deflate", "predictor": 3}
+        tiff.write(values, subfiletype=0, extratags=cfa, **coded, **options)
+    frame = read_raw(tmp_path / "a.dng")
+    assert np.array_equal(frame.mosaic, values)
+    assert (frame.sensor.black_level_dn, frame.sensor.white_level_dn) == ((0.01,) * 4, 2.0)
+    assert frame.sensor.cfa == BAYER["GRBG"]
+
+
 def test_one_bright_pixel_changes_no_other() -> None:
     """LibRaw's integers are scaled by the brightest pixel."""
     frame = read_raw(FIELD / "float32-hot-1.5.dng")
@@ -208,6 +229,11 @@ def test_whole_dn_are_asked_for_by_name() -> None:
         frame.whole_dn("a store")
     whole = read_raw(FIELD / "dual-pixel-2-samples.dng")
     assert whole.whole_dn("a store") is whole.mosaic
+
+
+def test_what_looks_at_a_sets_files_asks_for_whole_dn() -> None:
+    with pytest.raises(RawFileError, match=r"float32-hot-1\.5\.dng: its pixels are no whole DN"):
+        levels_of(read_raw(FIELD / "float32-hot-1.5.dng"))
 
 
 @pytest.mark.parametrize(

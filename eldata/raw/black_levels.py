@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.base.numbers import counted
-from eldata.errors import UnusableRawError
+from eldata.errors import RawFileError, UnusableRawError
 from eldata.raw.rationals import RATIONAL, nearest_fraction
 from eldata.raw.tiff import ACTIVE_AREA, BLACK_DELTAS, BLACK_LEVEL, BLACK_REPEAT, MASKED_AREAS
 from eldata.records import exact_number
@@ -95,7 +95,8 @@ def check_black_counts(path: Path, main: Directory) -> None:
     """
     (rows, columns), repeat = _repeat(main), main.values.get(BLACK_REPEAT, ())
     expected, found = rows * columns * main.samples, len(main.values.get(BLACK_LEVEL, ()))
-    if found not in (0, expected):
+    alone = 1 if rows == columns == 1 else expected  # the level of all samples
+    if found not in (0, alone, expected):
         dim = (
             f"its BlackLevelRepeatDim is {' x '.join(map(str, repeat))}" if repeat else "it has no BlackLevelRepeatDim"
         )
@@ -146,6 +147,8 @@ def dng_black_level(path: Path, main: Directory, area: VisibleArea, stored: NDAr
     ------
     UnusableRawError
         If BlackLevel has several levels for sites of one channel.
+    RawFileError
+        If it has no deltas for a part of the visible area.
     """
     stated, masked = _stated(path, main, area), _masked(main, area, stored)
     if masked is None:
@@ -164,7 +167,7 @@ def dng_black_level(path: Path, main: Directory, area: VisibleArea, stored: NDAr
 
 
 def _stated(path: Path, main: Directory, area: VisibleArea) -> BlackLevel | None:
-    if not any(tag in main.values for tag in (BLACK_LEVEL, *BLACK_DELTAS)):
+    if not any(main.values.get(tag) for tag in (BLACK_LEVEL, *BLACK_DELTAS)):
         return None
     # LibRaw's visible area may start a pixel off the active one.
     top, left, _, _ = _active(main)
@@ -172,8 +175,10 @@ def _stated(path: Path, main: Directory, area: VisibleArea) -> BlackLevel | None
     period, (height, width) = len(area.cfa), area.shape
     base = _pattern(path, main, area.cfa, top, left)
     across, down = (main.values.get(tag) for tag in BLACK_DELTAS)
-    columns = across[left : left + width] if across else _NONE * period
-    rows = down[top : top + height] if down else _NONE * period
+    columns = across[max(left, 0) : left + width] if across else _NONE * period
+    rows = down[max(top, 0) : top + height] if down else _NONE * period
+    if (across and len(columns) != width) or (down and len(rows) != height):
+        raise RawFileError(path, f"damaged: its visible area, {height} x {width} pixels, is not all in its active area")
     levels: dict[int, set[Fraction]] = {}
     for y, x, channel in area.sites:
         levels.setdefault(channel, set()).add(base[channel] + rows[y] + columns[x])
@@ -214,7 +219,7 @@ def _floats(values: Numbers) -> NDArray[np.float64]:
 def _pattern(path: Path, main: Directory, cfa: CfaRows, top: int, left: int) -> list[Fraction]:
     """Return BlackLevel of each channel; the visible area begins at (top, left) of the active one."""
     rows, columns = _repeat(main)
-    numbers = main.values.get(BLACK_LEVEL, _NONE * rows * columns * main.samples)
+    numbers = main.values.get(BLACK_LEVEL) or _NONE * rows * columns * main.samples
     pattern = numbers[:: main.samples]  # those of the samples in turn
     period = len(cfa)
     # A site of the CFA meets each place of the pattern that it can be brought to in steps of these: all sites that

@@ -54,8 +54,7 @@ _READ = _EXIF | {
 
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4}
 _SHORT = 3
-_DOUBLE = 12  # what DNG states a NoiseProfile in, and no other tag that is relied on
-_CODES = {1: "B", 3: "H", 4: "I", 5: "II", 6: "b", 7: "B", 8: "h", 9: "i", 10: "ii", 13: "I"}
+_CODES = {1: "B", 3: "H", 4: "I", 5: "II", 6: "b", 7: "B", 8: "h", 9: "i", 10: "ii", 11: "f", 12: "d", 13: "I"}
 # Of all directories together; a file with more is damaged, or made to keep a reader busy. Cameras write some hundred
 # entries. The values are those of the tags above: two for each strip or tile, of which 150 megapixels in rows or in
 # tiles of 128 x 128 pixels have 20,000.
@@ -267,7 +266,7 @@ def _read_directory(
         if tag in OPCODE_LISTS:
             values[tag] = tuple(_opcodes(path, file, range(offset, offset + length), budget)) if length > 4 else ()
             continue
-        code = "d" if (tag, kind) == (NOISE_PROFILE, _DOUBLE) else _CODES.get(kind)
+        code = _CODES.get(kind)
         if code is None:
             continue
         budget.spend("values", number)
@@ -278,7 +277,7 @@ def _read_directory(
         if numbers is not None:
             values[tag] = numbers
         elif tag in _LEVELS:  # LibRaw takes such a level for 0
-            raise RawFileError(path, f"damaged: its {_LEVELS[tag]} has a denominator of 0, which is not a number")
+            raise RawFileError(path, f"damaged: its {_LEVELS[tag]} is not a number (0 for its denominator, or NaN)")
     # The pointer to the next directory may be missing at the very end of a file.
     following = struct.unpack(order + "I", table[-4:])[0] if len(table) == 12 * count + 4 else 0
     return Directory(values, order, frozenset(tags), wide_cfa), following

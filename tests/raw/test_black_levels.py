@@ -15,12 +15,14 @@ import numpy as np
 import pytest
 import tifffile
 
-from eldata import evaluate
+from eldata import evaluate, isolation
 from eldata.cli.main import main
-from eldata.errors import UnusableRawError
+from eldata.errors import RawFileError, UnusableRawError
 from eldata.isp import render_libraw
 from eldata.raw import read_header, read_raw, write_dng
+from eldata.raw.black_levels import VisibleArea, dng_black_level
 from eldata.raw.sensor_facts import dng_noise_profile
+from eldata.raw.tiff import ACTIVE_AREA, BLACK_DELTAS, Directory
 from eldata.records import exact_fraction
 from tests.raw.helpers import (
     BAYER,
@@ -172,6 +174,39 @@ def test_levels_of_two_samples_stand_by_turns(tmp_path: Path) -> None:
     assert read_raw(tmp_path / "a.dng").sensor.black_level_dn == (60, 61, 62, 63)
 
 
+def test_one_level_is_that_of_both_samples(tmp_path: Path) -> None:
+    (tmp_path / "a.dng").write_bytes((FIELD / "dual-pixel-2-samples.dng").read_bytes())
+    add_tags(tmp_path / "a.dng", (BLACK, "I", 1, 65, True))
+    assert read_raw(tmp_path / "a.dng").sensor.black_level_dn == (65,) * 4
+
+
+@pytest.mark.parametrize("kind", ["f", "d"])
+def test_a_level_written_as_a_float_is_exact(kind: str, tmp_path: Path) -> None:
+    """LibRaw has 511 of it."""
+    tags: list[Tag] = [(REPEAT, "H", 2, (1, 2), True), (BLACK, kind, 2, (511.625, 512.0), True)]
+    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), ("RG", "GB"), *tags)
+    assert read_raw(tmp_path / "a.dng").sensor.black_level_dn == (511.625, 512, 512, 511.625)
+    tags[1] = (BLACK, kind, 2, (float("nan"), 512.0), True)
+    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), ("RG", "GB"), *tags)
+    with pytest.raises(RawFileError, match="its BlackLevel is not a number"):
+        read_raw(tmp_path / "a.dng")
+
+
+@pytest.mark.parametrize("tag", [BLACK, 50715, 50716])
+def test_a_level_of_no_numbers_is_none(tag: int, tmp_path: Path) -> None:
+    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66))
+    add_tags(tmp_path / "a.dng", (tag, "I", 0, (), True))
+    assert read_raw(tmp_path / "a.dng").sensor.black_level_dn == (0,) * 4
+
+
+def test_refusals_and_remarks_come_back_from_another_process(tmp_path: Path) -> None:
+    with isolation():
+        with pytest.raises(UnusableRawError) as refused:
+            read_raw(FIELD / "pidng-black4-nodim.dng")
+        assert refused.value.advice.startswith("write it again with a BlackLevelRepeatDim")
+        assert read_raw(FIELD / "black-deltaV-slope.dng").remarks == field("black-deltaV-slope").remarks
+
+
 # --- deltas -------------------------------------------------------------------------------------------------------
 
 
@@ -242,6 +277,16 @@ def test_what_rows_and_columns_have_of_their_own_is_taken_off(
     sites = np.tile(found.sensor.cfa_pattern, (height, width))[:height, :width]
     laid = [black[72 - height :, 72 - width :][sites == channel].mean() for channel in range(sites.max() + 1)]
     np.testing.assert_allclose(found.sensor.black_level_dn, laid, atol=0.5)
+
+
+@pytest.mark.parametrize("first", [(0, 3), (5, 0), (0, 0)])
+def test_pixels_beyond_the_active_area_have_no_deltas(first: tuple[int, int]) -> None:
+    """LibRaw shows none; a decoder that did would be told."""
+    values = {ACTIVE_AREA: (2, 4, 62, 64), BLACK_DELTAS[0]: range(60), BLACK_DELTAS[1]: range(60)}
+    main = Directory({tag: tuple(map(Fraction, numbers)) for tag, numbers in values.items()})
+    area = VisibleArea(*first, (64, 64), BAYER["RGGB"])
+    with pytest.raises(RawFileError, match=r"a\.dng: damaged: its visible area, 64 x 64 pixels, is not all in"):
+        dng_black_level(Path("a.dng"), main, area, np.zeros((64, 64), np.uint16))
 
 
 # --- which image --------------------------------------------------------------------------------------------------

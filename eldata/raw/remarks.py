@@ -36,7 +36,8 @@ def image_remarks(images: int, image: int) -> tuple[str, ...]:
     """Return what there is to say of a file with several images, of which one, counted from 0, was read."""
     if images == 1:
         return ()
-    return (f"it holds {images} images of one size, as of a pixel shift: this is image {image}, read_raw has image=",)
+    which = f"the mosaic is image {image}, counted from 0 (read_raw's image= chooses)"
+    return (f"it holds {images} images of one size, as of a pixel shift: {which}",)
 
 
 def _of_samples(mosaic: Directory) -> Iterator[str]:

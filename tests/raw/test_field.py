@@ -156,10 +156,8 @@ def test_each_image_of_a_pixel_shift_can_be_chosen(in_sub_ifds: bool, tmp_path: 
         assert np.array_equal(frame.mosaic, mosaic)
         assert frame.sensor.black_level_dn == (64.0 + index,) * 4
         assert frame.sensor.white_level_dn == 1023 + index
-        assert frame.remarks == (
-            f"it holds 4 images of one size, as of a pixel shift: the mosaic is image {index}, counted from 0 "
-            "(read_raw's image= chooses)",
-        )
+        which = f"the mosaic is image {index}, counted from 0 (read_raw's image= chooses)"
+        assert frame.remarks == (f"it holds 4 images of one size, as of a pixel shift: {which}",)
     with pytest.raises(RawFileError, match="has no image 4: it holds 4, counted from 0"):
         read_raw(tmp_path / "a.dng", image=4)
     with pytest.raises(ArgumentError, match="image counts from 0; found -1"):

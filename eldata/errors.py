@@ -67,6 +67,16 @@ class RawFileError(FileError):
     """A raw file cannot be used."""
 
 
+class UnusableRawError(RawFileError):
+    """A raw file is whole but cannot be used as it is: to copy it again would not help. ``advice`` is what would."""
+
+    def __init__(self, path: Path | str, found: str, advice: str) -> None:
+        super().__init__(path, f"{found}; {advice}")
+        self.args = path, found, advice  # for copies and other processes
+        self.found = found.removeprefix("is ")
+        self.advice = advice
+
+
 class PredictionError(FileError):
     """A prediction cannot be scored."""
 

@@ -11,6 +11,8 @@ from dataclasses import dataclass, field, is_dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
 
+from eldata.errors import UnusableRawError
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from datetime import datetime
@@ -138,6 +140,7 @@ class RawHeader:
     """What a raw file says about itself, before its pixels are decoded.
 
     ``taken``: by the camera's clock, which knows no time zone, with a fraction of a second where the file has one.
+    ``remarks``: those of :class:`RawFrame` that take no pixels.
     """
 
     path: Path
@@ -145,20 +148,50 @@ class RawHeader:
     model: str
     exposure: Exposure
     taken: datetime | None = None
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RawFrame:
-    """One decoded raw frame: ``mosaic`` is (H, W) uint16 in DN, the visible area, black level not subtracted.
+    """One decoded raw frame.
 
-    ``channel_white_levels_dn``: LibRaw's own white level per CFA channel, where it has one; protocols may ask for it.
+    Attributes
+    ----------
+    path
+        The file.
+    mosaic
+        (H, W) in DN, the visible area, black level not subtracted: uint16; float32 where the file holds fractions of a
+        DN, as floating-point DNGs do, whose white level is often 1 (:meth:`whole_dn` refuses them by name).
+    sensor, exposure
+        As the file states them.
+    channel_white_levels_dn
+        LibRaw's own white level per CFA channel, where it has one; protocols may ask for it.
+    remarks
+        What is right about the file but should be known, a sentence each (:mod:`eldata.raw.remarks`).
     """
 
     path: Path
-    mosaic: NDArray[np.uint16] = field(repr=False)
+    mosaic: NDArray[Any] = field(repr=False)
     sensor: Sensor
     exposure: Exposure
     channel_white_levels_dn: tuple[float, ...] | None = None
+    remarks: tuple[str, ...] = ()
+
+    def whole_dn(self, purpose: str) -> NDArray[np.uint16]:
+        """Return the mosaic, for a purpose that only whole DN serve.
+
+        Raises
+        ------
+        UnusableRawError
+            If it holds fractions of a DN; the message has the purpose.
+        """
+        if self.mosaic.dtype.kind != "u":
+            raise UnusableRawError(
+                self.path,
+                "its pixels are no whole DN, as of an average, of merged exposures or of black that differs by row",
+                f"{purpose} needs whole DN: use the raw files as the camera wrote them",
+            )
+        return self.mosaic
 
 
 @dataclass(frozen=True, slots=True)

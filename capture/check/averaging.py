@@ -185,7 +185,7 @@ def _mean_frame(paths: Sequence[Path]) -> RawFrame:
         ):
             if one != other:
                 raise MappingError(f"{path}: {name} {one}, expected {other} as in {paths[0]}")
-        total += frame.mosaic
+        total += frame.whole_dn("the mean of a set's references")
         saturated |= frame.mosaic >= white
         black += frame.sensor.black_level_dn
     mosaic = np.rint(total / len(paths)).astype(np.uint16)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from capture.check.cells import Cells, luminance, reduce_to_cells
 from capture.check.noise_structure import empty_share
 from eldata.base.files import inside
-from eldata.errors import EldataError
+from eldata.errors import EldataError, UnusableRawError
 from eldata.records import FrameRecord, RawHeader, Sensor
 
 if TYPE_CHECKING:
@@ -76,21 +76,20 @@ def reduced_frames(unit: Unit, group: CheckedGroup) -> Iterator[ReducedFrame]:
 
         try:
             frame = read_raw(inside(unit.folder, record.path))
+            mosaic = frame.whole_dn("the check of a set")
         except EldataError as error:
             return error
-        packed = pack(frame.mosaic, frame.sensor.cfa)
-        cells = reduce_to_cells(frame.mosaic, frame.sensor, packed)
+        packed = pack(mosaic, frame.sensor.cfa)
+        cells = reduce_to_cells(mosaic, frame.sensor, packed)
         header = RawHeader(frame.path, frame.sensor.make, frame.sensor.model, frame.exposure)
-        return ReducedFrame(record, header, frame.sensor, cells, luminance(packed, cells), empty_share(frame.mosaic))
-
-    from eldata.raw.unsupported import what_to_do
+        return ReducedFrame(record, header, frame.sensor, cells, luminance(packed, cells), empty_share(mosaic))
 
     first: tuple[str, Sensor] | None = None
     for record, frame in zip(unit.records, unit.workers.read_ahead(reduce, unit.records), strict=True):
         if isinstance(frame, EldataError):
-            reason = getattr(frame, "reason", "") or str(frame)
-            found, advice = what_to_do(reason) or (f"cannot be read ({reason})", "copy it again from the card")
-            text = f"{found}; {advice}"
+            text = f"cannot be read ({getattr(frame, 'reason', '') or frame}); copy it again from the card"
+            if isinstance(frame, UnusableRawError):
+                text = f"{frame.found}; {frame.advice}"
             group.remark(record.path, text, "shoot again")
             continue
         first = first or (record.path, frame.sensor)

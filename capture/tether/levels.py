@@ -44,7 +44,7 @@ def levels_of(frame: RawFrame) -> Levels:
 
     sensor = frame.sensor
     black = packed_black_level_dn(sensor.cfa, sensor.black_level_dn)
-    packed = pack(frame.mosaic, sensor.cfa)
+    packed = pack(frame.whole_dn("the look at a set's files"), sensor.cfa)
     share = (packed - black[:, None, None].astype(np.float32)) / (sensor.white_level_dn - float(black.max()))
     stops = np.log2(np.maximum(share, 2.0 ** -(_STOPS + 1)))
     counts, _ = np.histogram(np.clip(stops, 0.5 - _STOPS, -0.5), bins=_STOPS, range=(-_STOPS, 0))

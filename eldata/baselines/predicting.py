@@ -175,6 +175,11 @@ class BaselineDenoiser:
         profile = profile_of(frame.pair.camera, self.profiles, another=self.profile_of_another_camera)
         if frame.iso is None:
             raise DatasetError(f"{frame.path}: its ISO is not known, so the profile does not tell its noise")
+        if frame.range_dn <= 1:
+            raise DatasetError(
+                f"{frame.path}: its white level is 1, so it holds shares of white and no DN, and the profile is in DN; "
+                "leave the profile out"
+            )
         return noise_of_parameters(typical(profile, float(frame.iso)), ratio=frame.ratio, range_dn=frame.range_dn)
 
 
@@ -427,9 +432,8 @@ class _Frames:
         ratio = amplified_by(pair, work.protocol.amplification)
         if ratio is None:
             ratio = float(exposure_ratio(read_header(inside(work.dataset, reference_of(pair, path) or path)), frame))
-        corrected = work.dark_shading is not None
         taken = less_shading(frame, dark_shading_in(work.dark_shading), path) if work.dark_shading else frame
-        image = normalised_frame(taken, work.protocol.levels, clip=work.clip, gain=ratio, corrected=corrected)
+        image = normalised_frame(taken, work.protocol.levels, clip=work.clip, gain=ratio)
         black, white = levels_dn(frame, work.protocol.levels)
         iso = iso_of(pair) or float(frame.exposure.iso or 0)
         return NoisyFrame(image, ratio, white[0] - float(np.mean(black)), pair, path, iso or None, near)

@@ -12,12 +12,11 @@ import numpy as np
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.calibration.audit import Finding
 from eldata.datasets.calibration_frames import flat_pairs
-from eldata.errors import DatasetError, EldataError, RawFileError
+from eldata.errors import DatasetError, EldataError, RawFileError, UnusableRawError
 from eldata.manifest.table import number_text
 from eldata.manifest.verify import RATIO_TOLERANCE
 from eldata.manifest.verify_report import Problem
 from eldata.raw.reading import read_header
-from eldata.raw.unsupported import what_to_do
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -212,8 +211,9 @@ def unlike_most(sensors: Mapping[FrameRecord, Sensor]) -> list[Problem]:
 
 def unreadable(record: FrameRecord, error: EldataError) -> Problem:
     """Return the problem of a file that cannot be read."""
-    reason = error.reason if isinstance(error, RawFileError) else str(error)
-    found, advice = what_to_do(reason) or (reason, "copy it again, or leave it out")
+    found, advice = error.reason if isinstance(error, RawFileError) else str(error), "copy it again, or leave it out"
+    if isinstance(error, UnusableRawError):
+        found, advice = error.found, error.advice
     return _problem(record, "content", "a whole raw file", found, advice)
 
 

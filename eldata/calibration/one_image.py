@@ -178,6 +178,7 @@ def estimate_profile(image: RawFrame | Path | str, *, source: Source = "auto") -
 
     check_choice("source", source, get_args(Source))
     frame = read_raw(image) if isinstance(image, (Path, str)) else image
+    frame.whole_dn("an estimate of noise")
     problems: dict[str, str] = {}
     remarks: list[str] = []
     stated = measured = line = None

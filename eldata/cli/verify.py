@@ -28,8 +28,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="check the files on disk against manifests, or a store or shards",
         description=(
             "Check the files on disk against manifests and list every problem. Levels: quick (present, size, no "
-            "unlisted raw files), metadata (also: opens, camera, ISO, exposure, ratio), full (also: hashes). Nothing "
-            "is written. For a training store (.h5) every level checks its structure, full also its pixels; "
+            "unlisted raw files), metadata (also: opens, camera, ISO, exposure, ratio; remarks), full (also: hashes). "
+            "Nothing is written. For a training store (.h5) every level checks its structure, full also its pixels; "
             "shards (their index.json, at any address) are read whole."
         ),
     )

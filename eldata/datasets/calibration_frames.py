@@ -147,11 +147,13 @@ class CalibrationFrames:
         Raises
         ------
         RawFileError
-            If the file is missing, damaged or not a raw mosaic.
+            If the file is missing, damaged or not a raw mosaic, or holds fractions of a DN.
         """
         from eldata.raw.reading import read_raw
 
-        return read_raw(self.path(record))
+        frame = read_raw(self.path(record))
+        frame.whole_dn("calibration")
+        return frame
 
     @property
     def frame(self) -> pd.DataFrame:

@@ -17,7 +17,7 @@ from eldata.noise.model import check_normalised
 from eldata.raw._kernels import scatter_bayer
 from eldata.raw.cfa import packing_sites, unpack
 from eldata.raw.extensions import RAW_EXTENSIONS, no_raws, raws_below
-from eldata.raw.levels import LEVELS, Levels
+from eldata.raw.levels import LEVELS, Levels, check_in_dn
 from eldata.sources.frames import Files, Frame
 from eldata.sources.store.frames import StoreFrames
 
@@ -100,6 +100,8 @@ class SomeFrames:
         frame = self._opened.get(index)
         if frame is None:
             frame = self.origin.frame(self.names[index]).with_levels(self.levels)
+            if frame.sensor is not None:
+                check_in_dn(frame.name, frame.sensor, "noise")
             if self.reads_parts:
                 self._opened[index] = frame
         return frame

@@ -246,7 +246,11 @@ class DarkFrames:
         return region_anywhere("dark frames give", dark.shape, dark.cfa, shape, generator)
 
     def _check(self, frame: Frame, iso: float) -> None:
-        """Refuse a frame that is unlike the first of all, or of its ISO."""
+        """Refuse a frame that is unlike the first of all, or of its ISO, or whose pixels are no whole DN."""
+        if frame.mosaic.dtype.kind == "f":
+            raise DatasetError(
+                f"{frame.name}: its pixels are no whole DN; use the dark frames as the camera wrote them"
+            )
         first = next(iter(self._first.values()))
         if (frame.shape, frame.cfa) != (first.shape, first.cfa):
             raise DatasetError(

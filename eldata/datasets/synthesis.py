@@ -353,6 +353,7 @@ def _synthesize_file(
         return before
     require_files(start / path)
     raw = read_raw(start / path)
+    raw.whole_dn("synthesis")
     frame = _cropped(raw)
     iso, exposure_s = frame.exposure.iso, frame.exposure.exposure_s
     if iso is None or exposure_s is None:

@@ -295,7 +295,7 @@ def require_pairs(request: Request, pairs: Iterable[Pair]) -> CheckedOriginals:
 
 def check_rows(request: Request, rows: Sequence[FrameRecord], level: Level) -> None:
     """Raise :class:`DatasetError` unless the files of these rows are what the manifest says."""
-    problems, _ = check_files(request.manifest, request.folder, rows, level=level, workers=request.workers)
+    problems, _, _ = check_files(request.manifest, request.folder, rows, level=level, workers=request.workers)
     if problems:
         more = f" (and {len(problems) - 1} more: eldata verify --level metadata lists all)" if len(problems) > 1 else ""
         raise DatasetError(f"{request.folder}: the dataset is not what its manifest says: {problems[0]}{more}")

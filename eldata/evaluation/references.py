@@ -22,9 +22,7 @@ if TYPE_CHECKING:
     from eldata.records import RawFrame
 
 
-def normalised_frame(
-    frame: RawFrame, levels: Levels, *, clip: Clip, gain: float = 1.0, corrected: bool = False
-) -> NDArray[np.float32]:
+def normalised_frame(frame: RawFrame, levels: Levels, *, clip: Clip, gain: float = 1.0) -> NDArray[np.float32]:
     """Return a frame packed, normalised with a protocol's levels, clipped, amplified and clipped again.
 
     Parameters
@@ -34,7 +32,7 @@ def normalised_frame(
     levels
         As :attr:`eldata.protocols.Protocol.levels` has them; ``metadata-per-channel`` means the frame's one white level
         where LibRaw states none for each channel.
-    clip, gain, corrected
+    clip, gain
         As :func:`eldata.raw.cfa.pack_normalised` has them.
 
     Returns
@@ -48,12 +46,12 @@ def normalised_frame(
         If the levels or the gain are invalid.
     """
     if levels != "metadata-per-channel":
-        return packed_frame(frame, levels=levels, clip=clip, gain=gain, corrected=corrected)
+        return packed_frame(frame, levels=levels, clip=clip, gain=gain)
     whites = frame.channel_white_levels_dn
     if whites is None or len(set(whites)) == 1:
         white = frame.sensor.white_level_dn if whites is None else whites[0]
         leveled = replace(frame, sensor=replace(frame.sensor, white_level_dn=white))
-        return packed_frame(leveled, levels="metadata", clip=clip, gain=gain, corrected=corrected)
+        return packed_frame(leveled, levels="metadata", clip=clip, gain=gain)
     cfa = frame.sensor.cfa
     black = packed_black_level_dn(cfa, frame.sensor.black_level_dn)[:, None, None]
     white_of = packed_black_level_dn(cfa, whites)[:, None, None]  # one level per CFA channel, like black
@@ -83,7 +81,7 @@ def levels_dn(frame: RawFrame, levels: Levels) -> tuple[tuple[float, ...], tuple
 
 
 def less_shading(frame: RawFrame, shading: DarkShading, name: str) -> RawFrame:
-    """Return a frame less a dark shading, its mosaic in float32 DN (``corrected``); ``name`` is for messages.
+    """Return a frame less a dark shading, its mosaic in float32 DN; ``name`` is for messages.
 
     Raises
     ------
@@ -91,7 +89,7 @@ def less_shading(frame: RawFrame, shading: DarkShading, name: str) -> RawFrame:
         As :meth:`eldata.sources.frames.Frame.less` does.
     """
     less = Frame.of_raw(frame.mosaic, frame.sensor, name, frame.exposure).less(shading)
-    return replace(frame, mosaic=less.read(slice(None), slice(None)).copy())  # type: ignore[arg-type] # float32
+    return replace(frame, mosaic=less.read(slice(None), slice(None)).copy())
 
 
 def rendered_reference(path: Path) -> NDArray[np.float32]:

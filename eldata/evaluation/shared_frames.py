@@ -125,10 +125,9 @@ class NoisyInput:
             return "input", self._shared.get("input", lambda: self._job.originals.rgb(self.path))
         ratio = self._ratio(protocol.amplification)
         key = ("input", levels_dn(self.frame, protocol.levels), protocol.input_clip, ratio)
-        clip, corrected = protocol.input_clip, self._job.shading is not None
+        clip = protocol.input_clip
         return key, self._shared.get(
-            key,
-            lambda: normalised_frame(self._corrected, protocol.levels, clip=clip, gain=ratio, corrected=corrected),
+            key, lambda: normalised_frame(self._corrected, protocol.levels, clip=clip, gain=ratio)
         )
 
     @property

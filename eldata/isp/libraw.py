@@ -52,7 +52,8 @@ def render_libraw(path: Path | str, *, bits: Bits = 8) -> NDArray[np.uint8] | ND
     RawFileError
         Like :func:`eldata.raw.read_raw`; or if the file has no as-shot white balance or no colour matrix, in place of
         which LibRaw would put its own; or is quad-Bayer, nona-Bayer, or
-        X-Trans with a side under 512 pixels, which LibRaw does not demosaic.
+        X-Trans with a side under 512 pixels, which LibRaw does not demosaic; or has floating-point or interleaved
+        pixels, of which it makes others.
     ArgumentError
         If ``bits`` is neither 8 nor 16.
     """
@@ -62,7 +63,8 @@ def render_libraw(path: Path | str, *, bits: Bits = 8) -> NDArray[np.uint8] | ND
 
 
 def _rendered(path: Path, *, bits: Bits) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    from eldata.raw.reading import opened_raw, read_raw
+    from eldata.raw.reading import check_libraw_decodes, opened_raw, read_raw
+    from eldata.raw.tiff import read_directories
 
     # Decoded first for its checks, which LibRaw lacks. It also leaves this thread's OpenMP at one thread: a pool, which
     # demosaicing would start, makes workers forked later hang (eldata.raw.reading).
@@ -85,7 +87,9 @@ def _rendered(path: Path, *, bits: Bits) -> NDArray[np.uint8] | NDArray[np.uint1
             f"side under {_LEAST_XTRANS_SIDE}",
         )
     del frame  # its pixels
-    with opened_raw(path, "render") as raw:
+    directories = read_directories(path)
+    with opened_raw(path, directories, "render") as raw:
+        check_libraw_decodes(path, raw, directories)
         rendered: NDArray[Any] = raw.postprocess(
             use_camera_wb=True, half_size=False, no_auto_bright=True, output_bps=16
         )

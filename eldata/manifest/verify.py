@@ -6,7 +6,8 @@ quick
     Every listed file is there, of the recorded size and not empty; no unlisted raw file lies beside them.
 metadata
     Every file opens as a raw file and is not truncated; camera model, ISO and exposure time are the manifest's, and
-    the exposure ratio of each noisy frame to its reference is within a tenth of the nominal one.
+    the exposure ratio of each noisy frame to its reference is within a tenth of the nominal one. What should be known
+    of files that are well is remarked on, each thing once.
 full
     Every recorded hash matches. Files without one are decoded instead and searched for damage that shows
     (:mod:`eldata.raw.damage`), which finds less.
@@ -18,11 +19,11 @@ from collections import Counter, defaultdict
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple
 
 from eldata.base.files import inside, sha256_of
 from eldata.base.workers import AnyWorkers, Failed, Workers, accepts_jobs, require_files
-from eldata.errors import ArgumentError, ManifestError, RawFileError, did_you_mean
+from eldata.errors import ArgumentError, ManifestError, RawFileError, UnusableRawError, did_you_mean
 from eldata.manifest.catalogue import Manifest, find_manifests
 from eldata.manifest.clip_checks import (
     exposure_findings,
@@ -35,9 +36,8 @@ from eldata.manifest.clip_checks import (
 from eldata.manifest.pairs import UNCERTAIN_ISO
 from eldata.manifest.patterns import RowFinding, expand, pattern_findings
 from eldata.manifest.table import number_text
-from eldata.manifest.verify_report import LEVELS, DatasetReport, Level, Problem, VerifyReport
+from eldata.manifest.verify_report import LEVELS, DatasetReport, FileRemark, Level, Problem, VerifyReport, distinct
 from eldata.raw.facts import raw_facts
-from eldata.raw.unsupported import what_to_do
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -144,10 +144,11 @@ def _verify_dataset(
             manifest.name, str(folder), "level", "files that eldata can load", manifest.card.unreadable, advice
         )
         return DatasetReport(manifest.name, folder, False, manifest.card.homepage, len(records), 0, 0, (unread,))
-    found, present = check_files(manifest, folder, records, level=level, workers=workers)
+    found, present, remarks = check_files(manifest, folder, records, level=level, workers=workers)
     listed = expand(records, folder)
     hashed = sum(record.sha256 is not None for record in present) if level == "full" else 0
-    return DatasetReport(manifest.name, folder, False, manifest.card.homepage, len(listed), len(present), hashed, found)
+    counts = len(listed), len(present), hashed
+    return DatasetReport(manifest.name, folder, False, manifest.card.homepage, *counts, found, remarks)
 
 
 def check_files(
@@ -157,25 +158,27 @@ def check_files(
     *,
     level: Level,
     workers: Workers,
-) -> tuple[tuple[Problem, ...], tuple[FrameRecord, ...]]:
-    """Check some of a manifest's files; return the problems, by path, and the records whose files are there."""
+) -> tuple[tuple[Problem, ...], tuple[FrameRecord, ...], tuple[FileRemark, ...]]:
+    """Check some of a manifest's files; return the problems, by path, the records whose files are there, remarks."""
     listed = expand(records, folder)
     present, findings = _check_presence(manifest, folder, listed)
     findings += _check_unlisted(manifest, folder, listed)
     of_clips = pattern_findings(records, folder)
+    remarks: tuple[FileRemark, ...] = ()
     if level != "quick":
         work = partial(_check_file, folder.absolute(), manifest.card.cameras, level)
         outcomes = [
             _unchecked(outcome) if isinstance(outcome, Failed) else outcome
             for outcome in workers.attempt(work, present, label=f"{manifest.name} ({level})")
         ]
-        findings += [finding for found, _ in outcomes for finding in found]
-        product_of = {record.path: product for record, (_, product) in zip(present, outcomes, strict=True)}
+        findings += [finding for outcome in outcomes for finding in outcome.findings]
+        product_of = {record.path: one.product for record, one in zip(present, outcomes, strict=True)}
+        remarks = distinct((record.path, one.remarks) for record, one in zip(present, outcomes, strict=True))
         findings += ratio_findings(present, product_of)
         of_clips += png_size_findings(folder, present)
         of_clips += exposure_findings(present, product_of, RATIO_TOLERANCE)
     findings = sorted([*findings, *of_clips], key=lambda finding: finding.path)
-    return tuple(Problem.of(manifest.name, finding) for finding in findings), tuple(present)
+    return tuple(Problem.of(manifest.name, finding) for finding in findings), tuple(present), remarks
 
 
 # --- quick ----------------------------------------------------------------------------------------------------
@@ -260,35 +263,41 @@ def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRec
 
 # --- metadata and full ----------------------------------------------------------------------------------------
 
-Outcome: TypeAlias = "tuple[list[RowFinding], Fraction | None]"
-"""What is wrong with a file, and its ISO times its exposure time, if it states both."""
+
+class CheckedFile(NamedTuple):
+    """What is wrong with a file, its ISO times its exposure time, if it states both, and what is remarked of it."""
+
+    findings: list[RowFinding]
+    product: Fraction | None = None
+    remarks: tuple[str, ...] = ()
+
 
 # With a finding in one of these fields the whole file is wrong: its bytes are not checked further.
 _OF_CONTENT = ("content", "width", "height")
 
 
-def _unchecked(failed: Failed[FrameRecord]) -> Outcome:
+def _unchecked(failed: Failed[FrameRecord]) -> CheckedFile:
     advice = "make it readable where the check runs, and check again"
-    return [RowFinding(failed.unit.path, "check", "a finished check", failed.reason, advice)], None
+    return CheckedFile([RowFinding(failed.unit.path, "check", "a finished check", failed.reason, advice)])
 
 
-def _check_file(folder: Path, cameras: Mapping[str, CameraCard], level: Level, record: FrameRecord) -> Outcome:
+def _check_file(folder: Path, cameras: Mapping[str, CameraCard], level: Level, record: FrameRecord) -> CheckedFile:
     path = folder / record.path
     require_files(path)
-    product = None
     if path.suffix == ".npy":
-        findings = _packed_findings(path, record)
+        outcome = CheckedFile(_packed_findings(path, record))
     elif is_png(record.path):
-        findings = png_findings(folder, record)
+        outcome = CheckedFile(png_findings(folder, record))
     else:
         decode = level == "full" and record.sha256 is None
-        findings, product = _raw_findings(path, record, cameras[record.camera].models, decode=decode)
+        outcome = _raw_findings(path, record, cameras[record.camera].models, decode=decode)
+    findings = outcome.findings
     if level == "full" and not any(finding.field in _OF_CONTENT for finding in findings):
         if record.sha256 is not None:
             findings += _hash_findings(path, record)
         elif is_png(record.path):
             findings += png_decode_findings(folder, record)
-    return findings, product
+    return outcome
 
 
 def content_findings(folder: Path, record: FrameRecord) -> list[RowFinding]:
@@ -305,32 +314,34 @@ def content_findings(folder: Path, record: FrameRecord) -> list[RowFinding]:
     return _decoded_findings(record, decoded)
 
 
-def _unreadable(record: FrameRecord, error: RawFileError) -> RowFinding:
-    found, advice = what_to_do(error.reason) or (error.reason.removesuffix(f"; {_AGAIN}"), _AGAIN)
-    return RowFinding(record.path, "content", "a whole raw file", found, advice)
+def _unreadable(record: FrameRecord, error: RawFileError, expected: str = "a whole raw file") -> RowFinding:
+    if isinstance(error, UnusableRawError):
+        return RowFinding(record.path, "content", "a raw file that can be used", error.found, error.advice)
+    return RowFinding(record.path, "content", expected, error.reason.removesuffix(f"; {_AGAIN}"), _AGAIN)
 
 
-def _decoded_findings(record: FrameRecord, decoded: Sensor | str | None) -> list[RowFinding]:
-    if isinstance(decoded, str):
-        found = decoded.removesuffix(f"; {_AGAIN}")
-        return [RowFinding(record.path, "content", "a raw file that decodes", found, _AGAIN)]
+def _decoded_findings(record: FrameRecord, decoded: Sensor | RawFileError | None) -> list[RowFinding]:
+    if isinstance(decoded, RawFileError):
+        return [_unreadable(record, decoded, "a raw file that decodes")]
     if decoded is None:
         return []
     advice = "this file was taken in another mode or by another camera"
     return size_findings(record, decoded.width, decoded.height, advice)
 
 
-def _raw_findings(path: Path, record: FrameRecord, models: Sequence[str], *, decode: bool) -> Outcome:
+def _raw_findings(path: Path, record: FrameRecord, models: Sequence[str], *, decode: bool) -> CheckedFile:
     """Compare a raw file with its row and, if its hash is not known, decode it."""
     try:
         header, decoded = raw_facts(path, decode=decode)
     except RawFileError as error:
-        return [_unreadable(record, error)], None
+        return CheckedFile([_unreadable(record, error)])
     findings, product = header_findings(header, record, models)
-    return [*findings, *_decoded_findings(record, decoded)], product
+    return CheckedFile([*findings, *_decoded_findings(record, decoded)], product, header.remarks)
 
 
-def header_findings(header: RawHeader, record: FrameRecord, models: Sequence[str]) -> Outcome:
+def header_findings(
+    header: RawHeader, record: FrameRecord, models: Sequence[str]
+) -> tuple[list[RowFinding], Fraction | None]:
     """Compare a raw file's camera, ISO and exposure time with its row; return their product too, if it states both."""
     findings = []
     if not models:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -11,7 +12,7 @@ from eldata.base.visible import in_line
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
     from eldata.manifest.patterns import RowFinding
@@ -48,6 +49,31 @@ class Problem:
 
 
 @dataclass(frozen=True, slots=True)
+class FileRemark:
+    """What should be known of some files but is no problem: its words for the first of them, and how many they are."""
+
+    path: str
+    files: int
+    text: str
+
+    def __str__(self) -> str:
+        others = f" and {counted(self.files - 1, 'other')} alike" if self.files > 1 else ""
+        return in_line(f"{self.path}{others}: remark: {self.text}")
+
+
+def distinct(remarks: Iterable[tuple[str, tuple[str, ...]]]) -> tuple[FileRemark, ...]:
+    """Return each remark once, given those of each file by path; those that differ in their figures alone are alike."""
+    alike: dict[str, list[tuple[str, str]]] = {}
+    for path, texts in remarks:
+        for text in texts:
+            alike.setdefault(_FIGURE.sub("0", text), []).append((path, text))
+    return tuple(FileRemark(found[0][0], len(found), found[0][1]) for found in alike.values())
+
+
+_FIGURE = re.compile(r"(?<!\w)-?[0-9]+(\.[0-9]+)?")
+
+
+@dataclass(frozen=True, slots=True)
 class DatasetReport:
     """What was found of one dataset. ``absent``: its folder is not there, and nothing was checked."""
 
@@ -59,6 +85,7 @@ class DatasetReport:
     files_checked: int
     files_hashed: int
     problems: tuple[Problem, ...]
+    remarks: tuple[FileRemark, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,12 +111,13 @@ class VerifyReport:
         return {"level": self.level, "ok": self.ok, "datasets": datasets}
 
     def format_text(self) -> str:
-        """Return the report as text: each problem by file, then one line per dataset.
+        """Return the report as text: each problem by file, each remark once, then one line per dataset.
 
         Settings that are off by the same factor in many files, such as every exposure by 20 %, are one problem and a
         count; :attr:`problems` has each.
         """
         lines = [_of_several(alike) for alike in _alike(self.problems)]
+        lines += [str(remark) for dataset in self.datasets for remark in dataset.remarks]
         for dataset in self.datasets:
             if dataset.absent:
                 lines.append(

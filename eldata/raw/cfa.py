@@ -503,7 +503,7 @@ def pack_normalised(
     Parameters
     ----------
     mosaic
-        (H, W) uint16 in DN.
+        (H, W) in DN: uint16, or float32 if it is said.
     cfa, black_level_dn
         As in :class:`eldata.records.Sensor`.
     white_level_dn
@@ -514,8 +514,8 @@ def pack_normalised(
     gain
         Non-negative factor after the first clip, such as the exposure ratio.
     corrected
-        The mosaic is float32: DN less a dark shading, or simulated. To be said, since other floats are mostly
-        normalised.
+        The mosaic is float32: of a floating-point DNG, less a dark shading, or simulated. To be said, since other
+        floats are mostly normalised.
     out
         Where to write, C-contiguous float32 of the packed shape. A new array's pages cost more than the packing
         itself, so a loop that can reuse one should.
@@ -536,7 +536,8 @@ def pack_normalised(
     expected = np.float32 if corrected else np.uint16
     if mosaic.dtype != expected:
         what = "a mosaic less a dark shading" if corrected else "a mosaic in DN"
-        raise ArgumentError(f"{what} is {np.dtype(expected)}; found {mosaic.dtype}")
+        hint = "; of a floating-point DNG say corrected=True" if mosaic.dtype == np.float32 else ""
+        raise ArgumentError(f"{what} is {np.dtype(expected)}; found {mosaic.dtype}{hint}")
     if not 0 <= gain <= _LARGEST:
         raise ArgumentError(f"the gain must be finite and not negative; found {gain}")
     sites = packing_sites(cfa)

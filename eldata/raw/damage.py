@@ -73,7 +73,7 @@ _LONE_SHARE = 0.01
 def check_damage(
     path: Path,
     directories: Sequence[Directory],
-    mosaic: NDArray[np.uint16],
+    mosaic: NDArray[Any],
     black_dn: Sequence[float],
     white_dn: float,
 ) -> None:
@@ -88,7 +88,7 @@ def check_damage(
     directories
         What :func:`~eldata.raw.tiff.read_directories` found in it: they say where its data are, which are examined too.
     mosaic
-        (H, W) uint16 in DN, as decoded.
+        (H, W) uint16 or float32 in DN, as decoded.
     black_dn, white_dn
         Black levels and white level in DN.
     """
@@ -189,7 +189,7 @@ def _damaged_header(path: Path, offset: int, what: str) -> RawFileError:
     return RawFileError(path, f"damaged: its image data, from byte {offset} of the file on, {what}; {_AGAIN}")
 
 
-def data_fault(path: Path, directories: Sequence[Directory], mosaic: NDArray[np.uint16]) -> str | None:
+def data_fault(path: Path, directories: Sequence[Directory], mosaic: NDArray[Any]) -> str | None:
     """Return what shows in the compressed data of a TIFF-based file that some were lost; None if nothing does.
 
     ``mosaic``: (H, W) uint16 as decoded: whether it has clipped areas decides what its data may look like.
@@ -251,8 +251,8 @@ def long_run(values: NDArray[Any], value: int, least: int = _LEAST_RUN) -> tuple
 # --- the mosaic -----------------------------------------------------------------------------------------------
 
 
-def mosaic_fault(mosaic: NDArray[np.uint16], black_dn: Sequence[float], white_dn: float) -> str | None:
-    """Return what no photograph can show, of a mosaic (H, W) uint16 in DN, and where; None if nothing is found."""
+def mosaic_fault(mosaic: NDArray[Any], black_dn: Sequence[float], white_dn: float) -> str | None:
+    """Return what no photograph can show, of a mosaic (H, W) in DN, and where; None if nothing is found."""
     pixels = mosaic.reshape(-1)
     if min(black_dn) > 0:
         levels = " ".join(f"{level:g}" for level in dict.fromkeys(black_dn))
@@ -268,7 +268,7 @@ def mosaic_fault(mosaic: NDArray[np.uint16], black_dn: Sequence[float], white_dn
     return _noise_fault(mosaic)
 
 
-def tiles_fault(directories: Sequence[Directory], mosaic: NDArray[np.uint16], black_dn: Sequence[float]) -> str | None:
+def tiles_fault(directories: Sequence[Directory], mosaic: NDArray[Any], black_dn: Sequence[float]) -> str | None:
     """Return what no photograph can show of uncompressed tiles, of which a lost page takes a few columns of many rows.
 
     Compressed tiles are examined in the file itself (:func:`data_fault`).
@@ -293,7 +293,7 @@ def tiles_fault(directories: Sequence[Directory], mosaic: NDArray[np.uint16], bl
     return None
 
 
-def _place(mosaic: NDArray[np.uint16], first: int, behind: int) -> str:
+def _place(mosaic: NDArray[Any], first: int, behind: int) -> str:
     row, column = divmod(first, mosaic.shape[1])
     return f"{behind - first} pixels in a row, from row {row}, column {column} on,"
 
@@ -301,7 +301,7 @@ def _place(mosaic: NDArray[np.uint16], first: int, behind: int) -> str:
 class _Stretches:
     """The stretches of a mosaic's rows, by number: those of a row after each other, row after row."""
 
-    def __init__(self, mosaic: NDArray[np.uint16]) -> None:
+    def __init__(self, mosaic: NDArray[Any]) -> None:
         self.pixels = mosaic.reshape(-1)
         self.width = mosaic.shape[1]
         self.length = min(_STRETCH, self.width)
@@ -348,7 +348,7 @@ class _Stretches:
         return kept
 
 
-def _noise_fault(mosaic: NDArray[np.uint16]) -> str | None:
+def _noise_fault(mosaic: NDArray[Any]) -> str | None:
     """Find a long run of stretches without noise that are not clipped, in a frame with noise."""
     stretches = _Stretches(mosaic)
     probed = np.arange(0, stretches.count, _STEP)
@@ -377,7 +377,7 @@ def _noise_fault(mosaic: NDArray[np.uint16]) -> str | None:
     return None
 
 
-def _has_smooth_area(mosaic: NDArray[np.uint16]) -> bool:
+def _has_smooth_area(mosaic: NDArray[Any]) -> bool:
     """Whether some stretches in a row are without noise: there, a code may repeat itself."""
     stretches = _Stretches(mosaic)
     for rows in _ROWS_APART:

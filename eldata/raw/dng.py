@@ -92,14 +92,14 @@ def _ifd_bytes(entries: list[tuple[int, int, int, bytes]], offset: int) -> bytes
     return table + struct.pack("<I", 0) + values
 
 
-def _check_sensor(sensor: Sensor) -> None:
-    """Refuse what the format, or LibRaw when it reads the file, cannot hold."""
+def _check_sensor(sensor: Sensor, most: int) -> None:
+    """Refuse what the format, or LibRaw when it reads the file, cannot hold; ``most``: the highest level, in DN."""
     packed_black_level_dn(sensor.cfa, sensor.black_level_dn)  # refuses CFA and number of levels
     white = sensor.white_level_dn
-    if not all(0 <= level <= 65535 for level in sensor.black_level_dn):
-        raise ArgumentError(f"black_level_dn {sensor.black_level_dn}: expected numbers from 0 to 65535")
-    if not (0 <= white <= 65535 and white == int(white)):
-        raise ArgumentError(f"white_level_dn {white}: expected a whole number from 0 to 65535, as a DNG holds")
+    if not all(0 <= level <= most for level in sensor.black_level_dn):
+        raise ArgumentError(f"black_level_dn {sensor.black_level_dn}: expected numbers from 0 to {most}")
+    if not (0 <= white <= most and white == int(white)):
+        raise ArgumentError(f"white_level_dn {white}: expected a whole number from 0 to {most}, as a DNG holds")
     if not white > max(sensor.black_level_dn):
         raise ArgumentError(f"white_level_dn {white} must lie above black_level_dn {sensor.black_level_dn}")
     if min(sensor.height, sensor.width) < _LEAST_SIDE:
@@ -114,8 +114,8 @@ def _check_sensor(sensor: Sensor) -> None:
     if not 0 <= sensor.matrix_illuminant < 1 << 16:
         raise ArgumentError(f"matrix_illuminant {sensor.matrix_illuminant}: expected a whole number of 16 bits")
     for name, text in (("make", sensor.make), ("model", sensor.model)):
-        if not text.isascii() or text != text.strip():
-            raise ArgumentError(f"{name} {text!r}: expected ASCII text without spaces at its ends")
+        if "\0" in text or text != text.strip():
+            raise ArgumentError(f"{name} {text!r}: expected text without spaces at its ends or a zero in it")
 
 
 def _black_tag(sensor: Sensor) -> Entry:
@@ -166,13 +166,13 @@ def _sensor_tags(sensor: Sensor) -> list[Entry]:
         (50708, f"{sensor.make} {sensor.model}".strip()),
     ):
         if text:
-            tags.append((code, "s", 0, text, True))
+            tags.append((code, "s", 0, text.encode(), True))
     return tags + _colour_tags(sensor)
 
 
 def write_dng(
     path: Path | str,
-    mosaic: NDArray[np.uint16],
+    mosaic: NDArray[np.uint16] | NDArray[np.float32],
     sensor: Sensor,
     exposure: Exposure,
     *,
@@ -193,13 +193,13 @@ def write_dng(
     path
         The file; its folder must exist.
     mosaic
-        (H, W) uint16 in DN, H and W as the sensor record says.
+        (H, W) in DN, H and W as the sensor record says: uint16, or float32, which makes a floating-point DNG.
     sensor
-        Bayer or X-Trans. Black levels from 0 to 65535, fractions too; a whole white level.
+        Bayer or X-Trans. Black levels from 0 to 65535, fractions too; a whole white level. Of floats up to 2^32 - 1.
     exposure
         Fields that are ``None`` are left out of the file. ISO must be a whole number.
     compression
-        ``"none"``, or ``"lossless-jpeg"`` (smaller on disk, several times slower to decode).
+        ``"none"``, or ``"lossless-jpeg"`` (smaller on disk, several times slower to decode; of uint16 alone).
     taken
         When, by the camera's clock; to the microsecond.
 
@@ -221,17 +221,28 @@ def write_dng(
 
 
 def _encoded(
-    mosaic: NDArray[np.uint16], sensor: Sensor, exposure: Exposure, compression: Compression, taken: datetime | None
+    mosaic: NDArray[np.uint16] | NDArray[np.float32],
+    sensor: Sensor,
+    exposure: Exposure,
+    compression: Compression,
+    taken: datetime | None,
 ) -> io.BytesIO:
     import imagecodecs
     import tifffile
 
-    _check_sensor(sensor)
-    if mosaic.dtype != np.uint16 or mosaic.shape != (sensor.height, sensor.width):
+    if mosaic.dtype not in (np.uint16, np.float32) or mosaic.shape != (sensor.height, sensor.width):
         raise ArgumentError(
-            f"expected a uint16 mosaic of {sensor.height} x {sensor.width} pixels as the sensor record says; "
-            f"found {mosaic.dtype} {mosaic.shape}"
+            f"expected a uint16 or float32 mosaic of {sensor.height} x {sensor.width} pixels as the sensor record "
+            f"says; found {mosaic.dtype} {mosaic.shape}"
         )
+    in_floats = mosaic.dtype == np.float32
+    _check_sensor(sensor, RATIONAL if in_floats else 65535)
+    if in_floats and compression != "none":
+        raise ArgumentError(
+            f'floating-point pixels with compression {compression!r}, which holds whole numbers: "none"'
+        )
+    if in_floats and not np.isfinite(mosaic).all():
+        raise ArgumentError("some of its pixels are not finite numbers")
     fault = mosaic_fault(mosaic, sensor.black_level_dn, sensor.white_level_dn)
     if fault is not None:
         raise ArgumentError(f"{fault}: reading takes that for a damaged file")
@@ -242,7 +253,7 @@ def _encoded(
         write = partial(
             tiff.write,
             shape=mosaic.shape,
-            dtype=np.uint16,
+            dtype=mosaic.dtype,
             photometric=_PHOTOMETRIC_CFA,
             rowsperstrip=sensor.height,
             metadata=None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, get_args
 
-from eldata.errors import check_choice
+from eldata.errors import DatasetError, check_choice
 from eldata.raw.cfa import pack_normalised
 
 if TYPE_CHECKING:
@@ -66,16 +66,39 @@ def with_levels(sensor: Sensor, levels: FrameLevels) -> Sensor:
     return replace(sensor, black_level_dn=(black,) * len(sensor.black_level_dn), white_level_dn=white)
 
 
-def packed_frame(
-    frame: RawFrame, *, levels: FrameLevels, clip: Clip, gain: float = 1.0, corrected: bool = False
-) -> NDArray[np.float32]:
+def check_in_dn(name: str, sensor: Sensor, what: str) -> None:
+    """Refuse a file that holds floating-point shares of white, for what is in DN.
+
+    Raises
+    ------
+    DatasetError
+        If its white level is 1 or less.
+    """
+    if sensor.white_level_dn <= 1:
+        raise DatasetError(
+            f"{name}: its white level is {sensor.white_level_dn:g}, so it holds shares of white and no DN, and {what} "
+            "is in DN; use files that hold the sensor's numbers"
+        )
+
+
+def check_white_in_dn(name: str, sensor: Sensor, white_level_dn: float) -> None:
+    """Refuse such a file for a white level that is not its own; raises like :func:`check_in_dn`."""
+    if white_level_dn != sensor.white_level_dn:
+        check_in_dn(name, sensor, f'a white level of {white_level_dn:g} (not the file\'s own, "metadata")')
+
+
+def packed_frame(frame: RawFrame, *, levels: FrameLevels, clip: Clip, gain: float = 1.0) -> NDArray[np.float32]:
     """Return a frame packed and normalised, (C, h, w) float32; arguments as of :func:`eldata.raw.cfa.pack_normalised`.
 
     Raises
     ------
     ArgumentError
         If ``levels``, ``clip`` or ``gain`` is invalid.
+    DatasetError
+        If the white level is a constant and the file holds shares of white.
     """
     sensor = with_levels(frame.sensor, levels)
+    check_white_in_dn(str(frame.path), frame.sensor, sensor.white_level_dn)
     black, white = sensor.black_level_dn, sensor.white_level_dn
-    return pack_normalised(frame.mosaic, sensor.cfa, black, white, clip=clip, gain=gain, corrected=corrected)
+    in_floats = frame.mosaic.dtype.kind == "f"
+    return pack_normalised(frame.mosaic, sensor.cfa, black, white, clip=clip, gain=gain, corrected=in_floats)

@@ -3,18 +3,20 @@
 Which figures are taken
 -----------------------
 mosaic
-    LibRaw's visible area, copied; the file is closed before the function returns.
+    LibRaw's visible area, copied, rows and columns that a DNG interleaves in order; the file is closed before the
+    function returns. Floating-point DNGs are decoded here (:mod:`eldata.raw.strips`), LibRaw says their visible area.
 CFA
     Asked of LibRaw for the visible area's own first sites. rawpy's ``raw_pattern`` counts from the corner of the
     full raw image and is out of phase where a margin is odd. Of quad-Bayer and nona-Bayer the file's own tags: LibRaw
     decodes their pixels as any others, but takes a pattern of 4 x 4 for one of 8 x 2, and of 6 x 6 for X-Trans.
 black level
-    A DNG's own BlackLevel, exactly, at the sites of the visible area; LibRaw keeps its whole DN, and where an active
-    area starts at an odd row or column gives its pattern to the wrong channels. Else LibRaw's per-channel figure: it
-    joins the global level and the per-channel offsets, and for bodies without a recorded level it is measured in the
-    masked pixels of that very file.
+    A DNG's own, exactly, at the sites of the visible area (:mod:`eldata.raw.black_levels`); LibRaw keeps its whole DN,
+    has one mean of all deltas, and where an active area starts at an odd row or column gives the pattern to the wrong
+    channels. Else LibRaw's per-channel figure: it joins the global level and the per-channel offsets, and for bodies
+    without a recorded level it is measured in the masked pixels of that very file.
 white level
     LibRaw's ``white_level``: the level at which the format saturates, from the file where the file has one (DNG).
+    Of floats, and of a DNG with several CFA images, what is stated beside the pixels that are read.
     The per-channel ``camera_white_level_per_channel`` is missing for most cameras, comes from LibRaw's table or
     maker notes, and even for a DNG overrides what the file says. It is kept beside, for protocols that name it.
 colour matrix
@@ -47,20 +49,42 @@ left behind for a forked worker to wait for, and reading is safe in DataLoader w
 from __future__ import annotations
 
 import ctypes
+import io
+import struct
 from contextlib import contextmanager
-from functools import cache
+from dataclasses import replace
+from functools import cache, partial
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from eldata.base.isolation import guarded_file
-from eldata.errors import RawFileError
+from eldata.errors import ArgumentError, RawFileError, UnusableRawError
+from eldata.raw.black_levels import BlackLevel, VisibleArea, check_black_counts, dng_black_level
 from eldata.raw.cfa import cfa_from, cfa_of_letters, packing_sites
 from eldata.raw.containers import check_container
 from eldata.raw.damage import check_damage, check_samples
 from eldata.raw.exif import exif_tags, header_of
-from eldata.raw.sensor_facts import as_shot_multipliers, camera_matrix, channel_whites, dng_black_level
-from eldata.raw.tiff import ACTIVE_AREA, BLACK_DELTAS, read_directories
+from eldata.raw.remarks import directory_remarks, image_remarks
+from eldata.raw.sensor_facts import (
+    as_shot_multipliers,
+    camera_matrix,
+    channel_whites,
+    dng_white_level,
+)
+from eldata.raw.strips import read_floats
+from eldata.raw.tiff import (
+    ACTIVE_AREA,
+    BLACK_DELTAS,
+    CFA_PATTERN,
+    COLUMN_INTERLEAVE,
+    DNG_VERSION,
+    ROW_INTERLEAVE,
+    image_directories,
+    read_directories,
+)
 from eldata.raw.unsupported import NEEDED, refuse_unsupported, unsupported_cfa
 from eldata.records import RawFrame, Sensor
 
@@ -69,10 +93,16 @@ if TYPE_CHECKING:
     from fractions import Fraction
 
     import rawpy
+    from numpy.typing import NDArray
 
     from eldata.raw.cfa import CfaRows
+    from eldata.raw.exif import Tags
     from eldata.raw.tiff import Directory
     from eldata.records import RawHeader
+
+_MOST_IMAGES = 16  # of a pixel shift: cameras take up to 16
+
+_Images = tuple["Directory | None", ...]
 
 
 def read_header(path: Path | str) -> RawHeader:
@@ -90,26 +120,42 @@ def read_header(path: Path | str) -> RawHeader:
 
 
 def _header(path: Path) -> RawHeader:
-    refuse_unsupported(path, read_directories(path))
-    with opened_raw(path):
-        return header_of(path, exif_tags(path))
+    directories = read_directories(path)
+    refuse_unsupported(path, directories)
+    with opened_raw(path, directories) as raw:
+        return _header_of(path, exif_tags(path), directories, _stated_images(raw, directories) or (None,), 0)
 
 
-def read_raw(path: Path | str) -> RawFrame:
+def _header_of(path: Path, tags: Tags, directories: Sequence[Directory], images: _Images, image: int) -> RawHeader:
+    main = _chosen(path, images, image)
+    if main is not None and _is_dng(directories):
+        check_black_counts(path, main)
+    remarks = *directory_remarks(main), *image_remarks(len(images), image)
+    return replace(header_of(path, tags), remarks=remarks)
+
+
+def read_raw(path: Path | str, *, image: int = 0) -> RawFrame:
     """Decode a raw file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    image
+        Which one, counted from 0, of a file that holds several of one size, such as the four of a pixel shift.
 
     Returns
     -------
     RawFrame
-        The visible mosaic, (H, W) uint16 in DN, with sensor and exposure. Exposure fields that the file does not
-        state are ``None`` (:func:`exposure_ratio` says which).
+        The visible mosaic, (H, W) in DN, with sensor and exposure: uint16, or float32 of a floating-point DNG. Exposure
+        fields that the file does not state are ``None`` (:func:`exposure_ratio` says which).
 
     Raises
     ------
     RawFileError
         If the file is missing, empty, truncated, not a raw file, already demosaiced (an RGB raw), without a CFA or
-        with one that is not supported; or, with :func:`eldata.isolation`, if its decoder crashes, hangs or
-        needs too much memory. The message names the file and the reason.
+        with one that is not supported, or has no such image; or, with :func:`eldata.isolation`, if its decoder
+        crashes, hangs or needs too much memory. The message names the file and the reason.
 
     Examples
     --------
@@ -122,50 +168,97 @@ def read_raw(path: Path | str) -> RawFrame:
     >>> frame.exposure.iso, frame.exposure.exposure_s
     (Fraction(800, 1), Fraction(1, 200))
     """
-    return guarded_file(_decoded, Path(path), RawFileError)
+    if image < 0:
+        raise ArgumentError(f"image counts from 0; found {image}")
+    return guarded_file(partial(_decoded, image=image), Path(path), RawFileError)
 
 
-def _decoded(path: Path) -> RawFrame:
-    import rawpy
-
+def _decoded(path: Path, *, image: int) -> RawFrame:
     directories = read_directories(path)
     refuse_unsupported(path, directories)
     check_samples(path, directories)
-    with opened_raw(path) as raw:
+    with opened_raw(path, directories, image=image) as raw:
         tags = exif_tags(path)
         _check_sizes(path, raw)
-        raw.unpack()
-        header = header_of(path, tags)
-        if raw.raw_type != rawpy.RawType.Flat or raw.num_colors == 1:
-            shape = raw.raw_image.shape
-            kind = "no colour filter array (monochrome)" if len(shape) == 2 else "already demosaiced (an RGB raw)"
-            if len(shape) == 3 and header.make == "Canon" and "Image Tag 0xC612" not in tags:  # no DNG
-                kind = "already demosaiced (Canon's sRAW or mRAW)"
-            raise RawFileError(path, f"{kind}: {shape} samples; {NEEDED}")
-        cfa, index_of = _cfa_of_blocks(path, raw, directories) or _cfa(path, raw)
-        mosaic = raw.raw_image_visible.copy()
-        black = dng_black_level(path, raw, directories, cfa) or tuple(
-            float(raw.black_level_per_channel[index]) for index in index_of
-        )
-        white = float(raw.white_level)
+        images = _stated_images(raw, directories) or (None,) * count_images(path)
+        main = _chosen(path, images, image)
+        size = raw.sizes.raw_height, raw.sizes.raw_width
+        if main is None and any(one.is_float and one.shape == size for one in directories):
+            raise UnusableRawError(path, "its pixels are floating-point numbers, and no mosaic by its tags", NEEDED)
+        header = _header_of(path, tags, directories, images, image)
+        # Whatever else LibRaw is asked, it decodes the pixels first.
+        decoder = None if main is not None and main.is_float else raw
+        if main is not None and main.is_float:
+            stored = _stored_floats(path, raw, main)
+        else:
+            stored = _stored_by_libraw(path, raw, main, directories, header)
+        sizes = raw.sizes
+        area = VisibleArea(sizes.top_margin, sizes.left_margin, (sizes.height, sizes.width), stored.cfa)
+        pixels = _in_place(path, raw, stored.pixels, main)
+        mosaic, white = area.of(pixels).copy(), stored.white_dn
+        levels = dng_black_level(path, main, area, pixels) if main is not None and _is_dng(directories) else None
+        levels = levels or BlackLevel(stored.black_dn)
+        black = levels.level_dn
         if not white > max(black):
             raise RawFileError(path, f"white level {white:g} DN is not above the black level {black} DN")
-        whites = channel_whites(raw, index_of)
-        matrix, illuminant = camera_matrix(raw, directories)
+        matrix, illuminant = camera_matrix(decoder, directories)
         sensor = Sensor(
             make=header.make,
             model=header.model,
-            cfa=cfa,
+            cfa=stored.cfa,
             black_level_dn=black,
             white_level_dn=white,
             height=mosaic.shape[0],
             width=mosaic.shape[1],
-            white_balance=as_shot_multipliers(path, raw, directories, tags),
+            white_balance=as_shot_multipliers(path, decoder, directories, tags),
             xyz_to_camera=matrix,
             matrix_illuminant=illuminant,
         )
     check_damage(path, directories, mosaic, black, white)
-    return RawFrame(path, mosaic, sensor, header.exposure, whites)
+    mosaic = levels.flatten(mosaic, area)
+    return RawFrame(path, mosaic, sensor, header.exposure, stored.channel_whites_dn, (*header.remarks, *levels.remarks))
+
+
+class _Stored(NamedTuple):
+    """All pixels of a file as they are stored, the visible area's CFA, levels in DN: black if the file states none."""
+
+    pixels: NDArray[Any]
+    cfa: CfaRows
+    black_dn: tuple[float, ...]
+    white_dn: float
+    channel_whites_dn: tuple[float, ...] | None
+
+
+def _stored_floats(path: Path, raw: rawpy.RawPy, main: Directory) -> _Stored:
+    stated = _stated_cfa(raw, main)
+    if stated is None:
+        raise RawFileError(path, "states no colour filter array that can be used, and its pixels are floats")
+    cfa, index_of = stated
+    return _Stored(read_floats(path, main), cfa, (0.0,) * len(index_of), dng_white_level(main), None)
+
+
+def _stored_by_libraw(
+    path: Path, raw: rawpy.RawPy, main: Directory | None, directories: Sequence[Directory], header: RawHeader
+) -> _Stored:
+    import rawpy
+
+    raw.unpack()
+    is_dng = _is_dng(directories)
+    if raw.raw_type != rawpy.RawType.Flat or raw.num_colors == 1:
+        raise _without_cfa(path, raw.raw_image.shape, header, is_dng=is_dng)
+    cfa, index_of = _cfa(path, raw, main)
+    black, white = tuple(float(raw.black_level_per_channel[index]) for index in index_of), float(raw.white_level)
+    if main is not None and is_dng and sum(one.is_mosaic for one in directories) > 1:
+        # What one of several CFA images does not state, LibRaw takes from another; by the specification black is 0.
+        black, white = (0.0,) * len(index_of), dng_white_level(main)
+    return _Stored(raw.raw_image, cfa, black, white, channel_whites(raw, index_of))
+
+
+def _without_cfa(path: Path, shape: tuple[int, ...], header: RawHeader, *, is_dng: bool) -> UnusableRawError:
+    kind = "no colour filter array (monochrome)" if len(shape) == 2 else "already demosaiced (an RGB raw)"
+    if len(shape) == 3 and header.make == "Canon" and not is_dng:
+        kind = "already demosaiced (Canon's sRAW or mRAW)"
+    return UnusableRawError(path, f"{kind}: {shape} samples", NEEDED)
 
 
 def exposure_ratio(reference: RawFrame | RawHeader, noisy: RawFrame | RawHeader) -> Fraction:
@@ -211,9 +304,82 @@ def _check_sizes(path: Path, raw: rawpy.RawPy) -> None:
         )
 
 
+def _is_dng(directories: Sequence[Directory]) -> bool:
+    return any(DNG_VERSION in directory.values for directory in directories)
+
+
+def _stated_images(raw: rawpy.RawPy, directories: Sequence[Directory]) -> _Images:
+    return image_directories(directories, (raw.sizes.raw_height, raw.sizes.raw_width))
+
+
+def count_images(path: Path) -> int:
+    """Return how many images LibRaw knows in a file of another format; each but the first is decoded for it."""
+    import rawpy
+
+    for count in range(1, _MOST_IMAGES):
+        raw = rawpy.RawPy()
+        try:
+            raw.set_unpack_params(shot_select=count)
+            _open(raw, path)
+            raw.unpack()
+        except rawpy.LibRawRequestForNonexistentImageError:
+            return count
+        except rawpy.LibRawError:  # there is one more, whatever is wrong with it
+            return count + 1
+        finally:
+            raw.close()
+    return _MOST_IMAGES
+
+
+def _chosen(path: Path, images: _Images, image: int) -> Directory | None:
+    if not 0 <= image < len(images):
+        raise RawFileError(path, f"has no image {image}: it holds {len(images)}, counted from 0")
+    return images[image]
+
+
+def check_libraw_decodes(path: Path, raw: rawpy.RawPy, directories: Sequence[Directory]) -> None:
+    """Refuse a DNG whose pixels LibRaw takes for others than they are, for what LibRaw makes of them itself."""
+    for main in filter(None, _stated_images(raw, directories)[:1]):
+        found = "floating-point or interleaved pixels" if main.is_float or _interleaved(main) != (1, 1) else ""
+        if any(len(set(main.values.get(tag, ()))) > 1 for tag in BLACK_DELTAS):
+            found = "black levels by row or column"
+        if found:
+            todo = "pack it and use eldata.isp.Rendering"
+            raise UnusableRawError(path, f"has {found}, of which LibRaw makes a wrong picture", todo)
+
+
+def _interleaved(main: Directory) -> tuple[int, int]:
+    return main.number(ROW_INTERLEAVE, 1), main.number(COLUMN_INTERLEAVE, 1)
+
+
+def _in_place(path: Path, raw: rawpy.RawPy, stored: NDArray[Any], main: Directory | None) -> NDArray[Any]:
+    """Return what is stored, whose rows and columns may be interleaved, in order."""
+    if main is not None and _interleaved(main) != (1, 1):
+        for axis, fields in enumerate(_interleaved(main)):
+            stored = _in_order(stored, fields, axis)
+    sizes = raw.sizes
+    if stored.shape != (sizes.raw_height, sizes.raw_width):
+        raise RawFileError(
+            path,
+            f"damaged: expected {sizes.raw_height} x {sizes.raw_width} pixels as LibRaw does; found {stored.shape}",
+        )
+    return stored
+
+
+def _in_order(stored: NDArray[Any], fields: int, axis: int) -> NDArray[Any]:
+    """Return rows or columns in order that are stored field after field, each of which has every ``fields``-th one."""
+    size = stored.shape[axis]
+    places = np.concatenate([np.arange(first, size, fields) for first in range(fields)])
+    return np.take(stored, np.argsort(places), axis)
+
+
 @contextmanager
-def opened_raw(path: Path, what: str = "decode") -> Iterator[rawpy.RawPy]:
-    """Open a raw file with LibRaw, whose errors say that it cannot do ``what``.
+def opened_raw(
+    path: Path, directories: Sequence[Directory], what: str = "decode", image: int = 0
+) -> Iterator[rawpy.RawPy]:
+    """Open a raw file, whose directories are given, with LibRaw.
+
+    Its errors say that it cannot do ``what``; ``image`` as of :func:`read_raw`.
 
     Raises
     ------
@@ -227,8 +393,11 @@ def opened_raw(path: Path, what: str = "decode") -> Iterator[rawpy.RawPy]:
     # Not rawpy.imread: it warns in every forked process, of what the line above removes.
     raw = rawpy.RawPy()
     try:
-        _open(raw, path)
-        raw.set_unpack_params(shot_select=0)
+        raw.set_unpack_params(shot_select=image)  # before it is opened: which of a DNG's images, is chosen then
+        if any(one.wide_cfa for one in directories):
+            raw.open_buffer(io.BytesIO(_with_narrow_cfa(path, directories)))
+        else:
+            _open(raw, path)
         yield raw
     except rawpy.LibRawFileUnsupportedError as error:
         raise RawFileError(path, "is not a raw file that LibRaw knows") from error
@@ -239,6 +408,20 @@ def opened_raw(path: Path, what: str = "decode") -> Iterator[rawpy.RawPy]:
         raise RawFileError(path, f"LibRaw cannot {what} it ({text}); is the file whole?") from error
     finally:
         raw.close()
+
+
+def _with_narrow_cfa(path: Path, directories: Sequence[Directory]) -> bytes:
+    """Return a file whose CFAPatterns are of bytes: LibRaw takes the bytes of 16-bit numbers for numbers."""
+    content = bytearray(path.read_bytes())
+    for one in directories:
+        if one.wide_cfa is not None:
+            numbers = bytes(min(int(number), 255) for number in one.values[CFA_PATTERN])
+            struct.pack_into(f"{one.order}HHI", content, one.wide_cfa, CFA_PATTERN, 1, len(numbers))
+            at = one.wide_cfa + 8
+            if len(numbers) > 4:
+                (at,) = struct.unpack_from(f"{one.order}I", content, at)
+            content[at : at + len(numbers)] = numbers
+    return bytes(content)
 
 
 def _open(raw: rawpy.RawPy, path: Path) -> None:
@@ -263,8 +446,11 @@ def _set_openmp_threads() -> Callable[[int], object]:
 # --- sensor ---------------------------------------------------------------------------------------------------
 
 
-def _cfa(path: Path, raw: rawpy.RawPy) -> tuple[CfaRows, tuple[int, ...]]:
+def _cfa(path: Path, raw: rawpy.RawPy, main: Directory | None) -> tuple[CfaRows, tuple[int, ...]]:
     """Return the visible area's CFA in our channel indices, and LibRaw's colour index of each of them."""
+    stated = None if main is None else _stated_cfa(raw, main)
+    if stated is not None and packing_sites(stated[0]).block > 1:
+        return stated
     names = raw.color_desc.decode("ascii", "replace")
     try:
         pattern = raw.raw_pattern
@@ -276,32 +462,18 @@ def _cfa(path: Path, raw: rawpy.RawPy) -> tuple[CfaRows, tuple[int, ...]]:
     letters = ["".join(names[index] for index in row) for row in sites]
     cfa = cfa_of_letters(letters)
     if cfa is None:
-        raise RawFileError(path, unsupported_cfa(letters))
+        raise unsupported_cfa(path, letters)
     libraw_index = dict(zip(chain(*cfa), chain(*sites), strict=True))
     return cfa, tuple(libraw_index[channel] for channel in sorted(libraw_index))
 
 
-def _cfa_of_blocks(
-    path: Path, raw: rawpy.RawPy, directories: Sequence[Directory]
-) -> tuple[CfaRows, tuple[int, ...]] | None:
-    """Return what :func:`_cfa` does of a file whose tags declare quad-Bayer or nona-Bayer; None for any other."""
-    found: set[CfaRows] = set()
-    for directory in directories:
-        cfa = cfa_of_letters(directory.cfa_letters or ()) if directory.is_mosaic else None
-        if cfa is None or directory.shape != (raw.sizes.raw_height, raw.sizes.raw_width):
-            continue  # another image of the file, such as a binned one
-        if packing_sites(cfa).block > 1 and any(tag in directory.values for tag in BLACK_DELTAS):
-            raise RawFileError(
-                path,
-                f"{packing_sites(cfa).name} with BlackLevelDeltaH or BlackLevelDeltaV, which is not supported: convert "
-                "it to a DNG with BlackLevel alone",
-            )
-        # The pattern starts at the active area; LibRaw moves an odd margin on to the next even one.
-        top, left = map(int, directory.values.get(ACTIVE_AREA, (0, 0))[:2])
-        found.add(cfa_from(cfa, raw.sizes.top_margin - top, raw.sizes.left_margin - left))
-    if all(packing_sites(cfa).block == 1 for cfa in found):
+def _stated_cfa(raw: rawpy.RawPy, main: Directory) -> tuple[CfaRows, tuple[int, ...]] | None:
+    """Return what :func:`_cfa` does, from the tags beside the pixels; None if they state none that is supported."""
+    whole, names = cfa_of_letters(main.cfa_letters or ()), raw.color_desc.decode("ascii", "replace")
+    if whole is None or not set("RGB") <= set(names):
         return None
-    if len(found) > 1:
-        raise RawFileError(path, "declares several colour filter arrays for images of one size; one is needed")
-    names = raw.color_desc.decode("ascii", "replace")
-    return found.pop(), (names.index("R"), names.index("G"), names.index("B"), names.rindex("G"))
+    # The pattern starts at the active area; LibRaw moves an odd margin on to the next even one.
+    top, left = map(int, main.values.get(ACTIVE_AREA, (0, 0))[:2])
+    cfa = cfa_from(whole, raw.sizes.top_margin - top, raw.sizes.left_margin - left)
+    indices = (names.index("R"), names.index("G"), names.index("B"), names.rindex("G"))
+    return cfa, indices[: packing_sites(cfa).levels]

@@ -6,7 +6,8 @@ A DNG's own figures to the last digit, from the file; those of other formats as 
 
 from __future__ import annotations
 
-from math import gcd
+from fractions import Fraction
+from math import prod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,12 +15,17 @@ import numpy as np
 from eldata.base.isolation import guarded_file
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw.neutrals import white_balance_of
-from eldata.raw.tiff import ACTIVE_AREA, BLACK_DELTAS, BLACK_LEVEL, BLACK_REPEAT, NOISE_PROFILE, read_directories
+from eldata.raw.tiff import (
+    BITS,
+    NOISE_PROFILE,
+    WHITE_LEVEL,
+    image_directories,
+    read_directories,
+)
 from eldata.records import D65, exact_number
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-    from fractions import Fraction
     from pathlib import Path
 
     import rawpy
@@ -35,44 +41,10 @@ COLOUR_MATRICES = ((50721, 50778), (50722, 50779))
 _DAYLIGHT = (1, 4, 20, 22, 23)
 
 
-def dng_black_level(
-    path: Path, raw: rawpy.RawPy, directories: Sequence[Directory], cfa: tuple[tuple[int, ...], ...]
-) -> tuple[float, ...] | None:
-    """Return a DNG's BlackLevel per channel of the visible area; None if LibRaw's figure is to be taken.
-
-    Raises
-    ------
-    RawFileError
-        If the level differs between sites of one colour.
-    """
-    mosaic = next((d for d in directories if d.is_mosaic and BLACK_LEVEL in d.values), None)
-    if mosaic is None or any(tag in mosaic.values for tag in BLACK_DELTAS):  # LibRaw adds the deltas' mean
-        return None
-    rows, columns = map(int, mosaic.values.get(BLACK_REPEAT, (1, 1)))
-    pattern = mosaic.values[BLACK_LEVEL]
-    # The pattern starts at the active area; LibRaw's visible area may start a pixel off it.
-    active = mosaic.values.get(ACTIVE_AREA, (0, 0))
-    if len(pattern) != rows * columns or not pattern:
-        return None
-    top, left = raw.sizes.top_margin - int(active[0]), raw.sizes.left_margin - int(active[1])
-    period = len(cfa)
-    # A site of the CFA meets each place of the pattern that it can be brought to in steps of these: all sites that
-    # start alike meet the same places.
-    down, right = gcd(period, rows), gcd(period, columns)
-    met: dict[tuple[int, int], set[Fraction]] = {}
-    levels: dict[int, set[Fraction]] = {}
-    for y in range(period):
-        for x in range(period):
-            first = (y + top) % down, (x + left) % right
-            if first not in met:
-                at = (row * columns for row in range(first[0], rows, down))
-                met[first] = set().union(*(pattern[row + first[1] : row + columns : right] for row in at))
-            levels.setdefault(cfa[y][x], set()).update(met[first])
-            if len(levels[cfa[y][x]]) > 1:
-                raise RawFileError(
-                    path, "its BlackLevel differs between sites of one colour; one level per channel is needed"
-                )
-    return tuple(exact_number(levels[channel].pop()) for channel in sorted(levels))
+def dng_white_level(mosaic: Directory) -> float:
+    """Return a DNG's WhiteLevel; where it states none, by the specification 1 of floats, else the largest number."""
+    largest = 1 if mosaic.is_float else (1 << mosaic.number(BITS, 16)) - 1
+    return exact_number(next(iter(mosaic.values.get(WHITE_LEVEL, ())), Fraction(largest)))
 
 
 def dng_noise_profile(path: Path) -> tuple[float, ...] | None:
@@ -87,10 +59,11 @@ def dng_noise_profile(path: Path) -> tuple[float, ...] | None:
         If a directory of the file is damaged.
     """
     directories = guarded_file(read_directories, path, RawFileError)
-    stated = [one for one in directories if NOISE_PROFILE in one.values]
-    # It stands in IFD0 or beside the mosaic.
-    chosen = next((one for one in stated if one.is_mosaic), stated[0] if stated else None)
-    return None if chosen is None else tuple(map(float, chosen.values[NOISE_PROFILE]))
+    largest = max((one.shape for one in directories if one.is_mosaic), key=prod, default=(0, 0))
+    # It stands beside the mosaic, not a proxy of it, or in IFD0.
+    places = (*image_directories(directories, largest), *directories)
+    stated = (one.values[NOISE_PROFILE] for one in places if NOISE_PROFILE in one.values)
+    return next((tuple(map(float, numbers)) for numbers in stated), None)
 
 
 def channel_whites(raw: rawpy.RawPy, index_of: Sequence[int]) -> tuple[float, ...] | None:
@@ -102,9 +75,11 @@ def channel_whites(raw: rawpy.RawPy, index_of: Sequence[int]) -> tuple[float, ..
 
 
 def as_shot_multipliers(
-    path: Path, raw: rawpy.RawPy, directories: Sequence[Directory], tags: Mapping[str, Any]
+    path: Path, raw: rawpy.RawPy | None, directories: Sequence[Directory], tags: Mapping[str, Any]
 ) -> tuple[float, float, float, float] | None:
     """Return the multipliers of R, G1, B, G2 as shot, G1 = 1; None if they are not known.
+
+    LibRaw is asked, where it is given, for what the file does not state.
 
     Raises
     ------
@@ -119,6 +94,8 @@ def as_shot_multipliers(
             raise RawFileError(path, f"the white balance in its DNGPrivateData is damaged: {error}") from error
         red, green, blue, second_green = map(exact_number, exact)
         return red, green, blue, second_green
+    if raw is None:
+        return None
     red, green, blue, second_green = raw.camera_whitebalance
     if not (red > 0 and green > 0 and blue > 0):
         return None
@@ -134,7 +111,7 @@ def _private_data(tags: Mapping[str, Any]) -> bytes:
     return bytes(values) if ours else b""
 
 
-def camera_matrix(raw: rawpy.RawPy, directories: Sequence[Directory]) -> tuple[Matrix3 | None, int]:
+def camera_matrix(raw: rawpy.RawPy | None, directories: Sequence[Directory]) -> tuple[Matrix3 | None, int]:
     """Return the matrix from XYZ to the camera's colours, and the light that it is for; None if it is not known.
 
     Of a DNG's two matrices that for D65, else the first for another daylight, else the second: LibRaw's order.
@@ -151,7 +128,7 @@ def camera_matrix(raw: rawpy.RawPy, directories: Sequence[Directory]) -> tuple[M
         numbers = [exact_number(value) for value in values]
     else:
         illuminant = D65  # LibRaw's table
-        numbers = [round(float(value), 6) for row in raw.rgb_xyz_matrix[:3] for value in row]
+        numbers = [] if raw is None else [round(float(value), 6) for row in raw.rgb_xyz_matrix[:3] for value in row]
     if not np.any(numbers):
         return None, D65
     return (_three(numbers[:3]), _three(numbers[3:6]), _three(numbers[6:])), illuminant

@@ -11,42 +11,50 @@ import math
 import struct
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Literal
 
 from eldata.errors import RawFileError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
 MAGIC = (b"II*\0", b"MM\0*")
 COLOURS = "RGBCMYW"  # of a DNG's CFAPattern, by number
 
-WIDTH, HEIGHT, COMPRESSION, PHOTOMETRIC = 256, 257, 259, 262
+SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC = 254, 256, 257, 258, 259, 262
+SAMPLES, ROWS_PER_STRIP, PLANAR, PREDICTOR, SAMPLE_FORMAT = 277, 278, 284, 317, 339
 TILE_WIDTH, TILE_HEIGHT = 322, 323
-ACTIVE_AREA = 50829
-BLACK_REPEAT, BLACK_LEVEL, BLACK_DELTAS = 50713, 50714, (50715, 50716)
+DNG_VERSION, LINEARIZATION = 50706, 50712
+ROW_INTERLEAVE, COLUMN_INTERLEAVE = 50975, 52547
+ACTIVE_AREA, MASKED_AREAS = 50829, 50830
+BLACK_REPEAT, BLACK_LEVEL, BLACK_DELTAS, WHITE_LEVEL = 50713, 50714, (50715, 50716), 50717
 CFA_PHOTOMETRIC = 32803
 CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT = 33421, 33422, 50711
 NOISE_PROFILE = 51041
+OPCODE_LISTS = (51008, 51009, 51022)  # of the stored, the linear and the demosaiced image
 
-_WHITE_LEVEL = 50717
 _LEVELS = {BLACK_LEVEL: "BlackLevel", BLACK_DELTAS[0]: "BlackLevelDeltaH", BLACK_DELTAS[1]: "BlackLevelDeltaV"}
-_LEVELS |= {_WHITE_LEVEL: "WhiteLevel"}
+_LEVELS |= {WHITE_LEVEL: "WhiteLevel"}
 
 _SUB_IFDS, _EXIF_IFD = 330, 34665
+_FLOAT = 3  # of SAMPLE_FORMAT
 _DATA = ((273, 279), (324, 325))  # strips, tiles: offsets and byte counts
 # Tags whose values must lie inside the file: those above, and what reading.py takes from EXIF and DNG tags.
 _EXIF = {33434, 33437, 34855, 34864, 34865, 34866, 34867}
 _READ = _EXIF | {
-    *(WIDTH, HEIGHT, COMPRESSION, PHOTOMETRIC, TILE_WIDTH, TILE_HEIGHT),
-    *(271, 272, _SUB_IFDS, _EXIF_IFD, ACTIVE_AREA, BLACK_REPEAT, BLACK_LEVEL, *BLACK_DELTAS),
-    *(_WHITE_LEVEL, 50721, 50722, 50728, 50778, 50779, CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT, NOISE_PROFILE),
+    *(SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, TILE_WIDTH, TILE_HEIGHT),
+    *(SAMPLES, ROWS_PER_STRIP, PLANAR, PREDICTOR, SAMPLE_FORMAT, DNG_VERSION),
+    *(ROW_INTERLEAVE, COLUMN_INTERLEAVE),
+    *(271, 272, _SUB_IFDS, _EXIF_IFD, ACTIVE_AREA, MASKED_AREAS, BLACK_REPEAT, BLACK_LEVEL, *BLACK_DELTAS),
+    *(WHITE_LEVEL, 50721, 50722, 50728, 50778, 50779, CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT, NOISE_PROFILE),
+    *OPCODE_LISTS,
     *(tag for pair in _DATA for tag in pair),
 }
 
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4}
-_DOUBLE = 12  # what DNG states a NoiseProfile in, and no other tag that is relied on
-_CODES = {1: "B", 3: "H", 4: "I", 5: "II", 6: "b", 7: "B", 8: "h", 9: "i", 10: "ii", 13: "I"}
+_SHORT = 3
+_CODES = {1: "B", 3: "H", 4: "I", 5: "II", 6: "b", 7: "B", 8: "h", 9: "i", 10: "ii", 11: "f", 12: "d", 13: "I"}
 # Of all directories together; a file with more is damaged, or made to keep a reader busy. Cameras write some hundred
 # entries. The values are those of the tags above: two for each strip or tile, of which 150 megapixels in rows or in
 # tiles of 128 x 128 pixels have 20,000.
@@ -54,17 +62,48 @@ _MOST_DIRECTORIES = 64
 _MOST_ENTRIES = 1 << 12
 _MOST_VALUES = 1 << 17
 _MOST_REPEATED = 64  # rows or columns of BlackLevel's pattern: those of cameras have up to 8
+_MOST_MASKED = 8  # areas of masked pixels: those of cameras have up to 4
 # How many numbers these tags of a mosaic hold: readers take them apart.
-_COUNTS = {WIDTH: 1, HEIGHT: 1, ACTIVE_AREA: 4, BLACK_REPEAT: 2, CFA_REPEAT: 2}
+_COUNTS = {
+    WIDTH: (1,),
+    HEIGHT: (1,),
+    ACTIVE_AREA: (4,),
+    BLACK_REPEAT: (2, 1),
+    CFA_REPEAT: (2,),
+    MASKED_AREAS: range(4, 4 * _MOST_MASKED + 1, 4),  # four for each
+}
 
 Numbers = tuple[Fraction, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Directory:
-    """The numbers of one IFD's relied-on tags, by tag, exactly; not of those that state none (0/0)."""
+    """The numbers of one IFD's relied-on tags, by tag, exactly; not of those that state none (0/0).
+
+    Of a list of opcodes their ids.
+    """
 
     values: dict[int, Numbers]
+    order: Literal["<", ">"] = "<"
+    """Of its bytes, as struct and numpy name it."""
+    tags: frozenset[int] = frozenset()
+    """Every tag that it has, relied on or not."""
+    wide_cfa: int | None = None
+    """Where the entry of its CFAPattern stands in the file, if it has 16-bit numbers in place of bytes."""
+
+    def number(self, tag: int, default: int) -> int:
+        """Return the first number of a tag; ``default`` if it is not there."""
+        return int(next(iter(self.values.get(tag, ())), default))
+
+    @property
+    def samples(self) -> int:
+        """Numbers that it has of each pixel: two where each photosite is halved (dual pixels)."""
+        return self.number(SAMPLES, 1)
+
+    @property
+    def is_float(self) -> bool:
+        """Whether its samples are floating-point numbers."""
+        return self.number(SAMPLE_FORMAT, 1) == _FLOAT
 
     @property
     def is_mosaic(self) -> bool:
@@ -96,8 +135,7 @@ class Directory:
     @property
     def shape(self) -> tuple[int, int]:
         """(H, W) in pixels that it declares; 0 for one that it does not."""
-        height, width = (int(next(iter(self.values.get(tag, ())), 0)) for tag in (HEIGHT, WIDTH))
-        return height, width
+        return self.number(HEIGHT, 0), self.number(WIDTH, 0)
 
     @property
     def pixels(self) -> int:
@@ -119,7 +157,7 @@ def read_directories(path: Path) -> tuple[Directory, ...]:
         head = file.read(8)
         if head[:4] not in MAGIC or len(head) < 8:
             return ()
-        order = "<" if head[:2] == b"II" else ">"
+        order: Literal["<", ">"] = "<" if head[:2] == b"II" else ">"
         budget = _Budget(path, {"directories": _MOST_DIRECTORIES, "entries": _MOST_ENTRIES, "values": _MOST_VALUES})
         waiting = [struct.unpack(order + "I", head[4:])[0]]
         seen: set[int] = set()
@@ -134,9 +172,9 @@ def read_directories(path: Path) -> tuple[Directory, ...]:
             budget.spend("directories", 1)
             directory, following = _read_directory(path, file, size, order, at, budget)
             found.append(directory)
-            waiting.append(following)
-            for tag in (_SUB_IFDS, _EXIF_IFD):
-                waiting += map(int, directory.values.get(tag, ()))
+            # In LibRaw's order: those within a directory before those behind it, each as listed.
+            within = (int(place) for tag in (_SUB_IFDS, _EXIF_IFD) for place in directory.values.get(tag, ()))
+            waiting += reversed([*within, following])
     for directory in found:
         _check_mosaic(path, directory)
     # The raw image alone where it is marked as such: some cameras declare previews that they do not write.
@@ -145,6 +183,17 @@ def read_directories(path: Path) -> tuple[Directory, ...]:
         raise RawFileError(path, f"damaged: it declares {extent[1]} bytes of image data at byte {extent[0]}")
     require(path, size, max((sum(extent) for directory in images for extent in directory.extents), default=0))
     return tuple(found)
+
+
+def image_directories(directories: Sequence[Directory], shape: tuple[int, int]) -> tuple[Directory, ...]:
+    """Return the directories of mosaics of this full size (H, W), in order; if none has it, the only one of a mosaic.
+
+    They are the images of a pixel shift, mostly one; no proxies.
+    """
+    mosaics = [directory for directory in directories if directory.is_mosaic]
+    fitting = [directory for directory in mosaics if directory.shape == shape]
+    fitting = fitting or (mosaics if len(mosaics) == 1 else [])
+    return tuple([directory for directory in fitting if not directory.number(SUBFILE, 0)] or fitting)
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,18 +215,23 @@ def _check_mosaic(path: Path, directory: Directory) -> None:
     """Refuse a mosaic of which numbers that are relied on are missing or impossible, or that has too little data."""
     if not directory.is_mosaic:
         return
-    for tag, count in _COUNTS.items():
+    for tag, counts in _COUNTS.items():
         values = directory.values.get(tag)
-        if values is not None and (len(values) != count or min(values) < 0):
+        if values is not None and (len(values) not in counts or min(values, default=0) < 0):
             shown = ", ".join(map(str, values[:5]))
-            raise RawFileError(path, f"damaged: expected {count} numbers from 0 on as its tag {tag}; found {shown}")
+            raise RawFileError(path, f"damaged: expected {counts[0]} numbers from 0 on as its tag {tag}; found {shown}")
     repeat = directory.values.get(BLACK_REPEAT, (1, 1))
     if not 1 <= min(repeat) <= max(repeat) <= _MOST_REPEATED:
         raise RawFileError(
             path,
-            f"damaged: its BlackLevel repeats every {repeat[0]} x {repeat[1]} pixels; expected 1 to {_MOST_REPEATED} "
-            "either way",
+            f"damaged: its BlackLevel repeats every {' x '.join(map(str, repeat))} pixels; expected 1 to "
+            f"{_MOST_REPEATED} either way",
         )
+    for tag, side in zip((ROW_INTERLEAVE, COLUMN_INTERLEAVE), directory.shape, strict=True):
+        if not 1 <= directory.number(tag, 1) <= max(side, 1):
+            raise RawFileError(
+                path, f"damaged: it declares {directory.number(tag, 1)} interleaved fields of {side} rows or columns"
+            )
     held = sum(count for _, count in directory.extents)
     # No lossless code takes less than one bit per pixel.
     if held * 8 < directory.pixels:
@@ -185,7 +239,7 @@ def _check_mosaic(path: Path, directory: Directory) -> None:
 
 
 def _read_directory(
-    path: Path, file: IO[bytes], size: int, order: str, at: int, budget: _Budget
+    path: Path, file: IO[bytes], size: int, order: Literal["<", ">"], at: int, budget: _Budget
 ) -> tuple[Directory, int]:
     require(path, size, at + 2)
     file.seek(at)
@@ -194,9 +248,14 @@ def _read_directory(
     require(path, size, at + 2 + 12 * count)
     table = file.read(12 * count + 4)
     values: dict[int, Numbers] = {}
+    tags: set[int] = set()
+    wide_cfa = None
     for index in range(count):
         entry = table[12 * index : 12 * index + 12]
         tag, kind, number = struct.unpack(order + "HHI", entry[:8])
+        tags.add(tag)
+        if (tag, kind) == (CFA_PATTERN, _SHORT):
+            wide_cfa = at + 2 + 12 * index
         if tag not in _READ:
             continue
         length = _SIZES.get(kind, 1) * number
@@ -204,7 +263,10 @@ def _read_directory(
         if length > 4:
             offset = struct.unpack(order + "I", data)[0]
             require(path, size, offset + length)
-        code = "d" if (tag, kind) == (NOISE_PROFILE, _DOUBLE) else _CODES.get(kind)
+        if tag in OPCODE_LISTS:
+            values[tag] = tuple(_opcodes(path, file, range(offset, offset + length), budget)) if length > 4 else ()
+            continue
+        code = _CODES.get(kind)
         if code is None:
             continue
         budget.spend("values", number)
@@ -215,10 +277,24 @@ def _read_directory(
         if numbers is not None:
             values[tag] = numbers
         elif tag in _LEVELS:  # LibRaw takes such a level for 0
-            raise RawFileError(path, f"damaged: its {_LEVELS[tag]} has a denominator of 0, which is not a number")
+            raise RawFileError(path, f"damaged: its {_LEVELS[tag]} is not a number (0 for its denominator, or NaN)")
     # The pointer to the next directory may be missing at the very end of a file.
     following = struct.unpack(order + "I", table[-4:])[0] if len(table) == 12 * count + 4 else 0
-    return Directory(values), following
+    return Directory(values, order, frozenset(tags), wide_cfa), following
+
+
+def _opcodes(path: Path, file: IO[bytes], place: range, budget: _Budget) -> Iterator[Fraction]:
+    """Yield the ids of a list of opcodes, whose byte order is always big-endian."""
+    file.seek(place.start)
+    at = place.start + 4
+    for _ in range(int.from_bytes(file.read(4), "big")):
+        if at + 16 > place.stop:
+            raise RawFileError(path, f"damaged: its list of opcodes holds more of them than its {len(place)} bytes")
+        budget.spend("values", 1)
+        file.seek(at)
+        opcode, _, _, length = struct.unpack(">4I", file.read(16))
+        yield Fraction(opcode)
+        at += 16 + length
 
 
 def _numbers(order: str, code: str, number: int, data: bytes) -> Numbers | None:

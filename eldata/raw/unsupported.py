@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.errors import RawFileError
+from eldata.errors import UnusableRawError
 from eldata.raw import tiff
 from eldata.raw.cfa import cfa_of_letters
+from eldata.raw.strips import check_floats
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,29 +21,40 @@ if TYPE_CHECKING:
 NEEDED = "a mosaic of a Bayer, quad-Bayer, nona-Bayer or X-Trans sensor is needed"
 
 _BY_HEAD = {
-    b"FOVb": f"is a Sigma X3F: its Foveon sensor has no colour filter array; {NEEDED}",
-    b"\xff\xd8\xff": "is a JPEG picture whatever its name says: use the raw file that the camera wrote with it",
-    b"PK\x03\x04": "is a ZIP archive (Capture One's EIP is one): unpack it and use the raw file inside",
+    b"FOVb": ("is a Sigma X3F, whose Foveon sensor has no colour filter array", NEEDED),
+    b"\xff\xd8\xff": ("is a JPEG picture whatever its name says", "use the raw file that the camera wrote with it"),
+    b"PK\x03\x04": ("is a ZIP archive (Capture One's EIP is one)", "unpack it and use the raw file inside"),
 }
 _BY_COMPRESSION = {
-    9: "is a GPR (GoPro, VC-5 compression), which LibRaw cannot decode: convert it to DNG with GoPro's gpr_tools "
-    "(gpr_tools -i NAME.GPR -o NAME.DNG; github.com/gopro/gpr)",
-    52546: "is a DNG with JPEG XL compression (DNG 1.7), which LibRaw cannot decode: convert it to one with lossless "
-    "JPEG compression (Adobe DNG Converter, compatibility 1.6 or earlier)",
+    9: (
+        "is a GPR (GoPro, VC-5 compression), which LibRaw cannot decode",
+        "convert it to DNG with GoPro's gpr_tools (gpr_tools -i NAME.GPR -o NAME.DNG; github.com/gopro/gpr)",
+    ),
+    52546: (
+        "is a DNG with JPEG XL compression (DNG 1.7), which LibRaw cannot decode",
+        "convert it to one with lossless JPEG compression (Adobe DNG Converter, compatibility 1.6 or earlier)",
+    ),
 }
+_GREY_TIFF = (
+    "is a grey TIFF, which states no colour filter array and neither black nor white level",
+    "use the camera's raw file, or write the mosaic to a DNG with eldata.raw.write_dng (docs/datasets.md: CRVD)",
+)
+# What only a camera's raw file has in a directory: a DNG's version, a CFA, and Kodak's, Leaf's, Imacon's, Sinar's and
+# Hasselblad's own tags, by which LibRaw knows raws that call themselves grey.
+_OF_CAMERAS = frozenset(
+    (
+        *(tiff.DNG_VERSION, tiff.CFA_REPEAT, tiff.CFA_PATTERN, 33405, 33424, *range(34303, 34311), 46275, 46279),
+        *(50454, 50455, 50458, 50459, 61450, 64772, 65024, 65026),
+    )
+)
+_GREY = (0, 1)  # of tiff.PHOTOMETRIC: white or black at 0
+_DEFLATE = (8, 32946)
+_WHOLE_IN_DEFLATE = (
+    "is a DNG of whole numbers in Deflate compression, which LibRaw cannot decode",
+    "convert it to one with lossless JPEG compression or without any (Adobe DNG Converter)",
+)
 _HEXADECA = 4  # sites along a side of its blocks
 _LAYOUT_RECTANGULAR = 1
-
-
-def what_to_do(reason: str) -> tuple[str, str] | None:
-    """Return what a file is, and what to do about it, of a reason given here; ``None`` of any other.
-
-    Such a file is whole: to copy it again would not help.
-    """
-    if reason not in (*_BY_HEAD.values(), *_BY_COMPRESSION.values()):
-        return None
-    found, _, advice = reason.removeprefix("is ").partition(": ")
-    return found, advice
 
 
 def refuse_unsupported(path: Path, directories: Sequence[Directory]) -> None:
@@ -50,38 +62,54 @@ def refuse_unsupported(path: Path, directories: Sequence[Directory]) -> None:
 
     Raises
     ------
-    RawFileError
+    UnusableRawError
         If the file is of a kind, a compression or a colour filter array that cannot be used; it says which.
     """
     with path.open("rb") as file:
         head = file.read(4)
-    for magic, reason in _BY_HEAD.items():
+    for magic, found in _BY_HEAD.items():
         if head.startswith(magic):
-            raise RawFileError(path, reason)
+            raise UnusableRawError(path, *found)
+    if _is_grey_tiff(directories):
+        raise UnusableRawError(path, *_GREY_TIFF)
     for directory in directories:
         if not directory.is_mosaic:
             continue
         values = directory.values
+        if directory.is_float:
+            check_floats(path, directory)
+        elif directory.number(tiff.COMPRESSION, 1) in _DEFLATE:
+            raise UnusableRawError(path, *_WHOLE_IN_DEFLATE)
         for compression in map(int, values.get(tiff.COMPRESSION, ())):
             if compression in _BY_COMPRESSION:
-                raise RawFileError(path, _BY_COMPRESSION[compression])
+                raise UnusableRawError(path, *_BY_COMPRESSION[compression])
         layout = next(iter(values.get(tiff.CFA_LAYOUT, ())), _LAYOUT_RECTANGULAR)
         if layout != _LAYOUT_RECTANGULAR:
-            raise RawFileError(
+            raise UnusableRawError(
                 path,
                 f"unsupported colour filter array: its CFALayout is {layout} (staggered rows or columns, such as a "
-                f"Super CCD's); {NEEDED}",
+                "Super CCD's)",
+                NEEDED,
             )
         pattern = directory.cfa_letters  # without one LibRaw's word counts
         monochrome = pattern is not None and len(set("".join(pattern))) == 1  # said of the decoded samples
         if pattern is not None and not monochrome and cfa_of_letters(pattern) is None:
-            raise RawFileError(path, unsupported_cfa(pattern))
+            raise unsupported_cfa(path, pattern)
 
 
-def unsupported_cfa(rows: Sequence[str]) -> str:
-    """Return why a colour filter array, one period of it in letters by row, cannot be used."""
+def _is_grey_tiff(directories: Sequence[Directory]) -> bool:
+    """Return whether the largest image of a TIFF-based file is grey, and nothing says that a camera wrote it as raw."""
+    largest = max(directories, key=lambda one: one.pixels, default=None)
+    if largest is None or not largest.pixels or any(one.tags & _OF_CAMERAS for one in directories):
+        return False
+    return largest.number(tiff.PHOTOMETRIC, -1) in _GREY
+
+
+def unsupported_cfa(path: Path, rows: Sequence[str]) -> UnusableRawError:
+    """Return the error of a colour filter array, one period of it in letters by row, that cannot be used."""
     size, colours = f"{len(rows)} x {len(rows[0]) if rows else 0}", "".join(sorted(set("".join(rows))))
-    return f"unsupported colour filter array: {_kind(rows)}{size} sites of {colours}; {NEEDED}"
+    found = f"unsupported colour filter array: {_kind(rows)}{size} sites of {colours}"
+    return UnusableRawError(path, found, NEEDED)
 
 
 def _kind(rows: Sequence[str]) -> str:

@@ -19,7 +19,7 @@ from eldata.base.scratch import scratch
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.clip_checks import is_png
 from eldata.raw.cfa import pack
-from eldata.raw.levels import with_levels
+from eldata.raw.levels import check_in_dn, check_white_in_dn, with_levels
 from eldata.records import Exposure, RawHeader
 
 if TYPE_CHECKING:
@@ -112,6 +112,7 @@ class Frame:
         if self.sensor is None:
             return self
         chosen = with_levels(self.sensor, levels)
+        check_white_in_dn(self.name, self.sensor, chosen.white_level_dn)
         return replace(self, black_level_dn=chosen.black_level_dn, white_level_dn=chosen.white_level_dn)
 
     def less(self, shading: DarkShading, place: tuple[int, int] | None = None) -> Frame:
@@ -134,6 +135,7 @@ class Frame:
             raise DatasetError(
                 f"{self.name}: is not a raw frame in DN, so the dark shading of {shading.camera} does not belong to it"
             )
+        check_in_dn(self.name, self.sensor, f"the dark shading of {shading.camera}")
         shading.check_sensor(self.name, self.shape, self.cfa, self.sensor.model, place)
         if self.exposure.iso is None:
             raise DatasetError(f"{self.name}: states no ISO, and the dark shading of {shading.camera} differs by ISO")

@@ -127,13 +127,15 @@ def raws() -> list[Seed]:
         "big-endian": (black, {"byteorder": ">"}),
         "area": ((active_area(1, 3, 57, 61), *black), {}),
         "no-black": ((), {}),
+        "floats": (black, {"kind": np.float32, "compression": "adobe_deflate", "predictor": 3, "tile": (32, 32)}),
         "no-exif-xtrans": ((), {"pattern": letters(xtrans_at(0, 0))}),
     }
     for name, (tags, options) in plain.items():
 
         def write(path: Path, tags: Any = tags, options: Any = options) -> None:
             options = dict(options)
-            write_plain_dng(path, _scene(64, 64, 9), options.pop("pattern", ("RG", "GB")), *tags, **options)
+            scene = _scene(64, 64, 9).astype(options.pop("kind", np.uint16))
+            write_plain_dng(path, scene, options.pop("pattern", ("RG", "GB")), *tags, **options)
 
         content = _made(write, "a.dng")
         found.append(Seed(f"{name}.dng", "raw", content, _pixels(content) if tags else None))

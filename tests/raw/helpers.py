@@ -5,6 +5,7 @@ The formulas are plain strided numpy, written from the published packing and not
 
 from __future__ import annotations
 
+import struct
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -234,6 +235,30 @@ def write_plain_dng(
     tifffile.imwrite(path, data, photometric=photometric, metadata=None, extratags=all_tags, **options)
 
 
+def add_tags(path: Path, *tags: Tag) -> None:
+    """Add tags of bytes, shorts, longs or pairs to the first directory of a little-endian DNG, or change them."""
+    content = bytearray(path.read_bytes())
+    (at,) = struct.unpack_from("<I", content, 4)
+    count = struct.unpack_from("<H", content, at)[0]
+    entries = {
+        struct.unpack_from("<H", content, at + 2 + 12 * i)[0]: content[at + 2 + 12 * i :][:12] for i in range(count)
+    }
+    for code, kind, number, value, _ in tags:
+        values = value if isinstance(value, (tuple, bytes)) else (value,)
+        data = struct.pack(f"<{len(values)}{kind[-1]}", *values)
+        place = data.ljust(4, b"\0")
+        if len(data) > 4:
+            place = struct.pack("<I", len(content))
+            content += data + b"\0" * (len(data) % 2)
+        entries[code] = bytearray(struct.pack("<HHI", code, _KINDS[kind], number)) + place
+    struct.pack_into("<I", content, 4, len(content))
+    content += struct.pack("<H", len(entries)) + b"".join(entries[code] for code in sorted(entries)) + b"\0" * 4
+    path.write_bytes(content)
+
+
+_KINDS = {"B": 1, "H": 3, "I": 4, "2I": 5, "2i": 10}
+
+
 def active_area(top: int, left: int, bottom: int, right: int) -> Tag:
     return (50829, "I", 4, (top, left, bottom, right), True)
 
@@ -242,3 +267,13 @@ def black_levels(pattern: Sequence[Sequence[int]]) -> tuple[Tag, Tag]:
     """BlackLevelRepeatDim and BlackLevel."""
     flat = tuple(level for row in pattern for level in row)
     return (50713, "H", 2, (len(pattern), len(pattern[0])), True), (50714, "I", len(flat), flat, True)
+
+
+OPCODE_LISTS = (51008, 51009, 51022)
+
+
+def opcode_list(number: int, *opcodes: int, length: int = 20, declared: int | None = None) -> Tag:
+    """OpcodeList1, 2 or 3 of opcodes by number, each with as many bytes of parameters."""
+    parts = [struct.pack(">IBBBBII", opcode, 1, 3, 0, 0, 1, length) + b"\xff" * length for opcode in opcodes]
+    data = struct.pack(">I", len(opcodes) if declared is None else declared) + b"".join(parts)
+    return OPCODE_LISTS[number - 1], "B", len(data), data, True

@@ -319,7 +319,7 @@ def test_camera_to_srgb_is_what_libraw_computes(matrix: Any, tmp_path: Path) -> 
         ({"white_level_dn": 15871.5}, EXPOSURE, "white_level_dn 15871.5"),
         ({"white_level_dn": 65536.0}, EXPOSURE, "white_level_dn 65536"),
         ({"white_level_dn": 0.0}, EXPOSURE, "white_level_dn 0.0 must lie above"),
-        ({"make": "Zorki-Ж"}, EXPOSURE, "Zorki-Ж"),
+        ({"make": "Zorki\0Ж"}, EXPOSURE, "Zorki"),
         ({"white_balance": (-2.0, 1.0, 1.5, 1.1)}, EXPOSURE, "white_balance .*: expected positive multipliers"),
         (
             {"white_balance": (2.0, 1.0, 2.0**33, 1.0)},
@@ -336,7 +336,7 @@ def test_camera_to_srgb_is_what_libraw_computes(matrix: Any, tmp_path: Path) -> 
         ({"xyz_to_camera": ((1.0, 0.0, 0.0), (0.0, -(2.0**31), 0.0), (0.0, 0.0, 1.0))}, EXPOSURE, "xyz_to_camera"),
         ({"matrix_illuminant": 65536}, EXPOSURE, "matrix_illuminant 65536"),
         ({"model": "Nocturne "}, EXPOSURE, "model 'Nocturne '"),
-        ({"height": 61}, EXPOSURE, r"expected a uint16 mosaic of 61 x 64 pixels .* found uint16 \(60, 64\)"),
+        ({"height": 61}, EXPOSURE, r"expected a uint16 or float32 mosaic of 61 x 64 pixels .* found uint16 \(60, 64\)"),
         ({"cfa": ((0, 1), (1, 2))}, EXPOSURE, "unsupported CFA"),
     ],
     ids=str,
@@ -382,7 +382,7 @@ def test_what_read_raw_would_refuse_is_not_written(reason: str, tmp_path: Path) 
         write_dng(tmp_path / "a.dng", random_mosaic(sensor.height, sensor.width), sensor, EXPOSURE)
 
 
-@pytest.mark.parametrize("dtype", ["uint8", "int32", "float32"])
+@pytest.mark.parametrize("dtype", ["uint8", "int32", "float64"])
 def test_other_dtypes_are_refused(dtype: str, tmp_path: Path) -> None:
     mosaic: Any = np.zeros((60, 64), dtype)
     with pytest.raises(ArgumentError, match=f"found {dtype}"):
@@ -400,7 +400,7 @@ def test_a_refused_write_leaves_an_older_file_as_it_was(tmp_path: Path) -> None:
     check_round_trip(path, random_mosaic(60, 64), make_sensor())
     before = path.read_bytes()
     with pytest.raises(ArgumentError):
-        write_dng(path, random_mosaic(60, 64), make_sensor(make="é"), EXPOSURE)
+        write_dng(path, random_mosaic(60, 64), make_sensor(make=" é"), EXPOSURE)
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
 

@@ -333,7 +333,7 @@ def test_compressions_that_libraw_cannot_decode(compression: int, words: str, tm
     refused(path, words)
 
 
-@pytest.mark.parametrize(("head", "words"), [(b"FOVb", "is a Sigma X3F: .*Foveon"), (b"PK\3\4", "Capture One's EIP")])
+@pytest.mark.parametrize(("head", "words"), [(b"FOVb", "is a Sigma X3F, .*Foveon"), (b"PK\3\4", "Capture One's EIP")])
 def test_containers_that_are_known_not_to_work(head: bytes, words: str, tmp_path: Path) -> None:
     (tmp_path / "a.X3F").write_bytes(head + bytes(1000))
     refused(tmp_path / "a.X3F", words)
@@ -344,7 +344,7 @@ def test_a_level_over_0_is_refused_and_not_taken_for_0(tag: str, tmp_path: Path)
     number = {"BlackLevel": 50714, "WhiteLevel": 50717, "BlackLevelDeltaH": 50715}[tag]
     tags: list[Tag] = [(number, "2I", 1, (512, 0), True)]
     write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), ("RG", "GB"), *tags, white=None)
-    refused(tmp_path / "a.dng", f"its {tag} has a denominator of 0")
+    refused(tmp_path / "a.dng", f"its {tag} is not a number")
 
 
 @pytest.mark.parametrize("size", [6, 2])

@@ -111,7 +111,9 @@ def test_a_pattern_of_black_levels_larger_than_any_cameras(size: int, reason: st
 @in_one_test(
     "tags",
     [
-        ((50713, "H", 1, 2, True), (50714, "H", 2, (1, 2), True)),
+        ((50713, "H", 3, (2, 2, 1), True), (50714, "H", 4, (1, 2, 3, 4), True)),
+        ((50830, "I", 3, (0, 0, 1), True),),
+        ((50830, "I", 36, (0, 0, 1, 1) * 9, True),),  # more areas than any camera's
         ((50713, "H", 2, (0, 0), True), (50714, "H", 1, 1, True)),
         ((50829, "I", 2, (0, 0), True),),
         ((33421, "H", 1, 2, True),),

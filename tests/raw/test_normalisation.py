@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -12,6 +13,8 @@ from hypothesis import strategies as st
 from eldata.errors import ArgumentError
 from eldata.raw import denormalise, normalise, pack, pack_normalised, packed_shape, unpack
 from eldata.raw.cfa import packed_black_level_dn
+from eldata.raw.levels import FRAME_LEVELS, FrameLevels, packed_frame, white_level_dn, with_levels
+from eldata.records import Exposure, RawFrame
 from tests.cases import in_one_test
 from tests.raw.helpers import (
     BAYER,
@@ -21,6 +24,7 @@ from tests.raw.helpers import (
     is_xtrans,
     layout_of,
     levels_of,
+    make_sensor,
     random_mosaic,
     reference_pack,
     xtrans_at,
@@ -268,3 +272,41 @@ def test_unfit_mosaics_are_refused(shape: tuple[int, ...]) -> None:
 def test_an_unsupported_cfa_is_refused() -> None:
     with pytest.raises(ArgumentError, match="unsupported CFA"):
         pack_normalised(random_mosaic(8, 8), ((0, 1), (1, 2)), BAYER_BLACK, 16000.0)
+
+
+# --- which levels -------------------------------------------------------------------------------------------------
+
+# ELD's sid_dataset.py divides by 16383 whatever the camera; SID's test_Sony.py takes 512 and 16383 off every file, its
+# test_Fuji.py 1024 and 16383.
+PUBLISHED: dict[FrameLevels, tuple[float | None, float]] = {
+    "metadata": (None, 15871.0),
+    "published": (None, 16383.0),
+    "sid-sony": (512.0, 16383.0),
+    "sid-fuji": (1024.0, 16383.0),
+}
+
+
+@pytest.mark.parametrize("name", ["RGGB", "xtrans-00"])
+@pytest.mark.parametrize("levels", FRAME_LEVELS)
+def test_levels_are_those_of_the_file_or_of_the_published_code(levels: FrameLevels, name: str) -> None:
+    """A pixel at the black level is 0 and one at the white level 1, exactly."""
+    cfa = CFAS[name]
+    stated = black_of(cfa)
+    black, white = PUBLISHED[levels]
+    sensor = make_sensor(cfa, 12, 12, black_level_dn=stated, white_level_dn=15871.0)
+    chosen = with_levels(sensor, levels)
+    assert chosen.black_level_dn == (stated if black is None else (black,) * len(stated))
+    assert chosen.white_level_dn == white
+    if levels in ("metadata", "published"):
+        assert white_level_dn(sensor, levels) == white
+    for level, value in ((white, 1), (black, 0)):
+        if level is not None:
+            frame = RawFrame(Path("a.dng"), np.full((12, 12), level, np.uint16), sensor, Exposure())
+            assert set(packed_frame(frame, levels=levels, clip="none").ravel().tolist()) == {value}
+
+
+def test_unknown_levels_are_refused() -> None:
+    unknown: Any = "nominal"
+    for choose in (with_levels, white_level_dn):
+        with pytest.raises(ArgumentError, match=r"levels must be one of .*; found 'nominal'"):
+            choose(make_sensor(), unknown)

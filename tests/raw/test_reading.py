@@ -140,13 +140,6 @@ def test_the_pattern_may_be_bytes_of_any_kind(kind: str, tmp_path: Path) -> None
     assert read_raw(path).sensor.cfa == QUAD["quad-00"]
 
 
-def test_deltas_of_the_black_level_are_not_read_of_quad(tmp_path: Path) -> None:
-    tags: list[Tag] = [(50714, "I", 1, 64, True), (50716, "2i", 64, (1, 1) * 64, True)]
-    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), letters(QUAD["quad-00"]), *tags)
-    with pytest.raises(RawFileError, match=r"quad-Bayer with BlackLevelDelta.*convert it to a DNG with BlackL"):
-        read_raw(tmp_path / "a.dng")
-
-
 @pytest.mark.parametrize("name", BAYER)
 def test_black_per_channel_is_ordered_by_colour_and_not_by_place(name: str, tmp_path: Path) -> None:
     path, cfa = tmp_path / "a.dng", BAYER[name]

@@ -268,7 +268,9 @@ def test_the_iso(tags: list[Tag], iso: int | None, tmp_path: Path) -> None:
 def test_reading_a_header_decodes_no_pixels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class Undecodable(rawpy.RawPy):
         def __getattribute__(self, name: str) -> object:
-            assert name in {"open_file", "set_unpack_params", "close"}, name  # what rawpy answers without decoding
+            assert name in {"open_file", "set_unpack_params", "sizes", "close"}, (
+                name
+            )  # what rawpy answers without decoding
             return super().__getattribute__(name)
 
     monkeypatch.setattr(rawpy, "RawPy", Undecodable)

@@ -94,6 +94,7 @@ def _stated(folder: Path, with_sensors: bool, path: str) -> ExportFrame:
     if not with_sensors:
         return ExportFrame(path, file, read_header(file).exposure)
     raw = read_raw(file)
+    raw.whole_dn("published code, which reads with LibRaw,")
     return ExportFrame(path, file, raw.exposure, raw.sensor)
 
 

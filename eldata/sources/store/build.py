@@ -205,7 +205,8 @@ def _decoded(folder: Path, listed: tuple[str, Role]) -> tuple[NDArray[np.uint16]
         planes = np.ascontiguousarray(read_rgb16(file).transpose(2, 0, 1))
         return planes, rgb_attributes(path, role, pixels_digest(planes), PackedFile.of(file))
     frame = read_raw(file)
-    return frame.mosaic, frame_attributes(path, role, frame, pixels_digest(frame.mosaic), PackedFile.of(file))
+    pixels = frame.whole_dn("a store")
+    return pixels, frame_attributes(path, role, frame, pixels_digest(pixels), PackedFile.of(file))
 
 
 def pixels_digest(frame: NDArray[np.uint16]) -> str:

@@ -1,0 +1,168 @@
+"""A set of one's own whose files are floating-point DNGs: it scores and loads as the same numbers do as whole ones.
+
+What cannot be done with them says so, and names the file.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import tifffile
+
+from eldata import SyntheticPairs, verify
+from eldata.calibration.one_image import estimate_profile
+from eldata.datasets import CalibrationFrames, DarkFrames, PairDataset, RawFiles
+from eldata.datasets.synthesis import Recipe, synthesize
+from eldata.errors import EldataError
+from eldata.evaluation import evaluate
+from eldata.manifest.catalogue import load_manifest
+from eldata.noise import CameraProfile
+from eldata.raw import read_raw, write_dng
+from eldata.sources.store import build_store, source_of_dataset
+from tests.evaluation.own_set import OwnSet, build_own_set
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from eldata.evaluation import EvaluationResult
+
+FILE_LEVELS = ("lrd-eld", "led-eld")
+"""Protocols with the files' own levels; LibRaw knows none of each channel for these files."""
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory: pytest.TempPathFactory) -> OwnSet:
+    return build_own_set(tmp_path_factory.mktemp("own"))
+
+
+def rewritten(own: OwnSet, folder: Path, which: str, scale: float = 1.0, hot: float | None = None) -> OwnSet:
+    """The set with some files as floats, divided by ``scale``, one pixel of which is set to ``hot`` times white."""
+    shutil.copytree(own.manifest.parent, folder, dirs_exist_ok=True)
+    copy = OwnSet(folder / own.manifest.name, folder / "data")
+    for path in copy.files.glob(which):
+        frame = read_raw(path)
+        mosaic = (frame.mosaic / np.float64(scale)).astype(np.float32)
+        black = tuple(level / scale for level in frame.sensor.black_level_dn)
+        white = round(frame.sensor.white_level_dn / scale)
+        if hot is not None:
+            mosaic[np.unravel_index(frame.mosaic.argmax(), mosaic.shape)] = hot * white
+        write_dng(path, mosaic, replace(frame.sensor, black_level_dn=black, white_level_dn=white), frame.exposure)
+    return copy
+
+
+def scored(own: OwnSet, protocol: str) -> EvaluationResult:
+    return evaluate(None, baseline="input", manifest=own.manifest, root=own.root, protocol=protocol)
+
+
+def figures(result: EvaluationResult) -> list[tuple[str, float, float]]:
+    return [(one.path, one.psnr_db, one.ssim) for one in result.images]
+
+
+@pytest.mark.parametrize("which", ["*/clean.dng", "*/x*.dng", "*/*.dng"], ids=["references", "noisy", "all"])
+@pytest.mark.parametrize("protocol", [*FILE_LEVELS, "eld"])
+def test_floats_of_the_same_numbers_score_the_same(own: OwnSet, protocol: str, which: str, tmp_path: Path) -> None:
+    floats = rewritten(own, tmp_path, which)
+    assert figures(scored(floats, protocol)) == figures(scored(own, protocol))
+
+
+@pytest.mark.parametrize("protocol", FILE_LEVELS)
+def test_shares_of_white_score_the_same_and_no_bright_pixel_matters(own: OwnSet, protocol: str, tmp_path: Path) -> None:
+    """White 1, as most floating-point DNGs have it; LibRaw would scale by the hot pixel. float32 has seven digits."""
+    shares = rewritten(own, tmp_path, "*/clean.dng", scale=15300, hot=1.5)
+    for one, other in zip(figures(scored(shares, protocol)), figures(scored(own, protocol)), strict=True):
+        assert one[0] == other[0]
+        assert one[1:] == pytest.approx(other[1:], abs=1e-5)
+
+
+def test_shares_of_white_are_not_scored_against_a_white_level_in_dn(own: OwnSet, tmp_path: Path) -> None:
+    shares = rewritten(own, tmp_path, "*/clean.dng", scale=15300)
+    result = scored(shares, "eld")
+    assert result.images == ()
+    reasons = {str(problem) for problem in result.problems}
+    assert len(reasons) == 2
+    assert all(
+        re.search(r"clean\.dng: its white level is 1, .* white level of 16383 .* is in DN", one) for one in reasons
+    )
+
+
+def test_predictions_may_be_floating_point_dngs(own: OwnSet, tmp_path: Path) -> None:
+    """The input itself, as its camera's whole DN and as floats."""
+    floats = rewritten(own, tmp_path, "*/*.dng")
+    options: Any = {"manifest": own.manifest, "root": own.root, "protocol": "lrd-eld"}
+    one, other = (evaluate(of.files, allow_missing=True, **options) for of in (own, floats))
+    assert len(one.images) == 2
+    assert figures(one) == figures(other)
+
+
+def test_verify_reads_them(own: OwnSet, tmp_path: Path) -> None:
+    floats = rewritten(own, tmp_path, "*/*.dng")
+    for level in ("metadata", "full"):
+        report = verify([load_manifest(floats.manifest)], floats.root, level=level)
+        assert report.problems == ()
+
+
+def test_a_dataset_gives_the_same_crops(own: OwnSet, tmp_path: Path) -> None:
+    floats = rewritten(own, tmp_path, "*/*.dng")
+    choice: dict[str, Any] = {"levels": "metadata", "crop": 16, "augment": True, "clip": "none"}
+    one, other = (PairDataset(of.files, manifest=of.manifest, **choice) for of in (floats, own))
+    for index in range(len(one)):
+        for name in ("input", "target"):
+            assert np.array_equal(one[index][name].numpy(), other[index][name].numpy())
+
+
+def test_clean_frames_in_dn_are_taken_and_shares_of_white_are_not(own: OwnSet, tmp_path: Path) -> None:
+    profile = CameraProfile.load("SonyA7S2")
+    floats = rewritten(own, tmp_path / "dn", "*/clean.dng")
+    one, other = (
+        SyntheticPairs(RawFiles(of.files.glob("*/clean.dng")), profiles=profile, crop=16)[0] for of in (floats, own)
+    )
+    assert np.array_equal(one["target"].numpy(), other["target"].numpy())
+    assert np.array_equal(one["input"].numpy(), other["input"].numpy())
+    shares = rewritten(own, tmp_path / "shares", "*/clean.dng", scale=15300)
+    with pytest.raises(EldataError, match=r"clean\.dng: its white level is 1, .* noise is in DN"):
+        SyntheticPairs(RawFiles(shares.files.glob("*/clean.dng")), profiles=profile, crop=16)[0]
+
+
+def test_a_grey_tiff_in_a_set_is_neither_whole_nor_scored(own: OwnSet, tmp_path: Path) -> None:
+    copy = rewritten(own, tmp_path, "nothing")
+    exif: Any = [(271, "s", 0, "Maker", True), (272, "s", 0, "Mine 1", True)]
+    clean = copy.files / "s0" / "clean.dng"
+    tifffile.imwrite(clean, read_raw(clean).mosaic, metadata=None, extratags=exif)
+    (problem,) = verify([load_manifest(copy.manifest)], copy.root, level="metadata").problems
+    assert "grey TIFF" in str(problem)
+    with pytest.raises(EldataError, match=r"the dataset is not what its manifest says: .* found a grey TIFF"):
+        scored(copy, "lrd-eld")
+
+
+def bias_of(floats: OwnSet, folder: Path) -> Path:
+    """Two bias frames of an ISO, which they are not: nothing looks at them before their kind is known."""
+    place = folder / "calibration" / "bias" / "ISO100"
+    place.mkdir(parents=True)
+    for name in ("a.dng", "b.dng"):
+        shutil.copyfile(floats.files / "s0" / "clean.dng", place / name)
+    return folder / "calibration"
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda floats, path: build_store(
+            source_of_dataset("mine", root=floats.root, manifest=floats.manifest), path / "a.h5"
+        ),
+        lambda floats, _: estimate_profile(floats.files / "s0" / "x50.dng"),
+        lambda floats, path: synthesize(floats.files, path / "out", Recipe(CameraProfile.load("SonyA7S2"))),
+        lambda floats, path: CalibrationFrames(bias_of(floats, path), "Mine")[0],
+        lambda floats, path: DarkFrames(bias_of(floats, path), "Mine").crops(100.0, [0], (0, 0, 8, 8)),
+    ],
+    ids=["store", "noise of one photograph", "synthesis", "calibration", "dark frames"],
+)
+def test_what_needs_whole_dn_names_the_file(own: OwnSet, use: Callable[[OwnSet, Path], object], tmp_path: Path) -> None:
+    floats = rewritten(own, tmp_path, "*/*.dng")
+    with pytest.raises(EldataError, match=r"[a-z0-9]*\.dng: its pixels are no whole DN.*as the camera wrote them"):
+        use(floats, tmp_path)

@@ -232,6 +232,8 @@ def _check_mosaic(path: Path, directory: Directory) -> None:
             raise RawFileError(
                 path, f"damaged: it declares {directory.number(tag, 1)} interleaved fields of {side} rows or columns"
             )
+    if directory.samples < 1:
+        raise RawFileError(path, f"damaged: it declares {directory.samples} samples of each pixel")
     held = sum(count for _, count in directory.extents)
     # No lossless code takes less than one bit per pixel.
     if held * 8 < directory.pixels:

@@ -180,6 +180,14 @@ def test_one_level_is_that_of_both_samples(tmp_path: Path) -> None:
     assert read_raw(tmp_path / "a.dng").sensor.black_level_dn == (65,) * 4
 
 
+@pytest.mark.parametrize("samples", [0, -1])
+def test_no_samples_are_damage(samples: int, tmp_path: Path) -> None:
+    (tmp_path / "a.dng").write_bytes((FIELD / "dual-pixel-2-samples.dng").read_bytes())
+    add_tags(tmp_path / "a.dng", (SAMPLES, "i", 1, samples, True))
+    with pytest.raises(RawFileError, match=rf"a\.dng: damaged: it declares {samples} samples of each pixel"):
+        read_raw(tmp_path / "a.dng")
+
+
 @pytest.mark.parametrize("kind", ["f", "d"])
 def test_a_level_written_as_a_float_is_exact(kind: str, tmp_path: Path) -> None:
     """LibRaw has 511 of it."""

@@ -117,7 +117,7 @@ class PairItems(ReadItems[PairItem, Sample]):
 
     def parts(self, item: PairItem) -> Iterator[Part]:
         """Yield the target, then the input."""
-        yield Part("target", item.pair.target)
+        yield Part("target", item.pair.target, is_light=True)
         if item.pair.input is not None:
             # What no raw file states is amplified already.
             yield Part("input", item.pair.input, gain=float(item.pair.ratio) if item.pair.input.sensor else 1.0)

@@ -49,6 +49,7 @@ def published_eld() -> tuple[Card, tuple[FrameRecord, ...]]:
             "CanonEOS700D": CameraCard(("Canon EOS 700D", "Canon EOS REBEL T5i", "Canon EOS Kiss X7i")),
         },
         counts={role: sum(record.role == role for record in records) for role in sorted({r.role for r in records})},
+        protocol="eld",
         downloads=(
             Download(
                 "https://drive.google.com/drive/folders/1QoEhB1P-hNzAc4cRb7RdzyEKktexPVgy",

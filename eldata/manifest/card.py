@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
+OWN_PROTOCOL = "raw"
+"""The protocol of a card that names none, such as that of a set of one's own."""
+
 CFA_WORDS = ("bayer", "xtrans", "quad-bayer", "nona-bayer", "both", "mixed")
 
 _UNSTATED = {"", "not stated", "none stated", "unknown"}
@@ -93,6 +96,9 @@ class Card:
         Expected number of rows per role. A card without a manifest has none.
     subsets
         Named choices of pairs. ``eldata evaluate`` scores the first one by default.
+    protocol
+        Name of the protocol that scores the set unless another is named; of a card that states none it is ``raw``, by
+        the files' own levels.
     known_defects, sources
         What is wrong with the published files, and where this card's facts come from.
     contents, levels
@@ -117,6 +123,7 @@ class Card:
     counts: dict[str, int]
     downloads: tuple[Download, ...] = ()
     subsets: tuple[Subset, ...] = ()
+    protocol: str = OWN_PROTOCOL
     known_defects: tuple[str, ...] = ()
     sources: tuple[str, ...] = field(default=())
     contents: str = ""
@@ -182,6 +189,7 @@ def load_card(path: Path, content: bytes | None = None) -> Card:
         counts={role: counts.whole(role) for role in counts.data},
         downloads=tuple(map(_download, top.objects("downloads", missing_ok=True))),
         subsets=subsets,
+        protocol=top.optional("protocol", top.text, OWN_PROTOCOL),
         known_defects=top.texts("known_defects", missing_ok=True, empty=True),
         sources=top.texts("sources", missing_ok=True, empty=True),
         contents=top.optional("contents", top.text, "", empty=True),

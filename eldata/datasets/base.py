@@ -336,11 +336,12 @@ class PairDataset(SourcePairs):
         loaded.card.check_readable()
         self.root = data_root() / loaded.card.folder if root is None else Path(root)
         records = select_pairs(loaded.records, loaded.card.subsets, **choice)
+        levels = representation.get("levels") or default_protocol(loaded.card).frame_levels
         super().__init__(
             Files(self.root, loaded.records),
             records,
             name=loaded.name,
-            representation={"levels": default_protocol(loaded.card).frame_levels} | representation,
+            representation=representation | {"levels": levels},
             cropping=cropping,
         )
         self._check_folders(loaded)

@@ -68,8 +68,8 @@ def evaluate(
         Name of a shipped manifest, such as ``eld`` or, of clips, ``drv``.
     protocol
         Name of a protocol (:mod:`eldata.protocols`) or of a family, such as ``pmn``; the path of a TOML file; or a
-        protocol. Default: the one that the dataset's card names, such as ``eld``, ``sid`` or ``drv-rgb``; ``raw``, by the
-        files' own levels, if it names none.
+        protocol. Default: the one that the dataset's card names, such as ``eld``, ``sid`` or ``drv-rgb``; if it names
+        none, ``raw``, by the files' own levels.
     root
         The folder that holds the datasets. Default: ``$ELDATA_ROOT``, else ``./data``.
     manifest

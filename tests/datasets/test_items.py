@@ -15,6 +15,7 @@ from eldata.datasets import DRVRawDataset, PairDataset, SourcePairs, normalise_b
 from eldata.datasets.dn_batches import _by_torch, _images
 from eldata.datasets.synthesis import Recipe, synthesize
 from eldata.errors import ArgumentError, DatasetError
+from eldata.manifest.card import save_card
 from eldata.noise import CameraProfile
 from eldata.raw import pack, read_raw, write_dng
 from eldata.raw.cfa import packed_black_level_dn
@@ -156,6 +157,27 @@ def test_the_clip_is_of_the_input_on_every_route(clip: Any, tree: Tree, tmp_path
             assert (sample["input"].max() > 1) == (clip == "none")
     in_srgb = raw2rgb(stored)[0]["target"]
     assert torch.equal(in_srgb, raw2rgb(PackedStore(store, crop=None, augment=False, levels="metadata"))[0]["target"])
+
+
+@pytest.mark.parametrize(("protocol", "levels"), [("raw", "metadata"), ("eld", "published"), ("led-eld", "metadata")])
+def test_levels_are_those_of_the_protocol_that_the_card_names(
+    protocol: str, levels: Any, tree: Tree, tmp_path: Path
+) -> None:
+    """So that the input is what the set is scored with, on every route."""
+    save_card(tree.csv.with_suffix(".json"), replace(tree.manifest.card, protocol=protocol))
+    store = pack_tree(tree, tmp_path / "eld.h5").store
+    write_shards(store, tmp_path / "shards", tile=None)
+    usual = [
+        PairDataset(tree.data, tree.csv),
+        PackedStore(store, crop=None, augment=False),
+        StreamedPairs(str(tmp_path / "shards"), augment=False),
+    ]
+    wanted = {sample["path"]: sample for sample in PairDataset(tree.data, tree.csv, levels=levels)}
+    for dataset in usual:
+        assert dataset.levels == levels
+        for sample in dataset:
+            assert torch.equal(sample["target"], wanted[sample["path"]]["target"])
+    assert PairDataset(tree.data, tree.csv, levels="sid-sony").levels == "sid-sony"
 
 
 @pytest.mark.parametrize("clip", ["upper", "none"])

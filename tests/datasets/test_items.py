@@ -167,7 +167,7 @@ def test_levels_are_those_of_the_protocol_that_the_card_names(
     save_card(tree.csv.with_suffix(".json"), replace(tree.manifest.card, protocol=protocol))
     store = pack_tree(tree, tmp_path / "eld.h5").store
     write_shards(store, tmp_path / "shards", tile=None)
-    usual = [
+    usual: list[Any] = [
         PairDataset(tree.data, tree.csv),
         PackedStore(store, crop=None, augment=False),
         StreamedPairs(str(tmp_path / "shards"), augment=False),
